@@ -1,0 +1,50 @@
+# Spanwise: every job a developer or a user starts. Only python3 (3.11+), make and git are needed.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.stamp
+
+.PHONY: demo test check fast lint types architecture generated bench lock clean help
+
+help:            ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
+
+$(STAMP): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Spanwise needs Python 3.11 or newer; set PYTHON=/path/to/python3.11"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: $(STAMP)   ## fly the simulated aircraft against the live service and show the ranges
+	$(BIN)/spanwise demo
+
+test: $(STAMP)   ## every test
+	$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+check: lint types architecture generated fast ## what must be green before a commit (under two minutes)
+
+lint: $(STAMP)   ## ruff
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)  ## mypy --strict on companion/
+	$(BIN)/mypy
+
+architecture: $(STAMP) ## the import table, purity of the core, no stray clocks
+	$(BIN)/python -m pytest sitl_tests/architecture
+
+generated: $(STAMP) ## generated files are fresh
+	$(BIN)/spanwise params --check
+
+fast: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -m "not slow and not realtime" --ignore sitl_tests/architecture
+
+bench: $(STAMP)  ## speed, memory and accuracy figures, side by side with the alternatives
+	$(BIN)/python -m tools.bench
+
+lock: $(STAMP)   ## pin every dependency with its hashes (needs uv)
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header --extra dev -q pyproject.toml requirements-build.in -o requirements.lock
+
+clean:
+	rm -rf $(VENV) out build *.egg-info

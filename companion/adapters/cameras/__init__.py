@@ -1,0 +1,1 @@
+"""Camera pairs behind one port."""

@@ -1,0 +1,1 @@
+"""MAVLink: links, bulk decoding, rates, encoding."""

@@ -1,0 +1,1 @@
+"""Trigger lines behind one port, fired from a process of their own."""

@@ -1,0 +1,1 @@
+"""Stereo rig, wing modes, latency: from measurements to an airframe file."""

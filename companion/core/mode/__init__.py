@@ -1,0 +1,1 @@
+"""Tracking the bending modes: causal filter, fixed-lag smoother, adaptation, phase, validity."""

@@ -1,0 +1,1 @@
+"""Stereo geometry that moves: rotations, extrinsics at exposure, matching, range, sigma, sectors."""

@@ -1,0 +1,49 @@
+"""The exceptions of Spanwise. A refusal is a value (:class:`companion.records.Reject`); these mean a bad input or a dead device.
+
+SpanwiseError                   the base; ``str()`` says what was wrong, where, and what to do
+├── ConfigError                 an airframe or settings file
+│   └── UnknownAirframe         no airframe of that name
+├── RecordingError              a recording that cannot be read
+│   └── TableError              a CSV table: file, line and column are named
+├── LinkError                   a MAVLink connection that cannot be opened or was lost
+└── DeviceError                 a camera, trigger or clock device
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class SpanwiseError(Exception):
+    """Base of every error that Spanwise raises on purpose."""
+
+
+class ConfigError(SpanwiseError):
+    """A settings or airframe file is wrong; the message names file and key."""
+
+
+class UnknownAirframe(ConfigError):
+    """No airframe of that name; the message lists the known ones."""
+
+    def __init__(self, name: str, known: Iterable[str]) -> None:
+        super().__init__(f"no airframe '{name}'; known: {', '.join(sorted(known))} (or give the path of a .toml file)")
+
+
+class RecordingError(SpanwiseError):
+    """A recording cannot be opened, or holds nothing that can be used."""
+
+
+class TableError(RecordingError):
+    """A CSV table is wrong at a named file and line."""
+
+    def __init__(self, path: Path, line: int, problem: str) -> None:
+        super().__init__(f"{path}, line {line}: {problem}")
+
+
+class LinkError(SpanwiseError):
+    """A MAVLink connection cannot be opened, or was lost."""
+
+
+class DeviceError(SpanwiseError):
+    """A camera, trigger or clock device failed."""

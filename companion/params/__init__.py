@@ -1,0 +1,1 @@
+"""Every tunable and the airframe schema, declared once."""

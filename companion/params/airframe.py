@@ -1,0 +1,160 @@
+"""The airframe: everything measured or believed about one aircraft's wing, sensors and cameras, with prior sigmas.
+
+The dataclasses are the schema of ``config/airframes/<name>.toml``; :mod:`companion.params.files` reads and writes them.
+An :class:`Uncertain` carries the prior standard deviation of the belief. For quantities that are positive by nature
+(frequency, damping, gust) the prior is log-normal with relative sigma ``sigma / value``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from companion.records import ClockName, Station
+
+Vector3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertain:
+    """A believed value and its prior standard deviation, in the unit of the field's name."""
+
+    value: float
+    sigma: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One bending mode pair member.
+
+    ``slope_factor_radpm`` is the slope at the tip station per metre of tip deflection; ``twist_factor_radpm`` the nose-up
+    twist there per metre (torsion that comes with the bending).
+    """
+
+    frequency_hz: Uncertain
+    damping: Uncertain
+    slope_factor_radpm: Uncertain
+    twist_factor_radpm: Uncertain = field(default_factory=lambda: Uncertain(0.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Gust:
+    """The load on a mode: what rms deflection to expect, and the corners of its spectrum (0: white)."""
+
+    deflection_rms_m: Uncertain
+    corners_hz: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Wing:
+    """Modes and static bend. ``second_*`` are the next bending modes, None where they do not matter.
+
+    ``trim_bend_m`` is the symmetric tip deflection in level flight at 1 g relative to the wing as calibrated on the
+    ground; ``bend_per_g_m`` what each further g adds.
+    """
+
+    semispan_m: float
+    symmetric: Mode
+    antisymmetric: Mode
+    gust: Gust
+    trim_bend_m: Uncertain
+    bend_per_g_m: Uncertain
+    second_symmetric: Mode | None = None
+    second_antisymmetric: Mode | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a sensor's samples come from on the link.
+
+    ``axes`` gives, for body x, y, z, the sensor axis that carries it, with sign: ``["y", "-x", "z"]``.
+    ``instance`` selects among equal messages: the ``id`` of HIGHRES_IMU, or the name of a DEBUG_FLOAT_ARRAY.
+    ``stamp_offset_s`` is added to every stamp (0.0005 for stamps truncated to milliseconds).
+    """
+
+    message: str
+    component: int
+    clock: ClockName
+    instance: str = ""
+    axes: tuple[str, str, str] = ("x", "y", "z")
+    stamp_offset_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """An inertial sensor, its place and its errors. Noise is one-sided root spectral density; errors are prior sigmas.
+
+    ``lowpass_*_hz`` is the 2nd-order Butterworth that the source has applied (INS_ACCEL_FILTER, INS_GYRO_FILTER), 0 none.
+    ``sends`` lists the axes that are really measured, as letters of "xyzpqr".
+    """
+
+    source: Source
+    position_m: Vector3
+    rate_hz: float
+    sends: str = "xyzpqr"
+    accel_noise_mps2_rthz: float = 0.0007
+    gyro_noise_radps_rthz: float = 0.00005
+    accel_bias_sigma_mps2: float = 0.02
+    gyro_bias_sigma_radps: float = 0.0009
+    bias_time_s: float = 1000.0
+    accel_scale_sigma: float = 0.0
+    gyro_scale_sigma: float = 0.0
+    misalignment_sigma_rad: float = 0.0
+    time_offset_sigma_s: float = 0.0
+    accel_range_mps2: float = 157.0
+    gyro_range_radps: float = 34.9
+    lowpass_accel_hz: float = 0.0
+    lowpass_gyro_hz: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """One camera. Its frame is OpenCV's (x right, y down, z forward).
+
+    ``axes`` names the body direction of camera x, y, z at rest (nadir: ``["y", "-x", "z"]``, forward: ``["y", "z", "x"]``);
+    ``rotation_rad`` is the calibrated small rotation vector, in camera axes, from there to the camera as mounted.
+    ``slope_gain`` scales the tip station's slope to the camera (1: mounted at the station); ``lift_gain`` likewise its
+    deflection. ``latency_s`` is from trigger command to the start of the exposure.
+    """
+
+    width_px: int
+    height_px: int
+    focal_px: Uncertain
+    principal_px: tuple[float, float]
+    position_m: Vector3
+    axes: tuple[str, str, str]
+    rotation_rad: Vector3 = (0.0, 0.0, 0.0)
+    rotation_sigma_rad: float = 0.0001
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    exposure_s: float = 0.002
+    row_time_s: float = 0.0
+    latency_s: Uncertain = field(default_factory=lambda: Uncertain(0.008, 0.002))
+    slope_gain: float = 1.0
+    lift_gain: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEffect:
+    """A model extension in force (see the catalogue), as diagnosis or the builder wrote it."""
+
+    name: str
+    parameters: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """One aircraft as Spanwise believes it to be. ``cameras`` may be empty where only the wing is of interest."""
+
+    name: str
+    description: str
+    wing: Wing
+    root: Sensor
+    left: Sensor
+    right: Sensor
+    left_camera: Camera | None = None
+    right_camera: Camera | None = None
+    orientation: int = 25
+    effects: tuple[NamedEffect, ...] = ()
+
+    def sensor(self, station: Station) -> Sensor:
+        """The sensor of a station."""
+        return (self.root, self.left, self.right)[station]

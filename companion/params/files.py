@@ -1,0 +1,179 @@
+"""Airframe files: TOML in and out of the dataclasses of :mod:`companion.params.airframe`, with errors that name the key."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from companion.errors import ConfigError, UnknownAirframe
+from companion.params.airframe import Airframe, Uncertain
+
+
+def known_airframes() -> list[str]:
+    """Names of the airframes that travel with Spanwise."""
+    folder = resources.files("config") / "airframes"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_airframe(name_or_path: str) -> Airframe:
+    """Read an airframe by name, or from the path of a ``.toml`` file.
+
+    Raises
+    ------
+    UnknownAirframe
+        No such name or file.
+    ConfigError
+        A missing, unknown or ill-typed key; the message names file, key and what was expected.
+    """
+    if name_or_path.endswith(".toml"):
+        path = Path(name_or_path)
+        if not path.is_file():
+            raise UnknownAirframe(name_or_path, known_airframes())
+        return parse_airframe(path.read_text(encoding="utf-8"), str(path))
+    if name_or_path not in known_airframes():
+        raise UnknownAirframe(name_or_path, known_airframes())
+    entry = resources.files("config") / "airframes" / f"{name_or_path}.toml"
+    return parse_airframe(entry.read_text(encoding="utf-8"), f"{name_or_path}.toml")
+
+
+def parse_airframe(text: str, origin: str) -> Airframe:
+    """Parse the text of an airframe file; ``origin`` is named in errors."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{origin}: not valid TOML: {error}") from error
+    airframe: Airframe = _build(Airframe, table, origin, "")
+    return airframe
+
+
+def dump_airframe(airframe: Airframe) -> str:
+    """Write an airframe as TOML; :func:`parse_airframe` gives it back equal."""
+    return "\n".join(_emit(airframe, "")).lstrip("\n") + "\n"
+
+
+# ------------------------------------------------------------------------------------------------ reading
+
+
+def _build(kind: Any, value: Any, origin: str, where: str) -> Any:
+    if kind is Uncertain:
+        return _uncertain(value, origin, where)
+    if dataclasses.is_dataclass(kind):
+        return _record(kind, value, origin, where)
+    shape = typing.get_origin(kind)
+    if shape in (types.UnionType, typing.Union):
+        (inner,) = [arm for arm in typing.get_args(kind) if arm is not type(None)]
+        return _build(inner, value, origin, where)
+    if shape is tuple:
+        return _tuple(kind, value, origin, where)
+    if shape is dict:
+        _expect(isinstance(value, Mapping), origin, where, "a table", value)
+        return {key: _number(entry, origin, f"{where}.{key}") for key, entry in value.items()}
+    return _scalar(kind, value, origin, where)
+
+
+def _record(kind: Any, value: Any, origin: str, where: str) -> Any:
+    _expect(isinstance(value, Mapping), origin, where, "a table", value)
+    hints = typing.get_type_hints(kind)
+    known = {entry.name: entry for entry in dataclasses.fields(kind)}
+    for key in value:
+        if key not in known:
+            raise ConfigError(f"{origin}: unknown key '{_join(where, key)}'; known here: {', '.join(known)}")
+    for key, entry in known.items():
+        required = entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
+        if required and key not in value:
+            raise ConfigError(f"{origin}: key '{_join(where, key)}' is missing")
+    return kind(**{key: _build(hints[key], entry, origin, _join(where, key)) for key, entry in value.items()})
+
+
+def _uncertain(value: Any, origin: str, where: str) -> Uncertain:
+    if isinstance(value, Mapping):
+        extra = set(value) - {"value", "sigma"}
+        if extra or "value" not in value:
+            raise ConfigError(f"{origin}: '{where}' takes {{ value = ..., sigma = ... }}")
+        sigma = _number(value.get("sigma", 0.0), origin, f"{where}.sigma")
+        _expect(sigma >= 0, origin, f"{where}.sigma", "a sigma >= 0", sigma)
+        return Uncertain(_number(value["value"], origin, f"{where}.value"), sigma)
+    return Uncertain(_number(value, origin, where))
+
+
+def _tuple(kind: Any, value: Any, origin: str, where: str) -> tuple[Any, ...]:
+    _expect(isinstance(value, list), origin, where, "an array", value)
+    arms = typing.get_args(kind)
+    if len(arms) == 2 and arms[1] is Ellipsis:
+        arms = (arms[0],) * len(value)
+    _expect(len(value) == len(arms), origin, where, f"{len(arms)} entries", value)
+    return tuple(
+        _build(arm, entry, origin, f"{where}[{i}]") for i, (arm, entry) in enumerate(zip(arms, value, strict=True))
+    )
+
+
+def _scalar(kind: Any, value: Any, origin: str, where: str) -> Any:
+    if kind is float:
+        return _number(value, origin, where)
+    if kind is int:
+        _expect(isinstance(value, int) and not isinstance(value, bool), origin, where, "a whole number", value)
+        return value
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        allowed = [str(member.value) for member in kind]
+        _expect(str(value) in allowed, origin, where, f"one of {', '.join(allowed)}", value)
+        return kind(value)
+    _expect(isinstance(value, kind), origin, where, f"a {kind.__name__}", value)
+    return value
+
+
+def _number(value: Any, origin: str, where: str) -> float:
+    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    _expect(good, origin, where, "a finite number", value)
+    return float(value)
+
+
+def _expect(good: bool, origin: str, where: str, expected: str, value: Any) -> None:
+    if not good:
+        raise ConfigError(f"{origin}: '{where}' must be {expected}, not {value!r}")
+
+
+def _join(where: str, key: str) -> str:
+    return f"{where}.{key}" if where else key
+
+
+# ------------------------------------------------------------------------------------------------ writing
+
+
+def _emit(record: Any, where: str) -> list[str]:
+    lines: list[str] = [f"\n[{where}]"] if where else []
+    tables: list[str] = []
+    for entry in dataclasses.fields(record):
+        value = getattr(record, entry.name)
+        if value is None:
+            continue
+        path = _join(where, entry.name)
+        if isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
+            for item in value:
+                tables += [f"\n[[{path}]]", *_emit(item, path)[1:]]
+        elif dataclasses.is_dataclass(value) and not isinstance(value, Uncertain):
+            tables += _emit(value, path)
+        else:
+            lines.append(f"{entry.name} = {_literal(value)}")
+    return lines + tables
+
+
+def _literal(value: Any) -> str:
+    if isinstance(value, Uncertain):
+        return f"{{ value = {value.value!r}, sigma = {value.sigma!r} }}" if value.sigma else repr(value.value)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_literal(entry)}" for key, entry in value.items()) + " }"
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_literal(entry) for entry in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return '"' + str(value).replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+    return repr(value)

@@ -1,0 +1,148 @@
+"""Every tunable of the service, declared once: attribute, MAVLink name, unit, range, default, meaning, live or reboot.
+
+TOML files, the MAVLink parameter protocol, component metadata and ``config/PARAMETERS.md`` are views of this table.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from companion.errors import ConfigError
+
+_MAVLINK_NAME_LENGTH = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Tunable:
+    """One row of the table."""
+
+    attribute: str
+    name: str
+    unit: str
+    minimum: float
+    maximum: float
+    default: float
+    doc: str
+    live: bool
+    integer: bool
+    choices: tuple[str, ...]
+
+    def check(self, value: float) -> str | None:
+        """Say what is wrong with ``value``, or nothing."""
+        if not math.isfinite(value):
+            return f"{self.name} must be a finite number"
+        if not self.minimum <= value <= self.maximum:
+            return f"{self.name} = {value:g} is outside {self.minimum:g} to {self.maximum:g} {self.unit}".rstrip()
+        if self.integer and value != int(value):
+            return f"{self.name} = {value:g} must be a whole number"
+        return None
+
+
+def _tunable(
+    name: str,
+    unit: str,
+    minimum: float,
+    maximum: float,
+    default: float,
+    doc: str,
+    *,
+    live: bool = True,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    if len(name) > _MAVLINK_NAME_LENGTH:
+        raise ValueError(f"{name} is longer than a MAVLink parameter name")
+    row = {
+        "name": name,
+        "unit": unit,
+        "minimum": minimum,
+        "maximum": maximum,
+        "doc": doc,
+        "live": live,
+        "choices": choices,
+    }
+    return field(default=default, metadata=row)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The values in force. Attribute names carry the unit; see :func:`tunables` for the rest of each row."""
+
+    # identity (restart)
+    component_id: int = _tunable("SW_COMPID", "", 1, 255, 191, "MAVLink component id of this service", live=False)
+
+    # tracking
+    smoother_lag_s: float = _tunable(
+        "TRK_LAG",
+        "s",
+        0.1,
+        1.0,
+        0.5,
+        "Lag of the smoother that corrects ranges; more is more accurate and later",
+        live=False,
+    )
+    reorder_window_s: float = _tunable(
+        "TRK_WINDOW", "s", 0.01, 0.25, 0.05, "How long a late inertial sample is waited for", live=False
+    )
+    track_rate_hz: float = _tunable(
+        "TRK_RATE", "Hz", 100, 500, 250, "Rate of the tracker; faster streams are averaged exactly to it", live=False
+    )
+    adapt: int = _tunable(
+        "TRK_ADAPT", "", 0, 1, 1, "Adapt frequency, damping and gust spectrum in flight", choices=("off", "on")
+    )
+    calm_rms_m: float = _tunable(
+        "TRK_CALM", "m", 0, 0.01, 0.0002, "Below this deflection rms the wing is calm: fire on the timer"
+    )
+    stale_s: float = _tunable("TRK_STALE", "s", 0.05, 2.0, 0.2, "A stream silent for so long is stale")
+
+    # triggering
+    trigger_policy: int = _tunable(
+        "TRG_POLICY", "", 0, 2, 0, "When to fire", choices=("peaks, timer when calm", "timer", "off")
+    )
+    trigger_rate_hz: float = _tunable("TRG_RATE", "Hz", 0.5, 30, 10, "Most shots per second")
+    trigger_sigma_s: float = _tunable(
+        "TRG_SIGMA", "s", 0.0005, 0.05, 0.012, "Skip a peak whose time is less certain than this"
+    )
+    trigger_blur_px: float = _tunable("TRG_BLUR", "px", 0.05, 10, 1.5, "Skip a shot with more predicted blur than this")
+
+    # ranging
+    orientation: int = _tunable(
+        "RNG_ORIENT", "", 0, 41, 25, "Orientation of DISTANCE_SENSOR (25 down, 0 forward)", live=False
+    )
+    min_range_m: float = _tunable("RNG_MIN", "m", 0.5, 100, 4, "Shortest range that is published")
+    max_range_m: float = _tunable("RNG_MAX", "m", 5, 500, 200, "Longest range that is published")
+    trust_ratio: float = _tunable("RNG_TRUST", "", 0.005, 0.2, 0.03, "Largest sigma/range that is trusted")
+    min_matches: int = _tunable("RNG_MATCHES", "", 4, 500, 12, "Fewest matches for a range")
+    product: int = _tunable(
+        "RNG_PRODUCT", "", 0, 2, 0, "Which range is published", choices=("median", "nearest", "centre")
+    )
+
+    # outputs
+    publish_rate_hz: float = _tunable("OUT_RATE", "Hz", 2, 50, 10, "Rate of DISTANCE_SENSOR and OBSTACLE_DISTANCE")
+    debug_rate_hz: float = _tunable("OUT_DEBUG", "Hz", 0, 25, 4, "Rate of NAMED_VALUE_FLOAT for graphs; 0 is off")
+
+    # rates asked of the autopilot
+    imu_rate_hz: float = _tunable(
+        "IMU_RATE", "Hz", 25, 1000, 333, "Rate of inertial messages asked of the autopilot", live=False
+    )
+
+    def replace(self, name: str, value: float) -> Settings:
+        """Give the settings with one value changed, by MAVLink name; raise :class:`ConfigError` for a bad one."""
+        for row in tunables():
+            if name == row.name:
+                problem = row.check(value)
+                if problem:
+                    raise ConfigError(problem)
+                change: dict[str, Any] = {row.attribute: int(value) if row.integer else float(value)}
+                return dataclasses.replace(self, **change)
+        raise ConfigError(f"no parameter '{name}'")
+
+
+def tunables() -> Iterator[Tunable]:
+    """The table, in declaration order, which is the MAVLink parameter index."""
+    for entry in dataclasses.fields(Settings):
+        default: Any = entry.default
+        yield Tunable(attribute=entry.name, default=default, integer=entry.type == "int", **entry.metadata)

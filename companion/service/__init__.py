@@ -1,0 +1,1 @@
+"""The live service: wiring, loop, health, publishing."""

@@ -1,0 +1,1 @@
+"""The simulated aircraft: gusts, wing truth, sensors, autopilot, cameras, scene."""

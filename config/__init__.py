@@ -1,0 +1,1 @@
+"""Airframes and defaults, as package data."""

@@ -1,0 +1,155 @@
+"""The import table of the house: each room may import these rooms of ours and these third parties, nothing else."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ANY = frozenset({"*"})
+
+# room (longest prefix wins) -> (rooms of ours, third parties)
+TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
+    "companion.records": (frozenset(), frozenset({"numpy"})),
+    "companion.errors": (frozenset(), frozenset({"numpy"})),
+    "companion.params": (frozenset({"params", "errors", "records"}), frozenset()),
+    "companion.ports": (frozenset({"records", "errors"}), frozenset()),
+    "companion.core": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy"})),
+    "companion.core.stereo": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy", "cv2"})),
+    "companion.adapters": (frozenset({"adapters", "ports", "records", "errors", "params"}), ANY),
+    "companion.sim": (
+        frozenset(
+            {"sim", "ports", "records", "errors", "params", "core.wing", "core.stereo.rotation", "core.stereo.geometry"}
+        ),
+        frozenset({"numpy", "scipy", "cv2", "pymavlink"}),
+    ),
+    "companion.calibration": (
+        frozenset({"calibration", "core", "records", "errors", "params"}),
+        frozenset({"numpy", "scipy", "cv2"}),
+    ),
+    "companion.diagnosis": (
+        frozenset({"diagnosis", "core", "sim", "records", "errors", "params"}),
+        frozenset({"numpy", "scipy"}),
+    ),
+    "companion.service": (
+        frozenset({"service", "core.pipeline", "ports", "params", "records", "errors"}),
+        frozenset({"numpy"}),
+    ),
+    "companion.service.wiring": (
+        frozenset({"service", "core.pipeline", "ports", "params", "records", "errors", "adapters"}),
+        frozenset({"numpy"}),
+    ),
+    "companion.cli": (ANY, ANY),
+    "companion": (frozenset(), frozenset()),
+    "mission_scripts": (frozenset({"cli", "params", "mission_scripts"}), frozenset({"mavsdk"})),
+}
+
+# the rooms that may read a clock
+CLOCK_ROOMS = ("companion.adapters", "companion.service", "companion.sim", "companion.cli", "mission_scripts")
+PURE_FORBIDDEN = {
+    "time",
+    "datetime",
+    "threading",
+    "multiprocessing",
+    "logging",
+    "random",
+    "socket",
+    "subprocess",
+    "asyncio",
+    "os",
+    "io",
+    "pathlib",
+}
+WALL_CLOCK = {"time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "datetime.today", "datetime.datetime.now"}
+
+
+def _modules() -> list[tuple[str, Path]]:
+    found = []
+    for top in ("companion", "mission_scripts"):
+        for path in sorted((ROOT / top).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found.append((".".join(parts[:-1] if parts[-1] == "__init__" else parts), path))
+    return found
+
+
+MODULES = _modules()
+
+
+def _room(module: str) -> str:
+    fitting = [room for room in TABLE if module == room or module.startswith(room + ".")]
+    return max(fitting, key=len)
+
+
+def _imports(tree: ast.AST) -> list[tuple[int, str]]:
+    names: list[tuple[int, str]] = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative imports hide the room"
+            names += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    return names
+
+
+def _allowed(name: str, ours: frozenset[str], third: frozenset[str]) -> bool:
+    top = name.split(".")[0]
+    if top in ("companion", "mission_scripts"):
+        inner = name.removeprefix("companion.")
+        return ours == ANY or any(inner == room or inner.startswith(room + ".") for room in ours)
+    if top in sys.stdlib_module_names or top == "__future__":
+        return True
+    return third == ANY or top in third
+
+
+@pytest.mark.parametrize(("module", "path"), MODULES, ids=[name for name, _ in MODULES])
+def test_a_room_imports_only_what_the_table_allows(module: str, path: Path) -> None:
+    ours, third = TABLE[_room(module)]
+    wrong = [
+        f"{path.name}:{line} {name}"
+        for line, name in _imports(ast.parse(path.read_text()))
+        if not _allowed(name, ours, third)
+    ]
+    assert not wrong, f"{module} may not import: {wrong}"
+
+
+@pytest.mark.parametrize(
+    ("module", "path"), [m for m in MODULES if m[0].startswith("companion.core")], ids=lambda value: str(value)[-40:]
+)
+def test_the_core_is_pure(module: str, path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    wrong = [name for _, name in _imports(tree) if name.split(".")[0] in PURE_FORBIDDEN]
+    calls = [ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    wrong += [call for call in calls if call in ("print", "open", "input") or ".random." in call]
+    assert not wrong, f"{module} is core and may not use {wrong}"
+
+
+@pytest.mark.parametrize(("module", "path"), MODULES, ids=[name for name, _ in MODULES])
+def test_clocks_are_read_in_their_rooms_and_never_the_wall_clock(module: str, path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    calls = {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    assert not calls & WALL_CLOCK, f"{module} reads the wall clock: {calls & WALL_CLOCK}"
+    if not module.startswith(CLOCK_ROOMS):
+        monotonic = {call for call in calls if call.startswith("time.")}
+        assert not monotonic, f"{module} reads a clock: {monotonic}"
+
+
+def test_the_top_level_is_fixed() -> None:
+    listed = {path.name for path in ROOT.iterdir() if path.is_dir() and not path.name.startswith(".")}
+    assert listed - {"out", "build", "dist", "__pycache__", "spanwise.egg-info"} == {
+        "companion",
+        "mission_scripts",
+        "config",
+        "sitl_tests",
+        "tools",
+    }
+
+
+def test_every_room_of_the_table_exists() -> None:
+    names = {name for name, _ in MODULES}
+    missing = [
+        room for room in TABLE if room not in names and room not in ("companion.service.wiring", "mission_scripts")
+    ]
+    assert not missing

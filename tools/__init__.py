@@ -1,0 +1,1 @@
+"""Thin programs for people."""

@@ -1,0 +1,1 @@
+"""Speed, memory and accuracy figures, side by side with the alternatives."""
