@@ -390,6 +390,15 @@ class CorrectedRange:
 
 
 @dataclass(frozen=True, slots=True)
+class NoRange:
+    """Alive, but without a range to trust: what goes out instead of an old number."""
+
+    at_host_ns: int
+    orientation: int
+    reject: Reject
+
+
+@dataclass(frozen=True, slots=True)
 class ObstacleSectors:
     """Nearest obstacle in each of 72 sectors of 5 degrees, clockwise from forward, body FRD.
 
@@ -452,6 +461,7 @@ OutputRecord = (
     | Deflection
     | TriggerPlan
     | CorrectedRange
+    | NoRange
     | ObstacleSectors
     | Rejected
     | Notice
