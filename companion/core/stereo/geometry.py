@@ -1,0 +1,230 @@
+"""The stereo rig: lenses, rest attitudes, and where each camera is and looks when the wing bends.
+
+Pixels are OpenCV's (column, row, integers at pixel centres); camera axes x right, y down, z forward; body axes FRD with
+the origin of the airframe file. A rotation ``a_from_b`` takes coordinates in b to coordinates in a.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from companion.core.stereo.rotation import exp_rotation
+from companion.errors import ConfigError
+from companion.params.airframe import Airframe, Camera
+from companion.records import Floats, Side
+
+_AXIS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_DISTORTION_TERMS = 5
+# A wingtip lens is mild; 50 fixed-point steps bring even a wide one to machine precision.
+_UNDISTORT_STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-14)
+
+
+class Pose(NamedTuple):
+    """Attitude and place of one camera at one instant.
+
+    ``camera_from_body`` is (3, 3); ``position_body_m`` (3,) is the centre of projection in body axes.
+    """
+
+    camera_from_body: Floats
+    position_body_m: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lens:
+    """Pinhole with OpenCV's five distortion terms k1, k2, p1, p2, k3.
+
+    Attributes
+    ----------
+    matrix : (3, 3) float64
+        Focal length and principal point, px.
+    distortion : (5,) float64
+    size_px : tuple
+        Width, height.
+    """
+
+    matrix: Floats
+    distortion: Floats
+    size_px: tuple[int, int]
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length, px (square pixels)."""
+        return float(self.matrix[0, 0])
+
+    def project(self, points_m: Floats) -> Floats:
+        """Pixels of points given in camera axes; NaN for points that are not in front of the camera.
+
+        Parameters
+        ----------
+        points_m : (..., 3) float64
+            Metres, camera axes.
+
+        Returns
+        -------
+        (..., 2) float64
+            Distorted pixels, inside the image or not.
+        """
+        points = np.asarray(points_m, dtype=np.float64)
+        depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
+        bent = self.distort(points[..., :2] / depth)
+        pixels: Floats = bent * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
+        return pixels
+
+    def unproject(self, pixels: Floats) -> Floats:
+        """Rays in camera axes, with z = 1, of distorted pixels; the inverse of :meth:`project`.
+
+        Parameters
+        ----------
+        pixels : (n, 2) float64
+            Column, row.
+
+        Returns
+        -------
+        (n, 3) float64
+        """
+        flat = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        rays = np.ones((flat.shape[0], 3))
+        if flat.size:
+            rays[:, :2] = cv2.undistortPoints(flat, self.matrix, self.distortion, criteria=_UNDISTORT_STOP)[:, 0]
+        return rays
+
+    def distort(self, normalised: Floats) -> Floats:
+        """Bend ideal image coordinates (x/z, y/z) as the lens does (Brown's model, as OpenCV defines it)."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = normalised[..., 0], normalised[..., 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        bent_x = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        bent_y = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        return np.stack([bent_x, bent_y], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountedCamera:
+    """One camera on its wing: lens, rest pose on the ground-calibrated wing, and how the wing carries it."""
+
+    side: Side
+    lens: Lens
+    rest: Pose
+    slope_gain: float
+    lift_gain: float
+
+    @classmethod
+    def from_record(cls, side: Side, camera: Camera, name: str) -> MountedCamera:
+        """Build from the airframe's record; :class:`ConfigError` names the key that makes no sense."""
+        _check(camera, name)
+        focal = camera.focal_px.value
+        matrix = np.array([[focal, 0.0, camera.principal_px[0]], [0.0, focal, camera.principal_px[1]], [0.0, 0.0, 1.0]])
+        lens = Lens(matrix, np.array(camera.distortion), (camera.width_px, camera.height_px))
+        mounting = exp_rotation(-np.array(camera.rotation_rad))
+        rest = Pose(mounting @ axes_from_body(camera.axes, f"{name}.axes"), np.array(camera.position_m))
+        return cls(side, lens, rest, camera.slope_gain, camera.lift_gain)
+
+    def turn_rad(self, slope_rad: float, twist_rad: float = 0.0) -> Floats:
+        """Rotation vector (3,), body axes, by which the bent wing has turned this camera from its rest pose.
+
+        Up-bend turns the left wing about +x and the right wing about -x; nose-up twist turns both about +y.
+        """
+        roll = slope_rad if self.side is Side.LEFT else -slope_rad
+        return self.slope_gain * np.array([roll, twist_rad, 0.0])
+
+    def pose(self, slope_rad: float, lift_m: float, twist_rad: float = 0.0) -> Pose:
+        """Pose for a tip slope (up-bend positive), tip deflection (up positive) and tip twist (nose-up positive)."""
+        camera_from_body = self.rest.camera_from_body @ exp_rotation(-self.turn_rad(slope_rad, twist_rad))
+        return Pose(camera_from_body, self.rest.position_body_m + np.array([0.0, 0.0, -self.lift_gain * lift_m]))
+
+    def project(self, pose: Pose, points_body_m: Floats) -> Floats:
+        """Pixels (..., 2) of points (..., 3) in body axes; NaN behind the camera."""
+        return self.lens.project((points_body_m - pose.position_body_m) @ pose.camera_from_body.T)
+
+    def rays(self, pose: Pose, pixels: Floats) -> Floats:
+        """Directions (n, 3) in body axes, of unit depth along the optical axis, through distorted pixels (n, 2)."""
+        directions: Floats = self.lens.unproject(pixels) @ pose.camera_from_body
+        return directions
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """The left and right camera of one airframe."""
+
+    left: MountedCamera
+    right: MountedCamera
+
+    @classmethod
+    def from_airframe(cls, airframe: Airframe) -> Rig:
+        """Build the rig, or raise :class:`ConfigError` when the airframe has no usable pair."""
+        if airframe.left_camera is None or airframe.right_camera is None:
+            raise ConfigError(f"airframe '{airframe.name}' needs left_camera and right_camera for stereo")
+        left = MountedCamera.from_record(Side.LEFT, airframe.left_camera, "left_camera")
+        right = MountedCamera.from_record(Side.RIGHT, airframe.right_camera, "right_camera")
+        _check_pair(left, right, airframe.name)
+        return cls(left, right)
+
+    def camera(self, side: Side) -> MountedCamera:
+        """The camera of a side."""
+        return self.left if side is Side.LEFT else self.right
+
+    def pose(self, side: Side, slope_rad: float, lift_m: float, twist_rad: float = 0.0) -> Pose:
+        """Pose of one camera; see :meth:`MountedCamera.pose`."""
+        return self.camera(side).pose(slope_rad, lift_m, twist_rad)
+
+    def project(self, side: Side, pose: Pose, points_body_m: Floats) -> Floats:
+        """Pixels of body points; see :meth:`MountedCamera.project`."""
+        return self.camera(side).project(pose, points_body_m)
+
+    def unproject(self, side: Side, pixels: Floats) -> Floats:
+        """Rays in camera axes with z = 1 of distorted pixels; see :meth:`Lens.unproject`."""
+        return self.camera(side).lens.unproject(pixels)
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance of the two centres of projection at rest."""
+        return float(np.linalg.norm(self.right.rest.position_body_m - self.left.rest.position_body_m))
+
+
+def axes_from_body(axes: tuple[str, str, str], where: str) -> Floats:
+    """Rotation (3, 3) to a frame whose x, y and z point along the named body directions (``["y", "-x", "z"]``).
+
+    Raises
+    ------
+    ConfigError
+        A name is not one of x, y, z with an optional minus, or the three are not a right-handed frame.
+    """
+    rows = []
+    for axis in axes:
+        letter = axis.removeprefix("-")
+        if letter not in _AXIS:
+            raise ConfigError(f"{where}: '{axis}' is not one of x, y, z, -x, -y, -z")
+        rows.append((-1.0 if axis.startswith("-") else 1.0) * np.array(_AXIS[letter]))
+    matrix = np.stack(rows)
+    if round(float(np.linalg.det(matrix))) != 1:
+        raise ConfigError(
+            f"{where}: {list(axes)} is not a right-handed frame; "
+            'a camera looking down with its top forward is ["y", "-x", "z"], one looking forward ["y", "z", "x"]'
+        )
+    return matrix
+
+
+def _check(camera: Camera, name: str) -> None:
+    if camera.width_px <= 0 or camera.height_px <= 0:
+        raise ConfigError(f"{name}: width_px and height_px must be positive")
+    if camera.focal_px.value <= 0.0:
+        raise ConfigError(f"{name}.focal_px must be positive, not {camera.focal_px.value:g}")
+    if len(camera.distortion) != _DISTORTION_TERMS:
+        raise ConfigError(f"{name}.distortion needs 5 terms (k1, k2, p1, p2, k3), not {len(camera.distortion)}")
+
+
+def _check_pair(left: MountedCamera, right: MountedCamera, name: str) -> None:
+    apart = right.rest.position_body_m - left.rest.position_body_m
+    if apart[1] <= 0.0:
+        raise ConfigError(f"airframe '{name}': left_camera must have the smaller position_m y (body y points right)")
+    look_left, look_right = left.rest.camera_from_body[2], right.rest.camera_from_body[2]
+    if float(look_left @ look_right) < np.cos(np.radians(45.0)):
+        raise ConfigError(f"airframe '{name}': the cameras look more than 45 degrees apart, they share no view")
+    baseline = apart / np.linalg.norm(apart)
+    if abs(float(baseline @ (look_left + look_right))) / 2.0 > np.cos(np.radians(30.0)):
+        raise ConfigError(f"airframe '{name}': the cameras look along their baseline, no range can be measured")
