@@ -1,0 +1,49 @@
+"""``spanwise``: run, demo, simulate, replay, params.
+
+Exit codes: 0 done; 1 bad input or a dead device (the message says what to do); 2 wrong usage; 3 done, but there was
+nothing to estimate (no mode, no ranges); 130 stopped by Ctrl-C before the end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from companion.errors import SpanwiseError
+
+_COMMANDS = {
+    "run": "the live service beside an autopilot",
+    "demo": "a simulated aircraft and the live service: corrected against uncorrected ranges",
+    "simulate": "fly the simulated aircraft into a recording",
+    "replay": "estimate again from a recording",
+    "params": "the settings table: list, check or write config/PARAMETERS.md",
+}
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    parser = argparse.ArgumentParser(
+        prog="spanwise", description="Stereo ranges that stay true while the wing bends.", allow_abbrev=False
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="command")
+    for name, text in _COMMANDS.items():
+        module = importlib.import_module(f"companion.cli.{name}")
+        module.add_arguments(commands.add_parser(name, help=text, description=text, allow_abbrev=False))
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; never a traceback for a bad input."""
+    options = build_parser().parse_args(arguments)
+    module = importlib.import_module(f"companion.cli.{options.command}")
+    try:
+        code: int = module.execute(options)
+    except SpanwiseError as error:
+        print(f"spanwise {options.command}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f"spanwise {options.command}: stopped", file=sys.stderr)
+        return 130
+    return code

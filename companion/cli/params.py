@@ -1,0 +1,44 @@
+"""``spanwise params``: the settings table, and the page generated from it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from companion.errors import ConfigError
+from companion.params.document import parameters_page
+from companion.params.settings import tunables
+
+_PAGE = Path("config/PARAMETERS.md")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--write", action="store_true", help=f"write {_PAGE}")
+    what.add_argument("--check", action="store_true", help=f"fail when {_PAGE} is not what --write would write")
+    what.add_argument("--json", action="store_true", help="the table as JSON")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """List, write or check."""
+    if options.write:
+        _PAGE.write_text(parameters_page(), encoding="utf-8")
+        print(f"wrote {_PAGE}")
+    elif options.check:
+        _check()
+    elif options.json:
+        print(json.dumps([asdict(row) for row in tunables()], indent=2))
+    else:
+        for row in tunables():
+            print(f"{row.name:16s} {row.default:>8g} {row.unit:4s} {row.doc}")
+    return 0
+
+
+def _check() -> None:
+    present = _PAGE.read_text(encoding="utf-8") if _PAGE.is_file() else ""
+    if present != parameters_page():
+        raise ConfigError(f"{_PAGE} is stale: run 'spanwise params --write' and commit it")
+    print(f"{_PAGE} is fresh")

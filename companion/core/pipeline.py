@@ -1,0 +1,228 @@
+"""The one path that the live service, replay and the tests all drive: ``step(state, record) -> (state, records)``.
+
+Inputs go in in arrival order; everything that happens on time happens on a :class:`~companion.records.Tick`, so that the
+replay of a recording repeats every output exactly. The state belongs to the caller and is updated in place.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+
+from companion.core.clock.bank import ClockBank
+from companion.core.mode.tracker import WingTracker
+from companion.core.publishing import Publishing
+from companion.core.stereo.correction import Correction
+from companion.core.stereo.vision import VisionState, vision_step
+from companion.core.trigger.scheduling import Scheduling
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import (
+    AutopilotParameter,
+    ClockName,
+    ClockRestart,
+    Deflection,
+    Health,
+    ImuBatch,
+    MatchSet,
+    ModeState,
+    Notice,
+    OutputRecord,
+    ParameterChange,
+    Record,
+    Reject,
+    Rejected,
+    ServiceStatus,
+    Shot,
+    Tick,
+    TimesyncReply,
+    Validity,
+    VehicleState,
+)
+
+__all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
+
+_STATUS_PERIOD_NS = 1_000_000_000
+
+
+@dataclass(slots=True)
+class PipelineState:
+    """Everything that the estimation knows. Built by :func:`start`; only :func:`step` changes it."""
+
+    airframe: Airframe
+    settings: Settings
+    clocks: ClockBank
+    tracker: WingTracker
+    scheduling: Scheduling | None
+    correction: Correction | None
+    publishing: Publishing
+    mode: ModeState | None = None
+    vehicle: VehicleState | None = None
+    counters: Counter[str] = field(default_factory=Counter)
+    next_status_ns: int = 0
+
+
+def start(airframe: Airframe, settings: Settings, hub: ClockName | None = None) -> PipelineState:
+    """Begin with the airframe's beliefs; ``hub`` names the only clock of a log that has just one."""
+    clocks = ClockBank()
+    if hub is not None:
+        clocks.identity(hub)
+    has_cameras = airframe.left_camera is not None and airframe.right_camera is not None
+    return PipelineState(
+        airframe=airframe,
+        settings=settings,
+        clocks=clocks,
+        tracker=WingTracker(airframe, settings),
+        scheduling=Scheduling.create(airframe, settings) if has_cameras else None,
+        correction=Correction.create(airframe, settings) if has_cameras else None,
+        publishing=Publishing(airframe.orientation),
+    )
+
+
+def step(state: PipelineState, record: Record) -> tuple[PipelineState, list[OutputRecord]]:
+    """Handle one input record; give the records that follow from it, in order."""
+    handler = _HANDLERS.get(type(record))
+    if handler is None:
+        return state, []
+    outputs = handler(state, record)
+    for output in outputs:
+        if isinstance(output, Rejected):
+            state.counters[str(output.reason)] += output.count
+    return state, outputs
+
+
+# ------------------------------------------------------------------------------------------------ inputs
+
+
+def _on_samples(state: PipelineState, batch: ImuBatch) -> list[OutputRecord]:
+    state.counters[f"samples {batch.station.name.lower()}"] += len(batch.t_ns)
+    if not len(batch.t_ns):
+        return []
+    if batch.clock is ClockName.HOST:
+        return list(state.tracker.add(batch))
+    converted = state.clocks.to_host(batch.clock, batch.t_ns)
+    if isinstance(converted, Reject):
+        return [Rejected(converted, f"{batch.station.name.lower()} samples", batch.received_host_ns, len(batch.t_ns))]
+    t_host_ns, _ = converted
+    return list(state.tracker.add(dataclasses.replace(batch, clock=ClockName.HOST, t_ns=t_host_ns)))
+
+
+def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecord]:
+    before = state.clocks.state(reply.clock).synced
+    after = state.clocks.exchange(reply)
+    return [after] if after.synced != before else []
+
+
+def _on_restart(state: PipelineState, restart: ClockRestart) -> list[OutputRecord]:
+    state.clocks.restart(restart)
+    return [Notice(4, f"{restart.clock} clock restarted; waiting for sync", restart.seen_host_ns)]
+
+
+def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecord]:
+    state.vehicle = vehicle
+    return []
+
+
+def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter) -> list[OutputRecord]:
+    """The root's filters are the vehicle's own: take what it says over what the airframe file believes."""
+    attribute = {"INS_ACCEL_FILTER": "lowpass_accel_hz", "INS_GYRO_FILTER": "lowpass_gyro_hz"}.get(parameter.name)
+    if attribute is None or getattr(state.airframe.root, attribute) == parameter.value:
+        return []
+    change: dict[str, Any] = {attribute: float(parameter.value)}
+    state.airframe = dataclasses.replace(state.airframe, root=dataclasses.replace(state.airframe.root, **change))
+    state.tracker = WingTracker(state.airframe, state.settings)
+    text = f"{parameter.name} is {parameter.value:g} Hz on the vehicle: tracker restarted with it"
+    return [Notice(4, text, parameter.received_host_ns)]
+
+
+def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputRecord]:
+    state.settings = state.settings.replace(change.name, change.value)
+    if state.scheduling is not None:
+        state.scheduling.settings = state.settings
+    if state.correction is not None:
+        state.correction.settings = state.settings
+    return []
+
+
+def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
+    if state.correction is None:
+        return []
+    if state.scheduling is not None:
+        state.scheduling.exposed(matches)
+    return list(state.correction.add(matches))
+
+
+def _on_shot(state: PipelineState, shot: Shot) -> list[OutputRecord]:
+    if state.scheduling is not None:
+        state.scheduling.fired(shot)
+    state.counters["shots"] += 1
+    return []
+
+
+# ------------------------------------------------------------------------------------------------ time
+
+
+def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
+    now_ns = tick.now_host_ns
+    outputs: list[OutputRecord] = []
+    mode = state.tracker.advance(now_ns)
+    if mode is not None:
+        state.mode = mode
+    if state.scheduling is not None:
+        outputs += state.scheduling.tick(state.tracker, state.mode, now_ns)
+    if state.correction is not None:
+        climb_mps = state.vehicle.climb_mps if state.vehicle else 0.0
+        airspeed_mps = state.vehicle.airspeed_mps if state.vehicle else 0.0
+        outputs += state.correction.due(state.tracker, now_ns, climb_mps, airspeed_mps)
+    outputs += state.publishing.tick(now_ns, outputs, state.mode, state.settings)
+    if now_ns >= state.next_status_ns:
+        state.next_status_ns = now_ns + _STATUS_PERIOD_NS
+        outputs += _status(state, now_ns)
+    return outputs
+
+
+def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
+    health, reason = _health(state)
+    clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
+    return [*clocks, ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items())))]
+
+
+def _clocks_in_use(airframe: Airframe) -> list[ClockName]:
+    names = {sensor.source.clock for sensor in (airframe.root, airframe.left, airframe.right)}
+    return sorted(names - {ClockName.HOST})
+
+
+def _health(state: PipelineState) -> tuple[Health, str]:
+    unsynced = [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name).synced]
+    if state.mode is None:
+        return Health.BOOT, "waiting for " + (", ".join(unsynced) + " clock" if unsynced else "inertial samples")
+    if unsynced:
+        return Health.CRITICAL, f"lost sync with {', '.join(unsynced)}"
+    if state.mode.validity in (Validity.TRACKING, Validity.CALM):
+        return Health.ACTIVE, str(state.mode.validity)
+    if state.mode.validity is Validity.SETTLING:
+        return Health.STANDBY, str(state.mode.validity)
+    return Health.CRITICAL, str(state.mode.validity)
+
+
+def smoothed(state: PipelineState, t_host_ns: int) -> Deflection | Reject:
+    """The wing at one past instant, for tools that score or plot."""
+    return state.tracker.smooth(t_host_ns)
+
+
+_Handler = Callable[[PipelineState, Any], list[OutputRecord]]
+_HANDLERS: dict[type, _Handler] = {
+    ImuBatch: _on_samples,
+    TimesyncReply: _on_timesync,
+    ClockRestart: _on_restart,
+    VehicleState: _on_vehicle,
+    AutopilotParameter: _on_autopilot_parameter,
+    ParameterChange: _on_change,
+    MatchSet: _on_matches,
+    Shot: _on_shot,
+    Tick: _on_tick,
+}

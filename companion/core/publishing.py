@@ -1,0 +1,51 @@
+"""What goes out on the clock rather than on an event: the mode for graphs, and "alive, no range" in place of an old number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from companion.params.settings import Settings
+from companion.records import CorrectedRange, ModeState, NoRange, OutputRecord, Reject, Validity
+
+_RANGE_STALE_NS = 400_000_000  # under ArduPilot's 500 ms, so that an old number never lingers
+
+
+@dataclass(slots=True)
+class Publishing:
+    """Keeps the rates. A trusted range is published by the event that made it; silence is filled here."""
+
+    orientation: int
+    next_mode_ns: int = 0
+    next_fill_ns: int = 0
+    last_trusted_ns: int = 0
+    last_reject: Reject = Reject.NOT_SETTLED
+
+    def tick(
+        self, now_ns: int, fresh: Sequence[OutputRecord], mode: ModeState | None, settings: Settings
+    ) -> list[OutputRecord]:
+        """The records that are due, given those just made."""
+        for record in fresh:
+            if isinstance(record, CorrectedRange):
+                self._note(record, now_ns)
+        outputs: list[OutputRecord] = []
+        if mode is not None and settings.debug_rate_hz > 0 and now_ns >= self.next_mode_ns:
+            self.next_mode_ns = now_ns + int(1e9 / settings.debug_rate_hz)
+            outputs.append(mode)
+        if now_ns - self.last_trusted_ns > _RANGE_STALE_NS and now_ns >= self.next_fill_ns:
+            self.next_fill_ns = now_ns + int(1e9 / settings.publish_rate_hz)
+            outputs.append(NoRange(now_ns, self.orientation, self._reason(mode)))
+        return outputs
+
+    def _note(self, measured: CorrectedRange, now_ns: int) -> None:
+        if measured.trusted:
+            self.last_trusted_ns = now_ns
+        elif measured.reject is not None:
+            self.last_reject = measured.reject
+
+    def _reason(self, mode: ModeState | None) -> Reject:
+        if mode is None:
+            return Reject.CLOCK_UNSYNCED
+        if mode.validity is Validity.STALE:
+            return Reject.STALE
+        return self.last_reject

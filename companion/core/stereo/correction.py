@@ -1,0 +1,70 @@
+"""From matches to ranges: wait for the smoother, take each camera's bend at its own exposure, range, gate."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from companion.core.mode.tracker import WingTracker
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.ranging import RangeAnswer, correct
+from companion.core.stereo.trust import RangeGate
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, MatchSet, OutputRecord, Reject, Rejected
+
+_QUEUE_DEPTH = 64
+_DOWN = 25
+_SLACK_MPS = 8.0
+
+
+@dataclass(slots=True)
+class Correction:
+    """Matched pairs that wait for the smoother's lag to pass."""
+
+    airframe: Airframe
+    rig: Rig
+    gate: RangeGate
+    settings: Settings
+    pending: deque[MatchSet] = field(default_factory=deque)
+
+    @classmethod
+    def create(cls, airframe: Airframe, settings: Settings) -> Correction:
+        """For an airframe that has both cameras."""
+        closing = 1.0 if airframe.orientation == _DOWN else 0.0
+        return cls(airframe, Rig.from_airframe(airframe), RangeGate(closing), settings)
+
+    def add(self, matches: MatchSet) -> Iterator[OutputRecord]:
+        """Queue a pair; a full queue drops the oldest and says so."""
+        if any(clock is not ClockName.HOST for clock in matches.clocks):
+            yield Rejected(Reject.CLOCK_UNSYNCED, "camera frames", matches.matched_host_ns)
+            return
+        self.pending.append(matches)
+        if len(self.pending) > _QUEUE_DEPTH:
+            dropped = self.pending.popleft()
+            yield Rejected(Reject.QUEUE_FULL, f"pair {dropped.pair_id}", matches.matched_host_ns)
+
+    def due(
+        self, tracker: WingTracker, now_host_ns: int, climb_mps: float, airspeed_mps: float
+    ) -> Iterator[OutputRecord]:
+        """Correct every pair whose exposures lie a full lag behind what the tracker has seen."""
+        ready_ns = now_host_ns - int((self.settings.smoother_lag_s + self.settings.reorder_window_s) * 1e9)
+        while self.pending and int(self.pending[0].mid_exposure_ns.max()) <= ready_ns:
+            yield from self._correct(self.pending.popleft(), tracker, now_host_ns, climb_mps, airspeed_mps)
+
+    def _correct(
+        self, matches: MatchSet, tracker: WingTracker, now_host_ns: int, climb_mps: float, airspeed_mps: float
+    ) -> Iterator[OutputRecord]:
+        left, right = (tracker.smooth(int(t_ns)) for t_ns in matches.mid_exposure_ns)
+        if isinstance(left, Reject) or isinstance(right, Reject):
+            reason = left if isinstance(left, Reject) else right
+            assert isinstance(reason, Reject)
+            yield Rejected(reason, f"pair {matches.pair_id}", now_host_ns)
+            return
+        yield left
+        answer: RangeAnswer = correct(matches, left, right, self.rig, self.airframe, self.settings)
+        slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
+        yield self.gate.judge(answer.range, climb_mps, slack_mps)
+        if answer.sectors is not None:
+            yield answer.sectors

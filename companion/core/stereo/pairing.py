@@ -1,0 +1,68 @@
+"""Pair left and right frames by exposure time, so that a missing, stale or extra frame never shifts the pairing."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from companion.records import Frame, FramePair, Reject, Rejected, Side
+
+
+@dataclass(slots=True)
+class FramePairer:
+    """Hold each frame until its partner comes or can no longer come.
+
+    Two frames are partners when their mid-exposures differ by at most ``tolerance_ns`` (less than half the shortest
+    time between shots) and no other waiting frame is nearer. Frames of one side come in order of exposure.
+    """
+
+    tolerance_ns: int = 8_000_000
+    depth: int = 8
+    _waiting: tuple[deque[Frame], deque[Frame]] = field(default_factory=lambda: (deque(), deque()))
+    _next_id: int = 0
+
+    def add(self, frame: Frame) -> tuple[list[FramePair], list[Rejected]]:
+        """Take one frame; give the pairs that it completes and the frames that stay without a partner."""
+        own = self._waiting[frame.side]
+        if own and frame.mid_exposure_ns <= own[-1].mid_exposure_ns:
+            return [], [self._lonely(frame)]
+        own.append(frame)
+        pairs = self._match()
+        return pairs, self._expire(frame.mid_exposure_ns)
+
+    def _match(self) -> list[FramePair]:
+        left, right = self._waiting
+        pairs: list[FramePair] = []
+        best = self._nearest()
+        while best is not None:
+            i, j = best
+            pairs.append(FramePair(self._next_id, left[i], right[j]))
+            self._next_id += 1
+            del left[i], right[j]
+            best = self._nearest()
+        return pairs
+
+    def _nearest(self) -> tuple[int, int] | None:
+        left, right = self._waiting
+        gaps = [
+            (abs(a.mid_exposure_ns - b.mid_exposure_ns), i, j) for i, a in enumerate(left) for j, b in enumerate(right)
+        ]
+        if not gaps or min(gaps)[0] > self.tolerance_ns:
+            return None
+        return min(gaps)[1:]
+
+    def _expire(self, newest_ns: int) -> list[Rejected]:
+        lonely: list[Rejected] = []
+        for side in Side:
+            waiting, other = self._waiting[side], self._waiting[1 - side]
+            while waiting and self._hopeless(waiting[0], other, newest_ns, len(waiting)):
+                lonely.append(self._lonely(waiting.popleft()))
+        return lonely
+
+    def _hopeless(self, frame: Frame, other: deque[Frame], newest_ns: int, waiting: int) -> bool:
+        passed = bool(other) and other[-1].mid_exposure_ns > frame.mid_exposure_ns + self.tolerance_ns
+        return passed or waiting > self.depth or newest_ns - frame.mid_exposure_ns > 2_000_000_000
+
+    @staticmethod
+    def _lonely(frame: Frame) -> Rejected:
+        return Rejected(Reject.UNPAIRED, f"{frame.side.name.lower()} frame {frame.sequence}", frame.mid_exposure_ns)

@@ -1,0 +1,66 @@
+"""One-way record channels between processes: whole messages, bounded, never blocking, no shared locks.
+
+A sequenced-packet socket pair keeps message borders, so a process that is killed in the middle of a send leaves
+neither half a message nor a held lock; the supervisor keeps both ends and hands them to the restarted process.
+"""
+
+from __future__ import annotations
+
+import pickle
+import socket
+from dataclasses import dataclass
+from typing import Any
+
+_BUFFER_BYTES = 4 << 20
+_LARGEST_MESSAGE = 1 << 20
+
+
+@dataclass(slots=True)
+class Sender:
+    """The writing end; a message that does not fit is dropped and counted."""
+
+    end: socket.socket
+    dropped: int = 0
+
+    def send(self, record: Any) -> bool:
+        """Queue one record; False when the reader is too slow and the record was dropped."""
+        try:
+            self.end.send(pickle.dumps(record, protocol=pickle.HIGHEST_PROTOCOL))
+        except OSError:
+            self.dropped += 1
+            return False
+        return True
+
+
+@dataclass(slots=True)
+class Receiver:
+    """The reading end."""
+
+    end: socket.socket
+
+    def fileno(self) -> int:
+        """For ``select``."""
+        return self.end.fileno()
+
+    def receive(self, limit: int = 256) -> list[Any]:
+        """Everything that waits, oldest first, at most ``limit`` records."""
+        records: list[Any] = []
+        while len(records) < limit:
+            try:
+                message = self.end.recv(_LARGEST_MESSAGE)
+            except OSError:
+                break
+            if not message:
+                break
+            records.append(pickle.loads(message))
+        return records
+
+
+def channel() -> tuple[Sender, Receiver]:
+    """A new channel; both ends may be passed to other processes."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in ends:
+        end.setblocking(False)
+        for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            end.setsockopt(socket.SOL_SOCKET, option, _BUFFER_BYTES)
+    return Sender(ends[0]), Receiver(ends[1])

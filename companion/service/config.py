@@ -1,0 +1,34 @@
+"""What one run of the service is made of; picklable, so that every process is built from the same record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.ports import CameraPair, Trigger
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceConfig:
+    """Wiring of one run.
+
+    Attributes
+    ----------
+    connections
+        MAVLink links in mavutil's spelling.
+    cameras, trigger
+        Picklable factories, called inside the process that uses the device; None without cameras.
+    recording
+        Path of the MCAP to write, or None.
+    """
+
+    airframe: Airframe
+    settings: Settings
+    connections: tuple[str, ...]
+    cameras: Callable[[], CameraPair] | None = None
+    trigger: Callable[[], Trigger] | None = None
+    recording: Path | None = None
+    record_images: bool = False

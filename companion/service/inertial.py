@@ -1,0 +1,95 @@
+"""The inertial process: link, clock, tracker, planner, correction, heartbeat. The one that must never stall."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.synchronize import Event
+from typing import Protocol
+
+from companion.core.pipeline import PipelineState, step
+from companion.ports import Autopilot, Clock, Recorder
+from companion.records import (
+    CorrectedRange,
+    ModeState,
+    Notice,
+    NoRange,
+    ObstacleSectors,
+    Record,
+    Rejected,
+    ServiceStatus,
+    Shot,
+    Tick,
+    TriggerPlan,
+)
+
+TICK_NS = 10_000_000
+_POLL_S = 0.002
+_PUBLISHED = (CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
+_SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange)
+
+
+class Shots(Protocol):
+    """The inertial side of the trigger process."""
+
+    def send(self, plan: TriggerPlan) -> None:
+        """Hand over the newest plan."""
+        ...
+
+    def poll(self) -> list[Shot | Rejected]:
+        """Shots made since the last call."""
+        ...
+
+
+@dataclass(slots=True)
+class InertialLoop:
+    """One turn reads, estimates, publishes. Kept apart from its process so that tests can turn it by hand."""
+
+    state: PipelineState
+    autopilot: Autopilot
+    clock: Clock
+    shots: Shots
+    inbox: Callable[[], list[Record]]
+    show: Callable[[Record], object]
+    recorder: Recorder
+    next_tick_ns: int = 0
+    outputs: list[Record] = field(default_factory=list)
+
+    def turn(self) -> None:
+        """Handle what has arrived, then the tick if it is due."""
+        for record in self.autopilot.poll(_POLL_S):
+            self._handle(record)
+        for record in (*self.shots.poll(), *self.inbox()):
+            self._handle(record)
+        now_ns = self.clock.now_ns()
+        if now_ns >= self.next_tick_ns:
+            self.next_tick_ns = max(self.next_tick_ns + TICK_NS, now_ns)
+            self._handle(Tick(now_ns))
+
+    def _handle(self, record: Record) -> None:
+        self.recorder.write(record)
+        self.state, outputs = step(self.state, record)
+        for output in outputs:
+            self._route(output)
+
+    def _route(self, output: Record) -> None:
+        self.recorder.write(output)
+        if isinstance(output, TriggerPlan):
+            self.shots.send(output)
+        if isinstance(output, _PUBLISHED):
+            self.autopilot.publish(output)
+        if isinstance(output, _SHOWN):
+            self.show(output)
+
+
+def run(loop: InertialLoop, stop: Event) -> None:
+    """Turn until told to stop; collection pauses are taken before the flight, not in it."""
+    gc.collect()
+    gc.freeze()
+    try:
+        while not stop.is_set():
+            loop.turn()
+    finally:
+        loop.autopilot.close()
+        loop.recorder.close()

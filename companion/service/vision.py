@@ -1,0 +1,35 @@
+"""The vision process: cameras in, matches out. It may be slow or die; the inertial process goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from multiprocessing.synchronize import Event
+
+from companion.core.pipeline import VisionState, vision_step
+from companion.ports import CameraPair, Clock, Recorder
+from companion.records import MatchSet, Record
+
+_POLL_S = 0.05
+
+
+def run(
+    state: VisionState,
+    cameras: CameraPair,
+    clock: Clock,
+    send: Callable[[Record], object],
+    recorder: Recorder | None,
+    stop: Event,
+) -> None:
+    """Match every pair as it comes until told to stop; ``recorder`` keeps the images where that is asked for."""
+    try:
+        while not stop.is_set():
+            for frame in cameras.poll(_POLL_S):
+                if recorder is not None:
+                    recorder.write(frame)
+                for record in vision_step(state, frame):
+                    if isinstance(record, MatchSet):
+                        record = dataclasses.replace(record, matched_host_ns=clock.now_ns())
+                    send(record)
+    finally:
+        cameras.close()
