@@ -1,0 +1,92 @@
+"""Which topic a record goes to, which stamp is its log time, and how it is encoded: the table of our MCAP files."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from dataclasses import dataclass
+
+from companion.adapters.recordings import packed
+from companion.records import (
+    AutopilotParameter,
+    ClockRestart,
+    ClockState,
+    CorrectedRange,
+    Deflection,
+    Frame,
+    FramePair,
+    ImuBatch,
+    MatchSet,
+    ModeState,
+    NoRange,
+    Notice,
+    ObstacleSectors,
+    ParameterChange,
+    RawChunk,
+    Record,
+    Rejected,
+    SentChunk,
+    ServiceStatus,
+    Shot,
+    Tick,
+    TimesyncReply,
+    TriggerPlan,
+    VehicleState,
+)
+
+Recordable = Record | Frame | FramePair
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One kind of record: its topic (``{station}`` is filled in) and the attribute that is its time on the host."""
+
+    kind: type
+    topic: str
+    time: str
+
+    @property
+    def schema_name(self) -> str:
+        """Name of the MCAP schema, by which the reader knows the record's class."""
+        return f"spanwise/{self.kind.__name__}" if self.packed else f"spanwise.{self.kind.__name__}"
+
+    @property
+    def packed(self) -> bool:
+        """Whether the record is stored in its compact form instead of JSON."""
+        return self.kind in packed.SCHEMAS
+
+
+def _channel(kind: type) -> Channel:
+    stamps = [entry.name for entry in dataclasses.fields(kind) if entry.name.endswith("_host_ns")]
+    topic, time = _LISTED.get(kind, (f"/other/{kind.__name__}", stamps[0]))
+    return Channel(kind, topic, time)
+
+
+# topic and log time; a record that is not listed goes to /other/<Name> with its first host stamp
+_LISTED: dict[type, tuple[str, str]] = {
+    RawChunk: ("/mavlink/received", "received_host_ns"),
+    SentChunk: ("/mavlink/sent", "sent_host_ns"),
+    ImuBatch: ("/imu/{station}", "received_host_ns"),
+    TimesyncReply: ("/time/exchange", "received_host_ns"),
+    ClockRestart: ("/time/restart", "seen_host_ns"),
+    ClockState: ("/time/clock", "at_host_ns"),
+    VehicleState: ("/vehicle/state", "received_host_ns"),
+    AutopilotParameter: ("/vehicle/parameter", "received_host_ns"),
+    ParameterChange: ("/parameter", "changed_host_ns"),
+    Tick: ("/tick", "now_host_ns"),
+    MatchSet: ("/vision/matches", "matched_host_ns"),
+    Shot: ("/trigger/shot", "fired_host_ns"),
+    TriggerPlan: ("/trigger/plan", "planned_host_ns"),
+    ModeState: ("/wing/mode", "t_host_ns"),
+    Deflection: ("/wing/deflection", "t_host_ns"),
+    CorrectedRange: ("/range/corrected", "t_host_ns"),
+    NoRange: ("/range/none", "at_host_ns"),
+    ObstacleSectors: ("/range/sectors", "t_host_ns"),
+    Rejected: ("/status/rejected", "at_host_ns"),
+    Notice: ("/status/notice", "at_host_ns"),
+    ServiceStatus: ("/status/service", "at_host_ns"),
+}
+CHANNELS: dict[type, Channel] = {kind: _channel(kind) for kind in typing.get_args(Record)}
+CAMERA_TOPICS = ("/camera/left", "/camera/right")
+IMAGE_SCHEMA = "foxglove.CompressedImage"
+KINDS: dict[str, type] = {channel.schema_name: kind for kind, channel in CHANNELS.items()}

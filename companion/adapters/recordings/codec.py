@@ -1,0 +1,149 @@
+"""Records as JSON and back, with their JSON schema: one codec for every dataclass, built from its type hints.
+
+Exact: floats are written with their shortest repr, non-finite ones as the strings ``NaN``, ``Infinity`` and
+``-Infinity`` (JSON has no others), arrays as nested lists in their declared dtype, empty ones as ``{"shape": [...]}``.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import enum
+import math
+import types
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Codec:
+    """How one type becomes plain JSON values, how it comes back, and the JSON schema of the plain form."""
+
+    encode: Callable[[Any], Any]
+    decode: Callable[[Any], Any]
+    schema: dict[str, Any]
+
+
+@cache
+def codec_of(kind: Any) -> Codec:
+    """Give the codec of a type hint; raise TypeError for a type that no record uses."""
+    if dataclasses.is_dataclass(kind):
+        return _of_dataclass(kind)
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        return _of_enum(kind)
+    if kind in _SCALARS:
+        return _SCALARS[kind]
+    origin, arms = typing.get_origin(kind), typing.get_args(kind)
+    if origin is np.ndarray:
+        return _of_array(np.dtype(typing.get_args(arms[1])[0]))
+    if origin is tuple:
+        return _of_tuple(arms)
+    if origin is dict:
+        return _of_dict(arms[1])
+    if origin in (types.UnionType, typing.Union) and types.NoneType in arms and len(arms) == 2:
+        return _of_optional(codec_of(next(arm for arm in arms if arm is not types.NoneType)))
+    raise TypeError(f"no JSON form for {kind!r}")
+
+
+def _plain_float(value: Any) -> Any:
+    number = float(value)
+    if math.isfinite(number):
+        return number
+    return "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
+
+
+_SCALARS = {
+    int: Codec(int, int, {"type": "integer"}),
+    float: Codec(_plain_float, float, {"type": "number"}),
+    bool: Codec(bool, bool, {"type": "boolean"}),
+    str: Codec(str, str, {"type": "string"}),
+    bytes: Codec(
+        lambda data: base64.b64encode(data).decode("ascii"),
+        base64.b64decode,
+        {"type": "string", "contentEncoding": "base64"},
+    ),
+}
+
+
+def _of_enum(kind: type[enum.Enum]) -> Codec:
+    whole = issubclass(kind, int)
+    schema: dict[str, Any] = {"type": "integer" if whole else "string"}
+    if not issubclass(kind, enum.Flag):
+        schema["enum"] = [member.value for member in kind]
+    return Codec(lambda member: member.value, kind, schema)
+
+
+def _of_array(dtype: np.dtype[Any]) -> Codec:
+    scalar = {"f": {"type": "number"}, "b": {"type": "boolean"}}.get(dtype.kind, {"type": "integer"})
+
+    def encode(array: Any) -> Any:
+        exact = np.asarray(array, dtype=dtype)
+        if exact.size == 0:
+            return {"shape": list(exact.shape)}
+        if dtype.kind == "f" and not np.isfinite(exact).all():
+            return _nested(exact.tolist())
+        return exact.tolist()
+
+    def decode(plain: Any) -> Any:
+        if isinstance(plain, dict):
+            return np.zeros(plain["shape"], dtype=dtype)
+        return np.array(plain, dtype=dtype)
+
+    return Codec(encode, decode, {"type": "array", "items": {"anyOf": [scalar, {"type": "array"}]}})
+
+
+def _nested(value: Any) -> Any:
+    return [_nested(entry) for entry in value] if isinstance(value, list) else _plain_float(value)
+
+
+def _of_tuple(arms: tuple[Any, ...]) -> Codec:
+    if len(arms) == 2 and arms[1] is Ellipsis:
+        item = codec_of(arms[0])
+        return Codec(
+            lambda values: [item.encode(value) for value in values],
+            lambda plain: tuple(item.decode(value) for value in plain),
+            {"type": "array", "items": item.schema},
+        )
+    items = [codec_of(arm) for arm in arms]
+    return Codec(
+        lambda values: [item.encode(value) for item, value in zip(items, values, strict=True)],
+        lambda plain: tuple(item.decode(value) for item, value in zip(items, plain, strict=True)),
+        {"type": "array", "items": items[0].schema},
+    )
+
+
+def _of_dict(kind: Any) -> Codec:
+    item = codec_of(kind)
+    return Codec(
+        lambda table: {str(key): item.encode(value) for key, value in table.items()},
+        lambda plain: {key: item.decode(value) for key, value in plain.items()},
+        {"type": "object", "additionalProperties": item.schema},
+    )
+
+
+def _of_optional(item: Codec) -> Codec:
+    return Codec(
+        lambda value: None if value is None else item.encode(value),
+        lambda plain: None if plain is None else item.decode(plain),
+        {"anyOf": [item.schema, {"type": "null"}]},
+    )
+
+
+def _of_dataclass(kind: Any) -> Codec:
+    hints = typing.get_type_hints(kind)
+    fields = {entry.name: codec_of(hints[entry.name]) for entry in dataclasses.fields(kind)}
+
+    def encode(record: Any) -> dict[str, Any]:
+        return {name: codec.encode(getattr(record, name)) for name, codec in fields.items()}
+
+    def decode(plain: dict[str, Any]) -> Any:
+        return kind(**{name: fields[name].decode(value) for name, value in plain.items() if name in fields})
+
+    summary = (kind.__doc__ or "").strip().splitlines()[0]
+    properties = {name: codec.schema for name, codec in fields.items()}
+    return Codec(encode, decode, {"type": "object", "description": summary, "properties": properties})

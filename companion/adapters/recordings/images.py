@@ -1,0 +1,95 @@
+"""Frames as ``foxglove.CompressedImage`` messages in JSON, with the fields of :class:`Frame` beside the image.
+
+PNG is lossless, so vision can be replayed from it; JPEG is smaller and is not.
+"""
+
+from __future__ import annotations
+
+import base64
+import enum
+from typing import Any
+
+import cv2
+import numpy as np
+
+from companion.errors import RecordingError
+from companion.records import ClockName, Frame, Side
+
+_FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+_GOOD_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 90]
+
+
+class ImageFormat(enum.StrEnum):
+    """How images are stored."""
+
+    PNG = "png"
+    JPEG = "jpeg"
+
+    @property
+    def lossless(self) -> bool:
+        """Whether the stored image equals the camera's."""
+        return self is ImageFormat.PNG
+
+
+_WHOLE = {"type": "integer"}
+SCHEMA: dict[str, Any] = {
+    "title": "foxglove.CompressedImage",
+    "description": "A compressed image, with the exposure that companion.records.Frame tells",
+    "type": "object",
+    "properties": {
+        "timestamp": {"type": "object", "title": "time", "properties": {"sec": _WHOLE, "nsec": _WHOLE}},
+        "frame_id": {"type": "string"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+        "format": {"type": "string"},
+        "pair_id": {"anyOf": [_WHOLE, {"type": "null"}]},
+        "side": _WHOLE,
+        "sequence": _WHOLE,
+        "clock": {"type": "string"},
+        "mid_exposure_ns": _WHOLE,
+        "exposure_ns": _WHOLE,
+        "row_time_ns": _WHOLE,
+        "plan_id": _WHOLE,
+    },
+}
+
+
+def frame_to_plain(frame: Frame, pair_id: int | None, image_format: ImageFormat) -> dict[str, Any]:
+    """Compress one frame; ``pair_id`` is None for a frame recorded alone."""
+    options = _FAST_PNG if image_format is ImageFormat.PNG else _GOOD_JPEG
+    good, data = cv2.imencode(f".{image_format}", frame.image, options)
+    if not good:
+        raise RecordingError(f"image of {frame.image.shape} cannot be compressed as {image_format}")
+    seconds, nanoseconds = divmod(frame.mid_exposure_ns, 1_000_000_000)
+    return {
+        "timestamp": {"sec": seconds, "nsec": nanoseconds},
+        "frame_id": f"{frame.side.name.lower()}_camera",
+        "data": base64.b64encode(data.tobytes()).decode("ascii"),
+        "format": str(image_format),
+        "pair_id": pair_id,
+        "side": int(frame.side),
+        "sequence": frame.sequence,
+        "clock": str(frame.clock),
+        "mid_exposure_ns": frame.mid_exposure_ns,
+        "exposure_ns": frame.exposure_ns,
+        "row_time_ns": frame.row_time_ns,
+        "plan_id": frame.plan_id,
+    }
+
+
+def frame_from_plain(plain: dict[str, Any]) -> tuple[Frame, int | None]:
+    """Give the frame and its pair id; raise RecordingError for an image that cannot be read."""
+    stored = np.frombuffer(base64.b64decode(plain["data"]), np.uint8)
+    image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise RecordingError(f"image {plain['sequence']} of {plain['frame_id']} cannot be read")
+    frame = Frame(
+        side=Side(plain["side"]),
+        sequence=plain["sequence"],
+        clock=ClockName(plain["clock"]),
+        mid_exposure_ns=plain["mid_exposure_ns"],
+        exposure_ns=plain["exposure_ns"],
+        row_time_ns=plain["row_time_ns"],
+        plan_id=plain["plan_id"],
+        image=np.ascontiguousarray(image, dtype=np.uint8),
+    )
+    return frame, plain["pair_id"]

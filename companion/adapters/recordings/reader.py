@@ -1,0 +1,225 @@
+"""Reads our own MCAP recordings, whole or cut off: records come back equal, in the order of writing."""
+
+from __future__ import annotations
+
+import json
+import struct
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import zstandard
+from mcap import records as mcap
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.stream_reader import CRCValidationError, breakup_chunk
+
+from companion.adapters.recordings import images, packed
+from companion.adapters.recordings.channels import IMAGE_SCHEMA, KINDS, Recordable
+from companion.adapters.recordings.codec import codec_of
+from companion.adapters.recordings.images import ImageFormat
+from companion.adapters.recordings.recording import Notes
+from companion.adapters.recordings.writer import FORMAT_VERSION
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe
+from companion.params.files import dump_airframe, parse_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, Frame, FramePair, Notice, Side
+
+MAGIC = b"\x89MCAP0\r\n"
+_HEAD = 9
+_DAMAGE = (
+    McapError,
+    CRCValidationError,
+    struct.error,
+    ValueError,
+    zstandard.ZstdError,
+    RuntimeError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """One top-level MCAP record: where its content lies."""
+
+    opcode: int
+    offset: int
+    length: int
+
+
+class McapRecording:
+    """One of our recordings; the attributes are those of :class:`companion.adapters.recordings.recording.Recording`.
+
+    Parameters
+    ----------
+    airframe : Airframe, optional
+        Replaces the recorded one.
+
+    Raises
+    ------
+    RecordingError
+        Not an MCAP file, not one of ours, or cut off before its first second.
+    """
+
+    def __init__(self, path: Path, airframe: Airframe | None = None) -> None:
+        self.path = path
+        self._notes = Notes()
+        self._segments, self._complete = _scan(path)
+        facts = self._metadata()
+        if "spanwise" not in facts:
+            raise RecordingError(f"{path}: an MCAP file, but not a recording of Spanwise (no metadata 'spanwise')")
+        about = facts["spanwise"]
+        if int(about.get("format", "0")) > FORMAT_VERSION:
+            raise RecordingError(f"{path}: written by a newer Spanwise ({about.get('software')}); update to read it")
+        self.software = about["software"]
+        self.hub = ClockName(about["hub"])
+        self.images = ImageFormat(about["images"])
+        texts = self._attachments()
+        if not {"airframe.toml", "settings.toml"} <= texts.keys():
+            raise RecordingError(f"{path}: cut off before the airframe and the settings; nothing can be read")
+        self.airframe = airframe or parse_airframe(texts["airframe.toml"], f"{path} (airframe.toml)")
+        self.settings = load_settings(texts["settings.toml"])
+        self.dropped = int(facts.get("spanwise.drops", {}).get("dropped", "0"))
+        self.replayable = self.dropped == 0
+        self._say_what_is_wrong("spanwise.end" in facts)
+
+    @property
+    def airframe_text(self) -> str:
+        """The airframe as TOML."""
+        return dump_airframe(self.airframe)
+
+    @property
+    def notices(self) -> list[Notice]:
+        """What is wrong or worth knowing."""
+        return self._notes.notices
+
+    def records(self) -> Iterator[Recordable]:
+        """Every record in arrival order; a damaged chunk is left out and named in the notices."""
+        unpaired: dict[int, Frame] = {}
+        for schema, message in self._messages():
+            if schema.name == IMAGE_SCHEMA:
+                frame, pair_id = images.frame_from_plain(json.loads(message.data))
+                if pair_id is None:
+                    yield frame
+                elif frame.side is Side.LEFT:
+                    unpaired[pair_id] = frame
+                elif pair_id in unpaired:
+                    yield FramePair(pair_id, unpaired.pop(pair_id), frame)
+            elif schema.name in KINDS:
+                kind = KINDS[schema.name]
+                if kind in packed.SCHEMAS:
+                    yield packed.unpack(kind, message.data)
+                else:
+                    yield codec_of(kind).decode(json.loads(message.data))
+            else:
+                self._notes.add(f"{self.path}: messages of '{schema.name}' are not known here and left out")
+
+    def _messages(self) -> Iterator[tuple[mcap.Schema, mcap.Message]]:
+        schemas: dict[int, mcap.Schema] = {}
+        channels: dict[int, mcap.Channel] = {}
+        with self.path.open("rb") as file:
+            for segment in [part for part in self._segments if part.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)]:
+                _learn(_parse(file, segment), schemas, channels)
+            for segment in [part for part in self._segments if part.opcode == Opcode.CHUNK]:
+                for record in self._chunk(file, segment):
+                    if not isinstance(record, mcap.Message):
+                        _learn(record, schemas, channels)
+                    elif record.channel_id in channels:
+                        yield schemas[channels[record.channel_id].schema_id], record
+                    else:
+                        self._notes.add(
+                            f"{self.path}: channel {record.channel_id} was declared in a damaged chunk; left out"
+                        )
+
+    def _chunk(self, file: BinaryIO, segment: _Segment) -> list[Any]:
+        try:
+            return list(breakup_chunk(_parse(file, segment), validate_crc=True))
+        except _DAMAGE as error:
+            self.replayable = False
+            self._notes.add(f"{self.path}: the chunk at byte {segment.offset} is damaged and left out ({error})")
+            return []
+
+    def _metadata(self) -> dict[str, dict[str, str]]:
+        with self.path.open("rb") as file:
+            found = [_parse(file, part) for part in self._segments if part.opcode == Opcode.METADATA]
+        return {record.name: record.metadata for record in found}
+
+    def _attachments(self) -> dict[str, str]:
+        with self.path.open("rb") as file:
+            found = [_parse(file, part) for part in self._segments if part.opcode == Opcode.ATTACHMENT]
+        return {record.name: record.data.decode() for record in found}
+
+    def _say_what_is_wrong(self, ended: bool) -> None:
+        if not (ended and self._complete):
+            last = self._segments[-1]
+            start_ns, end_ns = self._span()
+            self._notes.add(
+                f"{self.path}: truncated at {(end_ns - start_ns) / 1e9:.1f} s (byte {last.offset + last.length}): "
+                "the recorder did not finish; everything before is here",
+                end_ns,
+            )
+        if self.dropped:
+            self._notes.add(f"{self.path}: {self.dropped} records were dropped while recording; not replayable")
+
+    def _span(self) -> tuple[int, int]:
+        spans = []
+        with self.path.open("rb") as file:
+            for segment in [part for part in self._segments if part.opcode == Opcode.CHUNK]:
+                file.seek(segment.offset)
+                spans.append(struct.unpack("<QQ", file.read(16)))
+        return (min(start for start, _ in spans), max(end for _, end in spans)) if spans else (0, 0)
+
+
+def load_settings(text: str) -> Settings:
+    """Parse what :func:`~companion.adapters.recordings.writer.dump_settings` wrote; raise ConfigError if it is bad."""
+    settings = Settings()
+    for name, value in tomllib.loads(text).items():
+        settings = settings.replace(name, value)
+    return settings
+
+
+def _scan(path: Path) -> tuple[list[_Segment], bool]:
+    """Walk the top-level records; the flag tells whether the file has its orderly end."""
+    segments: list[_Segment] = []
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise RecordingError(f"{path}: not an MCAP file")
+        at = len(MAGIC)
+        while at + _HEAD <= size:
+            file.seek(at)
+            opcode, length = struct.unpack("<BQ", file.read(_HEAD))
+            if at + _HEAD + length > size:
+                break
+            segments.append(_Segment(opcode, at + _HEAD, length))
+            at += _HEAD + length
+            if opcode == Opcode.FOOTER:
+                return segments, True
+    if not segments:
+        raise RecordingError(f"{path}: cut off in its first bytes; nothing can be read")
+    return segments, False
+
+
+_PARSERS = {
+    Opcode.SCHEMA: mcap.Schema,
+    Opcode.CHANNEL: mcap.Channel,
+    Opcode.CHUNK: mcap.Chunk,
+    Opcode.METADATA: mcap.Metadata,
+    Opcode.ATTACHMENT: mcap.Attachment,
+}
+
+
+def _parse(file: BinaryIO, segment: _Segment) -> Any:
+    file.seek(segment.offset)
+    return _PARSERS[Opcode(segment.opcode)].read(ReadDataStream(BytesIO(file.read(segment.length))))
+
+
+def _learn(record: Any, schemas: dict[int, mcap.Schema], channels: dict[int, mcap.Channel]) -> None:
+    if isinstance(record, mcap.Schema):
+        schemas[record.id] = record
+    elif isinstance(record, mcap.Channel):
+        channels[record.id] = record

@@ -1,0 +1,144 @@
+"""What every reader gives: records in arrival order, the clock they are in, and sentences about what is wrong."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from companion.adapters.recordings.channels import Recordable
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Notice, Station
+
+WARNING = 4
+INFO = 6
+BATCH_NS = 20_000_000
+_GAP_RATIO = 2.5
+
+
+class Recording(Protocol):
+    """A recording of any format, opened.
+
+    Attributes
+    ----------
+    path : Path
+    hub : ClockName
+        The clock that stands for the host's: HOST in our own recordings and CSV folders, BOOT in an autopilot's log. A
+        replay declares it as identity.
+    airframe : Airframe
+        The airframe as it fits this recording: what the reader knows better (no low-pass in raw samples, axes and rates
+        that are really there) is put in.
+    airframe_text : str
+        The same as TOML.
+    settings : Settings
+        The settings in force when the recording began; the defaults where it does not tell.
+    notices : list of Notice
+        What is wrong or worth knowing; complete once ``records`` is exhausted.
+    replayable : bool
+        Whether a replay reproduces what the service published: False for foreign logs, and where records were dropped.
+    """
+
+    path: Path
+    hub: ClockName
+    airframe: Airframe
+    settings: Settings
+    replayable: bool
+
+    @property
+    def notices(self) -> list[Notice]:
+        """What is wrong or worth knowing."""
+        ...
+
+    @property
+    def airframe_text(self) -> str:
+        """The airframe as TOML."""
+        ...
+
+    def records(self) -> Iterator[Recordable]:
+        """Every record, in arrival order; may be called again, and gives the same."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """All samples of one sensor of a log that is read as a whole.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64
+        Stamps on ``clock``.
+    values : (n, 6) float64
+        As in :class:`ImuBatch`.
+    """
+
+    station: Station
+    clock: ClockName
+    axes: Axis
+    t_ns: Ints
+    values: Floats
+
+    def batches(self, period_ns: int = BATCH_NS) -> Iterator[ImuBatch]:
+        """Cut into batches as a link would have delivered them: received at the newest stamp so far."""
+        if self.t_ns.size == 0:
+            return
+        newest = np.maximum.accumulate(self.t_ns)
+        cuts = np.flatnonzero(np.diff(newest // period_ns)) + 1
+        edges = [0, *cuts.tolist(), self.t_ns.size]
+        for start, stop in itertools.pairwise(edges):
+            yield ImuBatch(
+                station=self.station,
+                clock=self.clock,
+                t_ns=self.t_ns[start:stop],
+                values=self.values[start:stop],
+                axes=self.axes,
+                received_host_ns=int(newest[stop - 1]),
+            )
+
+
+@dataclass(slots=True)
+class Notes:
+    """Collects notices for one recording, each text once."""
+
+    notices: list[Notice] = field(default_factory=list)
+
+    def add(self, text: str, at_host_ns: int = 0, severity: int = WARNING) -> None:
+        """Append a notice unless it is there already."""
+        if all(notice.text != text for notice in self.notices):
+            self.notices.append(Notice(severity, text, at_host_ns))
+
+    def gaps(self, name: str, t_ns: Ints) -> None:
+        """Say where a stream has gaps (steps over 2.5 times the usual one) or stamps that do not increase."""
+        if t_ns.size < 3:
+            return
+        steps = np.diff(t_ns)
+        usual = float(np.median(steps))
+        wide = np.flatnonzero(steps > _GAP_RATIO * usual)
+        if wide.size:
+            longest = int(wide[np.argmax(steps[wide])])
+            self.add(
+                f"{name}: {wide.size} gap{'s' if wide.size > 1 else ''} longer than {_GAP_RATIO * usual / 1e6:.1f} ms "
+                f"(usual step {usual / 1e6:.2f} ms); the longest, {steps[longest] / 1e6:.1f} ms, "
+                f"at {(t_ns[longest] - t_ns[0]) / 1e9:.3f} s",
+                int(t_ns[longest]),
+            )
+        for problem, count in (("repeat the one before", int((steps == 0).sum())), ("go back", int((steps < 0).sum()))):
+            if count:
+                self.add(f"{name}: {count} of {t_ns.size} stamps {problem}", int(t_ns[0]))
+
+
+def merge(*sources: Iterable[tuple[int, Recordable]]) -> Iterator[Recordable]:
+    """Merge time-ordered sources into one; at equal times the earlier source comes first."""
+    for _, record in heapq.merge(*sources, key=lambda entry: entry[0]):
+        yield record
+
+
+def timed(stream: Stream) -> Iterator[tuple[int, ImuBatch]]:
+    """A stream's batches with their arrival, for :func:`merge`."""
+    for batch in stream.batches():
+        yield batch.received_host_ns, batch
