@@ -1,0 +1,45 @@
+"""The catalogue of named effects: one file each, found by being here."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import pkgutil
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+
+from companion.core.wing.effect import Effect
+from companion.errors import ConfigError
+from companion.params.airframe import NamedEffect
+
+
+@functools.cache
+def catalogue() -> Mapping[str, type[Effect]]:
+    """Every effect by its stable name, in alphabetical order."""
+    found = [kind for module in pkgutil.iter_modules(__path__) for kind in _effects_in(module.name)]
+    return MappingProxyType({kind.name: kind for kind in sorted(found, key=lambda kind: kind.name)})
+
+
+def make_effects(named: Iterable[NamedEffect]) -> tuple[Effect, ...]:
+    """Build the effects that an airframe file lists.
+
+    Raises
+    ------
+    ConfigError
+        For a name that is not in the catalogue, or a parameter that the effect does not have.
+    """
+    return tuple(make_effect(entry) for entry in named)
+
+
+def make_effect(named: NamedEffect) -> Effect:
+    """Build one effect; errors as :func:`make_effects`."""
+    known = catalogue()
+    if named.name not in known:
+        raise ConfigError(f"no effect '{named.name}'; known: {', '.join(known)}")
+    return known[named.name].from_values(named.parameters)
+
+
+def _effects_in(module_name: str) -> list[type[Effect]]:
+    module = importlib.import_module(f"{__name__}.{module_name}")
+    members = [entry for entry in vars(module).values() if isinstance(entry, type) and issubclass(entry, Effect)]
+    return [entry for entry in members if entry.__module__ == module.__name__]

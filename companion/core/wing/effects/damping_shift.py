@@ -1,0 +1,24 @@
+"""All modes die out faster or slower than believed."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
+
+from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.structure import Structure
+
+
+@dataclass(frozen=True, slots=True)
+class DampingShift(Effect):
+    """zeta -> zeta (1 + ratio)."""
+
+    name: ClassVar[str] = "damping-shift"
+    group: ClassVar[Group] = Group.STRUCTURE
+
+    ratio: float = parameter("", 0.5, "relative change of every damping ratio")
+
+    def structure(self, structure: Structure) -> Structure:
+        """Scale the damping matrix."""
+        return dataclasses.replace(structure, damping_radps=structure.damping_radps * (1.0 + self.ratio))
