@@ -1,0 +1,77 @@
+"""All clocks of the flow, and the way from any of their stamps to host time."""
+
+from __future__ import annotations
+
+from companion.core.clock.remote import RemoteClock
+from companion.records import ClockName, ClockRestart, ClockState, Ints, Reject, TimesyncReply
+
+
+class ClockBank:
+    """One estimator per remote clock (the autopilot, every wing node, every camera).
+
+    Ask each remote for TIMESYNC about ten times a second: the bound shrinks with the luckiest round trip of a minute,
+    and a restarted clock is locked again after eight answers or 1.5 s.
+    """
+
+    def __init__(self) -> None:
+        self._remotes: dict[ClockName, RemoteClock] = {}
+        self._identities = {ClockName.HOST}
+
+    def exchange(self, reply: TimesyncReply) -> ClockState:
+        """Take one answered exchange and give what is now known of that clock.
+
+        A round trip that is negative or longer than a second is discarded.
+        """
+        return self._remote(reply.clock).exchange(reply)
+
+    def restart(self, event: ClockRestart) -> ClockState:
+        """Forget a clock whose owner has restarted; until it is locked again its stamps are refused."""
+        return self._remote(event.clock).restart(event.seen_host_ns)
+
+    def identity(self, clock: ClockName) -> None:
+        """Declare that this clock stands in for the host's (a log with a single clock)."""
+        self._identities.add(clock)
+
+    def to_host(self, clock: ClockName, t_ns: Ints, received_host_ns: int | None = None) -> tuple[Ints, int] | Reject:
+        """Convert stamps to host time.
+
+        Parameters
+        ----------
+        clock : ClockName
+            Whose stamps they are.
+        t_ns : (n,) int64
+            Stamps on ``clock``, in any order.
+        received_host_ns : int, optional
+            When they arrived. Give it for live samples: a stamp from the future, or from more than half a second ago,
+            is then refused, so that a restarted clock cannot stamp wrongly before its restart was noticed.
+
+        Returns
+        -------
+        (n,) int64 and int, or Reject
+            Host stamps and the bound [ns] that their error does not exceed; or ``CLOCK_UNSYNCED`` (never locked,
+            suspended by a contradiction, silent for 5 s), or ``TIME_BACKWARDS`` (stamps older than what is known of
+            the clock).
+        """
+        if clock in self._identities:
+            return t_ns, 0
+        known = self._remotes.get(clock)
+        return Reject.CLOCK_UNSYNCED if known is None else known.to_host(t_ns, received_host_ns)
+
+    def state(self, clock: ClockName, now_host_ns: int | None = None) -> ClockState:
+        """Give what is known of a clock, at ``now_host_ns`` or at its last exchange."""
+        if clock in self._identities:
+            return ClockState(clock, now_host_ns or 0, 0, 0.0, 0, True)
+        return self._remote(clock).state(now_host_ns)
+
+    def counters(self) -> dict[str, int]:
+        """Count restarts seen and exchanges discarded, over all clocks."""
+        remotes = self._remotes.values()
+        return {
+            "clock_restarts": sum(remote.restarts for remote in remotes),
+            "timesync_discarded": sum(remote.discarded for remote in remotes),
+        }
+
+    def _remote(self, clock: ClockName) -> RemoteClock:
+        if clock not in self._remotes:
+            self._remotes[clock] = RemoteClock(clock)
+        return self._remotes[clock]

@@ -1,0 +1,244 @@
+"""Clocks against a simulated true offset: the bound holds, stamps stay smooth, and a restart never stamps wrongly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.core.clock.bank import ClockBank
+from companion.records import ClockName, ClockRestart, Ints, Reject, TimesyncReply
+
+S = 1_000_000_000
+MS = 1_000_000
+NODE = ClockName.NODE_LEFT
+
+
+@dataclass
+class Link:
+    """A remote clock behind a lossy, jittery link. Truth is integer arithmetic of the test's own."""
+
+    seed: int
+    skew_ppm: int = 167
+    jitter_ns: float = 30e6
+    fixed_ns: float = 0.3e6
+    loss: float = 0.2
+    rng: np.random.Generator = field(init=False)
+    start_ns: int = field(init=False)
+    epoch_ns: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+        self.start_ns = int(self.rng.integers(1, 10**15))
+        self.epoch_ns = int(self.rng.integers(0, 10**15))
+
+    def remote(self, host_ns: int) -> int:
+        elapsed = host_ns - self.start_ns
+        return self.epoch_ns + elapsed + elapsed * self.skew_ppm // 1_000_000
+
+    def exchange(self, sent_ns: int) -> TimesyncReply | None:
+        lost = self.rng.random(2) < self.loss
+        there, back = (self.fixed_ns + self.rng.random(2) * self.jitter_ns).astype(np.int64)
+        if lost.any():
+            return None
+        read_ns = sent_ns + int(there)
+        stamp = self.remote(read_ns) // 1000 * 1000  # ArduPilot counts microseconds
+        return TimesyncReply(NODE, sent_ns, stamp, read_ns + int(back))
+
+    def stamps(self, host_ns: Ints) -> Ints:
+        return np.array([self.remote(int(t)) for t in host_ns], dtype=np.int64)
+
+
+@dataclass
+class Flight:
+    """What a bank said during a flight of exchanges at 10 Hz and samples at 1 kHz in batches of 20."""
+
+    error_ns: list[int] = field(default_factory=list)
+    bound_ns: list[int] = field(default_factory=list)
+    excess_ns: list[float] = field(default_factory=list)
+    stamps: list[Ints] = field(default_factory=list)
+    locked_after_s: float = np.inf
+
+
+def fly(bank: ClockBank, link: Link, duration_s: int) -> Flight:
+    flight, least_round_trip = Flight(), np.inf
+    for sent in range(link.start_ns, link.start_ns + duration_s * S, 100 * MS):
+        reply = link.exchange(sent)
+        if reply is not None:
+            bank.exchange(reply)
+            least_round_trip = min(least_round_trip, reply.received_host_ns - sent)
+        for end in range(sent + 80 * MS, sent + 180 * MS, 20 * MS):
+            true = np.arange(end - 20 * MS, end, MS)
+            answer = bank.to_host(NODE, link.stamps(true), received_host_ns=end + 5 * MS)
+            if isinstance(answer, Reject):
+                continue
+            flight.locked_after_s = min(flight.locked_after_s, (end - link.start_ns) / S)
+            flight.error_ns.append(int(np.abs(answer[0] - true).max()))
+            flight.bound_ns.append(answer[1])
+            flight.excess_ns.append(answer[1] - least_round_trip / 2)
+            flight.stamps.append(answer[0])
+    return flight
+
+
+def test_the_bound_is_honest_and_narrow_on_a_bad_link() -> None:
+    """20 % loss each way, 0-30 ms jitter each way, 10 ms/min of skew; pooled, for a single lucky round trip is a lottery."""
+    flights = [fly(ClockBank(), Link(seed), duration_s=60) for seed in range(10)]
+    error = np.concatenate([flight.error_ns for flight in flights])
+    bound = np.concatenate([flight.bound_ns for flight in flights])
+    assert np.mean(error <= bound) >= 0.999
+    assert np.median(np.concatenate([flight.excess_ns for flight in flights])) <= 0.3 * MS
+    assert max(flight.locked_after_s for flight in flights) < 3.0
+    assert np.median(error) < 0.5 * MS
+
+
+def test_the_error_is_small_at_the_round_trips_of_a_400_hz_loop() -> None:
+    errors = [fly(ClockBank(), Link(seed, jitter_ns=2.7e6), duration_s=30).error_ns for seed in range(4)]
+    assert np.sqrt(np.mean(np.square(np.concatenate(errors).astype(float)))) < 0.3 * MS
+
+
+def test_one_sided_delay_cannot_fool_the_bound() -> None:
+    link = Link(11, jitter_ns=1e6)
+    bank = ClockBank()
+    for sent in range(link.start_ns, link.start_ns + 20 * S, 100 * MS):
+        read = sent + 8 * MS + int(link.rng.integers(0, MS))  # all the delay is on the way there
+        bank.exchange(TimesyncReply(NODE, sent, link.remote(read), read + 100_000))
+    true = np.array([link.start_ns + 19 * S])
+    answer = bank.to_host(NODE, link.stamps(true))
+    assert not isinstance(answer, Reject)
+    assert abs(int(answer[0][0] - true[0])) <= answer[1]
+
+
+def test_sample_spacing_is_never_torn_and_the_same_stamp_gets_the_same_answer() -> None:
+    link, bank = Link(3), ClockBank()
+    flight = fly(bank, link, duration_s=30)
+    spacing = np.diff(np.concatenate(flight.stamps))
+    assert spacing.min() > 0
+    within = np.concatenate([np.diff(batch) for batch in flight.stamps])
+    assert np.abs(within - MS).max() <= 0.0016 * MS + 1  # slew 0.1 %, skew and its error 0.05 %
+    end = link.start_ns + 30 * S
+    stamps = link.stamps(np.arange(end - 2 * S, end - S, MS))
+    before = bank.to_host(NODE, stamps)
+    for sent in range(end, end + S, 100 * MS):
+        reply = link.exchange(sent)
+        if reply:
+            bank.exchange(reply)
+    after = bank.to_host(NODE, stamps)
+    assert not isinstance(before, Reject)
+    assert not isinstance(after, Reject)
+    np.testing.assert_array_equal(before[0], after[0])
+
+
+def test_unsynced_is_said_before_lock_after_silence_and_for_an_unknown_clock() -> None:
+    bank, link = ClockBank(), Link(4)
+    assert bank.to_host(ClockName.BOOT, np.array([5])) is Reject.CLOCK_UNSYNCED
+    assert not bank.state(ClockName.BOOT).synced
+    fly(bank, link, duration_s=5)
+    soon = link.stamps(np.array([link.start_ns + 6 * S]))
+    late = link.stamps(np.array([link.start_ns + 16 * S]))
+    assert not isinstance(bank.to_host(NODE, soon), Reject)
+    assert bank.to_host(NODE, late) is Reject.CLOCK_UNSYNCED
+    assert bank.state(NODE, link.start_ns + 6 * S).synced
+    assert not bank.state(NODE, link.start_ns + 16 * S).synced
+
+
+@pytest.mark.parametrize("announced", [False, True])
+@pytest.mark.parametrize("up_s", [4, 30])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_restart_never_stamps_wrongly_and_relocks_within_three_seconds(seed: int, up_s: int, announced: bool) -> None:
+    bank, link = ClockBank(), Link(seed)
+    link.epoch_ns = 0
+    fly(bank, link, up_s)
+    again = Link(seed + 100)
+    again.start_ns, again.epoch_ns = link.start_ns + up_s * S + 300 * MS, 0
+    if announced:
+        bank.restart(ClockRestart(NODE, again.start_ns + 200 * MS))
+    flight = fly(bank, again, duration_s=10)
+    assert flight.locked_after_s < 3.0
+    assert np.all(np.array(flight.error_ns) <= np.array(flight.bound_ns))
+    assert bank.counters()["clock_restarts"] == 1
+
+
+def test_one_wrong_reply_suspends_and_is_then_discarded() -> None:
+    bank, link = ClockBank(), Link(5, loss=0.0)
+    fly(bank, link, duration_s=10)
+    now = link.start_ns + 10 * S
+    forged = bank.exchange(TimesyncReply(NODE, now, link.remote(now) + 3 * S, now + MS))
+    assert not forged.synced
+    assert bank.to_host(NODE, link.stamps(np.array([now]))) is Reject.CLOCK_UNSYNCED
+    reply = link.exchange(now + 100 * MS)
+    assert reply is not None
+    assert bank.exchange(reply).synced
+    assert bank.counters() == {"clock_restarts": 0, "timesync_discarded": 1}
+
+
+def test_impossible_round_trips_are_discarded() -> None:
+    bank = ClockBank()
+    for sent, received in ((10, 5), (0, 2 * S)):
+        assert not bank.exchange(TimesyncReply(NODE, sent, 7, received)).synced
+    assert bank.counters()["timesync_discarded"] == 2
+
+
+def test_skew_is_found() -> None:
+    for skew_ppm in (-300, 0, 167):
+        link, bank = Link(6, skew_ppm=skew_ppm, jitter_ns=1e6), ClockBank()
+        fly(bank, link, duration_s=60)
+        assert bank.state(NODE).skew_ppm == pytest.approx(skew_ppm, abs=15)
+
+
+def test_a_clock_that_advances_in_steps_still_has_an_honest_bound() -> None:
+    """A simulated autopilot's clock moves by whole physics frames; here 0.833 ms on a link of 0.1 ms."""
+    link, bank = Link(7, skew_ppm=0), ClockBank()
+    frame = 833_333
+    inside = []
+    for sent in range(link.start_ns, link.start_ns + 30 * S, 97 * MS):
+        stamp = link.remote(sent + 50_000) // frame * frame
+        bank.exchange(TimesyncReply(NODE, sent, stamp, sent + 100_000))
+        answer = bank.to_host(NODE, np.array([link.remote(sent)]))
+        if not isinstance(answer, Reject) and sent > link.start_ns + 3 * S:
+            inside.append(abs(int(answer[0][0]) - sent) <= answer[1])
+    assert len(inside) > 100
+    assert np.mean(inside) >= 0.999
+
+
+def test_the_identity_serves_a_log_with_one_clock() -> None:
+    bank = ClockBank()
+    bank.identity(ClockName.BOOT)
+    stamps = np.array([1, 2**62, -5])
+    answer = bank.to_host(ClockName.BOOT, stamps)
+    assert not isinstance(answer, Reject)
+    np.testing.assert_array_equal(answer[0], stamps)
+    assert answer[1] == 0
+    assert bank.state(ClockName.BOOT).synced
+    assert not isinstance(bank.to_host(ClockName.HOST, stamps), Reject)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    skew_ppm=st.integers(-400, 400),
+    jitter_ms=st.floats(0.0, 15.0),
+    fixed_ms=st.floats(0.01, 5.0),
+    drift_ppb_per_s=st.integers(-40, 40),
+)
+def test_the_truth_lies_within_the_bound_whatever_the_link(
+    seed: int, skew_ppm: int, jitter_ms: float, fixed_ms: float, drift_ppb_per_s: int
+) -> None:
+    link, bank = Link(seed, skew_ppm=skew_ppm, jitter_ns=jitter_ms * MS, fixed_ns=fixed_ms * MS), ClockBank()
+    steady = link.remote
+
+    def remote(host_ns: int) -> int:
+        elapsed = host_ns - link.start_ns
+        return steady(host_ns) + drift_ppb_per_s * elapsed // S * elapsed // (2 * S)
+
+    link.remote = remote  # type: ignore[method-assign]
+    for sent in range(link.start_ns, link.start_ns + 20 * S, 250 * MS):
+        reply = link.exchange(sent)
+        if reply:
+            bank.exchange(reply)
+        true = np.array([sent - 50 * MS, sent])
+        answer = bank.to_host(NODE, link.stamps(true))
+        if not isinstance(answer, Reject):
+            assert np.abs(answer[0] - true).max() <= answer[1]
