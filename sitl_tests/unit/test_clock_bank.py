@@ -84,7 +84,7 @@ def fly(bank: ClockBank, link: Link, duration_s: int) -> Flight:
 
 
 def test_the_bound_is_honest_and_narrow_on_a_bad_link() -> None:
-    """20 % loss each way, 0-30 ms jitter each way, 10 ms/min of skew; pooled, for a single lucky round trip is a lottery."""
+    """20 % loss each way, 0-30 ms jitter each way, 10 ms/min of skew; pooled, as one lucky round trip is a lottery."""
     flights = [fly(ClockBank(), Link(seed), duration_s=60) for seed in range(10)]
     error = np.concatenate([flight.error_ns for flight in flights])
     bound = np.concatenate([flight.bound_ns for flight in flights])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.records import Bools, Ints
+from companion.records import Ints
 
 MOST_SLEW = 1e-3
 _STEER_NS = 2e9
@@ -33,6 +33,12 @@ class Knot:
         """Map one stamp."""
         elapsed = remote_ns - self.remote_ns
         return self.host_ns + elapsed - round(self.shrink * elapsed)
+
+    def map(self, remote_ns: Ints) -> Ints:
+        """Map stamps, any shape, as :meth:`to_host` does one."""
+        elapsed = remote_ns - self.remote_ns
+        host: Ints = elapsed + self.host_ns - np.rint(self.shrink * elapsed).astype(np.int64)
+        return host
 
     def bound_at_ns(self, host_ns: int) -> int:
         """Bound the error of a stamp of this segment."""
@@ -71,32 +77,27 @@ class Mapping:
         if len(self._knots) > _KNOTS:
             del self._knots[0], self._remote[0]
 
-    def to_host(self, t_ns: Ints) -> tuple[Ints, int]:
-        """Map stamps, (n,) int64, exactly in integers but for the skew's share; also give the largest bound [ns]."""
-        first = self._segment(int(t_ns.min()))
-        last = self._segment(int(t_ns.max()))
+    def to_host(self, t_ns: Ints) -> tuple[Ints, int, int, int]:
+        """Map stamps, (n,) int64 with n > 0, exactly in integers but for the skew's share.
+
+        Also give the oldest and the newest host stamp, and the largest bound [ns].
+        """
+        oldest, newest = int(t_ns.min()), int(t_ns.max())
+        first, last = self._segment(oldest), self._segment(newest)
+        low, high = self._knots[first].to_host(oldest), self._knots[last].to_host(newest)
+        bound = max(self._knots[first].bound_at_ns(low), self._knots[last].bound_at_ns(high))
+        if first == last:
+            return self._knots[first].map(t_ns), low, high, bound
         host = np.empty_like(t_ns)
-        bound = 0
+        segments = np.clip(np.searchsorted(self._remote, t_ns, side="right") - 1, first, last)
         for i in range(first, last + 1):
-            knot = self._knots[i]
-            chosen = slice(None) if first == last else self._inside(t_ns, i, first, last)
-            elapsed = t_ns[chosen] - knot.remote_ns
-            part = knot.host_ns + elapsed - np.rint(knot.shrink * elapsed).astype(np.int64)
-            host[chosen] = part
-            if part.size:
-                bound = max(bound, knot.bound_at_ns(int(part.min())), knot.bound_at_ns(int(part.max())))
-        return host, bound
+            inside = segments == i
+            host[inside] = self._knots[i].map(t_ns[inside])
+            bound = max(bound, self._knots[i].bound_at_ns(self._knots[min(i + 1, last)].host_ns))
+        return host, low, high, bound
 
     def _segment(self, remote_ns: int) -> int:
         return max(bisect_right(self._remote, remote_ns) - 1, 0)
-
-    def _inside(self, t_ns: Ints, i: int, first: int, last: int) -> Bools:
-        inside: Bools = np.ones(t_ns.shape, dtype=np.bool_)
-        if i > first:
-            inside &= t_ns >= self._remote[i]
-        if i < last:
-            inside &= t_ns < self._remote[i + 1]
-        return inside
 
     def newest(self) -> Knot:
         """Give the segment in force."""

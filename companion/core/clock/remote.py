@@ -70,8 +70,7 @@ class RemoteClock:
             return Reject.CLOCK_UNSYNCED
         if t_ns.size == 0:
             return t_ns.astype(np.int64), self._bound_at_ns(self._last_host_ns)
-        host, bound = self._mapping.to_host(t_ns)
-        oldest, newest = int(host.min()), int(host.max())
+        host, oldest, newest, bound = self._mapping.to_host(t_ns)
         if newest > self._last_host_ns + STALE_NS or bound > MOST_BOUND_NS:
             return Reject.CLOCK_UNSYNCED
         if oldest < self._window.first_host_ns - _BEFORE_FIRST_NS:
