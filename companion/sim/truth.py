@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.params.airframe import Mode, Wing
+from companion.core.wing.model import WingModel
 from companion.records import Floats, Ints
 
 GRAVITY_MPS2 = 9.80665
@@ -91,19 +91,11 @@ class TipShape:
     twist_radpm: Floats
 
     @classmethod
-    def from_wing(cls, wing: Wing) -> TipShape:
-        """Take the gains from the (true) wing parameters; a missing second mode has none."""
-        modes = wing_modes(wing)
-        sign = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 1.0, 1.0, 1.0]])
-        present = np.array([mode is not None for mode in modes], dtype=np.float64)
-        slope = np.array([mode.slope_factor_radpm.value if mode else 0.0 for mode in modes])
-        twist = np.array([mode.twist_factor_radpm.value if mode else 0.0 for mode in modes])
-        return cls(sign * present, sign * slope, sign * twist)
-
-
-def wing_modes(wing: Wing) -> tuple[Mode | None, ...]:
-    """The modes in the order of the modal coordinates."""
-    return wing.symmetric, wing.antisymmetric, wing.second_symmetric, wing.second_antisymmetric
+    def from_model(cls, model: WingModel) -> TipShape:
+        """Spread a wing model's gains over the four modal coordinates."""
+        structure = model.structure
+        rows = np.stack([structure.lift, structure.slope_radpm, structure.twist_radpm])
+        return cls(*model.all_slots(rows))
 
 
 def body_from_ned_matrix(euler_rad: Floats) -> Floats:
