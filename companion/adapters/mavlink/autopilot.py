@@ -1,0 +1,262 @@
+"""The vehicle over MAVLink: a :class:`companion.ports.Autopilot`."""
+
+from __future__ import annotations
+
+import select
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from companion.adapters.mavlink import encode
+from companion.adapters.mavlink.decode import OUTGOING, Decoded, Decoder
+from companion.adapters.mavlink.dialect import ID_OF, mavlink
+from companion.adapters.mavlink.link import Link
+from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
+from companion.adapters.mavlink.questions import ParameterReader, TimesyncTimer
+from companion.adapters.mavlink.rates import RateKeeper
+from companion.adapters.mavlink.translate import Heard
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.ports import Clock
+from companion.records import (
+    AutopilotParameter,
+    ClockName,
+    ClockRestart,
+    ClockState,
+    CorrectedRange,
+    Health,
+    ModeState,
+    Notice,
+    ObstacleSectors,
+    RawChunk,
+    Record,
+    ServiceStatus,
+)
+
+_SECOND_NS = 1_000_000_000
+_STATE_RATE_HZ = 20.0
+_KNOCK_SYSTEM = 1
+_MOST_ANSWERS = 16
+
+
+class MavlinkAutopilot:
+    """Reads, keeps time with, asks and tells the vehicle, over one link or several.
+
+    Everything is done inside :meth:`poll`, which the loop that can see the service's health calls: when it stalls, our
+    heartbeat stops. Times are of the given clock alone.
+
+    Parameters
+    ----------
+    links
+        Open links; their numbers must be below 128 and differ.
+    gather_s
+        Bytes are gathered for so long before they are read, so that decoding works on batches; not while an answer
+        to TIMESYNC is awaited, whose arrival time matters.
+    listener
+        Called with every rare message (COMMAND_LONG, PARAM_SET, CAMERA_FEEDBACK ...), for who answers them.
+    """
+
+    def __init__(
+        self,
+        links: Sequence[Link],
+        airframe: Airframe,
+        settings: Settings,
+        clock: Clock,
+        *,
+        gather_s: float = 0.003,
+        listener: Callable[[Heard], None] | None = None,
+    ) -> None:
+        self.decoder = Decoder(airframe, settings.component_id)
+        self.health = Health.BOOT
+        self.refused = 0
+        self.requests_answered = 0
+        self._links = list(links)
+        self._settings = settings
+        self._clock = clock
+        self._gather_ns = round(gather_s * _SECOND_NS)
+        self._listener = listener
+        self._packer = mavlink.MAVLink(None, _KNOCK_SYSTEM, settings.component_id)
+        self._timesync = TimesyncTimer()
+        self._parameters = ParameterReader()
+        self.rates = RateKeeper(self._wanted_rates(settings))
+        self._heartbeat_host_ns: int | None = None
+        self._verified_host_ns = 0
+        self._read_host_ns = 0
+        self._boot_offset_ns = 0
+        self._texts = 0
+        self._graphed_host_ns: dict[type, int] = {}
+
+    def _wanted_rates(self, settings: Settings) -> dict[int, float]:
+        wanted = {ID_OF["ATTITUDE"]: _STATE_RATE_HZ, ID_OF["VFR_HUD"]: _STATE_RATE_HZ}
+        for source in self.decoder.mapping.sources:
+            if source.component == AUTOPILOT_COMPONENT:
+                wanted[source.message] = settings.imu_rate_hz
+        return wanted
+
+    # -------------------------------------------------------------------------------------------- reading
+
+    def poll(self, timeout_s: float) -> Iterator[Record]:
+        """Yield what has arrived within the timeout, raw bytes first, then what they decode to.
+
+        Also sends what is due: heartbeat, TIMESYNC, rate and parameter requests. Chunks of our own TIMESYNC requests
+        are yielded like received ones; from recorded chunks :meth:`Decoder.decode_chunk` makes the same records.
+        """
+        yield from self._upkeep(self._clock.now_ns())
+        self._wait(timeout_s)
+        for link in self._links:
+            chunk = link.read()
+            if chunk is not None:
+                yield chunk
+                decoded = self.decoder.decode(chunk)
+                self._attend(decoded, chunk.received_host_ns)
+                yield from decoded.records
+        self._read_host_ns = self._clock.now_ns()
+        yield from self.rates.notices()
+
+    def _wait(self, timeout_s: float) -> None:
+        now = self._clock.now_ns()
+        deadline = now + max(0, round(timeout_s * _SECOND_NS))
+        if not self._timesync.awaiting(now):
+            self._clock.sleep_until(min(self._read_host_ns + self._gather_ns, deadline))
+        left_ms = max(0, deadline - self._clock.now_ns()) / 1e6
+        waiter = select.poll()
+        for link in self._links:
+            if link.fileno() >= 0:
+                waiter.register(link.fileno(), select.POLLIN)
+        waiter.poll(left_ms)
+
+    def _attend(self, decoded: Decoded, now_host_ns: int) -> None:
+        """Answer and take note of what concerns the adapter itself."""
+        answers = 0
+        for heard in decoded.heard:
+            if heard.name == "TIMESYNC" and heard.message.tc1 == 0 and answers < _MOST_ANSWERS:
+                answers += 1
+                self._send(mavlink.MAVLink_timesync_message(self._clock.now_ns(), heard.message.ts1), heard.link)
+                self.requests_answered += 1
+            elif heard.name == "COMMAND_ACK" and self._is_ours(heard):
+                self.rates.acknowledged(heard.message.result, now_host_ns)
+            if self._listener is not None:
+                self._listener(heard)
+        for record in decoded.records:
+            if isinstance(record, AutopilotParameter):
+                self._parameters.arrived(record.name)
+                if record.name == "SCHED_LOOP_RATE":
+                    self.rates.loop_rate(record.value)
+            elif isinstance(record, ClockRestart):
+                self._timesync.hurry(now_host_ns)
+                if record.clock == ClockName.BOOT:
+                    self.rates.restart(now_host_ns)
+                    self._parameters.restart()
+
+    def _is_ours(self, heard: Heard) -> bool:
+        message = heard.message
+        from_autopilot = (heard.system, heard.component) == (self.decoder.system_id, AUTOPILOT_COMPONENT)
+        to_us = message.target_component in (0, self._settings.component_id)
+        return from_autopilot and to_us and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+
+    # -------------------------------------------------------------------------------------------- what is due
+
+    def _upkeep(self, now_host_ns: int) -> Iterator[Record]:
+        system = self.decoder.system_id
+        if system is not None:
+            self._packer.srcSystem = system
+        if self._heartbeat_host_ns is None or now_host_ns - self._heartbeat_host_ns >= _SECOND_NS:
+            self._heartbeat_host_ns = now_host_ns
+            for link in self._links:
+                if system is not None or link.knocks:
+                    self._send(encode.heartbeat(self.health), link.number)
+        if system is None:
+            return
+        if self._timesync.due(now_host_ns):
+            yield self._ask_time()
+        request = self.rates.due(now_host_ns)
+        if request is not None:
+            self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, request.message, request.interval_us)
+        name = self._parameters.due(now_host_ns)
+        if name is not None:
+            self._send(mavlink.MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode(), -1))
+        if now_host_ns - self._verified_host_ns >= _SECOND_NS:
+            self._verified_host_ns = now_host_ns
+            delivered = self.decoder.delivered
+            counts = {message: n for (message, component), n in delivered.items() if component == AUTOPILOT_COMPONENT}
+            self.rates.verify(counts, now_host_ns)
+
+    def _ask_time(self) -> RawChunk:
+        """Send one TIMESYNC request on all links; it is answered by everyone who keeps a clock."""
+        sent_host_ns = self._clock.now_ns()
+        frame = mavlink.MAVLink_timesync_message(0, sent_host_ns).pack(self._packer)
+        self._advance_sequence()
+        for link in self._links:
+            link.write(frame)
+        chunk = RawChunk(OUTGOING + self._links[0].number, sent_host_ns, bytes(frame))
+        self.decoder.decode(chunk)
+        return chunk
+
+    # -------------------------------------------------------------------------------------------- telling
+
+    def publish(self, record: Record) -> None:
+        """Send an output record in the form that the autopilot understands; others are not sent."""
+        if isinstance(record, CorrectedRange):
+            limits = (self._settings.min_range_m, self._settings.max_range_m)
+            self._send(encode.distance_sensor(record, *limits, self._boot_ms(record.t_host_ns)))
+        elif isinstance(record, ObstacleSectors):
+            self._send(encode.obstacle_distance(record, (record.t_host_ns + self._boot_offset_ns) // 1000))
+        elif isinstance(record, Notice):
+            self._texts += 1
+            for piece in encode.status_text(record.severity, record.text, self._texts):
+                self._send(piece)
+        elif isinstance(record, ServiceStatus):
+            self.health = record.health
+        elif isinstance(record, ClockState) and record.clock == ClockName.BOOT and record.synced:
+            self._boot_offset_ns = record.offset_ns
+        if isinstance(record, ModeState | CorrectedRange):
+            self._graph(record)
+
+    def adopt(self, settings: Settings) -> None:
+        """Use changed live settings from now on."""
+        self._settings = settings
+
+    def _graph(self, record: ModeState | CorrectedRange) -> None:
+        rate_hz, last = self._settings.debug_rate_hz, self._graphed_host_ns.get(type(record))
+        if rate_hz <= 0 or (last is not None and record.t_host_ns - last < _SECOND_NS / rate_hz):
+            return
+        self._graphed_host_ns[type(record)] = record.t_host_ns
+        for name, value in encode.graph_values(record):
+            self.publish_value(name, value, record.t_host_ns)
+
+    def publish_value(self, name: str, value: float, t_host_ns: int) -> None:
+        """Send a number for graphs; one that is not finite is counted as refused and not sent."""
+        message = encode.named_value(name, value, self._boot_ms(t_host_ns))
+        if message is None:
+            self.refused += 1
+        else:
+            self._send(message)
+
+    def capture(self) -> None:
+        """Fire all of the autopilot's cameras once (IMAGE_START_CAPTURE)."""
+        self._command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1)
+
+    def close(self) -> None:
+        """Release the links."""
+        for link in self._links:
+            link.close()
+
+    def _boot_ms(self, t_host_ns: int) -> int:
+        return (t_host_ns + self._boot_offset_ns) // 1_000_000
+
+    def _command(self, command: int, *parameters: float) -> None:
+        filled = [float(value) for value in parameters] + [0.0] * (7 - len(parameters))
+        system = self._packer.srcSystem
+        self._send(mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, command, 0, *filled))
+
+    def _send(self, message: Any, number: int | None = None) -> None:
+        if not encode.sendable(message):
+            self.refused += 1
+            return
+        frame = bytes(message.pack(self._packer))
+        self._advance_sequence()
+        for link in self._links:
+            if number is None or link.number == number:
+                link.write(frame)
+
+    def _advance_sequence(self) -> None:
+        self._packer.seq = (self._packer.seq + 1) % 256

@@ -1,0 +1,42 @@
+"""What pymavlink's ``ardupilotmega`` dialect says of every message: id, name, CRC extra, and how to build one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega
+
+mavlink: Any = ardupilotmega
+
+_CLASSES: dict[int, Any] = mavlink.mavlink_map
+
+CRC_EXTRA: dict[int, int] = {identity: kind.crc_extra for identity, kind in _CLASSES.items()}
+ID_OF: dict[str, int] = {kind.msgname: identity for identity, kind in _CLASSES.items()}
+NAME_OF: dict[int, str] = {identity: kind.msgname for identity, kind in _CLASSES.items()}
+
+
+def payload_size(identity: int) -> int:
+    """Bytes of the untrimmed payload, extensions included."""
+    return int(_CLASSES[identity].unpacker.size)
+
+
+def build_message(identity: int, payload: bytes) -> Any:
+    """Make pymavlink's message object from a payload, zero-trimmed (MAVLink 2) or longer than this dialect knows.
+
+    Gives the same field values as ``MAVLink.decode`` (a test holds it to that); the checksum has been checked before.
+    """
+    kind = _CLASSES[identity]
+    size = kind.unpacker.size
+    flat = kind.unpacker.unpack(payload[:size].ljust(size, b"\0"))
+    starts = [0]
+    for length in kind.lengths:
+        starts.append(starts[-1] + length)
+    fields = [_field(flat[starts[order] : starts[order + 1]]) for order in kind.orders]
+    return kind(*fields)
+
+
+def _field(values: tuple[Any, ...]) -> Any:
+    first = values[0]
+    if isinstance(first, bytes):
+        return first.rstrip(b"\0")
+    return first if len(values) == 1 else list(values)

@@ -1,0 +1,161 @@
+"""Output records as MAVLink messages. Nothing that is not finite or not representable ever leaves.
+
+Each encoder is a pure function that gives pymavlink's message object in wire units. What cannot be said becomes "alive,
+no range" (DISTANCE_SENSOR), "unknown" (OBSTACLE_DISTANCE) or nothing at all (NAMED_VALUE_FLOAT).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.mavlink.dialect import mavlink
+from companion.records import CorrectedRange, Health, ModeState, ObstacleSectors
+
+SECTORS = 72
+_SECTOR_DEG = 5
+_CM = 100.0
+_LARGEST_CM = 65_533
+_UNKNOWN_CM = 65_535
+_UNKNOWN_COVARIANCE = 255
+_LARGEST_COVARIANCE = 254
+_NO_RANGE_QUALITY, _LEAST_QUALITY, _BEST_QUALITY = 1, 2, 100
+_UINT32 = 0xFFFFFFFF
+_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
+_NAME_CHARACTERS = 10
+_TEXT_CHARACTERS = 50
+_MOST_TEXT_CHUNKS = 5
+
+_STATE = {
+    Health.BOOT: mavlink.MAV_STATE_BOOT,
+    Health.STANDBY: mavlink.MAV_STATE_STANDBY,
+    Health.ACTIVE: mavlink.MAV_STATE_ACTIVE,
+    Health.CRITICAL: mavlink.MAV_STATE_CRITICAL,
+}
+
+
+def heartbeat(health: Health) -> Any:
+    """HEARTBEAT of an onboard computer; ``system_status`` tells our health."""
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, _STATE[health], 3
+    )
+
+
+def distance_sensor(record: CorrectedRange, min_m: float, max_m: float, time_boot_ms: int) -> Any:
+    """DISTANCE_SENSOR of a range.
+
+    A range that is not trusted, not finite or outside the limits is sent as "alive, no range": one centimetre beyond
+    the largest distance, with quality 1. The covariance is in cm^2, 1 to 254; a larger or unknown one is 255.
+    """
+    least, most = _limits_cm(min_m, max_m)
+    distance, covariance, quality = most + 1, _UNKNOWN_COVARIANCE, _NO_RANGE_QUALITY
+    good = record.trusted and math.isfinite(record.range_m) and math.isfinite(record.sigma_m) and record.sigma_m >= 0
+    if good and least <= record.range_m * _CM <= most:
+        distance = _clamp(record.range_m * _CM, least, most)
+        covariance = _covariance_cm2(record.sigma_m)
+        quality = _clamp(_BEST_QUALITY * (1.0 - record.sigma_m / record.range_m), _LEAST_QUALITY, _BEST_QUALITY)
+    return mavlink.MAVLink_distance_sensor_message(
+        time_boot_ms & _UINT32,
+        least,
+        most,
+        distance,
+        mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
+        0,
+        record.orientation if 0 <= record.orientation <= 255 else mavlink.MAV_SENSOR_ROTATION_NONE,
+        covariance,
+        signal_quality=quality,
+    )
+
+
+def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
+    """OBSTACLE_DISTANCE, the full circle of 72 sectors of 5 degrees in body FRD (frame 12).
+
+    A known obstacle is clamped to the limits from below (never 0, which autopilots read as no data); beyond the largest
+    distance, or clear, is largest + 1; everything else is unknown, 65535.
+    """
+    least, most = _limits_cm(record.min_m, record.max_m)
+    finite = np.isfinite(record.distance_m) & (record.distance_m >= 0)
+    distance = np.where(finite, record.distance_m, 0.0) * _CM
+    known = record.known & finite
+    sectors = np.full(len(record.distance_m), _UNKNOWN_CM, dtype=np.int64)
+    sectors[record.clear] = most + 1
+    near = np.clip(np.rint(np.minimum(distance, most + 1)), max(least, 1), most + 1).astype(np.int64)
+    sectors[known & ~record.clear] = near[known & ~record.clear]
+    circle = np.full(SECTORS, _UNKNOWN_CM, dtype=np.int64)
+    circle[: len(sectors)] = sectors[:SECTORS]
+    return mavlink.MAVLink_obstacle_distance_message(
+        max(time_usec, 0),
+        mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
+        circle.tolist(),
+        _SECTOR_DEG,
+        least,
+        most,
+        float(_SECTOR_DEG),
+        0.0,
+        mavlink.MAV_FRAME_BODY_FRD,
+    )
+
+
+def named_value(name: str, value: float, time_boot_ms: int) -> Any | None:
+    """NAMED_VALUE_FLOAT, the name cut at 10 characters; nothing where the value is no finite 32-bit float."""
+    if not math.isfinite(value) or abs(value) > _LARGEST_FLOAT32:
+        return None
+    return mavlink.MAVLink_named_value_float_message(
+        time_boot_ms & _UINT32, _ascii(name)[:_NAME_CHARACTERS].encode(), value
+    )
+
+
+def graph_values(record: ModeState | CorrectedRange) -> list[tuple[str, float]]:
+    """Give name and value of what is worth a graph; the names carry the unit."""
+    if isinstance(record, CorrectedRange):
+        return [("rng_sig_m", record.sigma_m), ("toe_mrad", record.toe_rad * 1e3), ("rigid_m", record.rigid_range_m)]
+    return [
+        ("q_sym_mm", float(record.q_m[0]) * 1e3),
+        ("q_anti_mm", float(record.q_m[1]) * 1e3),
+        ("f_sym_hz", record.symmetric.frequency_hz),
+        ("ph_sym_rad", record.symmetric.phase_rad),
+    ]
+
+
+def status_text(severity: int, text: str, identity: int) -> list[Any]:
+    """STATUSTEXT, in chunks of 50 characters that share ``identity`` (1 to 65535) where one is not enough."""
+    level = min(max(severity, mavlink.MAV_SEVERITY_EMERGENCY), mavlink.MAV_SEVERITY_DEBUG)
+    plain = _ascii(text)[: _MOST_TEXT_CHUNKS * _TEXT_CHARACTERS - 1]
+    if len(plain) <= _TEXT_CHARACTERS:
+        return [mavlink.MAVLink_statustext_message(level, plain.encode())]
+    # a text ends with the first chunk that is not full, so a last full one is followed by an empty one
+    starts = range(0, len(plain) + 1, _TEXT_CHARACTERS)
+    pieces = [plain[start : start + _TEXT_CHARACTERS].encode() for start in starts]
+    shared = (identity - 1) % 65_535 + 1
+    return [mavlink.MAVLink_statustext_message(level, piece, shared, index) for index, piece in enumerate(pieces)]
+
+
+def sendable(message: Any) -> bool:
+    """Whether no field of a message is NaN or infinite: the last gate before the link."""
+    for name in message.get_fieldnames():
+        value = getattr(message, name)
+        for item in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(item, float) and not (math.isfinite(item) and abs(item) <= _LARGEST_FLOAT32):
+                return False
+    return True
+
+
+def _limits_cm(min_m: float, max_m: float) -> tuple[int, int]:
+    most = _clamp(max_m * _CM, 1, _LARGEST_CM)
+    return _clamp(min_m * _CM, 0, most), most
+
+
+def _clamp(value: float, least: int, most: int) -> int:
+    """Round into the limits; not a number counts as the upper one."""
+    return most if math.isnan(value) else round(min(max(value, least), most))
+
+
+def _covariance_cm2(sigma_m: float) -> int:
+    variance = (sigma_m * _CM) ** 2 if sigma_m < 1.0 else math.inf
+    return math.ceil(max(variance, 1.0)) if variance <= _LARGEST_COVARIANCE else _UNKNOWN_COVARIANCE
+
+
+def _ascii(text: str) -> str:
+    return "".join(letter if " " <= letter <= "~" else "?" for letter in text)

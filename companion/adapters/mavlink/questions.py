@@ -1,0 +1,84 @@
+"""When to ask the vehicle for its time and for its parameters."""
+
+from __future__ import annotations
+
+_MS_NS = 1_000_000
+_HURRY_PERIOD_NS = 100 * _MS_NS
+_PERIOD_NS = 200 * _MS_NS
+_HURRY_NS = 5_000 * _MS_NS
+_AWAITED_NS = 15 * _MS_NS
+_ASK_PERIOD_NS = 50 * _MS_NS
+_RETRY_NS = 1_000 * _MS_NS
+_TRIES = 5
+_REFRESH_NS = 30_000 * _MS_NS
+
+NEEDED_PARAMETERS = (
+    "INS_ACCEL_FILTER",
+    "INS_GYRO_FILTER",
+    "SCHED_LOOP_RATE",
+    "RNGFND1_TYPE",
+    "RNGFND1_ORIENT",
+    "RNGFND1_MIN",
+    "RNGFND1_MAX",
+)
+
+
+class TimesyncTimer:
+    """Every 100 ms in the first 5 s and after a restart, then every 200 ms."""
+
+    def __init__(self) -> None:
+        self._last_host_ns: int | None = None
+        self._hurry_until_host_ns: int | None = None
+
+    def hurry(self, now_host_ns: int) -> None:
+        """Ask often for a while: a clock restarted."""
+        self._hurry_until_host_ns = now_host_ns + _HURRY_NS
+
+    def due(self, now_host_ns: int) -> bool:
+        """Whether to ask now."""
+        if self._hurry_until_host_ns is None:
+            self.hurry(now_host_ns)
+        hurried = self._hurry_until_host_ns is not None and now_host_ns < self._hurry_until_host_ns
+        period = _HURRY_PERIOD_NS if hurried else _PERIOD_NS
+        if self._last_host_ns is not None and now_host_ns - self._last_host_ns < period:
+            return False
+        self._last_host_ns = now_host_ns
+        return True
+
+    def awaiting(self, now_host_ns: int) -> bool:
+        """Whether an answer may arrive at any moment."""
+        return self._last_host_ns is not None and now_host_ns - self._last_host_ns < _AWAITED_NS
+
+
+class ParameterReader:
+    """Asks for the needed parameters one by one, a few times each, and all again every 30 s to see changes."""
+
+    def __init__(self, names: tuple[str, ...] = NEEDED_PARAMETERS) -> None:
+        self._names = names
+        self._asked: dict[str, int] = {}
+        self._missing: dict[str, int] = dict.fromkeys(names, 0)
+        self._last_host_ns: int | None = None
+        self._refreshed_host_ns: int | None = None
+
+    def restart(self) -> None:
+        """Read everything again."""
+        self._missing = dict.fromkeys(self._names, 0)
+        self._asked.clear()
+
+    def arrived(self, name: str) -> None:
+        """Take note of an answer."""
+        self._missing.pop(name, None)
+
+    def due(self, now_host_ns: int) -> str | None:
+        """Give the name to ask for now, if any."""
+        if self._refreshed_host_ns is None or now_host_ns - self._refreshed_host_ns >= _REFRESH_NS:
+            self._refreshed_host_ns = now_host_ns
+            self.restart()
+        if self._last_host_ns is not None and now_host_ns - self._last_host_ns < _ASK_PERIOD_NS:
+            return None
+        for name, tries in self._missing.items():
+            if tries < _TRIES and (name not in self._asked or now_host_ns - self._asked[name] >= _RETRY_NS):
+                self._missing[name] = tries + 1
+                self._asked[name] = self._last_host_ns = now_host_ns
+                return name
+        return None

@@ -1,0 +1,50 @@
+"""Counts refusals and reports each kind at once the first time, then at most once a second with the count since."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.records import Reject, Rejected
+
+_PERIOD_NS = 1_000_000_000
+_MOST_KINDS = 64
+
+
+@dataclass(slots=True)
+class _Count:
+    total: int = 0
+    unreported: int = 0
+    reported_host_ns: int | None = None
+
+
+class Tally:
+    """Refusals by reason and subject; a flood of invented subjects shares one line."""
+
+    def __init__(self) -> None:
+        self._counts: dict[tuple[Reject, str], _Count] = {}
+
+    def add(self, reason: Reject, what: str, count: int = 1) -> None:
+        """Count ``count`` refusals."""
+        key = (reason, what)
+        if key not in self._counts and len(self._counts) >= _MOST_KINDS:
+            key = (reason, "others")
+        entry = self._counts.setdefault(key, _Count())
+        entry.total += count
+        entry.unreported += count
+
+    def due(self, now_host_ns: int) -> list[Rejected]:
+        """Give the reports that are due."""
+        reports = []
+        for (reason, what), entry in self._counts.items():
+            last = entry.reported_host_ns
+            if entry.unreported and (last is None or now_host_ns - last >= _PERIOD_NS):
+                reports.append(Rejected(reason, what, now_host_ns, entry.unreported))
+                entry.unreported, entry.reported_host_ns = 0, now_host_ns
+        return reports
+
+    def totals(self) -> dict[Reject, int]:
+        """Sum per reason since the start."""
+        sums: dict[Reject, int] = {}
+        for (reason, _), entry in self._counts.items():
+            sums[reason] = sums.get(reason, 0) + entry.total
+        return sums

@@ -1,0 +1,138 @@
+"""Rare messages to records: the autopilot's identity, TIMESYNC answers, flight state, parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.mavlink.dialect import mavlink
+from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT, Mapping
+from companion.adapters.mavlink.restart import ClockWatch
+from companion.adapters.mavlink.tally import Tally
+from companion.records import AutopilotParameter, ClockRestart, Record, Reject, TimesyncReply, VehicleState
+
+PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
+_MOST_REQUESTS = 32
+_STATE_PERIOD_MS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A rare message as it came: ``message`` is pymavlink's object, wire units."""
+
+    link: int
+    system: int
+    component: int
+    message: Any
+    received_host_ns: int
+
+    @property
+    def name(self) -> str:
+        """The message's name, as in the dialect."""
+        return str(self.message.get_type())
+
+
+class Translator:
+    """Keeps the little state that rare messages need; driven by chunks alone, so that a replay repeats it."""
+
+    def __init__(self, mapping: Mapping, watch: ClockWatch, tally: Tally) -> None:
+        self.system: int | None = None
+        self.armed = False
+        self._mapping = mapping
+        self._watch = watch
+        self._tally = tally
+        self._requests: dict[int, set[tuple[int, int]]] = {}
+        self._air: Any = None
+        self._last_state_ms: int | None = None
+
+    def sent(self, message: Any) -> None:
+        """Take note of a TIMESYNC request of ours."""
+        if message.get_type() == "TIMESYNC" and message.tc1 == 0:
+            self._requests[message.ts1] = set()
+            while len(self._requests) > _MOST_REQUESTS:
+                del self._requests[next(iter(self._requests))]
+
+    def records(self, heard: Heard) -> Iterator[Record]:
+        """Give what one message means to the pipeline, if anything."""
+        name = heard.name
+        if name == "HEARTBEAT":
+            self._heartbeat(heard)
+        elif heard.system != self.system:
+            return
+        elif name == "TIMESYNC":
+            yield from self._timesync(heard)
+        elif heard.component != AUTOPILOT_COMPONENT:
+            return
+        elif name == "ATTITUDE":
+            yield from self._attitude(heard)
+        elif name == "VFR_HUD":
+            self._vfr_hud(heard)
+        elif name == "PARAM_VALUE":
+            yield from self._parameter(heard)
+
+    def _heartbeat(self, heard: Heard) -> None:
+        message = heard.message
+        pilot = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and message.type != mavlink.MAV_TYPE_GCS
+        if heard.component != AUTOPILOT_COMPONENT or not pilot:
+            return
+        if self.system is None:
+            self.system = heard.system
+        if heard.system == self.system:
+            self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def _timesync(self, heard: Heard) -> Iterator[Record]:
+        message = heard.message
+        answered = self._requests.get(message.ts1)
+        clock = self._mapping.clocks.get(heard.component)
+        sender = (heard.system, heard.component)
+        # a routed copy of an answer is later than the answer, so only the first from each sender counts
+        if message.tc1 <= 0 or answered is None or clock is None or sender in answered:
+            return
+        answered.add(sender)
+        stamp = np.array([message.tc1], dtype=np.int64)
+        verdict = self._watch.check(clock, "TIMESYNC", stamp, heard.received_host_ns, confirmations=1)
+        if verdict.dropped:
+            self._tally.add(Reject.TIME_BACKWARDS, f"TIMESYNC of component {heard.component}")
+            return
+        if verdict.restart_at >= 0:
+            yield ClockRestart(clock, heard.received_host_ns)
+        yield TimesyncReply(clock, message.ts1, message.tc1, heard.received_host_ns)
+
+    def _vfr_hud(self, heard: Heard) -> None:
+        message = heard.message
+        if math.isfinite(message.airspeed) and math.isfinite(message.climb):
+            self._air = message
+        else:
+            self._tally.add(Reject.NOT_FINITE, "VFR_HUD")
+
+    def _attitude(self, heard: Heard) -> Iterator[Record]:
+        message, air, last = heard.message, self._air, self._last_state_ms
+        angles = (message.roll, message.pitch, message.yaw)
+        if not all(math.isfinite(angle) for angle in angles):
+            self._tally.add(Reject.NOT_FINITE, "ATTITUDE")
+            return
+        if air is None or (last is not None and 0 <= message.time_boot_ms - last < _STATE_PERIOD_MS):
+            return
+        self._last_state_ms = message.time_boot_ms
+        yield VehicleState(
+            message.time_boot_ms * 1_000_000,
+            heard.received_host_ns,
+            *angles,
+            air.airspeed,
+            air.climb,
+            air.throttle / 100.0,
+            self.armed,
+        )
+
+    def _parameter(self, heard: Heard) -> Iterator[Record]:
+        message = heard.message
+        if not message.param_id.startswith(PARAMETER_PREFIXES):
+            return
+        if math.isfinite(message.param_value):
+            yield AutopilotParameter(message.param_id, message.param_value, heard.received_host_ns)
+        else:
+            self._tally.add(Reject.NOT_FINITE, f"parameter {message.param_id}")
