@@ -130,15 +130,6 @@ class RawChunk:
 
 
 @dataclass(frozen=True, slots=True)
-class SentChunk:
-    """Bytes as they were handed to a link; recorded so that a log shows both directions."""
-
-    link: int
-    sent_host_ns: int
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True)
 class ImuBatch:
     """Consecutive samples of one inertial sensor, in arrival order.
 
@@ -475,6 +466,5 @@ OutputRecord = (
     | Rejected
     | Notice
     | ServiceStatus
-    | SentChunk
 )
 Record = InputRecord | OutputRecord

@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
+from companion.adapters.mavlink.decode import OUTGOING
 from companion.adapters.recordings import channels
 from companion.adapters.recordings.images import ImageFormat
 from companion.adapters.recordings.opening import open_recording
@@ -114,6 +115,12 @@ def test_what_a_replay_needs_travels_with_the_records(tmp_path: Path) -> None:
     assert recording.hub is ClockName.BOOT
     assert recording.replayable
     assert recording.notices == []
+
+
+def test_what_we_sent_has_a_topic_of_its_own() -> None:
+    assert channels.SENT_LINK == OUTGOING
+    assert channels.topic_of(RawChunk(0, 1, b"")) == "/mavlink/received"
+    assert channels.topic_of(RawChunk(OUTGOING, 1, b"")) == "/mavlink/sent"
 
 
 def test_an_unsent_column_that_is_not_zero_is_kept() -> None:

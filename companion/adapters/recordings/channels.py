@@ -25,7 +25,6 @@ from companion.records import (
     RawChunk,
     Record,
     Rejected,
-    SentChunk,
     ServiceStatus,
     Shot,
     Tick,
@@ -35,11 +34,13 @@ from companion.records import (
 )
 
 Recordable = Record | Frame | FramePair
+SENT_LINK = 128
+"""Link numbers from here on are of chunks that we sent; the MAVLink decoder's OUTGOING."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One kind of record: its topic (``{station}`` is filled in) and the attribute that is its time on the host."""
+    """One kind of record: its topic, whose braces ``topic_of`` fills in, and the attribute that is its host time."""
 
     kind: type
     topic: str
@@ -56,6 +57,16 @@ class Channel:
         return self.kind in packed.SCHEMAS
 
 
+def topic_of(record: Recordable) -> str:
+    """The topic of one record, which is not an image."""
+    topic = CHANNELS[type(record)].topic
+    if isinstance(record, ImuBatch):
+        return topic.format(station=record.station.name.lower())
+    if isinstance(record, RawChunk):
+        return topic.format(direction="sent" if record.link >= SENT_LINK else "received")
+    return topic
+
+
 def _channel(kind: type) -> Channel:
     stamps = [entry.name for entry in dataclasses.fields(kind) if entry.name.endswith("_host_ns")]
     topic, time = _LISTED.get(kind, (f"/other/{kind.__name__}", stamps[0]))
@@ -64,8 +75,7 @@ def _channel(kind: type) -> Channel:
 
 # topic and log time; a record that is not listed goes to /other/<Name> with its first host stamp
 _LISTED: dict[type, tuple[str, str]] = {
-    RawChunk: ("/mavlink/received", "received_host_ns"),
-    SentChunk: ("/mavlink/sent", "sent_host_ns"),
+    RawChunk: ("/mavlink/{direction}", "received_host_ns"),
     ImuBatch: ("/imu/{station}", "received_host_ns"),
     TimesyncReply: ("/time/exchange", "received_host_ns"),
     ClockRestart: ("/time/restart", "seen_host_ns"),

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from companion.adapters.recordings.csv import CsvRecording
 from companion.adapters.recordings.reader import MAGIC as MCAP_MAGIC
 from companion.adapters.recordings.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.tlog import TlogRecording
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 
@@ -31,8 +33,18 @@ def open_recording(path: Path | str, airframe: Airframe | None = None) -> Record
     path = Path(path)
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder")
+    if path.is_dir():
+        return CsvRecording(path, _needed(airframe, path))
     with path.open("rb") as file:
         head = file.read(16)
     if head.startswith(MCAP_MAGIC):
         return McapRecording(path, airframe)
+    if head[8:9] in (b"\xfd", b"\xfe") or path.suffix.lower() == ".tlog":
+        return TlogRecording(path, _needed(airframe, path))
     raise RecordingError(f"{path}: not a recording that can be read; {_KNOWN}")
+
+
+def _needed(airframe: Airframe | None, path: Path) -> Airframe:
+    if airframe is None:
+        raise RecordingError(f"{path}: does not say of which aircraft it is; give its airframe (--airframe NAME)")
+    return airframe

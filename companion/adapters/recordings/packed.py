@@ -12,10 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from companion.records import Axis, ClockName, ImuBatch, MatchSet, RawChunk, SentChunk, Station
+from companion.records import Axis, ClockName, ImuBatch, MatchSet, RawChunk, Station
 
-_RECEIVED = "int32 link\nint64 received_host_ns\nuint8[] data\n"
-_SENT = "int32 link\nint64 sent_host_ns\nuint8[] data\n"
+_CHUNK = """# link: 128 + link for what we sent
+int32 link
+int64 received_host_ns
+uint8[] data
+"""
 _IMU = """# station: 0 root, 1 left, 2 right
 # axes: bit 0-2 specific force x y z [m/s^2], bit 3-5 angular rate p q r [rad/s]
 uint8 station
@@ -41,7 +44,7 @@ float64[] right_px
 float64[] sigma_px
 """
 
-SCHEMAS: dict[type, str] = {RawChunk: _RECEIVED, SentChunk: _SENT, ImuBatch: _IMU, MatchSet: _MATCHES}
+SCHEMAS: dict[type, str] = {RawChunk: _CHUNK, ImuBatch: _IMU, MatchSet: _MATCHES}
 
 
 def pack(record: Any) -> bytes:
@@ -91,22 +94,13 @@ def _array(values: Any, dtype: str) -> bytes:
     return struct.pack("<I", exact.size) + exact.tobytes()
 
 
-def _pack_received(chunk: RawChunk) -> bytes:
+def _pack_chunk(chunk: RawChunk) -> bytes:
     return struct.pack("<iq", chunk.link, chunk.received_host_ns) + _blob(chunk.data)
 
 
-def _unpack_received(cursor: _Cursor) -> RawChunk:
+def _unpack_chunk(cursor: _Cursor) -> RawChunk:
     link, received_host_ns = cursor.take("<iq")
     return RawChunk(link, received_host_ns, cursor.blob())
-
-
-def _pack_sent(chunk: SentChunk) -> bytes:
-    return struct.pack("<iq", chunk.link, chunk.sent_host_ns) + _blob(chunk.data)
-
-
-def _unpack_sent(cursor: _Cursor) -> SentChunk:
-    link, sent_host_ns = cursor.take("<iq")
-    return SentChunk(link, sent_host_ns, cursor.blob())
 
 
 def _pack_imu(batch: ImuBatch) -> bytes:
@@ -169,14 +163,12 @@ def _unpack_matches(cursor: _Cursor) -> MatchSet:
 
 
 _PACK: dict[type, Callable[[Any], bytes]] = {
-    RawChunk: _pack_received,
-    SentChunk: _pack_sent,
+    RawChunk: _pack_chunk,
     ImuBatch: _pack_imu,
     MatchSet: _pack_matches,
 }
 _UNPACK: dict[type, Callable[[_Cursor], Any]] = {
-    RawChunk: _unpack_received,
-    SentChunk: _unpack_sent,
+    RawChunk: _unpack_chunk,
     ImuBatch: _unpack_imu,
     MatchSet: _unpack_matches,
 }

@@ -116,7 +116,7 @@ class McapRecording:
                 else:
                     yield codec_of(kind).decode(json.loads(message.data))
             else:
-                self._notes.add(f"{self.path}: messages of '{schema.name}' are not known here and left out")
+                self._notes.add(f"{self.path.name}: messages of '{schema.name}' are not known here and left out")
 
     def _messages(self) -> Iterator[tuple[mcap.Schema, mcap.Message]]:
         schemas: dict[int, mcap.Schema] = {}
@@ -132,7 +132,7 @@ class McapRecording:
                         yield schemas[channels[record.channel_id].schema_id], record
                     else:
                         self._notes.add(
-                            f"{self.path}: channel {record.channel_id} was declared in a damaged chunk; left out"
+                            f"{self.path.name}: channel {record.channel_id} was declared in a damaged chunk; left out"
                         )
 
     def _chunk(self, file: BinaryIO, segment: _Segment) -> list[Any]:
@@ -140,7 +140,7 @@ class McapRecording:
             return list(breakup_chunk(_parse(file, segment), validate_crc=True))
         except _DAMAGE as error:
             self.replayable = False
-            self._notes.add(f"{self.path}: the chunk at byte {segment.offset} is damaged and left out ({error})")
+            self._notes.add(f"{self.path.name}: the chunk at byte {segment.offset} is damaged and left out ({error})")
             return []
 
     def _metadata(self) -> dict[str, dict[str, str]]:
@@ -158,12 +158,12 @@ class McapRecording:
             last = self._segments[-1]
             start_ns, end_ns = self._span()
             self._notes.add(
-                f"{self.path}: truncated at {(end_ns - start_ns) / 1e9:.1f} s (byte {last.offset + last.length}): "
+                f"{self.path.name}: truncated at {(end_ns - start_ns) / 1e9:.1f} s (byte {last.offset + last.length}): "
                 "the recorder did not finish; everything before is here",
                 end_ns,
             )
         if self.dropped:
-            self._notes.add(f"{self.path}: {self.dropped} records were dropped while recording; not replayable")
+            self._notes.add(f"{self.path.name}: {self.dropped} records were dropped while recording; not replayable")
 
     def _span(self) -> tuple[int, int]:
         spans = []

@@ -7,15 +7,17 @@ import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from companion.adapters.recordings.channels import Recordable
 from companion.params.airframe import Airframe
+from companion.params.files import dump_airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Notice, Station
 
+_Kind = TypeVar("_Kind")
 WARNING = 4
 INFO = 6
 BATCH_NS = 20_000_000
@@ -118,6 +120,9 @@ class Notes:
             return
         steps = np.diff(t_ns)
         usual = float(np.median(steps))
+        for problem, count in (("repeat the one before", int((steps == 0).sum())), ("go back", int((steps < 0).sum()))):
+            if count:
+                self.add(f"{name}: {count} of {t_ns.size} stamps {problem}", int(t_ns[0]))
         wide = np.flatnonzero(steps > _GAP_RATIO * usual)
         if wide.size:
             longest = int(wide[np.argmax(steps[wide])])
@@ -127,12 +132,9 @@ class Notes:
                 f"at {(t_ns[longest] - t_ns[0]) / 1e9:.3f} s",
                 int(t_ns[longest]),
             )
-        for problem, count in (("repeat the one before", int((steps == 0).sum())), ("go back", int((steps < 0).sum()))):
-            if count:
-                self.add(f"{name}: {count} of {t_ns.size} stamps {problem}", int(t_ns[0]))
 
 
-def merge(*sources: Iterable[tuple[int, Recordable]]) -> Iterator[Recordable]:
+def merge(*sources: Iterable[tuple[int, _Kind]]) -> Iterator[_Kind]:
     """Merge time-ordered sources into one; at equal times the earlier source comes first."""
     for _, record in heapq.merge(*sources, key=lambda entry: entry[0]):
         yield record
@@ -142,3 +144,25 @@ def timed(stream: Stream) -> Iterator[tuple[int, ImuBatch]]:
     """A stream's batches with their arrival, for :func:`merge`."""
     for batch in stream.batches():
         yield batch.received_host_ns, batch
+
+
+class LoggedRecording:
+    """What the readers of foreign logs share; the attributes are those of :class:`Recording`."""
+
+    def __init__(self, path: Path, airframe: Airframe, hub: ClockName) -> None:
+        self.path = path
+        self.hub = hub
+        self.airframe = airframe
+        self.settings = Settings()
+        self.replayable = False
+        self.notes = Notes()
+
+    @property
+    def notices(self) -> list[Notice]:
+        """What is wrong or worth knowing; complete once ``records`` is exhausted."""
+        return self.notes.notices
+
+    @property
+    def airframe_text(self) -> str:
+        """The airframe as TOML."""
+        return dump_airframe(self.airframe)

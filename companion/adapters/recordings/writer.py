@@ -16,14 +16,14 @@ from typing import Any
 from mcap.writer import Writer
 
 from companion.adapters.recordings import images, packed
-from companion.adapters.recordings.channels import CAMERA_TOPICS, CHANNELS, IMAGE_SCHEMA, Channel, Recordable
+from companion.adapters.recordings.channels import CAMERA_TOPICS, CHANNELS, IMAGE_SCHEMA, Channel, Recordable, topic_of
 from companion.adapters.recordings.codec import codec_of
 from companion.adapters.recordings.images import ImageFormat
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
 from companion.params.settings import Settings, tunables
-from companion.records import ClockName, Frame, FramePair, ImuBatch
+from companion.records import ClockName, Frame, FramePair
 
 FORMAT_VERSION = 1
 _CHUNK_NS = 1_000_000_000
@@ -127,9 +127,7 @@ class McapWriter:
         listed = CHANNELS.get(type(record))
         if listed is None:
             raise RecordingError(f"{type(record).__name__} has no place in a recording")
-        topic = listed.topic
-        if isinstance(record, ImuBatch):
-            topic = topic.format(station=record.station.name.lower())
+        topic = topic_of(record)
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._register(topic, listed)

@@ -1,0 +1,122 @@
+"""Reads a CSV table of numbers fast, and names file, line and column of whatever is wrong with it."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from companion.errors import RecordingError, TableError
+from companion.records import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table as read: ``columns`` by header name, each (n,), in file order."""
+
+    path: Path
+    columns: dict[str, Floats]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(next(iter(self.columns.values())))
+
+
+def read_table(path: Path, required: tuple[str, ...] = (), may_be_infinite: frozenset[str] = frozenset()) -> Table:
+    """Read a CSV table whose first line is its header; ``t_s`` must be there and increase.
+
+    Columns of ``required`` must be there too; ``inf`` is allowed in those of ``may_be_infinite``. Empty cells and
+    not-a-number are allowed nowhere.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing or is no text.
+    TableError
+        A missing or repeated column, a row with another number of cells, a cell that is empty, not a number or not
+        finite, or a time that does not increase.
+    """
+    header = _header(path)
+    for name in ("t_s", *required):
+        if name not in header:
+            raise TableError(path, 1, f"column '{name}' is missing; the columns are {', '.join(header)}")
+    values = _values(path, header)
+    strict = [i for i, name in enumerate(header) if name not in may_be_infinite]
+    if not np.isfinite(values[:, strict]).all() or np.isnan(values).any():
+        _find_bad_cell(path, header, may_be_infinite)
+    t_s = values[:, header.index("t_s")]
+    back = np.flatnonzero(np.diff(t_s) <= 0)
+    if back.size:
+        row = int(back[0]) + 1
+        line = _line_of_row(path, row)
+        raise TableError(path, line, f"time must increase, but t_s = {t_s[row]:.9g} follows {t_s[row - 1]:.9g}")
+    return Table(path, {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)})
+
+
+def _header(path: Path) -> list[str]:
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            line = file.readline()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: is not a text file") from error
+    header = [name.strip() for name in line.split(",")]
+    if len(header) < 2:
+        raise TableError(path, 1, f"a header of columns separated by commas is expected, not '{line.strip()[:60]}'")
+    for i, name in enumerate(header):
+        if not name:
+            raise TableError(path, 1, f"column {i + 1} has no name")
+        if name in header[:i]:
+            raise TableError(path, 1, f"column '{name}' is there twice")
+    return header
+
+
+def _values(path: Path, header: list[str]) -> Floats:
+    try:
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # "no data": said below
+            values = np.loadtxt(path, delimiter=",", skiprows=1, comments=None, ndmin=2, encoding="utf-8-sig")
+    except (ValueError, UnicodeDecodeError):
+        _find_bad_cell(path, header, frozenset())
+        raise TableError(path, 1, "cannot be read as a table of numbers") from None
+    if values.size == 0:
+        raise TableError(path, 2, "no row of numbers follows the header")
+    if values.shape[1] != len(header):
+        _find_bad_cell(path, header, frozenset())
+    return values
+
+
+def _find_bad_cell(path: Path, header: list[str], may_be_infinite: frozenset[str]) -> None:
+    """Read again line by line and raise for the first cell that is wrong; slow, but only ever once."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        next(file)
+        for number, line in enumerate(file, start=2):
+            if not line.strip():
+                continue
+            cells = line.rstrip("\r\n").split(",")
+            if len(cells) != len(header):
+                raise TableError(path, number, f"{len(cells)} cells, but the header has {len(header)} columns")
+            for name, cell in zip(header, cells, strict=True):
+                _check_cell(path, number, name, cell.strip(), name in may_be_infinite)
+
+
+def _check_cell(path: Path, line: int, name: str, cell: str, may_be_infinite: bool) -> None:
+    if not cell:
+        raise TableError(path, line, f"column '{name}' is empty; leave the whole row out where a sample is missing")
+    try:
+        value = float(cell)
+    except ValueError:
+        raise TableError(path, line, f"column '{name}': '{cell[:40]}' is not a number") from None
+    if math.isnan(value) or (math.isinf(value) and not may_be_infinite):
+        raise TableError(path, line, f"column '{name}': '{cell}' is not a finite number; leave the whole row out")
+
+
+def _line_of_row(path: Path, row: int) -> int:
+    with path.open(encoding="utf-8-sig") as file:
+        next(file)
+        filled = (number for number, line in enumerate(file, start=2) if line.strip())
+        return next(number for i, number in enumerate(filled) if i == row)
