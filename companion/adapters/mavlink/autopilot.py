@@ -167,7 +167,7 @@ class MavlinkAutopilot:
         if system is None:
             return
         if self._timesync.due(now_host_ns):
-            yield self._ask_time()
+            yield from self._ask_time()
         request = self.rates.due(now_host_ns)
         if request is not None:
             self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, request.message, request.interval_us)
@@ -180,7 +180,7 @@ class MavlinkAutopilot:
             counts = {message: n for (message, component), n in delivered.items() if component == AUTOPILOT_COMPONENT}
             self.rates.verify(counts, now_host_ns)
 
-    def _ask_time(self) -> RawChunk:
+    def _ask_time(self) -> Iterator[Record]:
         """Send one TIMESYNC request on all links; it is answered by everyone who keeps a clock."""
         sent_host_ns = self._clock.now_ns()
         frame = mavlink.MAVLink_timesync_message(0, sent_host_ns).pack(self._packer)
@@ -188,8 +188,8 @@ class MavlinkAutopilot:
         for link in self._links:
             link.write(frame)
         chunk = RawChunk(OUTGOING + self._links[0].number, sent_host_ns, bytes(frame))
-        self.decoder.decode(chunk)
-        return chunk
+        yield chunk
+        yield from self.decoder.decode_chunk(chunk)
 
     # -------------------------------------------------------------------------------------------- telling
 

@@ -80,9 +80,10 @@ class StationReader:
             return
         if verdict.dropped:
             self._tally.add(Reject.TIME_BACKWARDS, self.name, verdict.dropped)
-        cut = verdict.restart_at if verdict.restart_at >= 0 else len(t_ns)
+        restart_at = verdict.restart_at
+        cut = max(restart_at, 0)
         for part in (slice(0, cut), slice(cut, None)):
-            if part.start == verdict.restart_at:
+            if part.stop is None and restart_at >= 0:
                 yield ClockRestart(source.clock, received_host_ns)
             keep = verdict.keep[part]
             if keep.any():

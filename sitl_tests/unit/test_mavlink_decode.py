@@ -1,0 +1,429 @@
+"""Wire messages to records: units, axes, instances, time, refusals. Frames are written by pymavlink."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import random
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.decode import OUTGOING, Decoder
+from companion.adapters.mavlink.layouts import TUNNEL_IMU_TYPE
+from companion.errors import ConfigError
+from companion.params.airframe import Airframe, Source
+from companion.params.files import load_airframe
+from companion.records import (
+    AutopilotParameter,
+    Axis,
+    ClockName,
+    ClockRestart,
+    ImuBatch,
+    RawChunk,
+    Record,
+    Reject,
+    Rejected,
+    Station,
+    TimesyncReply,
+    VehicleState,
+)
+
+G = 9.80665
+MS, S = 1_000_000, 1_000_000_000
+
+
+def airframe(**sources: Source) -> Airframe:
+    base = load_airframe("nadir-2m")
+    stations = {place: dataclasses.replace(getattr(base, place), source=source) for place, source in sources.items()}
+    return dataclasses.replace(base, **stations)
+
+
+def packed(message: Any, component: int = 1, system: int = 1) -> bytes:
+    return bytes(message.pack(mavlink.MAVLink(None, system, component)))
+
+
+def highres(
+    t_us: int, values: tuple[float, ...] = (0.1, 0.2, -G, 0.3, 0.4, 0.5), fields: int = 63, number: int = 0
+) -> Any:
+    return mavlink.MAVLink_highres_imu_message(t_us, *values, 0, 0, 0, 0, 0, 0, 20, fields, number)
+
+
+def pilot_heartbeat(armed: bool = False) -> Any:
+    mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+    return mavlink.MAVLink_heartbeat_message(1, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mode, 0, 4, 3)
+
+
+class Stream:
+    """A decoder and the host time of its chunks."""
+
+    def __init__(self, frame: Airframe | None = None) -> None:
+        self.decoder = Decoder(frame or airframe(), component_id=191)
+        self.now = 10 * S
+
+    def __call__(self, *frames: bytes, link: int = 0, after_ns: int = MS) -> list[Record]:
+        self.now += after_ns
+        return self.decoder.decode_chunk(RawChunk(link, self.now, b"".join(frames)))
+
+
+def batches(records: list[Record]) -> list[ImuBatch]:
+    return [record for record in records if isinstance(record, ImuBatch)]
+
+
+def refusals(records: list[Record]) -> dict[Reject, int]:
+    return {record.reason: record.count for record in records if isinstance(record, Rejected)}
+
+
+def test_highres_imu_becomes_one_batch_for_each_station() -> None:
+    stream = Stream()
+    frames = [packed(highres(1000 * k), component) for k in range(4) for component in (201, 1, 200)]
+    found = batches(stream(*frames))
+    assert [batch.station for batch in found] == [Station.ROOT, Station.LEFT, Station.RIGHT]
+    assert [batch.clock for batch in found] == [ClockName.BOOT, ClockName.NODE_LEFT, ClockName.NODE_RIGHT]
+    for batch in found:
+        assert batch.t_ns.tolist() == [0, MS, 2 * MS, 3 * MS]
+        assert batch.axes == Axis.ALL
+        np.testing.assert_allclose(batch.values, np.tile([0.1, 0.2, -G, 0.3, 0.4, 0.5], (4, 1)), rtol=1e-6)
+        assert batch.received_host_ns == stream.now
+
+
+@pytest.mark.parametrize("name", ["RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"])
+def test_integer_messages_are_milli_g_and_milliradians(name: str) -> None:
+    counts = (1000, -500, 250, 1000, -2000, 32767)
+    if name == "RAW_IMU":
+        message = mavlink.MAVLink_raw_imu_message(5_000_000, *counts, 1, 2, 3)
+    else:
+        message = getattr(mavlink, f"MAVLink_{name.lower()}_message")(5000, *counts, 1, 2, 3)
+    stream = Stream(airframe(root=Source(name, 1, ClockName.BOOT, stamp_offset_s=0.0005)))
+    (batch,) = batches(stream(packed(message)))
+    assert batch.t_ns.tolist() == [5_000_500_000]
+    np.testing.assert_allclose(batch.values[0], [G, -G / 2, G / 4, 1.0, -2.0, 32.767], rtol=1e-12)
+
+
+def test_axes_and_signs_turn_acceleration_and_rate_alike() -> None:
+    stream = Stream(airframe(left=Source("HIGHRES_IMU", 200, ClockName.NODE_LEFT, axes=("y", "-x", "z"))))
+    (batch,) = batches(stream(packed(highres(1, (1, 2, 3, 4, 5, 6)), 200)))
+    np.testing.assert_array_equal(batch.values[0], [2, -1, 3, 5, -4, 6])
+
+
+def test_fields_updated_names_the_axes_in_body_directions() -> None:
+    stream = Stream(airframe(left=Source("HIGHRES_IMU", 200, ClockName.NODE_LEFT, axes=("y", "-x", "z"))))
+    sensor_x_and_gyro_z = 1 | 32
+    frames = [packed(highres(k, (1, 2, 3, 4, 5, 6), sensor_x_and_gyro_z if k > 1 else 63), 200) for k in range(4)]
+    whole, part = batches(stream(*frames))
+    assert (len(whole.t_ns), whole.axes) == (2, Axis.ALL)
+    assert part.axes == Axis.Y | Axis.R
+    np.testing.assert_array_equal(part.values, [[0, -1, 0, 0, 0, 6]] * 2)
+    nothing = stream(packed(highres(10, fields=0), 200))
+    assert not batches(nothing)
+    assert refusals(nothing) == {Reject.STALE: 1}
+
+
+def test_axes_that_the_sensor_does_not_send_are_zero_and_not_judged() -> None:
+    base = airframe()
+    frame = dataclasses.replace(base, left=dataclasses.replace(base.left, sends="z"))
+    (batch,) = batches(Stream(frame)(packed(highres(1, (math.nan, 1, -G, math.inf, 1, 1)), 200)))
+    assert batch.axes == Axis.Z
+    np.testing.assert_allclose(batch.values, [[0, 0, -G, 0, 0, 0]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_value_that_is_not_finite_is_refused_and_its_neighbours_are_kept(bad: float) -> None:
+    stream = Stream()
+    records = stream(*(packed(highres(k, (0, 0, bad if k == 2 else -G, 0, 0, 0)), 200) for k in range(1, 5)))
+    (batch,) = batches(records)
+    assert batch.t_ns.tolist() == [1000, 3000, 4000]
+    assert refusals(records) == {Reject.NOT_FINITE: 1}
+
+
+def test_a_stamp_beyond_any_clock_is_refused() -> None:
+    stream = Stream()
+    records = stream(packed(highres(2**64 - 1), 200), packed(highres(5), 200))
+    (batch,) = batches(records)
+    assert batch.t_ns.tolist() == [5000]
+    assert refusals(records) == {Reject.INCONSISTENT: 1}
+
+
+def test_a_component_that_is_not_mapped_is_ignored_and_counted() -> None:
+    stream = Stream()
+    records = stream(packed(highres(1), 158), packed(highres(2), 158))
+    assert not batches(records)
+    assert records == [Rejected(Reject.FOREIGN_SOURCE, "HIGHRES_IMU of 1/158", stream.now, 2)]
+    assert not stream(packed(highres(3), 158))  # reported once a second at most
+    (later,) = stream(packed(highres(4), 158), after_ns=S)
+    assert isinstance(later, Rejected)
+    assert later.count == 2
+    assert not stream(packed(mavlink.MAVLink_raw_imu_message(1, *(9 * [1])), 158), after_ns=S)
+
+
+def test_another_vehicle_is_foreign_once_ours_is_known() -> None:
+    stream = Stream()
+    stream(packed(pilot_heartbeat(), 1, 7))
+    assert stream.decoder.system_id == 7
+    assert refusals(stream(packed(highres(1), 200, 1))) == {Reject.FOREIGN_SOURCE: 1}
+    assert len(batches(stream(packed(highres(1), 200, 7)))) == 1
+
+
+def test_ground_stations_and_companions_are_not_the_autopilot() -> None:
+    stream = Stream()
+    station = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3)
+    companion = mavlink.MAVLink_heartbeat_message(18, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    stream(packed(station, 1, 255), packed(companion, 1, 9), packed(pilot_heartbeat(), 50, 8))
+    assert stream.decoder.system_id is None
+
+
+def test_instances_tell_equal_messages_apart() -> None:
+    frame = airframe(
+        left=Source("HIGHRES_IMU", 200, ClockName.NODE_LEFT, instance="1"),
+        right=Source("HIGHRES_IMU", 200, ClockName.NODE_LEFT, instance="2"),
+    )
+    found = batches(Stream(frame)(*(packed(highres(10 + k, number=k % 3), 200) for k in range(9))))
+    assert [(batch.station, batch.t_ns.tolist()) for batch in found] == [
+        (Station.LEFT, [11_000, 14_000, 17_000]),
+        (Station.RIGHT, [12_000, 15_000, 18_000]),
+    ]
+
+
+def float_array(name: bytes, t_us: int, period_us: int, samples: np.ndarray[Any, Any]) -> bytes:
+    data = [float(len(samples)), *samples.ravel().tolist()]
+    message = mavlink.MAVLink_debug_float_array_message(t_us, name, period_us, data + [0.0] * (58 - len(data)))
+    return packed(message, 200)
+
+
+def tunnel(
+    t_us: int, period_us: int, counts: np.ndarray[Any, Any], scales: tuple[float, float], number: int = 0
+) -> bytes:
+    payload = struct.pack("<QHBBff", t_us, period_us, len(counts), number, *scales) + counts.astype("<i2").tobytes()
+    fields = list(payload.ljust(128, b"\0"))
+    return packed(mavlink.MAVLink_tunnel_message(1, 191, TUNNEL_IMU_TYPE, len(payload), fields), 200)
+
+
+@pytest.mark.parametrize("count", [1, 4, 9])
+def test_float_array_batches_are_laid_out_in_time(count: int) -> None:
+    samples = np.random.default_rng(count).normal(size=(count, 6)).astype(np.float32)
+    stream = Stream(airframe(left=Source("DEBUG_FLOAT_ARRAY", 200, ClockName.NODE_LEFT, instance="tip")))
+    records = stream(
+        float_array(b"tip", 5000, 1000, samples),
+        float_array(b"other", 0, 1000, samples),
+        float_array(b"tip", 5000 + 1000 * count, 1000, samples),
+    )
+    (batch,) = batches(records)
+    assert batch.t_ns.tolist() == [5 * MS + k * MS for k in range(2 * count)]
+    np.testing.assert_array_equal(batch.values, np.concatenate([samples, samples]).astype(float))
+
+
+@pytest.mark.parametrize("count", [0.0, 10.0, 2.5, math.nan, math.inf, -1.0])
+def test_float_arrays_of_an_unknown_size_are_refused(count: float) -> None:
+    stream = Stream(airframe(left=Source("DEBUG_FLOAT_ARRAY", 200, ClockName.NODE_LEFT, instance="tip")))
+    message = mavlink.MAVLink_debug_float_array_message(5000, b"tip", 1000, [count] + 57 * [1.0])
+    records = stream(packed(message, 200))
+    assert not batches(records)
+    assert refusals(records) == {Reject.INCONSISTENT: 1}
+
+
+def test_tunnel_batches_carry_their_scales() -> None:
+    counts = np.random.default_rng(0).integers(-32768, 32767, size=(9, 6))
+    stream = Stream(airframe(left=Source("TUNNEL", 200, ClockName.NODE_LEFT)))
+    other = packed(mavlink.MAVLink_tunnel_message(1, 191, 40_000, 4, [1] * 128), 200)
+    (batch,) = batches(stream(other, tunnel(7000, 500, counts, (0.005, 0.001)), tunnel(1, 1, counts, (1, 1), number=3)))
+    assert batch.t_ns.tolist() == [7 * MS + k * MS // 2 for k in range(9)]
+    np.testing.assert_allclose(batch.values, counts * ([0.005] * 3 + [0.001] * 3), rtol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [math.nan, math.inf])
+def test_a_tunnel_scale_that_is_not_finite_is_refused(scale: float) -> None:
+    stream = Stream(airframe(left=Source("TUNNEL", 200, ClockName.NODE_LEFT)))
+    records = stream(tunnel(7000, 500, np.zeros((2, 6)), (scale, 1.0)))
+    assert not batches(records)
+    assert refusals(records) == {Reject.NOT_FINITE: 2}
+
+
+def test_debug_vect_is_one_accelerometer() -> None:
+    stream = Stream(airframe(left=Source("DEBUG_VECT", 200, ClockName.NODE_LEFT, instance="tip")))
+    frames = [packed(mavlink.MAVLink_debug_vect_message(name, 9, 1, 2, 3), 200) for name in (b"tip", b"mag")]
+    (batch,) = batches(stream(*frames))
+    assert batch.axes == Axis.ACCEL
+    assert batch.t_ns.tolist() == [9000]
+    np.testing.assert_array_equal(batch.values, [[1, 2, 3, 0, 0, 0]])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 60))
+def test_the_samples_do_not_depend_on_where_the_chunks_were_cut(seed: int, pieces: int) -> None:
+    rng = random.Random(seed)
+    data = b"".join(
+        packed(highres(1000 * k, tuple(rng.uniform(-50, 50) for _ in range(6))), component)
+        for k in range(20)
+        for component in (1, 200, 201)
+    )
+    borders = sorted(rng.randint(0, len(data)) for _ in range(pieces))
+    whole, cut = Stream(), Stream()
+    expected = batches(whole(data))
+    parts = [record for a, b in zip([0, *borders], [*borders, len(data)], strict=True) for record in cut(data[a:b])]
+    for batch in expected:
+        mine = [part for part in batches(parts) if part.station == batch.station]
+        np.testing.assert_array_equal(np.concatenate([part.t_ns for part in mine]), batch.t_ns)
+        np.testing.assert_array_equal(np.concatenate([part.values for part in mine]), batch.values)
+
+
+# ------------------------------------------------------------------------------------------------------ time
+
+
+def request(sent_ns: int) -> bytes:
+    return packed(mavlink.MAVLink_timesync_message(0, sent_ns), 191)
+
+
+def answer(sent_ns: int, remote_ns: int, component: int = 1) -> bytes:
+    return packed(mavlink.MAVLink_timesync_message(remote_ns, sent_ns), component)
+
+
+def test_only_answers_to_our_own_requests_count_once_for_each_sender() -> None:
+    stream = Stream()
+    stream(packed(pilot_heartbeat()))
+    stream(request(777), link=OUTGOING)
+    records = stream(
+        answer(778, 5 * S),  # somebody else's
+        answer(777, 5 * S),
+        answer(777, 5 * S + 9),  # the same answer by a longer way
+        answer(777, 3 * S, 200),
+        answer(777, 4 * S, 158),  # a component that keeps no clock of ours
+        request(999),  # a request, though of another
+    )
+    assert records == [
+        TimesyncReply(ClockName.BOOT, 777, 5 * S, stream.now),
+        TimesyncReply(ClockName.NODE_LEFT, 777, 3 * S, stream.now),
+    ]
+
+
+def test_a_reboot_is_told_once_and_no_stamp_of_the_other_epoch_passes() -> None:
+    stream = Stream(
+        airframe(left=Source("SCALED_IMU2", 1, ClockName.BOOT), right=Source("SCALED_IMU3", 1, ClockName.BOOT))
+    )
+
+    def three(t_ms: int) -> list[bytes]:
+        scaled = (mavlink.MAVLink_scaled_imu2_message, mavlink.MAVLink_scaled_imu3_message)
+        return [packed(highres(1000 * t_ms))] + [packed(kind(t_ms, *(9 * [1]))) for kind in scaled]
+
+    for k in range(5):
+        assert len(batches(stream(*three(60_000 + k)))) == 3
+    after = [record for k in range(10) for record in stream(*three(2_000 + k))]
+    restarts = [record for record in after if isinstance(record, ClockRestart)]
+    assert [record.clock for record in restarts] == [ClockName.BOOT]
+    told = after.index(restarts[0])
+    assert not batches(after[:told])
+    assert {batch.station for batch in batches(after[told:])} == set(Station)
+    assert all(batch.t_ns.max() < 3 * S for batch in batches(after[told:]))
+
+
+def test_one_late_datagram_is_no_reboot() -> None:
+    stream = Stream()
+    stream(packed(highres(60_000_000), 200))
+    late = stream(packed(highres(50_000_000), 200), packed(highres(50_001_000), 200))
+    assert refusals(late) == {Reject.TIME_BACKWARDS: 2}
+    assert not batches(late)
+    (batch,) = batches(stream(packed(highres(60_001_000), 200)))
+    assert batch.t_ns.tolist() == [60_001 * MS]
+
+
+def test_a_timesync_answer_shows_a_reboot_at_once() -> None:
+    stream = Stream()
+    stream(packed(pilot_heartbeat()))
+    for k, remote_ns in enumerate((90 * S, 2 * S)):
+        stream(request(k), link=OUTGOING)
+        records = stream(answer(k, remote_ns))
+    assert records == [
+        ClockRestart(ClockName.BOOT, stream.now),
+        TimesyncReply(ClockName.BOOT, 1, 2 * S, stream.now),
+    ]
+
+
+def test_a_silent_source_joins_the_new_epoch_within_a_second() -> None:
+    stream = Stream(airframe(left=Source("SCALED_IMU2", 1, ClockName.BOOT)))
+    left = packed(mavlink.MAVLink_scaled_imu2_message(1_000, *(9 * [1])))
+    stream(left)  # long before the root's clock steps back, and never behind it
+    for t_us in (60_000_000, 1_100_000, 1_101_000, 1_102_000):
+        stream(packed(highres(t_us)))
+    assert not batches(stream(packed(mavlink.MAVLink_scaled_imu2_message(1_200, *(9 * [1])))))
+    assert batches(stream(packed(mavlink.MAVLink_scaled_imu2_message(2_300, *(9 * [1]))), after_ns=S + MS))
+
+
+# -------------------------------------------------------------------------------------------- rare messages
+
+
+def test_flight_state_and_parameters_come_from_the_autopilot_alone() -> None:
+    stream = Stream()
+    attitude = mavlink.MAVLink_attitude_message(4000, 0.1, -0.2, 0.3, 0, 0, 0)
+    air = mavlink.MAVLink_vfr_hud_message(17.5, 18, 90, 55, 120, -1.5)
+    loop = mavlink.MAVLink_param_value_message(b"SCHED_LOOP_RATE", 400.0, 9, 1, 5)
+    other = mavlink.MAVLink_param_value_message(b"ARSPD_TYPE", 1.0, 9, 1, 5)
+    sick = mavlink.MAVLink_param_value_message(b"INS_GYRO_FILTER", math.nan, 9, 1, 5)
+    records = stream(*map(packed, (pilot_heartbeat(armed=True), air, attitude, loop, other, sick)), packed(loop, 200))
+    state, parameter, refused = records
+    assert isinstance(state, VehicleState)
+    assert (state.t_boot_ns, state.armed, state.throttle) == (4 * S, True, 0.55)
+    np.testing.assert_allclose([state.roll_rad, state.pitch_rad, state.yaw_rad], [0.1, -0.2, 0.3], rtol=1e-6)
+    assert (state.airspeed_mps, state.climb_mps) == (17.5, -1.5)
+    assert parameter == AutopilotParameter("SCHED_LOOP_RATE", 400.0, stream.now)
+    assert isinstance(refused, Rejected)
+    assert refused.reason == Reject.NOT_FINITE
+
+
+def test_flight_state_is_thinned_to_fifty_a_second() -> None:
+    stream = Stream()
+    stream(packed(pilot_heartbeat()), packed(mavlink.MAVLink_vfr_hud_message(17, 18, 90, 55, 120, 0)))
+    frames = [packed(mavlink.MAVLink_attitude_message(3 * k, 0, 0, 0, 0, 0, 0)) for k in range(334)]
+    states = [record for record in stream(*frames) if isinstance(record, VehicleState)]
+    assert 45 <= len(states) <= 50
+
+
+def test_our_own_frames_that_come_back_are_not_heard() -> None:
+    stream = Stream()
+    stream(packed(pilot_heartbeat()))
+    chunk = RawChunk(0, stream.now, packed(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 191))
+    assert not stream.decoder.decode(chunk).heard
+    assert stream.decoder.echoes == 1
+
+
+def test_replaying_the_chunks_gives_the_same_records() -> None:
+    rng = random.Random(1)
+    chunks = []
+    for k in range(200):
+        t_us = 1_000_000 + 1000 * k if k < 150 else 1000 * k - 150_000
+        frames = [packed(highres(t_us), component) for component in (1, 200, 201, 158)]
+        frames += [packed(pilot_heartbeat()), answer(k - 1, t_us * 1000), rng.randbytes(20)]
+        chunks += [RawChunk(OUTGOING, k * 5 * MS, request(k)), RawChunk(0, k * 5 * MS + MS, b"".join(frames))]
+    runs = []
+    for _ in range(2):
+        decoder = Decoder(airframe(), 191)
+        runs.append([repr(record) for chunk in chunks for record in decoder.decode_chunk(chunk)])
+    assert runs[0] == runs[1]
+    assert any("ClockRestart" in record for record in runs[0])
+    assert any("TimesyncReply" in record for record in runs[0])
+
+
+# ------------------------------------------------------------------------------------------------- mapping
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        (Source("HIGHRES_IMU", 201, ClockName.NODE_RIGHT), "same source as left"),
+        (Source("HIGHRES_IMU", 201, ClockName.NODE_RIGHT, instance="0"), "same source as left"),
+        (Source("VIBRATION", 201, ClockName.NODE_RIGHT), "not an inertial message"),
+        (Source("DEBUG_VECT", 201, ClockName.NODE_RIGHT), "needs 'instance'"),
+        (Source("RAW_IMU", 201, ClockName.NODE_LEFT), "two clocks"),
+        (Source("RAW_IMU", 202, ClockName.NODE_LEFT, axes=("x", "x", "z")), "each of x, y, z once"),
+        (Source("RAW_IMU", 202, ClockName.NODE_LEFT, axes=("x", "up", "z")), "must be x, y or z"),
+        (Source("RAW_IMU", 202, ClockName.NODE_LEFT, axes=("x", "y", "-z")), "mirror"),
+    ],
+)
+def test_a_wrong_mapping_is_named(source: Source, says: str) -> None:
+    left = Source("HIGHRES_IMU", 201, ClockName.NODE_RIGHT)
+    with pytest.raises(ConfigError, match=r"nadir-2m.*right") as caught:
+        Decoder(airframe(left=left, right=source), 191)
+    assert says in str(caught.value)
