@@ -1,0 +1,141 @@
+"""Sparse metric matches for long range: corners, epipolar search under the predicted bend, subpixel refinement, checks.
+
+Nothing is resampled for the final position: features are refined in the raw images, and the moving extrinsics are
+applied to the points later (:mod:`companion.core.stereo.ranging`). Only the coarse search works on small rectified
+images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.rectify import Rectification, rectification, rectify_pair
+from companion.core.stereo.refine import HALF_WINDOW, refine
+from companion.core.stereo.search import Band, Search, bands, seek
+from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side
+
+_CORNER_QUALITY = 0.01
+_CORNER_SPACING_PX = 14
+_BORDER_PX = HALF_WINDOW + 3
+_COARSE_WIDTH_PX = 320
+_COARSE_SCORE = 0.6
+_FINE_SCORE = 0.85
+# Of 1 - correlation: the best must leave this much less unexplained than any other place, and a little in any case.
+_UNIQUENESS = 0.8
+_UNIQUE_MARGIN = 0.02
+# How far the way back may miss: patches a fraction of a pixel apart, on a slanted surface, differ by this much.
+_RETURN_PX = 0.1
+_RETURN_SIGMAS = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """Matched features in raw pixels: ``left_px``, ``right_px`` (n, 2), ``sigma_px`` (n,) along the epipolar line."""
+
+    left_px: Floats
+    right_px: Floats
+    sigma_px: Floats
+
+    def __len__(self) -> int:
+        return len(self.sigma_px)
+
+
+def match(left: Bytes, right: Bytes, rig: Rig, search: Search, most: int = 200) -> Matches:
+    """Match features of a raw image pair.
+
+    Parameters
+    ----------
+    left, right : (rows, columns) uint8
+        Raw images.
+    rig : Rig
+        Lenses and mounting.
+    search : Search
+        Predicted poses, their tolerance and the range limits.
+    most : int
+        Largest number of features that are tried.
+    """
+    frame = rectification(rig, search.left, search.right)
+    corners = _corners(left, 2 * most)
+    seen = frame.to_rectified(rig.left, search.left, corners.astype(np.float64))
+    band = bands(search, frame, seen, Side.LEFT)
+    chosen = np.flatnonzero(_reachable(band, frame))[:most]
+    corners, seen, band = corners[chosen], seen[chosen], _rows(band, chosen)
+
+    level = max(0, round(np.log2(left.shape[1] / _COARSE_WIDTH_PX)))
+    small = rectify_pair(frame, rig, left, right, level)
+    coarse = seek(*small, seen * 0.5**level, _scale(band, 0.5**level))
+    kept = _distinct(coarse.score, coarse.runner_up)
+    found = coarse.position_px[kept] / 0.5**level
+    start = frame.to_raw(rig.right, search.right, found)
+    fine = refine(left, right, corners[kept], start, _epipolar_direction(frame, rig, search, found, start))
+    good = fine.good & (fine.correlation > _FINE_SCORE)
+    good[good] = _returns(left, right, fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
+    return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
+
+
+def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int, most: int = 200) -> MatchSet:
+    """Match a frame pair and give the record that is handed on (and recorded for replay)."""
+    matches = match(pair.left.image, pair.right.image, rig, search, most)
+    return MatchSet(
+        pair_id=pair.pair_id,
+        plan_id=pair.left.plan_id,
+        clocks=(pair.left.clock, pair.right.clock),
+        mid_exposure_ns=np.array([pair.left.mid_exposure_ns, pair.right.mid_exposure_ns], dtype=np.int64),
+        exposure_ns=pair.left.exposure_ns,
+        row_time_ns=pair.left.row_time_ns,
+        left_px=matches.left_px,
+        right_px=matches.right_px,
+        sigma_px=matches.sigma_px,
+        matched_host_ns=matched_host_ns,
+    )
+
+
+def _corners(image: Bytes, most: int) -> Ints:
+    """Column, row of the strongest corners (n, 2), best first, away from the border."""
+    mask = np.zeros_like(image)
+    mask[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = 1
+    corners = cv2.goodFeaturesToTrack(image, most, _CORNER_QUALITY, _CORNER_SPACING_PX, mask=mask, blockSize=5)
+    if corners is None:
+        return np.empty((0, 2), dtype=np.int64)
+    whole: Ints = np.rint(corners.reshape(-1, 2)).astype(np.int64)
+    return whole
+
+
+def _reachable(band: Band, frame: Rectification) -> Bools:
+    width, height = frame.size_px
+    inside = (band.right >= _BORDER_PX) & (band.left < width - _BORDER_PX)
+    return inside & (band.bottom >= _BORDER_PX) & (band.top < height - _BORDER_PX)
+
+
+def _returns(left: Bytes, right: Bytes, left_px: Floats, right_px: Floats, sigma_px: Floats) -> Bools:
+    """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check)."""
+    whole = np.rint(right_px).astype(np.int64)
+    expected = left_px + (whole - right_px)
+    back = refine(right, left, whole, expected, np.tile([1.0, 0.0], (len(whole), 1)), iterations=2)
+    gap = np.linalg.norm((back.right_px - back.left_px) - (left_px - right_px), axis=1)
+    returned: Bools = back.good & (gap < _RETURN_PX + _RETURN_SIGMAS * sigma_px)
+    return returned
+
+
+def _distinct(score: Floats, runner_up: Floats) -> Bools:
+    distinct: Bools = (score > _COARSE_SCORE) & (1.0 - score + _UNIQUE_MARGIN < _UNIQUENESS * (1.0 - runner_up))
+    return distinct
+
+
+def _scale(band: Band, factor: float) -> Band:
+    return Band(band.left * factor, band.right * factor, band.top * factor, band.bottom * factor)
+
+
+def _rows(band: Band, index: Ints) -> Band:
+    return Band(band.left[index], band.right[index], band.top[index], band.bottom[index])
+
+
+def _epipolar_direction(frame: Rectification, rig: Rig, search: Search, rectified_px: Floats, raw_px: Floats) -> Floats:
+    """Unit direction (n, 2) in the raw right image in which a match moves with disparity."""
+    moved = frame.to_raw(rig.right, search.right, rectified_px + np.array([1.0, 0.0])) - raw_px
+    direction: Floats = moved / np.linalg.norm(moved, axis=1, keepdims=True)
+    return direction

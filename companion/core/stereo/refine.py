@@ -1,0 +1,196 @@
+"""Subpixel refinement of matches without pixel locking, and the sigma of each.
+
+Inverse-compositional Gauss-Newton on raw images: the left patch at whole pixels is the template, the right image is
+interpolated with six taps per axis (Keys' fourth-order cubic convolution), which leaves no bias toward whole or half
+pixels as a bilinear Lucas-Kanade tracker does. Brightness offset and gain of each patch are free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from companion.records import Bools, Bytes, Floats, Ints
+
+Patches = npt.NDArray[np.float32]
+
+HALF_WINDOW = 10
+_WINDOW = 2 * HALF_WINDOW + 1
+_TAPS = 6
+_BEFORE = 2  # taps before the pixel that the coordinate falls into
+_CONVERGED_PX = 0.02
+# Interpolation and lens leave about this much that no patch can tell from displacement.
+_FLOOR_PX = 0.006
+_FITTED = 4.0  # displacement in two axes, brightness offset and gain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """Refined matches; entries where ``good`` is false mean nothing.
+
+    Attributes
+    ----------
+    left_px, right_px : (n, 2) float64
+        The left point is where the patch's texture has its weight, so that a disparity that grows across the patch (a
+        slanted surface) does not bias the match.
+    sigma_px : (n,) float64
+        One-sigma along the given direction.
+    correlation : (n,) float64
+        Weighted normalised correlation of the two patches.
+    good : (n,) bool
+    """
+
+    left_px: Floats
+    right_px: Floats
+    sigma_px: Floats
+    correlation: Floats
+    good: Bools
+
+
+def refine(left: Bytes, right: Bytes, left_px: Ints, start_px: Floats, along: Floats, iterations: int = 3) -> Refined:
+    """Refine matches from a start that is right to about a pixel.
+
+    Parameters
+    ----------
+    left, right : (rows, columns) uint8
+        Raw images.
+    left_px : (n, 2) int64
+        Column, row of the patch centres; at least ``HALF_WINDOW + 2`` from the border.
+    start_px : (n, 2) float64
+        Expected right pixels.
+    along : (n, 2) float64
+        Unit direction of the epipolar line in the right image, for the sigma.
+    iterations : int
+        Steps that are made; a match that still moves after them is not good.
+    """
+    template = _Template(_gather(left, left_px, HALF_WINDOW + 2))
+    position = np.array(start_px, dtype=np.float64)
+    step = np.full_like(position, np.inf)
+    inside = _inside(right, position)
+    residual, correlation = np.zeros((len(position), _WINDOW**2), dtype=np.float32), np.zeros(len(position))
+    for _ in range(iterations):
+        inside &= _inside(right, position)
+        held = np.where(inside[:, np.newaxis], position, HALF_WINDOW + _TAPS)
+        residual, correlation = template.compare(_interpolated(right, held))
+        step = template.step(residual)
+        position = held - step
+    sigma, centroid = template.quality(residual, along)
+    strayed = np.linalg.norm(position - start_px, axis=1)
+    settled = (np.abs(step).max(axis=1) < _CONVERGED_PX) & (strayed < 0.5 * HALF_WINDOW) if len(position) else inside
+    good = inside & settled & np.isfinite(sigma)
+    return Refined(left_px + centroid, position + centroid, sigma, correlation, good)
+
+
+class _Template:
+    """The left patches with what does not change during the iteration."""
+
+    def __init__(self, patches: Patches) -> None:
+        inner = patches[:, 2:-2, 2:-2].reshape(-1, _WINDOW**2)
+        self._texture = inner - (inner @ _WEIGHT)[:, np.newaxis]
+        self._power = (self._texture**2) @ _WEIGHT
+        gradient = np.stack([_slope(patches[:, 2:-2], 2), _slope(patches[:, :, 2:-2], 1)], axis=1)
+        gradient = gradient.reshape(-1, 2, _WINDOW**2)
+        self._gradient = gradient - (gradient @ _WEIGHT)[..., np.newaxis]
+        weighted = self._gradient * _WEIGHT
+        self._inverse = _inverse2((weighted @ self._gradient.transpose(0, 2, 1)).astype(np.float64))
+        self._weighted = weighted
+
+    def compare(self, patches: Patches) -> tuple[Patches, Floats]:
+        """Residual of brightness-adjusted right patches (n, window^2), and the correlation (n,)."""
+        other = patches - (patches @ _WEIGHT)[:, np.newaxis]
+        product = (other * self._texture) @ _WEIGHT
+        power = np.maximum((other**2) @ _WEIGHT, 1e-9)
+        correlation: Floats = np.asarray(product / np.sqrt(power * np.maximum(self._power, 1e-9)), dtype=np.float64)
+        residual = (product / power)[:, np.newaxis] * other - self._texture
+        return np.asarray(residual, dtype=np.float32), correlation
+
+    def step(self, residual: Patches) -> Floats:
+        """Displacement (n, 2) that the residual asks for."""
+        pull = (self._weighted @ residual[..., np.newaxis])[..., 0]
+        move: Floats = np.einsum("nij,nj->ni", self._inverse, pull.astype(np.float64))
+        return np.clip(move, -1.0, 1.0)
+
+    def quality(self, residual: Patches, along: Floats) -> tuple[Floats, Floats]:
+        """Sigma (n,) along a direction, px, and the patch's centre of weight (n, 2) for displacement that way."""
+        noise = ((residual**2) @ _WEIGHT).astype(np.float64) * _DEGREES
+        pulled = np.einsum("nij,nj->ni", self._inverse, along).astype(np.float32)
+        lever = (pulled[:, np.newaxis] @ self._weighted)[:, 0]
+        spread = (lever.astype(np.float64) ** 2).sum(axis=1)
+        direct = (along.astype(np.float32)[:, np.newaxis] @ self._gradient)[:, 0]
+        centroid = (lever * direct).astype(np.float64) @ _OFFSETS
+        return np.sqrt(noise * spread + _FLOOR_PX**2), centroid
+
+
+def _window_weight() -> Patches:
+    """Gaussian window, sum 1: what is near the centre counts most."""
+    across = np.arange(-HALF_WINDOW, HALF_WINDOW + 1)
+    profile = np.exp(-0.5 * (across / (0.5 * HALF_WINDOW)) ** 2)
+    weight = np.outer(profile, profile)
+    flat: Patches = (weight / weight.sum()).astype(np.float32).ravel()
+    return flat
+
+
+_WEIGHT = _window_weight()
+_EFFECTIVE = 1.0 / float((_WEIGHT.astype(np.float64) ** 2).sum())
+_DEGREES = _EFFECTIVE / (_EFFECTIVE - _FITTED)
+_OFFSETS = np.stack(
+    np.meshgrid(np.arange(-HALF_WINDOW, HALF_WINDOW + 1.0), np.arange(-HALF_WINDOW, HALF_WINDOW + 1.0)), axis=-1
+).reshape(-1, 2)
+
+
+def _slope(patches: Patches, axis: int) -> Patches:
+    """Derivative along an axis by the five-point formula; that axis loses two samples at each end."""
+    p = np.moveaxis(patches, axis, -1)
+    slope = (8.0 * (p[..., 3:-1] - p[..., 1:-3]) - (p[..., 4:] - p[..., :-4])) / 12.0
+    return np.moveaxis(slope, -1, axis).astype(np.float32)
+
+
+def _inverse2(matrix: Floats) -> Floats:
+    """Inverse of (n, 2, 2) positive matrices; NaN where singular."""
+    a, b, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
+    determinant = a * d - b * b
+    determinant = np.where(determinant > 1e-6 * (a + d) ** 2 + 1e-12, determinant, np.nan)
+    return np.stack([np.stack([d, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2) / determinant[:, None, None]
+
+
+def _inside(image: Bytes, position: Floats) -> Bools:
+    margin = HALF_WINDOW + _TAPS // 2 + 1
+    limit = np.array([image.shape[1] - 1 - margin, image.shape[0] - 1 - margin])
+    inside: Bools = np.all((position >= margin) & (position <= limit), axis=1)
+    return inside
+
+
+def _gather(image: Bytes, centre: Ints, before: int, after: int | None = None) -> Patches:
+    """Square patches (n, m, m) around whole pixels."""
+    size = before + (before if after is None else after) + 1
+    windows = np.lib.stride_tricks.sliding_window_view(image, (size, size))
+    return windows[centre[:, 1] - before, centre[:, 0] - before].astype(np.float32)
+
+
+def _interpolated(image: Bytes, position: Floats) -> Patches:
+    """Patches (n, window^2) of the image around fractional positions, by separable six-tap interpolation."""
+    whole = np.floor(position).astype(np.int64)
+    patches = _gather(image, whole, HALF_WINDOW + _BEFORE, HALF_WINDOW + _TAPS - 1 - _BEFORE)
+    taps = keys_taps(position - whole).astype(np.float32)
+    n, across = len(position), np.arange(_WINDOW)
+    blend = np.zeros((2, n, _WINDOW + _TAPS - 1, _WINDOW), dtype=np.float32)
+    for tap in range(_TAPS):
+        blend[0][:, across + tap, across] = taps[:, 0, tap, np.newaxis]
+        blend[1][:, across + tap, across] = taps[:, 1, tap, np.newaxis]
+    resampled: Patches = (blend[1].transpose(0, 2, 1) @ (patches @ blend[0])).reshape(n, _WINDOW**2)
+    return resampled
+
+
+def keys_taps(fraction: Floats) -> Floats:
+    """Weights (..., 6) of Keys' six-point interpolation at a fraction in [0, 1) after the third tap.
+
+    Source: R. G. Keys, "Cubic convolution interpolation for digital image processing", IEEE Trans. ASSP 29(6), 1981.
+    """
+    x = np.abs(np.asarray(fraction)[..., np.newaxis] + _BEFORE - np.arange(_TAPS))
+    near = (4.0 / 3.0 * x - 7.0 / 3.0) * x * x + 1.0
+    middle = ((-7.0 / 12.0 * x + 3.0) * x - 59.0 / 12.0) * x + 2.5
+    far = ((x / 12.0 - 2.0 / 3.0) * x + 21.0 / 12.0) * x - 1.5
+    taps: Floats = np.where(x < 1.0, near, np.where(x < 2.0, middle, np.where(x < 3.0, far, 0.0)))
+    return taps

@@ -1,0 +1,203 @@
+"""Matching against exactly known image pairs: unbiased to hundredths of a pixel, honest sigma, no false matches."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.matching import Matches, match, match_pair
+from companion.core.stereo.refine import keys_taps
+from companion.core.stereo.search import Search, expected_search, trim_search
+from companion.params.airframe import Airframe
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, Frame, FramePair, Side
+from sitl_tests.unit.stereo_scene import TexturedPlane, photograph
+
+SETTINGS = Settings()
+SLOPES = (0.0222, 0.0186)  # near the trim of nadir-2m, with 1.8 mrad of antisymmetric bend
+
+
+@pytest.fixture(scope="module")
+def airframe() -> Airframe:
+    return load_airframe("nadir-2m")
+
+
+@pytest.fixture(scope="module")
+def rig(airframe: Airframe) -> Rig:
+    return Rig.from_airframe(airframe)
+
+
+def _poses(rig: Rig, slopes: tuple[float, float] = SLOPES) -> tuple[Pose, Pose]:
+    return rig.pose(Side.LEFT, slopes[0], 0.0149), rig.pose(Side.RIGHT, slopes[1], 0.0149)
+
+
+def _pair(
+    rig: Rig, poses: tuple[Pose, Pose], plane: TexturedPlane, noise: float = 1.5
+) -> tuple[np.ndarray, np.ndarray]:
+    left = photograph(plane, rig.left, poses[0], noise_grey=noise, seed=11)
+    return left, photograph(plane, rig.right, poses[1], noise_grey=noise, seed=12)
+
+
+def _errors(rig: Rig, poses: tuple[Pose, Pose], plane: TexturedPlane, matches: Matches) -> np.ndarray:
+    """Right pixels found minus right pixels of the plane's points that the left pixels show: (n, 2)."""
+    rays = rig.left.rays(poses[0], matches.left_px)
+    reach = (plane.distance_m - plane.normal @ poses[0].position_body_m) / (rays @ plane.normal)
+    points = poses[0].position_body_m + rays * reach[:, None]
+    return matches.right_px - rig.project(Side.RIGHT, poses[1], points)
+
+
+@pytest.mark.parametrize("range_m", [4.3, 12.0, 60.0, 190.0])
+def test_matches_are_unbiased_and_their_sigma_is_honest(rig: Rig, airframe: Airframe, range_m: float) -> None:
+    plane, poses = TexturedPlane.facing((0, 0, 1), range_m, 800.0, seed=int(range_m)), _poses(rig)
+    matches = match(*_pair(rig, poses, plane), rig, trim_search(rig, airframe, SETTINGS))
+    errors = _errors(rig, poses, plane, matches)
+    assert len(matches) > 60
+    assert np.abs(errors).max() < 0.15
+    assert abs(errors[:, 0].mean()) < 0.006
+    assert 0.6 < np.sqrt(np.mean((errors[:, 0] / matches.sigma_px) ** 2)) < 1.3
+
+
+def test_no_pixel_locking_whatever_the_fraction_of_a_pixel(rig: Rig) -> None:
+    """Disparities with fractions 0, 1/8, ... 7/8 px: the mean error hardly follows them, unlike bilinear tracking."""
+    poses, errors, bilinear = _poses(rig, (0.0, 0.0)), [], []
+    for eighth in range(8):
+        range_m = 800.0 * 1.98 / (40.0 + eighth / 8.0)
+        plane = TexturedPlane.facing((0, 0, 1), range_m - 0.0149, 800.0, seed=5, waves=40)
+        search = expected_search(rig, SETTINGS, (0.0, 0.0), (0.0149, 0.0149), 0.001)
+        images = _pair(rig, poses, plane, noise=0.0)
+        matches = match(*images, rig, search, most=80)
+        errors.append(_errors(rig, poses, plane, matches)[:, 0].mean())
+        bilinear.append(_errors(rig, poses, plane, _lucas_kanade(images, matches))[:, 0].mean())
+    assert np.ptp(errors) < 0.01
+    assert np.ptp(errors) < 0.4 * np.ptp(bilinear)
+
+
+def _lucas_kanade(images: tuple[np.ndarray, np.ndarray], matches: Matches) -> Matches:
+    """The same matches refined by OpenCV's bilinear tracker."""
+    left = np.rint(matches.left_px).astype(np.float32)
+    start = (left + matches.right_px - matches.left_px).astype(np.float32)
+    flags, stop = cv2.OPTFLOW_USE_INITIAL_FLOW, (3, 30, 1e-3)
+    right, _, _ = cv2.calcOpticalFlowPyrLK(
+        *images, left[:, None], start[:, None], winSize=(21, 21), maxLevel=0, flags=flags, criteria=stop
+    )
+    return Matches(left.astype(float), right[:, 0].astype(float), matches.sigma_px)
+
+
+def test_a_slanted_surface_does_not_bias(rig: Rig, airframe: Airframe) -> None:
+    """Ground rolled by 35 degrees: disparity changes by 1.5 px across a patch of 21 px."""
+    plane = TexturedPlane.facing((0.0, np.sin(0.6), np.cos(0.6)), 18.0, 800.0, seed=3)
+    poses = _poses(rig)
+    matches = match(*_pair(rig, poses, plane), rig, trim_search(rig, airframe, SETTINGS))
+    errors = _errors(rig, poses, plane, matches)
+    assert len(matches) > 60
+    assert abs(errors[:, 0].mean()) < 0.01
+    assert np.median(np.abs(errors[:, 0])) < 0.03
+
+
+def test_a_forward_pair_finds_its_matches_through_roll(airframe: Airframe) -> None:
+    assert airframe.left_camera is not None
+    assert airframe.right_camera is not None
+    forward = dataclasses.replace(
+        airframe,
+        left_camera=dataclasses.replace(airframe.left_camera, axes=("y", "z", "x")),
+        right_camera=dataclasses.replace(airframe.right_camera, axes=("y", "z", "x")),
+    )
+    rig = Rig.from_airframe(forward)
+    poses = _poses(rig)
+    plane = TexturedPlane.facing((1, 0, 0), 40.0, 800.0, seed=2)
+    matches = match(*_pair(rig, poses, plane), rig, trim_search(rig, forward, SETTINGS))
+    errors = _errors(rig, poses, plane, matches)
+    assert len(matches) > 100
+    assert np.abs(errors.mean(axis=0)).max() < 0.01
+
+
+def test_lens_distortion_is_searched_and_matched_through(airframe: Airframe) -> None:
+    assert airframe.left_camera is not None
+    assert airframe.right_camera is not None
+    bent = dataclasses.replace(
+        airframe,
+        left_camera=dataclasses.replace(airframe.left_camera, distortion=(-0.25, 0.08, 0.001, -0.0005, 0.0)),
+        right_camera=dataclasses.replace(airframe.right_camera, distortion=(-0.22, 0.06, -0.0004, 0.0008, 0.0)),
+    )
+    rig = Rig.from_airframe(bent)
+    plane, poses = TexturedPlane.facing((0, 0, 1), 25.0, 800.0, seed=8), _poses(rig)
+    matches = match(*_pair(rig, poses, plane), rig, trim_search(rig, bent, SETTINGS))
+    errors = _errors(rig, poses, plane, matches)
+    assert len(matches) > 80
+    assert np.abs(errors.mean(axis=0)).max() < 0.01
+
+
+def test_exposure_differences_between_the_cameras_do_not_matter(rig: Rig, airframe: Airframe) -> None:
+    plane, poses = TexturedPlane.facing((0, 0, 1), 50.0, 800.0, seed=4), _poses(rig)
+    left, right = _pair(rig, poses, plane)
+    darker = np.clip(np.rint(right * 0.7 + 10.0), 0, 255).astype(np.uint8)
+    matches = match(left, darker, rig, trim_search(rig, airframe, SETTINGS))
+    assert len(matches) > 100
+    assert abs(_errors(rig, poses, plane, matches)[:, 0].mean()) < 0.006
+
+
+def test_a_repeated_pattern_is_not_matched(rig: Rig, airframe: Airframe) -> None:
+    """A grid of equal dots has many equal answers along the epipolar line; none may be given."""
+    left = np.full((480, 640), 60, np.uint8)
+    for row in range(20, 480, 24):
+        for column in range(20, 640, 24):
+            left[row - 3 : row + 4, column - 3 : column + 4] = 200
+    matches = match(left, np.roll(left, -26, axis=1), rig, trim_search(rig, airframe, SETTINGS))
+    assert len(matches) == 0
+
+
+def test_images_of_different_places_give_almost_no_matches(rig: Rig, airframe: Airframe) -> None:
+    poses = _poses(rig)
+    left = photograph(TexturedPlane.facing((0, 0, 1), 50.0, 800.0, seed=4), rig.left, poses[0])
+    right = photograph(TexturedPlane.facing((0, 0, 1), 50.0, 800.0, seed=9), rig.right, poses[1])
+    assert len(match(left, right, rig, trim_search(rig, airframe, SETTINGS))) <= 2
+
+
+@pytest.mark.parametrize("grey", [0, 128, 255])
+def test_an_empty_image_has_no_matches(rig: Rig, airframe: Airframe, grey: int) -> None:
+    blank = np.full((480, 640), grey, np.uint8)
+    assert len(match(blank, blank, rig, trim_search(rig, airframe, SETTINGS))) == 0
+
+
+def test_a_bend_outside_the_stated_tolerance_is_not_forced_into_it(rig: Rig) -> None:
+    """Searched at rest from 4 m to 200 m, a pair that converges by 41 mrad shows far ground at -29 px: no match."""
+    plane, poses = TexturedPlane.facing((0, 0, 1), 400.0, 800.0, seed=6), _poses(rig, (-0.0205, -0.0205))
+    search = expected_search(rig, SETTINGS, (0.0, 0.0), (0.0, 0.0), 0.001)
+    assert len(match(*_pair(rig, poses, plane), rig, search)) == 0
+
+
+def test_the_pair_record_carries_ids_and_times(rig: Rig, airframe: Airframe) -> None:
+    poses = _poses(rig)
+    plane = TexturedPlane.facing((0, 0, 1), 30.0, 800.0, seed=7)
+    images = _pair(rig, poses, plane)
+    clocks = (ClockName.CAM_LEFT, ClockName.CAM_RIGHT)
+    left, right = (
+        Frame(side, 5, clock, 1_000_000 + side, 2_000_000, 30_000, 77, image)
+        for side, clock, image in zip(Side, clocks, images, strict=True)
+    )
+    record = match_pair(FramePair(9, left, right), rig, trim_search(rig, airframe, SETTINGS), 123)
+    assert (record.pair_id, record.plan_id, record.clocks, record.matched_host_ns) == (9, 77, clocks, 123)
+    assert record.mid_exposure_ns.tolist() == [1_000_000, 1_000_001]
+    assert (record.exposure_ns, record.row_time_ns) == (2_000_000, 30_000)
+    assert record.left_px.shape == record.right_px.shape == (len(record.sigma_px), 2)
+
+
+def test_search_type_is_what_is_documented(rig: Rig, airframe: Airframe) -> None:
+    search = trim_search(rig, airframe, SETTINGS)
+    assert isinstance(search, Search)
+    relative = search.right.camera_from_body @ search.left.camera_from_body.T
+    assert relative[0, 2] == pytest.approx(-2 * 1.39 * 0.0149, abs=1e-4)  # 41 mrad of divergence at trim
+
+
+def test_six_taps_reproduce_cubics_and_whole_pixels() -> None:
+    np.testing.assert_allclose(keys_taps(np.array(0.0)), [0, 0, 1, 0, 0, 0], atol=1e-15)
+    nodes = np.arange(-2.0, 4.0)
+    for fraction in np.linspace(0.0, 0.99, 12):
+        taps = keys_taps(np.array(fraction))
+        for power in range(4):
+            assert taps @ nodes**power == pytest.approx(fraction**power, abs=1e-12)
