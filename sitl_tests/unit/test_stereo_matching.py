@@ -82,10 +82,10 @@ def _lucas_kanade(images: tuple[np.ndarray, np.ndarray], matches: Matches) -> Ma
     left = np.rint(matches.left_px).astype(np.float32)
     start = (left + matches.right_px - matches.left_px).astype(np.float32)
     flags, stop = cv2.OPTFLOW_USE_INITIAL_FLOW, (3, 30, 1e-3)
-    right, _, _ = cv2.calcOpticalFlowPyrLK(
-        *images, left[:, None], start[:, None], winSize=(21, 21), maxLevel=0, flags=flags, criteria=stop
+    tracked = cv2.calcOpticalFlowPyrLK(
+        *images, left[:, None].copy(), start[:, None].copy(), winSize=(21, 21), maxLevel=0, flags=flags, criteria=stop
     )
-    return Matches(left.astype(float), right[:, 0].astype(float), matches.sigma_px)
+    return Matches(left.astype(float), tracked[0][:, 0].astype(float), matches.sigma_px)
 
 
 def test_a_slanted_surface_does_not_bias(rig: Rig, airframe: Airframe) -> None:
