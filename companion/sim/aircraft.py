@@ -58,7 +58,7 @@ class FlightPlan:
     levels: tuple[Level, ...] = (Level(0.0, 60.0),)
     rolls: tuple[Roll, ...] = ()
     pull_ups: tuple[PullUp, ...] = ()
-    heave_wobble_mps2: float = 0.5
+    heave_wobble_mps2: float = 0.4
     roll_wobble_rad: float = 0.015
     pitch_wobble_rad: float = 0.008
     yaw_wobble_rad: float = 0.008
@@ -85,7 +85,7 @@ def demo_plan(duration_s: float = 60.0) -> FlightPlan:
             Roll(30.0 * k, 0.5, hold_s=1.0),
             Roll(53.0 * k, -0.3, hold_s=1.0),
         ),
-        pull_ups=(PullUp(11.0 * k), PullUp(34.0 * k, 1.5)),
+        pull_ups=(PullUp(3.0 * k), PullUp(27.5 * k, 1.5)),
     )
 
 
