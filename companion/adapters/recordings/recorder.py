@@ -1,0 +1,127 @@
+"""The recorder process: writes the batches of every producer to one MCAP file, so that a slow disk stalls nobody."""
+
+from __future__ import annotations
+
+import multiprocessing
+import selectors
+import signal
+import socket
+from collections.abc import Sequence
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+from companion.adapters.recordings.channels import Recordable
+from companion.adapters.recordings.inlet import Batch, Inlet, Outlet, recorder_channel
+from companion.adapters.recordings.writer import About, McapWriter
+from companion.errors import RecordingError
+
+_IDLE_S = 0.25
+_IDLE_ROUNDS = 4
+_JOIN_S = 10.0
+
+
+def run_recorder(path: Path, about: About, ends: Sequence[socket.socket], stop: Event | None = None) -> None:
+    """Record until every producer has ended, or ``stop`` is set and nothing came for a second; a process target.
+
+    The file is cut into chunks of about a second and handed to the operating system with each, or when nothing comes.
+    SIGINT is ignored (Ctrl-C reaches the whole group, and the producers still have to end); SIGTERM finishes the file
+    with what has arrived. If the path is taken (by this recorder before it was started again), a number is put into
+    the name.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    terminated: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: terminated.append(number))
+    writer = McapWriter(free_path(path), about)
+    try:
+        with selectors.DefaultSelector() as selector:
+            for outlet in map(Outlet, ends):
+                selector.register(outlet, selectors.EVENT_READ)
+            _record(writer, selector, stop, terminated)
+        writer.close()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written any further: {error.strerror}") from error
+
+
+def _record(
+    writer: McapWriter, selector: selectors.BaseSelector, stop: Event | None, terminated: Sequence[int]
+) -> None:
+    idle_rounds = 0
+    while selector.get_map():
+        ready = selector.select(0.0 if terminated else _IDLE_S)
+        idle_rounds = 0 if ready else idle_rounds + 1
+        if not ready:
+            writer.flush()
+            if terminated or (stop is not None and stop.is_set() and idle_rounds >= _IDLE_ROUNDS):
+                return
+        for key, _ in ready:
+            outlet = key.fileobj
+            assert isinstance(outlet, Outlet)
+            batch = outlet.receive()
+            if batch is None:
+                continue
+            _write(writer, batch)
+            if batch.last:
+                selector.unregister(outlet)
+
+
+def _write(writer: McapWriter, batch: Batch) -> None:
+    for record in batch.records:
+        writer.write(record)
+    if batch.dropped:
+        writer.note_drops(batch.dropped)
+
+
+def free_path(path: Path) -> Path:
+    """The path itself, or ``name.2.mcap``, ``name.3.mcap`` and so on where files are already."""
+    number, free = 1, path
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.stem}.{number}{path.suffix}")
+    return free
+
+
+class ProcessRecorder:
+    """A recorder port with a recorder process of its own, for a single producer.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be created here and now.
+    """
+
+    def __init__(self, path: Path, about: About, capacity_bytes: int = 64 << 20) -> None:
+        if not path.parent.is_dir():
+            raise RecordingError(f"{path}: cannot be written: no folder {path.parent}")
+        mine, theirs = recorder_channel()
+        spawn = multiprocessing.get_context("spawn")
+        self._process = spawn.Process(target=run_recorder, args=(path, about, [theirs]), name="spanwise-recorder")
+        self._process.start()
+        theirs.close()
+        self._inlet = Inlet(mine, capacity_bytes)
+
+    @property
+    def dropped(self) -> int:
+        """Records that will never be in the file."""
+        return self._inlet.dropped
+
+    @property
+    def alive(self) -> bool:
+        """Whether the recorder process runs."""
+        return self._process.is_alive()
+
+    def write(self, record: Recordable) -> None:
+        """Append one record, or drop and count it; never blocks."""
+        self._inlet.write(record)
+
+    def close(self) -> None:
+        """Wait until everything is in the file and the file is finished."""
+        self._inlet.close()
+        self._process.join(_JOIN_S)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join()

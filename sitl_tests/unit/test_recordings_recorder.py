@@ -1,0 +1,204 @@
+"""The recorder process: nothing is lost in order, nobody waits, and what is dropped is told."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.adapters.recordings.inlet import Inlet, Outlet, recorder_channel
+from companion.adapters.recordings.reader import McapRecording
+from companion.adapters.recordings.recorder import ProcessRecorder, free_path, run_recorder
+from companion.adapters.recordings.writer import About
+from companion.errors import RecordingError
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, Frame, Notice, RawChunk, Side, Tick
+from sitl_tests.unit.recordings_help import assert_equal
+
+ABOUT = About.of(load_airframe("nadir-2m"), Settings())
+
+
+def collect(end: socket.socket) -> list[object]:
+    """What a recorder would write, until the producer ends."""
+    outlet, records = Outlet(end), []
+    while True:
+        batch = outlet.receive()
+        if batch is not None:
+            records += batch.records
+            if batch.last:
+                return records
+
+
+def frame(sequence: int) -> Frame:
+    image = np.random.default_rng(sequence).integers(0, 256, (800, 1280), dtype=np.uint8)
+    return Frame(Side.LEFT, sequence, ClockName.HOST, sequence, 1, 0, 0, image)
+
+
+def test_everything_arrives_in_order_large_images_included() -> None:
+    mine, theirs = recorder_channel()
+    inlet = Inlet(mine)
+    written = [frame(i) if i % 40 == 0 else Tick(i) for i in range(200)]
+    got: list[object] = []
+    reader = threading.Thread(target=lambda: got.extend(collect(theirs)))
+    reader.start()
+    for record in written:
+        inlet.write(record)
+    inlet.close()
+    reader.join()
+    assert inlet.dropped == 0
+    assert len(got) == len(written)
+    for before, after in zip(written, got, strict=True):
+        assert_equal(before, after)
+
+
+def test_a_recorder_that_takes_nothing_makes_nobody_wait_and_the_losses_are_counted() -> None:
+    mine, theirs = recorder_channel()
+    inlet = Inlet(mine, capacity_bytes=1 << 20)
+    chunk = RawChunk(0, 1, bytes(10_000))
+    start = time.perf_counter()
+    for _ in range(1000):
+        inlet.write(chunk)
+    assert time.perf_counter() - start < 1.0, "writing waited for the recorder"
+    inlet.close()
+    outlet, kept, told = Outlet(theirs), 0, 0
+    theirs.setblocking(False)
+    while True:
+        try:
+            batch = outlet.receive()
+        except BlockingIOError:
+            break
+        if batch is not None:
+            kept, told = kept + len(batch.records), told + batch.dropped
+            if batch.last:
+                break
+    assert inlet.dropped > 800
+    assert kept + inlet.dropped == 1000
+    assert told <= inlet.dropped
+
+
+def test_a_dead_recorder_costs_the_records_and_nothing_else() -> None:
+    mine, theirs = recorder_channel()
+    inlet = Inlet(mine)
+    theirs.close()
+    for i in range(10):
+        inlet.write(Tick(i))
+    inlet.close()
+    assert inlet.dropped == 10
+
+
+def test_a_recorder_started_again_goes_on_with_the_next_whole_batch() -> None:
+    mine, theirs = recorder_channel()
+    inlet = Inlet(mine)
+    inlet.write(frame(1))
+    theirs.recv(1 << 20)  # the first packet of the first batch goes to a recorder that dies
+    inlet.write(Tick(7))
+    inlet_closing = threading.Thread(target=inlet.close)
+    inlet_closing.start()
+    got = collect(theirs)
+    inlet_closing.join()
+    assert Tick(7) in got
+    assert not [record for record in got if isinstance(record, Frame)]
+
+
+def test_an_existing_file_is_never_written_over(tmp_path: Path) -> None:
+    assert free_path(tmp_path / "a.mcap") == tmp_path / "a.mcap"
+    (tmp_path / "a.mcap").write_bytes(b"old")
+    (tmp_path / "a.2.mcap").write_bytes(b"old")
+    assert free_path(tmp_path / "a.mcap") == tmp_path / "a.3.mcap"
+
+
+def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) -> None:
+    channels = [recorder_channel() for _ in range(2)]
+    inlets = [Inlet(mine) for mine, _ in channels]
+    for i in range(50):
+        inlets[0].write(Tick(i))
+        inlets[1].write(Notice(6, str(i), i))
+    inlets[1]._refused += 4  # as if four records had not fitted
+    for inlet in inlets:
+        inlet.close()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    run_recorder(tmp_path / "two.mcap", ABOUT, [theirs for _, theirs in channels])
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    recording = McapRecording(tmp_path / "two.mcap")
+    records = list(recording.records())
+    assert [record.now_host_ns for record in records if isinstance(record, Tick)] == list(range(50))
+    assert [record.text for record in records if isinstance(record, Notice)] == [str(i) for i in range(50)]
+    assert recording.dropped == 4
+    assert not recording.replayable
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no folder"):
+        ProcessRecorder(tmp_path / "none" / "a.mcap", ABOUT)
+
+
+@pytest.mark.realtime
+def test_a_process_of_its_own_writes_it_all(tmp_path: Path) -> None:
+    recorder = ProcessRecorder(tmp_path / "own.mcap", ABOUT)
+    for i in range(2000):
+        recorder.write(Tick(i * 1_000_000))
+    recorder.close()
+    recording = McapRecording(tmp_path / "own.mcap")
+    assert [record.now_host_ns for record in recording.records()] == [i * 1_000_000 for i in range(2000)]  # type: ignore[union-attr]
+    assert recording.replayable
+    assert recording.notices == []
+
+
+_PRODUCER = """
+import sys, time
+from pathlib import Path
+from companion.adapters.recordings.recorder import run_recorder
+from companion.adapters.recordings.inlet import Inlet, recorder_channel
+from companion.adapters.recordings.writer import About
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import Tick
+import threading
+
+mine, theirs = recorder_channel()
+inlet = Inlet(mine)
+
+def produce():
+    i = 0
+    while True:
+        inlet.write(Tick(i * 10_000_000))
+        i += 1
+        if i == 500:
+            print("five seconds of it written", flush=True)
+        time.sleep(0.001)
+
+threading.Thread(target=produce, daemon=True).start()
+run_recorder(Path(sys.argv[1]), About.of(load_airframe("nadir-2m"), Settings()), [theirs])
+"""
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("number", "least_ns", "cut"), [(signal.SIGKILL, 3_900_000_000, True), (signal.SIGTERM, 4_900_000_000, False)]
+)
+def test_a_killed_recorder_costs_a_second_and_a_terminated_one_nothing(
+    tmp_path: Path, number: int, least_ns: int, cut: bool
+) -> None:
+    path = tmp_path / "killed.mcap"
+    producer = subprocess.Popen([sys.executable, "-c", _PRODUCER, str(path)], stdout=subprocess.PIPE, text=True)
+    assert producer.stdout is not None
+    producer.stdout.readline()
+    time.sleep(0.1)
+    os.kill(producer.pid, number)
+    producer.wait()
+    producer.stdout.close()
+    recording = McapRecording(path)
+    stamps = [record.now_host_ns for record in recording.records() if isinstance(record, Tick)]
+    assert stamps == [i * 10_000_000 for i in range(len(stamps))]
+    assert stamps[-1] >= least_ns
+    assert any("truncated at" in notice.text for notice in recording.notices) is cut
