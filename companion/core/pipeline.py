@@ -156,6 +156,12 @@ def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
     return list(state.correction.add(matches))
 
 
+def _on_rejected(state: PipelineState, rejected: Rejected) -> list[OutputRecord]:
+    """A refusal made before the pipeline (decoder, vision, trigger process) is counted with the others."""
+    state.counters[str(rejected.reason)] += rejected.count
+    return []
+
+
 def _on_shot(state: PipelineState, shot: Shot) -> list[OutputRecord]:
     if state.scheduling is not None:
         state.scheduling.fired(shot)
@@ -224,5 +230,6 @@ _HANDLERS: dict[type, _Handler] = {
     ParameterChange: _on_change,
     MatchSet: _on_matches,
     Shot: _on_shot,
+    Rejected: _on_rejected,
     Tick: _on_tick,
 }

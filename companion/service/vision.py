@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from multiprocessing.synchronize import Event
 
 from companion.core.pipeline import VisionState, vision_step
 from companion.ports import CameraPair, Clock, Recorder
-from companion.records import MatchSet, Record
+from companion.records import Record
 
 _POLL_S = 0.05
 
@@ -27,9 +26,7 @@ def run(
             for frame in cameras.poll(_POLL_S):
                 if recorder is not None:
                     recorder.write(frame)
-                for record in vision_step(state, frame):
-                    if isinstance(record, MatchSet):
-                        record = dataclasses.replace(record, matched_host_ns=clock.now_ns())
+                for record in vision_step(state, frame, clock.now_ns()):
                     send(record)
     finally:
         cameras.close()

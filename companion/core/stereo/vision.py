@@ -4,47 +4,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.matching import Matcher
+from companion.core.stereo.matching import match_pair
 from companion.core.stereo.pairing import FramePairer
+from companion.core.stereo.search import Search, trim_search
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, Frame, FramePair, MatchSet, Rejected
+from companion.records import Frame, MatchSet, Rejected
 
 
 @dataclass(slots=True)
 class VisionState:
-    """The pairer and the matcher of one camera pair."""
+    """The pairer and the search of one camera pair.
 
-    matcher: Matcher
+    The search is opened as far as trim bend, gusts and load factor can move the images, so that it depends on the
+    airframe alone: a recorded pair gives the same matches in replay, whatever the wing was believed to do.
+    """
+
+    rig: Rig
+    search: Search
     pairer: FramePairer = field(default_factory=FramePairer)
 
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> VisionState:
         """For an airframe that has both cameras."""
-        return cls(Matcher(Rig.from_airframe(airframe), airframe, settings))
+        rig = Rig.from_airframe(airframe)
+        return cls(rig, trim_search(rig, airframe, settings))
 
 
-def vision_step(state: VisionState, frame: Frame) -> list[MatchSet | Rejected]:
-    """Take one frame; give the matches of every pair that it completes."""
+def vision_step(state: VisionState, frame: Frame, now_host_ns: int) -> list[MatchSet | Rejected]:
+    """Take one frame; give the matches of every pair that it completes, stamped with the time that is given."""
     pairs, lonely = state.pairer.add(frame)
-    return [*(match_pair(state.matcher, pair) for pair in pairs), *lonely]
-
-
-def match_pair(matcher: Matcher, pair: FramePair, matched_host_ns: int = 0) -> MatchSet:
-    """Match one pair in raw pixels. ``matched_host_ns`` is filled in by whoever owns a clock."""
-    left_px, right_px, sigma_px = matcher.match(pair.left.image, pair.right.image)
-    return MatchSet(
-        pair_id=pair.pair_id,
-        plan_id=pair.left.plan_id,
-        clocks=(ClockName(pair.left.clock), ClockName(pair.right.clock)),
-        mid_exposure_ns=np.array([pair.left.mid_exposure_ns, pair.right.mid_exposure_ns], dtype=np.int64),
-        exposure_ns=pair.left.exposure_ns,
-        row_time_ns=pair.left.row_time_ns,
-        left_px=left_px,
-        right_px=right_px,
-        sigma_px=sigma_px,
-        matched_host_ns=matched_host_ns,
-    )
+    return [*(match_pair(pair, state.rig, state.search, now_host_ns) for pair in pairs), *lonely]

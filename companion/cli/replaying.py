@@ -1,0 +1,67 @@
+"""Drive the pipeline with a recording, as the live service drove it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from companion.adapters.mavlink.decode import Decoder
+from companion.core.pipeline import PipelineState, start, step
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import (
+    ClockName,
+    ImuBatch,
+    MatchSet,
+    ParameterChange,
+    RawChunk,
+    Record,
+    Rejected,
+    Shot,
+    Tick,
+    VehicleState,
+)
+
+TICK_NS = 10_000_000
+_OWN_INPUTS = (RawChunk, MatchSet, Shot, Tick, ParameterChange)
+
+
+def own_inputs(records: Iterable[Record], airframe: Airframe, settings: Settings) -> Iterator[Record]:
+    """The inputs of one of our own recordings, raw bytes decoded again, everything that was derived left out."""
+    decoder = Decoder(airframe, settings.component_id)
+    for record in records:
+        if isinstance(record, _OWN_INPUTS):
+            yield record
+        if isinstance(record, RawChunk):
+            yield from decoder.decode_chunk(record)
+
+
+def foreign_inputs(records: Iterable[Record]) -> Iterator[Record]:
+    """The inputs of a log that knows nothing of us: samples and flight state, with ticks put between them."""
+    next_tick_ns: int | None = None
+    for record in records:
+        if not isinstance(record, ImuBatch | VehicleState | Rejected):
+            continue
+        if isinstance(record, ImuBatch):
+            now_ns = record.received_host_ns
+            if next_tick_ns is None:
+                next_tick_ns = now_ns
+            while next_tick_ns <= now_ns:
+                yield Tick(next_tick_ns)
+                next_tick_ns += TICK_NS
+        yield record
+
+
+def drive(
+    inputs: Iterable[Record],
+    airframe: Airframe,
+    settings: Settings,
+    hub: ClockName | None,
+    each: Callable[[PipelineState, Record], None] | None = None,
+) -> Iterator[Record]:
+    """Step through the inputs; yield every output. ``each`` sees the state after each input."""
+    state = start(airframe, settings, hub)
+    for record in inputs:
+        state, outputs = step(state, record)
+        yield from outputs
+        if each is not None:
+            each(state, record)
