@@ -7,17 +7,17 @@ replay of a recording repeats every output exactly. The state belongs to the cal
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
-
 
 from companion.core.clock.bank import ClockBank
 from companion.core.mode.tracker import WingTracker
 from companion.core.publishing import Publishing
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.vision import VisionState, vision_step
+from companion.core.trigger.blur import Motion
 from companion.core.trigger.scheduling import Scheduling
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -142,7 +142,7 @@ def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter)
 def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputRecord]:
     state.settings = state.settings.replace(change.name, change.value)
     if state.scheduling is not None:
-        state.scheduling.settings = state.settings
+        state.scheduling.adopt(state.settings)
     if state.correction is not None:
         state.correction.settings = state.settings
     return []
@@ -179,7 +179,7 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     if mode is not None:
         state.mode = mode
     if state.scheduling is not None:
-        outputs += state.scheduling.tick(state.tracker, state.mode, now_ns)
+        outputs += state.scheduling.tick(state.tracker, state.mode, _motion(state), now_ns)
     if state.correction is not None:
         climb_mps = state.vehicle.climb_mps if state.vehicle else 0.0
         airspeed_mps = state.vehicle.airspeed_mps if state.vehicle else 0.0
@@ -189,6 +189,14 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         state.next_status_ns = now_ns + _STATUS_PERIOD_NS
         outputs += _status(state, now_ns)
     return outputs
+
+
+def _motion(state: PipelineState) -> Motion:
+    """Ground speed smears a downward view by its share of the range; what is unknown counts as still and far."""
+    measured = state.correction.last_trusted if state.correction else None
+    if state.vehicle is None or measured is None:
+        return Motion()
+    return Motion(np.array([state.vehicle.airspeed_mps, 0.0, -state.vehicle.climb_mps]), measured.range_m)
 
 
 def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:

@@ -12,7 +12,7 @@ from companion.core.stereo.ranging import RangeAnswer, correct
 from companion.core.stereo.trust import RangeGate
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, MatchSet, OutputRecord, Reject, Rejected
+from companion.records import ClockName, CorrectedRange, MatchSet, OutputRecord, Reject, Rejected
 
 _QUEUE_DEPTH = 64
 _DOWN = 25
@@ -28,6 +28,7 @@ class Correction:
     gate: RangeGate
     settings: Settings
     pending: deque[MatchSet] = field(default_factory=deque)
+    last_trusted: CorrectedRange | None = None
 
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> Correction:
@@ -65,6 +66,9 @@ class Correction:
         yield left
         answer: RangeAnswer = correct(matches, left, right, self.rig, self.airframe, self.settings)
         slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
-        yield self.gate.judge(answer.range, climb_mps, slack_mps)
+        judged = self.gate.judge(answer.range, climb_mps, slack_mps)
+        if judged.trusted:
+            self.last_trusted = judged
+        yield judged
         if answer.sectors is not None:
             yield answer.sectors

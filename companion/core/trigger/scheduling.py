@@ -1,0 +1,58 @@
+"""The planner in the pipeline: asks the tracker, keeps the rate, learns the latency from what the cameras report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from companion.core.mode.tracker import WingTracker
+from companion.core.trigger.blur import Motion
+from companion.core.trigger.latency import LatencyModel
+from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, MatchSet, ModeState, OutputRecord, Shot, Side
+
+_PLAN_PERIOD_NS = 20_000_000
+
+
+@dataclass(slots=True)
+class Scheduling:
+    """Plans on the tick, at most every ``_PLAN_PERIOD_NS``."""
+
+    planner: Planner
+    latency: LatencyModel
+    next_plan_ns: int = 0
+
+    @classmethod
+    def create(cls, airframe: Airframe, settings: Settings) -> Scheduling:
+        """For an airframe that has both cameras."""
+        latency = LatencyModel(airframe)
+        return cls(Planner(airframe, settings, latency), latency)
+
+    def adopt(self, settings: Settings) -> None:
+        """Use changed settings from now on."""
+        self.planner.settings = settings
+
+    def tick(
+        self, tracker: WingTracker, mode: ModeState | None, motion: Motion, now_host_ns: int
+    ) -> Iterator[OutputRecord]:
+        """Plan, when it is time to."""
+        if mode is None or now_host_ns < self.next_plan_ns:
+            return
+        self.next_plan_ns = now_host_ns + _PLAN_PERIOD_NS
+        ahead_ns = now_host_ns - mode.t_host_ns
+        forecast = tracker.forecast(HORIZON_NS + ahead_ns, STEP_NS)
+        plan = self.planner.plan(forecast, mode.validity, now_host_ns, motion)
+        if plan is not None:
+            yield plan
+
+    def fired(self, shot: Shot) -> None:
+        """Remember a shot."""
+        self.latency.shot(shot)
+
+    def exposed(self, matches: MatchSet) -> None:
+        """Learn from measured exposures on the host's clock; others would be converted by a guess."""
+        for side, clock, t_ns in zip(Side, matches.clocks, matches.mid_exposure_ns, strict=True):
+            if clock is ClockName.HOST:
+                self.latency.exposure(side, matches.plan_id, int(t_ns))
