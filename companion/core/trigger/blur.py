@@ -1,0 +1,150 @@
+"""Predicted motion blur of both cameras, from bending, body rate and ground speed together (DESIGN, rule 9).
+
+The image of a point at depth Z near the optical axis moves, in camera axes (x right, y down, z forward), by::
+
+    u' = f (-omega_y - v_x / Z),   v' = f (omega_x - v_y / Z)
+
+and a roll omega_z about the axis moves a pixel at radius rho by omega_z rho, here its rms over the image. All three are
+linear in the tip's slope rate, so blur^2 is a quadratic of the forecast and its expectation needs the covariance only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.core.mode.forecast import Forecast
+from companion.core.stereo.geometry import Rig
+from companion.core.trigger.latency import LatencyModel
+from companion.params.airframe import Airframe, Camera
+from companion.records import Floats, Ints, Side
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Rigid motion that the forecast does not hold.
+
+    Attributes
+    ----------
+    velocity_body_mps : (3,) float64
+        Velocity over ground, body axes.
+    range_m : float
+        Distance of the scene along the optical axis; infinite where unknown.
+    """
+
+    velocity_body_mps: Floats = field(default_factory=lambda: np.zeros(3))
+    range_m: float = np.inf
+
+
+@dataclass(frozen=True, slots=True)
+class BlurForecast:
+    """Blur over a forecast's instants, each side at its own mid-exposure.
+
+    Attributes
+    ----------
+    t_host_ns : (n,) int64
+        Mean of both mid-exposures.
+    motion : (n, 2, 3) float64
+        Left and right image motion along x, y and roll; blur is its length. px, of one exposure.
+    motion_per_rate : (2, 3) float64
+        What a slope rate of 1 rad/s adds to it.
+    rate_radps, acceleration_radps2 : (n, 2) float64
+        Slope rate at each side's exposure, and its derivative.
+    rate_covariance : (n, 2, 2) float64
+    rms_px : (n, 2) float64
+        Expected rms blur, with the uncertainty of rate and exposure time, and the motion within the exposure.
+    """
+
+    t_host_ns: Ints
+    motion: Floats
+    motion_per_rate: Floats
+    rate_radps: Floats
+    acceleration_radps2: Floats
+    rate_covariance: Floats
+    rms_px: Floats
+
+
+class BlurModel:
+    """The cameras of one airframe, as far as blur goes; without cameras, slope rate alone counts (and blur is 0 px)."""
+
+    def __init__(self, airframe: Airframe) -> None:
+        self._eyes: _Eyes | None = None
+        left, right = airframe.left_camera, airframe.right_camera
+        if left is not None and right is not None:
+            self._eyes = _eyes(airframe, (left, right))
+
+    def predict(self, forecast: Forecast, latency: LatencyModel, motion: Motion) -> BlurForecast:
+        """Predict the blur at every instant of the forecast."""
+        acceleration = _derivative(forecast)
+        rate = forecast.slope_rate_radps + acceleration * (np.array(latency.shifts_ns()) * 1e-9)
+        rigid, per_rate, exposure_s = self._linear(forecast.body_rate_radps, motion)
+        image = rigid + per_rate * rate[:, :, None]
+        variance = forecast.slope_rate_covariance[:, (0, 1), (0, 1)]
+        timing = (np.array(latency.sigmas_ns()) * 1e-9) ** 2 + exposure_s**2 / 12
+        spread = (variance + acceleration**2 * timing) * np.sum(per_rate**2, axis=1)
+        rms = np.sqrt(np.sum(image**2, axis=2) + spread)
+        shown = rms if self._eyes else np.zeros_like(rms)
+        return BlurForecast(
+            forecast.t_host_ns, image, per_rate, rate, acceleration, forecast.slope_rate_covariance, shown
+        )
+
+    def _linear(self, body_rate_radps: Floats, motion: Motion) -> tuple[Floats, Floats, Floats]:
+        """Give the image motion of the rigid aircraft (2, 3) and per slope rate (2, 3), and the exposures (2,)."""
+        eyes = self._eyes
+        if eyes is None:
+            return np.zeros((2, 3)), np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(2)
+        nearness = 1.0 / motion.range_m if motion.range_m > 0 else 0.0
+        rigid = eyes.by_rate @ body_rate_radps
+        rigid += nearness * (eyes.by_velocity @ motion.velocity_body_mps + eyes.by_lever @ body_rate_radps)
+        return rigid, eyes.by_slope + nearness * eyes.by_lift, eyes.exposure_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Eyes:
+    """Image motion of both cameras, (2, 3) of one exposure in px, as linear maps.
+
+    ``by_rate`` of the body rate; ``by_velocity`` of the velocity and ``by_lever`` of the body rate through the camera's
+    place, both at a range of 1 m; ``by_slope`` of the slope rate, ``by_lift`` of the lift that goes with it, at 1 m.
+    """
+
+    by_rate: Floats
+    by_velocity: Floats
+    by_lever: Floats
+    by_slope: Floats
+    by_lift: Floats
+    exposure_s: Floats
+
+
+def _eyes(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _Eyes:
+    rig, bend = Rig.from_airframe(airframe), airframe.wing.symmetric
+    factor = bend.slope_factor_radpm.value
+    turns, shifts, levers, slopes, lifts = [], [], [], [], []
+    for side, camera in zip(Side, cameras, strict=True):
+        mounted, focal = rig.camera(side), camera.focal_px.value
+        radius = np.hypot(camera.width_px, camera.height_px) / np.sqrt(12)
+        turn = np.array([[0.0, -focal, 0.0], [focal, 0.0, 0.0], [0.0, 0.0, radius]]) @ mounted.rest.camera_from_body
+        shift = np.diag([-focal, -focal, 0.0]) @ mounted.rest.camera_from_body
+        turns.append(turn * camera.exposure_s)
+        shifts.append(shift * camera.exposure_s)
+        levers.append(-shifts[-1] @ _cross(mounted.rest.position_body_m))
+        slopes.append(turns[-1] @ mounted.turn_rad(1.0, bend.twist_factor_radpm.value / factor))
+        lifts.append(shifts[-1] @ np.array([0.0, 0.0, -camera.lift_gain / factor]))
+    exposure_s = np.array([camera.exposure_s for camera in cameras])
+    return _Eyes(np.array(turns), np.array(shifts), np.array(levers), np.array(slopes), np.array(lifts), exposure_s)
+
+
+def _cross(vector: Floats) -> Floats:
+    """Matrix of ``vector x``."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _derivative(forecast: Forecast) -> Floats:
+    """Slope acceleration (n, 2) of equally spaced instants, by central differences."""
+    rate = forecast.slope_rate_radps
+    step_s = float(forecast.t_host_ns[1] - forecast.t_host_ns[0]) * 1e-9
+    derivative = np.empty_like(rate)
+    derivative[1:-1] = (rate[2:] - rate[:-2]) / (2 * step_s)
+    derivative[0], derivative[-1] = (rate[1] - rate[0]) / step_s, (rate[-1] - rate[-2]) / step_s
+    return derivative

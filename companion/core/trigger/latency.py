@@ -1,0 +1,150 @@
+"""Learned latency of each trigger path: from the command to the middle of the exposure, left and right apart."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict, deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.params.airframe import Airframe, Camera
+from companion.records import Reject, Shot, Side
+
+MOST_LATENCY_NS = 500_000_000
+"""A frame that is further from a shot than this was not caused by it."""
+_MEMORY = 64
+_SHOTS_KEPT = 256
+_OUTLIER_SPREADS = 6.0
+_LEAST_SPREAD_NS = 50e3
+_REGIME = 5
+"""So many outliers in a row, agreeing with each other, are a new truth (another exposure, another link)."""
+_MEDIAN_LOSS = math.pi / 2
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """Belief about one path: the bias and its sigma, the spread from shot to shot, and what it rests on."""
+
+    bias_ns: float
+    bias_sigma_ns: float
+    spread_ns: float
+    count: int
+    outliers: int
+
+
+@dataclass(slots=True)
+class _Path:
+    prior_ns: float
+    prior_sigma_ns: float
+    seen: deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
+    odd: list[float] = field(default_factory=list)
+    count: int = 0
+    outliers: int = 0
+    belief: Latency = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.belief = self._believe()
+
+    def learn(self, latency_ns: float) -> bool:
+        """Take one latency; False for an outlier."""
+        allowed = _OUTLIER_SPREADS * math.hypot(self.belief.spread_ns, self.belief.bias_sigma_ns)
+        good = abs(latency_ns - self.belief.bias_ns) <= allowed
+        if good:
+            self.odd.clear()
+            self.seen.append(latency_ns)
+            self.count += 1
+        else:
+            self.outliers += 1
+            self._suspect(latency_ns, allowed)
+        self.belief = self._believe()
+        return good
+
+    def _suspect(self, latency_ns: float, allowed_ns: float) -> None:
+        self.odd.append(latency_ns)
+        self.odd = self.odd[-_REGIME:]
+        if len(self.odd) == _REGIME and max(self.odd) - min(self.odd) <= 2 * allowed_ns:
+            self.seen.clear()
+            self.seen.extend(self.odd)
+            self.prior_sigma_ns = math.inf
+            self.odd.clear()
+
+    def _believe(self) -> Latency:
+        """Combine prior and median; the spread starts at the prior's, on a log scale."""
+        n = len(self.seen)
+        if n == 0:
+            return Latency(self.prior_ns, self.prior_sigma_ns, self.prior_sigma_ns, self.count, self.outliers)
+        median = float(np.median(self.seen))
+        scatter = max(1.4826 * float(np.median(np.abs(np.array(self.seen) - median))), _LEAST_SPREAD_NS)
+        known = math.isfinite(self.prior_sigma_ns)
+        share = n / (n + _REGIME)
+        spread = scatter**share * self.prior_sigma_ns ** (1.0 - share) if known else scatter
+        information = n / (_MEDIAN_LOSS * spread**2)
+        before = 1.0 / self.prior_sigma_ns**2 if known else 0.0
+        bias = (information * median + before * self.prior_ns) / (information + before)
+        return Latency(bias, 1.0 / math.sqrt(information + before), spread, self.count, self.outliers)
+
+
+class LatencyModel:
+    """Bias and spread per camera, from shots and the measured exposures that they caused.
+
+    The prior is the airframe's ``Camera.latency_s`` plus half the exposure (and half the rows of a rolling shutter).
+    """
+
+    def __init__(self, airframe: Airframe) -> None:
+        self._paths = tuple(_path(camera) for camera in (airframe.left_camera, airframe.right_camera))
+        self._fired: OrderedDict[int, int] = OrderedDict()
+        self.unpaired = 0
+
+    def shot(self, shot: Shot) -> None:
+        """Remember when a plan was fired."""
+        self._fired[shot.plan_id] = shot.fired_host_ns
+        while len(self._fired) > _SHOTS_KEPT:
+            self._fired.popitem(last=False)
+
+    def exposure(self, side: Side, plan_id: int, mid_exposure_host_ns: int) -> Reject | None:
+        """Learn from a measured exposure.
+
+        ``plan_id`` pairs it with its shot; where it is negative or unknown, the shot whose expected exposure is nearest
+        in time is taken. ``UNPAIRED`` means that there is none, ``INCONSISTENT`` that the latency is an outlier.
+        """
+        fired = self._fired.get(plan_id) if plan_id >= 0 else None
+        if fired is None:
+            fired = self._nearest(side, mid_exposure_host_ns)
+        if fired is None or not 0 <= mid_exposure_host_ns - fired <= MOST_LATENCY_NS:
+            self.unpaired += 1
+            return Reject.UNPAIRED
+        good = self._paths[side].learn(float(mid_exposure_host_ns - fired))
+        return None if good else Reject.INCONSISTENT
+
+    def estimate(self, side: Side) -> Latency:
+        """Give the belief about one camera."""
+        return self._paths[side].belief
+
+    @property
+    def lead_ns(self) -> int:
+        """From the command to the mean of both mid-exposures."""
+        return round(sum(path.belief.bias_ns for path in self._paths) / 2)
+
+    def shifts_ns(self) -> tuple[float, float]:
+        """Left and right mid-exposure, relative to their mean."""
+        left, right = (path.belief.bias_ns for path in self._paths)
+        return (left - right) / 2, (right - left) / 2
+
+    def sigmas_ns(self) -> tuple[float, float]:
+        """One-sigma of the next left and right mid-exposure: bias and spread together."""
+        left, right = (math.hypot(path.belief.bias_sigma_ns, path.belief.spread_ns) for path in self._paths)
+        return left, right
+
+    def _nearest(self, side: Side, mid_exposure_host_ns: int) -> int | None:
+        expected = mid_exposure_host_ns - self._paths[side].belief.bias_ns
+        earlier = [fired for fired in self._fired.values() if 0 <= mid_exposure_host_ns - fired <= MOST_LATENCY_NS]
+        return min(earlier, key=lambda fired: abs(fired - expected), default=None)
+
+
+def _path(camera: Camera | None) -> _Path:
+    if camera is None:
+        return _Path(0.0, 0.0)
+    middle_s = camera.exposure_s / 2 + camera.row_time_s * camera.height_px / 2
+    sigma_ns = max(camera.latency_s.sigma * 1e9, _LEAST_SPREAD_NS)
+    return _Path((camera.latency_s.value + middle_s) * 1e9, sigma_ns)

@@ -1,0 +1,257 @@
+"""The plan to fire or to skip: which still instant, or which tick of the timer, the cameras expose at next."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.mode.forecast import Forecast
+from companion.core.trigger.blur import BlurForecast, BlurModel, Motion
+from companion.core.trigger.instants import StillInstant, blur_at_px, still_instants
+from companion.core.trigger.latency import LatencyModel
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import Firing, Reject, TriggerPlan, Validity
+
+HORIZON_NS = 250_000_000
+"""How far ahead a forecast should reach: two intervals of the fastest usual rate, and a half period of a slow wing."""
+STEP_NS = 5_000_000
+MARGIN_NS = 3_000_000
+"""A plan needs so long to reach the trigger process; within it of the command, a plan is not changed any more."""
+EXPIRY_NS = 10_000_000
+"""A command that could not be given within this is not given: the wing would be moving again."""
+_EARLY_SHARE = 0.3
+"""A peak may come before its turn by this share of the interval; on average the rate is never exceeded."""
+_ANY_SPACING_NS = 50_000_000
+_NOT_YET = -1
+
+
+class Policy(enum.IntEnum):
+    """The choices of TRG_POLICY."""
+
+    PEAKS = 0
+    TIMER = 1
+    OFF = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Draft:
+    """A plan without its number; ``at_peak`` tells the peaks from the timer, skipped or not."""
+
+    firing: Firing
+    exposure_ns: int
+    sigma_ns: int
+    blur_px: float
+    reject: Reject | None
+    at_peak: bool
+    spacing_ns: int = _ANY_SPACING_NS
+
+
+class Planner:
+    """Keeps one open plan and refines it until its command is due; then looks for the next.
+
+    The same peak keeps its ``plan_id`` while its time is refined, so the trigger process replaces the plan and cannot
+    fire twice. Call it at 50 to 100 Hz with a forecast of :data:`HORIZON_NS` in steps of :data:`STEP_NS`.
+    """
+
+    def __init__(self, airframe: Airframe, settings: Settings, latency: LatencyModel) -> None:
+        self.settings = settings
+        self._latency = latency
+        self._blur = BlurModel(airframe)
+        self._next_id = 1
+        self._open: TriggerPlan | None = None
+        self._draft: _Draft | None = None
+        self._due_ns = _NOT_YET
+        self._last: _Draft | None = None
+
+    def plan(
+        self, forecast: Forecast | Reject, validity: Validity, now_host_ns: int, motion: Motion | None = None
+    ) -> TriggerPlan | None:
+        """Give the plan in force, new or refined.
+
+        Parameters
+        ----------
+        forecast : Forecast or Reject
+            Of the wing tracker, three instants or more; or why there is none.
+        validity : Validity
+            Of the newest mode state; ``CALM`` means the timer.
+        now_host_ns : int
+            The tick's time.
+        motion : Motion, optional
+            Speed over ground and range; still and infinitely far where unknown.
+
+        Returns
+        -------
+        TriggerPlan or None
+            ``SKIP`` plans say why in ``reject`` and withdraw an earlier plan of that id. None: the open plan stays as
+            it is (triggering is off, it is being fired, or nothing can be seen yet).
+        """
+        if self._due_ns == _NOT_YET:
+            self._due_ns = now_host_ns + self._interval_ns
+        if self._being_fired(now_host_ns):
+            return None
+        if self.settings.trigger_policy == Policy.OFF:
+            return self._withdraw(now_host_ns)
+        draft = self._choose(forecast, validity, now_host_ns, motion or Motion())
+        return None if draft is None else self._number(draft, now_host_ns)
+
+    # ---------------------------------------------------------------------------------------- the open plan
+
+    def _being_fired(self, now_ns: int) -> bool:
+        """Close the open plan when its command has passed; True while that is happening."""
+        if self._open is None or self._draft is None:
+            return False
+        until_ns = self._open.command_host_ns - now_ns
+        fires = self._open.firing is not Firing.SKIP
+        if until_ns > MARGIN_NS:
+            return False
+        if fires and until_ns > -MARGIN_NS:
+            return True
+        if fires or not self._draft.at_peak:
+            self._due_ns = max(self._due_ns, self._draft.exposure_ns) + self._interval_ns
+        else:  # a skipped peak costs no turn, but the next peak has its chance before the timer stands in
+            self._due_ns = max(self._due_ns, self._draft.exposure_ns + min(self._interval_ns, self._draft.spacing_ns))
+        self._last, self._open, self._draft = self._draft, None, None
+        return False
+
+    def _withdraw(self, now_ns: int) -> TriggerPlan | None:
+        if self._open is None or self._draft is None or self._open.firing is Firing.SKIP:
+            return None
+        draft = _Draft(Firing.SKIP, self._draft.exposure_ns, 0, self._draft.blur_px, None, self._draft.at_peak)
+        return self._number(draft, now_ns)
+
+    def _number(self, draft: _Draft, now_ns: int) -> TriggerPlan:
+        if self._open is None or self._draft is None or not _same(self._draft, draft):
+            plan_id, self._next_id = self._next_id, self._next_id + 1
+        else:
+            plan_id = self._open.plan_id
+        command_ns = draft.exposure_ns - self._latency.lead_ns
+        self._draft = draft
+        self._open = TriggerPlan(
+            plan_id=plan_id,
+            firing=draft.firing,
+            command_host_ns=command_ns,
+            exposure_host_ns=draft.exposure_ns,
+            sigma_ns=draft.sigma_ns,
+            blur_px=draft.blur_px,
+            expires_host_ns=command_ns + EXPIRY_NS,
+            planned_host_ns=now_ns,
+            reject=draft.reject,
+        )
+        return self._open
+
+    # ---------------------------------------------------------------------------------------- what to do next
+
+    @property
+    def _interval_ns(self) -> int:
+        return round(1e9 / self.settings.trigger_rate_hz)
+
+    def _choose(self, forecast: Forecast | Reject, validity: Validity, now_ns: int, motion: Motion) -> _Draft | None:
+        blur = None if isinstance(forecast, Reject) else self._blur.predict(forecast, self._latency, motion)
+        if validity is Validity.CALM:
+            return self._tick(Firing.CALM, blur, now_ns)
+        if self.settings.trigger_policy == Policy.TIMER:
+            return self._tick(Firing.TIMER, blur, now_ns)
+        if isinstance(forecast, Reject) or blur is None:
+            reason = forecast if isinstance(forecast, Reject) else Reject.NO_MODE
+            return self._tick(Firing.SKIP, None, now_ns, reason)
+        if validity is not Validity.TRACKING:
+            return self._tick(Firing.SKIP, blur, now_ns, _WHY[validity])
+        return self._peak(blur, now_ns)
+
+    def _tick(self, firing: Firing, blur: BlurForecast | None, now_ns: int, reject: Reject | None = None) -> _Draft:
+        """Expose when it is due, whatever the wing does; an open tick is not pushed along."""
+        exposure_ns = self._due_from(now_ns)
+        if self._draft is not None and not self._draft.at_peak and self._draft.exposure_ns >= self._earliest(now_ns):
+            exposure_ns = self._draft.exposure_ns
+        return _Draft(firing, exposure_ns, 0, blur_at_px(blur, exposure_ns) if blur else 0.0, reject, at_peak=False)
+
+    def _peak(self, blur: BlurForecast, now_ns: int) -> _Draft | None:
+        """Take the next still instant, or the timer where none comes in its turn."""
+        instants = still_instants(blur)
+        if self._slips_away(instants, now_ns):
+            return None
+        early_ns = round(_EARLY_SHARE * self._interval_ns)
+        due_ns = self._due_from(now_ns)
+        give_up_ns = due_ns + self._interval_ns - early_ns
+        spacing_ns = _spacing(instants)
+        turn_ns = max(self._earliest(now_ns), self._due_ns - early_ns, self._after_last(spacing_ns))
+        coming = [instant for instant in instants if instant.t_host_ns >= turn_ns]
+        if coming and coming[0].t_host_ns <= give_up_ns:
+            return self._judge(self._held(coming) or coming[0], spacing_ns)
+        if int(blur.t_host_ns[-1]) < give_up_ns:
+            return None
+        return self._stand_in(blur, due_ns, early_ns)
+
+    def _slips_away(self, instants: list[StillInstant], now_ns: int) -> bool:
+        """Tell whether the open plan's peak has moved so near that only the plan as it stands can still fire there."""
+        instant = self._held(instants)
+        return instant is not None and instant.t_host_ns < self._earliest(now_ns)
+
+    def _held(self, instants: list[StillInstant]) -> StillInstant | None:
+        """Find the peak of the open plan among new ones."""
+        if self._draft is None or not self._draft.at_peak:
+            return None
+        held = self._draft
+        nearest = min(instants, key=lambda instant: abs(instant.t_host_ns - held.exposure_ns), default=None)
+        if nearest is None or abs(nearest.t_host_ns - held.exposure_ns) >= held.spacing_ns // 2:
+            return None
+        return nearest
+
+    def _judge(self, instant: StillInstant, spacing_ns: int) -> _Draft:
+        reject = None
+        if instant.sigma_ns > self.settings.trigger_sigma_s * 1e9:
+            reject = Reject.PEAK_UNCERTAIN
+        elif instant.blur_px > self.settings.trigger_blur_px:
+            reject = Reject.BLUR_TOO_LARGE
+        firing = Firing.SKIP if reject else Firing.PEAK
+        return _Draft(firing, instant.t_host_ns, instant.sigma_ns, instant.blur_px, reject, True, spacing_ns)
+
+    def _stand_in(self, blur: BlurForecast, due_ns: int, early_ns: int) -> _Draft:
+        """Peaks are rarer than asked: fire the timer, where blur is least around its turn, if that is good enough."""
+        window = (blur.t_host_ns >= due_ns) & (blur.t_host_ns <= due_ns + early_ns)
+        worst = np.where(window, blur.rms_px.max(axis=1), np.inf)
+        exposure_ns = int(blur.t_host_ns[np.argmin(worst)]) if window.any() else due_ns
+        held = self._draft
+        if held is not None and not held.at_peak and held.exposure_ns >= due_ns:
+            exposure_ns = held.exposure_ns  # or a late tick would be pushed along for ever
+        blur_px = blur_at_px(blur, exposure_ns)
+        poor = blur_px > self.settings.trigger_blur_px
+        firing, reject = (Firing.SKIP, Reject.BLUR_TOO_LARGE) if poor else (Firing.TIMER, None)
+        return _Draft(firing, exposure_ns, 0, blur_px, reject, at_peak=False)
+
+    def _earliest(self, now_ns: int) -> int:
+        """Give the earliest exposure that a new plan can still reach."""
+        return now_ns + MARGIN_NS + self._latency.lead_ns
+
+    def _due_from(self, now_ns: int) -> int:
+        return max(self._due_ns, self._earliest(now_ns))
+
+    def _after_last(self, spacing_ns: int) -> int:
+        """Give the first instant that cannot be the last peak, estimated anew."""
+        if self._last is None:
+            return 0
+        return self._last.exposure_ns + min(max(3 * self._last.sigma_ns, MARGIN_NS), spacing_ns // 2)
+
+
+_WHY = {
+    Validity.SETTLING: Reject.NOT_SETTLED,
+    Validity.AMBIGUOUS: Reject.MODE_AMBIGUOUS,
+    Validity.STALE: Reject.STALE,
+    Validity.SATURATED: Reject.SATURATED,
+}
+
+
+def _spacing(instants: list[StillInstant]) -> int:
+    if len(instants) < 2:
+        return _ANY_SPACING_NS
+    times = [instant.t_host_ns for instant in instants]
+    return int(np.median(np.diff(times)))
+
+
+def _same(held: _Draft, new: _Draft) -> bool:
+    """Tell whether a draft refines the open plan: the same peak, or the same tick."""
+    near = abs(held.exposure_ns - new.exposure_ns) < held.spacing_ns // 2
+    return held.at_peak == new.at_peak and (near or not new.at_peak)
