@@ -77,7 +77,7 @@ def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
     """
     least, most = _limits_cm(record.min_m, record.max_m)
     finite = np.isfinite(record.distance_m) & (record.distance_m >= 0)
-    distance = np.where(finite, record.distance_m, 0.0) * _CM
+    distance = np.where(finite, np.minimum(record.distance_m, 2 * _LARGEST_CM / _CM), 0.0) * _CM
     known = record.known & finite
     sectors = np.full(len(record.distance_m), _UNKNOWN_CM, dtype=np.int64)
     sectors[record.clear] = most + 1

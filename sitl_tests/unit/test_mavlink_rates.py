@@ -1,0 +1,149 @@
+"""Asking for rates: one request at a time, less where denied, again where it falls back, and saying what to change."""
+
+from __future__ import annotations
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.questions import ParameterReader, TimesyncTimer
+from companion.adapters.mavlink.rates import IntervalRequest, RateKeeper, needed_loop_rate_hz
+
+S, MS = 1_000_000_000, 1_000_000
+RAW, HIGHRES = 27, 105
+ACCEPTED, DENIED, FAILED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED
+
+
+class Vehicle:
+    """Answers like ArduPilot: whole milliseconds, nothing faster than 0.8 of its loop; may forget what it promised."""
+
+    def __init__(self, loop_hz: float) -> None:
+        self.loop_hz = loop_hz
+        self.interval_ms: dict[int, int] = {}
+        self.counts: dict[int, float] = {}
+
+    def command(self, request: IntervalRequest) -> int:
+        interval_ms = request.interval_us // 1000
+        if interval_ms < int(1250 / self.loop_hz):
+            return int(DENIED)
+        self.interval_ms[request.message] = interval_ms
+        return int(ACCEPTED)
+
+    def run(self, seconds: float) -> None:
+        for message, interval_ms in self.interval_ms.items():
+            self.counts[message] = self.counts.get(message, 0.0) + seconds * 1000 / interval_ms
+
+
+def fly(keeper: RateKeeper, vehicle: Vehicle, start_s: int, seconds: int) -> tuple[list[IntervalRequest], list[str]]:
+    requests, texts = [], []
+    for step in range(start_s * 20, (start_s + seconds) * 20):
+        now = 1 + step * S // 20
+        request = keeper.due(now)
+        if request is not None:
+            requests.append(request)
+            keeper.acknowledged(vehicle.command(request), now)
+        vehicle.run(0.05)
+        if step % 20 == 0:
+            keeper.verify({message: int(count) for message, count in vehicle.counts.items()}, now)
+        texts += [notice.text for notice in keeper.notices()]
+    return requests, texts
+
+
+def test_a_fast_autopilot_is_asked_once_for_each_message() -> None:
+    keeper, vehicle = RateKeeper({RAW: 333, HIGHRES: 333}), Vehicle(400)
+    requests, texts = fly(keeper, vehicle, 0, 20)
+    assert requests == [IntervalRequest(RAW, 3003), IntervalRequest(HIGHRES, 3003)]
+    assert texts == []
+    assert keeper.delivered_hz[RAW] == pytest.approx(333, rel=0.02)
+
+
+def test_a_denied_rate_is_lowered_until_granted_and_the_loop_rate_is_told() -> None:
+    keeper, vehicle = RateKeeper({RAW: 333}), Vehicle(50)
+    keeper.loop_rate(50)
+    requests, texts = fly(keeper, vehicle, 0, 5)
+    assert vehicle.interval_ms == {RAW: 25}
+    assert len(requests) == 2
+    assert texts == ["RAW_IMU at 333 Hz denied: set SCHED_LOOP_RATE 400, reboot"]
+    assert all(len(text) <= 50 or "SCHED" in text[:60] for text in texts)
+
+
+def test_a_denied_rate_is_found_without_knowing_the_loop_rate() -> None:
+    keeper, vehicle = RateKeeper({RAW: 333}), Vehicle(50)
+    fly(keeper, vehicle, 0, 10)
+    assert 25 <= vehicle.interval_ms[RAW] <= 32
+
+
+def test_a_rate_that_falls_back_is_asked_for_again() -> None:
+    keeper, vehicle = RateKeeper({RAW: 333}), Vehicle(400)
+    fly(keeper, vehicle, 0, 5)
+    vehicle.interval_ms[RAW] = 100
+    requests, texts = fly(keeper, vehicle, 5, 4)
+    assert requests == [IntervalRequest(RAW, 3003)]
+    assert vehicle.interval_ms[RAW] == 3
+    assert len(texts) == 1
+    assert "asking again" in texts[0]
+
+
+def test_a_rate_that_never_comes_is_asked_for_less_and_less_often_and_the_remedy_told_once() -> None:
+    keeper, vehicle = RateKeeper({RAW: 333}), Vehicle(400)
+    vehicle.run = lambda seconds: None  # type: ignore[method-assign]
+    keeper.loop_rate(50)
+    requests, texts = fly(keeper, vehicle, 0, 60)
+    assert 4 <= len(requests) <= 12
+    assert len(texts) == 2
+    assert "SCHED_LOOP_RATE 400" in texts[1]
+
+
+def test_an_answer_that_does_not_come_is_asked_for_again_with_pauses() -> None:
+    keeper = RateKeeper({RAW: 333, HIGHRES: 333})
+    asked = [keeper.due(step * 100 * MS) for step in range(1, 101)]
+    assert 10 <= len([request for request in asked if request]) <= 30
+    assert {request.message for request in asked if request} == {RAW, HIGHRES}
+
+
+def test_a_message_that_the_autopilot_does_not_have_is_told_and_not_hammered() -> None:
+    keeper = RateKeeper({HIGHRES: 333})
+    texts = []
+    for step in range(200):
+        now = 1 + step * S // 10
+        if keeper.due(now):
+            keeper.acknowledged(FAILED, now)
+        texts += keeper.notices()
+    assert len(texts) == 1
+    assert "HIGHRES_IMU" in texts[0].text
+
+
+def test_after_a_reboot_everything_is_asked_for_again() -> None:
+    keeper, vehicle = RateKeeper({RAW: 333}), Vehicle(50)
+    fly(keeper, vehicle, 0, 3)
+    keeper.restart(3 * S)
+    vehicle.loop_hz = 400
+    requests, _ = fly(keeper, vehicle, 3, 2)
+    assert requests == [IntervalRequest(RAW, 3003)]
+
+
+@pytest.mark.parametrize(("rate_hz", "loop_hz"), [(333, 400), (40, 50), (200, 250), (400, 500)])
+def test_the_needed_loop_rate(rate_hz: float, loop_hz: int) -> None:
+    assert needed_loop_rate_hz(rate_hz) == loop_hz
+
+
+def test_time_is_asked_for_often_at_first_and_after_a_restart() -> None:
+    timer = TimesyncTimer()
+    asked = [step for step in range(2000) if timer.due(1 + step * 10 * MS)]
+    assert sum(step < 500 for step in asked) == 50
+    assert sum(1000 <= step < 1500 for step in asked) == 25
+    timer.hurry(20 * S)
+    assert sum(timer.due(20 * S + step * 10 * MS) for step in range(500)) == 50
+
+
+def test_missing_parameters_are_asked_for_a_few_times_then_left_until_the_next_round() -> None:
+    reader = ParameterReader(("A", "B"))
+    asked: list[str] = []
+    for step in range(1, 2000):
+        name = reader.due(step * 10 * MS)
+        if name is not None:
+            asked.append(name)
+            if name == "A":
+                reader.arrived("A")
+    assert asked.count("A") == 1
+    assert asked.count("B") == 5
+    assert reader.due(31 * S) in ("A", "B")
