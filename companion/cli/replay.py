@@ -1,0 +1,211 @@
+"""``spanwise replay``: the same estimation from a recording of ours, or from a log of ArduPilot, PX4 or a laboratory."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import itertools
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from companion.adapters.recordings.codec import codec_of
+from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.writer import About, McapWriter
+from companion.cli.options import add_settings, read_settings
+from companion.cli.replaying import drive, foreign_inputs, own_inputs
+from companion.cli.stations import StationAnalysis
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import (
+    ClockName,
+    CorrectedRange,
+    Deflection,
+    ImuBatch,
+    ModeState,
+    NoRange,
+    Notice,
+    ObstacleSectors,
+    Record,
+    Rejected,
+    ServiceStatus,
+    TriggerPlan,
+    Validity,
+)
+
+_OUTPUTS = (ModeState, TriggerPlan, Deflection, CorrectedRange, NoRange, ObstacleSectors, ServiceStatus)
+_NOTHING = 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("recording", type=Path, help=".mcap, .tlog, .BIN, .ulg, or a folder with accel.csv")
+    parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own; see config/airframes")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on standard output")
+    parser.add_argument("--out", type=Path, metavar="FILE.mcap", help="write the outputs as a recording")
+    add_settings(parser)
+
+
+@dataclass(slots=True)
+class Tally:
+    """What the outputs add up to."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    validity: Counter[str] = field(default_factory=Counter)
+    rejected: Counter[str] = field(default_factory=Counter)
+    last_tracking: ModeState | None = None
+    trusted: list[CorrectedRange] = field(default_factory=list)
+    digest: Any = field(default_factory=hashlib.sha256)
+    compared: int = 0
+    first_difference: str | None = None
+
+    def take(self, record: Record) -> None:
+        """Count one output and add its bytes to the digest."""
+        self.counts[type(record).__name__] += 1
+        self.digest.update(encoded(record))
+        if isinstance(record, ModeState):
+            self.validity[str(record.validity)] += 1
+            if record.validity is Validity.TRACKING:
+                self.last_tracking = record
+        elif isinstance(record, CorrectedRange) and record.trusted:
+            self.trusted.append(record)
+        elif isinstance(record, Rejected):
+            self.rejected[str(record.reason)] += record.count
+
+    def compare(self, recorded: Record | None, replayed: Record | None) -> None:
+        """Hold a replayed output against the recorded one, field by field."""
+        self.compared += 1
+        if self.first_difference is None and _plain(recorded) != _plain(replayed):
+            self.first_difference = f"output {self.compared}: recorded {recorded!r}, replayed {replayed!r}"[:2000]
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Replay, and tell what came of it."""
+    airframe = load_airframe(options.airframe) if options.airframe else None
+    recording = open_recording(options.recording, airframe)
+    settings = read_settings(options) if options.changes or options.settings else recording.settings
+    own = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
+    same_beliefs = airframe is None and settings == recording.settings
+    tally = Tally()
+    stations = StationAnalysis(recording.airframe)
+    writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
+    recorded = _outputs_of(recording) if own and same_beliefs else None
+    for output in _replayed(recording, settings, own, stations):
+        tally.take(output)
+        if writer is not None:
+            writer.write(output)
+        if recorded is not None and isinstance(output, _OUTPUTS):
+            tally.compare(next(recorded, None), output)
+    if writer is not None:
+        writer.close()
+    _left_over(tally, recorded, recording.replayable)
+    result = _result(recording, tally, stations, recorded is not None)
+    print(json.dumps(result, indent=2) if options.json else _text(result))
+    if tally.first_difference and recording.replayable:
+        print(f"spanwise replay: not reproduced: {tally.first_difference}", file=sys.stderr)
+        return 1
+    return 0 if tally.trusted or tally.last_tracking or stations.found else _NOTHING
+
+
+def encoded(record: Record) -> bytes:
+    """The record's bytes as they would be recorded."""
+    return json.dumps([type(record).__name__, _plain(record)], sort_keys=True).encode()
+
+
+def _plain(record: Record | None) -> Any:
+    return None if record is None else codec_of(type(record)).encode(record)
+
+
+def _replayed(recording: Recording, settings: Settings, own: bool, stations: StationAnalysis) -> Iterator[Record]:
+    records = recording.records()
+    inputs = own_inputs(records, recording.airframe, settings) if own else foreign_inputs(records)
+    hub = None if recording.hub is ClockName.HOST else recording.hub
+
+    def watched() -> Iterator[Record]:
+        for record in inputs:
+            if isinstance(record, ImuBatch):
+                stations.add(record)
+            yield record
+
+    return drive(watched(), recording.airframe, settings, hub)
+
+
+def _outputs_of(recording: Recording) -> Iterator[Record]:
+    return (record for record in recording.records() if isinstance(record, _OUTPUTS))
+
+
+def _left_over(tally: Tally, recorded: Iterator[Record] | None, replayable: bool) -> None:
+    """The live service may have been stopped between an input and its outputs, but never made more than the replay."""
+    if recorded is not None and replayable:
+        for extra in itertools.islice(recorded, 1):
+            tally.compare(extra, None)
+
+
+def _result(recording: Recording, tally: Tally, stations: StationAnalysis, compared: bool) -> dict[str, Any]:
+    return {
+        "recording": str(recording.path),
+        "airframe": recording.airframe.name,
+        "clock": str(recording.hub),
+        "notices": [_sentence(notice) for notice in recording.notices],
+        "stations": stations.result(),
+        "wing": _wing(tally),
+        "ranges": {
+            "corrected": tally.counts["CorrectedRange"],
+            "trusted": len(tally.trusted),
+            "last_m": tally.trusted[-1].range_m if tally.trusted else None,
+        },
+        "outputs": dict(sorted(tally.counts.items())),
+        "rejected": dict(sorted(tally.rejected.items())),
+        "outputs_sha256": tally.digest.hexdigest(),
+        "reproduced": (tally.first_difference is None) if compared and recording.replayable else None,
+        "compared": tally.compared,
+    }
+
+
+def _sentence(notice: Notice) -> str:
+    return notice.text
+
+
+def _wing(tally: Tally) -> dict[str, Any]:
+    total = sum(tally.validity.values())
+    shares = {name: round(count / total, 4) for name, count in sorted(tally.validity.items())}
+    mode = tally.last_tracking
+    if mode is None:
+        return {"validity": shares, "symmetric": None, "antisymmetric": None}
+    members = {"symmetric": mode.symmetric, "antisymmetric": mode.antisymmetric}
+    keys = ("frequency_hz", "frequency_sigma_hz", "damping", "damping_sigma", "rms_m")
+    return {"validity": shares} | {name: {k: getattr(m, k) for k in keys} for name, m in members.items()}
+
+
+def _text(result: dict[str, Any]) -> str:
+    lines = [f"{result['recording']}  (airframe {result['airframe']}, clock {result['clock']})"]
+    lines += [f"  note: {sentence}" for sentence in result["notices"]]
+    lines += [f"  {name:5s}  {entry['text']}" for name, entry in result["stations"].items()]
+    lines.append("  wing   " + _wing_text(result["wing"]))
+    ranges = result["ranges"]
+    if ranges["corrected"]:
+        lines.append(f"  ranges {ranges['corrected']} corrected, {ranges['trusted']} trusted")
+    if result["rejected"]:
+        lines.append("  refused " + ", ".join(f"{count} x {reason}" for reason, count in result["rejected"].items()))
+    if result["reproduced"] is not None:
+        verdict = "identical to what was published" if result["reproduced"] else "NOT as published"
+        lines.append(f"  replay of {result['compared']} outputs: {verdict}")
+    lines.append(f"  outputs sha256 {result['outputs_sha256']}")
+    return "\n".join(lines)
+
+
+def _wing_text(wing: dict[str, Any]) -> str:
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in wing["validity"].items()) or "never seen"
+    if wing["symmetric"] is None:
+        return f"no mode tracked ({shares})"
+    parts = [
+        f"{name} {mode['frequency_hz']:.3f} ±{mode['frequency_sigma_hz']:.3f} Hz, rms {1e3 * mode['rms_m']:.2f} mm"
+        for name, mode in wing.items()
+        if name != "validity"
+    ]
+    return "; ".join(parts) + f" ({shares})"
