@@ -46,13 +46,13 @@ def heartbeat(health: Health) -> Any:
 def distance_sensor(record: CorrectedRange, min_m: float, max_m: float, time_boot_ms: int) -> Any:
     """DISTANCE_SENSOR of a range.
 
-    A range that is not trusted, not finite or outside the limits is sent as "alive, no range": one centimetre beyond
-    the largest distance, with quality 1. The covariance is in cm^2, 1 to 254; a larger or unknown one is 255.
+    A range that is not trusted, finite, positive and inside the limits is sent as "alive, no range": one centimetre
+    beyond the largest distance, with quality 1. The covariance is in cm^2, 1 to 254; a larger or unknown one is 255.
     """
     least, most = _limits_cm(min_m, max_m)
     distance, covariance, quality = most + 1, _UNKNOWN_COVARIANCE, _NO_RANGE_QUALITY
     good = record.trusted and math.isfinite(record.range_m) and math.isfinite(record.sigma_m) and record.sigma_m >= 0
-    if good and least <= record.range_m * _CM <= most:
+    if good and record.range_m > 0 and least <= record.range_m * _CM <= most:
         distance = _clamp(record.range_m * _CM, least, most)
         covariance = _covariance_cm2(record.sigma_m)
         quality = _clamp(_BEST_QUALITY * (1.0 - record.sigma_m / record.range_m), _LEAST_QUALITY, _BEST_QUALITY)

@@ -1,0 +1,297 @@
+"""The vehicle's side of the service, against a small vehicle written with pymavlink, on a clock that tests turn."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.autopilot import MavlinkAutopilot
+from companion.adapters.mavlink.decode import OUTGOING, Decoder
+from companion.adapters.mavlink.link import Link
+from companion.adapters.mavlink.translate import Heard
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import (
+    AutopilotParameter,
+    ClockName,
+    ClockRestart,
+    ClockState,
+    CorrectedRange,
+    Health,
+    ImuBatch,
+    Notice,
+    RawChunk,
+    Record,
+    ServiceStatus,
+    TimesyncReply,
+)
+
+S, MS = 1_000_000_000, 1_000_000
+
+
+class TurnedClock:
+    """A monotonic clock that moves only when it is told, or slept on."""
+
+    def __init__(self) -> None:
+        self.now = 100 * S
+
+    def now_ns(self) -> int:
+        return self.now
+
+    def sleep_until(self, target_host_ns: int) -> None:
+        self.now = max(self.now, target_host_ns)
+
+
+class Wire:
+    """A transport in memory."""
+
+    def __init__(self) -> None:
+        self.inbox = b""
+        self.sent: list[bytes] = []
+
+    def fileno(self) -> int:
+        return -1
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        data, self.inbox = self.inbox[:limit], self.inbox[limit:]
+        return data
+
+    def send(self, data: bytes) -> bool:
+        self.sent.append(data)
+        return True
+
+    def close(self) -> None:
+        self.inbox = b""
+
+
+class Vehicle:
+    """An autopilot of system 3 and two nodes: answers time, parameters and rates; streams what was granted."""
+
+    def __init__(self, clock: TurnedClock, wire: Wire, boot_ns: int = 50 * S, loop_hz: float = 400) -> None:
+        self.clock, self.wire, self.loop_hz = clock, wire, loop_hz
+        self.offset_ns = boot_ns - clock.now
+        self.parser = mavlink.MAVLink(None)
+        self.packers = {component: mavlink.MAVLink(None, 3, component) for component in (1, 200, 201)}
+        self.heard: list[Any] = []
+        self.interval_ms: dict[int, int] = {}
+        self.last_ms: dict[int, int] = {}
+
+    def say(self, message: Any, component: int = 1) -> None:
+        self.wire.inbox += bytes(message.pack(self.packers[component]))
+
+    def heartbeat(self) -> None:
+        self.say(mavlink.MAVLink_heartbeat_message(1, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3))
+
+    def boot_ms(self) -> int:
+        return (self.clock.now + self.offset_ns) // MS
+
+    def run(self) -> None:
+        frames, self.wire.sent = self.wire.sent, []
+        for message in self.parser.parse_buffer(b"".join(frames)) or []:
+            self.heard.append(message)
+            self.answer(message)
+        for message, interval_ms in self.interval_ms.items():
+            if self.boot_ms() - self.last_ms.get(message, -1000) >= interval_ms:
+                self.last_ms[message] = self.boot_ms()
+                self.stream(message)
+
+    def answer(self, message: Any) -> None:
+        kind = message.get_type()
+        if kind == "TIMESYNC" and message.tc1 == 0:
+            for component in (1, 200):
+                self.say(mavlink.MAVLink_timesync_message(self.clock.now + self.offset_ns, message.ts1), component)
+        elif kind == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+            interval_ms = int(message.param2) // 1000
+            granted = interval_ms >= int(1250 / self.loop_hz)
+            if granted:
+                self.interval_ms[int(message.param1)] = interval_ms
+            self.say(mavlink.MAVLink_command_ack_message(511, 0 if granted else 2, 0, 0, 3, 191))
+        elif kind == "PARAM_REQUEST_READ":
+            value = self.loop_hz if message.param_id == "SCHED_LOOP_RATE" else 20.0
+            self.say(mavlink.MAVLink_param_value_message(message.param_id.encode(), value, 9, 100, 1))
+
+    def stream(self, message: int) -> None:
+        t_us = (self.clock.now + self.offset_ns) // 1000
+        if message == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU:
+            self.say(mavlink.MAVLink_highres_imu_message(t_us, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, 0, 0, 0, 20, 63))
+
+    def of(self, kind: str) -> list[Any]:
+        return [message for message in self.heard if message.get_type() == kind]
+
+
+class Bench:
+    def __init__(self, loop_hz: float = 400) -> None:
+        self.clock, self.wire = TurnedClock(), Wire()
+        self.vehicle = Vehicle(self.clock, self.wire, loop_hz=loop_hz)
+        self.listened: list[Heard] = []
+        self.pilot = MavlinkAutopilot(
+            [Link(0, "memory", self.wire, self.clock)],
+            load_airframe("nadir-2m"),
+            Settings(),
+            self.clock,
+            listener=self.listened.append,
+        )
+
+    def fly(self, seconds: float, heartbeats: bool = True) -> list[Record]:
+        records: list[Record] = []
+        for step in range(round(seconds * 200)):
+            if heartbeats and step % 200 == 0:
+                self.vehicle.heartbeat()
+            self.vehicle.run()
+            self.clock.now += 5 * MS
+            records += self.pilot.poll(0.0)
+        return records
+
+
+def kinds(records: list[Record], kind: type) -> list[Any]:
+    return [record for record in records if isinstance(record, kind)]
+
+
+def test_nothing_is_sent_before_the_vehicle_is_known_and_then_all_is_asked() -> None:
+    bench = Bench()
+    bench.fly(2, heartbeats=False)
+    assert not bench.vehicle.heard
+    records = bench.fly(3)
+    ours = bench.vehicle.heard
+    assert {(message.get_srcSystem(), message.get_srcComponent()) for message in ours} == {(3, 191)}
+    sequence = [message.get_seq() for message in ours]
+    assert sequence == [(sequence[0] + k) % 256 for k in range(len(sequence))]
+    assert 2 <= len(bench.vehicle.of("HEARTBEAT")) <= 3
+    names = {record.name for record in kinds(records, AutopilotParameter)}
+    assert {"INS_ACCEL_FILTER", "INS_GYRO_FILTER", "SCHED_LOOP_RATE", "RNGFND1_MAX"} <= names
+    assert set(bench.vehicle.interval_ms) == {105, 30, 74}
+    assert len(kinds(records, ImuBatch)) > 300
+
+
+def test_time_is_exchanged_with_the_autopilot_and_each_node() -> None:
+    bench = Bench()
+    records = bench.fly(3)
+    replies = kinds(records, TimesyncReply)
+    for clock in (ClockName.BOOT, ClockName.NODE_LEFT):
+        mine = [reply for reply in replies if reply.clock == clock]
+        assert 25 <= len(mine) <= 31
+        for reply in mine:
+            assert reply.sent_host_ns <= reply.remote_ns - bench.vehicle.offset_ns <= reply.received_host_ns
+
+
+def test_requests_of_others_are_answered_with_our_time() -> None:
+    bench = Bench()
+    bench.fly(0.1)
+    bench.vehicle.say(mavlink.MAVLink_timesync_message(0, 4711))
+    before = bench.clock.now
+    bench.fly(0.1)
+    (answered,) = [message for message in bench.vehicle.of("TIMESYNC") if message.tc1]
+    assert answered.ts1 == 4711
+    assert before <= answered.tc1 <= bench.clock.now
+
+
+def test_the_recorded_chunks_replay_to_the_same_records() -> None:
+    bench = Bench()
+    records = bench.fly(2)
+    bench.vehicle.offset_ns -= 40 * S  # a reboot
+    records += bench.fly(2)
+    chunks = kinds(records, RawChunk)
+    assert {chunk.link for chunk in chunks} == {0, OUTGOING}
+    decoder = Decoder(load_airframe("nadir-2m"), Settings().component_id)
+    replayed = [repr(record) for chunk in chunks for record in decoder.decode_chunk(chunk)]
+    assert replayed == [repr(record) for record in records if not isinstance(record, RawChunk | Notice)]
+    assert len(kinds(records, ClockRestart)) == 2  # the autopilot's clock, and the node's that went back with it
+
+
+def test_after_a_reboot_rates_and_parameters_are_asked_for_again() -> None:
+    bench = Bench()
+    bench.fly(2)
+    bench.vehicle.offset_ns -= 40 * S
+    bench.vehicle.interval_ms.clear()
+    bench.vehicle.last_ms.clear()
+    bench.vehicle.heard.clear()
+    bench.fly(2)
+    assert 105 in bench.vehicle.interval_ms
+    assert len(bench.vehicle.of("PARAM_REQUEST_READ")) >= 7
+
+
+def test_a_slow_loop_is_told_to_the_operator() -> None:
+    bench = Bench(loop_hz=50)
+    texts = [notice.text for notice in kinds(bench.fly(4), Notice)]
+    assert any("HIGHRES_IMU" in text and "SCHED_LOOP_RATE 400" in text for text in texts)
+    assert 25 <= bench.vehicle.interval_ms[105] <= 32
+
+
+def test_rare_messages_are_handed_to_the_listener() -> None:
+    bench = Bench()
+    bench.vehicle.say(mavlink.MAVLink_command_long_message(3, 191, 512, 0, 1, 0, 0, 0, 0, 0, 0))
+    bench.fly(0.05)
+    assert [heard.message.command for heard in bench.listened if heard.name == "COMMAND_LONG"] == [512]
+
+
+def a_range(**changes: Any) -> CorrectedRange:
+    base = CorrectedRange(1, 1, 200 * S, 25, 40.0, 0.1, 0.004, 1e-4, 35.0, 50, True, None)
+    return dataclasses.replace(base, **changes)
+
+
+def test_ranges_leave_with_the_autopilots_time_and_their_true_sigma_beside() -> None:
+    bench = Bench()
+    bench.fly(1)
+    bench.pilot.publish(ClockState(ClockName.BOOT, bench.clock.now, -50 * S, 0.0, 1000, True))
+    bench.pilot.publish(a_range())
+    bench.vehicle.run()
+    (sent,) = bench.vehicle.of("DISTANCE_SENSOR")
+    assert (sent.time_boot_ms, sent.current_distance, sent.covariance) == (150_000, 4000, 100)
+    values = {message.name: message.value for message in bench.vehicle.of("NAMED_VALUE_FLOAT")}
+    assert values["rng_sig_m"] == np.float32(0.1)
+    assert values["toe_mrad"] == np.float32(4.0)
+
+
+def test_a_range_that_is_not_a_number_is_alive_without_range_and_no_graph_is_poisoned() -> None:
+    bench = Bench()
+    bench.fly(0.1)
+    bench.pilot.publish(a_range(range_m=math.nan, sigma_m=math.inf, toe_rad=math.nan))
+    bench.vehicle.run()
+    (sent,) = bench.vehicle.of("DISTANCE_SENSOR")
+    assert sent.signal_quality == 1
+    assert bench.pilot.refused == 2
+    assert [message.name for message in bench.vehicle.of("NAMED_VALUE_FLOAT")] == ["rigid_m"]
+
+
+def test_graphs_keep_their_rate() -> None:
+    bench = Bench()
+    bench.fly(0.1)
+    for k in range(100):
+        bench.pilot.publish(a_range(t_host_ns=200 * S + k * 20 * MS))
+    bench.vehicle.run()
+    sigmas = [message for message in bench.vehicle.of("NAMED_VALUE_FLOAT") if message.name == "rng_sig_m"]
+    assert len(sigmas) in (7, 8)
+    assert len(bench.vehicle.of("DISTANCE_SENSOR")) == 100
+
+
+@pytest.mark.parametrize(("health", "state"), [(Health.ACTIVE, 4), (Health.CRITICAL, 5), (Health.STANDBY, 3)])
+def test_the_heartbeat_follows_the_services_health(health: Health, state: int) -> None:
+    bench = Bench()
+    bench.fly(1)
+    bench.pilot.publish(ServiceStatus(bench.clock.now, health, "because"))
+    bench.vehicle.heard.clear()
+    bench.fly(2)
+    assert {message.system_status for message in bench.vehicle.of("HEARTBEAT")} == {state}
+
+
+def test_a_shot_by_the_autopilots_cameras_is_commanded() -> None:
+    bench = Bench()
+    bench.fly(0.1)
+    bench.pilot.capture()
+    bench.vehicle.run()
+    (command,) = [message for message in bench.vehicle.of("COMMAND_LONG") if message.command == 2000]
+    assert (command.target_system, command.target_component, command.param1, command.param3) == (3, 1, 0.0, 1.0)
+
+
+def test_notices_become_texts() -> None:
+    bench = Bench()
+    bench.fly(0.1)
+    bench.pilot.publish(Notice(4, "wing node left is silent", bench.clock.now))
+    bench.vehicle.run()
+    (text,) = bench.vehicle.of("STATUSTEXT")
+    assert (text.severity, text.text) == (4, "wing node left is silent")
