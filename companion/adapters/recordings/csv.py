@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.recording import LoggedRecording, Stream, merge, timed
+from companion.adapters.recordings.recording import LoggedRecording, Stream, join, merge, timed
 from companion.adapters.recordings.tables import read_table
 from companion.adapters.recordings.units import ACCELERATION, ANGULAR_RATE, has_known_unit, input_in_si
 from companion.errors import RecordingError, TableError
@@ -61,7 +61,7 @@ class CsvRecording(LoggedRecording):
     Attributes
     ----------
     streams : tuple of Stream
-        One for each place and file.
+        One for each place; axes that come in two files are interpolated to the stamps of the longer one.
     covariates : dict of str to Covariate
     ranges : RangeTable or None
 
@@ -76,10 +76,10 @@ class CsvRecording(LoggedRecording):
     def __init__(self, path: Path, airframe: Airframe) -> None:
         super().__init__(path, airframe, ClockName.HOST)
         self.covariates: dict[str, Covariate] = {}
-        self.streams = tuple(stream for file in accel_files(path) for stream in self._accel(file))
-        if not self.streams:
+        parts = [stream for file in accel_files(path) for stream in self._accel(file)]
+        if not parts:
             raise TableError(path / "accel.csv", 1, "no column <place>_<axis>_<unit>, such as left_z_mps2")
-        self._refuse_twice()
+        self.streams = tuple(self._one_per_station(parts))
         self.airframe = self._fitting(airframe)
         self.ranges = self._ranges(path / "range.csv")
         for stream in self.streams:
@@ -113,19 +113,18 @@ class CsvRecording(LoggedRecording):
             return
         self.covariates[si_name] = Covariate(si_name, t_s, values * factor)
 
-    def _refuse_twice(self) -> None:
-        seen: dict[Station, Axis] = {}
-        for stream in self.streams:
-            if seen.get(stream.station, Axis.NONE) & stream.axes:
-                place = stream.station.name.lower()
+    def _one_per_station(self, parts: list[Stream]) -> Iterator[Stream]:
+        for station in sorted({part.station for part in parts}):
+            mine = [part for part in parts if part.station is station]
+            place = station.name.lower()
+            if len(mine) > 1 and mine[0].axes & mine[1].axes:
                 raise TableError(self.path / f"accel_{place}.csv", 1, f"axes of '{place}' are in accel.csv as well")
-            seen[stream.station] = seen.get(stream.station, Axis.NONE) | stream.axes
+            yield join(mine)
 
     def _fitting(self, airframe: Airframe) -> Airframe:
         sensors: dict[str, Any] = {
-            station.name.lower(): _sensor_as_recorded(airframe.sensor(station), mine)
-            for station in Station
-            if (mine := [stream for stream in self.streams if stream.station is station])
+            stream.station.name.lower(): _sensor_as_recorded(airframe.sensor(stream.station), stream)
+            for stream in self.streams
         }
         for station in Station:
             if station.name.lower() not in sensors:
@@ -188,10 +187,9 @@ def _stream(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -> 
     return Stream(station, ClockName.HOST, axes, t_ns, values)
 
 
-def _sensor_as_recorded(sensor: Sensor, streams: list[Stream]) -> Sensor:
-    sent = [_LETTERS[i] for i in range(6) if any(stream.axes >> i & 1 for stream in streams)]
-    longest = max(streams, key=lambda stream: stream.t_ns.size)
-    rate_hz = 1e9 / float(np.median(np.diff(longest.t_ns))) if longest.t_ns.size > 1 else sensor.rate_hz
+def _sensor_as_recorded(sensor: Sensor, stream: Stream) -> Sensor:
+    sent = [_LETTERS[i] for i in range(6) if stream.axes >> i & 1]
+    rate_hz = 1e9 / float(np.median(np.diff(stream.t_ns))) if stream.t_ns.size > 1 else sensor.rate_hz
     source = dataclasses.replace(sensor.source, clock=ClockName.HOST, stamp_offset_s=0.0)
     return dataclasses.replace(sensor, sends="".join(sent), rate_hz=rate_hz, source=source)
 

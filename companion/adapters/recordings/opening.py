@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from companion.adapters.recordings.bin import BinRecording
 from companion.adapters.recordings.csv import CsvRecording
+from companion.adapters.recordings.dataflash import MAGIC as BIN_MAGIC
 from companion.adapters.recordings.reader import MAGIC as MCAP_MAGIC
 from companion.adapters.recordings.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.tlog import TlogRecording
+from companion.adapters.recordings.ulog import MAGIC as ULOG_MAGIC
+from companion.adapters.recordings.ulog import UlogRecording
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 
@@ -39,6 +43,10 @@ def open_recording(path: Path | str, airframe: Airframe | None = None) -> Record
         head = file.read(16)
     if head.startswith(MCAP_MAGIC):
         return McapRecording(path, airframe)
+    if head.startswith(BIN_MAGIC):
+        return BinRecording(path, _needed(airframe, path))
+    if head.startswith(ULOG_MAGIC):
+        return UlogRecording(path, _needed(airframe, path))
     if head[8:9] in (b"\xfd", b"\xfe") or path.suffix.lower() == ".tlog":
         return TlogRecording(path, _needed(airframe, path))
     raise RecordingError(f"{path}: not a recording that can be read; {_KNOWN}")

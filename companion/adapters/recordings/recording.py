@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -22,6 +22,7 @@ WARNING = 4
 INFO = 6
 BATCH_NS = 20_000_000
 _GAP_RATIO = 2.5
+_JITTER_RATIO = 0.15
 
 
 class Recording(Protocol):
@@ -103,6 +104,30 @@ class Stream:
             )
 
 
+def join(parts: Sequence[Stream]) -> Stream:
+    """Join the axes of one sensor that were logged apart into one stream, on the stamps of the longest part.
+
+    The other parts are interpolated linearly; where one of them has a gap, or has not begun or has ended, the sample is
+    left out.
+    """
+    base = max(parts, key=lambda part: part.t_ns.size)
+    values, axes = base.values.copy(), base.axes
+    kept = np.ones(base.t_ns.size, dtype=np.bool_)
+    for part in [part for part in parts if part is not base]:
+        after = np.searchsorted(part.t_ns, base.t_ns)
+        exact = np.isin(base.t_ns, part.t_ns)
+        inside = (after > 0) & (after < part.t_ns.size)
+        steps = np.diff(part.t_ns)
+        if steps.size:
+            around = steps[np.clip(after - 1, 0, steps.size - 1)]
+            inside &= around <= _GAP_RATIO * float(np.median(steps))
+        kept &= exact | inside
+        for i in [i for i in range(6) if part.axes >> i & 1]:
+            values[:, i] = np.interp(base.t_ns, part.t_ns, part.values[:, i])
+        axes |= part.axes
+    return Stream(base.station, base.clock, axes, base.t_ns[kept], values[kept])
+
+
 @dataclass(slots=True)
 class Notes:
     """Collects notices for one recording, each text once."""
@@ -115,7 +140,7 @@ class Notes:
             self.notices.append(Notice(severity, text, at_host_ns))
 
     def gaps(self, name: str, t_ns: Ints) -> None:
-        """Say where a stream has gaps (steps over 2.5 times the usual one) or stamps that do not increase."""
+        """Say where a stream has gaps (steps over 2.5 times the usual one), uneven steps, or stamps that do not increase."""
         if t_ns.size < 3:
             return
         steps = np.diff(t_ns)
@@ -124,6 +149,10 @@ class Notes:
             if count:
                 self.add(f"{name}: {count} of {t_ns.size} stamps {problem}", int(t_ns[0]))
         wide = np.flatnonzero(steps > _GAP_RATIO * usual)
+        low, high = np.percentile(np.delete(steps, wide), (1, 99))
+        if high - low > _JITTER_RATIO * usual:
+            text = f"{name}: uneven steps, {low / 1e6:.2f} to {high / 1e6:.2f} ms (usual {usual / 1e6:.2f} ms)"
+            self.add(text, int(t_ns[0]), INFO)
         if wide.size:
             longest = int(wide[np.argmax(steps[wide])])
             self.add(

@@ -1,0 +1,233 @@
+"""PX4 ULog files as recordings, through pyulog: sensor_accel and sensor_gyro, vehicle_imu, or sensor_combined.
+
+Everything is in the autopilot's boot clock. These topics come before PX4's cutoff filters, so the airframe's low-pass
+is taken out. Samples of vehicle_imu and sensor_combined are means over their integration time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyulog import ULog
+
+from companion.adapters.mavlink.mapping import Mapped, build_mapping
+from companion.adapters.mavlink.translate import PARAMETER_PREFIXES
+from companion.adapters.recordings.bin import imu_of, in_body
+from companion.adapters.recordings.recording import LoggedRecording, Stream, join, merge, timed
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe, Sensor
+from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
+
+MAGIC = b"ULog\x01\x12\x35"
+_LEAST_RATE_HZ = 50.0
+_NO_TIME = 0x7FFFFFFF
+_ARMED = 2
+_TOPICS = [
+    "sensor_accel",
+    "sensor_gyro",
+    "sensor_combined",
+    "vehicle_imu",
+    "vehicle_attitude",
+    "vehicle_local_position",
+    "vehicle_status",
+    "airspeed",
+    "airspeed_validated",
+]
+
+_Part = tuple[Axis, Ints, Floats]
+
+
+class UlogRecording(LoggedRecording):
+    """A PX4 log; see :class:`LoggedRecording` for the shared attributes.
+
+    Instance 0 of a sensor topic is the first IMU, as in :class:`~companion.adapters.recordings.bin.BinRecording`;
+    sensor_combined stands for the first IMU where that was not logged fast enough.
+
+    Raises
+    ------
+    RecordingError
+        No ULog, or no inertial samples of any station at 50 Hz or more.
+    """
+
+    def __init__(self, path: Path, airframe: Airframe) -> None:
+        super().__init__(path, airframe, ClockName.BOOT)
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what file_corruption tells as well
+                self._log = ULog(str(path), _TOPICS, disable_str_exceptions=True)
+        except Exception as error:  # pyulog raises whatever its parsing stumbles over
+            raise RecordingError(f"{path}: cannot be read as a ULog: {error}") from error
+        self.streams: list[Stream] = []
+        sensors: dict[str, Any] = {}
+        for source in build_mapping(airframe).sources:
+            sensor = airframe.sensor(source.station)
+            stream = self._station(source, sensor)
+            if stream is not None:
+                self.streams.append(stream)
+                sensor = _as_logged(sensor, stream)
+            sensors[source.station.name.lower()] = sensor
+        self.airframe = dataclasses.replace(airframe, **sensors)
+        self._say_what_is_wrong()
+        if not self.streams:
+            there = ", ".join(sorted({f"{data.name}[{data.multi_id}]" for data in self._log.data_list})) or "nothing"
+            raise RecordingError(f"{path}: no inertial samples at {_LEAST_RATE_HZ:.0f} Hz or more; it has {there}")
+
+    def records(self) -> Iterator[Record]:
+        """Parameters, flight state and samples, in order of time."""
+        sources: list[Iterator[tuple[int, Record]]] = [self._parameters(), self._states()]
+        sources += map(timed, self.streams)
+        yield from merge(*sources)
+
+    def _station(self, source: Mapped, sensor: Sensor) -> Stream | None:
+        imu = imu_of(sensor)
+        name = f"{self.path.name}: {source.station.name.lower()}"
+        if imu is None:
+            self.notes.add(f"{name}: {sensor.source.message} of component {source.component} is not in an onboard log")
+            return None
+        parts = self._parts(imu)
+        wanted = [
+            Stream(source.station, ClockName.BOOT, axes & source.sends, t_ns, in_body(values, source, axes))
+            for axes, t_ns, values in parts
+            if axes & source.sends
+        ]
+        if not wanted:
+            self.notes.add(f"{name}: no samples of IMU {imu + 1} at {_LEAST_RATE_HZ:.0f} Hz or more in this log")
+            return None
+        stream = join(wanted)
+        self.notes.gaps(f"{name} (IMU {imu + 1})", stream.t_ns)
+        return stream
+
+    def _parts(self, imu: int) -> list[_Part]:
+        choices = [self._sensor_topics(imu), self._vehicle_imu(imu), self._combined() if imu == 0 else []]
+        return next((parts for parts in choices if parts and all(_fast(t_ns) for _, t_ns, _ in parts)), [])
+
+    def _sensor_topics(self, imu: int) -> list[_Part]:
+        accel, gyro = self._topic("sensor_accel", imu), self._topic("sensor_gyro", imu)
+        names = ("x", "y", "z")
+        parts = []
+        if accel:
+            parts.append(_part(Axis.ACCEL, _sample_time(accel), [accel[name] for name in names]))
+        if gyro:
+            parts.append(_part(Axis.GYRO, _sample_time(gyro), [gyro[name] for name in names]))
+        return parts
+
+    def _vehicle_imu(self, imu: int) -> list[_Part]:
+        table = self._topic("vehicle_imu", imu)
+        if not table:
+            return []
+        parts = []
+        for axes, field, period in (
+            (Axis.ACCEL, "delta_velocity", "delta_velocity_dt"),
+            (Axis.GYRO, "delta_angle", "delta_angle_dt"),
+        ):
+            seconds = table[period] * 1e-6
+            good = seconds > 0
+            columns = [table[f"{field}[{i}]"][good] / seconds[good] for i in range(3)]
+            parts.append(_part(axes, _sample_time(table)[good], columns))
+        return parts
+
+    def _combined(self) -> list[_Part]:
+        table = self._topic("sensor_combined", 0)
+        if not table:
+            return []
+        t_us = table["timestamp"].astype(np.int64)
+        relative = table["accelerometer_timestamp_relative"].astype(np.int64)
+        valid = relative != _NO_TIME
+        accel = [table[f"accelerometer_m_s2[{i}]"][valid] for i in range(3)]
+        gyro = [table[f"gyro_rad[{i}]"] for i in range(3)]
+        return [_part(Axis.ACCEL, (t_us + relative)[valid], accel), _part(Axis.GYRO, t_us, gyro)]
+
+    def _topic(self, name: str, instance: int) -> dict[str, Any]:
+        found = [data.data for data in self._log.data_list if (data.name, data.multi_id) == (name, instance)]
+        return found[0] if found else {}
+
+    def _say_what_is_wrong(self) -> None:
+        dropouts = self._log.dropouts
+        if dropouts:
+            lost_ms = sum(dropout.duration for dropout in dropouts)
+            many = f"{len(dropouts)} dropout{'s' if len(dropouts) > 1 else ''}"
+            self.notes.add(f"{self.path.name}: the logger reports {many} of {lost_ms} ms in all")
+        if self._log.file_corruption:
+            self.notes.add(f"{self.path.name}: parts of the file are damaged and were left out")
+
+    def _parameters(self) -> Iterator[tuple[int, AutopilotParameter]]:
+        start_us = int(self._log.start_timestamp)
+        changes = [(start_us, name, value) for name, value in self._log.initial_parameters.items()]
+        for t_us, name, value in (*changes, *(change[:3] for change in self._log.changed_parameters)):
+            if name.startswith(PARAMETER_PREFIXES) and math.isfinite(value):
+                yield t_us * 1000, AutopilotParameter(name, float(value), t_us * 1000)
+
+    def _states(self) -> Iterator[tuple[int, VehicleState]]:
+        attitude = self._topic("vehicle_attitude", 0)
+        if not attitude:
+            return
+        t_us = attitude["timestamp"].astype(np.int64)
+        angles = _euler(*(attitude[f"q[{i}]"].astype(np.float64) for i in range(4)))
+        airspeed = self._latest("airspeed_validated", "true_airspeed_m_s", t_us)
+        if not airspeed.any():
+            airspeed = self._latest("airspeed", "true_airspeed_m_s", t_us)
+        climb = -self._latest("vehicle_local_position", "vz", t_us)
+        armed = self._latest("vehicle_status", "arming_state", t_us) == _ARMED
+        for i, t_ns in enumerate((t_us * 1000).tolist()):
+            yield (
+                t_ns,
+                VehicleState(
+                    t_boot_ns=t_ns,
+                    received_host_ns=t_ns,
+                    roll_rad=float(angles[i, 0]),
+                    pitch_rad=float(angles[i, 1]),
+                    yaw_rad=float(angles[i, 2]),
+                    airspeed_mps=float(airspeed[i]),
+                    climb_mps=float(climb[i]),
+                    throttle=0.0,
+                    armed=bool(armed[i]),
+                ),
+            )
+
+    def _latest(self, topic: str, field: str, t_us: Ints) -> Floats:
+        table = self._topic(topic, 0)
+        if field not in table:
+            return np.zeros(t_us.size)
+        values = np.concatenate([[0.0], np.nan_to_num(table[field].astype(np.float64), posinf=0.0, neginf=0.0)])
+        return values[np.searchsorted(table["timestamp"].astype(np.int64), t_us, side="right")]
+
+
+def _part(axes: Axis, t_us: Ints, columns: list[Any]) -> _Part:
+    values = np.zeros((t_us.size, 6))
+    first = 0 if axes & Axis.ACCEL else 3
+    values[:, first : first + 3] = np.column_stack(columns)
+    order = np.argsort(t_us, kind="stable")
+    return axes, (t_us * 1000)[order], values[order]
+
+
+def _sample_time(table: dict[str, Any]) -> Ints:
+    stamps: Ints = table.get("timestamp_sample", table["timestamp"]).astype(np.int64)
+    return stamps if stamps.all() else table["timestamp"].astype(np.int64)
+
+
+def _fast(t_ns: Ints) -> bool:
+    return t_ns.size > 2 and bool(np.median(np.diff(t_ns)) <= 1e9 / _LEAST_RATE_HZ)
+
+
+def _as_logged(sensor: Sensor, stream: Stream) -> Sensor:
+    return dataclasses.replace(
+        sensor,
+        rate_hz=1e9 / float(np.median(np.diff(stream.t_ns))),
+        lowpass_accel_hz=0.0,
+        lowpass_gyro_hz=0.0,
+        source=dataclasses.replace(sensor.source, stamp_offset_s=0.0),
+    )
+
+
+def _euler(w: Floats, x: Floats, y: Floats, z: Floats) -> Floats:
+    """Roll, pitch, yaw (n, 3) of the quaternion that takes body FRD to NED (PX4's vehicle_attitude)."""
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.column_stack([roll, pitch, yaw])
