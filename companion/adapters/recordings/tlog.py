@@ -126,7 +126,7 @@ class _Timeline:
         self.restarts_ns: list[int] = []
         self._shift_ns = 0
         self._newest_ns = 0
-        self._received_utc_ns = 0
+        self._sampled_utc_ns = 0
 
     def place(self, records: list[Record], received_utc_ns: int) -> Iterator[Record]:
         """Give the records with stamps in the continued clock, arrived at the newest inertial stamp so far."""
@@ -141,14 +141,14 @@ class _Timeline:
                     restarted = False
                 record = dataclasses.replace(record, t_ns=record.t_ns + self._shift_ns)
                 self._newest_ns = max(self._newest_ns, int(record.t_ns.max()))
+                self._sampled_utc_ns = received_utc_ns
             elif isinstance(record, VehicleState):
                 record = dataclasses.replace(record, t_boot_ns=record.t_boot_ns + self._shift_ns)
             changes: dict[str, Any] = {CHANNELS[type(record)].time: self._newest_ns}
             yield dataclasses.replace(record, **changes)
-        self._received_utc_ns = received_utc_ns
 
     def _go_on(self, first_ns: int, received_utc_ns: int) -> None:
-        passed_ns = max(received_utc_ns - self._received_utc_ns, 0)
+        passed_ns = max(received_utc_ns - self._sampled_utc_ns, 0)
         self._shift_ns = self._newest_ns + passed_ns - first_ns
         self.restarts_ns.append(self._newest_ns + passed_ns)
 
