@@ -99,7 +99,7 @@ def open_link(spelling: str, clock: Clock, number: int = 0) -> Link:
         return Link(number, spelling, TcpClient(*_address(spelling, rest)), clock)
     if scheme == "tcpin":
         return Link(number, spelling, TcpServer(*_address(spelling, rest)), clock)
-    if spelling.startswith(("/", "./")) or scheme.upper().startswith("COM"):
+    if spelling.startswith(("/", "./")):
         return Link(number, spelling, SerialTransport(*_device(spelling)), clock)
     raise LinkError(f"'{spelling}' is not a connection; use {_SPELLINGS}")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import termios
 from typing import Any
 
 import serial
@@ -24,7 +25,7 @@ class SerialTransport:
         self._unsent = bytearray()
         try:
             self._port: Any = self._open()
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, termios.error) as error:
             raise LinkError(_advice(path, baud, error)) from error
 
     def fileno(self) -> int:
@@ -64,6 +65,10 @@ class SerialTransport:
     def _open(self) -> Any:
         port = serial.Serial(self._path, self._baud, timeout=0, write_timeout=0)
         os.set_blocking(port.fileno(), False)
+        # pyserial lets a read without data return nothing, which is what a device that was unplugged does too
+        attributes = termios.tcgetattr(port.fileno())
+        attributes[6][termios.VMIN] = 1
+        termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
         return port
 
     def _return(self, now_host_ns: int) -> None:
@@ -71,7 +76,7 @@ class SerialTransport:
             try:
                 self._port = self._open()
                 self._backoff.succeeded()
-            except (OSError, ValueError):
+            except (OSError, ValueError, termios.error):
                 self._port = None
 
     def _lose(self) -> None:
