@@ -73,11 +73,16 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """One segment's exact discretisation; ``push`` and ``push_view`` are the answer to a load factor excess of 1."""
+    """One segment's exact discretisation; ``push`` and ``push_view`` are the answer to a load factor excess of 1.
+
+    ``fine`` and ``fine_push`` carry the state over one sample.
+    """
 
     step: Discrete
     push: Floats
     push_view: Floats
+    fine: Floats
+    fine_push: Floats
 
 
 def layout_of(spec: TruthSpec) -> Layout:
@@ -95,8 +100,7 @@ def dynamics(spec: TruthSpec, layout: Layout, t_s: float) -> Dynamics:
     fine = averages(A, B, C, D, W, SAMPLE_S)
     rows = _reduction(layout)
     step = stacked(fine, SAMPLES_PER_STEP).project(rows)
-    push, view = _held_input(A, C, load, rows)
-    return Dynamics(step, push, view)
+    return Dynamics(step, *_held_input(A, C, load, rows), fine.F, _held_push(A, load))
 
 
 def initial_covariance(spec: TruthSpec, layout: Layout) -> Floats:
@@ -169,6 +173,13 @@ def _reduction(layout: Layout) -> Floats:
         part[layout.basis("alpha"), 3 * modes + 1] = MEAN[sample]
         part[layout.basis("alpha1"), 3 * modes + 1] = MOMENT[sample]
     return rows
+
+
+def _held_push(A: Floats, load: Floats) -> Floats:
+    n = len(A)
+    system = np.zeros((n + 1, n + 1))
+    system[:n, :n], system[:n, n] = A, load
+    return np.asarray(scipy.linalg.expm(system * SAMPLE_S)[:n, n])
 
 
 def _held_input(A: Floats, C: Floats, load: Floats, rows: Floats) -> tuple[Floats, Floats]:

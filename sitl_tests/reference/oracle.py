@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from sitl_tests.reference.kalman import Filtered, filtered, smoothed
 from sitl_tests.reference.observer import (
@@ -45,6 +44,7 @@ class Oracle:
         self.spec = spec
         self.layout = layout_of(spec)
         data = views(spec, self.layout, samples)
+        self.first = [self.layout.q(0), self.layout.q(1)]
         self.segments, segment_of = _segments(spec, self.layout, len(data.values))
         self.segment_of = segment_of
         self.excess = data.excess
@@ -61,21 +61,23 @@ class Oracle:
         states, covariances = smoothed(self.run, steps_of(t_s), round(lag_s / REFERENCE_STEP_S))
         return self._estimate(states, covariances)
 
-    def forecast(self, t_s: float, seed_index: int, step_s: float, count: int) -> Floats:
-        """Deflections (count + 1, 2) at ``t_s + i step_s`` from the samples before ``t_s``, load factor held."""
-        k = int(steps_of(np.array([t_s]))[0])
-        system = self.segments[self.segment_of[min(k, len(self.segment_of) - 1)]]
-        fine = np.real(scipy.linalg.fractional_matrix_power(system.step.F, step_s / REFERENCE_STEP_S))
-        push = system.push * (step_s / REFERENCE_STEP_S) * self.excess[k - 1, seed_index]
-        x = self.run.states[k, seed_index, :, 0]
-        out = [x]
-        for _ in range(count):
-            x = fine @ x + push
-            out.append(x)
-        return np.array(out)[:, [self.layout.q(0), self.layout.q(1)]]
+    def forecast(self, t_s: Floats, seed_index: int, count: int) -> Floats:
+        """Deflections about trim (len(t), count, 2) 1, 2, ... ms after each ``t_s``, from the samples before it.
+
+        The load factor of the last step is held.
+        """
+        found = np.empty((len(t_s), count, 2))
+        for i, k in enumerate(steps_of(t_s)):
+            system = self.segments[self.segment_of[min(k, len(self.segment_of) - 1)]]
+            push = system.fine_push * self.excess[k - 1, seed_index]
+            x = self.run.states[k, seed_index, :, 0]
+            for j in range(count):
+                x = system.fine @ x + push
+                found[i, j] = x[self.first]
+        return found
 
     def _estimate(self, states: Floats, covariances: Floats) -> Estimate:
-        at = [self.layout.q(0), self.layout.q(1)]
+        at = self.first
         q = states[:, :, at, 0].swapaxes(0, 1)
         variance = np.stack([covariances[:, :, i, i] for i in at], axis=-1)
         row = np.zeros((2, self.layout.size))

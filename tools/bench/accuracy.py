@@ -1,0 +1,180 @@
+"""Tracker accuracy against a reference that knows the truth: ``python -m tools.bench.accuracy``.
+
+Every row is pooled over its seeds: the mean over cells (equal truths) of the ratio of mean squares, tracker over
+reference, square root taken. The spread is the 10th to 90th percentile of the ratio of single seeds. The seeds are a
+fixed list.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import multiprocessing
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from companion.records import Floats
+from tools.bench.accuracy_cases import FREQUENCIES_HZ, SHAPES, SUITES, Cell, cells
+from tools.bench.accuracy_score import Score, score_cell
+
+SEEDS, QUICK_SEEDS = 50, 6
+DURATION_S = 40.0
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table; ``target`` is (lowest, highest), None where the figure only informs."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    target: tuple[float, float] | None
+    runs: int
+
+    @property
+    def verdict(self) -> str:
+        """pass, MISS, or nothing where there is no target."""
+        if self.target is None:
+            return ""
+        return "pass" if self.target[0] <= self.value <= self.target[1] else "MISS"
+
+
+def score(suites: list[str], seeds: int, duration_s: float, jobs: int) -> list[Score]:
+    """Fly the suites; the order of the scores does not depend on ``jobs``."""
+    work = [cell for suite in suites for cell in cells(suite, seeds, duration_s)]
+    found: list[Score] = []
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        for number, part in enumerate(pool.imap(_guarded, work), 1):
+            found += part
+            print(f"\r  {number}/{len(work)} truths", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return found
+
+
+def _guarded(cell: Cell) -> list[Score]:
+    try:
+        return score_cell(cell)
+    except Exception as error:
+        raise RuntimeError(f"{cell.label}, seeds {cell.seeds}: {error}") from error
+
+
+def table(scores: list[Score]) -> list[Row]:
+    """Pool the scores into rows."""
+    rows: list[Row] = []
+    for suite in SUITES:
+        found = [s for s in scores if s.suite == suite]
+        if found:
+            rows += list(_suite_rows(suite, found))
+    return rows
+
+
+def _suite_rows(suite: str, found: list[Score]) -> Iterator[Row]:
+    bound = 1.10 if suite.startswith("priors") else 1.05
+    peak_bound = 1.15 if suite.startswith("drift") else bound
+    groups: list[tuple[str, list[Score], float]] = [("all", found, bound)]
+    if suite == "vertical":
+        slow = [s for s in found if s.frequency_hz < 6]
+        fast = [s for s in found if s.frequency_hz >= 6]
+        groups = [("below 6 Hz", slow, 1.10), ("above 6 Hz", fast, 1.05)]
+    for name, part, limit in groups:
+        yield _ratio_row(f"{suite}: deflection causal, {name}", part, lambda s: s.causal, (0.0, limit))
+        yield _ratio_row(f"{suite}: deflection smoothed, {name}", part, lambda s: s.smoothed, (0.0, limit))
+    yield _ratio_row(f"{suite}: peak time 20 ms ahead", found, lambda s: s.peak, (0.0, peak_bound))
+    yield _slope_row(f"{suite}: smoothed relative slope, mrad", found, (0.0, 0.18) if suite == "slope" else None)
+    target = (0.9, 1.1)
+    yield _mean_row(f"{suite}: NEES causal", found, lambda s: s.nees[0, 0], target)
+    yield _mean_row(f"{suite}: NEES smoothed", found, lambda s: s.nees[1, 0], target)
+    yield _mean_row(f"{suite}: NEES smoothed of the reference", found, lambda s: s.nees[1, 1], None)
+    if not suite.startswith("drift"):
+        yield _lock_row(f"{suite}: frequency error at 5 s / sqrt(zeta/(omega T))", found)
+    yield _mean_row(f"{suite}: share refused", found, lambda s: np.array([s.refused]), (0.0, 0.0))
+    if suite in ("six-axis", "vertical"):
+        yield from _details(suite, found)
+
+
+def _details(suite: str, found: list[Score]) -> Iterator[Row]:
+    for frequency in FREQUENCIES_HZ:
+        for shape in SHAPES:
+            part = [s for s in found if s.frequency_hz == frequency and s.gust == shape.name]
+            if part:
+                name = f"{suite}: {frequency:g} Hz {shape.name}"
+                yield _ratio_row(f"{name}: causal", part, lambda s: s.causal, None)
+                yield _ratio_row(f"{name}: smoothed", part, lambda s: s.smoothed, None)
+                yield _ratio_row(f"{name}: peak", part, lambda s: s.peak, None)
+
+
+def _ratio_row(
+    name: str, found: list[Score], squares: Callable[[Score], Floats], target: tuple[float, float] | None
+) -> Row:
+    """Pool ratios of (tracker, reference) x modes: sums over the seeds of a truth first, then the mean over truths."""
+    sums: dict[str, Floats] = {}
+    for s in found:
+        sums[s.label] = sums.get(s.label, np.zeros((2, 2))) + squares(s)
+    ratios = np.array([total[0] / total[1] for total in sums.values()])
+    singles = np.array([np.sqrt(squares(s)[0] / squares(s)[1]) for s in found])
+    return Row(name, float(np.sqrt(np.mean(ratios))), *_spread(singles), target, len(found))
+
+
+def _slope_row(name: str, found: list[Score], target: tuple[float, float] | None) -> Row:
+    squares = np.array([s.slope_rad2[0] for s in found])
+    return Row(name, float(1e3 * np.sqrt(squares.mean())), *_spread(1e3 * np.sqrt(squares)), target, len(found))
+
+
+def _mean_row(
+    name: str, found: list[Score], value: Callable[[Score], Floats], target: tuple[float, float] | None
+) -> Row:
+    values = np.array([value(s) for s in found])
+    return Row(name, float(values.mean()), *_spread(values.mean(axis=1)), target, len(found))
+
+
+def _lock_row(name: str, found: list[Score]) -> Row:
+    values = np.array([s.lock for s in found])
+    return Row(name, float(np.sqrt(np.mean(values**2))), *_spread(np.abs(values)), (0.0, 3.0), len(found))
+
+
+def _spread(values: Floats) -> tuple[float, float]:
+    low, high = np.nanpercentile(values, [10, 90]) if np.isfinite(values).any() else (np.nan, np.nan)
+    return float(low), float(high)
+
+
+def show(rows: list[Row]) -> str:
+    """Lay the rows out as text."""
+    lines = [f"{'':62s} {'value':>8s} {'10 %':>8s} {'90 %':>8s}  {'target':12s} runs"]
+    for row in rows:
+        target = "" if row.target is None else f"{row.target[0]:g} .. {row.target[1]:g}"
+        values = f"{row.value:8.3f} {row.low:8.3f} {row.high:8.3f}"
+        lines.append(f"{row.name:62s} {values}  {target:12s} {row.runs:4d}  {row.verdict}")
+    return "\n".join(lines)
+
+
+def run(seeds: int = SEEDS, suites: list[str] | None = None, jobs: int = 2) -> list[dict[str, object]]:
+    """Give the table as dictionaries."""
+    rows = table(score(suites or list(SUITES), seeds, DURATION_S, jobs))
+    return [dataclasses.asdict(row) | {"verdict": row.verdict} for row in rows]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the bench; exit with 1 where a target is missed."""
+    parser = argparse.ArgumentParser(prog="tools.bench.accuracy", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="runs of each frequency (pooled suites) or suite")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} seeds: a look, not a verdict")
+    parser.add_argument("--cases", nargs="+", choices=SUITES, default=list(SUITES), metavar="CASE")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--json", type=Path, help="write the rows here as well")
+    options = parser.parse_args(arguments)
+    rows = table(score(options.cases, QUICK_SEEDS if options.quick else options.seeds, DURATION_S, options.jobs))
+    print(show(rows))
+    if options.json:
+        listed = [dataclasses.asdict(row) | {"verdict": row.verdict} for row in rows]
+        options.json.write_text(json.dumps(listed, indent=1) + "\n")
+    return int(any(row.verdict == "MISS" for row in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

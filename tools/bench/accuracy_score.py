@@ -1,0 +1,143 @@
+"""Score one cell: the tracker's errors beside the reference's, seed by seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.records import Floats
+from sitl_tests.reference.imu import samples
+from sitl_tests.reference.oracle import Oracle
+from sitl_tests.reference.truth import TruthRun, simulate
+from tools.bench.accuracy_belief import believed_airframe
+from tools.bench.accuracy_cases import Cell
+from tools.bench.accuracy_drive import LAG_S, LOCK_S, START_S, Told, drive, instants
+from tools.bench.accuracy_peaks import issues_of, miss_s
+
+_INDEPENDENT_S = 2.0  # between instants whose errors are taken as independent
+_SEEDS_AT_ONCE = 3  # what the reference holds in memory
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One run. Mean squares are per mode [symmetric, antisymmetric] in units of the mode's rms, tracker then reference.
+
+    Attributes
+    ----------
+    causal, smoothed : (2, 2) float64
+        Rows tracker and reference, columns modes.
+    slope_rad2 : (2,) float64
+        Mean square of the relative slope (left plus right).
+    peak : (2, 2) float64
+        Mean square of the peak time, in periods.
+    nees : (2, 2, 2) float64
+        Causal and smoothed; tracker and reference; modes.
+    lock : (2,) float64
+        Relative frequency error at 5 s over sqrt(zeta / (omega T)).
+    refused : float
+        Share of the answers that were refused.
+    """
+
+    suite: str
+    label: str
+    seed: int
+    frequency_hz: float
+    gust: str
+    causal: Floats
+    smoothed: Floats
+    slope_rad2: Floats
+    peak: Floats
+    nees: Floats
+    lock: Floats
+    refused: float
+
+
+def score_cell(cell: Cell) -> list[Score]:
+    """Fly all seeds of a cell."""
+    scores: list[Score] = []
+    for first in range(0, len(cell.seeds), _SEEDS_AT_ONCE):
+        scores += _score_some(cell, cell.seeds[first : first + _SEEDS_AT_ONCE])
+    return scores
+
+
+def _score_some(cell: Cell, seeds: tuple[int, ...]) -> list[Score]:
+    run = simulate(cell.spec, seeds)
+    values = samples(run)
+    oracle = Oracle(cell.spec, values)
+    at_s = instants(cell.spec.duration_s)
+    causal, smoothed = oracle.causal(at_s), oracle.smoothed(at_s, LAG_S)
+    scores = []
+    for s, seed in enumerate(seeds):
+        issues = issues_of(run, s, START_S)
+        told = drive(believed_airframe(cell.spec, seed, cell.perturbation), run, values, s, issues)
+        truth = _Truth(run, s, at_s)
+        curves: list[list[Floats | None]] = [told.forecasts, []]
+        for issue in issues:
+            curves[1].append(oracle.forecast(np.array([issue.t_s]), s, issue.count)[0, :, issue.mode])
+        peak = np.array([[_peak(issues, c, mode) for mode in (0, 1)] for c in curves])
+        reference = (causal.q_m[s], causal.q_sigma_m[s], smoothed.q_m[s], smoothed.q_sigma_m[s])
+        slope_error = (told.slope.sum(axis=1) - truth.slope, smoothed.slope_rad[s].sum(axis=1) - truth.about_trim_slope)
+        mode = cell.spec.symmetric
+        scores.append(
+            Score(
+                suite=cell.suite,
+                label=cell.label,
+                seed=seed,
+                frequency_hz=mode.frequency_hz,
+                gust=cell.spec.gust.name,
+                causal=np.stack([truth.square(told.causal, truth.q), truth.square(reference[0], truth.about_trim)]),
+                smoothed=np.stack([truth.square(told.smoothed, truth.q), truth.square(reference[2], truth.about_trim)]),
+                slope_rad2=np.array([np.nanmean(error**2) for error in slope_error]),
+                peak=peak,
+                nees=_nees(told, reference, truth),
+                lock=_lock(told, run),
+                refused=float(np.isnan(told.smoothed).mean() / 2 + np.isnan(told.causal).mean() / 2),
+            )
+        )
+    return scores
+
+
+class _Truth:
+    """The truth of one seed at the judged instants."""
+
+    def __init__(self, run: TruthRun, s: int, at_s: Floats) -> None:
+        spec = run.spec
+        self.about_trim = run.q_at(at_s)[s, :2].T
+        self.q = self.about_trim + np.array([run.trim_m()[s], 0.0])
+        self.rms = np.array([mode.rms_m for mode in spec.modes[:2]])
+        self.about_trim_slope = run.slope_at(at_s)[s].sum(axis=0)
+        factor = spec.symmetric.slope_radpm * (1 + run.errors.slope_ratio[s, 0])
+        self.slope = self.about_trim_slope + 2 * factor * run.trim_m()[s]
+
+    def square(self, told: Floats, q: Floats) -> Floats:
+        """Mean square error per mode, in units of its rms."""
+        if np.isnan(told).all():
+            return np.full(2, np.nan)
+        return np.asarray(np.nanmean(((told - q) / self.rms) ** 2, axis=0))
+
+
+def _peak(issues: list, curves: list[Floats | None], mode: int) -> float:  # type: ignore[type-arg]
+    misses = [
+        miss_s(issue, curve) / (4 * issue.quarter_s)
+        for issue, curve in zip(issues, curves, strict=True)
+        if curve is not None and issue.mode == mode
+    ]
+    return float(np.mean(np.square(misses))) if misses else float("nan")
+
+
+def _nees(told: Told, reference: tuple[Floats, Floats, Floats, Floats], truth: _Truth) -> Floats:
+    every = round(_INDEPENDENT_S / (told.instants_s[1] - told.instants_s[0]))
+    pairs = (
+        ((told.causal - truth.q) / told.causal_sigma, (reference[0] - truth.about_trim) / reference[1]),
+        ((told.smoothed - truth.q) / told.smoothed_sigma, (reference[2] - truth.about_trim) / reference[3]),
+    )
+    return np.array([[np.nanmean(z[::every] ** 2, axis=0) for z in pair] for pair in pairs])
+
+
+def _lock(told: Told, run: TruthRun) -> Floats:
+    modes = run.spec.modes[:2]
+    grown = np.exp(run.spec.drift_per_s * LOCK_S)
+    limit = [np.sqrt(m.damping / (2 * np.pi * m.frequency_hz * LOCK_S)) for m in modes]
+    true = np.array([m.frequency_hz * grown for m in modes])
+    return np.asarray((told.frequency_hz / true - 1) / limit)
