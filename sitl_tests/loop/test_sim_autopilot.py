@@ -1,0 +1,375 @@
+"""The simulated vehicle on the link: ArduPlane's habits, driven in simulated time, and once for real over UDP."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import socket
+import time
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.errors import LinkError
+from companion.params.files import load_airframe
+from companion.records import ClockName, Station
+from companion.sim.faults import Faults
+from companion.sim.flight import Flight, build_flight
+from companion.sim.world import Link, World, WorldOptions, serve, serve_new
+
+COMPANION = 191
+MS = 1_000_000
+
+
+class FakeLink:
+    """A link in memory; the peer is this test."""
+
+    def __init__(self) -> None:
+        self.inward = b""
+        self.outward = b""
+
+    def send(self, frames: list[bytes]) -> None:
+        self.outward += b"".join(frames)
+
+    def drain(self) -> bytes:
+        data, self.inward = self.inward, b""
+        return data
+
+
+class Peer:
+    """The companion's side: sends messages, collects what comes, in simulated time of 1 ms steps."""
+
+    def __init__(self, flight: Flight, shots: list[int] | None = None, **options: Any) -> None:
+        self.link = FakeLink()
+        on_trigger = shots.append if shots is not None else None
+        self.world = World(flight, WorldOptions(**options), self.link, on_trigger)  # type: ignore[arg-type]
+        self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
+        self.parser = mavlink.MAVLink(None)
+        self.parser.robust_parsing = True
+        self.now_ns = 0
+        self.messages: list[tuple[int, Any]] = []
+
+    def send(self, message: Any, component: int = COMPANION) -> None:
+        self.mav.srcComponent = component
+        self.link.inward += message.pack(self.mav)
+
+    def command(self, number: int, *params: float, target: int = 1) -> None:
+        values = [*params, *([0.0] * (7 - len(params)))]
+        self.send(mavlink.MAVLink_command_long_message(1, target, number, 0, *values))
+
+    def run(self, seconds: float) -> list[Any]:
+        start = len(self.messages)
+        for _ in range(round(seconds * 1000)):
+            self.now_ns += MS
+            self.world.turn(self.now_ns, 10**12 + self.now_ns)
+            for message in self.parser.parse_buffer(self.link.outward) or []:
+                self.messages.append((self.now_ns, message))
+            self.link.outward = b""
+        return [message for _, message in self.messages[start:]]
+
+    def of(self, kind: str, component: int | None = None) -> list[tuple[int, Any]]:
+        return [
+            (t, m)
+            for t, m in self.messages
+            if m.get_type() == kind and (component is None or m.get_srcComponent() == component)
+        ]
+
+    def request(self, number: int, interval_us: int) -> tuple[int, list[str]]:
+        self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_us)
+        came = self.run(0.05)
+        (result,) = [m.result for m in came if m.get_type() == "COMMAND_ACK"]
+        return result, [m.text for m in came if m.get_type() == "STATUSTEXT"]
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return build_flight(load_airframe("nadir-2m"), 4, 12.0)
+
+
+# ------------------------------------------------------------------------------------------ streams and rates
+
+
+def test_every_component_says_hello_once_a_second(flight: Flight) -> None:
+    peer = Peer(flight)
+    peer.run(4.01)
+    for component, kind in ((1, mavlink.MAV_TYPE_FIXED_WING), (200, mavlink.MAV_TYPE_IMU), (201, mavlink.MAV_TYPE_IMU)):
+        beats = peer.of("HEARTBEAT", component)
+        assert len(beats) in (4, 5)
+        assert {beat.type for _, beat in beats} == {kind}
+    assert not any(m.get_type() == "BAD_DATA" for _, m in peer.messages)
+
+
+def test_rates_are_limited_by_the_loop_and_truncated_to_milliseconds(flight: Flight) -> None:
+    peer = Peer(flight)
+    result, texts = peer.request(105, 2000)
+    assert result == mavlink.MAV_RESULT_DENIED
+    assert texts
+    assert peer.request(105, 3900)[0] == mavlink.MAV_RESULT_ACCEPTED
+    peer.run(3.0)
+    stamps = np.array([m.time_usec for _, m in peer.of("HIGHRES_IMU", 1)])
+    assert np.mean(np.diff(stamps)) == pytest.approx(3000, rel=0.01), "3.9 ms is granted as 3 ms"
+    # a stamp is the instant of sending: never later than the arrival, and at most a turn of this loop earlier
+    for arrival_ns, message in peer.of("HIGHRES_IMU", 1):
+        assert 0 <= arrival_ns - message.time_usec * 1000 <= 1.1 * MS
+    assert peer.request(105, -1)[0] == mavlink.MAV_RESULT_ACCEPTED
+    assert not [m for m in peer.run(0.5) if m.get_type() == "HIGHRES_IMU" and m.get_srcComponent() == 1]
+
+
+def test_the_default_loop_of_a_plane_gives_forty_hertz_at_most(flight: Flight) -> None:
+    peer = Peer(flight, parameters={"SCHED_LOOP_RATE": 50.0})
+    assert peer.request(105, 24_000)[0] == mavlink.MAV_RESULT_DENIED
+    assert peer.request(105, 25_000)[0] == mavlink.MAV_RESULT_ACCEPTED
+
+
+def test_unknown_messages_and_commands_are_refused(flight: Flight) -> None:
+    peer = Peer(flight)
+    assert peer.request(99_999, 10_000)[0] == mavlink.MAV_RESULT_FAILED
+    peer.command(mavlink.MAV_CMD_DO_SET_HOME)
+    (answer,) = [m for m in peer.run(0.02) if m.get_type() == "COMMAND_ACK"]
+    assert answer.result == mavlink.MAV_RESULT_UNSUPPORTED
+    assert (answer.target_system, answer.target_component) == (1, COMPANION)
+
+
+def test_nodes_send_what_their_sensors_read(flight: Flight) -> None:
+    peer = Peer(flight)
+    peer.run(2.0)
+    for station, component in ((Station.LEFT, 200), (Station.RIGHT, 201)):
+        stream = flight.streams()[station]
+        frames = [m for _, m in peer.of("HIGHRES_IMU", component)]
+        assert len(frames) == np.count_nonzero(stream.sent_boot_ns <= 2_000 * MS)
+        values = np.array([[m.xacc, m.yacc, m.zacc, m.xgyro, m.ygyro, m.zgyro] for m in frames])
+        np.testing.assert_allclose(values, stream.values[: len(frames)], rtol=1e-6)
+        assert [m.time_usec * 1000 for m in frames] == stream.stamp_ns[: len(frames)].tolist()
+
+
+def test_a_live_change_of_the_filter_changes_the_stream(flight: Flight) -> None:
+    peer = Peer(flight)
+    peer.request(105, 3000)
+    peer.run(1.0)
+    peer.send(mavlink.MAVLink_param_set_message(1, 1, b"INS_ACCEL_FILTER", 200.0, 9))
+    (value,) = [m for m in peer.run(0.02) if m.get_type() == "PARAM_VALUE"]
+    assert (value.param_id, value.param_value) == ("INS_ACCEL_FILTER", 200.0)
+    peer.run(1.0)
+    rows = [(t, m.xacc) for t, m in peer.of("HIGHRES_IMU", 1)]
+    before = np.array([x for t, x in rows if t < 1000 * MS])
+    after = np.array([x for t, x in rows if t > 1030 * MS])
+    # ten times the bandwidth lets ten times the noise power through, and second differences show nothing else
+    ratio = np.std(np.diff(after, 2)) / np.std(np.diff(before, 2))
+    assert ratio > 3
+
+
+# ------------------------------------------------------------------------------------------ time
+
+
+def test_timesync_answers_are_causal_and_on_the_right_clock(flight: Flight) -> None:
+    peer = Peer(flight)
+    asked: dict[int, int] = {}
+    for k in range(40):
+        asked[k + 1] = peer.now_ns
+        peer.send(mavlink.MAVLink_timesync_message(0, k + 1))
+        peer.run(0.037)
+    answers = [(t, m) for t, m in peer.of("TIMESYNC") if m.tc1]
+    assert Counter(m.get_srcComponent() for _, m in answers) == {1: 40, 200: 40, 201: 40}
+    clocks = {200: ClockName.NODE_LEFT, 201: ClockName.NODE_RIGHT}
+    for arrival_ns, message in answers:
+        asked_ns, component = asked[message.ts1], message.get_srcComponent()
+        if component == 1:
+            assert asked_ns <= message.tc1 <= arrival_ns
+        else:
+            clock = flight.real.clocks[clocks[component]]
+            assert clock.from_boot(asked_ns) <= message.tc1 <= clock.from_boot(arrival_ns)
+
+
+def test_the_autopilot_asks_for_the_time_itself(flight: Flight) -> None:
+    peer = Peer(flight)
+    peer.run(11.5)
+    asked = [m for _, m in peer.of("TIMESYNC", 1) if m.tc1 == 0]
+    assert len(asked) == 2
+    assert asked[1].ts1 - asked[0].ts1 == pytest.approx(10e9, rel=1e-3)
+
+
+def test_a_reboot_takes_clock_and_settings_back(flight: Flight) -> None:
+    peer = Peer(flight, faults=Faults(reboots=((1, 2.0, 1.5), (200, 2.0, 1.0))))
+    peer.request(105, 3000)
+    peer.run(5.0)
+    rows = peer.of("HIGHRES_IMU", 1)
+    assert max(t for t, _ in rows) <= 2_001 * MS, "the rate that was asked for is forgotten"
+    stamps = [(t, m.time_usec) for t, m in peer.of("RAW_IMU", 1)]
+    assert not [t for t, _ in stamps if 2_001 * MS < t < 3_500 * MS]
+    first = next(stamp for t, stamp in stamps if t > 3_500 * MS)
+    assert 0 <= first < 100_000
+    node = [(t, m.time_usec) for t, m in peer.of("HIGHRES_IMU", 200)]
+    assert not [t for t, _ in node if 2_001 * MS < t < 3_000 * MS]
+    after = [stamp for t, stamp in node if t > 3_000 * MS]
+    assert after[0] < 5_000
+    assert after == sorted(after)
+
+
+# ------------------------------------------------------------------------------------------ parameters
+
+
+def test_parameters_are_listed_read_and_set(flight: Flight) -> None:
+    peer = Peer(flight)
+    peer.send(mavlink.MAVLink_param_request_list_message(1, 1))
+    values = [m for m in peer.run(0.3) if m.get_type() == "PARAM_VALUE"]
+    assert [m.param_index for m in values] == list(range(values[0].param_count))
+    names = {m.param_id: m.param_value for m in values}
+    assert names["INS_ACCEL_FILTER"] == 20.0
+    assert names["RNGFND1_ORIENT"] == 25.0
+    peer.send(mavlink.MAVLink_param_request_read_message(1, 1, b"SCHED_LOOP_RATE", -1))
+    (value,) = [m for m in peer.run(0.02) if m.get_type() == "PARAM_VALUE"]
+    assert value.param_value == 400.0
+    peer.send(mavlink.MAVLink_param_request_read_message(1, 1, b"NO_SUCH_THING", -1))
+    assert not [m for m in peer.run(0.02) if m.get_type() == "PARAM_VALUE"]
+
+
+def test_a_loop_rate_acts_from_the_next_boot(flight: Flight) -> None:
+    peer = Peer(flight, faults=Faults(reboots=((1, 1.0, 0.5),)))
+    peer.send(mavlink.MAVLink_param_set_message(1, 1, b"SCHED_LOOP_RATE", 50.0, 9))
+    peer.run(0.1)
+    assert peer.request(105, 3000)[0] == mavlink.MAV_RESULT_ACCEPTED
+    peer.run(1.5)
+    assert peer.request(105, 3000)[0] == mavlink.MAV_RESULT_DENIED
+
+
+# ------------------------------------------------------------------------------------------ what the companion sends
+
+
+def distance(centimetres: int, quality: int, orientation: int = 25) -> Any:
+    return mavlink.MAVLink_distance_sensor_message(
+        1000, 400, 20000, centimetres, 0, 1, orientation, 20, signal_quality=quality
+    )
+
+
+def test_ranges_are_used_by_orientation_quality_and_limits(flight: Flight) -> None:
+    peer = Peer(flight, parameters={"RNGFND1_MAX": 70.0})
+    for message in (distance(6012, 90), distance(6012, 1), distance(6012, 90, 0), distance(9000, 90)):
+        peer.send(message)
+        peer.run(0.1)
+    peer.send(distance(5000, 90), component=1)
+    peer.run(0.01)
+    report = peer.world.report()
+    assert [entry["used"] for entry in report["ranges"]] == [True, False, False, False]
+    assert report["ranges"][0]["distance_m"] == pytest.approx(60.12)
+    assert report["range_alive"]
+    assert any("autopilot itself" in problem for problem in report["problems"])
+    peer.run(0.6)
+    report = peer.world.report()
+    assert report["range_timeouts"] == 1
+    assert not report["range_alive"]
+
+
+def test_nonsense_from_the_companion_is_noticed(flight: Flight) -> None:
+    peer = Peer(flight)
+    sectors = [65535] * 72
+    peer.send(mavlink.MAVLink_obstacle_distance_message(0, 0, sectors, 5, 400, 20000, 5.0, 0.0, 12))
+    peer.send(mavlink.MAVLink_named_value_float_message(1, b"toe", 0.04))
+    peer.run(0.05)
+    assert peer.world.report()["problems"] == []
+    peer.send(mavlink.MAVLink_obstacle_distance_message(0, 0, sectors, 5, 400, 20000, 5.0, 0.0, 0))
+    peer.send(mavlink.MAVLink_obstacle_distance_message(0, 0, [30000] * 72, 5, 400, 20000, 5.0, 0.0, 12))
+    peer.send(mavlink.MAVLink_named_value_float_message(1, b"toe", math.nan))
+    peer.send(mavlink.MAVLink_obstacle_distance_3d_message(1, 0, 12, 0, 1.0, math.nan, 0.0, 1.0, 50.0))
+    peer.run(0.05)
+    assert len(peer.world.report()["problems"]) == 4
+
+
+def test_image_capture_raises_the_line_and_is_fed_back_for_both_cameras(flight: Flight) -> None:
+    shots: list[int] = []
+    peer = Peer(flight, shots)
+    peer.run(0.1)
+    asked = peer.now_ns
+    peer.command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1)
+    came = peer.run(0.02)
+    assert [m.result for m in came if m.get_type() == "COMMAND_ACK"] == [mavlink.MAV_RESULT_ACCEPTED]
+    feedback = [m for m in came if m.get_type() == "CAMERA_FEEDBACK"]
+    assert [m.cam_idx for m in feedback] == [1, 2]
+    assert {m.img_idx for m in feedback} == {1}
+    (shot,) = shots
+    assert asked <= shot <= asked + 4 * MS
+    assert feedback[0].time_usec * 1000 == shot
+
+
+# ------------------------------------------------------------------------------------------ faults
+
+
+def test_loss_duplicates_and_reordering_have_their_share(flight: Flight) -> None:
+    clean, lossy = Peer(flight), Peer(flight, faults=Faults(loss=0.2, duplicate=0.1, jitter_s=0.02, reorder=True))
+    clean.run(4.0)
+    lossy.run(4.1)
+    sent, came = len(clean.of("HIGHRES_IMU", 200)), lossy.of("HIGHRES_IMU", 200)
+    different = {m.time_usec for _, m in came}
+    # 4000 frames: a share is known to 0.6 %
+    assert len(different) / sent == pytest.approx(0.8 * 4.1 / 4.0, abs=0.04)
+    assert len(came) / len(different) == pytest.approx(1.1, abs=0.02)
+    stamps = [m.time_usec for _, m in came]
+    assert stamps != sorted(stamps)
+
+
+def test_a_stream_stops_and_a_nan_is_sent_where_asked(flight: Flight) -> None:
+    peer = Peer(flight, faults=Faults(stops=((200, 1.0, 2.0),), nans=((201, 1.0, 1.5),)))
+    peer.run(3.0)
+    left = [t for t, _ in peer.of("HIGHRES_IMU", 200)]
+    assert not [t for t in left if 1_001 * MS < t < 2_000 * MS]
+    assert max(left) > 2_900 * MS
+    broken = [t for t, m in peer.of("HIGHRES_IMU", 201) if math.isnan(m.zacc)]
+    assert 1_000 * MS <= min(broken) <= max(broken) <= 1_500 * MS
+    assert len(broken) == pytest.approx(500, abs=3)
+
+
+# ------------------------------------------------------------------------------------------ real time
+
+
+@pytest.mark.parametrize("connection", ["tcp:127.0.0.1:5760", "udpout:127.0.0.1", "/dev/ttyUSB0"])
+def test_a_connection_that_cannot_be_served_is_named(connection: str) -> None:
+    with pytest.raises(LinkError, match="udpin:host:port"):
+        Link(connection)
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+def test_a_process_of_its_own_serves_udp_in_real_time() -> None:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    listener.bind(("127.0.0.1", 0))
+    listener.settimeout(0.2)
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    options = WorldOptions(f"udpout:127.0.0.1:{listener.getsockname()[1]}")
+    process = context.Process(target=serve_new, args=(load_airframe("nadir-2m"), 1, 4.0, options, theirs))
+    process.start()
+    parser, lags = mavlink.MAVLink(None), []
+    clock = build_flight(load_airframe("nadir-2m"), 1, 4.0).real.clocks[ClockName.NODE_LEFT]
+    try:
+        kind, start_ns = ours.recv()
+        assert kind == "started"
+        while not ours.poll():
+            try:
+                data = listener.recv(65535)
+            except TimeoutError:
+                continue
+            now = time.monotonic_ns() - start_ns
+            for message in parser.parse_buffer(data) or []:
+                if message.get_type() == "HIGHRES_IMU" and message.get_srcComponent() == 200:
+                    lags.append(clock.from_boot(now) - message.time_usec * 1000)
+        kind, report = ours.recv()
+    finally:
+        process.join(10.0)
+        listener.close()
+    assert kind == "report"
+    assert report["flown_s"] == pytest.approx(4.0)
+    assert len(lags) > 3900
+    # every sample arrives after it was taken, in the median within a few milliseconds
+    assert min(lags) > 0
+    assert np.median(lags) < 10 * MS
+
+
+@pytest.mark.realtime
+def test_the_control_ends_the_flight_early(flight: Flight) -> None:
+    ours, theirs = multiprocessing.Pipe()
+    ours.send("stop")
+    report = serve(flight, WorldOptions("udpout:127.0.0.1:9"), theirs)
+    assert report["flown_s"] < 3.0
+    assert [ours.recv()[0], ours.recv()[0]] == ["started", "report"]
