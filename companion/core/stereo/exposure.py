@@ -1,0 +1,100 @@
+"""Where each camera was and looked while it exposed: wing bend, rigid motion between the shots, rolling shutter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.geometry import MountedCamera, Pose, Rig
+from companion.core.stereo.rotation import exp_rotation
+from companion.params.airframe import Airframe
+from companion.records import Deflection, Floats, Side
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposure:
+    """One camera's exposure, in the body axes of the instant midway between the two exposures.
+
+    Attributes
+    ----------
+    pose : Pose
+        At the camera's own mid-exposure.
+    rate_radps : (3,) float64
+        How fast the camera turns: rigid body rate and the wing's bending.
+    velocity_mps : (3,) float64
+        How fast the rigid body rate moves the camera.
+    """
+
+    pose: Pose
+    rate_radps: Floats
+    velocity_mps: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TipMotion:
+    """How modal coordinates move a tip: what a :class:`Deflection` leaves to the airframe.
+
+    ``slope_radpm`` and ``twist_radpm`` are (2,), for the symmetric and antisymmetric coordinate.
+    """
+
+    slope_radpm: Floats
+    twist_radpm: Floats
+
+    @classmethod
+    def from_airframe(cls, airframe: Airframe) -> TipMotion:
+        """Take the first modes' factors."""
+        modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
+        return cls(
+            np.array([mode.slope_factor_radpm.value for mode in modes]),
+            np.array([mode.twist_factor_radpm.value for mode in modes]),
+        )
+
+
+def tip_signs(side: Side) -> Floats:
+    """Factors (2,) of symmetric and antisymmetric coordinate at a tip: left is the difference, right the sum."""
+    return np.array([1.0, -1.0 if side is Side.LEFT else 1.0])
+
+
+def exposures(
+    rig: Rig, tips: TipMotion, left: Deflection, right: Deflection, velocity_mps: Floats | None = None
+) -> tuple[Exposure, Exposure]:
+    """Both exposures, each at its own instant, brought to the body axes midway between them (DESIGN, rule 9).
+
+    Parameters
+    ----------
+    rig : Rig
+        The cameras.
+    tips : TipMotion
+        The airframe's slope and twist factors.
+    left, right : Deflection
+        The wing at the left and at the right mid-exposure.
+    velocity_mps : (3,) float64, optional
+        The aircraft's velocity in body axes; moves the cameras between the two exposures.
+    """
+    middle_ns = (left.t_host_ns + right.t_host_ns) // 2
+    drift = np.zeros(3) if velocity_mps is None else velocity_mps
+    return (
+        _exposure(rig.left, tips, left, 1e-9 * (left.t_host_ns - middle_ns), drift),
+        _exposure(rig.right, tips, right, 1e-9 * (right.t_host_ns - middle_ns), drift),
+    )
+
+
+def rest_exposures(rig: Rig) -> tuple[Exposure, Exposure]:
+    """What the ground calibration alone would assume: nothing bends, nothing moves."""
+    still = np.zeros(3)
+    return Exposure(rig.left.rest, still, still), Exposure(rig.right.rest, still, still)
+
+
+def _exposure(camera: MountedCamera, tips: TipMotion, bend: Deflection, after_s: float, drift_mps: Floats) -> Exposure:
+    signs = tip_signs(camera.side)
+    pose = camera.pose(
+        float(bend.slope_rad[camera.side]), float(signs @ bend.q_m), float((signs * tips.twist_radpm) @ bend.q_m)
+    )
+    turned = exp_rotation(bend.body_rate_radps * after_s)
+    moved = Pose(pose.camera_from_body @ turned.T, turned @ pose.position_body_m + drift_mps * after_s)
+    wing_rate = camera.turn_rad(
+        float((signs * tips.slope_radpm) @ bend.qdot_mps), float((signs * tips.twist_radpm) @ bend.qdot_mps)
+    )
+    lever = np.cross(bend.body_rate_radps, moved.position_body_m)
+    return Exposure(moved, bend.body_rate_radps + wing_rate, lever)

@@ -1,0 +1,192 @@
+"""Corrected range of a matched pair: each camera's bend at its own exposure, robust product, sigma, trust."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures
+from companion.core.stereo.geometry import Rig, axes_from_body
+from companion.core.stereo.sectors import matched_sectors
+from companion.core.stereo.sigma import Budget, budget, gradient_of, toe_gradient
+from companion.core.stereo.surface import Product, Reading, read
+from companion.core.stereo.triangulation import Depths, Rays, match_rays, sight_along, triangulate
+from companion.errors import ConfigError
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import CorrectedRange, Deflection, Floats, MatchSet, ObstacleSectors, Reject
+
+# What all matches of a pair may share: blur that differs between the cameras, imperfect interpolation.
+_COMMON_MATCH_PX = 0.02
+_FORWARD = 0
+_AXES = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}
+# 1 / (10 km): below this an inverse depth is called infinite.
+_INFINITY_PM = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeAnswer:
+    """What one pair gave.
+
+    Attributes
+    ----------
+    range : CorrectedRange
+    sectors : ObstacleSectors or None
+        Only for pairs that look forward.
+    depths : Depths
+        Every match along the range axis, for whoever wants more than one number.
+    match_sigma_m : float
+        Part of the range's sigma that comes from matching.
+    causes_m : Budget
+        The other parts, in metres.
+    """
+
+    range: CorrectedRange
+    sectors: ObstacleSectors | None
+    depths: Depths
+    match_sigma_m: float
+    causes_m: Budget
+
+
+def correct(
+    matches: MatchSet,
+    left: Deflection,
+    right: Deflection,
+    rig: Rig,
+    airframe: Airframe,
+    settings: Settings,
+    timing_sigma_s: float = 1e-4,
+) -> RangeAnswer:
+    """Range along the airframe's orientation from one matched pair.
+
+    Parameters
+    ----------
+    matches : MatchSet
+        Raw pixels.
+    left, right : Deflection
+        The wing at the left and at the right mid-exposure.
+    rig : Rig
+        Of the airframe.
+    airframe : Airframe
+        Orientation, slope and twist factors, calibration sigmas.
+    settings : Settings
+        Product, limits, trust.
+    timing_sigma_s : float
+        One-sigma of each exposure's stamp.
+
+    Returns
+    -------
+    RangeAnswer
+        Always finite; ``range.reject`` says why it is not to be trusted.
+    """
+    moving = exposures(rig, TipMotion.from_airframe(airframe), left, right)
+    sight = sight_along(rig, range_axis(airframe.orientation))
+    rays = match_rays(rig, moving, matches)
+    sigma_rad = matches.sigma_px / rig.left.lens.focal_px
+    depths = triangulate(rays, sight, sigma_rad)
+    reading = read(depths, Product(settings.product), settings.min_matches)
+    toe_rad = toe_between(rig, moving)
+    toe_sigma_rad = budget(toe_gradient(_epipolar_y(moving)), rig, airframe, left, moving, timing_sigma_s).total
+    t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
+    if reading is None:
+        refused = _refused(matches, t_host_ns, airframe.orientation, toe_rad, toe_sigma_rad, settings)
+        return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
+
+    def inverse_depths(changed: Rays) -> Floats:
+        return triangulate(changed, sight, np.ones(len(changed.left))).inverse_pm
+
+    gradient = gradient_of(inverse_depths, reading.influence, rays, moving)
+    causes = budget(gradient, rig, airframe, left, moving, timing_sigma_s)
+    common_pm = _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)
+    match_pm = float(np.hypot(reading.sigma_pm, common_pm))
+    rigid = np.nan_to_num(inverse_depths(match_rays(rig, rest_exposures(rig), matches)))
+    range_m, rigid_m = _metres(reading.inverse_pm), _metres(float(rigid @ reading.influence))
+    sigma_m = min(float(np.hypot(match_pm, causes.total)) * range_m**2, settings.max_range_m)
+    reject = _judge(reading, range_m, sigma_m, settings)
+    answer = CorrectedRange(
+        pair_id=matches.pair_id,
+        plan_id=matches.plan_id,
+        t_host_ns=t_host_ns,
+        orientation=airframe.orientation,
+        range_m=range_m,
+        sigma_m=sigma_m,
+        toe_rad=toe_rad,
+        toe_sigma_rad=toe_sigma_rad,
+        rigid_range_m=rigid_m,
+        matches=reading.used,
+        trusted=reject is None,
+        reject=reject,
+    )
+    in_metres = Budget(causes.modal * range_m**2, causes.calibration * range_m**2, causes.timing * range_m**2)
+    sectors = None
+    if airframe.orientation == _FORWARD:
+        sectors = matched_sectors(depths, sight, causes.total, t_host_ns, settings)
+    return RangeAnswer(answer, sectors, depths, match_pm * range_m**2, in_metres)
+
+
+def range_axis(orientation: int) -> Floats:
+    """Body axis (3,) of a MAV_SENSOR_ORIENTATION; :class:`ConfigError` for one that is not along an axis."""
+    if orientation not in _AXES:
+        known = ", ".join(str(key) for key in sorted(_AXES))
+        raise ConfigError(f"orientation {orientation} is not along a body axis; possible: {known}")
+    name = _AXES[orientation]
+    direction: Floats = axes_from_body(("x", "y", "z"), "orientation")["xyz".index(name[-1])]
+    return -direction if name.startswith("-") else direction
+
+
+def toe_between(rig: Rig, moving: tuple[Exposure, Exposure]) -> float:
+    """Divergence of the optical axes in the epipolar plane beyond that of the ground calibration, radians."""
+    return _divergence(moving) - _divergence(rest_exposures(rig))
+
+
+def _divergence(pair: tuple[Exposure, Exposure]) -> float:
+    x, z = _epipolar_xz(pair)
+    left, right = (exposure.pose.camera_from_body[2] for exposure in pair)
+    return float(np.arctan2(right @ x, right @ z) - np.arctan2(left @ x, left @ z))
+
+
+def _epipolar_xz(pair: tuple[Exposure, Exposure]) -> tuple[Floats, Floats]:
+    apart = pair[1].pose.position_body_m - pair[0].pose.position_body_m
+    x = apart / np.linalg.norm(apart)
+    look = pair[0].pose.camera_from_body[2] + pair[1].pose.camera_from_body[2]
+    z = look - (look @ x) * x
+    return x, z / np.linalg.norm(z)
+
+
+def _epipolar_y(pair: tuple[Exposure, Exposure]) -> Floats:
+    x, z = _epipolar_xz(pair)
+    return np.cross(z, x)
+
+
+def _metres(inverse_pm: float) -> float:
+    return 1.0 / inverse_pm if inverse_pm > _INFINITY_PM else 0.0
+
+
+def _judge(reading: Reading, range_m: float, sigma_m: float, settings: Settings) -> Reject | None:
+    if reading.used < settings.min_matches and settings.product != Product.NEAREST:
+        return Reject.NO_MATCHES
+    if not settings.min_range_m <= range_m <= settings.max_range_m:
+        return Reject.OUT_OF_RANGE
+    if sigma_m > settings.trust_ratio * range_m:
+        return Reject.SIGMA_TOO_LARGE
+    return None
+
+
+def _refused(
+    matches: MatchSet, t_host_ns: int, orientation: int, toe_rad: float, toe_sigma_rad: float, settings: Settings
+) -> CorrectedRange:
+    return CorrectedRange(
+        pair_id=matches.pair_id,
+        plan_id=matches.plan_id,
+        t_host_ns=t_host_ns,
+        orientation=orientation,
+        range_m=0.0,
+        sigma_m=settings.max_range_m,
+        toe_rad=toe_rad,
+        toe_sigma_rad=toe_sigma_rad,
+        rigid_range_m=0.0,
+        matches=len(matches.sigma_px),
+        trusted=False,
+        reject=Reject.NO_MATCHES,
+    )

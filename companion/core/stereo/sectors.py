@@ -1,0 +1,118 @@
+"""Obstacle sectors: the nearest trusted distance in each of 72 directions, with unknown and clear told apart.
+
+Sector i is centred on 5 i degrees, clockwise from forward: sector 0 spans -2.5 to +2.5 degrees. ArduPilot
+(AP_Proximity_MAV) takes ``i * increment + angle_offset`` for the bearing of element i, PX4 (ObstacleMath) half an
+increment either side of it; so the message goes out with angle_offset 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.core.stereo.surface import consistent
+from companion.core.stereo.triangulation import Depths, Sight
+from companion.params.settings import Settings
+from companion.records import Floats, ObstacleSectors
+
+SECTORS = 72
+_WIDTH_RAD = 2.0 * np.pi / SECTORS
+# An obstacle needs this many matches that agree, so that one wrong match is none; a clear sector this many far ones.
+_SUPPORT = 2
+_CLEAR_SUPPORT = 3
+_AGREE_SIGMAS = 3.0
+_AGREE_SHARE = 0.1
+_SURE_SIGMAS = 2.0
+# What is seen steeper than this leaves the height band long before the largest range, so it clears nothing.
+_LEVEL = 0.1
+_ABOVE_M = 5.0
+_BELOW_M = 5.0
+
+
+def matched_sectors(
+    depths: Depths, sight: Sight, common_sigma_pm: float, t_host_ns: int, settings: Settings
+) -> ObstacleSectors:
+    """Sectors from the matches of one pair.
+
+    Parameters
+    ----------
+    depths, sight
+        Matches along the sight.
+    common_sigma_pm : float
+        One-sigma of the inverse depth that all matches share (bend, calibration).
+    t_host_ns : int
+        Time of the pair.
+    settings : Settings
+        Range limits and trust ratio.
+    """
+    kept = consistent(depths)
+    inverse, sigma = depths.inverse_pm[kept], np.hypot(depths.sigma_pm[kept], common_sigma_pm)
+    along = sight.axis + depths.tangent[kept] @ sight.across
+    return sectors_of(along, inverse, sigma, sight.origin_m, t_host_ns, settings)
+
+
+def sectors_of(
+    direction: Floats,
+    inverse_pm: Floats,
+    sigma_pm: Floats,
+    origin_m: Floats,
+    t_host_ns: int,
+    settings: Settings,
+    height_band_m: tuple[float, float] = (_ABOVE_M, _BELOW_M),
+) -> ObstacleSectors:
+    """Nearest obstacle per sector.
+
+    Parameters
+    ----------
+    direction : (n, 3) float64
+        From the origin toward each point, scaled so that the point is ``origin + direction / inverse``; body axes.
+    inverse_pm, sigma_pm : (n,) float64
+        Inverse depth and its one-sigma; may be zero or negative for what is very far.
+    origin_m : (3,) float64
+        Where depth counts from, body axes.
+    t_host_ns : int
+        Time of the pair.
+    settings : Settings
+        Range limits and trust ratio.
+    height_band_m : tuple
+        How far above and below the body's origin a point is in the way.
+
+    Returns
+    -------
+    ObstacleSectors
+        A sector is known where at least two points agree on a trusted distance inside the band; clear where at least
+        three points lie beyond the largest range and none nearer was seen; everything else, also what was never looked
+        at or has no texture, is unknown.
+    """
+    slant = np.hypot(direction[:, 0], direction[:, 1])
+    bearing = np.arctan2(direction[:, 1], direction[:, 0])
+    sector = np.rint(bearing / _WIDTH_RAD).astype(np.int64) % SECTORS
+    far = ((inverse_pm + _SURE_SIGMAS * sigma_pm) * settings.max_range_m < slant) & (
+        np.abs(direction[:, 2]) < _LEVEL * slant
+    )
+    positive = np.where(inverse_pm > 0.0, inverse_pm, np.nan)
+    points = origin_m + direction / positive[:, np.newaxis]
+    distance = np.hypot(points[:, 0], points[:, 1])
+    in_band = (points[:, 2] >= -height_band_m[0]) & (points[:, 2] <= height_band_m[1])
+    in_range = (distance >= settings.min_range_m) & (distance <= settings.max_range_m)
+    solid = in_band & in_range & (sigma_pm <= settings.trust_ratio * positive)
+    nearest, sigma_m = np.zeros(SECTORS), np.zeros(SECTORS)
+    for index in np.unique(sector[solid]):
+        here = np.flatnonzero(solid & (sector == index))
+        nearest[index], sigma_m[index] = _nearest(distance[here], distance[here] * sigma_pm[here] / positive[here])
+    known = nearest > 0.0
+    seen_far = np.bincount(sector[far], minlength=SECTORS) >= _CLEAR_SUPPORT
+    obstructed = np.bincount(sector[in_band & in_range], minlength=SECTORS) > 0
+    clear = seen_far & ~known & ~obstructed
+    return ObstacleSectors(t_host_ns, nearest, sigma_m, known, clear, settings.min_range_m, settings.max_range_m)
+
+
+def _nearest(distance_m: Floats, sigma_m: Floats) -> tuple[float, float]:
+    """Nearest distance that enough points agree on, and its sigma; zeros when there is none."""
+    for index in np.argsort(distance_m, kind="stable"):
+        gap = np.abs(distance_m - distance_m[index])
+        allowed = np.maximum(_AGREE_SIGMAS * np.hypot(sigma_m, sigma_m[index]), _AGREE_SHARE * distance_m[index])
+        alike = gap <= allowed
+        if np.count_nonzero(alike) >= _SUPPORT:
+            group, weight = distance_m[alike], sigma_m[alike] ** -2.0
+            return float(np.average(group, weights=weight)), float(sigma_m[alike].min())
+    return 0.0, 0.0

@@ -1,0 +1,241 @@
+"""Ranging: unequal exposures, rolling shutter, tilted ground, wrong matches, products, honest sigma, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.ranging import RangeAnswer, correct, range_axis
+from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.triangulation import points_of, sight_along
+from companion.errors import ConfigError
+from companion.params.airframe import Airframe, Uncertain
+from companion.params.settings import Settings
+from companion.records import Deflection, MatchSet, Reject, Side
+from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
+
+SETTINGS = Settings()
+
+
+def _range(airframe: Airframe, matches: MatchSet, deflection: Deflection, tunables: Settings = SETTINGS) -> RangeAnswer:
+    return correct(matches, deflection, deflection, Rig.from_airframe(airframe), airframe, tunables)
+
+
+@given(
+    st.floats(5.0, 150.0),
+    st.floats(-0.04, 0.06),
+    st.floats(-0.02, 0.02),
+    st.floats(-0.03, 0.03),
+    st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+)
+@settings(max_examples=40, deadline=None)
+def test_exact_matches_give_the_exact_range_whatever_bend_and_ground(
+    range_m: float, symmetric: float, antisymmetric: float, lift_m: float, tilt: tuple[float, float]
+) -> None:
+    airframe = nadir(distortion=(-0.2, 0.05, 0.001, -0.001, 0.0))
+    rig = Rig.from_airframe(airframe)
+    slopes = (symmetric - antisymmetric, symmetric + antisymmetric)
+    matches = match_set(*seen(rig, ground_below(range_m, 60, 1, tilt), slopes, (lift_m, lift_m)))
+    answer = _range(airframe, matches, bend(slopes, (lift_m, 0.0)))
+    assert answer.range.range_m == pytest.approx(range_m, rel=1e-6)
+    assert answer.range.rigid_range_m >= 0.0
+    assert np.abs(answer.depths.parallax_rad).max() < 1e-9
+
+
+@given(st.floats(5.0, 150.0), st.floats(-0.04, 0.06), st.floats(-0.02, 0.02))
+@settings(max_examples=20, deadline=None)
+def test_points_come_back_where_they_are(range_m: float, left: float, right: float) -> None:
+    airframe = forward()
+    rig = Rig.from_airframe(airframe)
+    points = wall_ahead(range_m, 40, 2)
+    answer = _range(airframe, match_set(*seen(rig, points, (left, right))), bend((left, right)))
+    np.testing.assert_allclose(points_of(answer.depths, sight_along(rig, range_axis(0))), points, rtol=1e-6, atol=1e-6)
+
+
+def test_twist_is_taken_from_the_modal_coordinates() -> None:
+    airframe = forward()
+    twisting = dataclasses.replace(airframe.wing.symmetric, twist_factor_radpm=Uncertain(0.8, 0.0))
+    rolling = dataclasses.replace(airframe.wing.antisymmetric, twist_factor_radpm=Uncertain(-0.5, 0.0))
+    airframe = dataclasses.replace(
+        airframe, wing=dataclasses.replace(airframe.wing, symmetric=twisting, antisymmetric=rolling)
+    )
+    rig, q, points = Rig.from_airframe(airframe), (0.015, 0.004), wall_ahead(60.0, 60, 3)
+    lift = (q[0] - q[1], q[0] + q[1])
+    twist = (0.8 * q[0] + 0.5 * q[1], 0.8 * q[0] - 0.5 * q[1])
+    pixels = [rig.project(side, rig.pose(side, 0.02, lift[side], twist[side]), points) for side in Side]
+    answer = _range(airframe, match_set(*pixels), bend((0.02, 0.02), q))
+    assert answer.range.range_m == pytest.approx(60.0, rel=1e-6)
+    assert np.abs(answer.depths.parallax_rad).max() < 1e-9
+
+
+def test_unequal_exposures_are_bridged_with_the_body_rate() -> None:
+    """1 ms at 0.5 rad/s of roll is 0.5 mrad: 0.9 m at 60 m if it were left out (DESIGN, rule 9)."""
+    airframe = nadir()
+    rig, points = Rig.from_airframe(airframe), ground_below(60.0, 200, 4)
+    rate = np.array([0.5, 0.2, -0.3])
+    half_s = 0.0005
+    pixels = []
+    for side, after_s in zip(Side, (-half_s, half_s), strict=True):
+        turned = exp_rotation(rate * after_s)  # body axes of that instant, in those of the middle
+        pixels.append(rig.project(side, rig.pose(side, 0.02, 0.0), points @ turned))
+    matches = match_set(*pixels, mid_exposure_ns=(-500_000, 500_000))
+    moving = [bend((0.02, 0.02), t_ns=t, rate_radps=(0.5, 0.2, -0.3)) for t in (-500_000, 500_000)]
+    still = [bend((0.02, 0.02), t_ns=t) for t in (-500_000, 500_000)]
+    bridged = correct(matches, *moving, rig, airframe, SETTINGS)
+    ignored = correct(matches, *still, rig, airframe, SETTINGS)
+    assert bridged.range.range_m == pytest.approx(60.0, abs=0.002)
+    assert abs(ignored.range.range_m - 60.0) == pytest.approx(3600.0 / 1.98 * 0.0005, rel=0.05)
+    assert bridged.range.t_host_ns == 0
+
+
+def test_each_camera_is_corrected_with_the_bend_of_its_own_exposure() -> None:
+    airframe = nadir()
+    rig, points = Rig.from_airframe(airframe), ground_below(60.0, 200, 5)
+    left, right = bend((0.020, 0.020), t_ns=0), bend((0.023, 0.023), t_ns=3_000_000)
+    matches = match_set(*seen(rig, points, (0.020, 0.023)), mid_exposure_ns=(0, 3_000_000))
+    assert correct(matches, left, right, rig, airframe, SETTINGS).range.range_m == pytest.approx(60.0, rel=1e-6)
+    assert correct(matches, left, left, rig, airframe, SETTINGS).range.range_m != pytest.approx(60.0, abs=3.0)
+
+
+def test_rolling_shutter_rows_are_corrected_one_by_one() -> None:
+    """30 us per row, body rates and a wing passing zero at full speed: every row has a bend of its own."""
+    airframe = nadir()
+    rig, points = Rig.from_airframe(airframe), ground_below(40.0, 200, 6)
+    row_time_s, qdot, rate = 30e-6, 0.16, np.array([0.3, 0.1, 0.2])
+    pixels = [_rolling(rig, side, points, row_time_s, 1.39 * qdot, rate) for side in Side]
+    deflection = bend(qdot_mps=(qdot, 0.0), rate_radps=(0.3, 0.1, 0.2))
+    row_wise = _range(airframe, match_set(*pixels, row_time_ns=30_000), deflection)
+    as_global = _range(airframe, match_set(*pixels), deflection)
+    scatter = [np.std(answer.depths.inverse_pm) * 40.0**2 for answer in (row_wise, as_global)]
+    assert row_wise.range.range_m == pytest.approx(40.0, abs=0.005)
+    assert scatter[0] < 0.02 < 0.3 < scatter[1]
+
+
+def _rolling(
+    rig: Rig, side: Side, points: np.ndarray, row_time_s: float, slope_rate: float, rate: np.ndarray
+) -> np.ndarray:
+    """Pixels seen by a rolling shutter: the row's own time decides the pose, found by iteration."""
+    pixels = rig.project(side, rig.camera(side).rest, points)
+    for _ in range(6):
+        rows = pixels[:, 1].copy()
+        for i, row in enumerate(rows):
+            t = row_time_s * (row - 239.5)
+            pose = rig.pose(side, slope_rate * t, 0.0)
+            body = exp_rotation(rate * t)
+            pixels[i] = rig.project(side, Pose(pose.camera_from_body @ body.T, body @ pose.position_body_m), points[i])
+    return pixels
+
+
+def test_wrong_matches_do_not_pull_the_range() -> None:
+    airframe = nadir()
+    rig = Rig.from_airframe(airframe)
+    left, right = seen(rig, ground_below(60.0, 100, 7), (0.02, 0.02))
+    random = np.random.default_rng(8)
+    right = right + random.normal(scale=0.1, size=right.shape)
+    right[:30, 0] += random.uniform(3.0, 60.0, 30)
+    answer = _range(airframe, match_set(left, right, 0.1), bend((0.02, 0.02)))
+    assert answer.range.range_m == pytest.approx(60.0, abs=0.12)
+    assert answer.range.matches <= 75
+
+
+def test_matches_off_the_epipolar_line_are_dropped() -> None:
+    airframe = nadir()
+    rig = Rig.from_airframe(airframe)
+    left, right = seen(rig, ground_below(60.0, 100, 9), (0.02, 0.02))
+    right = right + np.random.default_rng(1).normal(scale=0.05, size=right.shape)
+    right[:60] += [6.0, 4.0]  # a moving shadow: agrees with itself, though not with the geometry of the rest
+    right[:20, 1] += np.linspace(-20.0, 20.0, 20)
+    answer = _range(airframe, match_set(left[40:], right[40:], 0.05), bend((0.02, 0.02)))
+    assert answer.range.range_m == pytest.approx(60.0, abs=0.1)
+
+
+def test_sigma_is_honest_against_noise_bend_and_calibration_together() -> None:
+    """Truth drawn from the stated sigmas; the normalised squared error of 300 draws is that of a Gaussian."""
+    airframe = nadir(rotation_sigma_rad=2e-4, focal_px=Uncertain(800.0, 0.4))
+    random, squares = np.random.default_rng(10), []
+    for draw in range(300):
+        slopes = 0.02 + 1.5e-4 * random.normal(size=2)
+        true = _perturbed(airframe, random)
+        left, right = seen(Rig.from_airframe(true), ground_below(60.0, 80, draw), (slopes[0], slopes[1]))
+        right = right + 0.1 * random.normal(size=right.shape)
+        answer = _range(airframe, match_set(left, right, 0.1), bend((0.02, 0.02), slope_sigma_rad=1.5e-4)).range
+        squares.append(((answer.range_m - 60.0) / answer.sigma_m) ** 2)
+    assert 0.8 < np.mean(squares) < 1.2  # 300 draws: 0.92 to 1.08 one sigma
+
+
+def _perturbed(airframe: Airframe, random: np.random.Generator) -> Airframe:
+    cameras = []
+    for camera in (airframe.left_camera, airframe.right_camera):
+        assert camera is not None
+        turn = camera.rotation_sigma_rad * random.normal(size=3)
+        focal = Uncertain(camera.focal_px.value + camera.focal_px.sigma * random.normal(), 0.0)
+        cameras.append(dataclasses.replace(camera, rotation_rad=tuple(turn), focal_px=focal))
+    return dataclasses.replace(airframe, left_camera=cameras[0], right_camera=cameras[1])
+
+
+def test_products_differ_where_the_scene_does() -> None:
+    """Ground at 60 m, a mast top of 30 matches at 35 m to the side, a roof of 25 matches on the axis at 50 m."""
+    airframe = nadir()
+    rig, random = Rig.from_airframe(airframe), np.random.default_rng(12)
+    mast = np.column_stack([random.uniform(6, 8, 30), random.uniform(6, 8, 30), np.full(30, 35.0)])
+    roof = np.column_stack([random.uniform(-2, 2, 25), random.uniform(-2, 2, 25), np.full(25, 50.0)])
+    ground = ground_below(60.0, 150, 13)
+    ground = ground[np.linalg.norm(ground[:, :2], axis=1) > 5.0]
+    left, right = seen(rig, np.vstack([mast, roof, ground]), (0.02, 0.02))
+    right = right + 0.05 * random.normal(size=right.shape)
+    for product, expected in ((0, 60.0), (1, 35.0), (2, 50.0)):
+        tunables = dataclasses.replace(SETTINGS, product=product)
+        answer = _range(airframe, match_set(left, right, 0.05), bend((0.02, 0.02)), tunables)
+        assert answer.range.range_m == pytest.approx(expected, rel=0.01), product
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 11])
+def test_too_few_matches_are_refused_with_finite_numbers(count: int) -> None:
+    airframe = nadir()
+    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(60.0, count, 14), (0.0, 0.0)))
+    answer = _range(airframe, matches, bend()).range
+    assert (answer.trusted, answer.reject, answer.matches) == (False, Reject.NO_MATCHES, count)
+    assert np.isfinite([answer.range_m, answer.sigma_m, answer.toe_rad, answer.toe_sigma_rad]).all()
+
+
+@pytest.mark.parametrize("range_m", [3.6, 230.0, -80.0])
+def test_ranges_outside_the_limits_are_refused(range_m: float) -> None:
+    airframe = nadir(rotation_sigma_rad=0.0)
+    rig = Rig.from_airframe(airframe)
+    far = seen(rig, ground_below(abs(range_m), 60, 15), (0.0, 0.0))
+    pixels = far if range_m > 0 else far[::-1]  # swapped images: rays that meet behind the cameras
+    answer = _range(airframe, match_set(*pixels, 0.01), bend()).range
+    assert (answer.trusted, answer.reject) == (False, Reject.OUT_OF_RANGE)
+    assert np.isfinite(answer.range_m)
+    assert np.isfinite(answer.sigma_m)
+
+
+def test_trust_ends_where_sigma_exceeds_its_share_of_the_range() -> None:
+    """3 % of 60 m is 1.8 m, or 0.99 mrad of toe."""
+    airframe = nadir(rotation_sigma_rad=0.0)
+    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(60.0, 300, 16), (0.0, 0.0)), 0.05)
+    for toe_sigma, trusted in ((0.9e-3, True), (1.1e-3, False)):
+        answer = _range(airframe, matches, bend(slope_sigma_rad=toe_sigma / np.sqrt(2.0))).range
+        assert answer.trusted is trusted
+        assert answer.reject is (None if trusted else Reject.SIGMA_TOO_LARGE)
+
+
+def test_ids_and_orientation_travel_with_the_range() -> None:
+    airframe = nadir()
+    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(30.0, 50, 17), (0.0, 0.0)))
+    answer = _range(airframe, matches, bend(t_ns=5_000))
+    assert (answer.range.pair_id, answer.range.plan_id, answer.range.orientation) == (3, 8, 25)
+    assert answer.range.t_host_ns == 5_000
+    assert answer.sectors is None
+
+
+def test_an_orientation_between_the_axes_is_a_configuration_error() -> None:
+    with pytest.raises(ConfigError, match="orientation 1"):
+        range_axis(1)
+    np.testing.assert_array_equal(range_axis(25), [0, 0, 1])
+    np.testing.assert_array_equal(range_axis(6), [0, -1, 0])
