@@ -1,0 +1,92 @@
+"""The loop of the trigger process: newest plan wins, absolute monotonic target, sleep short of it, spin the rest."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import time
+from collections.abc import Callable
+
+from companion.adapters.triggers.wire import LARGEST, Report, pack_report, unpack_plan
+from companion.errors import DeviceError
+from companion.ports import Trigger
+from companion.records import Firing, Reject, Rejected, TriggerPlan
+
+SPIN_NS = 300_000
+"""A sleeping process wakes late by up to some 200 us even when real-time; the rest is spun."""
+_IDLE_S = 0.1
+_MEMORY_NS = 2_000_000_000
+
+
+class FiringLoop:
+    """One trigger line and the plan that waits for it.
+
+    A plan replaces the one that waits; a SKIP plan withdraws it. An id that was fired within two seconds is not fired
+    again. A plan past its expiry is reported as ``PLAN_EXPIRED``, what is no plan as ``CRC``, a line that fails as
+    ``DEVICE_FAILED``; none of them ends the loop.
+    """
+
+    def __init__(self, trigger: Trigger, end: socket.socket, stopped: Callable[[], bool]) -> None:
+        self._trigger = trigger
+        self._end = end
+        self._stopped = stopped
+        self._waiting: TriggerPlan | None = None
+        self._fired_ns: dict[int, int] = {}
+
+    def run(self) -> None:
+        """Serve until told to stop, or until the other end is closed."""
+        while not self._stopped():
+            plan = self._waiting
+            spare_ns = _IDLE_S * 1e9 if plan is None else plan.command_host_ns - SPIN_NS - time.monotonic_ns()
+            if spare_ns > 0:
+                if not self._listen(min(spare_ns * 1e-9, _IDLE_S)):
+                    return
+            elif plan is not None:
+                self._waiting = None
+                self._serve(plan)
+                if not self._listen(0.0):
+                    return
+
+    def report(self, report: Report) -> None:
+        """Tell the service; a service that does not read loses reports, not shots."""
+        with contextlib.suppress(OSError):
+            self._end.send(pack_report(report))
+
+    def _listen(self, timeout_s: float) -> bool:
+        """Take every message that has arrived; False when the other end is gone."""
+        readable, _, _ = select.select([self._end], [], [], timeout_s)
+        while readable:
+            try:
+                message = self._end.recv(LARGEST)
+            except BlockingIOError:
+                return True
+            except OSError:
+                return False
+            if not message:
+                return False
+            self._take(message)
+        return True
+
+    def _take(self, message: bytes) -> None:
+        plan = unpack_plan(message)
+        if plan is None:
+            self.report(Rejected(Reject.CRC, "message to the trigger process", time.monotonic_ns()))
+        elif plan.plan_id not in self._fired_ns:
+            self._waiting = None if plan.firing is Firing.SKIP else plan
+
+    def _serve(self, plan: TriggerPlan) -> None:
+        target_ns = plan.command_host_ns
+        while (now_ns := time.monotonic_ns()) < target_ns:
+            pass
+        if now_ns > plan.expires_host_ns:
+            self.report(Rejected(Reject.PLAN_EXPIRED, f"plan {plan.plan_id}", now_ns))
+            return
+        try:
+            shot = self._trigger.fire(plan)
+        except (DeviceError, OSError) as error:
+            self.report(Rejected(Reject.DEVICE_FAILED, str(error), now_ns))
+            return
+        self._fired_ns = {old: at for old, at in self._fired_ns.items() if at > now_ns - _MEMORY_NS}
+        self._fired_ns[plan.plan_id] = shot.fired_host_ns
+        self.report(shot)

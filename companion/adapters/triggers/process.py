@@ -1,0 +1,172 @@
+"""The trigger process: fires the line at the planned instant, whatever the rest of the service is busy with.
+
+A thread that shares the interpreter with busy Python fires milliseconds late; a process of its own with a real-time
+priority fires within microseconds. The planner may be late or busy, the shot is not (DESIGN, rule 8).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import socket
+from collections.abc import Callable
+from multiprocessing.context import SpawnProcess
+
+from companion.adapters.triggers.firing import FiringLoop
+from companion.adapters.triggers.realtime import become_realtime, die_with_parent
+from companion.adapters.triggers.wire import LARGEST, Realtime, Report, pack_plan, unpack_report
+from companion.errors import DeviceError
+from companion.ports import Trigger
+from companion.records import Rejected, Shot, TriggerPlan
+
+_SPAWN = multiprocessing.get_context("spawn")
+_START_S = 20.0
+_STOP_S = 2.0
+
+
+def line_pair() -> tuple[socket.socket, socket.socket]:
+    """Make the two ends between service and trigger process; neither blocks, and messages keep their borders."""
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in ends:
+        end.setblocking(False)
+    return ends
+
+
+def serve_trigger(
+    factory: Callable[[], Trigger],
+    end: socket.socket,
+    stopped: Callable[[], bool] = lambda: False,
+    *,
+    fifo: bool = True,
+) -> None:
+    """Be the trigger process: the target of a supervisor, or of :class:`TriggerProcess`.
+
+    Parameters
+    ----------
+    factory : callable
+        Opens the trigger line, in this process.
+    end : socket.socket
+        This process's end of :func:`line_pair`; when the other is closed, or the parent dies, this ends.
+    stopped : callable
+        Asked every tenth of a second.
+    fifo : bool
+        Ask for a real-time priority.
+    """
+    die_with_parent()
+    parent = os.getppid()
+    trigger = factory()
+    try:
+        loop = FiringLoop(trigger, end, lambda: stopped() or os.getppid() != parent)
+        loop.report(become_realtime(fifo))
+        loop.run()
+    finally:
+        trigger.close()
+
+
+class TriggerLink:
+    """The service's end: hands over plans, collects shots; never blocks."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
+        self.realtime: Realtime | None = None
+        self.dropped = 0
+        self.garbled = 0
+
+    def fileno(self) -> int:
+        """For ``select``."""
+        return self._end.fileno()
+
+    def send(self, plan: TriggerPlan) -> None:
+        """Hand over the newest plan; counted as dropped while the trigger process is dead or does not read."""
+        try:
+            self._end.send(pack_plan(plan))
+        except OSError:
+            self.dropped += 1
+
+    def poll(self) -> list[Shot | Rejected]:
+        """Give what was fired or refused since the last call."""
+        return [report for report in self._reports() if not isinstance(report, Realtime)]
+
+    def _reports(self) -> list[Report]:
+        reports: list[Report] = []
+        with contextlib.suppress(OSError):
+            while message := self._end.recv(LARGEST):
+                report = unpack_report(message)
+                if isinstance(report, Realtime):
+                    self.realtime = report
+                if report is None:
+                    self.garbled += 1
+                else:
+                    reports.append(report)
+        return reports
+
+    def close(self) -> None:
+        """Close the end; a trigger process on the other one ends."""
+        self._end.close()
+
+
+class TriggerProcess(TriggerLink):
+    """A trigger process with its link, for a service (or bench) that keeps it itself. Use as a context manager.
+
+    Parameters
+    ----------
+    factory : callable
+        Picklable; opens the trigger line inside the process.
+    fifo : bool
+        Ask for a real-time priority; whether it was granted is in :attr:`realtime` once the process runs.
+    """
+
+    def __init__(self, factory: Callable[[], Trigger], *, fifo: bool = True) -> None:
+        ours, theirs = line_pair()
+        super().__init__(ours)
+        self._process: SpawnProcess = _SPAWN.Process(
+            target=serve_trigger, args=(factory, theirs), kwargs={"fifo": fifo}, name="spanwise-trigger", daemon=True
+        )
+        self._process.start()
+        theirs.close()
+
+    def wait_ready(self, timeout_s: float = _START_S) -> Realtime:
+        """Wait until the line is open and say what the operating system granted.
+
+        Raises
+        ------
+        DeviceError
+            The process died, or did not start in time.
+        """
+        self._end.settimeout(timeout_s)
+        try:
+            message = self._end.recv(LARGEST)
+        except OSError as error:
+            raise DeviceError(f"the trigger process did not start within {timeout_s:g} s: {error}") from error
+        finally:
+            self._end.setblocking(False)
+        report = unpack_report(message)
+        if not isinstance(report, Realtime):
+            raise DeviceError("the trigger process ended before its line was open")
+        self.realtime = report
+        return report
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process.is_alive()
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the process."""
+        return self._process.pid
+
+    def close(self) -> None:
+        """End the process; shots that have not been polled are lost."""
+        super().close()
+        self._process.join(_STOP_S)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(_STOP_S)
+
+    def __enter__(self) -> TriggerProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
