@@ -140,7 +140,7 @@ class Notes:
             self.notices.append(Notice(severity, text, at_host_ns))
 
     def gaps(self, name: str, t_ns: Ints) -> None:
-        """Say where a stream has gaps (steps over 2.5 times the usual), uneven steps, or stamps that do not increase."""
+        """Say where a stream has gaps (over 2.5 usual steps), uneven steps, or stamps that do not increase."""
         if t_ns.size < 3:
             return
         steps = np.diff(t_ns)

@@ -1,0 +1,196 @@
+"""ArduPilot onboard logs, written here byte by byte from the published format: every letter, damage, cuts, stations."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from companion.adapters.recordings.bin import BinRecording, raw_accelerometer
+from companion.adapters.recordings.dataflash import DataflashLog
+from companion.adapters.recordings.opening import open_recording
+from companion.errors import RecordingError
+from companion.params.files import load_airframe
+from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, Station, VehicleState
+
+AIRFRAME = load_airframe("sitl-plane")
+FORMATS = {
+    "PARM": (32, "QNff", "TimeUS,Name,Value,Default", "<Q16sff"),
+    "ACC": (162, "QBQfff", "TimeUS,I,SampleUS,AccX,AccY,AccZ", "<QBQfff"),
+    "GYR": (163, "QBQfff", "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ", "<QBQfff"),
+    "IMU": (164, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", "<QBffffff"),
+    "ATT": (72, "Qfff", "TimeUS,Roll,Pitch,Yaw", "<Qfff"),
+    "ARSP": (112, "QBf", "TimeUS,I,Airspeed", "<QBf"),
+    "TST": (200, "cCeELbhHiIdgaZ", "a,b,c,d,e,f,g,h,i,j,k,l,m,n", "<hHiIibhHiIde64s64s"),
+}
+HEAD = b"\xa3\x95"
+
+
+class Log:
+    def __init__(self, *names: str) -> None:
+        self.data = b""
+        for name in names:
+            number, letters, fields, layout = FORMATS[name]
+            length = 3 + struct.calcsize(layout)
+            body = struct.pack("<BB4s16s64s", number, length, name.encode(), letters.encode(), fields.encode())
+            self.data += HEAD + bytes([128]) + body
+
+    def add(self, name: str, *values: object) -> None:
+        self.data += HEAD + bytes([FORMATS[name][0]]) + struct.pack(FORMATS[name][3], *values)
+
+
+def flight(n: int = 100, gyro_shift_us: int = 0) -> Log:
+    log = Log("PARM", "ACC", "GYR", "ATT", "ARSP")
+    log.add("PARM", 500, b"INS_ACCEL_FILTER", 20.0, 20.0)
+    log.add("PARM", 500, b"RTL_RADIUS", 90.0, 90.0)
+    log.add("ARSP", 900, 0, 17.5)
+    for i in range(n):
+        t_us = 1000 + 1000 * i
+        for imu in range(3):
+            log.add("ACC", t_us + 7, imu, t_us, 0.1, 0.2, -9.8 - imu - 0.01 * i)
+            log.add("GYR", t_us + 7, imu, t_us + gyro_shift_us, 0.001 * i, 0.02, 0.03)
+    log.add("ATT", 50_000, 90.0, -45.0, 180.0)
+    return log
+
+
+def write(tmp_path: Path, data: bytes) -> Path:
+    (tmp_path / "a.BIN").write_bytes(data)
+    return tmp_path / "a.BIN"
+
+
+def test_raw_imus_become_stations_without_the_mavlink_low_pass(tmp_path: Path) -> None:
+    recording = open_recording(write(tmp_path, flight().data), AIRFRAME)
+    assert isinstance(recording, BinRecording)
+    batches = [entry for entry in recording.records() if isinstance(entry, ImuBatch)]
+    for station in Station:
+        mine = [batch for batch in batches if batch.station is station]
+        assert np.concatenate([b.t_ns for b in mine]).tolist() == [1_000_000 * (1 + i) for i in range(100)]
+        z = np.concatenate([b.values for b in mine])[:, 2]
+        np.testing.assert_allclose(z, np.float32([-9.8 - station - 0.01 * i for i in range(100)]), rtol=1e-6)
+        assert {batch.axes for batch in mine} == {Axis.Z}
+        sensor = recording.airframe.sensor(station)
+        assert (sensor.lowpass_accel_hz, sensor.source.stamp_offset_s) == (0.0, 0.0)
+        assert sensor.rate_hz == pytest.approx(1000.0)
+    assert recording.hub is ClockName.BOOT
+
+
+def test_parameters_and_flight_state_come_in_si_and_in_time_order(tmp_path: Path) -> None:
+    records = list(open_recording(write(tmp_path, flight().data), AIRFRAME).records())
+    assert records[0] == AutopilotParameter("INS_ACCEL_FILTER", 20.0, 500_000)
+    assert not [entry for entry in records if isinstance(entry, AutopilotParameter) and "RTL" in entry.name]
+    (state,) = [entry for entry in records if isinstance(entry, VehicleState)]
+    assert (state.roll_rad, state.pitch_rad, state.yaw_rad) == pytest.approx((np.pi / 2, -np.pi / 4, np.pi))
+    assert state.airspeed_mps == 17.5
+    times = [entry.received_host_ns for entry in records]  # type: ignore[union-attr]
+    assert times == sorted(times)
+
+
+def test_gyro_samples_at_other_stamps_are_interpolated_to_the_accelerometers(tmp_path: Path) -> None:
+    recording = BinRecording(write(tmp_path, flight(gyro_shift_us=250).data), load_airframe("nadir-2m"))
+    (stream,) = recording.streams  # the nodes of nadir-2m are not in an onboard log
+    assert stream.axes == Axis.ALL
+    assert stream.t_ns.size == 99, "the first accelerometer sample comes before any gyro sample"
+    np.testing.assert_allclose(stream.values[:, 3], 0.001 * (np.arange(1, 100) - 0.25), rtol=1e-5)
+    assert len([notice for notice in recording.notices if "not in an onboard log" in notice.text]) == 2
+
+
+def test_filtered_imus_stand_in_with_the_logs_own_filter(tmp_path: Path) -> None:
+    log = Log("PARM", "IMU")
+    log.add("PARM", 0, b"INS_ACCEL_FILTER", 35.0, 20.0)
+    for i in range(50):
+        log.add("IMU", 2500 * i, 0, 0.1, 0.2, 0.3, 1.0, 2.0, 3.0)
+    recording = BinRecording(write(tmp_path, log.data), load_airframe("nadir-2m"))
+    (stream,) = recording.streams
+    np.testing.assert_allclose(stream.values[0], [1, 2, 3, 0.1, 0.2, 0.3], rtol=1e-6)
+    assert recording.airframe.root.lowpass_accel_hz == 35.0
+    assert recording.airframe.root.rate_hz == pytest.approx(400.0)
+
+
+def test_the_raw_accelerometer_of_any_imu(tmp_path: Path) -> None:
+    t_ns, force = raw_accelerometer(DataflashLog(write(tmp_path, flight(5).data)), 2)
+    assert t_ns.tolist() == [1_000_000 * (1 + i) for i in range(5)]
+    np.testing.assert_allclose(force[:, 2], np.float32([-11.8 - 0.01 * i for i in range(5)]), rtol=1e-6)
+    t_ns, force = raw_accelerometer(DataflashLog(write(tmp_path, Log("ATT").data)), 0)
+    assert t_ns.size == 0
+
+
+def test_every_letter_of_the_format_has_its_type_and_scale(tmp_path: Path) -> None:
+    log = Log("TST")
+    array = np.arange(32, dtype="<i2") - 5
+    log.add(
+        "TST",
+        -150,
+        65000,
+        -2_000_000,
+        4_000_000_000,
+        -353632610,
+        -7,
+        -300,
+        60000,
+        -70000,
+        4_000_000_000,
+        1.25,
+        0.5,
+        array.tobytes(),
+        b"text",
+    )
+    table = DataflashLog(write(tmp_path, log.data)).take("TST")
+    scaled = [float(table[name][0]) for name in "abcdefghijkl"]
+    expected = [-1.5, 650.0, -20_000.0, 40_000_000.0, -35.363261, -7, -300, 60000, -70000, 4e9, 1.25, 0.5]
+    assert scaled == pytest.approx(expected, rel=1e-12)
+    assert table["m"][0].tolist() == array.tolist()
+    assert table["n"][0] == b"text"
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cut=st.integers(400, 3000))
+def test_a_cut_log_gives_every_whole_message(cut: int, tmp_path: Path) -> None:
+    data = flight(30).data
+    size = 3 + struct.calcsize(FORMATS["ACC"][3])
+    preamble = len(Log("PARM", "ACC", "GYR", "ATT", "ARSP").data) + 2 * 35 + 16
+    cut = max(cut, preamble + 6 * size)
+    log = DataflashLog(write(tmp_path, data[:cut]))
+    whole = (min(cut, len(data)) - preamble) // size
+    assert log.counts["ACC"] + log.counts["GYR"] == min(whole, 180)
+    assert log.skipped_bytes == 0
+
+
+def test_a_header_pattern_inside_a_message_is_not_taken_for_one(tmp_path: Path) -> None:
+    log = flight(3)
+    (tricky,) = struct.unpack("<f", HEAD + bytes([162, 0x41]))
+    for i in range(20):
+        log.add("ACC", 10_000 + i, 0, 10_000 + i, tricky, tricky, tricky)
+    parsed = DataflashLog(write(tmp_path, log.data))
+    assert parsed.counts["ACC"] == 9 + 20
+    assert (parsed.skipped_bytes, parsed.cut_bytes) == (0, 0)
+    assert parsed.take("ACC")["AccX"][-1] == np.float32(tricky)
+
+
+def test_damage_inside_is_skipped_and_counted(tmp_path: Path) -> None:
+    data = flight(30).data
+    size = 3 + struct.calcsize(FORMATS["ACC"][3])
+    at = len(data) - 90 * size
+    recording = BinRecording(write(tmp_path, data[:at] + bytes(size) + data[at + size :]), AIRFRAME)
+    assert recording.log.skipped_bytes == size
+    assert recording.log.counts["ACC"] + recording.log.counts["GYR"] == 179
+    assert any("damage" in notice.text for notice in recording.notices)
+
+
+def test_a_cut_log_says_so(tmp_path: Path) -> None:
+    recording = BinRecording(write(tmp_path, flight(30).data[:-5]), AIRFRAME)
+    assert any("truncated" in notice.text for notice in recording.notices)
+
+
+def test_logs_without_samples_and_other_files_are_refused_in_words(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"a\.BIN: no ACC, GYR or IMU message"):
+        open_recording(write(tmp_path, Log("ATT").data), AIRFRAME)
+    with pytest.raises(RecordingError, match=r"a\.BIN: not a recording that can be read"):
+        open_recording(write(tmp_path, b"\0" * 100), AIRFRAME)
+    with pytest.raises(RecordingError, match="not an ArduPilot"):
+        DataflashLog(write(tmp_path, b"\0" * 100))
+    with pytest.raises(RecordingError, match="no whole message"):
+        DataflashLog(write(tmp_path, flight(1).data[:50]))
