@@ -59,7 +59,7 @@ class SimAutopilot:
         self.commands: list[tuple[int, int, int]] = []
         self._flight = flight
         self._faults = faults
-        self._on_trigger = on_trigger
+        self.on_trigger = on_trigger
         self._rng = flight.generator("autopilot")
         self._inbox: deque[tuple[Any, int, int]] = deque()
         self._outbox: deque[tuple[int, bytes]] = deque()
@@ -254,8 +254,8 @@ class SimAutopilot:
     def _capture(self, tick_ns: int) -> int:
         if self._flight.airframe.left_camera is None:
             return int(mavlink.MAV_RESULT_FAILED)
-        if self._on_trigger is not None:
-            self._on_trigger(tick_ns)
+        if self.on_trigger is not None:
+            self.on_trigger(tick_ns)
         self._shots += 1
         for camera in (1, 2):
             feedback = mavlink.MAVLink_camera_feedback_message(

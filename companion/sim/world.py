@@ -8,14 +8,16 @@ import socket
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.errors import LinkError
+from companion.errors import DeviceError, LinkError
 from companion.params.airframe import Airframe, NamedEffect
 from companion.sim.autopilot import SimAutopilot, Trigger
+from companion.sim.cameras import PLAN_UNKNOWN, SimTriggerLine
 from companion.sim.faults import Faults, Wire
 from companion.sim.flight import Flight, GustKind, build_flight
 from companion.sim.nodes import WingNode
@@ -54,6 +56,10 @@ class WorldOptions:
         Wait up to this long for the companion's first datagram before the flight starts (heartbeats go out meanwhile).
     parameters : mapping
         Autopilot parameters that differ from a good set-up.
+    start_host_ns : int
+        Host time at which the flight starts, for processes that must know it beforehand; 0: when all is ready.
+    trigger_line : Path, optional
+        The simulated cameras' line, on which IMAGE_START_CAPTURE sends its pulses.
     """
 
     connection: str = "udpout:127.0.0.1:14550"
@@ -61,6 +67,8 @@ class WorldOptions:
     wait_s: float = 0.0
     faults: Faults = field(default_factory=Faults)
     parameters: Mapping[str, float] = field(default_factory=dict)
+    start_host_ns: int = 0
+    trigger_line: Path | None = None
 
 
 class Link:
@@ -191,7 +199,9 @@ def serve(
     try:
         world = World(flight, options, link, on_trigger)
         _await_companion(world, options.wait_s)
-        start_ns = time.monotonic_ns() + 20_000_000
+        start_ns = options.start_host_ns or time.monotonic_ns() + 20_000_000
+        if options.trigger_line is not None:
+            world.autopilot.on_trigger = _pulses(options.trigger_line, start_ns, options.speed)
         if control is not None:
             control.send(("started", start_ns))
         report = _play(world, options.speed, start_ns, control)
@@ -213,6 +223,17 @@ def serve_new(
 ) -> None:
     """Entry of a process of its own: build the flight from its seed and serve it."""
     serve(build_flight(airframe, seed, duration_s, effects=effects, gust=gust), options, control)
+
+
+def _pulses(path: Path, start_ns: int, speed: float) -> Trigger:
+    """Pulls the cameras' line at a boot time; a line that nobody watches is no reason to fall out of the sky."""
+    line = SimTriggerLine(path)
+
+    def pulse(boot_ns: int) -> None:
+        with contextlib.suppress(DeviceError):
+            line.pulse(PLAN_UNKNOWN, start_ns + round(boot_ns / speed))
+
+    return pulse
 
 
 def _await_companion(world: World, wait_s: float) -> None:

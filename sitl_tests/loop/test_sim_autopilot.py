@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 import multiprocessing
 import socket
+import struct
+import threading
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -364,6 +367,34 @@ def test_a_process_of_its_own_serves_udp_in_real_time() -> None:
     # every sample arrives after it was taken, in the median within a few milliseconds
     assert min(lags) > 0
     assert np.median(lags) < 10 * MS
+
+
+@pytest.mark.realtime
+def test_a_capture_command_pulls_the_cameras_line(flight: Flight, tmp_path: Path) -> None:
+    watched = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    watched.bind(str(tmp_path / "line"))
+    watched.settimeout(0.0)
+    companion = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    companion.bind(("127.0.0.1", 0))
+    mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=COMPANION)
+    start_ns = time.monotonic_ns() + 100 * MS
+    port = companion.getsockname()[1]
+    options = WorldOptions(f"udpout:127.0.0.1:{port}", start_host_ns=start_ns, trigger_line=tmp_path / "line")
+    ours, theirs = multiprocessing.Pipe()
+    flying = threading.Thread(target=serve, args=(flight, options, theirs))
+    flying.start()
+    _, vehicle = companion.recvfrom(65535)
+    asked_ns = time.monotonic_ns()
+    capture = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 0, 1, 0, 0, 0, 0)
+    companion.sendto(capture.pack(mav), vehicle)
+    time.sleep(0.5)
+    ours.send("stop")
+    flying.join()
+    _, edge_ns = struct.unpack("<qq", watched.recv(100))
+    assert ours.recv() == ("started", start_ns)
+    assert asked_ns < edge_ns < asked_ns + 300 * MS
+    companion.close()
+    watched.close()
 
 
 @pytest.mark.realtime
