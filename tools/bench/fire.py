@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import select
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from companion.adapters.triggers.process import TriggerProcess
 from companion.records import Firing, Shot, TriggerPlan
 
 SHOTS = 500
+TARGET_P99_US = 50.0
 _LEAD_NS = 8_000_000
 _EXPIRY_NS = 1_000_000_000
 _SPAWN = multiprocessing.get_context("spawn")
@@ -32,13 +34,21 @@ def run(shots: int = SHOTS) -> list[dict[str, object]]:
         ]
 
 
-def main() -> None:
-    for row in run():
+def main(arguments: list[str] | None = None) -> int:
+    del arguments
+    rows = run()
+    for row in rows:
         granted = "" if row["fifo"] else "  (no real-time priority)"
         print(
             f"{row['name']:32s} p50 {row['p50_us']:9.1f} us   p99 {row['p99_us']:9.1f} us   "
             f"most {row['most_us']:9.1f} us   {row['shots']} shots{granted}"
         )
+    best = rows[0]
+    if not best["fifo"]:
+        print("no target: this machine does not allow SCHED_FIFO")
+        return 0
+    print(f"target: p99 <= {TARGET_P99_US:g} us with SCHED_FIFO")
+    return int(float(str(best["p99_us"])) > TARGET_P99_US)
 
 
 def _row(name: str, fifo: bool, late_ns: list[int]) -> dict[str, object]:
@@ -111,4 +121,4 @@ def _spin() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
