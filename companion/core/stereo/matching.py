@@ -71,7 +71,8 @@ def match(left: Bytes, right: Bytes, rig: Rig, search: Search, most: int = 200) 
     kept = _distinct(coarse.score, coarse.runner_up)
     found = coarse.position_px[kept] / 0.5**level
     start = frame.to_raw(rig.right, search.right, found)
-    fine = refine(left, right, corners[kept], start, _epipolar_direction(frame, rig, search, found, start))
+    along = frame.along_rows(rig.right, search.right, found)
+    fine = refine(left, right, corners[kept], start, along)
     good = fine.good & (fine.correlation > _FINE_SCORE)
     good[good] = _returns(left, right, fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
@@ -132,10 +133,3 @@ def _scale(band: Band, factor: float) -> Band:
 
 def _rows(band: Band, index: Ints) -> Band:
     return Band(band.left[index], band.right[index], band.top[index], band.bottom[index])
-
-
-def _epipolar_direction(frame: Rectification, rig: Rig, search: Search, rectified_px: Floats, raw_px: Floats) -> Floats:
-    """Unit direction (n, 2) in the raw right image in which a match moves with disparity."""
-    moved = frame.to_raw(rig.right, search.right, rectified_px + np.array([1.0, 0.0])) - raw_px
-    direction: Floats = moved / np.linalg.norm(moved, axis=1, keepdims=True)
-    return direction

@@ -63,6 +63,13 @@ class Rectification:
         )
         return camera.lens.project(rays @ self.rectified_from_camera(pose))
 
+    def along_rows(self, camera: MountedCamera, pose: Pose, rectified_px: Floats) -> Floats:
+        """Unit direction (n, 2) in the raw image in which a rectified pixel moves along its row, the epipolar line."""
+        step = np.array([0.5, 0.0])
+        moved = self.to_raw(camera, pose, rectified_px + step) - self.to_raw(camera, pose, rectified_px - step)
+        direction: Floats = moved / np.linalg.norm(moved, axis=1, keepdims=True)
+        return direction
+
 
 def rectification(rig: Rig, left: Pose, right: Pose) -> Rectification:
     """Build the rectified frame of two poses, with the mean focal length and the size of the left image."""

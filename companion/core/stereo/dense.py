@@ -1,0 +1,177 @@
+"""Dense disparity for the obstacle picture: semi-global matching on images rectified for this frame's poses.
+
+OpenCV 5 still has ``StereoSGBM`` with its one-pass three-way mode, subpixel steps of 1/16 px and left-right check.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.matching import Matches
+from companion.core.stereo.rectify import Rectification, rectify_pair
+from companion.core.stereo.refine import HALF_WINDOW, refine
+from companion.core.stereo.search import Search
+from companion.records import Bools, Bytes, Floats
+
+_BLOCK = 5
+_STEPS_PER_PX = 16.0
+_LEFT_RIGHT_PX = 1
+_UNIQUENESS_PERCENT = 10
+_SPECKLE_AREA_PX = 60
+# Semi-global matching leans toward whole pixels by a quarter of one; that error is common to a surface, so it does not
+# average out, and metric ranges go through `metric_pairs`.
+_SIGMA_PX = 0.35
+# Mean absolute horizontal slope of brightness, per pixel, below which a place has no texture to match.
+_LEAST_TEXTURE = 3.0
+_TEXTURE_WINDOW_PX = 11
+_METRIC_SCORE = 0.85
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disparity:
+    """Dense disparity of a rectified pair.
+
+    Attributes
+    ----------
+    frame : Rectification
+        The frame it was measured in.
+    disparity_px : (rows, columns) float32
+        Left column minus right column; NaN where there is no trusted match.
+    sigma_px : float
+        One-sigma of each disparity.
+    """
+
+    frame: Rectification
+    disparity_px: Floats
+    sigma_px: float
+
+
+class DenseMatcher:
+    """Semi-global matcher for a fixed span of disparities.
+
+    Parameters
+    ----------
+    first_px : int
+        Smallest disparity; see :func:`first_disparity`.
+    count : int
+        How many disparities, a multiple of 16.
+    """
+
+    def __init__(self, first_px: int = 0, count: int = 64) -> None:
+        self._matcher = cv2.StereoSGBM.create(
+            minDisparity=first_px,
+            numDisparities=count,
+            blockSize=_BLOCK,
+            P1=8 * _BLOCK**2,
+            P2=32 * _BLOCK**2,
+            disp12MaxDiff=_LEFT_RIGHT_PX,
+            uniquenessRatio=_UNIQUENESS_PERCENT,
+            speckleWindowSize=_SPECKLE_AREA_PX,
+            speckleRange=1,
+            mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+        )
+        self._first_px = first_px
+
+    def match(self, left: Bytes, right: Bytes, rig: Rig, frame: Rectification) -> Disparity:
+        """Rectify a raw pair for the poses of ``frame`` and match it."""
+        rectified_left, rectified_right = rectify_pair(frame, rig, left, right)
+        return Disparity(frame, self.match_rectified(rectified_left, rectified_right), _SIGMA_PX)
+
+    def match_rectified(self, left: Bytes, right: Bytes) -> Floats:
+        """Disparity (rows, columns) float32 of a rectified pair, NaN where unknown."""
+        steps = self._matcher.compute(left, right)
+        disparity: Floats = steps.astype(np.float32) / np.float32(_STEPS_PER_PX)
+        disparity[(steps < _STEPS_PER_PX * self._first_px) | ~textured(left)] = np.nan
+        return disparity
+
+
+def textured(image: Bytes) -> Bools:
+    """Where (rows, columns) an image has texture along its rows; a smooth place would match anything."""
+    slope = cv2.convertScaleAbs(cv2.Sobel(image, cv2.CV_16S, 1, 0, ksize=1), alpha=0.5)
+    mean = cv2.boxFilter(slope, cv2.CV_32F, (_TEXTURE_WINDOW_PX, _TEXTURE_WINDOW_PX))
+    enough: Bools = mean > _LEAST_TEXTURE
+    return enough
+
+
+def first_disparity(frame: Rectification, search: Search, count: int = 64) -> int:
+    """First disparity of a span that ends at the largest range, with room for the bend's tolerance.
+
+    The far end is what an obstacle picture must not lose; what is nearer than the span covers needs a larger ``count``.
+    """
+    tolerance_px = frame.focal_px * (search.bend_tolerance_rad + search.other_tolerance_rad)
+    farthest_px = frame.focal_px * frame.baseline_m / search.max_range_m
+    return int(np.floor(max(farthest_px - tolerance_px, -count)))
+
+
+def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats, Floats]:
+    """Thin a dense disparity to raw pixel pairs.
+
+    Parameters
+    ----------
+    dense : Disparity
+        Of the rectified pair.
+    rig : Rig
+        Lenses.
+    step_px : int
+        Spacing of the grid that is kept.
+
+    Returns
+    -------
+    tuple
+        Left and right raw pixels (n, 2) and sigma (n,).
+    """
+    left, right = _rectified_pairs(dense, step_px)
+    left_px = dense.frame.to_raw(rig.left, dense.frame.left, left)
+    right_px = dense.frame.to_raw(rig.right, dense.frame.right, right)
+    return left_px, right_px, np.full(len(left), dense.sigma_px)
+
+
+def metric_pairs(dense: Disparity, left: Bytes, right: Bytes, rig: Rig, step_px: int) -> Matches:
+    """Refine a thinned dense disparity in the raw images: matches fit for ranging, where the sparse ones do not reach.
+
+    Parameters
+    ----------
+    dense : Disparity
+        Of the rectified pair.
+    left, right : (rows, columns) uint8
+        The raw pair.
+    rig : Rig
+        Lenses.
+    step_px : int
+        Spacing of the grid that is kept.
+    """
+    left_px, right_px, _ = raw_pairs(dense, rig, step_px)
+    along = dense.frame.along_rows(rig.right, dense.frame.right, _rectified_pairs(dense, step_px)[1])
+    whole = np.rint(left_px).astype(np.int64)
+    margin = HALF_WINDOW + 3
+    inside = np.all((whole >= margin) & (whole < np.array([left.shape[1], left.shape[0]]) - margin), axis=1)
+    fine = refine(left, right, whole[inside], (right_px + whole - left_px)[inside], along[inside])
+    good = fine.good & (fine.correlation > _METRIC_SCORE)
+    return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
+
+
+def points(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:
+    """Points (n, 3) in body axes on a grid of ``step_px``, and the one-sigma of each one's distance, metres (n,)."""
+    frame = dense.frame
+    left, right = _rectified_pairs(dense, step_px)
+    ahead = left[:, 0] > right[:, 0]
+    pixels, disparity = left[ahead], (left - right)[ahead, 0]
+    depth = frame.focal_px * frame.baseline_m / disparity
+    rays = np.column_stack([(pixels - frame.matrix[:2, 2]) / frame.focal_px, np.ones(len(pixels))])
+    at: Floats = frame.left.position_body_m + (rays * depth[:, np.newaxis]) @ frame.rectified_from_body
+    stretch = np.linalg.norm(rays, axis=1)
+    return at, stretch * depth**2 / (frame.focal_px * frame.baseline_m) * dense.sigma_px
+
+
+def _rectified_pairs(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:
+    """Rectified left and right pixels (n, 2) of a grid's known disparities."""
+    half, (height, width) = step_px // 2, dense.disparity_px.shape
+    rows, columns = np.mgrid[half:height:step_px, half:width:step_px]
+    disparity = dense.disparity_px[rows, columns].astype(np.float64)
+    known = np.isfinite(disparity)
+    left = np.column_stack([columns[known], rows[known]]).astype(np.float64)
+    return left, left - np.column_stack([disparity[known], np.zeros(len(left))])

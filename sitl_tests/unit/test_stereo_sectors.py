@@ -1,0 +1,109 @@
+"""Sectors: bearing convention, nearest obstacle, unknown against clear, support and trust."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.ranging import correct
+from companion.core.stereo.sectors import SECTORS, sectors_of
+from companion.params.settings import Settings
+from companion.records import ObstacleSectors
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, seen
+
+SETTINGS = Settings()
+
+
+def _sectors(points: np.ndarray, relative_sigma: float = 0.01) -> ObstacleSectors:
+    """Sectors of points given directly, with depth counted along body x where possible."""
+    depth = np.linalg.norm(points, axis=1)
+    inverse = 1.0 / depth
+    return sectors_of(points * inverse[:, None], inverse, relative_sigma * inverse, np.zeros(3), 77, SETTINGS)
+
+
+def _at(bearing_deg: float, distance_m: float, down_m: float = 0.0, count: int = 3) -> np.ndarray:
+    bearing = np.radians(bearing_deg)
+    return np.tile([distance_m * np.cos(bearing), distance_m * np.sin(bearing), down_m], (count, 1))
+
+
+@given(st.integers(0, SECTORS - 1), st.floats(-2.4, 2.4), st.floats(5.0, 190.0))
+def test_a_sector_is_centred_on_its_multiple_of_five_degrees_clockwise(
+    index: int, off_deg: float, distance_m: float
+) -> None:
+    sectors = _sectors(_at(5.0 * index + off_deg, distance_m))
+    assert np.flatnonzero(sectors.known).tolist() == [index]
+    assert sectors.distance_m[index] == pytest.approx(distance_m)
+    assert not sectors.clear.any()
+
+
+def test_right_is_clockwise() -> None:
+    assert np.flatnonzero(_sectors(_at(90.0, 20.0)).known).tolist() == [18]  # body +y, the right wing
+    assert np.flatnonzero(_sectors(_at(-10.0, 20.0)).known).tolist() == [70]
+
+
+def test_the_nearest_supported_distance_wins() -> None:
+    scene = np.vstack([_at(0.0, 80.0, count=20), _at(0.5, 30.0), _at(-0.5, 12.0, count=1)])
+    sectors = _sectors(scene)
+    assert sectors.distance_m[0] == pytest.approx(30.0)  # one lonely match at 12 m is no obstacle
+    assert 0.0 < sectors.sigma_m[0] < 1.0
+
+
+def test_what_is_above_or_below_the_height_band_is_no_obstacle() -> None:
+    sectors = _sectors(np.vstack([_at(0.0, 60.0, down_m=20.0), _at(10.0, 60.0, down_m=-20.0), _at(20.0, 60.0)]))
+    assert np.flatnonzero(sectors.known).tolist() == [4]
+    assert not sectors.clear.any()
+
+
+def test_only_texture_seen_beyond_the_largest_range_makes_clear() -> None:
+    far = np.vstack([_at(0.0, 900.0), _at(15.0, 900.0, count=2), _at(30.0, 900.0, down_m=300.0)])
+    near = _at(45.0, 50.0)
+    beyond_and_near = np.vstack([_at(60.0, 900.0), _at(60.0, 70.0)])
+    sectors = _sectors(np.vstack([far, near, beyond_and_near]))
+    assert np.flatnonzero(sectors.clear).tolist() == [0]  # not: too few, looking down, nothing but near, something near
+    assert np.flatnonzero(sectors.known).tolist() == [9, 12]
+    assert sectors.clear[SECTORS // 2] == sectors.known[SECTORS // 2] == False  # noqa: E712 (behind: never looked)
+
+
+def test_far_texture_that_may_be_nearer_does_not_clear() -> None:
+    assert _sectors(_at(0.0, 260.0), relative_sigma=0.02).clear[0]
+    assert not _sectors(_at(0.0, 260.0), relative_sigma=0.4).clear.any()
+
+
+def test_an_uncertain_obstacle_is_unknown_and_never_clear() -> None:
+    """A distance with more sigma than the trust ratio is not published, but it forbids to call the sector clear."""
+    vague = _at(0.0, 120.0)
+    points = np.vstack([vague, _at(0.0, 900.0)])
+    inverse = 1.0 / np.linalg.norm(points, axis=1)
+    sigma = inverse * np.array([0.08] * 3 + [0.01] * 3)
+    sectors = sectors_of(points * inverse[:, None], inverse, sigma, np.zeros(3), 0, SETTINGS)
+    assert not sectors.known.any()
+    assert not sectors.clear.any()
+
+
+def test_no_points_no_knowledge() -> None:
+    sectors = _sectors(np.empty((0, 3)))
+    assert not sectors.known.any()
+    assert not sectors.clear.any()
+    assert (sectors.min_m, sectors.max_m, sectors.t_host_ns) == (SETTINGS.min_range_m, SETTINGS.max_range_m, 77)
+
+
+def test_a_forward_pair_gives_sectors_with_its_range() -> None:
+    """A post at bearing +10 degrees and 40 m, open land behind it and to the left: bent wing, noisy matches."""
+    airframe = forward(rotation_sigma_rad=2e-5)
+    rig, random = Rig.from_airframe(airframe), np.random.default_rng(3)
+    bearing = np.radians(10.0 + random.uniform(-1.5, 1.5, 25))
+    post = np.column_stack([40.0 * np.cos(bearing), 40.0 * np.sin(bearing), random.uniform(-4, 4, 25)])
+    side = np.radians(random.uniform(-17.0, 17.0, 160))
+    land = np.column_stack([3000.0 * np.cos(side), 3000.0 * np.sin(side), random.uniform(-100, 100, 160)])
+    left, right = seen(rig, np.vstack([post, land]), (0.02, 0.024))
+    right = right + 0.05 * random.normal(size=right.shape)
+    deflection = bend((0.02, 0.024), slope_sigma_rad=1e-4)
+    sectors = correct(match_set(left, right, 0.05), deflection, deflection, rig, airframe, SETTINGS).sectors
+    assert sectors is not None
+    assert np.flatnonzero(sectors.known).tolist() == [2]
+    assert sectors.distance_m[2] == pytest.approx(40.0, abs=4.0 * sectors.sigma_m[2])
+    assert sectors.clear[[70, 71, 0, 1]].all()
+    assert not sectors.clear[5:67].any()
