@@ -320,6 +320,19 @@ def test_a_reboot_is_told_once_and_no_stamp_of_the_other_epoch_passes() -> None:
     assert all(batch.t_ns.max() < 3 * S for batch in batches(after[told:]))
 
 
+def test_a_reboot_inside_one_chunk_parts_the_batch() -> None:
+    stream = Stream()
+    old, new = [60_000_000 + 1000 * k for k in range(5)], [2_000_000 + 1000 * k for k in range(6)]
+    records = stream(*(packed(highres(t_us), 200) for t_us in old + new))
+    before, restart, after, refused = records
+    assert isinstance(before, ImuBatch)
+    assert isinstance(after, ImuBatch)
+    assert before.t_ns.tolist() == [1000 * t_us for t_us in old]
+    assert restart == ClockRestart(ClockName.NODE_LEFT, stream.now)
+    assert after.t_ns.tolist() == [1000 * t_us for t_us in new[2:]]
+    assert refusals([refused]) == {Reject.TIME_BACKWARDS: 2}
+
+
 def test_one_late_datagram_is_no_reboot() -> None:
     stream = Stream()
     stream(packed(highres(60_000_000), 200))

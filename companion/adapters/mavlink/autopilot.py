@@ -62,7 +62,7 @@ class MavlinkAutopilot:
         settings: Settings,
         clock: Clock,
         *,
-        gather_s: float = 0.003,
+        gather_s: float = 0.004,
         listener: Callable[[Heard], None] | None = None,
     ) -> None:
         self.decoder = Decoder(airframe, settings.component_id)

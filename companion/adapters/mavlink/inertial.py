@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -15,6 +16,7 @@ from companion.adapters.mavlink.tally import Tally
 from companion.records import Axis, Bools, ClockRestart, Floats, ImuBatch, Ints, Reject
 
 _COLUMNS = np.arange(6)
+_BEYOND_NS = -1
 
 
 class StationReader:
@@ -93,13 +95,12 @@ class StationReader:
         """Zero the axes that are not sent; drop samples that are not finite, or stamped beyond any clock."""
         if axes != Axis.ALL:
             values = np.where(int(axes) >> _COLUMNS & 1, values, 0.0)
-        finite = np.isfinite(values)
-        if not finite.all():
-            good = finite.all(axis=1)
+        if not math.isfinite(np.vdot(values, values)):  # a sum of squares is finite if and only if every number is
+            good = np.isfinite(values).all(axis=1)
             self._tally.add(Reject.NOT_FINITE, self.name, int((~good).sum()))
             t_ns, values = t_ns[good], values[good]
-        if len(t_ns) and t_ns.min() < 0:
-            good = t_ns >= 0
+        if len(t_ns) and min(t_ns.tolist()) == _BEYOND_NS:
+            good = t_ns != _BEYOND_NS
             self._tally.add(Reject.INCONSISTENT, f"{self.name}: stamp beyond any clock", int((~good).sum()))
             t_ns, values = t_ns[good], values[good]
         return t_ns, values

@@ -63,7 +63,8 @@ class ClockWatch:
         """Judge the stamps of one batch, in arrival order."""
         state = self._sources.setdefault((clock, source), _Source())
         epoch = self._epochs.setdefault(clock, _Epoch())
-        least, most = int(t_ns.min()), int(t_ns.max())
+        stamps = t_ns.tolist()
+        least, most = min(stamps), max(stamps)
         newest = most if state.newest_ns is None else max(most, state.newest_ns)
         if state.epoch == epoch.number and least >= newest - BACK_NS:
             state.newest_ns, state.backward = newest, 0
