@@ -456,6 +456,8 @@ InputRecord = (
     | ParameterChange
     | Tick
     | MatchSet
+    | Frame
+    | FramePair
     | Shot
 )
 OutputRecord = (

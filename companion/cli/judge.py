@@ -43,6 +43,11 @@ class Judge:
         self._true_tips = TipMotion.from_airframe(flight.real.actual)
         self._axis = range_axis(flight.airframe.orientation)
 
+    @property
+    def baseline_m(self) -> float:
+        """Believed distance of the cameras."""
+        return self._belief.baseline_m
+
     def rigid(self, matches: MatchSet) -> Reading | None:
         """The ground calibration, unmodified."""
         return self._read(matches, self._belief, rest_exposures(self._belief))

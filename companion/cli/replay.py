@@ -1,4 +1,4 @@
-"""``spanwise replay``: the same estimation from a recording of ours, or from a log of ArduPilot, PX4 or a laboratory."""
+"""``spanwise replay``: the same estimation from a recording of ours, or from an ArduPilot, PX4 or laboratory log."""
 
 from __future__ import annotations
 
@@ -118,7 +118,8 @@ def encoded(record: Record) -> bytes:
 
 
 def _plain(record: Record | None) -> Any:
-    return None if record is None else codec_of(type(record)).encode(record)
+    kind: Any = type(record)
+    return None if record is None else codec_of(kind).encode(record)
 
 
 def _replayed(recording: Recording, settings: Settings, own: bool, stations: StationAnalysis) -> Iterator[Record]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 FAST_HZ = 0.5
 DISTANCES_M = (20.0, 60.0, 100.0)
@@ -77,9 +77,9 @@ def spread(values: Floats, scale: float = 1.0) -> dict[str, float]:
     }
 
 
-def near(z_true_m: Floats, distance_m: float) -> Floats:
+def near(z_true_m: Floats, distance_m: float) -> Bools:
     """Mask of the shots that count for a distance."""
-    mask: Floats = np.abs(z_true_m - distance_m) <= _NEAR * distance_m
+    mask: Bools = np.abs(z_true_m - distance_m) <= _NEAR * distance_m
     return mask
 
 

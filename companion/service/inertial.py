@@ -13,8 +13,8 @@ from companion.ports import Autopilot, Clock, Recorder
 from companion.records import (
     CorrectedRange,
     ModeState,
-    Notice,
     NoRange,
+    Notice,
     ObstacleSectors,
     Record,
     Rejected,

@@ -64,6 +64,7 @@ class Correction:
             yield Rejected(reason, f"pair {matches.pair_id}", now_host_ns)
             return
         yield left
+        yield right
         answer: RangeAnswer = correct(matches, left, right, self.rig, self.airframe, self.settings)
         slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
         judged = self.gate.judge(answer.range, climb_mps, slack_mps)

@@ -26,7 +26,7 @@ class RangeGate:
     _agreeing: int = 0
 
     def judge(self, measured: CorrectedRange, climb_mps: float, slack_mps: float = 5.0) -> CorrectedRange:
-        """Return ``measured``, with trust withdrawn where it jumps; ``slack_mps`` bounds terrain and airspeed effects."""
+        """Return ``measured``, its trust withdrawn where it jumps; ``slack_mps`` bounds what terrain and airspeed do."""
         if not measured.trusted:
             return measured
         agrees = self._agrees(measured, climb_mps, slack_mps)
@@ -43,4 +43,5 @@ class RangeGate:
         elapsed_s = (measured.t_host_ns - last.t_host_ns) * 1e-9
         expected_m = last.range_m + self.closing_mps_per_climb * climb_mps * elapsed_s
         sigma_m = (measured.sigma_m**2 + last.sigma_m**2) ** 0.5
-        return abs(measured.range_m - expected_m) <= _CONSISTENT_SIGMAS * sigma_m + slack_mps * elapsed_s
+        allowed_m = _CONSISTENT_SIGMAS * sigma_m + slack_mps * elapsed_s
+        return bool(abs(measured.range_m - expected_m) <= allowed_m)

@@ -1,0 +1,72 @@
+"""Run the service in the foreground: start its processes, show what they say, end them cleanly."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+from rich.live import Live
+
+from companion.cli.view import View, console
+from companion.errors import DeviceError
+from companion.records import Record
+from companion.service.config import ServiceConfig
+from companion.service.wiring import Service
+
+_DRAW_S = 0.25
+_LINE_S = 5.0
+
+
+def fly(
+    config: ServiceConfig,
+    view: View,
+    ended: Callable[[], bool],
+    *,
+    live: bool,
+    each: Callable[[Record], None] | None = None,
+) -> Service:
+    """Run until ``ended`` says so; show a live view, or a line every few seconds where there is no terminal.
+
+    Raises
+    ------
+    DeviceError
+        A process of the service died again and again.
+    """
+    began = time.monotonic()
+    service = Service(config)
+    with (
+        service,
+        Live(console=console(), refresh_per_second=1 / _DRAW_S, transient=True) if live else _Lines() as screen,
+    ):
+        next_line_s = 0.0
+        while not ended():
+            for record in service.shown():
+                view.take(record)
+                if each is not None:
+                    each(record)
+            for sentence in service.tend():
+                view.say(sentence)
+            if service.failed():
+                raise DeviceError(f"process {', '.join(service.failed())} keeps dying; its messages are above")
+            elapsed_s = time.monotonic() - began
+            if live:
+                screen.update(view.render(elapsed_s))
+            elif elapsed_s >= next_line_s:
+                next_line_s = elapsed_s + _LINE_S
+                print(view.line(elapsed_s), file=sys.stderr, flush=True)
+            time.sleep(_DRAW_S)
+    return service
+
+
+class _Lines:
+    """Stands in for the live screen where output goes to a file or a pipe."""
+
+    def __enter__(self) -> _Lines:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def update(self, _: object) -> None:
+        """Nothing: lines are printed by the loop."""

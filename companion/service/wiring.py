@@ -1,0 +1,144 @@
+"""Wires one run of the service: which processes, which channels between them, which adapters in each."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from multiprocessing.synchronize import Event
+
+from companion.adapters.clocks import MonotonicClock
+from companion.adapters.mavlink.autopilot import MavlinkAutopilot
+from companion.adapters.mavlink.link import open_link
+from companion.adapters.recordings.inlet import Inlet, recorder_channel
+from companion.adapters.recordings.recorder import run_recorder
+from companion.adapters.recordings.writer import About
+from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
+from companion.core.pipeline import VisionState, start
+from companion.errors import SpanwiseError
+from companion.ports import Clock, Recorder
+from companion.records import Record, Rejected, Shot, TriggerPlan
+from companion.service import inertial, vision
+from companion.service.channel import Receiver, Sender, channel
+from companion.service.config import ServiceConfig
+from companion.service.supervisor import Supervisor
+
+
+class Service(Supervisor):
+    """The live service: inertial, and as the configuration asks trigger, vision and recorder processes.
+
+    Raises
+    ------
+    LinkError, ConfigError
+        At construction, for what can be known to be wrong before a process is started.
+    """
+
+    def __init__(self, config: ServiceConfig) -> None:
+        super().__init__()
+        _try_links(config)
+        shown_in, self._shown = channel()
+        matches_in, matches = channel()
+        ends: list[socket.socket] = []
+        inertial_tape = vision_tape = None
+        if config.recording is not None:
+            inertial_tape, end = recorder_channel()
+            ends.append(end)
+            if config.record_images and config.cameras is not None:
+                vision_tape, end = recorder_channel()
+                ends.append(end)
+        shots = None
+        if config.trigger is not None:
+            shots, line = line_pair()
+            self.add("trigger", _trigger_process, config, line)
+        if config.cameras is not None:
+            self.add("vision", _vision_process, config, matches_in, vision_tape)
+        self.add("inertial", _inertial_process, config, shots, matches, shown_in, inertial_tape)
+        if ends:
+            about = About.of(config.airframe, config.settings)
+            self.add("recorder", run_recorder, config.recording, about, ends)
+
+    def shown(self) -> list[Record]:
+        """What the inertial process wants to be seen, since the last call."""
+        return self._shown.receive()
+
+
+class _NoShots:
+    """Stands in where nothing fires."""
+
+    def send(self, plan: TriggerPlan) -> None:
+        """Nobody fires it."""
+
+    def poll(self) -> list[Shot | Rejected]:
+        """Nothing was fired."""
+        return []
+
+
+class _NoRecorder:
+    """Stands in where nothing is recorded."""
+
+    def write(self, record: Record) -> None:
+        """Forget it."""
+
+    def close(self) -> None:
+        """Nothing to finish."""
+
+
+def _try_links(config: ServiceConfig) -> None:
+    """Open and close every link once, so that a wrong one is told to the user and not to a log."""
+    clock = MonotonicClock()
+    for number, spelling in enumerate(config.connections):
+        open_link(spelling, clock, number).close()
+
+
+def _recorder(tape: socket.socket | None) -> Recorder:
+    return _NoRecorder() if tape is None else Inlet(tape)
+
+
+def _ignore_interrupt() -> None:
+    """Ctrl-C reaches the whole group; the supervisor ends us in order."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _inertial_process(
+    config: ServiceConfig,
+    shots: socket.socket | None,
+    matches: Receiver,
+    shown: Sender,
+    tape: socket.socket | None,
+    stop: Event,
+) -> None:
+    _ignore_interrupt()
+    clock: Clock = MonotonicClock()
+    links = [open_link(spelling, clock, number) for number, spelling in enumerate(config.connections)]
+    autopilot = MavlinkAutopilot(links, config.airframe, config.settings, clock)
+    loop = inertial.InertialLoop(
+        state=start(config.airframe, config.settings),
+        autopilot=autopilot,
+        clock=clock,
+        shots=_NoShots() if shots is None else TriggerLink(shots),
+        inbox=matches.receive,
+        show=shown.send,
+        recorder=_recorder(tape),
+    )
+    inertial.run(loop, stop)
+
+
+def _trigger_process(config: ServiceConfig, line: socket.socket, stop: Event) -> None:
+    _ignore_interrupt()
+    assert config.trigger is not None
+    serve_trigger(config.trigger, line, stop.is_set)
+
+
+def _vision_process(config: ServiceConfig, matches: Sender, tape: socket.socket | None, stop: Event) -> None:
+    _ignore_interrupt()
+    assert config.cameras is not None
+    recorder = None if tape is None else Inlet(tape)
+    try:
+        cameras = config.cameras()
+    except SpanwiseError as error:
+        raise SystemExit(f"spanwise vision: {error}") from error
+    state = VisionState.create(config.airframe, config.settings)
+    try:
+        vision.run(state, cameras, MonotonicClock(), matches.send, recorder, stop)
+    finally:
+        if recorder is not None:
+            recorder.close()
