@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+import config
 from companion.adapters.mavlink.mapping import build_mapping
+from companion.adapters.recordings.csv import CsvRecording
+from companion.errors import TableError
+from companion.params import airframe as schema
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import dump_airframe, known_airframes, load_airframe, parse_airframe
 from companion.records import Station
@@ -104,3 +110,25 @@ def test_sitl_plane_takes_the_three_imus_as_stations_and_undoes_what_ardupilot_d
         assert airframe.sensor(station).sends == "z"
         assert airframe.sensor(station).lowpass_accel_hz == 20.0
     assert airframe.left_camera is None
+
+
+def test_the_readme_tells_every_key() -> None:
+    text = (Path(config.__file__).parent / "README.md").read_text()
+    kinds = [kind for kind in vars(schema).values() if dataclasses.is_dataclass(kind) and kind is not Uncertain]
+    names = {entry.name for kind in kinds for entry in dataclasses.fields(kind)}
+    missing = [name for name in sorted(names) if not re.search(rf"\b{name}\b", text)]
+    assert not missing
+    assert not [name for name in known_airframes() if f"`{name}`" not in text]
+
+
+def test_the_readmes_csv_example_and_its_error_are_true(tmp_path: Path) -> None:
+    text = (Path(config.__file__).parent / "README.md").read_text()
+    (example,) = re.findall(r"```\n(t_s,.*?)```", text, re.DOTALL)
+    (tmp_path / "accel.csv").write_text(example)
+    recording = CsvRecording(tmp_path, load_airframe("nadir-2m"))
+    assert [stream.station for stream in recording.streams] == [Station.LEFT, Station.RIGHT]
+    assert recording.covariates.keys() == {"airspeed_mps"}
+    (tmp_path / "accel.csv").write_text(example.replace("-9.815", "nan"))
+    with pytest.raises(TableError) as caught:
+        CsvRecording(tmp_path, load_airframe("nadir-2m"))
+    assert str(caught.value).replace(str(tmp_path), "lab") in text

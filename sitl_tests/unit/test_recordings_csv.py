@@ -70,12 +70,30 @@ def test_places_at_other_rates_come_in_files_of_their_own(tmp_path: Path) -> Non
         accel_right="t_s,right_z_mps2\n0.001,1\n0.006,2\n0.011,3\n0.016,4\n0.021,5\n",
         accel_root="t_s,z_g,q_degps\n0.0,-1,0\n0.02,-1,10\n",
     )
-    assert [entry.t_ns.size for entry in recording.streams] == [3, 5, 2]
+    sizes = {entry.station: entry.t_ns.size for entry in recording.streams}
+    assert sizes == {Station.LEFT: 3, Station.RIGHT: 5, Station.ROOT: 2}
     assert stream(recording, Station.ROOT).axes == Axis.Z | Axis.Q
     assert recording.covariates["airspeed_mps"].values.tolist() == [14, 15, 15]
     arrivals = [batch.received_host_ns for batch in recording.records()]
     assert arrivals == sorted(arrivals)
     assert sum(batch.t_ns.size for batch in recording.records()) == 10
+
+
+def test_axes_of_a_place_in_two_files_are_put_on_the_stamps_of_the_longer(tmp_path: Path) -> None:
+    fast = [i / 100 for i in range(101)]
+    slow = [t for t in fast[2:99:4] if not 0.4 < t < 0.6]
+    recording = read(
+        tmp_path,
+        accel="t_s,left_z_mps2\n" + "".join(f"{t},{-9.8 - t}\n" for t in fast),
+        accel_left="t_s,left_p_radps\n" + "".join(f"{t},{2 * t}\n" for t in slow),
+    )
+    left = stream(recording, Station.LEFT)
+    assert left.axes == Axis.Z | Axis.P
+    np.testing.assert_allclose(left.values[:, 2], -9.8 - left.t_ns * 1e-9, rtol=1e-12)
+    np.testing.assert_allclose(left.values[:, 3], 2 * left.t_ns * 1e-9, rtol=1e-12)
+    t_s = left.t_ns * 1e-9
+    assert (t_s.min(), t_s.max()) == pytest.approx((slow[0], slow[-1]))
+    assert not ((t_s > 0.385) & (t_s < 0.615)).any(), "nothing is made up inside the gap"
 
 
 def test_covariates_keep_their_unit_and_inputs_become_si(tmp_path: Path) -> None:

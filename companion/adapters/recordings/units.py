@@ -12,11 +12,12 @@ _FORCE = {"n": 1.0, "mn": 0.001, "kn": 1000.0}
 
 _OTHERS = "s ms us m mm cm km mps kmh kt rad mrad deg hz rpm nm pa hpa kpa kg w v mv a px k degc".split()  # noqa: SIM905
 _KNOWN = frozenset((*_OTHERS, "ratio", "percent", "strain", "ustrain", "count", *ACCELERATION, *ANGULAR_RATE, *_FORCE))
+_PLAIN_NUMBERS = frozenset({"throttle", "load_factor", "mach"})
 
 
 def has_known_unit(column: str) -> bool:
-    """Whether the last part of a covariate's name is a unit; ``rpm`` alone is one."""
-    return column.rpartition("_")[2] in _KNOWN
+    """Whether a covariate's name ends in a unit (``rpm`` alone is one), or is known to be a plain number."""
+    return column in _PLAIN_NUMBERS or column.rpartition("_")[2] in _KNOWN
 
 
 def input_in_si(column: str) -> tuple[str, float]:
