@@ -1,0 +1,183 @@
+"""On-line adaptation: once a second the parameters that make the last seconds of vertical acceleration most likely.
+
+A long stretch is best while the wing stays the same, a short one when it drifts. Both are fitted, and the short one
+is believed when the long one no longer explains the newest seconds. In the first ten seconds the parameters move by
+much; whoever filters should then start again from the beginning, or early errors stay in the biases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.mode.layout import P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
+from companion.core.mode.model import Parameters
+from companion.core.mode.parameters import ModeParameters
+from companion.core.mode.rigid import Cells
+from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan
+from companion.records import Bools, Floats
+
+_LONG_S = 20.0
+_SHORT_S = 4.0
+_EARLY_S = 10.0
+_FIRST_S = 1.5
+_PERIOD_S = 1.0
+_SCAN_UNTIL_S = 6.0
+_DRIFT_EVIDENCE = 6.0
+_LEAST_PRESENT = 0.98
+
+
+class Adaptation:
+    """Parameters of both families, kept up to date.
+
+    Attributes
+    ----------
+    parameters : (symmetric, antisymmetric)
+    ambiguous : bool
+        The last fit had two answers that were about as good.
+    refilter : bool
+        The last fit happened early enough for the filter to start again.
+    """
+
+    def __init__(
+        self, layout: Layout, noise: Noise, prior: Parameters, levers_m: tuple[float, float], step_s: float
+    ) -> None:
+        self._layout, self._noise, self._levers_m, self._step_s = layout, noise, levers_m, step_s
+        self._prior = prior
+        self.parameters: Parameters = prior
+        self.ambiguous = False
+        self.refilter = False
+        size = round(_LONG_S / step_s)
+        self._rows, self._seen = np.zeros((size, 2)), np.zeros((size, 2), dtype=bool)
+        self._count = 0
+        self._next = round(_FIRST_S / step_s)
+        self.fits = 0
+
+    @property
+    def early(self) -> bool:
+        """Whether the history is still to be kept."""
+        return self._count < round(_EARLY_S / self._step_s)
+
+    def split(self, cells: Cells) -> Iterator[Cells]:
+        """Cut a run where the parameters may change, so that this does not depend on how calls are spaced."""
+        at = 0
+        while at < len(cells):
+            end = min(len(cells), at + max(self._next - self._count, 1))
+            yield cells.span(at, end)
+            at = end
+
+    def take(self, cells: Cells) -> bool:
+        """Take cells; say whether there are new parameters."""
+        size = len(self._rows)
+        slots = (self._count + np.arange(len(cells))) % size
+        self._rows[slots], self._seen[slots] = cells.rows[:, :2], cells.present[:, :2]
+        self.refilter = self.early
+        self._count += len(cells)
+        if self._count < self._next:
+            return False
+        elapsed = self._count * self._step_s
+        self._next = round((np.floor(elapsed / _PERIOD_S + 1e-6) + 1.0) * _PERIOD_S / self._step_s)
+        return self._fit_all(elapsed)
+
+    def _fit_all(self, elapsed_s: float) -> bool:
+        rows, seen = self._newest(_LONG_S)
+        tips = seen.mean(axis=0) >= _LEAST_PRESENT
+        if not tips.any():
+            return False
+        self.fits += 1
+        self.ambiguous = False
+        if tips.all():
+            families = [self._fit_family(rows, (k,), elapsed_s)[0] for k in (0, 1)]
+        else:
+            families = self._fit_family(rows[:, [int(np.argmax(tips))]], (0, 1), elapsed_s)
+        self.parameters = (families[0], families[1])
+        return True
+
+    def _newest(self, span_s: float) -> tuple[Floats, Bools]:
+        count = min(self._count, round(span_s / self._step_s))
+        slots = (self._count - count + np.arange(count)) % len(self._rows)
+        return self._rows[slots], self._seen[slots]
+
+    def _fit_family(self, rows: Floats, which: tuple[int, ...], elapsed_s: float) -> list[ModeParameters]:
+        samples, floor = self._channel(rows, which)
+        prior = _join([self._prior[k] for k in which])
+        start = np.concatenate([self.parameters[k].logs() for k in which])
+        band = self._band(which)
+        long = make_stretch(samples, self._step_s, band, floor)
+        if elapsed_s <= _SCAN_UNTIL_S:
+            start = self._scanned(long, prior, start)
+        best = fit(long, prior, start, 12 if elapsed_s <= _SCAN_UNTIL_S else 3)
+        if elapsed_s > 2.0 * _SHORT_S:
+            short = make_stretch(samples[-round(_SHORT_S / self._step_s) :], self._step_s, band, floor)
+            best = _prefer(best, fit(short, prior, start, 3), short, prior)
+        out, at = [], 0
+        for k, size in zip(which, prior.sizes, strict=True):
+            piece = slice(at, at + size)
+            out.append(self._prior[k].with_logs(best.logs[piece], best.log_sigma[piece]))
+            at += size
+        return out
+
+    def _channel(self, rows: Floats, which: tuple[int, ...]) -> tuple[Floats, _Floor]:
+        tip = self._noise.own[[Z_LEFT, Z_RIGHT]] * 2.0 * self._step_s
+        root = self._noise.root_z * 2.0 * self._step_s
+        roll = self._noise.own[P_ROOT] * 2.0 * self._step_s
+        lever = 0.5 * (self._levers_m[1] - self._levers_m[0])
+        if rows.shape[1] == 1:
+            return rows[:, 0], _Floor(float(tip.mean() + root), roll * lever**2, self._step_s)
+        if which == (0,):
+            return rows.mean(axis=1), _Floor(float(tip.sum() / 4.0 + root), 0.0, self._step_s)
+        return 0.5 * (rows[:, 1] - rows[:, 0]), _Floor(float(tip.sum() / 4.0), roll * lever**2, self._step_s)
+
+    def _band(self, which: tuple[int, ...]) -> tuple[float, float]:
+        priors = [self._prior[k] for k in which]
+        low = min(p.frequency_hz for p in priors)
+        high = max(max(2.5 * p.frequency_hz, 1.5 * p.frequency_2_hz, 45.0) for p in priors)
+        return 0.3 * low, min(high, 0.4 / self._step_s)
+
+    def _scanned(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
+        at = 0
+        for size in prior.sizes:
+            reach = min(3.0 * prior.sigma[at], 0.7)
+            costs, starts = scan(stretch, prior, start, at, np.linspace(-reach, reach, 21))
+            best = int(np.argmin(costs))
+            start = starts[best]
+            self.ambiguous |= _two_answers(costs)
+            at += size
+        return start
+
+
+@dataclass(frozen=True, slots=True)
+class _Floor:
+    """Sensor noise density: white, plus the root gyro's through the lever arm, which grows with frequency."""
+
+    white: float
+    roll: float
+    step_s: float
+
+    def __call__(self, frequency_hz: Floats) -> Floats:
+        density: Floats = self.white + self.roll * (2.0 * np.sin(np.pi * frequency_hz * self.step_s) / self.step_s) ** 2
+        return density
+
+
+def _join(families: list[ModeParameters]) -> Prior:
+    logs = [family.logs() for family in families]
+    return Prior(
+        np.concatenate(logs),
+        np.concatenate([family.log_sigma for family in families]),
+        tuple(len(own) for own in logs),
+        tuple(family.reference_hz for family in families),
+    )
+
+
+def _prefer(long: Fit, short: Fit, stretch: Stretch, prior: Prior) -> Fit:
+    """Believe the short stretch's fit where the long one's has become unlikely for it."""
+    evidence = misfit(stretch, prior, long.logs) - misfit(stretch, prior, short.logs)
+    return short if evidence > _DRIFT_EVIDENCE else long
+
+
+def _two_answers(costs: Floats) -> bool:
+    inner = (costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:])
+    lows = np.sort(costs[1:-1][inner])
+    return len(lows) > 1 and bool(lows[1] - lows[0] < 2.0)

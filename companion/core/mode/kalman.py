@@ -1,0 +1,239 @@
+"""The filter: one fused step per cell, for the state and its sensitivity to every constant at once.
+
+With ``x1 = A x0 + b u + w`` and ``z = H1 x1 + H0 x0 + D c + e``, put ``G = H1 A + H0``, ``C = A P G^T + Q H1^T`` and
+``S = G P G^T + H1 Q H1^T + R``. Then ``K = C S^-1``, ``x1 = A x0 + b u + K (z - G x0)``, ``P1 = A P A^T + Q - K
+C^T``: exact for noise that is in the process and in the measurement alike. Column 0 of ``X`` is the state if all
+constants were zero, the others are its derivative by each constant: the same linear filter, run on ``-D`` (Friedland
+1969). What the innovations say about the constants is summed in information form and solved a few times a second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+
+from companion.core.mode.layout import M_LEFT, P_LEFT, ROWS, Y_LEFT, Z_LEFT, Layout, Noise
+from companion.core.mode.model import StepModel
+from companion.core.mode.rigid import Cells
+from companion.records import Floats, Ints
+
+_SOLVE_EVERY = 25
+_EYE = np.eye(ROWS)
+_POWERS = 1 << np.arange(ROWS)
+
+
+@dataclass(slots=True)
+class History:
+    """What the smoother needs of each step, in rings of ``size``; slot ``k % size`` is step ``k``.
+
+    ``weighted`` is ``G^T S^-1``. Only the rows that were present are filled; ``weighted`` and ``gain`` are zero for
+    the rest.
+    """
+
+    size: int
+    transition: list[Floats]
+    sense: Floats
+    gain: Floats
+    weighted: Floats
+    innovation: Floats
+    state: Floats
+    covariance: Floats
+    static_m: Floats
+
+
+class Kalman:
+    """State, covariance and constants; see the module's equations.
+
+    Attributes
+    ----------
+    columns : (n + 1, 1 + c) float64
+        ``[x | dx/dc]``; the last row is the static bend over the coming step.
+    covariance : (n, n) float64
+        Of the state, given the constants.
+    constants : (c,) float64
+    constants_covariance : (c, c) float64
+    steps : int
+        Steps done.
+    """
+
+    def __init__(
+        self, layout: Layout, noise: Noise, model: StepModel, trim_m: float, bend_per_g_m: float, keep: int
+    ) -> None:
+        self.layout, self.noise, self.model = layout, noise, model
+        self._trim_m, self._bend_per_g_m = trim_m, bend_per_g_m
+        n, c = layout.size, len(layout.constants)
+        self.columns = np.zeros((n + 1, 1 + c))
+        self.columns[layout.symmetric.q, 0] = trim_m
+        self._trim, self._bend = layout.column("trim"), layout.column("bend_per_g")
+        if self._trim is not None:
+            self.columns[layout.symmetric.q, self._trim] = 1.0
+        self.covariance = model.stationary.copy()
+        self.constants = np.zeros(c)
+        self.constants_covariance = np.diag(layout.constant_sigma**2)
+        self._information = np.zeros((1 + c, 1 + c))
+        self._prior = np.diag(1.0 / layout.constant_sigma**2)
+        self._unsolved = 0
+        self._weights = np.concatenate([[1.0], self.constants])
+        self.steps = 0
+        self.history = History(
+            keep,
+            [model.transition] * keep,
+            np.zeros((keep, ROWS, n)),
+            np.zeros((keep, n, ROWS)),
+            np.zeros((keep, n, ROWS)),
+            np.zeros((keep, ROWS, 1 + c)),
+            np.zeros((keep, n, 1 + c)),
+            np.zeros((keep, n, n)),
+            np.zeros((keep, 1 + c)),
+        )
+        self._slope_terms = _slope_terms(layout)
+        self._views: dict[int, tuple[Ints, Floats, Floats, Floats]] = {}
+        self._lateral: dict[int, list[tuple[int, int, int]]] = {}
+        self._views_of = model
+
+    @property
+    def state(self) -> Floats:
+        """The best estimate of the state, (n,)."""
+        state: Floats = self.columns[:-1] @ self._weights
+        return state
+
+    @property
+    def static_m(self) -> float:
+        """Static bend over the newest step, constants included."""
+        return float(self.columns[-1] @ self._weights)
+
+    @property
+    def total_covariance(self) -> Floats:
+        """Covariance of the state with that of the constants folded in."""
+        v = self.columns[:-1, 1:]
+        total: Floats = self.covariance + v @ self.constants_covariance @ v.T
+        return total
+
+    def run(self, cells: Cells) -> None:
+        """Take a run of cells."""
+        if not len(cells):
+            return
+        sensor = self._sensor_noise(cells)
+        data = np.concatenate([cells.rows[:, :, None], -cells.sensitivity], axis=2)
+        patterns = cells.present @ _POWERS
+        for k in range(len(cells)):
+            self._step(cells, k, data[k], sensor[k], int(patterns[k]))
+            if self._unsolved >= _SOLVE_EVERY:
+                self._solve()
+
+    def _sensor_noise(self, cells: Cells) -> Floats:
+        out = np.zeros((len(cells), ROWS, ROWS))
+        gain = cells.lateral_gain
+        index = np.arange(ROWS)
+        out[:, index, index] = self.noise.own
+        out[:, index[Y_LEFT:P_LEFT], index[Y_LEFT:P_LEFT]] *= gain**2
+        out[:, :M_LEFT, :M_LEFT] += self.noise.root_z
+        out[:, Y_LEFT:P_LEFT, Y_LEFT:P_LEFT] += self.noise.root_y * gain[:, :, None] * gain[:, None, :]
+        return out
+
+    def _step(self, cells: Cells, k: int, data: Floats, sensor: Floats, pattern: int) -> None:
+        model, x, h = self.model, self.columns, self.history
+        n, at = len(x) - 1, self.steps % h.size
+        self._static_bend(float(cells.load[k]))
+        self._turn(cells, k, data)
+        h.state[at], h.covariance[at], h.transition[at] = x[:n], self.covariance, model.transition
+        h.static_m[at] = x[n]
+        rows, sense, cross, measured = self._view(pattern)
+        m = len(rows)
+        a = model.transition[:, :n]
+        grown = a @ self.covariance @ a.T + model.noise
+        if m:
+            for local, bias, side in self._lateral[pattern]:
+                sense[local, bias] = cells.lateral_gain[k, side]
+            g = sense[:, :n]
+            pg = self.covariance @ g.T
+            c = a @ pg + cross
+            s = g @ pg + measured + sensor[np.ix_(rows, rows)]
+            _, inverse, _ = lapack.dposv(s, _EYE[:m, :m])
+            gain = c @ inverse
+            innovation = data[rows] - sense @ x
+            grown -= gain @ c.T
+            x[:n] = model.transition @ x + gain @ innovation
+            self._information += innovation.T @ (inverse @ innovation)
+            h.weighted[at, :, :m] = g.T @ inverse
+            h.gain[at, :, :m], h.sense[at, :m], h.innovation[at, :m] = gain, g, innovation
+        else:
+            x[:n] = model.transition @ x
+        h.weighted[at, :, m:], h.gain[at, :, m:], h.innovation[at, m:] = 0.0, 0.0, 0.0
+        self.covariance = 0.5 * (grown + grown.T)
+        self._unsolved += 1
+        self.steps += 1
+
+    def _view(self, pattern: int) -> tuple[Ints, Floats, Floats, Floats]:
+        """The model's rows that a pattern of present ones leaves."""
+        if self._views_of is not self.model:
+            self._views.clear()
+            self._views_of = self.model
+        view = self._views.get(pattern)
+        if view is None:
+            model = self.model
+            rows = np.flatnonzero((pattern >> np.arange(ROWS)) & 1)
+            view = (
+                rows,
+                model.sense[rows],
+                np.ascontiguousarray(model.cross[:, rows]),
+                model.measured[np.ix_(rows, rows)],
+            )
+            self._views[pattern] = view
+            biases = dict(self.layout.bias)
+            self._lateral[pattern] = [
+                (local, biases[int(row)], int(row) - Y_LEFT)
+                for local, row in enumerate(rows)
+                if Y_LEFT <= row < P_LEFT and int(row) in biases
+            ]
+        return view
+
+    def _static_bend(self, load: float) -> None:
+        last = self.columns[-1]
+        last[0] = self._trim_m + self._bend_per_g_m * load
+        if self._trim is not None:
+            last[self._trim] = 1.0
+        if self._bend is not None:
+            last[self._bend] = load
+
+    def _turn(self, cells: Cells, k: int, data: Floats) -> None:
+        """Fill in what depends on the state: the tip's own tilt, and the columns of the slope factors."""
+        model = self.model
+        now = self.columns @ self._weights
+        ahead = model.transition @ now
+        middle = 0.5 * (now[:-1] + ahead)
+        slopes = model.slope @ middle
+        rates = model.slope @ (ahead - now[:-1]) / model.step_s
+        turned, bowed, tilted = cells.turned[k], cells.bowed[k], cells.tilted[k]
+        data[Z_LEFT:M_LEFT, 0] += slopes * (turned + 0.5 * slopes * bowed)
+        data[Y_LEFT:P_LEFT, 0] += tilted * rates
+        present = cells.present[k]
+        for column, q, sign in self._slope_terms:
+            rate = (ahead[q] - now[q]) / model.step_s
+            for side, turn in ((0, 1.0), (1, -1.0)):
+                if present[Y_LEFT + side]:
+                    data[Y_LEFT + side, column] = -sign[side] * middle[q]
+                if present[P_LEFT + side]:
+                    data[P_LEFT + side, column] = -turn * sign[side] * rate
+
+    def _solve(self) -> None:
+        self._unsolved = 0
+        if not len(self.constants):
+            return
+        information = self._prior + self._information[1:, 1:]
+        _, covariance, _ = lapack.dposv(information, np.eye(len(information)))
+        self.constants_covariance = covariance
+        self.constants = -covariance @ self._information[1:, 0]
+        self._weights[1:] = self.constants
+
+
+def _slope_terms(layout: Layout) -> list[tuple[int, int, tuple[float, float]]]:
+    terms = []
+    for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
+        for key, q in ((f"slope.{name}", family.q), (f"slope.second_{name}", family.q2)):
+            column = layout.column(key)
+            if column is not None:
+                terms.append((column, q, family.sign))
+    return terms

@@ -1,0 +1,222 @@
+"""Where each state and each constant error lives, and the constants' priors.
+
+The *fast* state is what moves (modes, gust loads, rigid roll, drifting biases); the *constants* are errors that do not
+move in a flight (scale, misalignment, stamp offset, slope factor, trim). The filter carries the fast state together
+with its exact sensitivity to every constant (Friedland's separated bias estimation, IEEE TAC 14, 1969), so that a
+constant costs one column instead of one state.
+
+Rows of a measurement: of both tips the mean and the first moment of the vertical axis, the bending slope seen by the
+lateral axis and the roll rate; then the root's roll rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.params.airframe import Airframe, Mode, Sensor, Uncertain
+from companion.records import Floats
+
+ROWS = 9
+Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
+SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
+
+_ABSENT_MPS2 = 10.0  # sigma of the root's force along an axis that it does not send
+_SECOND_RATIO = 5.5  # of an unknown second mode's frequency: 6.3 for a bare cantilever, less with a tip mass
+_SECOND_SPREAD = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Indices of the modes that move both tips alike (``sign`` = +1, +1) or against each other (-1, +1)."""
+
+    q: int
+    v: int
+    gust_1: int
+    gust_2: int
+    q2: int
+    v2: int
+    sign: tuple[float, float]
+    mode: Mode
+    second: Mode
+
+    @property
+    def span(self) -> slice:
+        """All its states."""
+        return slice(self.q, self.q + 6)
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The map of the state vector.
+
+    Attributes
+    ----------
+    size : int
+        Number of fast states.
+    roll, turn : int
+        Rigid roll rate and roll acceleration.
+    bias : tuple of (row, index)
+        The rows that have a bias, relative to the root's where that matters, and the state that holds it.
+    constants : tuple of str
+        Names, ``left.kz`` and so on.
+    constant_sigma : (c,) float64
+    """
+
+    symmetric: Family
+    antisymmetric: Family
+    size: int
+    roll: int
+    turn: int
+    bias: tuple[tuple[int, int], ...]
+    constants: tuple[str, ...]
+    constant_sigma: Floats
+
+    def column(self, name: str) -> int | None:
+        """Column of a constant in ``[state | sensitivities]``, None where its prior has no width."""
+        return self.constants.index(name) + 1 if name in self.constants else None
+
+    @property
+    def families(self) -> tuple[Family, Family]:
+        """Symmetric, antisymmetric."""
+        return self.symmetric, self.antisymmetric
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Indices of deflection and rate of every mode."""
+        return [pair for family in self.families for pair in ((family.q, family.v), (family.q2, family.v2))]
+
+    @property
+    def biases(self) -> slice:
+        """All bias states."""
+        return slice(self.turn + 1, self.size)
+
+
+def make_layout(airframe: Airframe) -> Layout:
+    """Lay out the states that this airframe needs."""
+    wing = airframe.wing
+    symmetric = _family(0, (1.0, 1.0), wing.symmetric, wing.second_symmetric)
+    antisymmetric = _family(6, (-1.0, 1.0), wing.antisymmetric, wing.second_antisymmetric)
+    rows = [
+        first + side
+        for first, axis in ((Z_LEFT, "z"), (Y_LEFT, "y"), (P_LEFT, "p"))
+        for side, sensor in ((0, airframe.left), (1, airframe.right))
+        if axis in sensor.sends
+    ]
+    bias = tuple((row, 14 + at) for at, row in enumerate(rows))
+    named = [(name, sigma) for name, sigma in _constants(airframe) if sigma > 0.0]
+    return Layout(
+        symmetric=symmetric,
+        antisymmetric=antisymmetric,
+        size=14 + len(bias),
+        roll=12,
+        turn=13,
+        bias=bias,
+        constants=tuple(name for name, _ in named),
+        constant_sigma=np.array([sigma for _, sigma in named]),
+    )
+
+
+def _family(at: int, sign: tuple[float, float], mode: Mode, second: Mode | None) -> Family:
+    return Family(at, at + 1, at + 2, at + 3, at + 4, at + 5, sign, mode, second or unknown_second(mode))
+
+
+def unknown_second(mode: Mode) -> Mode:
+    """A second mode about which nothing was said: it is there, somewhere, and has to be found."""
+    ratio = _SECOND_RATIO
+    frequency = ratio * mode.frequency_hz.value
+    slope = mode.slope_factor_radpm.value * 3.4  # of a cantilever with a tip mass; it hardly bends the tip
+    return Mode(
+        frequency_hz=Uncertain(frequency, _SECOND_SPREAD * frequency),
+        damping=Uncertain(0.02, 0.015),
+        slope_factor_radpm=Uncertain(slope, 0.3 * slope),
+    )
+
+
+def _constants(airframe: Airframe) -> list[tuple[str, float]]:
+    wing = airframe.wing
+    named = [
+        ("trim", wing.trim_bend_m.sigma),
+        ("bend_per_g", wing.bend_per_g_m.sigma),
+        ("slope.symmetric", wing.symmetric.slope_factor_radpm.sigma),
+        ("slope.antisymmetric", wing.antisymmetric.slope_factor_radpm.sigma),
+    ]
+    if wing.second_symmetric is not None:
+        named.append(("slope.second_symmetric", wing.second_symmetric.slope_factor_radpm.sigma))
+    if wing.second_antisymmetric is not None:
+        named.append(("slope.second_antisymmetric", wing.second_antisymmetric.slope_factor_radpm.sigma))
+    for place, sensor in (("left", airframe.left), ("right", airframe.right), ("root", airframe.root)):
+        named += [(f"{place}.{error}", _error_sigma(sensor, error)) for error in SENSOR_ERRORS]
+    return named
+
+
+def _error_sigma(sensor: Sensor, error: str) -> float:
+    axis = error[-1]
+    if error == "tau":
+        return sensor.time_offset_sigma_s
+    if error == "kp":
+        return sensor.gyro_scale_sigma if "p" in sensor.sends else 0.0
+    if error[0] == "k":
+        return sensor.accel_scale_sigma if axis in sensor.sends else 0.0
+    return sensor.misalignment_sigma_rad
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of the cell averages.
+
+    Attributes
+    ----------
+    own : (9,) float64
+        Variance of each row by its own sensor.
+    root_z, root_y : float
+        Variance that the root's accelerometer adds to both tips at once.
+    bias_prior : (b, b) float64
+        Prior covariance of the biases.
+    bias_time_s : float
+        Their correlation time.
+    sample_s : float
+        Time between two samples of a tip.
+    """
+
+    own: Floats
+    root_z: float
+    root_y: float
+    bias_prior: Floats
+    bias_time_s: float
+    sample_s: float
+
+
+def make_noise(airframe: Airframe, layout: Layout, step_s: float) -> Noise:
+    """Noise per cell: a one-sided density S averaged over ``step_s`` has variance S / (2 step).
+
+    Its first moment, ``integral (t - middle) n dt / step^2``, has a twelfth of that.
+    """
+    root, tips = airframe.root, (airframe.left, airframe.right)
+    per_cell = 1.0 / (2.0 * step_s)
+    accel = [sensor.accel_noise_mps2_rthz**2 * per_cell for sensor in tips]
+    gyro = [sensor.gyro_noise_radps_rthz**2 * per_cell for sensor in (*tips, root)]
+    root_accel = root.accel_noise_mps2_rthz**2 * per_cell
+    return Noise(
+        own=np.array([*accel, accel[0] / 12.0, accel[1] / 12.0, *accel, *gyro]),
+        root_z=root_accel if "z" in root.sends else _ABSENT_MPS2**2,
+        root_y=root_accel if "y" in root.sends else _ABSENT_MPS2**2,
+        bias_prior=_bias_prior(airframe, layout),
+        bias_time_s=max(min(sensor.bias_time_s for sensor in (root, *tips)), step_s),
+        sample_s=1.0 / min(sensor.rate_hz for sensor in tips),
+    )
+
+
+def _bias_prior(airframe: Airframe, layout: Layout) -> Floats:
+    """Vertical and lateral rows are differences to the root and share its bias."""
+    prior = np.zeros((len(layout.bias), len(layout.bias)))
+    tips = (airframe.left, airframe.right)
+    for i, (row, _) in enumerate(layout.bias):
+        gyro = row >= P_LEFT
+        sensor = tips[row % 2]
+        prior[i, i] = (sensor.gyro_bias_sigma_radps if gyro else sensor.accel_bias_sigma_mps2) ** 2
+        for j, (other, _) in enumerate(layout.bias):
+            if other // 2 == row // 2 and not gyro:
+                prior[i, j] += airframe.root.accel_bias_sigma_mps2**2
+    return prior

@@ -1,0 +1,161 @@
+"""The discrete wing model that the filter runs on: what one averaged step of all sensors says about the state.
+
+Each family obeys ``q'' + 2 zeta omega q' + omega^2 (q - q_static) = g`` with ``g`` white noise through two real
+poles; a second mode has a white load of its own. Over one step of length h the sensors deliver:
+
+- vertical, mean of ``-w''`` = ``-(w1' - w0') / h``, exactly, gust load included, so that measurement and process
+  noise are correlated in the way they are in nature;
+- vertical, first moment ``integral (t - middle) (-w'') dt / h^2`` = ``-((w1' + w0')/2 - (w1 - w0)/h) / h``, exactly:
+  under a nearly white gust the path inside the step would be lost without it, where no gyro witnesses it;
+- lateral over vertical specific force: mean slope, ``(psi0 + psi1)/2 - h (psi1' - psi0')/12``, error (omega h)^4/720;
+- roll rate: mean slope rate ``(psi1 - psi0) / h``, exactly, on top of the rigid roll rate.
+
+All are linear in the state before and after the step: ``z = H1 x1 + H0 x0 + noise`` with ``x1 = A x0 + b u + w``.
+The rigid roll acceleration has 3 rad/s^2 below 5 Hz: far more than the gyros leave open, and yet smooth. As white noise
+it would be unphysical, and a vertical-only antisymmetric mode would drown in the root gyro's differentiated noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.mode.discretise import stationary_covariance, van_loan
+from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Family, Layout, Noise
+from companion.core.mode.parameters import ModeParameters
+from companion.records import Floats
+
+Parameters = tuple[ModeParameters, ModeParameters]
+_TURN_RADPS2, _TURN_CORNER_RADPS = 3.0, 2.0 * np.pi * 5.0
+_ROLL_SIGMA_RADPS = 3.0  # before the first measurement
+
+
+@dataclass(frozen=True, slots=True)
+class StepModel:
+    """One step of the wing and its sensors.
+
+    Attributes
+    ----------
+    step_s : float
+    parameters : (symmetric, antisymmetric)
+    transition : (n, n + 1) float64
+        ``[A | b]``: the last column takes the static bend.
+    sense : (9, n + 1) float64
+        ``G``: the measurement in terms of state and static bend before the step.
+    noise : (n, n) float64
+        Process noise Q.
+    cross : (n, 9) float64
+        ``Q H1^T``.
+    measured : (9, 9) float64
+        ``H1 Q H1^T``, to which sensor noise is added.
+    slope : (2, n) float64
+        Left and right tip slope of a state.
+    stationary : (n, n) float64
+        Covariance of a wing that has been in this gust for ever (biases: their prior).
+    """
+
+    step_s: float
+    parameters: Parameters
+    transition: Floats
+    sense: Floats
+    noise: Floats
+    cross: Floats
+    measured: Floats
+    slope: Floats
+    stationary: Floats
+
+
+def build_model(
+    layout: Layout, noise: Noise, parameters: Parameters, lever_y_m: tuple[float, float], step_s: float
+) -> StepModel:
+    """Discretise the wing with these parameters; ``lever_y_m`` places the tips relative to the root (body y)."""
+    n = layout.size
+    a, q = propagation(layout, noise, parameters, step_s)
+    static = np.zeros((n, n))
+    for family in layout.families:
+        static[family.span, family.span] = stationary_covariance(
+            a[family.span, family.span], q[family.span, family.span]
+        )
+    static[layout.roll, layout.roll], static[layout.turn, layout.turn] = _ROLL_SIGMA_RADPS**2, _TURN_RADPS2**2
+    static[layout.biases, layout.biases] = noise.bias_prior
+    before, after = _rows(layout, lever_y_m, step_s)
+    bend = np.zeros(n)
+    bend[layout.symmetric.q] = 1.0
+    transition = np.hstack([a, (bend - a @ bend)[:, None]])
+    sense = after @ transition
+    sense[:, :n] += before
+    measured = after @ q @ after.T
+    for family in layout.families:  # the path between two samples is not in the moment that is made of samples
+        lost = q[family.v, family.v] * noise.sample_s**2 / (12.0 * step_s**4)
+        measured[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += lost * np.outer(family.sign, family.sign)
+    return StepModel(step_s, parameters, transition, sense, q, q @ after.T, measured, slope_rows(layout), static)
+
+
+def propagation(layout: Layout, noise: Noise, parameters: Parameters, step_s: float) -> tuple[Floats, Floats]:
+    """Transition and process noise of the whole state over any time ``step_s``: (n, n) each."""
+    n = layout.size
+    a, q = np.zeros((n, n)), np.zeros((n, n))
+    for family, values in zip(layout.families, parameters, strict=True):
+        a[family.span, family.span], q[family.span, family.span] = van_loan(*_family_system(values), step_s)
+    rigid = slice(layout.roll, layout.turn + 1)
+    corner = _TURN_CORNER_RADPS
+    system = np.array([[0.0, 1.0], [0.0, -corner]])
+    a[rigid, rigid], q[rigid, rigid] = van_loan(system, np.diag([0.0, 2.0 * corner * _TURN_RADPS2**2]), step_s)
+    decay = float(np.exp(-step_s / noise.bias_time_s))
+    a[layout.biases, layout.biases] = decay * np.eye(len(layout.bias))
+    q[layout.biases, layout.biases] = noise.bias_prior * (1.0 - decay**2)
+    return a, q
+
+
+def _family_system(p: ModeParameters) -> tuple[Floats, Floats]:
+    f, w = np.zeros((6, 6)), np.zeros((6, 6))
+    omega, omega_2 = 2.0 * np.pi * p.frequency_hz, 2.0 * np.pi * p.frequency_2_hz
+    corner_1, corner_2 = 2.0 * np.pi * p.corner_1_hz, 2.0 * np.pi * p.corner_2_hz
+    f[0, 1], f[1, 0], f[1, 1], f[1, 3] = 1.0, -(omega**2), -2.0 * p.damping * omega, 1.0
+    f[2, 2], f[3, 2], f[3, 3] = -corner_1, corner_2, -corner_2
+    f[4, 5], f[5, 4], f[5, 5] = 1.0, -(omega_2**2), -2.0 * p.damping_2 * omega_2
+    w[2, 2] = corner_1**2 * p.white_load / 2.0
+    w[5, 5] = p.load_2 / 2.0
+    return f, w
+
+
+def _shape_terms(family: Family) -> list[tuple[int, int, float]]:
+    return [
+        (family.q, family.v, family.mode.slope_factor_radpm.value),
+        (family.q2, family.v2, family.second.slope_factor_radpm.value),
+    ]
+
+
+def slope_rows(layout: Layout) -> Floats:
+    """Tip slopes, left and right, of a state: (2, n)."""
+    rows = np.zeros((2, layout.size))
+    for family in layout.families:
+        for q, _, factor in _shape_terms(family):
+            rows[:, q] = np.array(family.sign) * factor
+    return rows
+
+
+def _rows(layout: Layout, lever_y_m: tuple[float, float], h: float) -> tuple[Floats, Floats]:
+    before, after = np.zeros((ROWS, layout.size)), np.zeros((ROWS, layout.size))
+    roll = [layout.roll, layout.turn]
+    mean_before, mean_after = np.array([0.5, h / 12.0]), np.array([0.5, -h / 12.0])
+    for side, turn in ((0, 1.0), (1, -1.0)):  # a positive slope turns the left tip about +x, the right about -x
+        z, m, y, p = Z_LEFT + side, M_LEFT + side, Y_LEFT + side, P_LEFT + side
+        for family in layout.families:
+            for q, v, factor in _shape_terms(family):
+                sign = family.sign[side]
+                after[z, v], before[z, v] = -sign / h, sign / h
+                after[m, [q, v]] = sign / h * np.array([1.0 / h, -0.5])
+                before[m, [q, v]] = sign / h * np.array([-1.0 / h, -0.5])
+                slope = sign * factor
+                after[y, [q, v]], before[y, [q, v]] = slope * mean_after, slope * mean_before
+                after[p, q], before[p, q] = turn * slope / h, -turn * slope / h
+        lever = lever_y_m[side]  # the rigid roll acceleration lifts one tip and lowers the other
+        after[z, layout.roll], before[z, layout.roll] = lever / h, -lever / h
+        after[m, layout.turn], before[m, layout.turn] = lever / 12.0, -lever / 12.0
+        after[p, roll], before[p, roll] = mean_after, mean_before
+    after[P_ROOT, roll], before[P_ROOT, roll] = mean_after, mean_before
+    for row, index in layout.bias:
+        before[row, index] = 1.0  # of the lateral rows: divided by the vertical specific force at each step
+    return before, after

@@ -1,0 +1,246 @@
+"""The tracker: inertial batches in, the state of the wing out; causal, ahead and behind.
+
+It owns the time grid, the streams and the filter, and does nothing itself but keep them in step.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from companion.core.mode.adaptation import Adaptation
+from companion.core.mode.estimates import mode_estimate, tip_rows, tips
+from companion.core.mode.forecast import Forecast, Forecaster
+from companion.core.mode.kalman import Kalman
+from companion.core.mode.layout import make_layout, make_noise
+from companion.core.mode.model import Parameters, StepModel, build_model, slope_rows
+from companion.core.mode.parameters import prior_parameters
+from companion.core.mode.rigid import Cells, join, make_cells
+from companion.core.mode.smoother import smooth_between
+from companion.core.mode.stream import Stream
+from companion.core.mode.validity import Level, judge
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import (
+    Deflection,
+    Floats,
+    ImuBatch,
+    ModeState,
+    Reject,
+    Rejected,
+    Station,
+    Validity,
+)
+
+_WINDOW_S = 1.0
+_MOST_CELLS = 250  # averaged at once
+_SATURATED_NS = 200_000_000
+
+
+class WingTracker:
+    """Track the bending of one aircraft's wing.
+
+    Every axis that arrives is used; any of the three stations may fall silent. Stamps are host nanoseconds.
+    """
+
+    def __init__(self, airframe: Airframe, settings: Settings) -> None:
+        self._airframe, self._settings = airframe, settings
+        self._step_ns = round(1e9 / settings.track_rate_hz)
+        self._step_s = self._step_ns * 1e-9
+        self._streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+        self._layout = make_layout(airframe)
+        self._noise = make_noise(airframe, self._layout, self._step_s)
+        wing = airframe.wing
+        root_y = airframe.root.position_m[1]
+        self._levers = (airframe.left.position_m[1] - root_y, airframe.right.position_m[1] - root_y)
+        self._keep = int(_WINDOW_S / self._step_s) + 8
+        self._adaptation = Adaptation(
+            self._layout,
+            self._noise,
+            (
+                prior_parameters(self._layout.symmetric, wing.gust),
+                prior_parameters(self._layout.antisymmetric, wing.gust),
+            ),
+            self._levers,
+            self._step_s,
+        )
+        self._kalman = self._fresh(self._model(self._adaptation.parameters))
+        self._forecaster = Forecaster()
+        self._rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each cell
+        self._early: list[Cells] = []
+        self._start_ns: int | None = None
+        self._next_ns = 0
+        self._level = Level(self._layout, np.zeros(2))
+        self._rows = tip_rows(self._layout, slope_rows(self._layout))
+        self._validity = Validity.SETTLING
+
+    # ------------------------------------------------------------------------------------------ in
+
+    def add(self, batch: ImuBatch) -> list[Rejected]:
+        """Take inertial samples; say which were refused and why.
+
+        Raises
+        ------
+        ValueError
+            If the batch's shape is wrong (a defect of the caller).
+        """
+        if batch.values.shape != (len(batch.t_ns), 6):
+            raise ValueError(f"values of an ImuBatch are (n, 6), not {batch.values.shape}")
+        done_ns = self._next_ns if self._start_ns is not None else -(2**62)
+        return self._streams[batch.station].add(batch, done_ns)
+
+    def advance(self, now_host_ns: int) -> ModeState | None:
+        """Process every cell that ended before ``now`` less the reorder window; None until there is a first one."""
+        until_ns = now_host_ns - round(self._settings.reorder_window_s * 1e9)
+        if self._start_ns is None and not self._begin(until_ns):
+            return None
+        while (count := min((until_ns - self._next_ns) // self._step_ns, _MOST_CELLS)) > 0:
+            self._process(int(count))
+        return self._describe(now_host_ns) if self._rates else None
+
+    def _begin(self, until_ns: int) -> bool:
+        root, *others = (stream.first_ns() for stream in self._streams)
+        heard = [first for first in others if first is not None]
+        if root is None or not heard:
+            return False
+        first = max(root, min(heard))
+        self._start_ns = (first // self._step_ns + 2) * self._step_ns
+        self._next_ns = self._start_ns
+        return self._next_ns < until_ns
+
+    def _process(self, count: int) -> None:
+        edges = self._next_ns + self._step_ns * np.arange(count + 1, dtype=np.int64)
+        root, left, right = self._streams
+        cells = make_cells(self._layout, (root, left, right), edges)
+        self._next_ns = int(edges[-1])
+        for part in self._adaptation.split(cells):
+            self._kalman.run(part)
+            self._level.update(self._kalman, len(part), self._step_s)
+            if self._settings.adapt:
+                if self._adaptation.early:
+                    self._early.append(part)
+                if self._adaptation.take(part):
+                    self._readapt()
+        self._rates.extend(cells.rate)
+        for stream in self._streams:
+            stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
+
+    def _readapt(self) -> None:
+        """Take new parameters; early on, run the whole history again with them."""
+        model = self._model(self._adaptation.parameters)
+        if self._adaptation.refilter:
+            fresh = self._fresh(model)
+            fresh.run(join(self._early))
+            self._kalman = fresh
+        else:
+            self._kalman.model = model
+        if not self._adaptation.early:
+            self._early.clear()
+
+    def _model(self, parameters: Parameters) -> StepModel:
+        return build_model(self._layout, self._noise, parameters, self._levers, self._step_s)
+
+    def _fresh(self, model: StepModel) -> Kalman:
+        wing = self._airframe.wing
+        return Kalman(self._layout, self._noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, self._keep)
+
+    # ------------------------------------------------------------------------------------------ out
+
+    def _describe(self, now_host_ns: int) -> ModeState:
+        kalman, layout = self._kalman, self._layout
+        state, covariance = kalman.state, kalman.total_covariance
+        rms = self._level.rms_m()
+        self._validity = self._judge(now_host_ns)
+        static = (kalman.static_m, 0.0)
+        symmetric, antisymmetric = (
+            mode_estimate(family, parameters, state, covariance, static[k], float(rms[k]))
+            for k, (family, parameters) in enumerate(zip(layout.families, self._adaptation.parameters, strict=True))
+        )
+        q = [family.q for family in layout.families]
+        heard = tuple(station for station in Station if self._alive(station))
+        return ModeState(
+            t_host_ns=self._next_ns,
+            symmetric=symmetric,
+            antisymmetric=antisymmetric,
+            validity=self._validity,
+            q_m=state[q],
+            q_sigma_m=np.sqrt(np.diag(covariance)[q]),
+            stations=heard,
+            axes=tuple(self._streams[station].axes for station in heard),
+        )
+
+    def _alive(self, station: Station) -> bool:
+        newest = self._streams[station].newest_ns
+        return newest is not None and self._next_ns - newest <= self._settings.stale_s * 1e9
+
+    def _judge(self, now_host_ns: int) -> Validity:
+        stale = not self._alive(Station.ROOT) or not (self._alive(Station.LEFT) or self._alive(Station.RIGHT))
+        stale |= now_host_ns - self._next_ns > (self._settings.reorder_window_s + self._settings.stale_s) * 1e9
+        if stale:
+            self._level.settled_s = 0.0
+        recent = [s.saturated_ns for s in self._streams if s.saturated_ns is not None]
+        return judge(
+            stale=stale,
+            saturated=any(self._next_ns - seen < _SATURATED_NS for seen in recent),
+            settled_s=self._level.settled_s,
+            rms_m=self._level.rms_m(),
+            calm_rms_m=self._settings.calm_rms_m,
+            parameters=self._adaptation.parameters,
+            ambiguous=self._adaptation.ambiguous,
+        )
+
+    def _refusal(self) -> Reject | None:
+        """Why nothing can be said at all."""
+        if not self._rates:
+            return Reject.NOT_SETTLED
+        return {Validity.STALE: Reject.STALE, Validity.SATURATED: Reject.SATURATED}.get(self._validity)
+
+    def forecast(self, horizon_ns: int, step_ns: int) -> Forecast | Reject:
+        """Predict from the newest processed instant, in steps of ``step_ns`` up to ``horizon_ns``."""
+        refusal = self._refusal()
+        if refusal is not None:
+            return refusal
+        return self._forecaster.run(
+            self._kalman, self._next_ns, self._kalman.static_m, self._rates[-1], horizon_ns, step_ns
+        )
+
+    def smooth(self, t_host_ns: int) -> Deflection | Reject:
+        """The wing at a past instant, with all that was measured since; causal at the newest instant."""
+        if not self._rates or self._start_ns is None:
+            return Reject.NOT_SETTLED
+        if self._validity is Validity.STALE:
+            return Reject.STALE
+        oldest_ns = max(self._start_ns, self._next_ns - round(_WINDOW_S * 1e9))
+        if not oldest_ns <= t_host_ns <= self._next_ns:
+            return Reject.OUT_OF_WINDOW
+        step, into_ns = divmod(t_host_ns - self._start_ns, self._step_ns)
+        if step == self._kalman.steps:
+            step, into_ns = step - 1, self._step_ns
+        kalman, share = self._kalman, into_ns / self._step_ns
+        smoothed = smooth_between(kalman, int(step), share)
+        found = tips(
+            self._layout,
+            self._rows,
+            smoothed.state,
+            smoothed.covariance,
+            smoothed.by_constants,
+            kalman.constants,
+            kalman.constants_covariance,
+        )
+        return Deflection(
+            t_host_ns=t_host_ns,
+            q_m=found.values[:2],
+            qdot_mps=found.values[2:4],
+            slope_rad=found.values[4:],
+            covariance=found.covariance,
+            body_rate_radps=self._rate_at(int(step), share),
+            lag_ns=self._next_ns - t_host_ns,
+            slow_slope_sigma_rad=found.slow_slope_sigma_rad,
+        )
+
+    def _rate_at(self, step: int, share: float) -> Floats:
+        at = step - self._kalman.steps  # -1: the newest cell
+        end, before = self._rates[at], self._rates[max(at - 1, -len(self._rates))]
+        rate: Floats = before + share * (end - before)
+        return rate
