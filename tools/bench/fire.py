@@ -17,7 +17,7 @@ from companion.adapters.triggers.none import NullTrigger
 from companion.adapters.triggers.process import TriggerProcess
 from companion.records import Firing, Shot, TriggerPlan
 
-SHOTS = 500
+SHOTS = 1000
 TARGET_P99_US = 50.0
 _LEAD_NS = 8_000_000
 _EXPIRY_NS = 1_000_000_000
