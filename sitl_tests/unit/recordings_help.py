@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from companion.records import Axis, ImuBatch, MatchSet
+from companion.records import Axis, FramePair, ImuBatch, MatchSet, Side
 
 _INT64 = st.integers(-(2**63), 2**63 - 1)
 _NS = st.integers(0, 2**62)
@@ -25,6 +25,14 @@ def record_of(kind: type) -> st.SearchStrategy[Any]:
     if kind is MatchSet:
         return st.integers(0, 5).flatmap(
             lambda n: _fields(kind, {"left_px": (n, 2), "right_px": (n, 2), "sigma_px": (n,), "mid_exposure_ns": (2,)})
+        )
+    if kind is FramePair:
+        return _fields(kind, {}).map(
+            lambda pair: FramePair(
+                pair.pair_id,
+                dataclasses.replace(pair.left, side=Side.LEFT),
+                dataclasses.replace(pair.right, side=Side.RIGHT),
+            )
         )
     return _fields(kind, {})
 

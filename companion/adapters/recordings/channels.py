@@ -73,6 +73,8 @@ def _channel(kind: type) -> Channel:
     return Channel(kind, topic, time)
 
 
+_IMAGES = (Frame, FramePair)  # compressed; see images.py
+
 # topic and log time; a record that is not listed goes to /other/<Name> with its first host stamp
 _LISTED: dict[type, tuple[str, str]] = {
     RawChunk: ("/mavlink/{direction}", "received_host_ns"),
@@ -96,7 +98,7 @@ _LISTED: dict[type, tuple[str, str]] = {
     Notice: ("/status/notice", "at_host_ns"),
     ServiceStatus: ("/status/service", "at_host_ns"),
 }
-CHANNELS: dict[type, Channel] = {kind: _channel(kind) for kind in typing.get_args(Record)}
+CHANNELS: dict[type, Channel] = {kind: _channel(kind) for kind in typing.get_args(Record) if kind not in _IMAGES}
 CAMERA_TOPICS = ("/camera/left", "/camera/right")
 IMAGE_SCHEMA = "foxglove.CompressedImage"
 KINDS: dict[str, type] = {channel.schema_name: kind for kind, channel in CHANNELS.items()}
