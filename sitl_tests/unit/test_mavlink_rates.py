@@ -7,6 +7,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.questions import ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.rates import IntervalRequest, RateKeeper, needed_loop_rate_hz
+from companion.records import ClockName
 
 S, MS = 1_000_000_000, 1_000_000
 RAW, HIGHRES = 27, 105
@@ -133,6 +134,25 @@ def test_time_is_asked_for_often_at_first_and_after_a_restart() -> None:
     assert sum(1000 <= step < 1500 for step in asked) == 25
     timer.hurry(20 * S)
     assert sum(timer.due(20 * S + step * 10 * MS) for step in range(500)) == 50
+
+
+def test_an_answer_is_awaited_only_from_those_who_answer() -> None:
+    timer, now = TimesyncTimer(), 1
+    assert not timer.awaiting(now)
+    assert timer.due(now)
+    assert timer.awaiting(now + 5 * MS)
+    timer.answered(ClockName.BOOT)
+    assert not timer.awaiting(now + 5 * MS)
+    awaited = 0
+    for _ in range(20):
+        now += 200 * MS
+        assert timer.due(now)
+        awaited += timer.awaiting(now + 5 * MS)
+        assert not timer.awaiting(now + 50 * MS)
+    assert awaited == 5  # five requests without an answer, and it is waited for no more
+    timer.answered(ClockName.BOOT)
+    assert timer.due(now + 200 * MS)
+    assert timer.awaiting(now + 205 * MS)
 
 
 def test_missing_parameters_are_asked_for_a_few_times_then_left_until_the_next_round() -> None:

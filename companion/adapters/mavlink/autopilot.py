@@ -30,6 +30,7 @@ from companion.records import (
     RawChunk,
     Record,
     ServiceStatus,
+    TimesyncReply,
 )
 
 _SECOND_NS = 1_000_000_000
@@ -141,6 +142,8 @@ class MavlinkAutopilot:
                 self._parameters.arrived(record.name)
                 if record.name == "SCHED_LOOP_RATE":
                     self.rates.loop_rate(record.value)
+            elif isinstance(record, TimesyncReply):
+                self._timesync.answered(record.clock)
             elif isinstance(record, ClockRestart):
                 self._timesync.hurry(now_host_ns)
                 if record.clock == ClockName.BOOT:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from companion.records import ClockName
+
 _MS_NS = 1_000_000
 _HURRY_PERIOD_NS = 100 * _MS_NS
 _PERIOD_NS = 200 * _MS_NS
 _HURRY_NS = 5_000 * _MS_NS
 _AWAITED_NS = 15 * _MS_NS
+_GIVEN_UP = 5
 _ASK_PERIOD_NS = 50 * _MS_NS
 _RETRY_NS = 1_000 * _MS_NS
 _TRIES = 5
@@ -29,6 +32,8 @@ class TimesyncTimer:
     def __init__(self) -> None:
         self._last_host_ns: int | None = None
         self._hurry_until_host_ns: int | None = None
+        self._missed: dict[ClockName, int] = {}
+        self._awaited: set[ClockName] = set()
 
     def hurry(self, now_host_ns: int) -> None:
         """Ask often for a while: a clock restarted."""
@@ -43,11 +48,21 @@ class TimesyncTimer:
         if self._last_host_ns is not None and now_host_ns - self._last_host_ns < period:
             return False
         self._last_host_ns = now_host_ns
+        for clock in self._awaited:
+            self._missed[clock] += 1
+        self._awaited = {clock for clock, missed in self._missed.items() if missed < _GIVEN_UP}
         return True
 
+    def answered(self, clock: ClockName) -> None:
+        """Take note of who answers."""
+        self._missed[clock] = 0
+        self._awaited.discard(clock)
+
     def awaiting(self, now_host_ns: int) -> bool:
-        """Whether an answer may arrive at any moment."""
-        return self._last_host_ns is not None and now_host_ns - self._last_host_ns < _AWAITED_NS
+        """Whether an answer may arrive at any moment, from somebody who used to answer (at first: anybody)."""
+        if self._last_host_ns is None or now_host_ns - self._last_host_ns >= _AWAITED_NS:
+            return False
+        return bool(self._awaited) or not self._missed
 
 
 class ParameterReader:
