@@ -93,6 +93,21 @@ def test_unequal_exposures_are_bridged_with_the_body_rate() -> None:
     assert bridged.range.t_host_ns == 0
 
 
+def test_flight_between_unequal_exposures_is_bridged_with_the_velocity() -> None:
+    """5 ms at 20 m/s ahead and 2 m/s to the right: 10 cm across the baseline, 1 cm along it."""
+    airframe = nadir()
+    rig, points = Rig.from_airframe(airframe), ground_below(60.0, 200, 4)
+    velocity = np.array([20.0, 2.0, 0.0])
+    ahead = [points - velocity * after_s for after_s in (-0.0025, 0.0025)]
+    pixels = [rig.project(side, rig.pose(side, 0.02, 0.0), ahead[side]) for side in Side]
+    left, right = bend((0.02, 0.02), t_ns=-2_500_000), bend((0.02, 0.02), t_ns=2_500_000)
+    bridged = correct(match_set(*pixels), left, right, rig, airframe, SETTINGS, velocity_mps=velocity)
+    ignored = correct(match_set(*pixels), left, right, rig, airframe, SETTINGS)
+    assert bridged.range.range_m == pytest.approx(60.0, abs=1e-5)
+    assert ignored.range.range_m == pytest.approx(60.0 * 1.98 / 1.99, abs=0.02)
+    assert np.abs(bridged.depths.parallax_rad).max() < 1e-9
+
+
 def test_each_camera_is_corrected_with_the_bend_of_its_own_exposure() -> None:
     airframe = nadir()
     rig, points = Rig.from_airframe(airframe), ground_below(60.0, 200, 5)
@@ -213,6 +228,27 @@ def test_ranges_outside_the_limits_are_refused(range_m: float) -> None:
     assert (answer.trusted, answer.reject) == (False, Reject.OUT_OF_RANGE)
     assert np.isfinite(answer.range_m)
     assert np.isfinite(answer.sigma_m)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.floats(0.0, 3000.0), st.sampled_from([0, 1, 2]))
+@settings(max_examples=60, deadline=None)
+def test_whatever_the_pixels_nothing_but_finite_numbers_comes_out(
+    seed: int, count: int, spread_px: float, product: int
+) -> None:
+    random = np.random.default_rng(seed)
+    left, right = (320.0 + spread_px * random.normal(size=(2, count, 2))).round(1)
+    airframe, tunables = nadir(), dataclasses.replace(SETTINGS, product=product, min_matches=4)
+    answer = _range(airframe, match_set(left, right), bend((0.02, -0.03)), tunables).range
+    numbers = [answer.range_m, answer.sigma_m, answer.toe_rad, answer.toe_sigma_rad, answer.rigid_range_m]
+    assert np.isfinite(numbers).all()
+    assert answer.trusted is (answer.reject is None)
+
+
+def test_a_bend_that_is_not_a_number_is_refused() -> None:
+    airframe = nadir()
+    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(60.0, 50, 1), (0.0, 0.0)))
+    answer = _range(airframe, matches, bend(slope_sigma_rad=float("nan"))).range
+    assert (answer.trusted, answer.reject, answer.range_m) == (False, Reject.NOT_FINITE, 0.0)
 
 
 def test_trust_ends_where_sigma_exceeds_its_share_of_the_range() -> None:

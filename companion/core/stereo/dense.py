@@ -62,7 +62,7 @@ class DenseMatcher:
     """
 
     def __init__(self, first_px: int = 0, count: int = 64) -> None:
-        self._matcher = cv2.StereoSGBM.create(
+        self.semi_global = cv2.StereoSGBM.create(
             minDisparity=first_px,
             numDisparities=count,
             blockSize=_BLOCK,
@@ -83,7 +83,7 @@ class DenseMatcher:
 
     def match_rectified(self, left: Bytes, right: Bytes) -> Floats:
         """Disparity (rows, columns) float32 of a rectified pair, NaN where unknown."""
-        steps = self._matcher.compute(left, right)
+        steps = self.semi_global.compute(left, right)
         disparity: Floats = steps.astype(np.float32) / np.float32(_STEPS_PER_PX)
         disparity[(steps < _STEPS_PER_PX * self._first_px) | ~textured(left)] = np.nan
         return disparity

@@ -57,6 +57,7 @@ def correct(
     airframe: Airframe,
     settings: Settings,
     timing_sigma_s: float = 1e-4,
+    velocity_mps: Floats | None = None,
 ) -> RangeAnswer:
     """Range along the airframe's orientation from one matched pair.
 
@@ -74,13 +75,15 @@ def correct(
         Product, limits, trust.
     timing_sigma_s : float
         One-sigma of each exposure's stamp.
+    velocity_mps : (3,) float64, optional
+        The aircraft's velocity in body axes, which moves it between unequal exposures.
 
     Returns
     -------
     RangeAnswer
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
-    moving = exposures(rig, TipMotion.from_airframe(airframe), left, right)
+    moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, velocity_mps)
     sight = sight_along(rig, range_axis(airframe.orientation))
     rays = match_rays(rig, moving, matches)
     sigma_rad = matches.sigma_px / rig.left.lens.focal_px
@@ -89,8 +92,9 @@ def correct(
     toe_rad = toe_between(rig, moving)
     toe_sigma_rad = budget(toe_gradient(_epipolar_y(moving)), rig, airframe, left, moving, timing_sigma_s).total
     t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
-    if reading is None:
-        refused = _refused(matches, t_host_ns, airframe.orientation, toe_rad, toe_sigma_rad, settings)
+    if reading is None or not np.isfinite(toe_rad + toe_sigma_rad):
+        reason = Reject.NO_MATCHES if reading is None else Reject.NOT_FINITE
+        refused = _refused(matches, t_host_ns, airframe.orientation, settings, reason)
         return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
 
     def inverse_depths(changed: Rays) -> Floats:
@@ -173,9 +177,7 @@ def _judge(reading: Reading, range_m: float, sigma_m: float, settings: Settings)
     return None
 
 
-def _refused(
-    matches: MatchSet, t_host_ns: int, orientation: int, toe_rad: float, toe_sigma_rad: float, settings: Settings
-) -> CorrectedRange:
+def _refused(matches: MatchSet, t_host_ns: int, orientation: int, settings: Settings, reject: Reject) -> CorrectedRange:
     return CorrectedRange(
         pair_id=matches.pair_id,
         plan_id=matches.plan_id,
@@ -183,10 +185,10 @@ def _refused(
         orientation=orientation,
         range_m=0.0,
         sigma_m=settings.max_range_m,
-        toe_rad=toe_rad,
-        toe_sigma_rad=toe_sigma_rad,
+        toe_rad=0.0,
+        toe_sigma_rad=0.0,
         rigid_range_m=0.0,
         matches=len(matches.sigma_px),
         trusted=False,
-        reject=Reject.NO_MATCHES,
+        reject=reject,
     )
