@@ -1,7 +1,7 @@
 """The one path that the live service, replay and the tests all drive: ``step(state, record) -> (state, records)``.
 
-Inputs go in in arrival order; everything that happens on time happens on a :class:`~companion.records.Tick`, so that the
-replay of a recording repeats every output exactly. The state belongs to the caller and is updated in place.
+Inputs go in in arrival order; everything that happens on time happens on a :class:`~companion.records.Tick`, so that
+the replay of a recording repeats every output exactly. The state belongs to the caller and is updated in place.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from companion.core.clock.bank import ClockBank
 from companion.core.mode.tracker import WingTracker
