@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import enum
+import json
 import math
 import types
 import typing
@@ -50,16 +51,34 @@ def codec_of(kind: Any) -> Codec:
     raise TypeError(f"no JSON form for {kind!r}")
 
 
-def _plain_float(value: Any) -> Any:
-    number = float(value)
-    if math.isfinite(number):
-        return number
-    return "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
+def dumps(kind: type, record: Any) -> bytes:
+    """Write a record as JSON."""
+    plain = codec_of(kind).encode(record)
+    try:
+        return json.dumps(plain, allow_nan=False).encode()
+    except ValueError:
+        return json.dumps(_spelled(plain), allow_nan=False).encode()
+
+
+def loads(kind: type, data: bytes) -> Any:
+    """Give back what :func:`dumps` was given."""
+    return codec_of(kind).decode(json.loads(data))
+
+
+def _spelled(plain: Any) -> Any:
+    """The same with non-finite numbers in words."""
+    if isinstance(plain, dict):
+        return {key: _spelled(value) for key, value in plain.items()}
+    if isinstance(plain, list):
+        return [_spelled(value) for value in plain]
+    if isinstance(plain, float) and not math.isfinite(plain):
+        return "NaN" if math.isnan(plain) else "Infinity" if plain > 0 else "-Infinity"
+    return plain
 
 
 _SCALARS = {
     int: Codec(int, int, {"type": "integer"}),
-    float: Codec(_plain_float, float, {"type": "number"}),
+    float: Codec(float, float, {"type": "number"}),
     bool: Codec(bool, bool, {"type": "boolean"}),
     str: Codec(str, str, {"type": "string"}),
     bytes: Codec(
@@ -83,11 +102,7 @@ def _of_array(dtype: np.dtype[Any]) -> Codec:
 
     def encode(array: Any) -> Any:
         exact = np.asarray(array, dtype=dtype)
-        if exact.size == 0:
-            return {"shape": list(exact.shape)}
-        if dtype.kind == "f" and not np.isfinite(exact).all():
-            return _nested(exact.tolist())
-        return exact.tolist()
+        return exact.tolist() if exact.size else {"shape": list(exact.shape)}
 
     def decode(plain: Any) -> Any:
         if isinstance(plain, dict):
@@ -95,10 +110,6 @@ def _of_array(dtype: np.dtype[Any]) -> Codec:
         return np.array(plain, dtype=dtype)
 
     return Codec(encode, decode, {"type": "array", "items": {"anyOf": [scalar, {"type": "array"}]}})
-
-
-def _nested(value: Any) -> Any:
-    return [_nested(entry) for entry in value] if isinstance(value, list) else _plain_float(value)
 
 
 def _of_tuple(arms: tuple[Any, ...]) -> Codec:
@@ -137,9 +148,10 @@ def _of_optional(item: Codec) -> Codec:
 def _of_dataclass(kind: Any) -> Codec:
     hints = typing.get_type_hints(kind)
     fields = {entry.name: codec_of(hints[entry.name]) for entry in dataclasses.fields(kind)}
+    encoders = [(name, codec.encode) for name, codec in fields.items()]
 
     def encode(record: Any) -> dict[str, Any]:
-        return {name: codec.encode(getattr(record, name)) for name, codec in fields.items()}
+        return {name: encode_field(getattr(record, name)) for name, encode_field in encoders}
 
     def decode(plain: dict[str, Any]) -> Any:
         return kind(**{name: fields[name].decode(value) for name, value in plain.items() if name in fields})

@@ -105,16 +105,20 @@ def _unpack_chunk(cursor: _Cursor) -> RawChunk:
 
 def _pack_imu(batch: ImuBatch) -> bytes:
     values = np.ascontiguousarray(batch.values, dtype="<f8")
-    unsent = [i for i in range(6) if not batch.axes >> i & 1]
-    columns = int(Axis.ALL) if values[:, unsent].view("<u8").any() else int(batch.axes)
-    stored = [i for i in range(6) if columns >> i & 1]
+    columns = int(batch.axes)
+    if columns != int(Axis.ALL):
+        unsent = [i for i in range(6) if not columns >> i & 1]
+        if values[:, unsent].view("<u8").any():
+            columns = int(Axis.ALL)
+        else:
+            values = values[:, [i for i in range(6) if columns >> i & 1]]
     return b"".join(
         (
             struct.pack("<B", batch.station),
             _blob(batch.clock.encode()),
-            struct.pack("<BqB", batch.axes, batch.received_host_ns, columns),
+            struct.pack("<BqB", int(batch.axes), batch.received_host_ns, columns),
             _array(batch.t_ns, "<i8"),
-            _array(values[:, stored], "<f8"),
+            _array(values, "<f8"),
         )
     )
 

@@ -20,7 +20,7 @@ from mcap.stream_reader import CRCValidationError, breakup_chunk
 
 from companion.adapters.recordings import images, packed
 from companion.adapters.recordings.channels import IMAGE_SCHEMA, KINDS, Recordable
-from companion.adapters.recordings.codec import codec_of
+from companion.adapters.recordings.codec import loads
 from companion.adapters.recordings.images import ImageFormat
 from companion.adapters.recordings.recording import Notes
 from companion.adapters.recordings.writer import FORMAT_VERSION
@@ -114,7 +114,7 @@ class McapRecording:
                 if kind in packed.SCHEMAS:
                     yield packed.unpack(kind, message.data)
                 else:
-                    yield codec_of(kind).decode(json.loads(message.data))
+                    yield loads(kind, message.data)
             else:
                 self._notes.add(f"{self.path.name}: messages of '{schema.name}' are not known here and left out")
 

@@ -17,7 +17,7 @@ from mcap.writer import Writer
 
 from companion.adapters.recordings import images, packed
 from companion.adapters.recordings.channels import CAMERA_TOPICS, CHANNELS, IMAGE_SCHEMA, Channel, Recordable, topic_of
-from companion.adapters.recordings.codec import codec_of
+from companion.adapters.recordings.codec import codec_of, dumps
 from companion.adapters.recordings.images import ImageFormat
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
@@ -134,7 +134,7 @@ class McapWriter:
         if listed.packed:
             data = packed.pack(record)
         else:
-            data = json.dumps(codec_of(listed.kind).encode(record), allow_nan=False).encode()
+            data = dumps(listed.kind, record)
         self._add(channel, getattr(record, listed.time), data)
 
     def _write_frame(self, frame: Frame, pair_id: int | None) -> None:
