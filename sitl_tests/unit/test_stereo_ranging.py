@@ -10,14 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.matching import match
 from companion.core.stereo.ranging import RangeAnswer, correct, range_axis
 from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.search import trim_search
 from companion.core.stereo.triangulation import points_of, sight_along
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.settings import Settings
 from companion.records import Deflection, MatchSet, Reject, Side
 from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
+from sitl_tests.unit.stereo_scene import TexturedPlane, photograph
 
 SETTINGS = Settings()
 
@@ -275,3 +278,22 @@ def test_an_orientation_between_the_axes_is_a_configuration_error() -> None:
         range_axis(1)
     np.testing.assert_array_equal(range_axis(25), [0, 0, 1])
     np.testing.assert_array_equal(range_axis(6), [0, -1, 0])
+
+
+@pytest.mark.parametrize("range_m", [20.0, 60.0, 100.0])
+def test_from_images_to_range_with_the_true_bend(range_m: float) -> None:
+    """The oracle: noisy images of tilted ground, true extrinsics. The demo's target is 0.15 m median at 60 m."""
+    airframe = nadir(distortion=(-0.1, 0.02, 0.0005, -0.0005, 0.0))
+    rig, slopes = Rig.from_airframe(airframe), (0.0222, 0.0186)
+    poses = rig.pose(Side.LEFT, slopes[0], 0.0149), rig.pose(Side.RIGHT, slopes[1], 0.0149)
+    normal = np.array([0.1, -0.15, 1.0])
+    plane = TexturedPlane.facing((0.1, -0.15, 1.0), range_m / np.linalg.norm(normal), 800.0, seed=int(range_m))
+    images = [photograph(plane, rig.camera(side), poses[side], noise_grey=2.0, seed=side) for side in Side]
+    matches = match(images[0], images[1], rig, trim_search(rig, airframe, SETTINGS))
+    record = dataclasses.replace(match_set(matches.left_px, matches.right_px), sigma_px=matches.sigma_px)
+    answer = _range(airframe, record, bend(slopes, (0.0149, 0.0)))
+    assert answer.range.range_m == pytest.approx(range_m, abs=range_m**2 / 1584.0 * 0.03)  # 0.03 px: 0.07 m at 60 m
+    assert abs(answer.range.range_m - range_m) < 3.0 * answer.match_sigma_m
+    assert answer.range.trusted
+    toe_rad = slopes[0] + slopes[1]
+    assert answer.range.rigid_range_m == pytest.approx(1.0 / (1.0 / range_m + toe_rad / 1.98), rel=0.05)
