@@ -24,10 +24,13 @@ from companion.records import (
     CorrectedRange,
     Health,
     ImuBatch,
+    NoRange,
     Notice,
     RawChunk,
     Record,
+    Reject,
     ServiceStatus,
+    Shot,
     TimesyncReply,
 )
 
@@ -222,6 +225,22 @@ def test_a_slow_loop_is_told_to_the_operator() -> None:
     assert 25 <= bench.vehicle.interval_ms[105] <= 32
 
 
+def test_bytes_are_gathered_unless_the_time_is_being_asked() -> None:
+    bench = Bench()
+    bench.fly(5)
+    chunks = []
+    for _ in range(1000):
+        bench.vehicle.run()
+        bench.vehicle.stream(105)
+        bench.clock.now += MS
+        chunks += kinds(list(bench.pilot.poll(0.0)), RawChunk)
+    incoming = [chunk for chunk in chunks if chunk.link < OUTGOING]
+    assert 240 <= len(incoming) <= 350
+    for asked in [chunk for chunk in chunks if chunk.link >= OUTGOING]:
+        answer = min(chunk.received_host_ns for chunk in incoming if chunk.received_host_ns > asked.received_host_ns)
+        assert answer - asked.received_host_ns <= 2 * MS
+
+
 def test_rare_messages_are_handed_to_the_listener() -> None:
     bench = Bench()
     bench.vehicle.say(mavlink.MAVLink_command_long_message(3, 191, 512, 0, 1, 0, 0, 0, 0, 0, 0))
@@ -282,10 +301,19 @@ def test_the_heartbeat_follows_the_services_health(health: Health, state: int) -
 def test_a_shot_by_the_autopilots_cameras_is_commanded() -> None:
     bench = Bench()
     bench.fly(0.1)
-    bench.pilot.capture()
+    bench.pilot.publish(Shot(7, bench.clock.now, bench.clock.now))
     bench.vehicle.run()
     (command,) = [message for message in bench.vehicle.of("COMMAND_LONG") if message.command == 2000]
     assert (command.target_system, command.target_component, command.param1, command.param3) == (3, 1, 0.0, 1.0)
+
+
+def test_alive_without_range_says_so() -> None:
+    bench = Bench()
+    bench.fly(0.1)
+    bench.pilot.publish(NoRange(bench.clock.now, 25, Reject.NO_MATCHES))
+    bench.vehicle.run()
+    (sent,) = bench.vehicle.of("DISTANCE_SENSOR")
+    assert (sent.current_distance, sent.max_distance, sent.signal_quality, sent.orientation) == (20_001, 20_000, 1, 25)
 
 
 def test_notices_become_texts() -> None:

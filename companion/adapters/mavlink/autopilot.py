@@ -14,6 +14,7 @@ from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.questions import ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.rates import RateKeeper
 from companion.adapters.mavlink.translate import Heard
+from companion.adapters.triggers.mavlink import capture_command
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.ports import Clock
@@ -25,11 +26,13 @@ from companion.records import (
     CorrectedRange,
     Health,
     ModeState,
+    NoRange,
     Notice,
     ObstacleSectors,
     RawChunk,
     Record,
     ServiceStatus,
+    Shot,
     TimesyncReply,
 )
 
@@ -102,28 +105,33 @@ class MavlinkAutopilot:
         are yielded like received ones; from recorded chunks :meth:`Decoder.decode_chunk` makes the same records.
         """
         yield from self._upkeep(self._clock.now_ns())
-        self._wait(timeout_s)
-        for link in self._links:
-            chunk = link.read()
-            if chunk is not None:
-                yield chunk
-                decoded = self.decoder.decode(chunk)
-                self._attend(decoded, chunk.received_host_ns)
-                yield from decoded.records
-        self._read_host_ns = self._clock.now_ns()
+        if self._wait(timeout_s):
+            for link in self._links:
+                chunk = link.read()
+                if chunk is not None:
+                    yield chunk
+                    decoded = self.decoder.decode(chunk)
+                    self._attend(decoded, chunk.received_host_ns)
+                    yield from decoded.records
+            self._read_host_ns = self._clock.now_ns()
         yield from self.rates.notices()
 
-    def _wait(self, timeout_s: float) -> None:
+    def _wait(self, timeout_s: float) -> bool:
+        """Wait for bytes; whether it is time to read them."""
         now = self._clock.now_ns()
         deadline = now + max(0, round(timeout_s * _SECOND_NS))
         if not self._timesync.awaiting(now):
-            self._clock.sleep_until(min(self._read_host_ns + self._gather_ns, deadline))
+            gathered = self._read_host_ns + self._gather_ns
+            self._clock.sleep_until(min(gathered, deadline))
+            if gathered > deadline:
+                return False
         left_ms = max(0, deadline - self._clock.now_ns()) / 1e6
         waiter = select.poll()
         for link in self._links:
             if link.fileno() >= 0:
                 waiter.register(link.fileno(), select.POLLIN)
         waiter.poll(left_ms)
+        return True
 
     def _attend(self, decoded: Decoded, now_host_ns: int) -> None:
         """Answer and take note of what concerns the adapter itself."""
@@ -173,7 +181,7 @@ class MavlinkAutopilot:
             yield from self._ask_time()
         request = self.rates.due(now_host_ns)
         if request is not None:
-            self._command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, request.message, request.interval_us)
+            self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, request.message, request.interval_us)
         name = self._parameters.due(now_host_ns)
         if name is not None:
             self._send(mavlink.MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode(), -1))
@@ -197,10 +205,18 @@ class MavlinkAutopilot:
     # -------------------------------------------------------------------------------------------- telling
 
     def publish(self, record: Record) -> None:
-        """Send an output record in the form that the autopilot understands; others are not sent."""
+        """Send a record in the form that the autopilot understands; others are not sent.
+
+        A :class:`Shot` becomes the command that fires the autopilot's cameras: publish shots only where those are used.
+        """
+        limits_m = (self._settings.min_range_m, self._settings.max_range_m)
         if isinstance(record, CorrectedRange):
-            limits = (self._settings.min_range_m, self._settings.max_range_m)
-            self._send(encode.distance_sensor(record, *limits, self._boot_ms(record.t_host_ns)))
+            self._send(encode.distance_sensor(record, *limits_m, self._boot_ms(record.t_host_ns)))
+        elif isinstance(record, NoRange):
+            self._send(encode.no_range(record.orientation, *limits_m, self._boot_ms(record.at_host_ns)))
+        elif isinstance(record, Shot):
+            request = capture_command(record)
+            self.command(request.command, *request.parameters)
         elif isinstance(record, ObstacleSectors):
             self._send(encode.obstacle_distance(record, (record.t_host_ns + self._boot_offset_ns) // 1000))
         elif isinstance(record, Notice):
@@ -234,9 +250,11 @@ class MavlinkAutopilot:
         else:
             self._send(message)
 
-    def capture(self) -> None:
-        """Fire all of the autopilot's cameras once (IMAGE_START_CAPTURE)."""
-        self._command(mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0, 0, 1)
+    def command(self, command: int, *parameters: float) -> None:
+        """Send a COMMAND_LONG to the autopilot; parameters that are left out are 0."""
+        filled = [float(value) for value in parameters] + [0.0] * (7 - len(parameters))
+        system = self._packer.srcSystem
+        self._send(mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, command, 0, *filled))
 
     def close(self) -> None:
         """Release the links."""
@@ -245,11 +263,6 @@ class MavlinkAutopilot:
 
     def _boot_ms(self, t_host_ns: int) -> int:
         return (t_host_ns + self._boot_offset_ns) // 1_000_000
-
-    def _command(self, command: int, *parameters: float) -> None:
-        filled = [float(value) for value in parameters] + [0.0] * (7 - len(parameters))
-        system = self._packer.srcSystem
-        self._send(mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, command, 0, *filled))
 
     def _send(self, message: Any, number: int | None = None) -> None:
         if not encode.sendable(message):

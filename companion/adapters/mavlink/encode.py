@@ -46,24 +46,35 @@ def heartbeat(health: Health) -> Any:
 def distance_sensor(record: CorrectedRange, min_m: float, max_m: float, time_boot_ms: int) -> Any:
     """DISTANCE_SENSOR of a range.
 
-    A range that is not trusted, finite, positive and inside the limits is sent as "alive, no range": one centimetre
-    beyond the largest distance, with quality 1. The covariance is in cm^2, 1 to 254; a larger or unknown one is 255.
+    A range that is not trusted, finite, positive and inside the limits is sent as :func:`no_range`. The covariance is
+    in cm^2, 1 to 254; a larger or unknown one is 255. The quality is what sigma leaves of 100, at least 2.
     """
     least, most = _limits_cm(min_m, max_m)
-    distance, covariance, quality = most + 1, _UNKNOWN_COVARIANCE, _NO_RANGE_QUALITY
     good = record.trusted and math.isfinite(record.range_m) and math.isfinite(record.sigma_m) and record.sigma_m >= 0
-    if good and record.range_m > 0 and least <= record.range_m * _CM <= most:
-        distance = _clamp(record.range_m * _CM, least, most)
-        covariance = _covariance_cm2(record.sigma_m)
-        quality = _clamp(_BEST_QUALITY * (1.0 - record.sigma_m / record.range_m), _LEAST_QUALITY, _BEST_QUALITY)
+    if not (good and record.range_m > 0 and least <= record.range_m * _CM <= most):
+        return no_range(record.orientation, min_m, max_m, time_boot_ms)
+    quality = _clamp(_BEST_QUALITY * (1.0 - record.sigma_m / record.range_m), _LEAST_QUALITY, _BEST_QUALITY)
+    distance = _clamp(record.range_m * _CM, least, most)
+    covariance = _covariance_cm2(record.sigma_m)
+    return _distance(record.orientation, (least, most), distance, covariance, quality, time_boot_ms)
+
+
+def no_range(orientation: int, min_m: float, max_m: float, time_boot_ms: int) -> Any:
+    """DISTANCE_SENSOR that says "alive, no range": one centimetre beyond the largest distance, with quality 1."""
+    least, most = _limits_cm(min_m, max_m)
+    return _distance(orientation, (least, most), most + 1, _UNKNOWN_COVARIANCE, _NO_RANGE_QUALITY, time_boot_ms)
+
+
+def _distance(
+    orientation: int, limits_cm: tuple[int, int], distance_cm: int, covariance: int, quality: int, time_boot_ms: int
+) -> Any:
     return mavlink.MAVLink_distance_sensor_message(
         time_boot_ms & _UINT32,
-        least,
-        most,
-        distance,
+        *limits_cm,
+        distance_cm,
         mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
         0,
-        record.orientation if 0 <= record.orientation <= 255 else mavlink.MAV_SENSOR_ROTATION_NONE,
+        orientation if 0 <= orientation <= 255 else mavlink.MAV_SENSOR_ROTATION_NONE,
         covariance,
         signal_quality=quality,
     )
