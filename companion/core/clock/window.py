@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-import numpy as np
-
-from companion.core.clock.feasible import FeasibleLines, feasible_lines
-from companion.records import Floats, TimesyncReply
+from companion.core.clock.feasible import FeasibleLines
+from companion.records import TimesyncReply
 
 WINDOW_NS = 60_000_000_000
 MOST_SKEW = 500e-6
@@ -88,14 +86,13 @@ class ExchangeWindow:
         return below and below.above(lower.at_ns - now_ns, lower.offset_ns - self._tolerance_ns)
 
     def _rebuilt(self, upper: _Bound, lower: _Bound, now_ns: int) -> FeasibleLines | None:
-        """Intersect all bounds, the older ones widened by what the skew may have changed since."""
+        """Intersect all bounds, with as little tolerance as they allow."""
         while self._buckets and self._buckets[0].upper.at_ns < now_ns - WINDOW_NS:
             self._buckets.popleft()
-        upper_at, uppers = _relative([bucket.upper for bucket in self._buckets] + [upper], now_ns)
-        lower_at, lowers = _relative([bucket.lower for bucket in self._buckets] + [lower], now_ns)
-        uppers, lowers = uppers + _drift(upper_at), lowers - _drift(lower_at)
+        uppers = [_relative(bucket.upper, now_ns) for bucket in self._buckets] + [_relative(upper, now_ns)]
+        lowers = [_relative(bucket.lower, now_ns) for bucket in self._buckets] + [_relative(lower, now_ns)]
         for tolerance in _TOLERANCES_NS:
-            found = feasible_lines(upper_at, uppers + tolerance, lower_at, lowers - tolerance, MOST_SKEW)
+            found = _intersected(uppers, lowers, tolerance)
             if found is not None:
                 self._tolerance_ns = tolerance
                 return found
@@ -110,11 +107,23 @@ class ExchangeWindow:
         bucket.lower = max(bucket.lower, lower, key=lambda b: b.offset_ns - skew * (b.at_ns - lower.at_ns))
 
 
-def _relative(bounds: list[_Bound], now_ns: int) -> tuple[Floats, Floats]:
-    at = np.array([bound.at_ns - now_ns for bound in bounds], dtype=np.float64)
-    return at, np.array([bound.offset_ns for bound in bounds], dtype=np.float64)
+def _relative(bound: _Bound, now_ns: int) -> tuple[float, float, float]:
+    """Give a bound's time before now, its offset, and what the skew's drift may have added since."""
+    at = float(bound.at_ns - now_ns)
+    return at, float(bound.offset_ns), 0.5 * SKEW_DRIFT_PER_S * 1e-9 * at * at
 
 
-def _drift(at_ns: Floats) -> Floats:
-    drift: Floats = 0.5 * SKEW_DRIFT_PER_S * 1e-9 * at_ns**2
-    return drift
+def _intersected(
+    uppers: list[tuple[float, float, float]], lowers: list[tuple[float, float, float]], tolerance_ns: float
+) -> FeasibleLines | None:
+    far = MOST_SKEW * max(-at for at, _, _ in uppers + lowers)
+    least, most = max(low for _, low, _ in lowers) - 2 * far, min(high for _, high, _ in uppers) + 2 * far
+    margin = tolerance_ns + WINDOW_NS * WINDOW_NS * SKEW_DRIFT_PER_S * 1e-9
+    lines: FeasibleLines | None = FeasibleLines.box(least - margin, most + margin, MOST_SKEW)
+    if most + margin <= least - margin:
+        return None
+    for at, high, drift in reversed(uppers):
+        lines = lines and lines.below(at, high + drift + tolerance_ns)
+    for at, low, drift in reversed(lowers):
+        lines = lines and lines.above(at, low - drift - tolerance_ns)
+    return lines
