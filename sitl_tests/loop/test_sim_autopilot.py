@@ -164,6 +164,19 @@ def test_a_live_change_of_the_filter_changes_the_stream(flight: Flight) -> None:
     assert ratio > 3
 
 
+def test_wing_sensors_wired_to_the_autopilot_are_sent_by_it() -> None:
+    flight = build_flight(load_airframe("sitl-plane"), 1, 3.0)
+    peer = Peer(flight)
+    assert peer.world.nodes == []
+    assert peer.request(116, 3000)[0] == mavlink.MAV_RESULT_ACCEPTED
+    peer.run(2.0)
+    rows = peer.of("SCALED_IMU2", 1)
+    assert len(rows) == pytest.approx(2.0 / 0.003, rel=0.02)
+    raw = flight.backends[Station.LEFT].raw
+    # body z of a level flight, in thousandths of g
+    assert np.mean([m.zacc for _, m in rows]) == pytest.approx(np.mean(raw[:2000, 2]) / 9.80665e-3, abs=30)
+
+
 # ------------------------------------------------------------------------------------------ time
 
 

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.core.wing.lowpass import Biquad
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, NamedEffect, Source
-from companion.params.files import load_airframe
+from companion.params.files import known_airframes, load_airframe
 from companion.records import AutopilotParameter, ClockName, ImuBatch, Station, TimesyncReply, VehicleState
 from companion.sim.aircraft import still_plan
 from companion.sim.flight import Flight, GustKind, build_flight
@@ -269,3 +269,14 @@ def test_tables_hold_the_flight(airframe: Airframe, tmp_path: Path) -> None:
     measured = np.mean([float(row["range_m"]) for row in ranges])
     assert measured == pytest.approx(expected, rel=0.005)
     assert {float(row["reference_m"]) for row in ranges} == {60.0}
+
+
+@pytest.mark.parametrize("name", known_airframes())
+def test_every_airframe_flies(name: str) -> None:
+    flight = build_flight(load_airframe(name), 1, 3.0)
+    for station, stream in flight.streams().items():
+        sensor = flight.airframe.sensor(station)
+        rate_hz = len(stream.stamp_ns) / flight.duration_s
+        # whole milliseconds on the autopilot, its own clock on a node
+        assert rate_hz == pytest.approx(sensor.rate_hz, rel=0.05)
+        assert np.all(np.isfinite(stream.values))
