@@ -171,7 +171,7 @@ def test_wing_sensors_wired_to_the_autopilot_are_sent_by_it() -> None:
     assert peer.request(116, 3000)[0] == mavlink.MAV_RESULT_ACCEPTED
     peer.run(2.0)
     rows = peer.of("SCALED_IMU2", 1)
-    assert len(rows) == pytest.approx(2.0 / 0.003, rel=0.02)
+    assert len(rows) == pytest.approx(2.05 / 0.003, rel=0.01)
     raw = flight.backends[Station.LEFT].raw
     # body z of a level flight, in thousandths of g
     assert np.mean([m.zacc for _, m in rows]) == pytest.approx(np.mean(raw[:2000, 2]) / 9.80665e-3, abs=30)
