@@ -14,9 +14,9 @@ import numpy as np
 
 from companion.core.mode.layout import P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.mode.model import Parameters
-from companion.core.mode.parameters import ModeParameters
+from companion.core.mode.parameters import FREQUENCY_2, PARAMETERS, ModeParameters
 from companion.core.mode.rigid import Cells
-from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan
+from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan, seek_peak
 from companion.records import Bools, Floats
 
 _LONG_S = 20.0
@@ -26,6 +26,7 @@ _FIRST_S = 1.5
 _PERIOD_S = 1.0
 _SCAN_UNTIL_S = 6.0
 _DRIFT_EVIDENCE = 6.0
+_PEAK_EVIDENCE = 8.0
 _LEAST_PRESENT = 0.98
 
 
@@ -108,6 +109,9 @@ class Adaptation:
         long = make_stretch(samples, self._step_s, band, floor)
         if elapsed_s <= _SCAN_UNTIL_S:
             start = self._scanned(long, prior, start)
+        for at in range(FREQUENCY_2, len(start), PARAMETERS):
+            moved, gain = seek_peak(long, prior, start, at)
+            start = moved if gain > _PEAK_EVIDENCE else start
         best = fit(long, prior, start, 12 if elapsed_s <= _SCAN_UNTIL_S else 3)
         if elapsed_s > 2.0 * _SHORT_S:
             short = make_stretch(samples[-round(_SHORT_S / self._step_s) :], self._step_s, band, floor)
@@ -130,11 +134,10 @@ class Adaptation:
             return rows.mean(axis=1), _Floor(float(tip.sum() / 4.0 + root), 0.0, self._step_s)
         return 0.5 * (rows[:, 1] - rows[:, 0]), _Floor(float(tip.sum() / 4.0), roll * lever**2, self._step_s)
 
-    def _band(self, which: tuple[int, ...]) -> tuple[float, float]:
-        priors = [self._prior[k] for k in which]
-        low = min(p.frequency_hz for p in priors)
-        high = max(max(2.5 * p.frequency_hz, 1.5 * p.frequency_2_hz, 45.0) for p in priors)
-        return 0.3 * low, min(high, 0.4 / self._step_s)
+    def _band(self, which: tuple[int, ...]) -> tuple[float, float, float]:
+        frequencies = [self._prior[k].frequency_hz for k in which]
+        highest = 0.48 / self._step_s
+        return 0.3 * min(frequencies), min(2.2 * max(frequencies), 0.8 * highest), highest
 
     def _scanned(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
         at = 0

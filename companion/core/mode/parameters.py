@@ -11,6 +11,7 @@ from companion.params.airframe import Gust, Uncertain
 from companion.records import Floats
 
 FREQUENCY, DAMPING, LOAD, CORNER_1, CORNER_2, FREQUENCY_2, DAMPING_2, LOAD_2 = range(8)
+PARAMETERS = 8
 
 _CORNER_HZ = (8.0, 60.0)  # of a gust about which nothing is said
 _CORNER_SIGMA = 1.5

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.mode.spectrum import acceleration_density
-from companion.records import Floats
+from companion.records import Floats, Ints
 
 _TAPER = 0.4  # share of the stretch that is tapered (Tukey)
 _REACH = 5  # bins that the taper smears over
 _FINE_HZ = 0.06  # a lightly damped peak is narrower than a short stretch's bins
+_GROUP = 0.008
+_PEAK_WIDTH = 0.03
 _DELTA = 1e-4
 _LARGEST_STEP = 0.5
 _LEAST_EXPECTED = 1e-12
@@ -28,58 +30,86 @@ _LEAST_EXPECTED = 1e-12
 class Stretch:
     """The periodogram of a stretch, ready to be compared with a model.
 
+    The lower bins stand for themselves, and the model is smeared as the taper smears it; the upper ones, where no
+    peak is narrow, are averaged in groups.
+
     Attributes
     ----------
     power : (b,) float64
         Periodogram, (m/s^2)^2/Hz, one-sided.
+    frequency_hz : (b,) float64
+    weight : (b,) float64
+        Independent bins in each.
     grid_hz : (g,) float64
-        Finer frequencies on which the model is evaluated.
-    kernel : (k,) float64
-        The taper's spectral window on that grid.
-    stride : int
-        Grid points per bin.
+        Frequencies on which the model is evaluated; the last ones are those of the groups.
     floor : (g,) float64
         Sensor noise density on the grid.
-    weight : float
-        Independent bins per bin.
     """
 
     step_s: float
     power: Floats
+    frequency_hz: Floats
+    weight: Floats
     grid_hz: Floats
+    floor: Floats
     kernel: Floats
     stride: int
-    floor: Floats
-    weight: float
+    low_bins: int
+    low_grid: int
 
     def smear(self, density: Floats) -> Floats:
         """Expected periodogram of a signal of this density: (..., g) to (..., b)."""
-        k, bins = len(self.kernel), len(self.power)
-        windows = np.lib.stride_tricks.sliding_window_view(density, k, axis=-1)[..., :: self.stride, :]
-        expected: Floats = windows[..., :bins, :] @ self.kernel
-        return expected
+        low = density[..., : self.low_grid]
+        windows = np.lib.stride_tricks.sliding_window_view(low, len(self.kernel), axis=-1)[..., :: self.stride, :]
+        expected: Floats = windows[..., : self.low_bins, :] @ self.kernel
+        return np.concatenate([expected, density[..., self.low_grid :]], axis=-1)
 
 
 def make_stretch(
-    samples: Floats, step_s: float, band_hz: tuple[float, float], floor: Callable[[Floats], Floats]
+    samples: Floats, step_s: float, band_hz: tuple[float, float, float], floor: Callable[[Floats], Floats]
 ) -> Stretch:
-    """Taper and transform ``samples`` (n,); use the bins inside the band."""
+    """Taper and transform ``samples`` (n,); use the bins inside the band (lowest, first grouped, highest)."""
     n = len(samples)
     taper = _tukey(n)
-    power = taper @ taper
-    stride = max(2, int(np.ceil(1.0 / (n * step_s * _FINE_HZ))))
-    spectrum = np.fft.rfft(taper * (samples - samples.mean()))
+    energy = float(taper @ taper)
     bin_hz = 1.0 / (n * step_s)
+    stride = max(2, int(np.ceil(bin_hz / _FINE_HZ)))
+    spectrum = np.fft.rfft(taper * (samples - samples.mean()))
+    periodogram: Floats = 2.0 * step_s / energy * (spectrum.real**2 + spectrum.imag**2)
     first = max(int(np.ceil(band_hz[0] / bin_hz)), _REACH + 1)
-    last = min(int(band_hz[1] / bin_hz), n // 2 - _REACH - 1)
+    split = max(int(band_hz[1] / bin_hz), first + 8)
+    last = min(int(band_hz[2] / bin_hz), n // 2 - 1)
+    edges = _group_edges(split, last)
+    counts = np.diff(edges).astype(np.float64)
+    groups = np.add.reduceat(periodogram[: edges[-1]], edges[:-1]) / counts
+    centres = 0.5 * (edges[1:] + edges[:-1] - 1) * bin_hz
+    window = np.fft.rfft(taper, n * stride)[: _REACH * stride + 1]
+    half = window.real**2 + window.imag**2
+    kernel: Floats = np.concatenate([half[:0:-1], half])
     reach = _REACH * stride
-    window: Floats = np.abs(np.fft.rfft(taper, n * stride)[: reach + 1]) ** 2
-    kernel: Floats = np.concatenate([window[:0:-1], window])
-    grid: Floats = bin_hz / stride * np.arange(first * stride - reach, last * stride + reach + 1)
-    periodogram: Floats = 2.0 * step_s / power * np.abs(spectrum[first : last + 1]) ** 2
-    weight = power**2 / (n * np.sum(taper**4))
-    kernel /= kernel.sum()
-    return Stretch(step_s, periodogram, grid, kernel, stride, floor(grid), float(weight))
+    fine = bin_hz / stride * np.arange(first * stride - reach, (split - 1) * stride + reach + 1)
+    independent = energy**2 / (n * float(np.sum(taper**4)))
+    grid: Floats = np.concatenate([fine, centres])
+    return Stretch(
+        step_s=step_s,
+        power=np.concatenate([periodogram[first:split], groups]),
+        frequency_hz=np.concatenate([bin_hz * np.arange(first, split), centres]),
+        weight=independent * np.concatenate([np.ones(split - first), counts]),
+        grid_hz=grid,
+        floor=floor(grid),
+        kernel=kernel / float(kernel.sum()),
+        stride=stride,
+        low_bins=split - first,
+        low_grid=len(fine),
+    )
+
+
+def _group_edges(first: int, last: int) -> Ints:
+    """Bin numbers at which groups begin; each group is a small share of its frequency wide."""
+    edges = [first]
+    while edges[-1] < last:
+        edges.append(edges[-1] + max(1, int(_GROUP * edges[-1])))
+    return np.array(edges, dtype=np.int64)
 
 
 def _tukey(n: int) -> Floats:
@@ -141,7 +171,7 @@ def _density(stretch: Stretch, prior: Prior, logs: Floats) -> Floats:
 def misfit(stretch: Stretch, prior: Prior, logs: Floats) -> float:
     """Negative log likelihood of the stretch."""
     expected = np.maximum(expected_power(stretch, prior, logs), _LEAST_EXPECTED)
-    return float(stretch.weight * np.sum(np.log(expected) + stretch.power / expected))
+    return float(stretch.weight @ (np.log(expected) + stretch.power / expected))
 
 
 def cost(stretch: Stretch, prior: Prior, logs: Floats) -> float:
@@ -155,7 +185,7 @@ def fit(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> Fit:
     information = np.diag(1.0 / prior.sigma**2)
     for _ in range(rounds):
         gradient, information = _slope(stretch, prior, logs)
-        step: Floats = -np.linalg.solve(information, gradient)
+        step = -np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-12))
         gain, moved = _descend(stretch, prior, logs, step, best)
         if moved is None:
@@ -192,8 +222,8 @@ def _slope(stretch: Stretch, prior: Prior, logs: Floats) -> tuple[Floats, Floats
     expected = np.maximum(stretch.smear(base), _LEAST_EXPECTED)
     jacobian = stretch.smear(rows) / (_DELTA * expected)
     pull = (logs - prior.mean) / prior.sigma**2
-    gradient = stretch.weight * (jacobian @ (1.0 - stretch.power / expected)) + pull
-    information = stretch.weight * (jacobian @ jacobian.T) + np.diag(1.0 / prior.sigma**2)
+    gradient = jacobian @ (stretch.weight * (1.0 - stretch.power / expected)) + pull
+    information = (stretch.weight * jacobian) @ jacobian.T + np.diag(1.0 / prior.sigma**2)
     return gradient, information
 
 
@@ -206,6 +236,31 @@ def scan(stretch: Stretch, prior: Prior, start: Floats, which: int, offsets: Flo
     for k, logs in enumerate(starts):
         for _ in range(2):
             expected = np.maximum(expected_power(stretch, prior, logs), _LEAST_EXPECTED)
-            logs[load] += np.log(max(float(np.mean(stretch.power / expected)), 1e-9))
+            logs[load] += np.log(max(float(stretch.weight @ (stretch.power / expected) / stretch.weight.sum()), 1e-9))
         costs[k] = cost(stretch, prior, logs)
     return costs, starts
+
+
+def seek_peak(stretch: Stretch, prior: Prior, start: Floats, which: int) -> tuple[Floats, float]:
+    """Look for a peak that the model at ``start`` has not: the start moved there, and the log likelihood it may gain.
+
+    ``which`` is the index of the frequency to move; its damping and load follow it.
+    """
+    expected = np.maximum(expected_power(stretch, prior, start), _LEAST_EXPECTED)
+    f, w = stretch.frequency_hz, stretch.weight
+    middle, reach = prior.mean[which], 2.5 * prior.sigma[which]
+    tried = np.exp(np.arange(middle - reach, middle + reach + 1e-9, _PEAK_WIDTH))
+    tried = tried[(tried > f[0]) & (tried < 0.98 * f[-1])]
+    if not len(tried):
+        return start, 0.0
+    summed, weighed = (np.concatenate([[0.0], np.cumsum(x)]) for x in (w * stretch.power / expected, w))
+    low, high = (np.searchsorted(f, tried * (1.0 + turn * _PEAK_WIDTH)) for turn in (-1, 1))
+    count = np.maximum(weighed[high] - weighed[low], 1e-9)
+    excess = np.maximum((summed[high] - summed[low]) / count, 1.0)
+    gain = count * (excess - 1.0 - np.log(excess)) - 0.5 * ((np.log(tried) - middle) / prior.sigma[which]) ** 2
+    best = int(np.argmax(gain))
+    moved = start.copy()
+    local = float(np.interp(tried[best], f, expected)) * (excess[best] - 1.0)
+    damping = float(np.exp(prior.mean[which + 1]))
+    moved[which : which + 3] = np.log(tried[best]), prior.mean[which + 1], np.log(8.0 * damping**2 * local + 1e-12)
+    return moved, float(gain[best])
