@@ -98,12 +98,12 @@ class BinRecording(LoggedRecording):
             self.notes.add(text, severity=INFO)
         if self.log.skipped_bytes:
             self.notes.add(f"{self.path.name}: {self.log.skipped_bytes} bytes are no messages (damage), skipped")
-        dropped = self.log.take("DSF").get("Dp")
+        dropped = self.log.take("DSF", "Dp").get("Dp")
         if dropped is not None and dropped.size and dropped.max():
             self.notes.add(f"{self.path.name}: the autopilot dropped {int(dropped.max())} messages while logging")
 
     def _parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:
-        table = self.log.take("PARM")
+        table = self.log.take("PARM", "TimeUS", "Name", "Value")
         if not table:
             return
         for t_us, name, value in zip(table["TimeUS"].tolist(), table["Name"], table["Value"].tolist(), strict=True):
@@ -112,7 +112,7 @@ class BinRecording(LoggedRecording):
                 yield t_us * 1000, AutopilotParameter(text, value, t_us * 1000)
 
     def _states(self) -> Iterator[tuple[int, VehicleState]]:
-        attitude = self.log.take("ATT")
+        attitude = self.log.take("ATT", "TimeUS", "Roll", "Pitch", "Yaw")
         if not attitude:
             return
         t_us = attitude["TimeUS"].astype(np.int64)
@@ -155,11 +155,12 @@ def raw_accelerometer(log: DataflashLog, imu: int) -> tuple[Ints, Floats]:
 
 
 def _raw(log: DataflashLog, name: str, imu: int) -> tuple[Ints, Floats]:
-    table = log.take(name)
+    fields = [f"{name.capitalize()}{axis}" for axis in "XYZ"]
+    table = log.take(name, "SampleUS", "I", *fields)
     if not table:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     mine = table["I"] == imu
-    values = np.column_stack([table[f"{name.capitalize()}{axis}"][mine] for axis in "XYZ"]).astype(np.float64)
+    values = as_floats([table[field][mine] for field in fields])
     return table["SampleUS"][mine].astype(np.int64) * 1000, values
 
 
@@ -176,13 +177,19 @@ def _raw_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Floats]]:
 
 
 def _filtered_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Floats]]:
-    table = log.take("IMU")
+    names = [f"{kind}{axis}" for kind in ("Acc", "Gyr") for axis in "XYZ"]
+    table = log.take("IMU", "TimeUS", "I", *names)
     if not table or not (table["I"] == imu).any():
         return []
     mine = table["I"] == imu
-    names = [f"{kind}{axis}" for kind in ("Acc", "Gyr") for axis in "XYZ"]
-    values = np.column_stack([table[name][mine] for name in names]).astype(np.float64)
+    values = as_floats([table[name][mine] for name in names])
     return [(Axis.ALL, table["TimeUS"][mine].astype(np.int64) * 1000, values)]
+
+
+def as_floats(columns: list[Any]) -> Floats:
+    """Columns as (n, columns) float64; a not-a-number of any kind stays one, for the tracker to refuse."""
+    with np.errstate(invalid="ignore"):
+        return np.column_stack(columns).astype(np.float64)
 
 
 def in_body(values: Floats, source: Mapped, axes: Axis) -> Floats:
@@ -195,7 +202,7 @@ def in_body(values: Floats, source: Mapped, axes: Axis) -> Floats:
 
 def _latest(log: DataflashLog, message: str, field: str, t_us: Ints) -> Floats:
     """Last logged value before each instant; 0 before the first, and where the log has none."""
-    table = log.take(message)
+    table = log.take(message, "TimeUS", field)
     if not table:
         return np.zeros(t_us.size)
     values = np.concatenate([[0.0], np.nan_to_num(table[field].astype(np.float64), posinf=0.0, neginf=0.0)])
@@ -203,7 +210,7 @@ def _latest(log: DataflashLog, message: str, field: str, t_us: Ints) -> Floats:
 
 
 def _parameters(log: DataflashLog) -> dict[str, float]:
-    table = log.take("PARM")
+    table = log.take("PARM", "Name", "Value")
     if not table:
         return {}
     return {

@@ -91,13 +91,14 @@ class DataflashLog:
         numbers, counts = np.unique(self._types, return_counts=True)
         return {self._formats[int(n)].name: int(c) for n, c in zip(numbers, counts, strict=True)}
 
-    def take(self, name: str) -> dict[str, Any]:
-        """Give all messages of a kind as a dict of field name to array, in log order; empty where there are none.
+    def take(self, name: str, *needed: str) -> dict[str, Any]:
+        """Give all messages of a kind as a dict of field name to array, in log order.
 
+        Empty where there are none, or where this log's version of them lacks a ``needed`` field.
         Integers and floats keep their width, scaled fields become float64 in their unit, texts bytes.
         """
         for number, entry in self._formats.items():
-            if entry.name == name:
+            if entry.name == name and set(needed) <= set(entry.fields):
                 table = self._table(number, entry)
                 return {
                     field: _scaled(table[field], letter)

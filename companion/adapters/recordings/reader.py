@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 import tomllib
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -69,23 +71,30 @@ class McapRecording:
         self.path = path
         self._notes = Notes()
         self._segments, self._complete = _scan(path)
-        facts = self._metadata()
+        try:
+            facts, texts = self._header()
+            self._understand(facts, texts)
+        except (*_DAMAGE, KeyError) as error:
+            raise RecordingError(f"{path}: its header is damaged, nothing can be read ({error})") from error
+        if airframe is not None:
+            self.airframe = airframe
+        self._say_what_is_wrong("spanwise.end" in facts)
+
+    def _understand(self, facts: dict[str, dict[str, str]], texts: dict[str, str]) -> None:
         if "spanwise" not in facts:
-            raise RecordingError(f"{path}: an MCAP file, but not a recording of Spanwise (no metadata 'spanwise')")
+            raise RecordingError(f"{self.path}: an MCAP file, but not a recording of Spanwise (no metadata 'spanwise')")
         about = facts["spanwise"]
-        if int(about.get("format", "0")) > FORMAT_VERSION:
-            raise RecordingError(f"{path}: written by a newer Spanwise ({about.get('software')}); update to read it")
+        if int(about["format"]) > FORMAT_VERSION:
+            raise RecordingError(f"{self.path}: written by a newer Spanwise ({about['software']}); update to read it")
+        if not {"airframe.toml", "settings.toml"} <= texts.keys():
+            raise RecordingError(f"{self.path}: cut off before the airframe and the settings; nothing can be read")
         self.software = about["software"]
         self.hub = ClockName(about["hub"])
         self.images = ImageFormat(about["images"])
-        texts = self._attachments()
-        if not {"airframe.toml", "settings.toml"} <= texts.keys():
-            raise RecordingError(f"{path}: cut off before the airframe and the settings; nothing can be read")
-        self.airframe = airframe or parse_airframe(texts["airframe.toml"], f"{path} (airframe.toml)")
+        self.airframe = parse_airframe(texts["airframe.toml"], f"{self.path} (airframe.toml)")
         self.settings = load_settings(texts["settings.toml"])
         self.dropped = int(facts.get("spanwise.drops", {}).get("dropped", "0"))
         self.replayable = self.dropped == 0
-        self._say_what_is_wrong("spanwise.end" in facts)
 
     @property
     def airframe_text(self) -> str:
@@ -123,12 +132,13 @@ class McapRecording:
         channels: dict[int, mcap.Channel] = {}
         with self.path.open("rb") as file:
             for segment in [part for part in self._segments if part.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)]:
-                _learn(_parse(file, segment), schemas, channels)
+                with contextlib.suppress(*_DAMAGE):  # copies of what the chunks declare
+                    _learn(_parse(file, segment), schemas, channels)
             for segment in [part for part in self._segments if part.opcode == Opcode.CHUNK]:
                 for record in self._chunk(file, segment):
                     if not isinstance(record, mcap.Message):
                         _learn(record, schemas, channels)
-                    elif record.channel_id in channels:
+                    elif record.channel_id in channels and channels[record.channel_id].schema_id in schemas:
                         yield schemas[channels[record.channel_id].schema_id], record
                     else:
                         self._notes.add(
@@ -143,15 +153,19 @@ class McapRecording:
             self._notes.add(f"{self.path.name}: the chunk at byte {segment.offset} is damaged and left out ({error})")
             return []
 
-    def _metadata(self) -> dict[str, dict[str, str]]:
+    def _header(self) -> tuple[dict[str, dict[str, str]], dict[str, str]]:
+        facts: dict[str, dict[str, str]] = {}
+        texts: dict[str, str] = {}
         with self.path.open("rb") as file:
-            found = [_parse(file, part) for part in self._segments if part.opcode == Opcode.METADATA]
-        return {record.name: record.metadata for record in found}
-
-    def _attachments(self) -> dict[str, str]:
-        with self.path.open("rb") as file:
-            found = [_parse(file, part) for part in self._segments if part.opcode == Opcode.ATTACHMENT]
-        return {record.name: record.data.decode() for record in found}
+            for segment in self._segments:
+                if segment.opcode == Opcode.METADATA:
+                    record = _parse(file, segment)
+                    facts[record.name] = record.metadata
+                elif segment.opcode == Opcode.ATTACHMENT:
+                    _check_attachment(file, segment)
+                    record = _parse(file, segment)
+                    texts[record.name] = record.data.decode()
+        return facts, texts
 
     def _say_what_is_wrong(self, ended: bool) -> None:
         if not (ended and self._complete):
@@ -216,6 +230,13 @@ _PARSERS = {
 def _parse(file: BinaryIO, segment: _Segment) -> Any:
     file.seek(segment.offset)
     return _PARSERS[Opcode(segment.opcode)].read(ReadDataStream(BytesIO(file.read(segment.length))))
+
+
+def _check_attachment(file: BinaryIO, segment: _Segment) -> None:
+    file.seek(segment.offset)
+    content = file.read(segment.length)
+    if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little"):
+        raise ValueError("checksum of an attachment")
 
 
 def _learn(record: Any, schemas: dict[int, mcap.Schema], channels: dict[int, mcap.Channel]) -> None:

@@ -19,7 +19,7 @@ from pyulog import ULog
 
 from companion.adapters.mavlink.mapping import Mapped, build_mapping
 from companion.adapters.mavlink.translate import PARAMETER_PREFIXES
-from companion.adapters.recordings.bin import imu_of, in_body
+from companion.adapters.recordings.bin import as_floats, imu_of, in_body
 from companion.adapters.recordings.recording import LoggedRecording, Stream, join, merge, timed
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
@@ -201,7 +201,7 @@ class UlogRecording(LoggedRecording):
 def _part(axes: Axis, t_us: Ints, columns: list[Any]) -> _Part:
     values = np.zeros((t_us.size, 6))
     first = 0 if axes & Axis.ACCEL else 3
-    values[:, first : first + 3] = np.column_stack(columns)
+    values[:, first : first + 3] = as_floats(columns)
     order = np.argsort(t_us, kind="stable")
     return axes, (t_us * 1000)[order], values[order]
 
