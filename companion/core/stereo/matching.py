@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.rectify import Rectification, rectification, rectify_pair
+from companion.core.stereo.rectify import Rectification, halved, rectification, rectify_pair
 from companion.core.stereo.refine import HALF_WINDOW, refine
 from companion.core.stereo.search import Band, Search, bands, seek
 from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side
@@ -59,13 +59,13 @@ def match(left: Bytes, right: Bytes, rig: Rig, search: Search, most: int = 200) 
         Largest number of features that are tried.
     """
     frame = rectification(rig, search.left, search.right)
-    corners = _corners(left, 2 * most)
+    level = max(0, round(np.log2(left.shape[1] / _COARSE_WIDTH_PX)))
+    corners = _corners(left, 2 * most, level)
     seen = frame.to_rectified(rig.left, search.left, corners.astype(np.float64))
     band = bands(search, frame, seen, Side.LEFT)
     chosen = np.flatnonzero(_reachable(band, frame))[:most]
     corners, seen, band = corners[chosen], seen[chosen], _rows(band, chosen)
 
-    level = max(0, round(np.log2(left.shape[1] / _COARSE_WIDTH_PX)))
     small = rectify_pair(frame, rig, left, right, level)
     coarse = seek(*small, seen * 0.5**level, _scale(band, 0.5**level))
     kept = _distinct(coarse.score, coarse.runner_up)
@@ -95,14 +95,20 @@ def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int, 
     )
 
 
-def _corners(image: Bytes, most: int) -> Ints:
-    """Column, row of the strongest corners (n, 2), best first, away from the border."""
-    mask = np.zeros_like(image)
-    mask[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = 1
-    corners = cv2.goodFeaturesToTrack(image, most, _CORNER_QUALITY, _CORNER_SPACING_PX, mask=mask, blockSize=5)
+def _corners(image: Bytes, most: int, level: int) -> Ints:
+    """Column, row of the strongest corners (n, 2), best first, away from the border.
+
+    They are looked for in the small image, ten times faster: texture over the window counts, not a sharp corner.
+    """
+    small = halved(image, level)
+    border = -(-_BORDER_PX // 2**level)
+    mask = np.zeros_like(small)
+    mask[border:-border, border:-border] = 1
+    spacing = _CORNER_SPACING_PX / 2**level
+    corners = cv2.goodFeaturesToTrack(small, most, _CORNER_QUALITY, spacing, mask=mask, blockSize=5)
     if corners is None:
         return np.empty((0, 2), dtype=np.int64)
-    whole: Ints = np.rint(corners.reshape(-1, 2)).astype(np.int64)
+    whole: Ints = np.rint(corners.reshape(-1, 2)).astype(np.int64) * 2**level
     return whole
 
 

@@ -95,12 +95,16 @@ def rectify(frame: Rectification, camera: MountedCamera, pose: Pose, image: Byte
 
     The float maps are built anew for each call, because each frame has a pose of its own.
     """
-    small = image
-    for _ in range(level):
-        small = cv2.pyrDown(small)
     map_x, map_y = rectification_maps(frame, camera.lens, pose, level)
-    resampled: Bytes = cv2.remap(small, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    resampled: Bytes = cv2.remap(halved(image, level), map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return resampled
+
+
+def halved(image: Bytes, level: int) -> Bytes:
+    """The image smoothed and halved so many times; its pixel i lies on pixel ``2^level i`` of the original."""
+    for _ in range(level):
+        image = cv2.pyrDown(image)
+    return image
 
 
 def rectify_pair(frame: Rectification, rig: Rig, left: Bytes, right: Bytes, level: int = 0) -> tuple[Bytes, Bytes]:
