@@ -29,6 +29,7 @@ from companion.records import (
     RawChunk,
     Record,
     Reject,
+    Rejected,
     ServiceStatus,
     Shot,
     TimesyncReply,
@@ -118,10 +119,11 @@ class Vehicle:
             value = self.loop_hz if message.param_id == "SCHED_LOOP_RATE" else 20.0
             self.say(mavlink.MAVLink_param_value_message(message.param_id.encode(), value, 9, 100, 1))
 
-    def stream(self, message: int) -> None:
+    def stream(self, message: int, component: int = 1) -> None:
         t_us = (self.clock.now + self.offset_ns) // 1000
         if message == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU:
-            self.say(mavlink.MAVLink_highres_imu_message(t_us, 0, 0, -9.8, 0, 0, 0, 0, 0, 0, 0, 0, 0, 20, 63))
+            values = (0, 0, -9.8, 0, 0, 0)
+            self.say(mavlink.MAVLink_highres_imu_message(t_us, *values, 0, 0, 0, 0, 0, 0, 20, 63), component)
 
     def of(self, kind: str) -> list[Any]:
         return [message for message in self.heard if message.get_type() == kind]
@@ -197,7 +199,14 @@ def test_the_recorded_chunks_replay_to_the_same_records() -> None:
     bench = Bench()
     records = bench.fly(2)
     bench.vehicle.offset_ns -= 40 * S  # a reboot
-    records += bench.fly(2)
+    while not any(chunk.link >= OUTGOING for chunk in kinds(records[-3:], RawChunk)):
+        records += bench.fly(0.005)
+    # refusals are reported once a second, so these are next reported with a request of ours
+    bench.vehicle.packers[158] = mavlink.MAVLink(None, 3, 158)
+    for _ in range(300):
+        bench.vehicle.stream(105, component=158)
+        records += bench.fly(0.005)
+    assert Reject.FOREIGN_SOURCE in {record.reason for record in kinds(records, Rejected)}
     chunks = kinds(records, RawChunk)
     assert {chunk.link for chunk in chunks} == {0, OUTGOING}
     decoder = Decoder(load_airframe("nadir-2m"), Settings().component_id)
