@@ -201,7 +201,8 @@ def test_the_recorded_chunks_replay_to_the_same_records() -> None:
     bench.vehicle.offset_ns -= 40 * S  # a reboot
     while not any(chunk.link >= OUTGOING for chunk in kinds(records[-3:], RawChunk)):
         records += bench.fly(0.005)
-    # refusals are reported once a second, so these are next reported with a request of ours
+    # refusals are reported once a second: first in the poll of our next request, then with a later one of its period
+    records += bench.fly(0.095)
     bench.vehicle.packers[158] = mavlink.MAVLink(None, 3, 158)
     for _ in range(300):
         bench.vehicle.stream(105, component=158)
