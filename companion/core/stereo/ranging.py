@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -89,44 +90,69 @@ def correct(
     sigma_rad = matches.sigma_px / rig.left.lens.focal_px
     depths = triangulate(rays, sight, sigma_rad)
     reading = read(depths, Product(settings.product), settings.min_matches)
-    toe_rad = toe_between(rig, moving)
-    toe_sigma_rad = budget(toe_gradient(_epipolar_y(moving)), rig, airframe, left, moving, timing_sigma_s).total
+    toe = _Toe(
+        toe_between(rig, moving),
+        budget(toe_gradient(_epipolar_y(moving)), rig, airframe, left, moving, timing_sigma_s).total,
+    )
     t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
-    if reading is None or not np.isfinite(toe_rad + toe_sigma_rad):
+    if reading is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
         reason = Reject.NO_MATCHES if reading is None else Reject.NOT_FINITE
         refused = _refused(matches, t_host_ns, airframe.orientation, settings, reason)
         return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
 
-    def inverse_depths(changed: Rays) -> Floats:
-        return triangulate(changed, sight, np.ones(len(changed.left))).inverse_pm
-
+    inverse_depths = partial(_inverse_depths, sight)
     gradient = gradient_of(inverse_depths, reading.influence, rays, moving)
     causes = budget(gradient, rig, airframe, left, moving, timing_sigma_s)
-    common_pm = _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)
-    match_pm = float(np.hypot(reading.sigma_pm, common_pm))
+    match_pm = float(np.hypot(reading.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
     rigid = np.nan_to_num(inverse_depths(match_rays(rig, rest_exposures(rig), matches)))
-    range_m, rigid_m = _metres(reading.inverse_pm), _metres(float(rigid @ reading.influence))
-    sigma_m = min(float(np.hypot(match_pm, causes.total)) * range_m**2, settings.max_range_m)
+    answer = _answer(
+        matches, t_host_ns, airframe, settings, toe, reading, float(np.hypot(match_pm, causes.total)), rigid
+    )
+    square = answer.range_m**2
+    in_metres = Budget(causes.modal * square, causes.calibration * square, causes.timing * square)
+    sectors = None
+    if airframe.orientation == _FORWARD:
+        sectors = matched_sectors(depths, sight, causes.total, t_host_ns, settings)
+    return RangeAnswer(answer, sectors, depths, match_pm * square, in_metres)
+
+
+@dataclass(frozen=True, slots=True)
+class _Toe:
+    angle_rad: float
+    sigma_rad: float
+
+
+def _inverse_depths(sight: Sight, rays: Rays) -> Floats:
+    return triangulate(rays, sight, np.ones(len(rays.left))).inverse_pm
+
+
+def _answer(
+    matches: MatchSet,
+    t_host_ns: int,
+    airframe: Airframe,
+    settings: Settings,
+    toe: _Toe,
+    reading: Reading,
+    sigma_pm: float,
+    rigid_pm: Floats,
+) -> CorrectedRange:
+    range_m = _metres(reading.inverse_pm)
+    sigma_m = min(sigma_pm * range_m**2, settings.max_range_m) if range_m > 0.0 else settings.max_range_m
     reject = _judge(reading, range_m, sigma_m, settings)
-    answer = CorrectedRange(
+    return CorrectedRange(
         pair_id=matches.pair_id,
         plan_id=matches.plan_id,
         t_host_ns=t_host_ns,
         orientation=airframe.orientation,
         range_m=range_m,
         sigma_m=sigma_m,
-        toe_rad=toe_rad,
-        toe_sigma_rad=toe_sigma_rad,
-        rigid_range_m=rigid_m,
+        toe_rad=toe.angle_rad,
+        toe_sigma_rad=toe.sigma_rad,
+        rigid_range_m=_metres(float(rigid_pm @ reading.influence)),
         matches=reading.used,
         trusted=reject is None,
         reject=reject,
     )
-    in_metres = Budget(causes.modal * range_m**2, causes.calibration * range_m**2, causes.timing * range_m**2)
-    sectors = None
-    if airframe.orientation == _FORWARD:
-        sectors = matched_sectors(depths, sight, causes.total, t_host_ns, settings)
-    return RangeAnswer(answer, sectors, depths, match_pm * range_m**2, in_metres)
 
 
 def range_axis(orientation: int) -> Floats:
