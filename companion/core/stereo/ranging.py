@@ -12,7 +12,7 @@ from companion.core.stereo.geometry import Rig, axes_from_body
 from companion.core.stereo.sectors import matched_sectors
 from companion.core.stereo.sigma import Budget, budget, gradient_of, toe_gradient
 from companion.core.stereo.surface import Product, Reading, read
-from companion.core.stereo.triangulation import Depths, Rays, match_rays, sight_along, triangulate
+from companion.core.stereo.triangulation import Depths, Rays, Sight, match_rays, sight_along, triangulate
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
