@@ -122,17 +122,29 @@ def test_sigma_is_rate_sigma_over_acceleration(airframe: Airframe) -> None:
         assert instant.sigma_ns == pytest.approx(0.01 / acceleration * 1e9, rel=0.05)
 
 
-def test_sigma_agrees_with_perturbed_forecasts(airframe: Airframe) -> None:
-    """Monte Carlo of the same: add constant errors of both slope rates and see the minimum move."""
+@pytest.mark.parametrize("anti_m", [0.0, 0.002])
+@pytest.mark.parametrize("deflection_sigma_m", [0.0, 0.0005])
+def test_sigma_agrees_with_perturbed_forecasts(airframe: Airframe, anti_m: float, deflection_sigma_m: float) -> None:
+    """Monte Carlo of the same: errors of both slope rates, and of both deflections, whose springs then pull wrongly."""
     model, latency, rng = BlurModel(airframe), LatencyModel(airframe), np.random.default_rng(3)
-    base = wing(S, anti_m=0.002)
-    covariance = np.array([[4e-4, 1e-4], [1e-4, 9e-4]])
-    base = dataclasses.replace(base, slope_rate_covariance=np.tile(covariance, (len(base.t_host_ns), 1, 1)))
+    base = wing(S, anti_m=anti_m)
+    n = len(base.t_host_ns)
+    rate_covariance = np.array([[4e-4, 1e-4], [1e-4, 9e-4]])
+    base = dataclasses.replace(
+        base,
+        slope_rate_covariance=np.tile(rate_covariance, (n, 1, 1)),
+        q_covariance=np.tile(deflection_sigma_m**2 * np.eye(2), (n, 1, 1)),
+    )
     nominal = still_instants(model.predict(base, latency, Motion()))[0]
+    elapsed_s = (base.t_host_ns - nominal.t_host_ns)[:, None] * 1e-9
     moved = []
-    for error in rng.multivariate_normal([0.0, 0.0], covariance, 300):
-        shifted = dataclasses.replace(base, slope_rate_radps=base.slope_rate_radps + error)
-        instants = still_instants(model.predict(shifted, latency, Motion()))
+    for _ in range(250):
+        rate_error = rng.multivariate_normal([0.0, 0.0], rate_covariance)
+        symmetric, antisymmetric = deflection_sigma_m * rng.standard_normal(2)
+        pull = -FACTOR_RADPM * (2 * np.pi) ** 2 * np.array([25.0 * symmetric, 6.4**2 * antisymmetric])
+        acceleration_error = np.array([pull[0] - pull[1], pull[0] + pull[1]])
+        shifted = base.slope_rate_radps + rate_error + acceleration_error * elapsed_s
+        instants = still_instants(model.predict(dataclasses.replace(base, slope_rate_radps=shifted), latency, Motion()))
         moved.append(min((i.t_host_ns - nominal.t_host_ns for i in instants), key=abs))
     assert np.std(moved) == pytest.approx(nominal.sigma_ns, rel=0.2)
 

@@ -51,7 +51,7 @@ class BlurForecast:
         What a slope rate of 1 rad/s adds to it.
     rate_radps, acceleration_radps2 : (n, 2) float64
         Slope rate at each side's exposure, and its derivative.
-    rate_covariance : (n, 2, 2) float64
+    rate_covariance, acceleration_covariance : (n, 2, 2) float64
     rms_px : (n, 2) float64
         Expected rms blur, with the uncertainty of rate and exposure time, and the motion within the exposure.
     """
@@ -62,6 +62,7 @@ class BlurForecast:
     rate_radps: Floats
     acceleration_radps2: Floats
     rate_covariance: Floats
+    acceleration_covariance: Floats
     rms_px: Floats
 
 
@@ -70,6 +71,7 @@ class BlurModel:
 
     def __init__(self, airframe: Airframe) -> None:
         self._eyes: _Eyes | None = None
+        self._spring = _spring(airframe)
         left, right = airframe.left_camera, airframe.right_camera
         if left is not None and right is not None:
             self._eyes = _eyes(airframe, (left, right))
@@ -86,7 +88,14 @@ class BlurModel:
         rms = np.sqrt(np.sum(image**2, axis=2) + spread)
         shown = rms if self._eyes else np.zeros_like(rms)
         return BlurForecast(
-            forecast.t_host_ns, image, per_rate, rate, acceleration, forecast.slope_rate_covariance, shown
+            t_host_ns=forecast.t_host_ns,
+            motion=image,
+            motion_per_rate=per_rate,
+            rate_radps=rate,
+            acceleration_radps2=acceleration,
+            rate_covariance=forecast.slope_rate_covariance,
+            acceleration_covariance=self._spring @ forecast.q_covariance @ self._spring.T,
+            rms_px=shown,
         )
 
     def _linear(self, body_rate_radps: Floats, motion: Motion) -> tuple[Floats, Floats, Floats]:
@@ -132,6 +141,14 @@ def _eyes(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _Eyes:
         lifts.append(shifts[-1] @ np.array([0.0, 0.0, -camera.lift_gain / factor]))
     exposure_s = np.array([camera.exposure_s for camera in cameras])
     return _Eyes(np.array(turns), np.array(shifts), np.array(levers), np.array(slopes), np.array(lifts), exposure_s)
+
+
+def _spring(airframe: Airframe) -> Floats:
+    """Slope acceleration of the left and right tip per metre of the symmetric and antisymmetric mode, (2, 2)."""
+    modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
+    pull = [-((2 * np.pi * mode.frequency_hz.value) ** 2) * mode.slope_factor_radpm.value for mode in modes]
+    spring: Floats = np.array([[1.0, -1.0], [1.0, 1.0]]) * np.array(pull)
+    return spring
 
 
 def _cross(vector: Floats) -> Floats:

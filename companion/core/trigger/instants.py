@@ -1,8 +1,9 @@
 """The instants at which both images stand stillest, and how well each is known.
 
 J(t) = sum over both cameras of |motion|^2 has a minimum where the wing stands still (in the paper's case, one symmetric
-mode, at the deflection peaks). An error dx of the slope rates moves it by -(dJ'/dx . dx) / J'', so with one mode the
-time's sigma is that of the slope rate over the slope acceleration.
+mode, at the deflection peaks). Errors dx of the slope rates and dx' of their derivatives move it by
+-(dJ'/dx . dx + dJ'/dx' . dx') / J''. With one mode the second part vanishes and the time's sigma is that of the slope
+rate over the slope acceleration; where the minimum is a compromise between two modes, it does not.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ class StillInstant:
     blur_px: float
 
 
-def still_instants(blur: BlurForecast) -> list[StillInstant]:
-    """Find the local minima of the predicted blur, in order of time."""
+def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[StillInstant]:
+    """Find the local minima of the predicted blur, in order of time, those before ``from_host_ns`` left out."""
     energy = np.sum(blur.motion**2, axis=(1, 2))
     inner = (energy[1:-1] <= energy[:-2]) & (energy[1:-1] < energy[2:])
-    return [_refine(blur, energy, int(i) + 1) for i in np.flatnonzero(inner)]
+    found = np.flatnonzero(inner & (blur.t_host_ns[1:-1] >= from_host_ns)) + 1
+    return [_refine(blur, energy, i) for i in found.tolist()]
 
 
 def blur_at_px(blur: BlurForecast, t_host_ns: int) -> float:
@@ -47,10 +49,17 @@ def _refine(blur: BlurForecast, energy: Floats, i: int) -> StillInstant:
     share = 0.5 * float(energy[i - 1] - energy[i + 1]) / bend
     t_ns = int(blur.t_host_ns[i]) + round(share * step_ns)
     curvature = bend / (step_ns * 1e-9) ** 2
-    # dJ/dt = sum 2 (motion . per_rate) x', and by the rates x: 2 |per_rate|^2 x'
-    gradient = 2.0 * np.sum(blur.motion_per_rate**2, axis=1) * blur.acceleration_radps2[i]
-    spread = float(np.sqrt(gradient @ blur.rate_covariance[i] @ gradient))
-    sigma_ns = min(spread / curvature * 1e9, _WORST_SIGMA_NS)
+    sigma_ns = min(np.sqrt(_slope_variance(blur, i, share)) / curvature * 1e9, _WORST_SIGMA_NS)
     square = blur.rms_px[i - 1 : i + 2] ** 2
     rms2 = square[1] + share * (square[2] - square[0]) / 2 + share**2 * (square[2] - 2 * square[1] + square[0]) / 2
     return StillInstant(t_ns, round(sigma_ns), float(np.sqrt(max(rms2.max(), 0.0))))
+
+
+def _slope_variance(blur: BlurForecast, i: int, share: float) -> float:
+    """Variance of dJ/dt = sum of 2 (motion . per_rate) x' at the minimum, from those of x and x'."""
+    per_rate = blur.motion_per_rate
+    motion = blur.motion[i] + share * (blur.motion[i + 1] - blur.motion[i - 1]) / 2
+    by_rate = 2.0 * np.sum(per_rate**2, axis=1) * blur.acceleration_radps2[i]
+    by_acceleration = 2.0 * np.sum(motion * per_rate, axis=1)
+    variance = by_rate @ blur.rate_covariance[i] @ by_rate
+    return float(variance + by_acceleration @ blur.acceleration_covariance[i] @ by_acceleration)

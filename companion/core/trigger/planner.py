@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -170,7 +171,7 @@ class Planner:
 
     def _peak(self, blur: BlurForecast, now_ns: int) -> _Draft | None:
         """Take the next still instant, or the timer where none comes in its turn."""
-        instants = still_instants(blur)
+        instants = still_instants(blur, now_ns)
         if self._slips_away(instants, now_ns):
             return None
         early_ns = round(_EARLY_SHARE * self._interval_ns)
@@ -247,8 +248,8 @@ _WHY = {
 def _spacing(instants: list[StillInstant]) -> int:
     if len(instants) < 2:
         return _ANY_SPACING_NS
-    times = [instant.t_host_ns for instant in instants]
-    return int(np.median(np.diff(times)))
+    gaps = [later.t_host_ns - earlier.t_host_ns for earlier, later in itertools.pairwise(instants)]
+    return sorted(gaps)[len(gaps) // 2]
 
 
 def _same(held: _Draft, new: _Draft) -> bool:
