@@ -43,6 +43,18 @@ class History:
     static_m: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class _View:
+    """What a pattern of present rows leaves of the model; ``lateral`` lists (row, bias state, side)."""
+
+    rows: Ints
+    square: tuple[Ints, ...]
+    sense: Floats
+    cross: Floats
+    measured: Floats
+    lateral: list[tuple[int, int, int]]
+
+
 class Kalman:
     """State, covariance and constants; see the module's equations.
 
@@ -88,10 +100,8 @@ class Kalman:
             np.zeros((keep, n, n)),
             np.zeros((keep, 1 + c)),
         )
-        self._slope_terms = _slope_terms(layout)
-        self._views: dict[int, tuple[Ints, Floats, Floats, Floats]] = {}
-        self._lateral: dict[int, list[tuple[int, int, int]]] = {}
-        self._views_of = model
+        self._views: dict[int, _View] = {}
+        self.use(model)
 
     @property
     def state(self) -> Floats:
@@ -140,20 +150,20 @@ class Kalman:
         self._turn(cells, k, data)
         h.state[at], h.covariance[at], h.transition[at] = x[:n], self.covariance, model.transition
         h.static_m[at] = x[n]
-        rows, sense, cross, measured = self._view(pattern)
-        m = len(rows)
+        view = self._view(pattern)
+        m = len(view.rows)
         a = model.transition[:, :n]
         grown = a @ self.covariance @ a.T + model.noise
         if m:
-            for local, bias, side in self._lateral[pattern]:
-                sense[local, bias] = cells.lateral_gain[k, side]
-            g = sense[:, :n]
+            for local, bias, side in view.lateral:
+                view.sense[local, bias] = cells.lateral_gain[k, side]
+            g = view.sense[:, :n]
             pg = self.covariance @ g.T
-            c = a @ pg + cross
-            s = g @ pg + measured + sensor[np.ix_(rows, rows)]
+            c = a @ pg + view.cross
+            s = g @ pg + view.measured + sensor[view.square]
             _, inverse, _ = lapack.dposv(s, _EYE[:m, :m])
             gain = c @ inverse
-            innovation = data[rows] - sense @ x
+            innovation = data[view.rows] - view.sense @ x
             grown -= gain @ c.T
             x[:n] = model.transition @ x + gain @ innovation
             self._information += innovation.T @ (inverse @ innovation)
@@ -166,28 +176,21 @@ class Kalman:
         self._unsolved += 1
         self.steps += 1
 
-    def _view(self, pattern: int) -> tuple[Ints, Floats, Floats, Floats]:
+    def _view(self, pattern: int) -> _View:
         """The model's rows that a pattern of present ones leaves."""
-        if self._views_of is not self.model:
-            self._views.clear()
-            self._views_of = self.model
         view = self._views.get(pattern)
         if view is None:
-            model = self.model
             rows = np.flatnonzero((pattern >> np.arange(ROWS)) & 1)
-            view = (
-                rows,
-                model.sense[rows],
-                np.ascontiguousarray(model.cross[:, rows]),
-                model.measured[np.ix_(rows, rows)],
-            )
-            self._views[pattern] = view
             biases = dict(self.layout.bias)
-            self._lateral[pattern] = [
+            lateral = [
                 (local, biases[int(row)], int(row) - Y_LEFT)
                 for local, row in enumerate(rows)
                 if Y_LEFT <= row < P_LEFT and int(row) in biases
             ]
+            model = self.model
+            cross, measured = np.ascontiguousarray(model.cross[:, rows]), model.measured[np.ix_(rows, rows)]
+            view = _View(rows, np.ix_(rows, rows), model.sense[rows], cross, measured, lateral)
+            self._views[pattern] = view
         return view
 
     def _static_bend(self, load: float) -> None:
@@ -200,23 +203,28 @@ class Kalman:
 
     def _turn(self, cells: Cells, k: int, data: Floats) -> None:
         """Fill in what depends on the state: the tip's own tilt, and the columns of the slope factors."""
-        model = self.model
-        now = self.columns @ self._weights
-        ahead = model.transition @ now
-        middle = 0.5 * (now[:-1] + ahead)
-        slopes = model.slope @ middle
-        rates = model.slope @ (ahead - now[:-1]) / model.step_s
-        turned, bowed, tilted = cells.turned[k], cells.bowed[k], cells.tilted[k]
-        data[Z_LEFT:M_LEFT, 0] += slopes * (turned + 0.5 * slopes * bowed)
-        data[Y_LEFT:P_LEFT, 0] += tilted * rates
-        present = cells.present[k]
-        for column, q, sign in self._slope_terms:
-            rate = (ahead[q] - now[q]) / model.step_s
+        seen = self._watch @ (self.columns @ self._weights)
+        slopes, rates = seen[:2], seen[2:4]
+        data[Z_LEFT:M_LEFT, 0] += slopes * (cells.turned[k] + 0.5 * slopes * cells.bowed[k])
+        data[Y_LEFT:P_LEFT, 0] += cells.tilted[k] * rates
+        data[self._factor_rows, self._factor_columns] = seen[4:]
+
+    def use(self, model: StepModel) -> None:
+        """Go on with another model of the same wing."""
+        self.model = model
+        self._views.clear()
+        n = self.layout.size
+        ahead, now = model.transition, np.eye(n, n + 1)
+        middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s
+        watch = [model.slope @ middle, model.slope @ rate]
+        rows, columns = [], []
+        for column, q, sign in _slope_terms(self.layout):
             for side, turn in ((0, 1.0), (1, -1.0)):
-                if present[Y_LEFT + side]:
-                    data[Y_LEFT + side, column] = -sign[side] * middle[q]
-                if present[P_LEFT + side]:
-                    data[P_LEFT + side, column] = -turn * sign[side] * rate
+                watch += [-sign[side] * middle[q : q + 1], -turn * sign[side] * rate[q : q + 1]]
+                rows += [Y_LEFT + side, P_LEFT + side]
+                columns += [column, column]
+        self._watch = np.concatenate(watch)
+        self._factor_rows, self._factor_columns = np.array(rows, np.int64), np.array(columns, np.int64)
 
     def _solve(self) -> None:
         self._unsolved = 0

@@ -85,6 +85,11 @@ class Stream:
         self._settle()
         return int(self.t_ns[0]) if len(self.t_ns) else None
 
+    def samples(self) -> tuple[Ints, Floats]:
+        """Everything at hand, in order of the stamps."""
+        self._settle()
+        return self.t_ns, self.values
+
     def forget(self, before_ns: int) -> None:
         """Drop what lies before an instant."""
         self._settle()

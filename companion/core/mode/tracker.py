@@ -134,7 +134,7 @@ class WingTracker:
             fresh.run(join(self._early))
             self._kalman = fresh
         else:
-            self._kalman.model = model
+            self._kalman.use(model)
         if not self._adaptation.early:
             self._early.clear()
 

@@ -1,0 +1,70 @@
+"""Cell averages and moments, and the low-pass undone: against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.mode.averaging import cell_means, cell_means_unfiltered
+
+H = 0.004
+
+
+def _averages_of_sine(frequency_hz: float, edges: np.ndarray) -> np.ndarray:
+    w = 2 * np.pi * frequency_hz
+    return -np.diff(np.cos(w * edges)) / (w * np.diff(edges))
+
+
+def test_aligned_samples_are_averaged_exactly_whatever_they_are() -> None:
+    t = np.arange(200) * 1e-3 + 0.5e-3
+    y = np.random.default_rng(1).normal(size=(200, 6))
+    edges = 0.008 + H * np.arange(40)
+    mean, moment = cell_means(t, y, edges)
+    first = 8
+    grouped = y[first : first + 156].reshape(39, 4, 6)
+    np.testing.assert_allclose(mean, grouped.mean(axis=1), atol=1e-12)
+    # an integrating sensor knows its integral only at the edges of the samples: the moment is that of a smooth path
+    coarse = grouped[:, :, 2] @ (np.arange(4) - 1.5) / 16
+    assert np.corrcoef(moment, coarse)[0, 1] > 0.98
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.13e-3, 0.5e-3, 0.77e-3])
+@pytest.mark.parametrize("frequency", [2.0, 5.0, 20.0])
+def test_mean_and_moment_of_a_sine_for_any_phase_of_the_grid(shift: float, frequency: float) -> None:
+    knots = np.arange(301) * 1e-3
+    y = np.repeat(_averages_of_sine(frequency, knots)[:, None], 6, axis=1)
+    edges = 0.02 + shift + H * np.arange(60)
+    mean, moment = cell_means(0.5 * (knots[1:] + knots[:-1]), y, edges)
+    w, middle = 2 * np.pi * frequency, 0.5 * (edges[1:] + edges[:-1])
+    a = w * H / 2
+    bound = 0.01 * (w * 1e-3) ** 2  # second order in the sample time, and only at the cell's two ends
+    np.testing.assert_allclose(mean[:, 0], np.sin(w * middle) * np.sin(a) / a, atol=bound)
+    true_moment = np.cos(w * middle) * 2 * (np.sin(a) - a * np.cos(a)) / (w * H) ** 2
+    np.testing.assert_allclose(moment, true_moment, atol=bound)
+
+
+@pytest.mark.parametrize("frequency", [0.5, 5.0, 12.0])
+def test_a_butterworth_low_pass_is_undone_in_gain_and_phase(frequency: float) -> None:
+    cutoff = 20.0
+    t = np.arange(400) / 333.0
+    w = 2 * np.pi * frequency
+    s = 1j * frequency / cutoff
+    response = 1 / (1 + np.sqrt(2) * s + s * s)
+    y = np.repeat(np.imag(response * np.exp(1j * w * t))[:, None], 6, axis=1)
+    edges = 0.1 + H * np.arange(200)
+    mean = cell_means_unfiltered(t, y, edges, np.array([cutoff] * 3 + [0.0] * 3))
+    true = _averages_of_sine(frequency, edges)
+    assert np.abs(mean[:, 0] - true).max() < 0.015
+    fit = np.linalg.lstsq(np.stack([np.cos(w * edges[:-1]), np.sin(w * edges[:-1])], axis=1), mean[:, 3], rcond=None)[0]
+    assert np.hypot(*fit) == pytest.approx(np.abs(response) * np.sinc(frequency * H), rel=2e-3)  # left as it is
+
+
+def test_the_inverse_follows_uneven_stamps() -> None:
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.uniform(0.0015, 0.0045, 500))
+    w, s = 2 * np.pi * 4.0, 1j * 4.0 / 20.0
+    y = np.repeat(np.imag(np.exp(1j * w * t) / (1 + np.sqrt(2) * s + s * s))[:, None], 6, axis=1)
+    edges = 0.1 + H * np.arange(200)
+    mean = cell_means_unfiltered(t, y, edges, np.full(6, 20.0))
+    error = mean[:, 0] - _averages_of_sine(4.0, edges)
+    assert np.sqrt(np.mean(error**2)) < 0.01
