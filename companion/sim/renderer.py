@@ -19,7 +19,7 @@ from companion.core.wing.effect import Effect, viewed
 from companion.core.wing.effects import make_effects
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Bytes, Floats, Ints, Side
-from companion.sim.scene import Scene, View, sort_far_to_near
+from companion.sim.scene import Scene, View
 from companion.sim.shutter import PixelGrid
 from companion.sim.surface import SurfacePainter
 from companion.sim.texture import Image32, NoiseTile
@@ -92,7 +92,7 @@ class Renderer:
         views = self.views(side, exposure.mid_boot_ns + track.offsets_ns)
         width, height = grid.size_px
         image: Image32 = np.full((height, width), self.scene.sky, np.float32)
-        for plane in sort_far_to_near(self.scene.planes, views[0].centre_ned_m):
+        for plane in self.scene.visible(views[0].centre_ned_m):
             self._painter.paint(image, plane, views, grid, track)
         return self._expose(image, side, shot)
 

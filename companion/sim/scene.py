@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,18 +74,33 @@ class Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Surfaces with one texture seed; where none is hit there is plain sky."""
+    """Surfaces with one texture seed; where none is hit there is plain sky.
+
+    What has an end and lies farther than ``sight_m`` from the eye is lost in the haze, for images and ranges alike.
+    """
 
     planes: tuple[Plane, ...]
     seed: int
     sky: float = 200.0
+    sight_m: float = 250.0
 
     def hit(self, origin_m: Floats, directions: Floats) -> Floats:
         """Nearest surface along each direction, in multiples of it, (n,); infinite for the sky."""
         nearest = np.full(len(directions), np.inf)
-        for plane in self.planes:
+        for plane in self.visible(origin_m):
             nearest = np.minimum(nearest, plane.hit(origin_m, directions))
         return nearest
+
+    def visible(self, eye_m: Floats) -> list[Plane]:
+        """Surfaces in sight, in the order of painting: what has no end first, then from far to near."""
+        distances = [float(np.linalg.norm(plane.centre_m - eye_m)) for plane in self.planes]
+        endless = [plane for plane in self.planes if plane.half_size_m is None]
+        near = [
+            (distance, number)
+            for number, (distance, plane) in enumerate(zip(distances, self.planes, strict=True))
+            if plane.half_size_m is not None and distance <= self.sight_m
+        ]
+        return endless + [self.planes[number] for _, number in sorted(near, reverse=True)]
 
 
 def ground(height_m: float = 0.0, surface: int = 0) -> Plane:
@@ -195,10 +209,3 @@ def true_range_m(scene: Scene, left: View, right: View, product: Product = Produ
     axis = left.camera_from_ned[2] + right.camera_from_ned[2]
     middle = 0.5 * (left.centre_ned_m + right.centre_ned_m)
     return float(scene.hit(middle, (axis / np.linalg.norm(axis))[None])[0])
-
-
-def sort_far_to_near(planes: Sequence[Plane], eye_m: Floats) -> list[Plane]:
-    """Order for painting: what has no end first, then by distance of the centre."""
-    return sorted(
-        planes, key=lambda plane: (plane.half_size_m is not None, -float(np.linalg.norm(plane.centre_m - eye_m)))
-    )

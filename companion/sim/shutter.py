@@ -95,6 +95,7 @@ class PixelGrid:
         self.focal_px = lens.focal_px
         self.ray_from_pixel: Floats = np.linalg.inv(lens.matrix).astype(np.float64)
         self.distorted = bool(np.any(lens.distortion != 0.0))
+        self._cell_px: Floats = np.array(lens.size_px) / NODES[::-1]
         rows, columns = np.meshgrid(
             *(_middles(n, cells) for n, cells in zip(lens.size_px[::-1], NODES, strict=True)), indexing="ij"
         )
@@ -135,30 +136,45 @@ class PixelGrid:
         y, x = window.row // factor, window.column // factor
         return np.ascontiguousarray(self._cached(factor)[y : y + rows, x : x + columns])
 
-    def window_of_nodes(self, seen: Bools, window: Window) -> Window | None:
-        """The part of a window around the nodes that are ``seen``; None where there is none."""
+    def nodes_in(self, window: Window) -> tuple[slice, slice]:
+        """Rows and columns of the nodes in and around a window."""
+        spans = ((window.row, window.height, self._cell_px[1]), (window.column, window.width, self._cell_px[0]))
+        found = []
+        for (start, length, cell), count in zip(spans, NODES, strict=True):
+            first, last = int(start / cell - 0.5), int((start + length) / cell - 0.5) + 1
+            found.append(slice(min(max(first, 0), count - 1), min(last, count - 1) + 1))
+        return found[0], found[1]
+
+    def window_of_nodes(self, seen: Bools, nodes: tuple[slice, slice], window: Window) -> Window | None:
+        """The part of a window around those of its ``nodes`` that are ``seen``; None where there is none."""
         if seen.all():
             return window
         rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             return None
-        cell = np.array(self.size_px) / NODES[::-1]
-        low = np.maximum((np.array([columns[0], rows[0]]) - 0.5) * cell, [window.column, window.row])
-        high = (np.array([columns[-1], rows[-1]]) + 1.5) * cell
-        high = np.minimum(high, [window.column + window.width - 1, window.row + window.height - 1])
-        return Window.around(low, high, self.size_px)
+        first = np.array([columns[0] + nodes[1].start, rows[0] + nodes[0].start])
+        last = np.array([columns[-1] + nodes[1].start, rows[-1] + nodes[0].start])
+        low = np.maximum((first - 0.5) * self._cell_px, [window.column, window.row])
+        end = [window.column + window.width - 1, window.row + window.height - 1]
+        return Window.around(low, np.minimum((last + 1.5) * self._cell_px, end), self.size_px)
 
-    def spread_nodes(self, values: Floats, window: Window, factor: int) -> Image32 | np.float32:
-        """Values at the nodes spread over the cells of a window; one number where they hardly differ."""
+    def spread_nodes(
+        self, values: Floats, nodes: tuple[slice, slice], window: Window, factor: int
+    ) -> Image32 | np.float32:
+        """Values at ``nodes`` spread over the cells of a window; one number where they hardly differ."""
         low, high = float(values.min()), float(values.max())
         if high - low < _EVEN:
             return np.float32(0.5 * (low + high))
-        full, margin = self.full(), margin_of(factor)
-        wide = cv2.resize(values.astype(np.float32), (full.width // factor, full.height // factor))
-        wide = cv2.copyMakeBorder(wide, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
-        y, x = window.row // factor, window.column // factor
+        scale = np.diag([1.0 / self._cell_px[0], 1.0 / self._cell_px[1], 1.0])
+        shift = np.array([0.5 / self._cell_px[0] - 0.5 - nodes[1].start, 0.5 / self._cell_px[1] - 0.5 - nodes[0].start])
+        node_from_cell = (scale @ self.pixel_from_cell(window, factor))[:2]
+        node_from_cell[:, 2] += shift
         rows, columns = self.cell_shape(window, factor)
-        return np.asarray(wide[y : y + rows, x : x + columns])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        spread = cv2.warpAffine(
+            values.astype(np.float32), node_from_cell, (columns, rows), flags=flags, borderMode=cv2.BORDER_REPLICATE
+        )
+        return np.asarray(spread)
 
     def _level_rays(self, factor: int) -> Image32:
         window = self.full()

@@ -20,12 +20,14 @@ from companion.sim.texture import (
     NoiseTile,
     Octave,
     octaves_of,
+    visible_cycles_per_px,
     weight,
     within_tile,
 )
 
 CONTRAST = 11.0
 _LEAST_WEIGHT = 0.01
+_HORIZON_M = 1e4  # a pixel that spans this much shows nothing
 _POSES_PER_CYCLE = 7.0  # of blur: the average then follows the true blur of a wave to 3 % of its amplitude
 _MOST_POSES = 16
 _OUTLINE_POSES = 8
@@ -85,11 +87,16 @@ class SurfacePainter:
     def _texture(self, sight: Sight, window: Window) -> Image32:
         layers: dict[int, Image32] = {}
         width = sight.grid.size_px[0]
+        nodes = sight.grid.nodes_in(window)
+        footprint_m = np.minimum(sight.footprint_m[nodes], _HORIZON_M)
+        least, most = visible_cycles_per_px(width) / np.array([footprint_m.max(), footprint_m.min()])
         for octave in self._octaves(sight.plane.surface):
-            cycles = np.minimum(octave.cycles_per_m * sight.footprint_m, 1e3)
+            if not least < octave.cycles_per_m < most:
+                continue
+            cycles = octave.cycles_per_m * footprint_m
             gain = weight(cycles, width)
             seen = gain > _LEAST_WEIGHT
-            part = sight.grid.window_of_nodes(seen, window)
+            part = sight.grid.window_of_nodes(seen, nodes, window)
             if part is None:
                 continue
             finest = float(cycles[seen].max())
@@ -98,7 +105,7 @@ class SurfacePainter:
             wave = self._blurred(sight, part, octave, factor, finest)
             y, x = (part.row - window.row) // factor, (part.column - window.column) // factor
             target = layer[y : y + wave.shape[0], x : x + wave.shape[1]]
-            target += wave * sight.grid.spread_nodes(gain, part, factor)
+            target += wave * sight.grid.spread_nodes(gain, nodes, part, factor)
         total: Image32 = np.full((window.height, window.width), sight.plane.brightness, np.float32)
         for factor, layer in layers.items():
             cv2.scaleAdd(_enlarged(layer, factor), CONTRAST, total, dst=total)
@@ -157,7 +164,10 @@ def _window(plane: Plane, views: list[View], grid: PixelGrid) -> Window | None:
     if plane.half_size_m is None:
         return grid.full()
     corners = np.concatenate([view.project(plane.corners_m()) for view in views])
-    if np.isnan(corners).any() or grid.distorted:
+    behind = np.isnan(corners[:, 0])
+    if behind.all():
+        return None
+    if behind.any() or grid.distorted:
         return grid.full()
     return Window.around(corners.min(axis=0) - 2.0, corners.max(axis=0) + 2.0, grid.size_px)
 

@@ -7,6 +7,7 @@ it, with the weight that lens and pixel give it there; that is the anti-aliasing
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -107,6 +108,22 @@ def octaves_of(seed: int, surface: int) -> tuple[Octave, ...]:
 
 def weight(cycles_per_px: Floats, width_px: int) -> Floats:
     """Weight of an octave that has so many cycles per pixel: lens and pixel response, nothing unresolved or unseen."""
+    logs, table = _weight_table(width_px)
+    return np.interp(np.log2(cycles_per_px), logs, table)
+
+
+def visible_cycles_per_px(width_px: int) -> tuple[float, float]:
+    """Least and most cycles per pixel of an octave that has any weight."""
+    return 0.5 / width_px, _FADE_TO
+
+
+@functools.cache
+def _weight_table(width_px: int) -> tuple[Floats, Floats]:
+    logs = np.linspace(-12.0, 2.0, 1401)
+    return logs, _weight(2.0**logs, width_px)
+
+
+def _weight(cycles_per_px: Floats, width_px: int) -> Floats:
     blur = np.exp(-2.0 * (math.pi * _LENS_SIGMA_PX * cycles_per_px) ** 2) * np.sinc(cycles_per_px)
     fine = 1.0 - _smooth(np.log2(cycles_per_px / _FADE_FROM) / math.log2(_FADE_TO / _FADE_FROM))
     coarse = _smooth(np.log2(cycles_per_px * width_px) + 1.0)  # a wave twice as long as the image is only brightness

@@ -342,6 +342,15 @@ def test_only_what_both_cameras_see_counts() -> None:
     assert true_range_m(ground_scene(1), *_views(NADIR, Path(2.0))) == np.inf  # 792 px of disparity: no overlap
 
 
+def test_what_is_lost_in_the_haze_is_neither_painted_nor_ranged() -> None:
+    wall = board(np.array([120.0, 0.0, -60.0]), 0.0, (60.0, 40.0), 1)
+    for sight_m, depth, grey in ((150.0, 120.0, 110.0), (100.0, np.inf, 200.0)):
+        renderer = Renderer(FORWARD, fly(FORWARD, Path(60.0)), Scene((wall,), 1, sight_m=sight_m), 1)
+        assert renderer.view(Side.LEFT, MIDDLE_NS).depth_m(renderer.scene, np.array([[320.0, 240.0]]))[0] == depth
+        image = renderer.render(Side.LEFT, INSTANT, 0)
+        assert image[200:280, 280:360].mean() == pytest.approx(grey, abs=25.0)
+
+
 def test_looking_at_the_sky_has_no_range() -> None:
     away = _with_cameras(NADIR, axes=("y", "x", "-z"))
     assert true_range_m(ground_scene(1), *_views(away, Path(50.0))) == np.inf
