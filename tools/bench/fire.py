@@ -13,6 +13,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from companion.adapters.clocks import MonotonicClock
 from companion.adapters.triggers.none import NullTrigger
 from companion.adapters.triggers.process import TriggerProcess
 from companion.records import Firing, Shot, TriggerPlan
@@ -88,16 +89,16 @@ def _thread(shots: int) -> tuple[bool, list[int]]:
     done = threading.Event()
 
     def timer() -> None:
-        rng = np.random.default_rng(1)
+        rng, clock = np.random.default_rng(1), MonotonicClock()
         for _ in range(shots):
             target_ns = time.monotonic_ns() + _LEAD_NS + int(rng.integers(0, 4_000_000))
-            time.sleep((target_ns - time.monotonic_ns()) * 1e-9)
+            clock.sleep_until(target_ns)
             late.append(time.monotonic_ns() - target_ns)
         done.set()
 
     threading.Thread(target=timer, daemon=True).start()
     while not done.is_set():
-        sum(range(2000))
+        sum(range(2000))  # what the interpreter is busy with
     return False, late
 
 
