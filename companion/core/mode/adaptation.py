@@ -14,7 +14,7 @@ import numpy as np
 
 from companion.core.mode.layout import P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.mode.model import Parameters
-from companion.core.mode.parameters import FREQUENCY_2, PARAMETERS, ModeParameters
+from companion.core.mode.parameters import CORNER_1, CORNER_2, FREQUENCY_2, LIMITS, PARAMETERS, ModeParameters
 from companion.core.mode.rigid import Cells
 from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan, seek_peak
 from companion.records import Bools, Floats
@@ -27,6 +27,16 @@ _PERIOD_S = 1.0
 _SCAN_UNTIL_S = 6.0
 _DRIFT_EVIDENCE = 6.0
 _PEAK_EVIDENCE = 8.0
+_CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))
+_ROUNDS = 6
+_CLEARLY = 1.0
+_LOWEST_HZ = 0.25
+_EDGE = 8
+_SMOOTH = np.hanning(2 * _EDGE + 1)[
+    1:-1
+]  # rigid roll lies below some 10 Hz; above, the gyro's noise would be differentiated
+_DERIVATIVE = np.convolve(_SMOOTH / _SMOOTH.sum(), [0.5, 0.0, -0.5])
+_REACH = 4.0
 _LEAST_PRESENT = 0.98
 
 
@@ -51,10 +61,11 @@ class Adaptation:
         self.ambiguous = False
         self.refilter = False
         size = round(_LONG_S / step_s)
-        self._rows, self._seen = np.zeros((size, 2)), np.zeros((size, 2), dtype=bool)
+        self._rows, self._seen = np.zeros((size, 3)), np.zeros((size, 2), dtype=bool)
         self._count = 0
         self._next = round(_FIRST_S / step_s)
         self.fits = 0
+        self._sign = 1.0  # of the antisymmetric mode at the only tip
 
     @property
     def early(self) -> bool:
@@ -73,7 +84,7 @@ class Adaptation:
         """Take cells; say whether there are new parameters."""
         size = len(self._rows)
         slots = (self._count + np.arange(len(cells))) % size
-        self._rows[slots], self._seen[slots] = cells.rows[:, :2], cells.present[:, :2]
+        self._rows[slots], self._seen[slots] = cells.rows[:, [Z_LEFT, Z_RIGHT, P_ROOT]], cells.present[:, :2]
         self.refilter = self.early
         self._count += len(cells)
         if self._count < self._next:
@@ -88,11 +99,12 @@ class Adaptation:
         if not tips.any():
             return False
         self.fits += 1
+        self._sign = -1.0 if tips[0] else 1.0
         self.ambiguous = False
         if tips.all():
             families = [self._fit_family(rows, (k,), elapsed_s)[0] for k in (0, 1)]
         else:
-            families = self._fit_family(rows[:, [int(np.argmax(tips))]], (0, 1), elapsed_s)
+            families = self._fit_family(rows[:, [int(np.argmax(tips)), 2]], (0, 1), elapsed_s)
         self.parameters = (families[0], families[1])
         return True
 
@@ -108,11 +120,11 @@ class Adaptation:
         band = self._band(which)
         long = make_stretch(samples, self._step_s, band, floor)
         if elapsed_s <= _SCAN_UNTIL_S:
-            start = self._scanned(long, prior, start)
-        for at in range(FREQUENCY_2, len(start), PARAMETERS):
-            moved, gain = seek_peak(long, prior, start, at)
-            start = moved if gain > _PEAK_EVIDENCE else start
-        best = fit(long, prior, start, 12 if elapsed_s <= _SCAN_UNTIL_S else 3)
+            best = self._search(long, prior, self._scanned(long, prior, start))
+        else:
+            best = fit(long, prior, _with_second(long, prior, start), 3)
+            other = fit(long, prior, _recoloured(best.logs, _CORNERS_HZ[self.fits % len(_CORNERS_HZ)]), 3)
+            best = other if other.cost < best.cost - _CLEARLY else best
         if elapsed_s > 2.0 * _SHORT_S:
             short = make_stretch(samples[-round(_SHORT_S / self._step_s) :], self._step_s, band, floor)
             best = _prefer(best, fit(short, prior, start, 3), short, prior)
@@ -123,21 +135,35 @@ class Adaptation:
             at += size
         return out
 
+    def _search(self, stretch: Stretch, prior: Prior, start: Floats) -> Fit:
+        """Fit from gusts of several colours: a wrong one holds on to its own local answer."""
+        best: Fit | None = None
+        for corners_hz in (None, *_CORNERS_HZ):
+            tried = start if corners_hz is None else _recoloured(start, corners_hz)
+            found = fit(stretch, prior, _with_second(stretch, prior, tried), _ROUNDS)
+            if best is None or found.cost < best.cost:
+                best = found
+        assert best is not None
+        return fit(stretch, prior, best.logs, _ROUNDS)
+
     def _channel(self, rows: Floats, which: tuple[int, ...]) -> tuple[Floats, _Floor]:
         tip = self._noise.own[[Z_LEFT, Z_RIGHT]] * 2.0 * self._step_s
         root = self._noise.root_z * 2.0 * self._step_s
         roll = self._noise.own[P_ROOT] * 2.0 * self._step_s
         lever = 0.5 * (self._levers_m[1] - self._levers_m[0])
-        if rows.shape[1] == 1:
-            return rows[:, 0], _Floor(float(tip.mean() + root), roll * lever**2, self._step_s)
         if which == (0,):
-            return rows.mean(axis=1), _Floor(float(tip.sum() / 4.0 + root), 0.0, self._step_s)
-        return 0.5 * (rows[:, 1] - rows[:, 0]), _Floor(float(tip.sum() / 4.0), roll * lever**2, self._step_s)
+            return 0.5 * (rows[:, 0] + rows[:, 1]), _Floor(float(tip.sum() / 4.0 + root), 0.0, self._step_s)
+        lift = lever * np.convolve(rows[:, -1], _DERIVATIVE / self._step_s, mode="same")  # of the rigid roll
+        lift[:_EDGE], lift[-_EDGE:] = 0.0, 0.0
+        if rows.shape[1] == 2:
+            return rows[:, 0] - self._sign * lift, _Floor(float(tip.mean() + root), roll * lever**2, self._step_s)
+        white = float(tip.sum() / 4.0)
+        return 0.5 * (rows[:, 1] - rows[:, 0]) - lift, _Floor(white, roll * lever**2, self._step_s)
 
     def _band(self, which: tuple[int, ...]) -> tuple[float, float, float]:
         frequencies = [self._prior[k].frequency_hz for k in which]
         highest = 0.48 / self._step_s
-        return 0.3 * min(frequencies), min(2.2 * max(frequencies), 0.8 * highest), highest
+        return _LOWEST_HZ, min(2.2 * max(frequencies), 0.8 * highest), highest
 
     def _scanned(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
         at = 0
@@ -160,18 +186,36 @@ class _Floor:
     step_s: float
 
     def __call__(self, frequency_hz: Floats) -> Floats:
-        density: Floats = self.white + self.roll * (2.0 * np.sin(np.pi * frequency_hz * self.step_s) / self.step_s) ** 2
+        turn = np.exp(2j * np.pi * frequency_hz[:, None] * self.step_s * np.arange(-_EDGE, _EDGE + 1)) @ _DERIVATIVE
+        density: Floats = self.white + self.roll * np.abs(turn / self.step_s) ** 2
         return density
 
 
 def _join(families: list[ModeParameters]) -> Prior:
     logs = [family.logs() for family in families]
+    mean, sigma = np.concatenate(logs), np.concatenate([family.log_sigma for family in families])
+    low, high = (np.tile(np.log(limit), len(families)) for limit in LIMITS)
     return Prior(
-        np.concatenate(logs),
-        np.concatenate([family.log_sigma for family in families]),
+        mean,
+        sigma,
+        np.maximum(low, mean - _REACH * sigma),
+        np.minimum(high, mean + _REACH * sigma),
         tuple(len(own) for own in logs),
         tuple(family.reference_hz for family in families),
     )
+
+
+def _recoloured(start: Floats, corners_hz: tuple[float, float]) -> Floats:
+    moved = start.copy()
+    moved[CORNER_1::PARAMETERS], moved[CORNER_2::PARAMETERS] = np.log(corners_hz)
+    return moved
+
+
+def _with_second(stretch: Stretch, prior: Prior, start: Floats) -> Floats:
+    for at in range(FREQUENCY_2, len(start), PARAMETERS):
+        moved, gain = seek_peak(stretch, prior, start, at)
+        start = moved if gain > _PEAK_EVIDENCE else start
+    return start
 
 
 def _prefer(long: Fit, short: Fit, stretch: Stretch, prior: Prior) -> Fit:

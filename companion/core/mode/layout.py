@@ -20,6 +20,7 @@ from companion.records import Floats
 
 ROWS = 9
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
+FAMILY_STATES = 7
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
 
 _ABSENT_MPS2 = 10.0  # sigma of the root's force along an axis that it does not send
@@ -29,7 +30,11 @@ _SECOND_SPREAD = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Indices of the modes that move both tips alike (``sign`` = +1, +1) or against each other (-1, +1)."""
+    """Indices of the modes that move both tips alike (``sign`` = +1, +1) or against each other (-1, +1).
+
+    The states are deflection and rate, the gust's two poles, deflection and rate of the second mode, and its load's
+    pole.
+    """
 
     q: int
     v: int
@@ -44,7 +49,7 @@ class Family:
     @property
     def span(self) -> slice:
         """All its states."""
-        return slice(self.q, self.q + 6)
+        return slice(self.q, self.q + FAMILY_STATES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,21 +102,22 @@ def make_layout(airframe: Airframe) -> Layout:
     """Lay out the states that this airframe needs."""
     wing = airframe.wing
     symmetric = _family(0, (1.0, 1.0), wing.symmetric, wing.second_symmetric)
-    antisymmetric = _family(6, (-1.0, 1.0), wing.antisymmetric, wing.second_antisymmetric)
+    antisymmetric = _family(FAMILY_STATES, (-1.0, 1.0), wing.antisymmetric, wing.second_antisymmetric)
     rows = [
         first + side
         for first, axis in ((Z_LEFT, "z"), (Y_LEFT, "y"), (P_LEFT, "p"))
         for side, sensor in ((0, airframe.left), (1, airframe.right))
         if axis in sensor.sends
     ]
-    bias = tuple((row, 14 + at) for at, row in enumerate(rows))
+    roll = 2 * FAMILY_STATES
+    bias = tuple((row, roll + 2 + at) for at, row in enumerate(rows))
     named = [(name, sigma) for name, sigma in _constants(airframe) if sigma > 0.0]
     return Layout(
         symmetric=symmetric,
         antisymmetric=antisymmetric,
-        size=14 + len(bias),
-        roll=12,
-        turn=13,
+        size=roll + 2 + len(bias),
+        roll=roll,
+        turn=roll + 1,
         bias=bias,
         constants=tuple(name for name, _ in named),
         constant_sigma=np.array([sigma for _, sigma in named]),

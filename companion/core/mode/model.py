@@ -1,7 +1,7 @@
 """The discrete wing model that the filter runs on: what one averaged step of all sensors says about the state.
 
 Each family obeys ``q'' + 2 zeta omega q' + omega^2 (q - q_static) = g`` with ``g`` white noise through two real
-poles; a second mode has a white load of its own. Over one step of length h the sensors deliver:
+poles; a second mode has a load of its own with one pole. Over one step of length h the sensors deliver:
 
 - vertical, mean of ``-w''`` = ``-(w1' - w0') / h``, exactly, gust load included, so that measurement and process
   noise are correlated in the way they are in nature;
@@ -22,8 +22,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.mode.discretise import stationary_covariance, van_loan
-from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Family, Layout, Noise
-from companion.core.mode.parameters import ModeParameters
+from companion.core.mode.layout import (
+    FAMILY_STATES,
+    M_LEFT,
+    P_LEFT,
+    P_ROOT,
+    ROWS,
+    Y_LEFT,
+    Z_LEFT,
+    Family,
+    Layout,
+    Noise,
+)
+from companion.core.mode.parameters import SECOND_CORNER, ModeParameters
 from companion.records import Floats
 
 Parameters = tuple[ModeParameters, ModeParameters]
@@ -109,14 +120,16 @@ def propagation(layout: Layout, noise: Noise, parameters: Parameters, step_s: fl
 
 
 def _family_system(p: ModeParameters) -> tuple[Floats, Floats]:
-    f, w = np.zeros((6, 6)), np.zeros((6, 6))
+    f, w = np.zeros((FAMILY_STATES, FAMILY_STATES)), np.zeros((FAMILY_STATES, FAMILY_STATES))
     omega, omega_2 = 2.0 * np.pi * p.frequency_hz, 2.0 * np.pi * p.frequency_2_hz
     corner_1, corner_2 = 2.0 * np.pi * p.corner_1_hz, 2.0 * np.pi * p.corner_2_hz
     f[0, 1], f[1, 0], f[1, 1], f[1, 3] = 1.0, -(omega**2), -2.0 * p.damping * omega, 1.0
     f[2, 2], f[3, 2], f[3, 3] = -corner_1, corner_2, -corner_2
     f[4, 5], f[5, 4], f[5, 5] = 1.0, -(omega_2**2), -2.0 * p.damping_2 * omega_2
     w[2, 2] = corner_1**2 * p.white_load / 2.0
-    w[5, 5] = p.load_2 / 2.0
+    corner = SECOND_CORNER * omega_2
+    f[5, 6], f[6, 6] = 1.0, -corner
+    w[6, 6] = corner**2 * p.load_2 * (1.0 + SECOND_CORNER**-2) / 2.0
     return f, w
 
 

@@ -12,9 +12,14 @@ from companion.records import Floats
 
 FREQUENCY, DAMPING, LOAD, CORNER_1, CORNER_2, FREQUENCY_2, DAMPING_2, LOAD_2 = range(8)
 PARAMETERS = 8
+SECOND_CORNER = 0.5  # of the second mode's frequency: its load falls from there, as gusts do
+LIMITS = (
+    np.array([0.2, 1e-3, 1e-12, 0.05, 0.05, 0.5, 2e-3, 1e-14]),
+    np.array([200.0, 0.5, 1e6, 2000.0, 2000.0, 400.0, 0.12, 1e5]),
+)
 
 _CORNER_HZ = (8.0, 60.0)  # of a gust about which nothing is said
-_CORNER_SIGMA = 1.5
+_CORNER_SIGMA = 2.0
 _LOAD_SIGMA = 2.5
 _RATIO_2 = 0.003  # of the second mode's load density to the first's
 _RATIO_2_SIGMA = 3.0
@@ -23,10 +28,11 @@ _SIGMA_FLOOR = 1e-6  # keeps a parameter without uncertainty where it is
 
 @dataclass(frozen=True, slots=True)
 class ModeParameters:
-    """One family: a mode under a gust load whose spectrum has two corners, and the next mode under a white load.
+    """One family: a mode under a gust load whose spectrum has two corners, and the next one under its own load.
 
     The first load's one-sided density is ``load / ((1 + (f/corner_1)^2) (1 + (f/corner_2)^2))``, scaled so that
-    ``load`` is its value at ``reference_hz``.
+    ``load`` is its value at ``reference_hz``. The second load, ``load_2`` at ``frequency_2_hz``, has one corner, at
+    half of that.
 
     Attributes
     ----------

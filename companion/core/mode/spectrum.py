@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from companion.core.mode.parameters import SECOND_CORNER
 from companion.records import Floats
 
 _COARSE = 24
@@ -35,7 +36,8 @@ def _folded(logs: Floats, frequency_hz: Floats, reference_hz: float, step_s: flo
     square = at**2
     values = np.exp(logs)
     own = _response(values[0], values[1], square) * load_density(logs, at, reference_hz)
-    second = _response(values[5], values[6], square) * values[7]
+    corner = (SECOND_CORNER * values[5]) ** 2
+    second = _response(values[5], values[6], square) * values[7] * (values[5] ** 2 + corner) / (square + corner)
     density: Floats = (own + second) * (np.sin(np.pi * step_s * at) / (np.pi * step_s * at)) ** 2
     return density
 

@@ -22,7 +22,9 @@ _FINE_HZ = 0.06  # a lightly damped peak is narrower than a short stretch's bins
 _GROUP = 0.008
 _PEAK_WIDTH = 0.03
 _DELTA = 1e-4
-_LARGEST_STEP = 0.5
+_LARGEST_STEP = 1.0
+_CONVERGED = 0.02
+_GIVE_UP = 1e4
 _LEAST_EXPECTED = 1e-12
 
 
@@ -127,6 +129,8 @@ class Prior:
     Attributes
     ----------
     mean, sigma : (p,) float64
+    low, high : (p,) float64
+        Beyond these a parameter no longer means what it is called: a second mode that is all damping is no mode.
     sizes : tuple of int
         How many parameters belong to each family.
     reference_hz : tuple of float
@@ -135,6 +139,8 @@ class Prior:
 
     mean: Floats
     sigma: Floats
+    low: Floats
+    high: Floats
     sizes: tuple[int, ...]
     reference_hz: tuple[float, ...]
 
@@ -180,31 +186,34 @@ def cost(stretch: Stretch, prior: Prior, logs: Floats) -> float:
 
 
 def fit(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> Fit:
-    """Improve ``start`` by at most ``rounds`` of damped Fisher scoring."""
-    logs, best = start.copy(), cost(stretch, prior, start)
-    information = np.diag(1.0 / prior.sigma**2)
+    """Improve ``start`` by at most ``rounds`` of Fisher scoring, damped as Levenberg and Marquardt do."""
+    logs, best, damping = start.copy(), cost(stretch, prior, start), 1e-3
+    gradient, information = _slope(stretch, prior, logs)
     for _ in range(rounds):
-        gradient, information = _slope(stretch, prior, logs)
-        step = -np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
-        step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-12))
-        gain, moved = _descend(stretch, prior, logs, step, best)
-        if moved is None:
-            break
-        logs, best = moved, best - gain
-        if gain < 1e-3:
-            break
-    spread = np.sqrt(np.diag(np.linalg.inv(information)))
+        tried = _moved(prior, logs, gradient, information, damping)
+        value = cost(stretch, prior, tried)
+        if value < best:
+            done = best - value < _CONVERGED
+            logs, best, damping = tried, value, 0.2 * damping
+            gradient, information = _slope(stretch, prior, logs)
+            if done:
+                break
+        else:
+            damping = max(8.0 * damping, 1e-2)
+            if damping > _GIVE_UP:
+                break
+    spread: Floats = np.sqrt(np.diag(np.asarray(np.linalg.inv(information), dtype=np.float64)))
     return Fit(logs, spread, best)
 
 
-def _descend(stretch: Stretch, prior: Prior, logs: Floats, step: Floats, best: float) -> tuple[float, Floats | None]:
-    for _ in range(5):
-        tried = logs + step
-        value = cost(stretch, prior, tried)
-        if value < best:
-            return best - value, tried
-        step = 0.4 * step
-    return 0.0, None
+def _moved(prior: Prior, logs: Floats, gradient: Floats, information: Floats, damping: float) -> Floats:
+    """One step, parameters at their limits held where the step would push them out."""
+    free = ~(((logs <= prior.low) & (gradient > 0.0)) | ((logs >= prior.high) & (gradient < 0.0)))
+    reduced = information[np.ix_(free, free)]
+    step = np.zeros_like(logs)
+    step[free] = -np.linalg.solve(reduced + damping * np.diag(np.diag(reduced)), gradient[free])
+    step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+    return np.asarray(np.clip(logs + step, prior.low, prior.high), dtype=np.float64)
 
 
 def _slope(stretch: Stretch, prior: Prior, logs: Floats) -> tuple[Floats, Floats]:
