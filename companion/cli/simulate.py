@@ -1,0 +1,65 @@
+"""``spanwise simulate``: fly the simulated aircraft into a folder of tables, as a laboratory would have recorded it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from companion.core.wing.effects import catalogue
+from companion.errors import ConfigError
+from companion.params.airframe import NamedEffect
+from companion.params.files import load_airframe
+from companion.sim.flight import GustKind, build_flight
+from companion.sim.tables import write_csv
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="name or path of an airframe file")
+    parser.add_argument("--seed", type=int, default=1, help="of everything random")
+    parser.add_argument("--duration", type=float, default=60.0, metavar="SECONDS", help="length of the flight")
+    parser.add_argument("--gust", default="airframe", choices=[kind.value for kind in GustKind], help="its spectrum")
+    parser.add_argument("--exact", action="store_true", help="fly the believed airframe, not one drawn from its priors")
+    parser.add_argument(
+        "--effect", action="append", default=[], metavar="NAME[=VALUE]",
+        help="hide a named effect in the truth; VALUE is its first parameter (its prior sigma when left out)",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="accel.csv and range.csv go here")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Fly and write."""
+    airframe = load_airframe(options.airframe)
+    effects = tuple(_effect(text) for text in options.effect)
+    flight = build_flight(
+        airframe,
+        options.seed,
+        options.duration,
+        effects=effects,
+        gust=GustKind(options.gust),
+        perturbed=not options.exact,
+    )
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_csv(flight, options.out)
+    wing = flight.real.actual.wing
+    hidden = ", ".join(f"{effect.name} {effect.parameters}" for effect in effects) or "nothing"
+    print(
+        f"flew {options.duration:g} s of {airframe.name}, seed {options.seed}: {wing.symmetric.frequency_hz.value:.3f} Hz, "
+        f"damping {wing.symmetric.damping.value:.4f}; hidden: {hidden}; wrote {options.out}"
+    )
+    return 0
+
+
+def _effect(text: str) -> NamedEffect:
+    name, equals, value = text.partition("=")
+    known = catalogue()
+    if name not in known:
+        raise ConfigError(f"no effect '{name}'; known: {', '.join(known)}")
+    first = known[name].parameters()[0]
+    try:
+        number = float(value) if equals else first.sigma
+    except ValueError as error:
+        raise ConfigError(
+            f"--effect {text}: '{value}' is not a number ({first.name}, {first.unit or 'a ratio'})"
+        ) from error
+    return NamedEffect(name, {first.name: number})
