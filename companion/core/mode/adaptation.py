@@ -31,6 +31,7 @@ _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))
 _ROUNDS = 6
 _CLEARLY = 1.0
 _LOWEST_HZ = 0.25
+_KEPT, _ROLL, _STATIC = 4, 2, 3  # columns: both vertical rows, root roll rate, bend by the load factor
 _EDGE = 8
 _SMOOTH = np.hanning(2 * _EDGE + 1)[
     1:-1
@@ -58,14 +59,15 @@ class Adaptation:
         self._layout, self._noise, self._levers_m, self._step_s = layout, noise, levers_m, step_s
         self._prior = prior
         self.parameters: Parameters = prior
+        self._constants, self._bend_per_g_m = np.zeros(len(layout.constants)), 0.0
         self.ambiguous = False
         self.refilter = False
         size = round(_LONG_S / step_s)
-        self._rows, self._seen = np.zeros((size, 3)), np.zeros((size, 2), dtype=bool)
+        self._rows, self._seen = np.zeros((size, _KEPT)), np.zeros((size, 2), dtype=bool)
         self._count = 0
         self._next = round(_FIRST_S / step_s)
         self.fits = 0
-        self._sign = 1.0  # of the antisymmetric mode at the only tip
+        self._only = 0  # the tip that is there, where one is missing
 
     @property
     def early(self) -> bool:
@@ -80,11 +82,17 @@ class Adaptation:
             yield cells.span(at, end)
             at = end
 
+    def learn(self, constants: Floats, bend_per_g_m: float) -> None:
+        """Take over the sensor errors and the bend per g as they are known by now."""
+        self._constants, self._bend_per_g_m = constants, bend_per_g_m
+
     def take(self, cells: Cells) -> bool:
         """Take cells; say whether there are new parameters."""
         size = len(self._rows)
         slots = (self._count + np.arange(len(cells))) % size
-        self._rows[slots], self._seen[slots] = cells.rows[:, [Z_LEFT, Z_RIGHT, P_ROOT]], cells.present[:, :2]
+        self._rows[slots, :2] = cells.rows[:, :2] - cells.sensitivity[:, :2] @ self._constants
+        self._rows[slots, _ROLL], self._rows[slots, _STATIC] = cells.rows[:, P_ROOT], self._bend_per_g_m * cells.load
+        self._seen[slots] = cells.present[:, :2]
         self.refilter = self.early
         self._count += len(cells)
         if self._count < self._next:
@@ -99,12 +107,12 @@ class Adaptation:
         if not tips.any():
             return False
         self.fits += 1
-        self._sign = -1.0 if tips[0] else 1.0
+        self._only = int(np.argmax(tips))
         self.ambiguous = False
         if tips.all():
             families = [self._fit_family(rows, (k,), elapsed_s)[0] for k in (0, 1)]
         else:
-            families = self._fit_family(rows[:, [int(np.argmax(tips)), 2]], (0, 1), elapsed_s)
+            families = self._fit_family(rows, (0, 1), elapsed_s)
         self.parameters = (families[0], families[1])
         return True
 
@@ -151,14 +159,26 @@ class Adaptation:
         root = self._noise.root_z * 2.0 * self._step_s
         roll = self._noise.own[P_ROOT] * 2.0 * self._step_s
         lever = 0.5 * (self._levers_m[1] - self._levers_m[0])
+        known = self._answer(rows[:, _STATIC])
         if which == (0,):
-            return 0.5 * (rows[:, 0] + rows[:, 1]), _Floor(float(tip.sum() / 4.0 + root), 0.0, self._step_s)
-        lift = lever * np.convolve(rows[:, -1], _DERIVATIVE / self._step_s, mode="same")  # of the rigid roll
+            return 0.5 * (rows[:, 0] + rows[:, 1]) - known, _Floor(float(tip.sum() / 4.0 + root), 0.0, self._step_s)
+        lift = lever * np.convolve(rows[:, _ROLL], _DERIVATIVE / self._step_s, mode="same")  # of the rigid roll
         lift[:_EDGE], lift[-_EDGE:] = 0.0, 0.0
-        if rows.shape[1] == 2:
-            return rows[:, 0] - self._sign * lift, _Floor(float(tip.mean() + root), roll * lever**2, self._step_s)
+        if len(which) == 2:
+            samples = rows[:, self._only] - known - (2 * self._only - 1) * lift
+            return samples, _Floor(float(tip[self._only] + root), roll * lever**2, self._step_s)
         white = float(tip.sum() / 4.0)
         return 0.5 * (rows[:, 1] - rows[:, 0]) - lift, _Floor(white, roll * lever**2, self._step_s)
+
+    def _answer(self, static_m: Floats) -> Floats:
+        """Vertical reading that the load factor's known bend brings about: ``omega^2 H(omega)`` of it."""
+        mode = self.parameters[0]
+        ramp = np.linspace(static_m[0], static_m[-1], len(static_m))
+        square = np.fft.rfftfreq(len(static_m), self._step_s) ** 2
+        own = mode.frequency_hz**2
+        response = own / (own - square + 2j * mode.damping * mode.frequency_hz * np.sqrt(square))
+        lifted = np.fft.rfft(static_m - ramp) * (4.0 * np.pi**2) * square * response
+        return np.asarray(np.fft.irfft(lifted, len(static_m)), dtype=np.float64)
 
     def _band(self, which: tuple[int, ...]) -> tuple[float, float, float]:
         frequencies = [self._prior[k].frequency_hz for k in which]

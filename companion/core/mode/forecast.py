@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.mode.estimates import slope_by_factor
 from companion.core.mode.kalman import Kalman
+from companion.core.mode.layout import Layout
 from companion.core.mode.model import StepModel, propagation
 from companion.records import Floats, Ints
 
@@ -38,46 +38,71 @@ class Forecast:
 
 
 class Forecaster:
-    """Keeps the transition over one forecast step for as long as the model stays the same."""
+    """Runs the modes ahead through matrices that are kept for as long as the model stays the same.
+
+    With ``E`` the rows of the modal coordinates and rates, ``E A^k`` and ``E W_k E^T`` depend on the model alone; a
+    forecast is then one product with the state and one with its covariance.
+    """
 
     def __init__(self) -> None:
         self._model: StepModel | None = None
         self._step_ns = 0
-        self._transition = np.empty((0, 0))
-        self._noise = np.empty((0, 0))
+        self._ahead = np.empty((0, 0, 0))
+        self._noise = np.empty((0, 0, 0))
 
     def run(
         self, kalman: Kalman, newest_ns: int, static_m: float, body_rate: Floats, horizon_ns: int, step_ns: int
     ) -> Forecast:
         """Predict from the newest state in steps of ``step_ns`` up to ``horizon_ns``."""
-        self._prepare(kalman, step_ns)
-        layout = kalman.layout
-        n, count = layout.size, max(int(horizon_ns // step_ns), 1)
-        x, p = kalman.state, kalman.total_covariance
-        rest = np.zeros(n)
+        count = max(int(horizon_ns // step_ns), 1)
+        self._prepare(kalman, step_ns, count)
+        layout, x = kalman.layout, kalman.state
+        rest = np.zeros(layout.size)
         rest[layout.symmetric.q] = static_m
-        rows = _rate_rows(kalman)
-        q_index = [family.q for family in layout.families]
-        q, rate = np.empty((count, 2)), np.empty((count, 2))
-        q_cov, rate_cov = np.empty((count, 2, 2)), np.empty((count, 2, 2))
-        a, w = self._transition, self._noise
-        for k in range(count):
-            x = rest + a @ (x - rest)
-            p = a @ p @ a.T + w
-            q[k], q_cov[k] = x[q_index], p[np.ix_(q_index, q_index)]
-            rate[k] = rows @ x
-            rate_cov[k] = rows @ p @ rows.T
-        factor = slope_by_factor(layout, np.ones(n), "v")
-        sizes = factor**2 @ np.diag(kalman.constants_covariance)
-        rate_cov += (np.sqrt(sizes) / np.maximum(np.abs(rows).max(axis=1), 1e-9) * rate)[:, :, None] ** 2 * np.eye(2)
+        ahead, kept = self._ahead[:count], _kept(layout)
+        modes = rest[kept] + ahead @ (x - rest)
+        spread = ahead @ kalman.total_covariance @ ahead.transpose(0, 2, 1) + self._noise[:count]
+        rows = _rate_rows(kalman)[:, kept]
+        rate = modes @ rows.T
+        rate_cov = rows @ spread @ rows.T
+        rate_cov += _factor_variance(kalman, modes)[:, :, None] * np.eye(2)
+        q_at = [kept.index(family.q) for family in layout.families]
         stamps = newest_ns + step_ns * np.arange(1, count + 1, dtype=np.int64)
-        return Forecast(stamps, q, q_cov, rate, rate_cov, body_rate)
+        return Forecast(stamps, modes[:, q_at], spread[:, q_at][:, :, q_at], rate, rate_cov, body_rate)
 
-    def _prepare(self, kalman: Kalman, step_ns: int) -> None:
+    def _prepare(self, kalman: Kalman, step_ns: int, count: int) -> None:
         layout, model = kalman.layout, kalman.model
-        if model is not self._model or step_ns != self._step_ns:
-            self._transition, self._noise = propagation(layout, kalman.noise, model.parameters, step_ns * 1e-9)
-            self._model, self._step_ns = model, step_ns
+        if model is self._model and step_ns == self._step_ns and count <= len(self._ahead):
+            return
+        transition, noise = propagation(layout, kalman.noise, model.parameters, step_ns * 1e-9)
+        rows = np.eye(layout.size)[_kept(layout)]
+        self._ahead = np.empty((count, *rows.shape))
+        self._noise = np.empty((count, len(rows), len(rows)))
+        covariance = np.zeros_like(noise)
+        for k in range(count):
+            rows = rows @ transition
+            covariance = transition @ covariance @ transition.T + noise
+            self._ahead[k], self._noise[k] = rows, covariance[np.ix_(_kept(layout), _kept(layout))]
+        self._model, self._step_ns = model, step_ns
+
+
+def _kept(layout: Layout) -> list[int]:
+    """The states that a forecast is about: deflection and rate of every mode."""
+    return [index for pair in layout.pairs for index in pair]
+
+
+def _factor_variance(kalman: Kalman, modes: Floats) -> Floats:
+    """What the slope factors' uncertainty adds to the variance of the tip slope rates, (n, 2)."""
+    layout = kalman.layout
+    added = np.zeros((len(modes), 2))
+    kept = _kept(layout)
+    for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
+        for key, at in ((f"slope.{name}", family.v), (f"slope.second_{name}", family.v2)):
+            column = layout.column(key)
+            if column is not None:
+                variance = kalman.constants_covariance[column - 1, column - 1]
+                added += (variance * modes[:, kept.index(at)] ** 2)[:, None]
+    return added
 
 
 def _rate_rows(kalman: Kalman) -> Floats:

@@ -115,6 +115,11 @@ class Kalman:
         return float(self.columns[-1] @ self._weights)
 
     @property
+    def bend_per_g_m(self) -> float:
+        """Bend per g as known by now."""
+        return self._bend_per_g_m + (float(self.constants[self._bend - 1]) if self._bend is not None else 0.0)
+
+    @property
     def total_covariance(self) -> Floats:
         """Covariance of the state with that of the constants folded in."""
         v = self.columns[:-1, 1:]

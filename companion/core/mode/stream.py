@@ -11,7 +11,7 @@ from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
 CHANNELS = 6
-_SATURATED = 0.998  # of the range
+_CLIPPED = 0.002  # so near to the range a value was clipped; one well beyond was not, whatever the range is said to be
 _GAP_PERIODS = 3.5
 _GAP_FLOOR_S = 0.012
 _RESOLVED = 2.9  # samples per cell that make a moment
@@ -62,8 +62,7 @@ class Stream:
         late = t <= oldest_ns
         infinite = ~np.isfinite(values).all(axis=1)
         with np.errstate(invalid="ignore"):
-            full = (np.abs(values[:, :3]) >= _SATURATED * self.sensor.accel_range_mps2).any(axis=1)
-            full |= (np.abs(values[:, 3:]) >= _SATURATED * self.sensor.gyro_range_radps).any(axis=1)
+            full = (np.abs(np.abs(values) / self._range - 1.0) < _CLIPPED).any(axis=1)
         full &= ~infinite
         bad = late | infinite | full
         self.axes |= batch.axes
@@ -143,6 +142,10 @@ class Stream:
         inside = (after > 0) & (until < len(t))
         covered: Bools = inside & (gaps[np.minimum(until, len(t) - 1)] == gaps[np.maximum(after, 1) - 1])
         return covered
+
+    @property
+    def _range(self) -> Floats:
+        return np.array([self.sensor.accel_range_mps2] * 3 + [self.sensor.gyro_range_radps] * 3)
 
     @property
     def _filtered(self) -> bool:

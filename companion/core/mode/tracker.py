@@ -66,6 +66,7 @@ class WingTracker:
             self._step_s,
         )
         self._kalman = self._fresh(self._model(self._adaptation.parameters))
+        self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
         self._forecaster = Forecaster()
         self._rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each cell
         self._early: list[Cells] = []
@@ -135,6 +136,7 @@ class WingTracker:
             self._kalman = fresh
         else:
             self._kalman.use(model)
+        self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
         if not self._adaptation.early:
             self._early.clear()
 
