@@ -18,6 +18,7 @@ _COMMANDS = {
     "demo": "a simulated aircraft and the live service: corrected against uncorrected ranges",
     "simulate": "fly the simulated aircraft into a recording",
     "replay": "estimate again from a recording",
+    "paper": "reproduce and audit the paper, table by table and figure by figure",
     "params": "the settings table: list, check or write config/PARAMETERS.md",
 }
 

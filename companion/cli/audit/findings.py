@@ -1,0 +1,75 @@
+"""What an audit section consists of: sentences, tables, pictures, and the numbers behind them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+_AS_FACTOR = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Cells are ready to print; ``note`` says what a reader might stumble over."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A drawn figure as the text of an SVG."""
+
+    title: str
+    svg: str
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One part of the report.
+
+    Attributes
+    ----------
+    key : str
+        Name in the JSON and anchor in the HTML.
+    findings : tuple of str
+        What was found, a sentence each, most important first.
+    data : dict
+        Every number, plain JSON types.
+    """
+
+    key: str
+    title: str
+    findings: tuple[str, ...]
+    tables: tuple[Table, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    data: dict[str, Any] = field(default_factory=dict)
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Significant digits, without an exponent where a person would not write one; a dash for nothing."""
+    if value is None or not math.isfinite(value):
+        return "-" if value is None or math.isnan(value) else "infinite"
+    if value == 0.0:
+        return "0"
+    power = math.floor(math.log10(abs(value)))
+    if not -4 <= power <= 6:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{max(digits - 1 - power, 0)}f}"
+
+
+def percent(share: float | None, digits: int = 2) -> str:
+    """A share as a percentage; beyond a hundredfold as a factor, which says more."""
+    if share is None or not math.isfinite(share):
+        return "-"
+    if share > _AS_FACTOR:
+        return f"factor {number(1.0 + share, 2)}"
+    return f"{round(100.0 * share, digits) + 0.0:.{digits}f} %"
+
+
+def deviation(computed: float, printed: float) -> float:
+    """Relative deviation from the printed figure."""
+    return computed / printed - 1.0
