@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import tomllib
 from pathlib import Path
 
 from companion.errors import ConfigError
+from companion.params.persist import load_stored
 from companion.params.settings import Settings
 
 
@@ -19,10 +21,11 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
 
 
 def read_settings(options: argparse.Namespace) -> Settings:
-    """The settings in force: defaults, then the file, then the command line."""
+    """The settings in force: defaults, the file, what a ground station has set, the command line; the last one wins."""
     settings = Settings()
     for name, value in _from_file(options.settings).items():
         settings = settings.replace(name, value)
+    settings = _stored(getattr(options, "parameters", None), settings)
     for change in options.changes:
         name, equals, text = change.partition("=")
         try:
@@ -33,6 +36,16 @@ def read_settings(options: argparse.Namespace) -> Settings:
             raise ConfigError(f"--set {change}: give NAME=VALUE")
         settings = settings.replace(name.strip(), value)
     return settings
+
+
+def _stored(path: Path | None, settings: Settings) -> Settings:
+    """Put in what was kept of a ground station's changes; what is damaged there is told and not used."""
+    if path is None:
+        return settings
+    stored = load_stored(path)
+    for problem in stored.problems:
+        print(problem, file=sys.stderr)
+    return stored.over(settings)
 
 
 def _from_file(path: Path | None) -> dict[str, float]:

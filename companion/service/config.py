@@ -23,6 +23,8 @@ class ServiceConfig:
         Picklable factories, called inside the process that uses the device; None without cameras.
     recording
         Path of the MCAP to write, or None.
+    parameters
+        File that keeps what a ground station sets, or None; ``settings`` has its values in already.
     """
 
     airframe: Airframe
@@ -32,3 +34,4 @@ class ServiceConfig:
     trigger: Callable[[], Trigger] | None = None
     recording: Path | None = None
     record_images: bool = False
+    parameters: Path | None = None

@@ -68,6 +68,9 @@ class InertialLoop:
             self._handle(Tick(now_ns))
 
     def _handle(self, record: Record) -> None:
+        if isinstance(record, Notice):  # the adapter's own words, for the operator and not for the estimation
+            self._route(record)
+            return
         self.recorder.write(record)
         self.state, outputs = step(self.state, record)
         for output in outputs:

@@ -8,13 +8,16 @@ from multiprocessing.synchronize import Event
 
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.autopilot import MavlinkAutopilot
+from companion.adapters.mavlink.component import OwnComponent
 from companion.adapters.mavlink.link import open_link
+from companion.adapters.mavlink.parameter_server import ParameterServer
 from companion.adapters.recordings.inlet import Inlet, recorder_channel
 from companion.adapters.recordings.recorder import run_recorder
 from companion.adapters.recordings.writer import About
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
 from companion.errors import SpanwiseError
+from companion.params.persist import Keeper, load_stored
 from companion.ports import Clock, Recorder
 from companion.records import Record, Rejected, Shot, TriggerPlan
 from companion.service import inertial, vision
@@ -109,7 +112,7 @@ def _inertial_process(
     _ignore_interrupt()
     clock: Clock = MonotonicClock()
     links = [open_link(spelling, clock, number) for number, spelling in enumerate(config.connections)]
-    autopilot = MavlinkAutopilot(links, config.airframe, config.settings, clock)
+    autopilot = MavlinkAutopilot(links, config.airframe, config.settings, clock, component=_component(config))
     loop = inertial.InertialLoop(
         state=start(config.airframe, config.settings),
         autopilot=autopilot,
@@ -120,6 +123,14 @@ def _inertial_process(
         recorder=_recorder(tape),
     )
     inertial.run(loop, stop)
+
+
+def _component(config: ServiceConfig) -> OwnComponent:
+    """Our own MAVLink component, which keeps its parameters where that is asked for."""
+    if config.parameters is None:
+        return OwnComponent(ParameterServer(config.settings))
+    kept = load_stored(config.parameters).values
+    return OwnComponent(ParameterServer(config.settings, Keeper(config.parameters), kept))
 
 
 def _trigger_process(config: ServiceConfig, line: socket.socket, stop: Event) -> None:

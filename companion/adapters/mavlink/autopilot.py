@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from companion.adapters.mavlink import encode
+from companion.adapters.mavlink.component import OwnComponent
 from companion.adapters.mavlink.decode import OUTGOING, Decoded, Decoder
 from companion.adapters.mavlink.dialect import ID_OF, mavlink
 from companion.adapters.mavlink.link import Link
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
+from companion.adapters.mavlink.parameter_server import ParameterServer
 from companion.adapters.mavlink.questions import ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.rates import RateKeeper
 from companion.adapters.mavlink.translate import Heard
@@ -29,6 +31,7 @@ from companion.records import (
     NoRange,
     Notice,
     ObstacleSectors,
+    ParameterChange,
     RawChunk,
     Record,
     ServiceStatus,
@@ -56,7 +59,9 @@ class MavlinkAutopilot:
         Bytes are gathered for so long before they are read, so that decoding works on batches; not while an answer
         to TIMESYNC is awaited, whose arrival time matters.
     listener
-        Called with every rare message (COMMAND_LONG, PARAM_SET, CAMERA_FEEDBACK ...), for who answers them.
+        Called with every rare message (COMMAND_LONG, CAMERA_FEEDBACK ...), for who wants to see them.
+    component
+        Our own component: parameters, commands, files; by default one that keeps nothing over a restart.
     """
 
     def __init__(
@@ -68,6 +73,7 @@ class MavlinkAutopilot:
         *,
         gather_s: float = 0.004,
         listener: Callable[[Heard], None] | None = None,
+        component: OwnComponent | None = None,
     ) -> None:
         self.decoder = Decoder(airframe, settings.component_id)
         self.health = Health.BOOT
@@ -78,6 +84,7 @@ class MavlinkAutopilot:
         self._clock = clock
         self._gather_ns = round(gather_s * _SECOND_NS)
         self._listener = listener
+        self.component = OwnComponent(ParameterServer(settings)) if component is None else component
         self._packer = mavlink.MAVLink(None, _KNOCK_SYSTEM, settings.component_id)
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader()
@@ -115,6 +122,10 @@ class MavlinkAutopilot:
                     yield from decoded.records
             self._read_host_ns = self._clock.now_ns()
         yield from self.rates.notices()
+        for event in self.component.events():
+            if isinstance(event, ParameterChange):
+                self.adopt(self.component.parameters.settings)
+            yield event
 
     def _wait(self, timeout_s: float) -> bool:
         """Wait for bytes; whether it is time to read them."""
@@ -136,6 +147,8 @@ class MavlinkAutopilot:
     def _attend(self, decoded: Decoded, now_host_ns: int) -> None:
         """Answer and take note of what concerns the adapter itself."""
         answers = 0
+        for echo in decoded.echoed:
+            self.component.echoed(echo)
         for heard in decoded.heard:
             if heard.name == "TIMESYNC" and heard.message.tc1 == 0 and answers < _MOST_ANSWERS:
                 answers += 1
@@ -143,6 +156,8 @@ class MavlinkAutopilot:
                 self.requests_answered += 1
             elif heard.name == "COMMAND_ACK" and self._is_ours(heard):
                 self.rates.acknowledged(heard.message.result, now_host_ns)
+            if self.decoder.system_id is not None:
+                self.component.hear(heard, self.decoder.system_id)
             if self._listener is not None:
                 self._listener(heard)
         for record in decoded.records:
@@ -177,6 +192,8 @@ class MavlinkAutopilot:
                     self._send(encode.heartbeat(self.health), link.number)
         if system is None:
             return
+        for message in self.component.due(now_host_ns):
+            self._send(message)
         if self._timesync.due(now_host_ns):
             yield from self._ask_time()
         request = self.rates.due(now_host_ns)
@@ -194,11 +211,10 @@ class MavlinkAutopilot:
     def _ask_time(self) -> Iterator[Record]:
         """Send one TIMESYNC request on all links; it is answered by everyone who keeps a clock."""
         sent_host_ns = self._clock.now_ns()
-        frame = mavlink.MAVLink_timesync_message(0, sent_host_ns).pack(self._packer)
-        self._advance_sequence()
+        frame = self._pack(mavlink.MAVLink_timesync_message(0, sent_host_ns))
         for link in self._links:
             link.write(frame)
-        chunk = RawChunk(OUTGOING + self._links[0].number, sent_host_ns, bytes(frame))
+        chunk = RawChunk(OUTGOING + self._links[0].number, sent_host_ns, frame)
         yield chunk
         yield from self.decoder.decode_chunk(chunk)
 
@@ -220,9 +236,11 @@ class MavlinkAutopilot:
         elif isinstance(record, ObstacleSectors):
             self._send(encode.obstacle_distance(record, (record.t_host_ns + self._boot_offset_ns) // 1000))
         elif isinstance(record, Notice):
-            self._texts += 1
-            for piece in encode.status_text(record.severity, record.text, self._texts):
-                self._send(piece)
+            text = self.component.texts.admit(record)
+            if text is not None:
+                self._texts += 1
+                for piece in encode.status_text(record.severity, text, self._texts):
+                    self._send(piece)
         elif isinstance(record, ServiceStatus):
             self.health = record.health
         elif isinstance(record, ClockState) and record.clock == ClockName.BOOT and record.synced:
@@ -257,7 +275,8 @@ class MavlinkAutopilot:
         self._send(mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, command, 0, *filled))
 
     def close(self) -> None:
-        """Release the links."""
+        """Release the links, and store what waits to be stored."""
+        self.component.close()
         for link in self._links:
             link.close()
 
@@ -268,11 +287,13 @@ class MavlinkAutopilot:
         if not encode.sendable(message):
             self.refused += 1
             return
-        frame = bytes(message.pack(self._packer))
-        self._advance_sequence()
+        frame = self._pack(message)
         for link in self._links:
             if number is None or link.number == number:
                 link.write(frame)
 
-    def _advance_sequence(self) -> None:
+    def _pack(self, message: Any) -> bytes:
+        frame = bytes(message.pack(self._packer))
         self._packer.seq = (self._packer.seq + 1) % 256
+        self.component.identity.sent(message.get_msgId(), bytes(message.get_payload()))
+        return frame

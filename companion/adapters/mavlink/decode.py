@@ -21,7 +21,7 @@ from companion.adapters.mavlink.mapping import build_mapping
 from companion.adapters.mavlink.restart import ClockWatch
 from companion.adapters.mavlink.scan import Route, ScanCounters, Scanner
 from companion.adapters.mavlink.tally import Tally
-from companion.adapters.mavlink.translate import Heard, Translator
+from companion.adapters.mavlink.translate import Echo, Heard, Translator
 from companion.params.airframe import Airframe
 from companion.records import RawChunk, Record, Reject
 
@@ -61,6 +61,7 @@ class Decoded:
 
     records: list[Record] = field(default_factory=list)
     heard: list[Heard] = field(default_factory=list)
+    echoed: list[Echo] = field(default_factory=list)
 
 
 class Decoder:
@@ -143,6 +144,7 @@ class Decoder:
             self._translator.sent(message)
         elif (route.system, route.component) == (self.system_id, self._component_id):
             self.echoes += 1
+            out.echoed.append(Echo(route.system, route.component, route.message, payload, chunk.received_host_ns))
         else:
             heard = Heard(chunk.link, route.system, route.component, message, chunk.received_host_ns)
             out.heard.append(heard)

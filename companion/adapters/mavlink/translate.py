@@ -36,6 +36,17 @@ class Heard:
         return str(self.message.get_type())
 
 
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """A rare message under our own system and component id: ours sent back by a router, or another's with our id."""
+
+    system: int
+    component: int
+    message: int
+    payload: bytes
+    received_host_ns: int
+
+
 class Translator:
     """Keeps the little state that rare messages need; driven by chunks alone, so that a replay repeats it."""
 

@@ -1,0 +1,53 @@
+"""Our own MAVLink component, as others see it: parameters, identity, commands, files, and the computer's state."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+from companion.adapters.mavlink.computer import ComputerStatus
+from companion.adapters.mavlink.identity import IdentityWatch
+from companion.adapters.mavlink.parameter_server import ParameterServer
+from companion.adapters.mavlink.texts import TextLimiter
+from companion.adapters.mavlink.translate import Echo, Heard
+from companion.records import Notice, ParameterChange
+
+_MOST_NOTICES = 16
+
+
+class OwnComponent:
+    """What a good component does beside its work. Told what was heard and sent, asked for what is due."""
+
+    def __init__(self, parameters: ParameterServer, computer: ComputerStatus | None = None) -> None:
+        self.parameters = parameters
+        self.identity = IdentityWatch()
+        self.texts = TextLimiter()
+        self._computer = ComputerStatus() if computer is None else computer
+        self._notices: deque[Notice] = deque(maxlen=_MOST_NOTICES)
+
+    def hear(self, heard: Heard, system: int) -> None:
+        """Take in a rare message of somebody else."""
+        self.parameters.hear(heard, system)
+
+    def echoed(self, echo: Echo) -> None:
+        """Take in a message that carries our own ids."""
+        notice = self.identity.heard(echo)
+        if notice is not None:
+            self._notices.append(notice)
+
+    def due(self, now_host_ns: int) -> Iterator[Any]:
+        """The messages to send now."""
+        for message in (self.parameters.due(now_host_ns), self._computer.due(now_host_ns)):
+            if message is not None:
+                yield message
+
+    def close(self) -> None:
+        """Finish what is under way."""
+        self.parameters.close()
+
+    def events(self) -> list[ParameterChange | Notice]:
+        """Changes and sentences for the operator since the last call."""
+        taken = [*self.parameters.events(), *self._notices]
+        self._notices.clear()
+        return taken
