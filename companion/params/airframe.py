@@ -113,7 +113,8 @@ class Camera:
     ``axes`` names the body direction of camera x, y, z at rest (nadir: ``["y", "-x", "z"]``, forward: ``["y", "z", "x"]``);
     ``rotation_rad`` is the calibrated small rotation vector, in camera axes, from there to the camera as mounted.
     ``slope_gain`` scales the tip station's slope to the camera (1: mounted at the station); ``lift_gain`` likewise its
-    deflection. ``latency_s`` is from trigger command to the start of the exposure.
+    deflection. ``focal_px`` is along the rows, ``focal_ratio`` times it along the columns. ``latency_s`` is from
+    trigger command to the start of the exposure.
     """
 
     width_px: int
@@ -130,6 +131,7 @@ class Camera:
     latency_s: Uncertain = field(default_factory=lambda: Uncertain(0.008, 0.002))
     slope_gain: float = 1.0
     lift_gain: float = 1.0
+    focal_ratio: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,7 +52,7 @@ class Lens:
 
     @property
     def focal_px(self) -> float:
-        """Focal length, px (square pixels)."""
+        """Focal length along the rows, px."""
         return float(self.matrix[0, 0])
 
     def project(self, points_m: Floats) -> Floats:
@@ -117,8 +117,8 @@ class MountedCamera:
     def from_record(cls, side: Side, camera: Camera, name: str) -> MountedCamera:
         """Build from the airframe's record; :class:`ConfigError` names the key that makes no sense."""
         _check(camera, name)
-        focal = camera.focal_px.value
-        matrix = np.array([[focal, 0.0, camera.principal_px[0]], [0.0, focal, camera.principal_px[1]], [0.0, 0.0, 1.0]])
+        focal, tall = camera.focal_px.value, camera.focal_px.value * camera.focal_ratio
+        matrix = np.array([[focal, 0.0, camera.principal_px[0]], [0.0, tall, camera.principal_px[1]], [0.0, 0.0, 1.0]])
         lens = Lens(matrix, np.array(camera.distortion), (camera.width_px, camera.height_px))
         mounting = exp_rotation(-np.array(camera.rotation_rad))
         rest = Pose(mounting @ axes_from_body(camera.axes, f"{name}.axes"), np.array(camera.position_m))
@@ -214,6 +214,8 @@ def _check(camera: Camera, name: str) -> None:
         raise ConfigError(f"{name}: width_px and height_px must be positive")
     if camera.focal_px.value <= 0.0:
         raise ConfigError(f"{name}.focal_px must be positive, not {camera.focal_px.value:g}")
+    if not camera.focal_ratio > 0.0:
+        raise ConfigError(f"{name}.focal_ratio must be positive, not {camera.focal_ratio:g}")
     if len(camera.distortion) != _DISTORTION_TERMS:
         raise ConfigError(f"{name}.distortion needs 5 terms (k1, k2, p1, p2, k3), not {len(camera.distortion)}")
 

@@ -44,7 +44,9 @@ class Matches:
         return len(self.sigma_px)
 
 
-def match(left: Bytes, right: Bytes, rig: Rig, search: Search, most: int = 200) -> Matches:
+def match(
+    left: Bytes, right: Bytes, rig: Rig, search: Search, most: int = 200, quality: float = _CORNER_QUALITY
+) -> Matches:
     """Match features of a raw image pair.
 
     Parameters
@@ -57,10 +59,12 @@ def match(left: Bytes, right: Bytes, rig: Rig, search: Search, most: int = 200) 
         Predicted poses, their tolerance and the range limits.
     most : int
         Largest number of features that are tried.
+    quality : float
+        The weakest corner that is tried, as a share of the strongest one's response.
     """
     frame = rectification(rig, search.left, search.right)
     level = max(0, round(np.log2(left.shape[1] / _COARSE_WIDTH_PX)))
-    corners = _corners(left, 2 * most, level)
+    corners = _corners(left, 2 * most, level, quality)
     seen = frame.to_rectified(rig.left, search.left, corners.astype(np.float64))
     band = bands(search, frame, seen, Side.LEFT)
     chosen = np.flatnonzero(_reachable(band, frame))[:most]
@@ -95,7 +99,7 @@ def match_pair(pair: FramePair, rig: Rig, search: Search, matched_host_ns: int, 
     )
 
 
-def _corners(image: Bytes, most: int, level: int) -> Ints:
+def _corners(image: Bytes, most: int, level: int, quality: float) -> Ints:
     """Column, row of the strongest corners (n, 2), best first, away from the border.
 
     They are looked for in the small image, ten times faster: texture over the window counts, not a sharp corner.
@@ -105,7 +109,7 @@ def _corners(image: Bytes, most: int, level: int) -> Ints:
     mask = np.zeros_like(small)
     mask[border:-border, border:-border] = 1
     spacing = _CORNER_SPACING_PX / 2**level
-    corners = cv2.goodFeaturesToTrack(small, most, _CORNER_QUALITY, spacing, mask=mask, blockSize=5)
+    corners = cv2.goodFeaturesToTrack(small, most, quality, spacing, mask=mask, blockSize=5)
     if corners is None:
         return np.empty((0, 2), dtype=np.int64)
     whole: Ints = np.rint(corners.reshape(-1, 2)).astype(np.int64) * 2**level

@@ -1,0 +1,244 @@
+"""The slow part of the cameras' relative rotation, from the epipolar geometry of matched features, with covariance.
+
+In the epipolar frame (x along the baseline, z where the cameras look, y across) matched rays have equal slopes y when
+the extrinsics are true. A right camera that is really turned by ``phi`` beyond what is believed, and a baseline that
+really points to ``(1, b_y, b_z)``, leave the parallax
+
+    ``y_l - y_r = -phi_x (1 + y^2) + phi_y x y + phi_z x + b_y d + b_z (x_r y_l - y_r x_l)``,   ``d = x_l - x_r``
+
+so pitch ``phi_x`` and roll ``phi_z`` are seen strongly, yaw ``phi_y`` only through ``x y``, and the baseline only
+through depth that varies. Yaw is the toe that falsifies ranges; its covariance tells how weakly a picture shows it.
+What two lenses may have wrong differently (focal length, radial distortion) is carried as two constants with a prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.triangulation import Rays
+from companion.records import Floats, Reject
+
+PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL = range(7)
+_SLOW = 7
+_LEAST_MATCHES = 12
+_ROUNDS = 10
+_STUDENT = 5.0  # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
+_MEDIAN_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, slots=True)
+class SlowPrior:
+    """What is believed of the slow part before any picture.
+
+    Attributes
+    ----------
+    rotation_rad : float
+        Sigma of each axis at the start: trim bend, thermal set, mounting.
+    walk_rad_rts : float
+        Its random walk, per square root of a second.
+    baseline_rad : float
+        Sigma of the baseline's direction, a constant: mounting, and static bend that differs between the wings.
+    focal, radial : float
+        Sigma of the difference of the lenses' relative focal lengths, and of their first radial terms; constants.
+    parallax_rad : float
+        What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
+    """
+
+    rotation_rad: float = 0.005
+    walk_rad_rts: float = 0.0005
+    baseline_rad: float = 0.001
+    focal: float = 0.0007
+    radial: float = 0.002
+    parallax_rad: float = 0.00005
+
+    def variances(self) -> Floats:
+        """Diagonal (7,) of the first covariance."""
+        sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + [self.focal, self.radial]
+        return np.array(sigmas, dtype=np.float64) ** 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EpipolarUpdate:
+    """Relative rotation of the right camera beyond the believed one, as vectors in the epipolar frame.
+
+    Attributes
+    ----------
+    slow_rad, slow_covariance : (3,), (3, 3) float64
+        Pitch, yaw, roll of the slow part alone: what to carry to the next pair.
+    total_rad, total_covariance : (3,), (3, 3) float64
+        Slow part and this pair's error of the fast part: what to correct this pair by.
+    baseline_rad : (2,) float64
+        Error of the baseline's direction toward y and z.
+    parallax_scale : float
+        How much larger than their stated sigma the parallaxes are; at least 1, and paid for in every covariance.
+    used : int
+        Matches with at least half their weight.
+    """
+
+    slow_rad: Floats
+    slow_covariance: Floats
+    total_rad: Floats
+    total_covariance: Floats
+    baseline_rad: Floats
+    parallax_scale: float
+    used: int
+
+
+class EpipolarFilter:
+    """Iterated, robust Kalman filter of the slow relative rotation, one update per matched pair.
+
+    The fast part comes from the wing tracker: its pose is in the rays that are given, its error is white from pair to
+    pair with the covariance that is given. The slow part walks at random.
+    """
+
+    def __init__(self, rig: Rig, prior: SlowPrior) -> None:
+        self.epipolar_from_body = epipolar_frame(rig)
+        self._prior = prior
+        self._mean = np.zeros(_SLOW)
+        self._covariance = np.diag(prior.variances())
+        self._seen_ns: int | None = None
+
+    def update(self, rays: Rays, sigma_rad: Floats, fast_covariance: Floats, t_host_ns: int) -> EpipolarUpdate | Reject:
+        """Take the matches of one pair.
+
+        Parameters
+        ----------
+        rays : Rays
+            Matched rays in body axes, by the believed fast part (``triangulation.match_rays``).
+        sigma_rad : (n,) float64
+            One-sigma of each parallax.
+        fast_covariance : (3, 3) float64
+            Of the believed fast relative rotation, pitch, yaw, roll in the epipolar frame; rad^2.
+        t_host_ns : int
+            Mid-exposure.
+
+        Returns
+        -------
+        EpipolarUpdate, or the Reject (too few matches, time backwards, not finite); then nothing has changed.
+        """
+        refused = self._refuse(rays, sigma_rad, t_host_ns)
+        if refused is not None:
+            return refused
+        predicted = self._predicted(t_host_ns)
+        seen = in_frame(rays, self.epipolar_from_body)
+        joint = np.zeros((_SLOW + 3, _SLOW + 3))
+        joint[:_SLOW, :_SLOW], joint[_SLOW:, _SLOW:] = predicted, fast_covariance
+        noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
+        answer = _solve(seen, noise_rad, np.concatenate([self._mean, np.zeros(3)]), joint)
+        self._mean, self._covariance, self._seen_ns = answer.mean[:_SLOW], answer.covariance[:_SLOW, :_SLOW], t_host_ns
+        return _describe(answer)
+
+    def predict(self, t_host_ns: int) -> tuple[Floats, Floats]:
+        """Slow rotation (3,) and its covariance (3, 3) at a time at or after the last update."""
+        return self._mean[:3].copy(), self._predicted(t_host_ns)[:3, :3]
+
+    def _predicted(self, t_host_ns: int) -> Floats:
+        passed_s = 0.0 if self._seen_ns is None else max(t_host_ns - self._seen_ns, 0) * 1e-9
+        walk = np.zeros(_SLOW)
+        walk[:3] = self._prior.walk_rad_rts**2 * passed_s
+        grown: Floats = self._covariance + np.diag(walk)
+        return grown
+
+    def _refuse(self, rays: Rays, sigma_rad: Floats, t_host_ns: int) -> Reject | None:
+        if len(sigma_rad) < _LEAST_MATCHES:
+            return Reject.NO_MATCHES
+        if self._seen_ns is not None and t_host_ns < self._seen_ns:
+            return Reject.TIME_BACKWARDS
+        parts = (rays.left_m, rays.left, rays.right_m, rays.right, sigma_rad)
+        return None if all(bool(np.all(np.isfinite(part))) for part in parts) else Reject.NOT_FINITE
+
+
+def epipolar_frame(rig: Rig) -> Floats:
+    """Rotation (3, 3) from body axes to the rig's epipolar frame at rest."""
+    apart = rig.right.rest.position_body_m - rig.left.rest.position_body_m
+    x = apart / np.linalg.norm(apart)
+    look = rig.left.rest.camera_from_body[2] + rig.right.rest.camera_from_body[2]
+    z = look - (look @ x) * x
+    z /= np.linalg.norm(z)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def in_frame(rays: Rays, frame_from_body: Floats) -> Rays:
+    """Express rays in another frame."""
+    parts = (rays.left_m, rays.left, rays.right_m, rays.right)
+    return Rays(*(np.asarray(part @ frame_from_body.T, dtype=np.float64) for part in parts))
+
+
+def turned_right(rays: Rays, rotation_rad: Floats, epipolar_from_body: Floats) -> Rays:
+    """Rays in body axes with the right ones turned by a rotation vector of the epipolar frame."""
+    turn = epipolar_from_body.T @ exp_rotation(rotation_rad) @ epipolar_from_body
+    return Rays(rays.left_m, rays.left, rays.right_m, rays.right @ turn.T)
+
+
+def parallax(seen: Rays, state: Floats) -> tuple[Floats, Floats]:
+    """Parallax (n,) that a state (7,) leaves, and how it falls with each of its entries (n, 7).
+
+    Parameters
+    ----------
+    seen : Rays
+        In the epipolar frame.
+    state : (7,) float64
+        Pitch, yaw, roll, baseline y and z, focal and radial difference of the lenses.
+    """
+    left, right = seen.left, seen.right @ exp_rotation(state[:3]).T
+    x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
+    x_r, y_r = right[:, 0] / right[:, 2], right[:, 1] / right[:, 2]
+    apart = seen.right_m - seen.left_m
+    toward = apart[:, 1:] / apart[:, :1] + state[BASELINE_Y : BASELINE_Z + 1]
+    disparity, twisted = x_l - x_r, x_r * y_l - y_r * x_l
+    y = 0.5 * (y_l + y_r)
+    cubic = 0.5 * (y_l * (x_l**2 + y_l**2) + y_r * (x_r**2 + y_r**2))
+    left_over = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted
+    left_over = left_over - state[FOCAL] * y - state[RADIAL] * cubic
+    columns = [-(1.0 + y_r**2), x_r * y_r, x_r, disparity, twisted, y, cubic]
+    return left_over, np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Answer:
+    mean: Floats
+    covariance: Floats
+    scale: float
+    used: int
+
+
+def _solve(seen: Rays, sigma_rad: Floats, mean: Floats, covariance: Floats) -> _Answer:
+    """Maximum a posteriori by Gauss-Newton; the last three entries add to the first three (the fast part's error)."""
+    prior_information = np.linalg.inv(covariance)
+    state, scale = mean.copy(), 1.0
+    weight, information = np.ones(len(sigma_rad)), prior_information
+    for _ in range(_ROUNDS):
+        left_over, slow = parallax(seen, state[:_SLOW] + _padded(state[_SLOW:]))
+        design = np.hstack([slow, slow[:, :3]])
+        # the first rounds see the rotation itself and take it for noise; as it shrinks, outliers come to stand alone
+        unit = left_over / sigma_rad
+        scale = max(_MEDIAN_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
+        unit = unit / scale
+        weight = (_STUDENT + 1.0) / (_STUDENT + unit**2)
+        weighted = design * (np.minimum(weight, 1.0) / (scale * sigma_rad))[:, np.newaxis]
+        # Fisher information counts weighted squares, the pull counts weighted residuals
+        information = prior_information + weighted.T @ (design / (scale * sigma_rad)[:, np.newaxis])
+        pull = weighted.T @ unit + prior_information @ (mean - state)
+        state = state + np.linalg.solve(information, pull)
+    return _Answer(state, np.linalg.inv(information), scale, int(np.sum(weight > 0.5)))
+
+
+def _padded(fast: Floats) -> Floats:
+    return np.concatenate([fast, np.zeros(_SLOW - 3)])
+
+
+def _describe(answer: _Answer) -> EpipolarUpdate:
+    add = np.hstack([np.eye(3), np.zeros((3, _SLOW - 3)), np.eye(3)])
+    return EpipolarUpdate(
+        slow_rad=answer.mean[:3],
+        slow_covariance=answer.covariance[:3, :3],
+        total_rad=add @ answer.mean,
+        total_covariance=add @ answer.covariance @ add.T,
+        baseline_rad=answer.mean[BASELINE_Y : BASELINE_Z + 1],
+        parallax_scale=answer.scale,
+        used=answer.used,
+    )

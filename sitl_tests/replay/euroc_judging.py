@@ -1,0 +1,117 @@
+"""Judges estimates of the flexed EuRoC pairs: against the known rotation, on features that no estimate has used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.epipolar import EpipolarFilter, SlowPrior, epipolar_frame, in_frame
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.rotation import exp_rotation, log_rotation
+from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
+
+# a rigid bar holds EuRoC's cameras; its calibration says nothing of its own sigmas, these are usual for a good one
+PRIOR = SlowPrior(baseline_rad=0.0005, parallax_rad=0.00015)
+_UNKNOWN_FAST_RAD = 0.005
+WAYS = ("modal", "epipolar", "both")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Errors (n, 3) in pitch, yaw, roll, rad, and the filter's own sigmas (n, 3)."""
+
+    error_rad: np.ndarray
+    sigma_rad: np.ndarray
+
+
+def split(pairs: list[FlexedPair], seed: int = 5) -> list[np.ndarray]:
+    """For each pair, which matches the estimate may use; the others judge it."""
+    random = np.random.default_rng(seed)
+    return [random.random(len(pair.matches)) < 0.5 for pair in pairs]
+
+
+def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str) -> Verdict:
+    """Error of the total rotation of every pair, estimated in one of three ways; no held-out match is touched."""
+    epipolar_from_camera = epipolar_frame(rig) @ rig.right.rest.camera_from_body.T
+    running = EpipolarFilter(rig, PRIOR)
+    errors, sigmas = [], []
+    for pair, mine in zip(pairs, used, strict=True):
+        fast = np.zeros(3) if way == "epipolar" else pair.fast_known_rad
+        fast_sigma = _UNKNOWN_FAST_RAD if way == "epipolar" else FAST_SIGMA_RAD
+        correction, sigma = np.zeros(3), np.full(3, np.hypot(PRIOR.rotation_rad, FAST_SIGMA_RAD))
+        if way != "modal":
+            one = EpipolarFilter(rig, PRIOR) if way == "epipolar" else running
+            rays = rays_of(rig, pair.matches, fast, mine)
+            sigma_rad = pair.matches.sigma_px[mine] / rig.right.lens.focal_px
+            update = one.update(rays, sigma_rad, fast_sigma**2 * np.eye(3), pair.t_ns)
+            assert not isinstance(update, str), update
+            correction, sigma = update.total_rad, np.sqrt(np.diag(update.total_covariance))
+        believed = exp_rotation(epipolar_from_camera.T @ correction) @ exp_rotation(fast)
+        errors.append(epipolar_from_camera @ log_rotation(believed @ exp_rotation(pair.total_rad).T))
+        sigmas.append(sigma)
+    return Verdict(np.array(errors), np.array(sigmas))
+
+
+def own_design(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Parallax (n,) under the true applied rotation, and its design (n, 7), written down here once more."""
+    rays = in_frame(rays_of(rig, pair.matches, pair.total_rad, chosen), epipolar_frame(rig))
+    left, right = rays.left / rays.left[:, 2:], rays.right / rays.right[:, 2:]
+    x, y, d = right[:, 0], 0.5 * (left[:, 1] + right[:, 1]), left[:, 0] - right[:, 0]
+    design = np.column_stack([-(1 + y * y), x * y, x, d, -y * d, y, y * (x * x + y * y)])
+    return left[:, 1] - right[:, 1], design
+
+
+def kept(parallax: np.ndarray) -> np.ndarray:
+    """Matches that are no blunders: within four robust sigmas of the rest."""
+    off = np.abs(parallax - np.median(parallax))
+    return off < 4 * 1.4826 * np.median(off)
+
+
+def calibration_error(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray]) -> np.ndarray:
+    """Constant relative rotation (3,) by which the published calibration is off: all held-out matches together."""
+    rows = [own_design(rig, pair, ~mine) for pair, mine in zip(pairs, used, strict=True)]
+    parallax, design = np.concatenate([p for p, _ in rows]), np.concatenate([h for _, h in rows])
+    good = kept(parallax)
+    prior = np.diag(1.0 / np.sqrt(PRIOR.variances()))
+    sigma = 1.4826 * np.median(np.abs(parallax[good] - np.median(parallax[good])))
+    stacked = np.vstack([design[good] / sigma, prior])
+    fitted, *_ = np.linalg.lstsq(stacked, np.concatenate([parallax[good] / sigma, np.zeros(7)]), rcond=None)
+    return fitted[:3]
+
+
+def noise_rad(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> float:
+    """Sigma of one parallax about its own best fit, robust."""
+    parallax, design = own_design(rig, pair, chosen)
+    good = kept(parallax)
+    fitted, *_ = np.linalg.lstsq(design[good][:, :3], parallax[good], rcond=None)
+    left_over = parallax[good] - design[good][:, :3] @ fitted
+    return float(1.4826 * np.median(np.abs(left_over)))
+
+
+def cramer_rao(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], fast_sigma_rad: float | None) -> np.ndarray:
+    """Sigma (n, 3) that nobody can beat with these matches: lenses and baseline unknown within their priors.
+
+    With ``fast_sigma_rad`` the slow part is followed from pair to pair and the fast part is known to that; without,
+    every pair stands alone.
+    """
+    walk = np.zeros(7)
+    walk[:3] = PRIOR.walk_rad_rts**2
+    information = np.diag(1.0 / PRIOR.variances())
+    bounds, last_ns = [], pairs[0].t_ns
+    for pair, mine in zip(pairs, used, strict=True):
+        parallax, design = own_design(rig, pair, mine)
+        design = design[kept(parallax)] / noise_rad(rig, pair, mine)
+        if fast_sigma_rad is None:
+            alone = np.linalg.inv(np.diag(1.0 / PRIOR.variances()) + design.T @ design)
+            bounds.append(np.sqrt(np.diag(alone)[:3]))
+            continue
+        predicted = np.linalg.inv(information) + np.diag(walk) * 1e-9 * (pair.t_ns - last_ns)
+        joint = np.zeros((10, 10))
+        joint[:7, :7], joint[7:, 7:] = predicted, fast_sigma_rad**2 * np.eye(3)
+        rows = np.hstack([design, design[:, :3]])
+        posterior = np.linalg.inv(np.linalg.inv(joint) + rows.T @ rows)
+        add = np.hstack([np.eye(3), np.zeros((3, 4)), np.eye(3)])
+        bounds.append(np.sqrt(np.diag(add @ posterior @ add.T)))
+        information, last_ns = np.linalg.inv(posterior[:7, :7]), pair.t_ns
+    return np.array(bounds)

@@ -1,0 +1,158 @@
+"""The epipolar filter against rays of known geometry: finds a rotation, knows what it cannot see, fades outliers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.stereo.epipolar import (
+    EpipolarFilter,
+    EpipolarUpdate,
+    SlowPrior,
+    epipolar_frame,
+    in_frame,
+    parallax,
+    turned_right,
+)
+from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.triangulation import Rays
+from companion.params.files import load_airframe
+from companion.records import Reject
+
+FOCAL_PX = 800.0
+NOISE_RAD = 0.1 / FOCAL_PX
+EXACT_LENSES = {"focal": 1e-9, "radial": 1e-9, "parallax_rad": 1e-9}
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return Rig.from_airframe(load_airframe("nadir-2m"))
+
+
+def _rays(
+    rig: Rig, turn_rad: np.ndarray, seed: int, n: int = 150, depths_m: tuple[float, float] = (20.0, 80.0)
+) -> Rays:
+    """Rays as believed, while the right camera is really turned by ``turn_rad`` (epipolar frame)."""
+    random = np.random.default_rng(seed)
+    frame = epipolar_frame(rig)
+    left = np.column_stack([random.uniform(-0.35, 0.35, n), random.uniform(-0.28, 0.28, n), np.ones(n)])
+    points = rig.left.rest.position_body_m + (left * random.uniform(*depths_m, (n, 1))) @ frame
+    rest = rig.right.rest
+    camera_from_epipolar = rest.camera_from_body @ frame.T
+    really = Pose(exp_rotation(-camera_from_epipolar @ turn_rad) @ rest.camera_from_body, rest.position_body_m)
+    seen = (points - really.position_body_m) @ really.camera_from_body.T
+    seen = seen / seen[:, 2:]
+    seen[:, :2] += NOISE_RAD * random.standard_normal((n, 2))
+    where = np.ones((n, 1))
+    return Rays(
+        where * rig.left.rest.position_body_m, left @ frame, where * rest.position_body_m, seen @ rest.camera_from_body
+    )
+
+
+def _update(rig: Rig, rays: Rays, prior: SlowPrior, fast_rad: float = 1e-9) -> EpipolarUpdate:
+    sigma = np.full(len(rays.left), NOISE_RAD)
+    answer = EpipolarFilter(rig, prior).update(rays, sigma, fast_rad**2 * np.eye(3), 0)
+    assert isinstance(answer, EpipolarUpdate)
+    return answer
+
+
+def test_a_rotation_of_several_milliradians_is_found_within_its_sigma(rig: Rig) -> None:
+    squares = []
+    for seed in range(40):
+        true = np.random.default_rng(1000 + seed).normal(0.0, 0.004, 3)
+        found = _update(rig, _rays(rig, true, seed), SlowPrior(baseline_rad=1e-9, **EXACT_LENSES))
+        error = found.slow_rad - true
+        squares.append(float(error @ np.linalg.solve(found.slow_covariance, error)))
+        assert np.abs(error[[0, 2]]).max() < 1e-4
+    # chi-square with 3 degrees of freedom, 40 draws: mean 3, standard deviation 0.39
+    assert 3 - 4 * 0.39 < np.mean(squares) < 3 + 4 * 0.39 + 0.5
+
+
+def test_yaw_is_weak_by_the_factor_that_geometry_gives_and_the_filter_knows_it(rig: Rig) -> None:
+    """Uniform x in +-a, y in +-b: the parallax of yaw is x y, so its sigma is noise / sqrt(n a^2 b^2 / 9)."""
+    n = 400
+    found = _update(
+        rig, _rays(rig, np.zeros(3), 3, n=n, depths_m=(400.0, 500.0)), SlowPrior(baseline_rad=1e-9, **EXACT_LENSES)
+    )
+    sigma = np.sqrt(np.diag(found.slow_covariance))
+    scaled = NOISE_RAD * found.parallax_scale
+    assert sigma[1] == pytest.approx(scaled * 3.0 / (0.35 * 0.28 * np.sqrt(n)), rel=0.12)
+    assert sigma[0] == pytest.approx(scaled / np.sqrt(n), rel=0.12)
+    assert sigma[2] == pytest.approx(scaled * np.sqrt(3.0) / (0.35 * np.sqrt(n)), rel=0.12)
+
+
+def test_an_unknown_baseline_counts_as_far_as_there_is_disparity(rig: Rig) -> None:
+    """At one depth a baseline turned by b is a pitch of b times the disparity B/Z: no match can tell the two apart."""
+    depth_m, baseline_rad = 175.0, 0.005  # small: y^2 in the pitch column tells a large one apart
+    rays = _rays(rig, np.zeros(3), 4, depths_m=(depth_m, depth_m))
+    known = _update(rig, rays, SlowPrior(baseline_rad=1e-9, **EXACT_LENSES))
+    unknown = _update(rig, rays, SlowPrior(baseline_rad=baseline_rad, **EXACT_LENSES))
+    added = np.sqrt(unknown.slow_covariance[0, 0] - known.slow_covariance[0, 0])
+    assert added == pytest.approx(baseline_rad * rig.baseline_m / depth_m, rel=0.05)
+    assert unknown.slow_covariance[2, 2] == pytest.approx(known.slow_covariance[2, 2], rel=0.02)
+
+
+def test_a_third_of_wrong_matches_hardly_matters(rig: Rig) -> None:
+    true = np.array([0.002, -0.003, 0.004])
+    rays = _rays(rig, true, 6)
+    spoiled = rays.right.copy()
+    spoiled[:50] += np.random.default_rng(7).normal(0.0, 0.004, (50, 3))
+    prior = SlowPrior(baseline_rad=1e-9, **EXACT_LENSES)
+    found = _update(rig, Rays(rays.left_m, rays.left, rays.right_m, spoiled), prior)
+    error = np.abs(found.slow_rad - true)
+    assert np.all(error < 5.0 * np.sqrt(np.diag(found.slow_covariance)))
+    assert found.used < 125
+
+
+def test_slow_and_fast_part_are_told_apart_by_time(rig: Rig) -> None:
+    """A constant 3 mrad under a fast part that is known to 0.5 mrad only: 100 pairs find the constant."""
+    random, tracker = np.random.default_rng(8), EpipolarFilter(rig, SlowPrior(walk_rad_rts=1e-5, baseline_rad=1e-9))
+    slow, first = np.array([0.003, -0.003, 0.001]), None
+    for k in range(100):
+        fast_error = random.normal(0.0, 5e-4, 3)
+        rays = _rays(rig, slow + fast_error, 100 + k)
+        update = tracker.update(rays, np.full(150, NOISE_RAD), 25e-8 * np.eye(3), k * 100_000_000)
+        assert isinstance(update, EpipolarUpdate)
+        first = first or update
+        assert abs(update.total_rad[0] - slow[0] - fast_error[0]) < 2e-4
+    sigma = np.sqrt(np.diag(update.slow_covariance))
+    assert np.all(sigma < 0.25 * np.sqrt(np.diag(first.slow_covariance)))
+    assert np.all(np.abs(update.slow_rad - slow) < 4.0 * sigma)
+
+
+def test_the_design_is_the_derivative_of_the_parallax(rig: Rig) -> None:
+    seen = in_frame(_rays(rig, np.array([0.003, 0.002, -0.004]), 9), epipolar_frame(rig))
+    at = np.array([1e-3, -2e-3, 3e-3, 1e-3, 2e-3, 1e-3, 2e-3])
+    _, design = parallax(seen, at)
+    for column, step in enumerate(1e-6 * np.eye(7)):
+        slope = (parallax(seen, at - step)[0] - parallax(seen, at + step)[0]) / 2e-6
+        # the design leaves out what is second order in the state: a few mrad times the column itself
+        assert np.abs(slope - design[:, column]).max() < 0.01
+
+
+def test_turning_the_rays_back_leaves_no_parallax(rig: Rig) -> None:
+    true = np.array([0.002, -0.003, 0.004])
+    rays = turned_right(_rays(rig, true, 10), true, epipolar_frame(rig))
+    left_over, _ = parallax(in_frame(rays, epipolar_frame(rig)), np.zeros(7))
+    assert np.std(left_over) < 1.2 * NOISE_RAD
+
+
+def test_it_refuses_and_forgets_nothing(rig: Rig) -> None:
+    tracker = EpipolarFilter(rig, SlowPrior())
+    rays, sigma, still = _rays(rig, np.full(3, 0.002), 11), np.full(150, NOISE_RAD), 1e-8 * np.eye(3)
+    tracker.update(rays, sigma, still, 1_000)
+    before = tracker.predict(1_000)[0]
+    few = Rays(rays.left_m[:5], rays.left[:5], rays.right_m[:5], rays.right[:5])
+    assert tracker.update(few, sigma[:5], still, 2_000) is Reject.NO_MATCHES
+    assert tracker.update(rays, sigma, still, 999) is Reject.TIME_BACKWARDS
+    broken = Rays(rays.left_m, rays.left * np.nan, rays.right_m, rays.right)
+    assert tracker.update(broken, sigma, still, 2_000) is Reject.NOT_FINITE
+    assert np.array_equal(tracker.predict(1_000)[0], before)
+
+
+def test_belief_grows_wider_while_nothing_is_seen(rig: Rig) -> None:
+    tracker = EpipolarFilter(rig, SlowPrior(walk_rad_rts=1e-3))
+    tracker.update(_rays(rig, np.zeros(3), 12), np.full(150, NOISE_RAD), 1e-8 * np.eye(3), 0)
+    now, later = tracker.predict(0)[1], tracker.predict(4_000_000_000)[1]
+    assert np.allclose(np.diag(later - now), 4e-6, rtol=1e-9)
