@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from companion.cli.audit import beam_tables, equations, range_tables
+from companion.cli.audit import beam_tables, boom, equations, range_tables, wing_shapes
 from companion.cli.audit.findings import Section
 from companion.cli.audit.report_html import html
 from companion.cli.audit.report_markdown import markdown
@@ -16,7 +16,14 @@ from companion.cli.audit.report_markdown import markdown
 
 def make_sections() -> list[Section]:
     """Run the whole audit."""
-    return [beam_tables.section(), range_tables.section(), equations.section()]
+    return [
+        beam_tables.section(),
+        range_tables.section(),
+        equations.section(),
+        boom.fig_4(),
+        wing_shapes.section(),
+        boom.figs_11_12(),
+    ]
 
 
 def plain(sections: Sequence[Section]) -> dict[str, Any]:

@@ -1,0 +1,43 @@
+"""Plots as the text of an SVG, all in one style."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+from companion.cli.audit.findings import Picture
+
+BLUE, RED, ORANGE, GREY, GREEN = "#2166ac", "#b2182b", "#ef8a62", "#777777", "#1b7837"
+_STYLE = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e3e7eb",
+    "grid.linewidth": 0.7,
+    "axes.edgecolor": "#5b6875",
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "svg.hashsalt": "spanwise",
+}
+
+
+def draw(title: str, rows: int, columns: int, paint: Callable[[Any], None], height_in: float = 3.2) -> Picture:
+    """A figure of ``rows`` x ``columns`` axes, which ``paint`` fills; it is given the array of axes.
+
+    Lines of many points are drawn as pixels where ``paint`` rasterizes them, so that the file stays small.
+    """
+    import matplotlib as mpl  # takes most of a second to import
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(9.5, height_in * rows), layout="constrained", dpi=110)
+        FigureCanvasSVG(figure)
+        paint(figure.subplots(rows, columns, squeeze=False))
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return Picture(title, text.getvalue())
