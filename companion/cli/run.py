@@ -25,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--airframe", required=True, metavar="NAME", help="name or path of an airframe file")
     parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record everything that goes in and out")
     parser.add_argument("--parameters", type=Path, metavar="FILE", help="keep here what a ground station sets")
+    parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
     parser.add_argument("--for", type=float, metavar="SECONDS", dest="seconds", help="stop after so long")
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
     add_settings(parser)
@@ -40,6 +41,7 @@ def execute(options: argparse.Namespace) -> int:
         connections=tuple(options.connect),
         recording=options.record,
         parameters=options.parameters,
+        signing_key=options.sign_key,
     )
     ends = time.monotonic() + options.seconds if options.seconds else float("inf")
     stopped: list[int] = []

@@ -25,6 +25,8 @@ class ServiceConfig:
         Path of the MCAP to write, or None.
     parameters
         File that keeps what a ground station sets, or None; ``settings`` has its values in already.
+    signing_key
+        Key file: with it only signed frames come in, and all that go out are signed. None leaves signing off.
     """
 
     airframe: Airframe
@@ -35,3 +37,4 @@ class ServiceConfig:
     recording: Path | None = None
     record_images: bool = False
     parameters: Path | None = None
+    signing_key: Path | None = None

@@ -11,6 +11,7 @@ from companion.adapters.mavlink.autopilot import MavlinkAutopilot
 from companion.adapters.mavlink.component import OwnComponent
 from companion.adapters.mavlink.link import open_link
 from companion.adapters.mavlink.parameter_server import ParameterServer
+from companion.adapters.mavlink.signing import Signing, load_signing
 from companion.adapters.recordings.inlet import Inlet, recorder_channel
 from companion.adapters.recordings.recorder import run_recorder
 from companion.adapters.recordings.writer import About
@@ -88,6 +89,8 @@ class _NoRecorder:
 def _try_links(config: ServiceConfig) -> None:
     """Open and close every link once, so that a wrong one is told to the user and not to a log."""
     clock = MonotonicClock()
+    if config.signing_key is not None:
+        load_signing(config.signing_key, clock)
     for number, spelling in enumerate(config.connections):
         open_link(spelling, clock, number).close()
 
@@ -111,8 +114,9 @@ def _inertial_process(
 ) -> None:
     _ignore_interrupt()
     clock: Clock = MonotonicClock()
-    links = [open_link(spelling, clock, number) for number, spelling in enumerate(config.connections)]
-    autopilot = MavlinkAutopilot(links, config.airframe, config.settings, clock, component=_component(config))
+    signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
+    links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
+    autopilot = MavlinkAutopilot(links, config.airframe, config.settings, clock, component=_component(config, signing))
     loop = inertial.InertialLoop(
         state=start(config.airframe, config.settings),
         autopilot=autopilot,
@@ -125,12 +129,13 @@ def _inertial_process(
     inertial.run(loop, stop)
 
 
-def _component(config: ServiceConfig) -> OwnComponent:
+def _component(config: ServiceConfig, signing: Signing | None) -> OwnComponent:
     """Our own MAVLink component, which keeps its parameters where that is asked for."""
-    if config.parameters is None:
-        return OwnComponent(ParameterServer(config.settings))
-    kept = load_stored(config.parameters).values
-    return OwnComponent(ParameterServer(config.settings, Keeper(config.parameters), kept))
+    parameters = ParameterServer(config.settings)
+    if config.parameters is not None:
+        kept = load_stored(config.parameters).values
+        parameters = ParameterServer(config.settings, Keeper(config.parameters), kept)
+    return OwnComponent(parameters, signing=signing)
 
 
 def _trigger_process(config: ServiceConfig, line: socket.socket, stop: Event) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from companion.adapters.mavlink.computer import ComputerStatus
 from companion.adapters.mavlink.identity import IdentityWatch
 from companion.adapters.mavlink.parameter_server import ParameterServer
+from companion.adapters.mavlink.signing import Signing
 from companion.adapters.mavlink.texts import TextLimiter
 from companion.adapters.mavlink.translate import Echo, Heard
 from companion.records import Notice, ParameterChange
@@ -19,8 +20,11 @@ _MOST_NOTICES = 16
 class OwnComponent:
     """What a good component does beside its work. Told what was heard and sent, asked for what is due."""
 
-    def __init__(self, parameters: ParameterServer, computer: ComputerStatus | None = None) -> None:
+    def __init__(
+        self, parameters: ParameterServer, computer: ComputerStatus | None = None, signing: Signing | None = None
+    ) -> None:
         self.parameters = parameters
+        self.signing = signing
         self.identity = IdentityWatch()
         self.texts = TextLimiter()
         self._computer = ComputerStatus() if computer is None else computer
@@ -41,6 +45,8 @@ class OwnComponent:
         for message in (self.parameters.due(now_host_ns), self._computer.due(now_host_ns)):
             if message is not None:
                 yield message
+        if self.signing is not None:
+            self._notices.extend(self.signing.notices(now_host_ns))
 
     def close(self) -> None:
         """Finish what is under way."""

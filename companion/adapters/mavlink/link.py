@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from companion.adapters.mavlink.serial_link import SerialTransport
+from companion.adapters.mavlink.signing import SignedTransport, Signing
 from companion.adapters.mavlink.tcp import TcpClient, TcpServer
 from companion.adapters.mavlink.udp import UdpIn, UdpOut
 from companion.errors import LinkError
@@ -82,25 +83,32 @@ class Link:
         self._transport.close()
 
 
-def open_link(spelling: str, clock: Clock, number: int = 0) -> Link:
-    """Open a link.
+def open_link(spelling: str, clock: Clock, number: int = 0, signing: Signing | None = None) -> Link:
+    """Open a link; with ``signing`` only signed frames come in, and all that go out are signed.
 
     Raises
     ------
     LinkError
         The spelling is wrong, or the connection cannot be opened; the message says what to do.
     """
+    transport = _open_transport(spelling)
+    if signing is not None:
+        transport = SignedTransport(transport, signing, number)
+    return Link(number, spelling, transport, clock, knocks=spelling.startswith("udpout:"))
+
+
+def _open_transport(spelling: str) -> Transport:
     scheme, _, rest = spelling.partition(":")
     if scheme in ("udp", "udpin"):
-        return Link(number, spelling, UdpIn(*_address(spelling, rest)), clock)
+        return UdpIn(*_address(spelling, rest))
     if scheme == "udpout":
-        return Link(number, spelling, UdpOut(*_address(spelling, rest)), clock, knocks=True)
+        return UdpOut(*_address(spelling, rest))
     if scheme == "tcp":
-        return Link(number, spelling, TcpClient(*_address(spelling, rest)), clock)
+        return TcpClient(*_address(spelling, rest))
     if scheme == "tcpin":
-        return Link(number, spelling, TcpServer(*_address(spelling, rest)), clock)
+        return TcpServer(*_address(spelling, rest))
     if spelling.startswith(("/", "./")):
-        return Link(number, spelling, SerialTransport(*_device(spelling)), clock)
+        return SerialTransport(*_device(spelling))
     raise LinkError(f"'{spelling}' is not a connection; use {_SPELLINGS}")
 
 

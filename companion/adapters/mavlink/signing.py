@@ -1,0 +1,275 @@
+"""MAVLink 2 signing: only frames with our key, fresh and never seen before, get in; everything that we send is signed.
+
+The check sits at the transport, before the recorder and the decoder: a recording holds what was accepted, and replays
+without the key. Refused frames are counted by reason.
+
+A signature's timestamp counts 10 us. It must increase within a stream (link id, system, component), and a new stream
+may be a minute behind our own time at most (MAVLink 2 signing, "Timestamp handling"). Our time runs with the monotonic
+clock, never behind anything accepted; over a restart it is kept in a file, for a companion may have no clock of the
+day. Without that file the first accepted frame sets it.
+"""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import hmac
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Protocol
+
+from fastcrc.crc16 import mcrf4xx
+
+from companion.adapters.mavlink.dialect import CRC_EXTRA
+from companion.errors import ConfigError
+from companion.ports import Clock
+from companion.records import Notice
+
+_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
+_HEADER_1, _HEADER_2 = 6, 10
+_SIGNED = 0x01
+_SIGNATURE_BYTES = 13
+_KEY_BYTES = 32
+_UNIT_NS = 10_000
+_MINUTE = 60 * 100_000
+_RESTART = _MINUTE
+_SAVE_PERIOD = _MINUTE // 2
+_LARGEST = (1 << 48) - 1
+_MOST_STREAMS = 1024
+_SAY_PERIOD_NS = 10_000_000_000
+_WARNING = 4
+
+
+class Refusal(enum.StrEnum):
+    """Why a frame did not get in."""
+
+    UNSIGNED = "unsigned"
+    WRONG_KEY = "wrong key"
+    REPLAYED = "replayed"
+    STALE = "stale"
+
+
+class Signing:
+    """Key, time and known streams, shared by all links of the service.
+
+    Parameters
+    ----------
+    secret
+        32 bytes.
+    timestamp
+        Where our signing time begins, in 10 us.
+    save
+        Called now and then with the signing time, to be kept over a restart; must not block.
+    """
+
+    def __init__(
+        self, secret: bytes, clock: Clock, timestamp: int = 0, save: Callable[[int], None] | None = None
+    ) -> None:
+        if len(secret) != _KEY_BYTES:
+            raise ConfigError(f"a signing key has {_KEY_BYTES} bytes, not {len(secret)}")
+        self.refused: Counter[Refusal] = Counter()
+        self.accepted = 0
+        self._secret = secret
+        self._clock = clock
+        self._save = save
+        self._base = timestamp
+        self._base_host_ns = clock.now_ns()
+        self._saved = timestamp
+        self._last_sent = 0
+        self._streams: dict[tuple[int, int, int], int] = {}
+        self._said_host_ns: int | None = None
+        self._told: Counter[Refusal] = Counter()
+
+    def now(self) -> int:
+        """Our signing time in 10 us."""
+        return min(self._base + (self._clock.now_ns() - self._base_host_ns) // _UNIT_NS, _LARGEST)
+
+    def sign(self, frame: bytes, link: int) -> bytes:
+        """Sign one unsigned MAVLink 2 frame; its checksum is made anew, for it covers the flag."""
+        self._last_sent = max(self.now(), self._last_sent + 1)
+        self._keep()
+        head = frame[:2] + bytes((frame[2] | _SIGNED,)) + frame[3:-2]
+        extra = CRC_EXTRA[int.from_bytes(frame[7:10], "little")]
+        crc = mcrf4xx(head[1:] + bytes((extra,)))
+        body = head + crc.to_bytes(2, "little") + bytes((link & 0xFF,)) + self._last_sent.to_bytes(6, "little")
+        return body + self._digest(body)
+
+    def judge(self, frame: bytes) -> Refusal | None:
+        """Say why a whole frame, whose checksum is right, may not come in; nothing if it may."""
+        refusal = self._refusal(frame)
+        if refusal is None:
+            self.accepted += 1
+        else:
+            self.refused[refusal] += 1
+        return refusal
+
+    def _refusal(self, frame: bytes) -> Refusal | None:
+        if frame[0] != _MAGIC_2 or not frame[2] & _SIGNED:
+            return Refusal.UNSIGNED
+        if not hmac.compare_digest(self._digest(frame[:-6]), frame[-6:]):
+            return Refusal.WRONG_KEY
+        stream = (frame[-13], frame[5], frame[6])
+        timestamp = int.from_bytes(frame[-12:-6], "little")
+        newest = self._streams.get(stream)
+        if newest is not None and timestamp <= newest:
+            return Refusal.REPLAYED
+        if newest is None and (timestamp + _MINUTE < self.now() or len(self._streams) >= _MOST_STREAMS):
+            return Refusal.STALE
+        self._streams[stream] = timestamp
+        if timestamp > self.now():
+            self._base, self._base_host_ns = timestamp, self._clock.now_ns()
+        return None
+
+    def _digest(self, signed: bytes) -> bytes:
+        return hashlib.sha256(self._secret + signed).digest()[:6]
+
+    def _keep(self) -> None:
+        if self._save is not None and self._last_sent - self._saved > _SAVE_PERIOD:
+            self._saved = self._last_sent
+            self._save(self._last_sent)
+
+    def notices(self, now_host_ns: int) -> list[Notice]:
+        """A sentence about what was refused since the last one, at most every 10 s."""
+        fresh = self.refused - self._told
+        if not fresh or (self._said_host_ns is not None and now_host_ns - self._said_host_ns < _SAY_PERIOD_NS):
+            return []
+        self._said_host_ns, self._told = now_host_ns, Counter(self.refused)
+        parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
+        return [Notice(_WARNING, f"signing refused {parts}", now_host_ns)]
+
+
+class Carrier(Protocol):
+    """A transport, as :class:`companion.adapters.mavlink.link.Transport` describes it."""
+
+    def fileno(self) -> int: ...  # noqa: D102
+    def receive(self, limit: int, now_host_ns: int) -> bytes: ...  # noqa: D102
+    def send(self, data: bytes) -> bool: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
+
+
+class SignedTransport:
+    """A transport whose bytes are checked on the way in and signed on the way out."""
+
+    def __init__(self, inner: Carrier, signing: Signing, link: int) -> None:
+        self._inner = inner
+        self._signing = signing
+        self._link = link
+        self._tail = b""
+
+    def fileno(self) -> int:
+        """Descriptor to wait on, or -1 while there is none."""
+        return self._inner.fileno()
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        """Give the accepted frames of what has arrived."""
+        data = self._inner.receive(limit, now_host_ns)
+        return self._admit(data) if data else b""
+
+    def send(self, data: bytes) -> bool:
+        """Sign one frame and send it."""
+        return self._inner.send(self._signing.sign(data, self._link))
+
+    def close(self) -> None:
+        """Release the device or socket."""
+        self._inner.close()
+
+    def _admit(self, data: bytes) -> bytes:
+        buffer = self._tail + data
+        accepted, end = [], 0
+        for frame, end in _frames(buffer):  # noqa: B007 (the last end is where the rest begins)
+            if frame and self._signing.judge(frame) is None:
+                accepted.append(frame)
+        self._tail = buffer[end:]
+        return b"".join(accepted)
+
+
+def _frames(buffer: bytes) -> Iterator[tuple[bytes, int]]:
+    """Every frame with a right checksum, and the place behind it; what is no frame comes as an empty one.
+
+    What is not complete at the end is left for the next time.
+    """
+    at, end = 0, len(buffer)
+    while at < end:
+        magic = buffer[at]
+        header = _HEADER_2 if magic == _MAGIC_2 else _HEADER_1
+        if magic not in (_MAGIC_1, _MAGIC_2):
+            at += 1
+        elif at + header > end:
+            return
+        else:
+            flags = buffer[at + 2] if magic == _MAGIC_2 else 0
+            body = at + header + buffer[at + 1]
+            after = body + 2 + (_SIGNATURE_BYTES if flags & _SIGNED else 0)
+            number = buffer[at + 7 : at + 10] if magic == _MAGIC_2 else buffer[at + 5 : at + 6]
+            extra = CRC_EXTRA.get(int.from_bytes(number, "little"))
+            if extra is not None and not flags & ~_SIGNED:
+                if after > end:
+                    return
+                if mcrf4xx(buffer[at + 1 : body] + bytes((extra,))) == int.from_bytes(
+                    buffer[body : body + 2], "little"
+                ):
+                    yield buffer[at:after], after
+                    at = after
+                    continue
+            at += 1
+        yield b"", at
+
+
+# ------------------------------------------------------------------------------------------------ the key file
+
+
+def load_signing(path: Path, clock: Clock) -> Signing:
+    """Read a key file: 64 hexadecimal digits, or ``passphrase: ...`` as ground stations take it (SHA-256 makes the key).
+
+    Beside it, ``<name>.stamp`` keeps the signing time.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, is no key, or others than its owner may read it.
+    """
+    try:
+        text = path.read_text(encoding="utf-8").strip()
+        mode = path.stat().st_mode
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot read the signing key {path}: {error}") from error
+    if mode & 0o077:
+        raise ConfigError(f"signing key {path} can be read by others: chmod 600 {path}")
+    stamp = path.with_name(path.name + ".stamp")
+    return Signing(_secret(text, path), clock, _stamp(stamp), lambda value: _save_later(stamp, value))
+
+
+def _secret(text: str, path: Path) -> bytes:
+    label, colon, phrase = text.partition(":")
+    if colon and label.strip() == "passphrase" and phrase.strip():
+        return hashlib.sha256(phrase.strip().encode()).digest()
+    try:
+        secret = bytes.fromhex(text)
+    except ValueError:
+        secret = b""
+    if len(secret) != _KEY_BYTES:
+        raise ConfigError(f"signing key {path}: give 64 hexadecimal digits, or 'passphrase: ...'")
+    return secret
+
+
+def _stamp(path: Path) -> int:
+    """The kept signing time, and a minute: more than can have passed since it was kept."""
+    try:
+        kept = int(path.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return 0
+    return min(max(kept, 0), _LARGEST // 2) + _RESTART
+
+
+def _save_later(path: Path, value: int) -> None:
+    def save() -> None:
+        fresh = path.with_name(path.name + ".new")
+        try:
+            fresh.write_text(f"{value}\n", encoding="ascii")
+            fresh.replace(path)
+        except OSError:  # the time is then set by the first accepted frame of the next start
+            return
+
+    threading.Thread(target=save, name="signing-stamp", daemon=True).start()

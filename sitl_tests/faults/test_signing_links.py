@@ -1,0 +1,191 @@
+"""Signed links, with pymavlink as the other side: what is unsigned, foreign, replayed, stale or bent stays out."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.signing import Refusal, SignedTransport, Signing, load_signing
+from companion.errors import ConfigError
+from sitl_tests.loop.ground_stations import S, TurnedClock, Wire
+
+KEY, OTHER = bytes(range(32)), bytes(32)
+NOW = 300_000_000_000_000 // 10  # some day, in 10 us
+SECOND = 100_000
+
+
+class Other:
+    """A pymavlink component that signs."""
+
+    def __init__(self, key: bytes | None = KEY, timestamp: int = NOW, link: int = 5, component: int = 1) -> None:
+        self.mav = mavlink.MAVLink(None, 3, component)
+        if key is not None:
+            self.mav.signing.secret_key = key
+            self.mav.signing.link_id = link
+            self.mav.signing.timestamp = timestamp
+            self.mav.signing.sign_outgoing = True
+
+    def frame(self, mark: int = 0) -> bytes:
+        return bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, mark, 4, 3).pack(self.mav))
+
+
+class Ours:
+    def __init__(self, timestamp: int = NOW) -> None:
+        self.clock, self.wire = TurnedClock(), Wire()
+        self.signing = Signing(KEY, self.clock, timestamp)
+        self.transport = SignedTransport(self.wire, self.signing, 2)
+
+    def take(self, data: bytes) -> bytes:
+        self.wire.inbox += data
+        return self.transport.receive(65536, self.clock.now)
+
+
+def test_signed_frames_come_in_and_are_the_same_bytes() -> None:
+    ours, other = Ours(), Other()
+    data = b"".join(other.frame(k) for k in range(20))
+    assert ours.take(data) == data
+    assert ours.signing.accepted == 20
+    assert not ours.signing.refused
+
+
+def test_cuts_anywhere_and_garbage_between_lose_nothing() -> None:
+    other = Other()
+    frames = [other.frame(k) for k in range(6)]
+    # what looks like the start of a frame is waited for, so something must follow the last one
+    data = b"\x00\xfd\xfe" + b"\xfd\x09".join(frames) + bytes(300)
+    for cut in range(len(data)):
+        ours = Ours()
+        assert ours.take(data[:cut]) + ours.take(data[cut:]) == b"".join(frames)
+    ours = Ours()
+    assert b"".join(ours.take(data[k : k + 1]) for k in range(len(data))) == b"".join(frames)
+
+
+def test_what_is_unsigned_of_mavlink_1_or_of_another_key_is_refused_and_counted() -> None:
+    ours = Ours()
+    plain, wrong = Other(key=None), Other(key=OTHER)
+    old = bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 3, 1), True))
+    assert ours.take(plain.frame() + old + wrong.frame() + wrong.frame()) == b""
+    assert ours.signing.refused == {Refusal.UNSIGNED: 2, Refusal.WRONG_KEY: 2}
+    (notice,) = ours.signing.notices(ours.clock.now)
+    assert "2 unsigned" in notice.text
+    assert "2 wrong key" in notice.text
+    ours.take(plain.frame())
+    assert ours.signing.notices(ours.clock.now + S) == []
+
+
+def test_a_frame_is_taken_once() -> None:
+    ours, other = Ours(), Other()
+    first, second = other.frame(1), other.frame(2)
+    assert ours.take(first + first + second + first) == first + second
+    assert ours.signing.refused == {Refusal.REPLAYED: 2}
+
+
+def test_streams_are_apart_by_link_and_component() -> None:
+    ours = Ours()
+    same = [Other(link=1), Other(link=2), Other(link=1, component=200)]
+    data = b"".join(other.frame() for other in same)
+    assert ours.take(data) == data
+
+
+@pytest.mark.parametrize(("behind_s", "taken"), [(59.9, True), (60.1, False), (-3600.0, True)])
+def test_a_new_stream_may_be_a_minute_behind(behind_s: float, taken: bool) -> None:
+    ours = Ours()
+    frame = Other(timestamp=NOW - round(behind_s * SECOND)).frame()
+    assert (ours.take(frame) == frame) is taken
+    assert ours.signing.refused.get(Refusal.STALE, 0) == (not taken)
+
+
+def test_our_time_runs_and_follows_what_is_ahead() -> None:
+    ours = Ours()
+    ours.clock.now += 61 * S
+    assert ours.take(Other(timestamp=NOW).frame()) == b""
+    ahead = NOW + 7200 * SECOND
+    assert ours.take(Other(timestamp=ahead).frame())
+    assert ours.signing.now() == ahead
+    ours.clock.now += S
+    assert ours.signing.now() == ahead + SECOND
+    # whoever has recorded a frame of before cannot bring it back as a new stream
+    assert ours.take(Other(timestamp=NOW + 3600 * SECOND, link=9).frame()) == b""
+
+
+def test_a_forger_cannot_stop_a_stream() -> None:
+    """A wrong signature with a stamp far ahead must not count as the stream's newest."""
+    ours, honest = Ours(), Other()
+    assert ours.take(honest.frame())
+    ours.take(Other(key=OTHER, timestamp=NOW + 10**9).frame())
+    assert ours.take(honest.frame(1))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 255))
+def test_a_bent_frame_never_comes_in(place: int, flip: int) -> None:
+    ours = Ours()
+    frame = bytearray(Other().frame(7))
+    frame[place % len(frame)] ^= flip
+    assert ours.take(bytes(frame)) == b""
+
+
+def test_what_we_send_is_accepted_by_pymavlink_with_the_key_and_by_nobody_else() -> None:
+    ours = Ours()
+    packer = mavlink.MAVLink(None, 3, 191)
+    for k in range(5):
+        message = mavlink.MAVLink_named_value_float_message(k, b"toe_mrad", 0.5 * k)
+        ours.transport.send(bytes(message.pack(packer)))
+        packer.seq += 1
+    for key, results in ((KEY, [True] * 5), (OTHER, [False] * 5)):
+        peer = mavlink.MAVLink(None)
+        peer.robust_parsing = True
+        peer.signing.secret_key = key
+        peer.signing.timestamp = NOW
+        parsed = [peer.parse_buffer(frame)[0] for frame in ours.wire.sent]
+        assert [message.get_type() == "NAMED_VALUE_FLOAT" for message in parsed] == results
+    stamps = [int.from_bytes(frame[-12:-6], "little") for frame in ours.wire.sent]
+    assert stamps == sorted(set(stamps)), "each stamp is later, though the clock stands still"
+
+
+def test_a_key_file_is_read_and_a_bad_one_named(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    clock = TurnedClock()
+    with pytest.raises(ConfigError, match="cannot read"):
+        load_signing(path, clock)
+    path.write_text("passphrase: correct horse\n")
+    path.chmod(0o644)
+    with pytest.raises(ConfigError, match="chmod 600"):
+        load_signing(path, clock)
+    path.chmod(0o600)
+    signing = load_signing(path, clock)
+    frame = Other(key=hashlib.sha256(b"correct horse").digest()).frame()
+    assert signing.judge(frame) is None
+    path.write_text(KEY.hex())
+    assert load_signing(path, clock).judge(Other().frame()) is None
+    for bad in ("", "abcd", KEY.hex() + "00", "passphrase:"):
+        path.write_text(bad)
+        with pytest.raises(ConfigError, match="64 hexadecimal"):
+            load_signing(path, clock)
+
+
+def test_the_signing_time_is_kept_over_a_restart(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    path.write_text(KEY.hex())
+    path.chmod(0o600)
+    clock = TurnedClock()
+    first = load_signing(path, clock)
+    assert first.now() == 0
+    recorded = Other(timestamp=NOW).frame()
+    assert first.judge(recorded) is None
+    first.sign(Other(key=None).frame(), 0)
+    stamp = tmp_path / "key.stamp"
+    for _ in range(200):
+        if stamp.exists():
+            break
+        time.sleep(0.01)
+    again = load_signing(path, clock)
+    assert again.now() > NOW, "nothing that was accepted before can be accepted again as a new stream"
+    stale = Other(timestamp=NOW - SECOND).frame()
+    assert again.judge(stale) is Refusal.STALE
