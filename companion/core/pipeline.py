@@ -7,6 +7,7 @@ the replay of a recording repeats every output exactly. The state belongs to the
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -40,6 +41,7 @@ from companion.records import (
     Rejected,
     ServiceStatus,
     Shot,
+    Station,
     Tick,
     TimesyncReply,
     Validity,
@@ -49,6 +51,7 @@ from companion.records import (
 __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000
+_TRACK_PERIOD_NS = 20_000_000
 
 
 @dataclass(slots=True)
@@ -65,6 +68,8 @@ class PipelineState:
     mode: ModeState | None = None
     vehicle: VehicleState | None = None
     counters: Counter[str] = field(default_factory=Counter)
+    waiting: dict[Station, list[ImuBatch]] = field(default_factory=dict)
+    next_track_ns: int = 0
     next_status_ns: int = 0
 
 
@@ -101,16 +106,44 @@ def step(state: PipelineState, record: Record) -> tuple[PipelineState, list[Outp
 
 
 def _on_samples(state: PipelineState, batch: ImuBatch) -> list[OutputRecord]:
-    state.counters[f"samples {batch.station.name.lower()}"] += len(batch.t_ns)
-    if not len(batch.t_ns):
-        return []
-    if batch.clock is ClockName.HOST:
-        return list(state.tracker.add(batch))
-    converted = state.clocks.to_host(batch.clock, batch.t_ns)
-    if isinstance(converted, Reject):
-        return [Rejected(converted, f"{batch.station.name.lower()} samples", batch.received_host_ns, len(batch.t_ns))]
-    t_host_ns, _ = converted
-    return list(state.tracker.add(dataclasses.replace(batch, clock=ClockName.HOST, t_ns=t_host_ns)))
+    """Samples wait for the next turn of the tracker: one conversion for many costs little per sample."""
+    if len(batch.t_ns):
+        state.waiting.setdefault(batch.station, []).append(batch)
+    return []
+
+
+def _take_samples(state: PipelineState) -> list[OutputRecord]:
+    refused: list[OutputRecord] = []
+    for batches in state.waiting.values():
+        for batch in joined(batches):
+            state.counters[f"samples {batch.station.name.lower()}"] += len(batch.t_ns)
+            refused += _track(state, batch)
+    state.waiting.clear()
+    return refused
+
+
+def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
+    if batch.clock is not ClockName.HOST:
+        converted = state.clocks.to_host(batch.clock, batch.t_ns, batch.received_host_ns)
+        if isinstance(converted, Reject):
+            what = f"{batch.station.name.lower()} samples"
+            return [Rejected(converted, what, batch.received_host_ns, len(batch.t_ns))]
+        batch = dataclasses.replace(batch, clock=ClockName.HOST, t_ns=converted[0])
+    return state.tracker.add(batch)
+
+
+def joined(batches: list[ImuBatch]) -> list[ImuBatch]:
+    """Consecutive batches of one station as few as possible: what has the same clock and axes becomes one."""
+    result: list[ImuBatch] = []
+    for _, group in itertools.groupby(batches, key=lambda batch: (batch.clock, batch.axes)):
+        run = list(group)
+        if len(run) == 1:
+            result.append(run[0])
+            continue
+        t_ns = np.concatenate([batch.t_ns for batch in run])
+        values = np.concatenate([batch.values for batch in run])
+        result.append(dataclasses.replace(run[-1], t_ns=t_ns, values=values))
+    return result
 
 
 def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecord]:
@@ -177,9 +210,10 @@ def _on_shot(state: PipelineState, shot: Shot) -> list[OutputRecord]:
 def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     now_ns = tick.now_host_ns
     outputs: list[OutputRecord] = []
-    mode = state.tracker.advance(now_ns)
-    if mode is not None:
-        state.mode = mode
+    if now_ns >= state.next_track_ns:
+        state.next_track_ns = now_ns + _TRACK_PERIOD_NS
+        outputs += _take_samples(state)
+        state.mode = state.tracker.advance(now_ns) or state.mode
     if state.scheduling is not None:
         outputs += state.scheduling.tick(state.tracker, state.mode, _motion(state), now_ns)
     if state.correction is not None:

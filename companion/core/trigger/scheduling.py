@@ -13,7 +13,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, MatchSet, ModeState, OutputRecord, Shot, Side
 
-_PLAN_PERIOD_NS = 20_000_000
+_PLAN_PERIOD_NS = 40_000_000
 
 
 @dataclass(slots=True)
