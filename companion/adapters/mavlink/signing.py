@@ -221,7 +221,7 @@ def _frames(buffer: bytes) -> Iterator[tuple[bytes, int]]:
 
 
 def load_signing(path: Path, clock: Clock) -> Signing:
-    """Read a key file: 64 hexadecimal digits, or ``passphrase: ...`` as ground stations take it (SHA-256 makes the key).
+    """Read a key file: 64 hexadecimal digits, or ``passphrase: ...`` as ground stations take it (hashed).
 
     Beside it, ``<name>.stamp`` keeps the signing time.
 
