@@ -17,9 +17,14 @@ from scipy.linalg import lapack
 from companion.core.mode.layout import M_LEFT, P_LEFT, ROWS, Y_LEFT, Z_LEFT, Layout, Noise
 from companion.core.mode.model import StepModel
 from companion.core.mode.rigid import Cells
+from companion.core.mode.sensitivity import own_scales
 from companion.records import Floats, Ints
 
 _SOLVE_EVERY = 25
+_LOAD_TIME_S = 0.1
+# The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
+# that is not white, and what that would teach about its scale is wrong.
+_CONSIDERED = "root."
 _EYE = np.eye(ROWS)
 _POWERS = 1 << np.arange(ROWS)
 
@@ -45,7 +50,12 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """What a pattern of present rows leaves of the model; ``lateral`` lists (row, bias state, side)."""
+    """What a pattern of present rows leaves of the model; ``lateral`` lists (row, bias state, side) of the slope
+    rows, ``vertical`` (row, side) of the vertical means.
+
+    ``own`` are rows, columns and signs of the sensitivities that are to be taken at the prediction instead of at the
+    measurement, which holds the innovation itself.
+    """
 
     rows: Ints
     square: tuple[Ints, ...]
@@ -53,6 +63,8 @@ class _View:
     cross: Floats
     measured: Floats
     lateral: list[tuple[int, int, int]]
+    vertical: list[tuple[int, int]]
+    own: tuple[Ints, Ints, Floats]
 
 
 class Kalman:
@@ -86,6 +98,9 @@ class Kalman:
         self.constants_covariance = np.diag(layout.constant_sigma**2)
         self._information = np.zeros((1 + c, 1 + c))
         self._prior = np.diag(1.0 / layout.constant_sigma**2)
+        self._sigma = layout.constant_sigma
+        estimated = np.array([not name.startswith(_CONSIDERED) for name in layout.constants], dtype=bool)
+        self._estimated, self._considered = np.flatnonzero(estimated), np.flatnonzero(~estimated)
         self._unsolved = 0
         self._weights = np.concatenate([[1.0], self.constants])
         self.steps = 0
@@ -152,10 +167,10 @@ class Kalman:
         model, x, h = self.model, self.columns, self.history
         n, at = len(x) - 1, self.steps % h.size
         self._static_bend(float(cells.load[k]))
-        self._turn(cells, k, data)
+        view = self._view(pattern)
+        self._turn(cells, k, data, view)
         h.state[at], h.covariance[at], h.transition[at] = x[:n], self.covariance, model.transition
         h.static_m[at] = x[n]
-        view = self._view(pattern)
         m = len(view.rows)
         a = model.transition[:, :n]
         grown = a @ self.covariance @ a.T + model.noise
@@ -169,6 +184,8 @@ class Kalman:
             _, inverse, _ = lapack.dposv(s, _EYE[:m, :m])
             gain = c @ inverse
             innovation = data[view.rows] - view.sense @ x
+            rows, columns, signs = view.own
+            innovation[rows, columns] += signs * (innovation @ self._weights)[rows]
             grown -= gain @ c.T
             x[:n] = model.transition @ x + gain @ innovation
             self._information += innovation.T @ (inverse @ innovation)
@@ -194,9 +211,18 @@ class Kalman:
             ]
             model = self.model
             cross, measured = np.ascontiguousarray(model.cross[:, rows]), model.measured[np.ix_(rows, rows)]
-            view = _View(rows, np.ix_(rows, rows), model.sense[rows], cross, measured, lateral)
+            vertical = [(local, int(row) - Z_LEFT) for local, row in enumerate(rows) if row < M_LEFT]
+            square = np.ix_(rows, rows)
+            own = self._own_of(rows)
+            view = _View(rows, square, model.sense[rows], cross, measured, lateral, vertical, own)
             self._views[pattern] = view
         return view
+
+    def _own_of(self, rows: Ints) -> tuple[Ints, Ints, Floats]:
+        local = {int(row): at for at, row in enumerate(rows)}
+        there = [(local[row], column, sign) for row, column, sign in own_scales(self.layout) if row in local]
+        at, columns, signs = zip(*there, strict=True) if there else ((), (), ())
+        return np.array(at, np.int64), np.array(columns, np.int64), np.array(signs, np.float64)
 
     def _static_bend(self, load: float) -> None:
         last = self.columns[-1]
@@ -204,13 +230,20 @@ class Kalman:
         if self._trim is not None:
             last[self._trim] = 1.0
         if self._bend is not None:
-            last[self._bend] = load
+            # smoothed, because the noise of the load is in the innovations too
+            last[self._bend] += self.model.step_s / _LOAD_TIME_S * (load - last[self._bend])
 
-    def _turn(self, cells: Cells, k: int, data: Floats) -> None:
-        """Fill in what depends on the state: the tip's own tilt, and the columns of the slope factors."""
+    def _turn(self, cells: Cells, k: int, data: Floats, view: _View) -> None:
+        """Fill in what depends on the state: the tip's own tilt, and the columns of the slope factors.
+
+        The tilt is linearised where the state is believed to be, for through it gravity shows slow bending.
+        """
         seen = self._watch @ (self.columns @ self._weights)
         slopes, rates = seen[:2], seen[2:4]
-        data[Z_LEFT:M_LEFT, 0] += slopes * (cells.turned[k] + 0.5 * slopes * cells.bowed[k])
+        tilt = -(cells.vertical[k] * slopes + cells.lateral[k])
+        data[Z_LEFT:M_LEFT, 0] -= 0.5 * cells.vertical[k] * slopes**2
+        for local, side in view.vertical:
+            view.sense[local] = self.model.sense[Z_LEFT + side] + tilt[side] * self._watch[side]
         data[Y_LEFT:P_LEFT, 0] += cells.tilted[k] * rates
         data[self._factor_rows, self._factor_columns] = seen[4:]
 
@@ -235,10 +268,15 @@ class Kalman:
         self._unsolved = 0
         if not len(self.constants):
             return
-        information = self._prior + self._information[1:, 1:]
-        _, covariance, _ = lapack.dposv(information, np.eye(len(information)))
-        self.constants_covariance = covariance
-        self.constants = -covariance @ self._information[1:, 0]
+        known, left = self._estimated, self._considered
+        information = self._prior[np.ix_(known, known)] + self._information[np.ix_(known + 1, known + 1)]
+        _, covariance, _ = lapack.dposv(information, np.eye(len(known)))
+        self.constants[known] = -covariance @ self._information[known + 1, 0]
+        prior = self._sigma[left] ** 2
+        turned = -covariance @ self._information[np.ix_(known + 1, left + 1)]
+        self.constants_covariance[np.ix_(known, known)] = covariance + (turned * prior) @ turned.T
+        self.constants_covariance[np.ix_(known, left)] = turned * prior
+        self.constants_covariance[np.ix_(left, known)] = (turned * prior).T
         self._weights[1:] = self.constants
 
 

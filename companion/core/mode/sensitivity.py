@@ -2,6 +2,10 @@
 
 A sensor with scale errors ``k`` (per axis), misalignment ``m`` (small rotation vector) and stamp error ``tau`` reads
 ``(1 + k) (f - m x f)(t - tau)``, and likewise for the rate.
+
+The measured values stand in for the true ones; what that would do to the estimate (a regression on its own noise
+shrinks everything) is undone by :class:`companion.core.mode.kalman.Kalman`, which takes the innovation out again
+wherever :func:`own_scales` says that it is in.
 """
 
 from __future__ import annotations
@@ -74,6 +78,18 @@ def sensitivities(layout: Layout, motion: Motion, gains: Floats, there: Bools) -
     return out
 
 
+def own_scales(layout: Layout) -> list[tuple[int, int, float]]:
+    """Rows and columns in which a sensitivity holds the row's own measurement, with its sign."""
+    found = []
+    for side, place in ((0, "left"), (1, "right")):
+        for error, row, sign in (("kz", Z_LEFT, 1.0), ("kz", Y_LEFT, -1.0), ("ky", Y_LEFT, 1.0), ("kp", P_LEFT, 1.0)):
+            column = layout.column(f"{place}.{error}")
+            if column is not None:
+                found.append((row + side, column, sign))
+    column = layout.column("root.kp")
+    return [*found, (P_ROOT, column, 1.0)] if column is not None else found
+
+
 def _fill(out: Floats, index: dict[str, int], place: str, side: int, entries: _Entries) -> None:
     for error in SENSOR_ERRORS:
         at = index.get(f"{place}.{error}")
@@ -87,7 +103,7 @@ def _tip_entries(motion: Motion, side: int, gains: Floats) -> _Entries:
     gain = gains[:, side]
     _, dy, dz, dp, _, _ = motion.d_tip[:, side].T
     return {
-        "kz": ((Z_LEFT, z),),
+        "kz": ((Z_LEFT, z), (Y_LEFT, -y * gain)),
         "ky": ((Y_LEFT, y * gain),),
         "kp": ((P_LEFT, p),),
         "mx": ((Z_LEFT, -y), (Y_LEFT, z * gain)),
@@ -98,7 +114,7 @@ def _tip_entries(motion: Motion, side: int, gains: Floats) -> _Entries:
 
 
 def _root_entries(motion: Motion, side: int, gains: Floats) -> _Entries:
-    x, y, z = motion.f_root.T
+    x, y, z = _before(motion.f_root).T
     p, gain, lever = motion.omega[:, 0], gains[:, side], motion.levers_m[side, 1]
     return {
         "kz": ((Z_LEFT, -z),),
@@ -109,6 +125,11 @@ def _root_entries(motion: Motion, side: int, gains: Floats) -> _Entries:
         "mz": ((Y_LEFT, x * gain),),
         "tau": ((Z_LEFT, motion.d_root[:, 2]), (Y_LEFT, motion.d_root[:, 1] * gain)),
     }
+
+
+def _before(values: Floats) -> Floats:
+    """The same one cell earlier: noise of the root must not meet itself in the innovations that it is held against."""
+    return np.concatenate([values[:1], values[:-1]])
 
 
 def _roll_entries(motion: Motion) -> _Entries:
