@@ -1,7 +1,7 @@
 """``spanwise``: run, demo, simulate, replay, params.
 
 Exit codes: 0 done; 1 bad input or a dead device (the message says what to do); 2 wrong usage; 3 done, but there was
-nothing to estimate (no mode, no ranges); 130 stopped by Ctrl-C before the end.
+nothing to estimate (no mode, no ranges); 4 the doctor found something to fix; 130 stopped by Ctrl-C before the end.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ _COMMANDS = {
     "simulate": "fly the simulated aircraft into a recording",
     "replay": "estimate again from a recording",
     "paper": "reproduce and audit the paper, table by table and figure by figure",
+    "doctor": "look at a live vehicle or a log: what is wrong, and the exact fix",
     "params": "the settings table: list, check or write config/PARAMETERS.md",
 }
 

@@ -13,7 +13,7 @@ from companion.adapters.mavlink.dialect import ID_OF, mavlink
 from companion.adapters.mavlink.link import Link
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.parameter_server import ParameterServer
-from companion.adapters.mavlink.questions import ParameterReader, TimesyncTimer
+from companion.adapters.mavlink.questions import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.rates import RateKeeper
 from companion.adapters.mavlink.translate import Heard
 from companion.adapters.triggers.mavlink import capture_command
@@ -62,6 +62,8 @@ class MavlinkAutopilot:
         Called with every rare message (COMMAND_LONG, CAMERA_FEEDBACK ...), for who wants to see them.
     component
         Our own component: parameters, commands, files; by default one that keeps nothing over a restart.
+    needed
+        Names of the autopilot's parameters to read.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class MavlinkAutopilot:
         gather_s: float = 0.004,
         listener: Callable[[Heard], None] | None = None,
         component: OwnComponent | None = None,
+        needed: tuple[str, ...] = NEEDED_PARAMETERS,
     ) -> None:
         self.decoder = Decoder(airframe, settings.component_id)
         self.health = Health.BOOT
@@ -87,7 +90,7 @@ class MavlinkAutopilot:
         self.component = OwnComponent(ParameterServer(settings)) if component is None else component
         self._packer = mavlink.MAVLink(None, _KNOCK_SYSTEM, settings.component_id)
         self._timesync = TimesyncTimer()
-        self._parameters = ParameterReader()
+        self._parameters = ParameterReader(needed)
         self.rates = RateKeeper(self._wanted_rates(settings))
         self._heartbeat_host_ns: int | None = None
         self._verified_host_ns = 0
@@ -156,13 +159,14 @@ class MavlinkAutopilot:
                 self.requests_answered += 1
             elif heard.name == "COMMAND_ACK" and self._is_ours(heard):
                 self.rates.acknowledged(heard.message.result, now_host_ns)
+            elif heard.name == "PARAM_VALUE" and heard.component == AUTOPILOT_COMPONENT:
+                self._parameters.arrived(heard.message.param_id)
             if self.decoder.system_id is not None:
                 self.component.hear(heard, self.decoder.system_id)
             if self._listener is not None:
                 self._listener(heard)
         for record in decoded.records:
             if isinstance(record, AutopilotParameter):
-                self._parameters.arrived(record.name)
                 if record.name == "SCHED_LOOP_RATE":
                     self.rates.loop_rate(record.value)
             elif isinstance(record, TimesyncReply):
@@ -273,6 +277,12 @@ class MavlinkAutopilot:
         filled = [float(value) for value in parameters] + [0.0] * (7 - len(parameters))
         system = self._packer.srcSystem
         self._send(mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, command, 0, *filled))
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Ask the autopilot to set one of its parameters; its PARAM_VALUE in answer tells what is in force."""
+        kind = mavlink.MAV_PARAM_TYPE_REAL32
+        system = self._packer.srcSystem
+        self._send(mavlink.MAVLink_param_set_message(system, AUTOPILOT_COMPONENT, name.encode(), value, kind))
 
     def close(self) -> None:
         """Release the links, and store what waits to be stored."""

@@ -1,0 +1,98 @@
+"""Wing nodes and cameras: what arrives, whether the link can carry it, and what accuracy those axes allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from companion.adapters.mavlink.dialect import ID_OF, payload_size
+from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
+from companion.cli.checks.evidence import Evidence, Finding, Level
+from companion.records import Axis, Station
+
+_ENOUGH = 0.75
+_OVERHEAD_BYTES = 12
+_BITS_PER_BYTE = 10
+_LETTERS = "xyzpqr"
+# smoothed relative slope of a 5 Hz, 5 mm wing with drifting biases (FACTS section 3), mrad
+_SLOPE_MRAD = {
+    (False, False): 0.47,
+    (True, False): 0.26,
+    (False, True): 0.33,
+    (True, True): 0.24,
+}
+
+
+def check_nodes(seen: Evidence) -> Iterator[Finding]:
+    """Both wingtips: alive, fast enough, all axes, enough bandwidth."""
+    alive = [side for side in (Station.LEFT, Station.RIGHT) if seen.rate_hz.get(side)]
+    for side in (Station.LEFT, Station.RIGHT):
+        yield from _node(seen, side)
+    if len(alive) == 2:
+        yield Finding("wing", Level.OK, _accuracy(seen))
+    elif alive:
+        text = f"only the {alive[0].name.lower()} tip is measured: antisymmetric bending cannot be told from symmetric"
+        yield Finding("wing", Level.FIX, text)
+    else:
+        yield Finding("wing", Level.FIX, "no wingtip is measured: there is nothing to correct ranges with")
+
+
+def _node(seen: Evidence, side: Station) -> Iterator[Finding]:
+    sensor = seen.airframe.sensor(side)
+    source, rate_hz, name = sensor.source, seen.rate_hz.get(side, 0.0), side.name.lower()
+    wired = source.component == AUTOPILOT_COMPONENT
+    if not rate_hz:
+        if not wired:
+            beats = (seen.system, source.component) in seen.beats
+            text = f"{name}: component {source.component} " + (
+                f"beats but sends no {source.message}" if beats else "is silent"
+            )
+            others = [what for what in seen.foreign_imu if what.startswith(source.message)]
+            text += f"; {', '.join(others)} is not mapped: see [{name}].source in the airframe" if others else ""
+            yield Finding("wing", Level.FIX, text)
+        return
+    missing = "".join(
+        letter for bit, letter in enumerate(_LETTERS) if letter in sensor.sends and not seen.axes[side] >> bit & 1
+    )
+    if missing:
+        text = f"{name}: axes {missing} never come, though the airframe says they do: correct 'sends', or the node"
+        yield Finding("wing", Level.FIX, text)
+    if not wired:
+        slow = rate_hz < _ENOUGH * sensor.rate_hz
+        text = f"{name} {source.message} of {source.component} at {rate_hz:.0f} Hz" + (
+            f", not {sensor.rate_hz:.0f}" if slow else ""
+        )
+        yield Finding("wing", Level.FIX if slow else Level.OK, text + (_bandwidth(seen, side) if slow else ""))
+
+
+def _bandwidth(seen: Evidence, side: Station) -> str:
+    """What the stream needs of a serial line (1 kHz of HIGHRES_IMU is 750 kbaud), where one is in use."""
+    sensor = seen.airframe.sensor(side)
+    frame_bytes = payload_size(ID_OF[sensor.source.message]) + _OVERHEAD_BYTES
+    needed = sensor.rate_hz * frame_bytes * _BITS_PER_BYTE
+    small = {link: baud for link, baud in seen.serial_baud.items() if baud < needed}
+    if not small:
+        return ""
+    link, baud = next(iter(small.items()))
+    return f": {link} has {baud} baud and this stream alone needs {needed:.0f}"
+
+
+def _accuracy(seen: Evidence) -> str:
+    axes = seen.axes[Station.LEFT] & seen.axes[Station.RIGHT]
+    lateral, gyro = bool(axes & Axis.Y), bool(axes & Axis.P)
+    names = "".join(letter for bit, letter in enumerate(_LETTERS) if axes >> bit & 1)
+    text = f"both tips send {names}: relative slope to about {_SLOPE_MRAD[lateral, gyro]:.2f} mrad (5 Hz, 5 mm wing)"
+    return text if lateral and gyro else text + "; with lateral axis and gyro 0.24"
+
+
+def check_cameras(seen: Evidence) -> Iterator[Finding]:
+    """Whether the autopilot's cameras, where they are used, come in pairs."""
+    if not seen.feedback or seen.airframe.left_camera is None:
+        return
+    counts = [seen.feedback.get(number, 0) for number in (1, 2)]
+    if min(counts) == 0:
+        text = f"CAMERA_FEEDBACK comes of one camera only ({counts[0]} and {counts[1]}): set CAM2_TYPE like CAM1_TYPE"
+        yield Finding("camera", Level.FIX, text)
+    elif abs(counts[0] - counts[1]) > 1:
+        yield Finding("camera", Level.FIX, f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
+    else:
+        yield Finding("camera", Level.OK, f"CAMERA_FEEDBACK pairs: {counts[0]} and {counts[1]}")

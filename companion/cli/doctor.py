@@ -1,0 +1,138 @@
+"""``spanwise doctor``: look at a live vehicle or a log, say what is wrong, and the exact fix.
+
+Exit codes beside those of every command: 0 nothing to fix, 4 something is to be fixed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from companion.adapters.clocks import MonotonicClock
+from companion.adapters.mavlink.link import open_link
+from companion.adapters.mavlink.signing import load_signing
+from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
+from companion.cli.checks.examine import Examination, read_log
+from companion.cli.checks.link import check_link
+from companion.cli.checks.ranging import check_ranging
+from companion.cli.checks.timing import check_clocks, check_filters, check_rates
+from companion.cli.checks.wing import check_cameras, check_nodes
+from companion.cli.options import add_settings, read_settings
+from companion.params.files import load_airframe
+from companion.ports import Clock
+
+_TO_FIX = 4
+_TRIES = 3
+_ANSWER_NS = 1_000_000_000
+_CHECKS = (check_link, check_rates, check_filters, check_clocks, check_nodes, check_ranging, check_cameras)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--connect", action="append", metavar="LINK", help="MAVLink link (see run); may be repeated")
+    what.add_argument("--log", type=Path, metavar="FILE", help="a recording in place of a vehicle")
+    parser.add_argument("--airframe", required=True, metavar="NAME", help="name or path of an airframe file")
+    parser.add_argument("--for", type=float, default=10.0, metavar="SECONDS", dest="seconds", help="listen so long")
+    parser.add_argument("--fix", action="store_true", help="offer to set the autopilot's parameters, one by one")
+    parser.add_argument("--yes", action="store_true", help="with --fix: do not ask")
+    parser.add_argument("--json", action="store_true", help="the findings as JSON")
+    parser.add_argument("--sign-key", type=Path, metavar="FILE", help="key of a signed link (see run)")
+    add_settings(parser)
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Examine, report, and fix where that is asked for."""
+    airframe, settings = load_airframe(options.airframe), read_settings(options)
+    if options.log is not None:
+        return _report(list(diagnose(read_log(options.log, airframe, settings))), as_json=options.json)
+    clock = MonotonicClock()
+    signing = None if options.sign_key is None else load_signing(options.sign_key, clock)
+    links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(options.connect)]
+    examination = Examination(links, airframe, settings, clock, options.seconds)
+    try:
+        print(f"listening for {options.seconds:g} s ...", file=sys.stderr)
+        while not examination.over:
+            examination.turn()
+        findings = list(diagnose(examination.evidence()))
+        code = _report(findings, as_json=options.json)
+        if options.fix:
+            ask = (lambda _: True) if options.yes else _ask
+            left = apply([fix for entry in findings for fix in entry.fixes], examination, clock, ask)
+            by_hand = any(entry.level is Level.FIX and not entry.fixes for entry in findings)
+            code = _TO_FIX if left or by_hand else 0
+    finally:
+        examination.pilot.close()
+    return code
+
+
+def diagnose(seen: Evidence) -> Iterator[Finding]:
+    """All checks; where no autopilot is heard, what it would have told is not asked about."""
+    for check in _CHECKS:
+        yield from check(seen)
+        if check is check_link and seen.live and seen.pilot is None:
+            return
+
+
+def apply(
+    fixes: list[Fix],
+    examination: Examination,
+    clock: Clock,
+    ask: Callable[[Fix], bool],
+    say: Callable[[str], None] = print,
+) -> list[Fix]:
+    """Set what the user agrees to, each until the autopilot confirms it.
+
+    Returns
+    -------
+    list of Fix
+        What was not done.
+    """
+    left: list[Fix] = []
+    done: list[Fix] = []
+    for fix in dict.fromkeys(fixes):
+        if not ask(fix):
+            left.append(fix)
+        elif _set(fix, examination, clock):
+            done.append(fix)
+            say(f"{fix.name} is now {fix.value:g}")
+        else:
+            left.append(fix)
+            say(f"{fix.name}: the autopilot did not take {fix.value:g}")
+    if any(fix.reboot for fix in done):
+        say("reboot the autopilot: " + ", ".join(fix.name for fix in done if fix.reboot) + " acts from the next start")
+    return left
+
+
+def _set(fix: Fix, examination: Examination, clock: Clock) -> bool:
+    parameters = examination.evidence().parameters
+    for _ in range(_TRIES):
+        parameters.pop(fix.name, None)
+        examination.pilot.set_parameter(fix.name, fix.value)
+        ends_ns = clock.now_ns() + _ANSWER_NS
+        while clock.now_ns() < ends_ns and fix.name not in parameters:
+            examination.turn()
+        told = parameters.get(fix.name)
+        if told is not None and abs(told - fix.value) <= 1e-6 * max(1.0, abs(fix.value)):
+            return True
+    return False
+
+
+def _ask(fix: Fix) -> bool:
+    return input(f"{fix}? [y/N] ").strip().lower() in ("y", "yes")
+
+
+def _report(findings: list[Finding], *, as_json: bool) -> int:
+    wrong = [entry for entry in findings if entry.level is Level.FIX]
+    if as_json:
+        print(json.dumps([dataclasses.asdict(entry) for entry in findings], indent=2))
+    else:
+        for entry in findings:
+            remedy = "".join(f"\n{'':17s}-> {fix}" for fix in entry.fixes)
+            print(f"{entry.level:5s}{entry.subject:12s}{entry.text}{remedy}")
+        print(f"{len(wrong)} to fix" if wrong else "nothing to fix")
+    return _TO_FIX if wrong else 0

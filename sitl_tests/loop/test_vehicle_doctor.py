@@ -1,0 +1,282 @@
+"""The doctor against the simulated vehicle, turned by hand: each thing set wrong is found, with its exact fix."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.link import Link
+from companion.cli import doctor
+from companion.cli.checks.evidence import Beat, Evidence, Finding, Fix, Level
+from companion.cli.checks.examine import Examination
+from companion.cli.doctor import apply, diagnose
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import Axis, Station
+from companion.sim.faults import Faults
+from companion.sim.flight import Flight, build_flight
+from companion.sim.world import World, WorldOptions
+from sitl_tests.loop.ground_stations import TurnedClock
+
+MS = 1_000_000
+SECONDS = 5.0
+AIRFRAME = load_airframe("nadir-2m")
+
+
+class Pipe:
+    """Both ends of a link in memory: the world's and ours."""
+
+    def __init__(self) -> None:
+        self.inward = b""
+        self.outward = b""
+        self.ours: list[bytes] = []
+
+    def send(self, frames: list[bytes]) -> None:
+        self.outward += b"".join(frames)
+
+    def drain(self) -> bytes:
+        data, self.inward = self.inward, b""
+        return data
+
+    def close(self) -> None:
+        pass
+
+
+class OurEnd:
+    def __init__(self, pipe: Pipe) -> None:
+        self.pipe = pipe
+
+    def fileno(self) -> int:
+        return -1
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        data, self.pipe.outward = self.pipe.outward, b""
+        return data
+
+    def send(self, data: bytes) -> bool:
+        self.pipe.inward += data
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+class Ward:
+    """A simulated vehicle and the doctor listening to it, on one clock that the test turns."""
+
+    def __init__(self, flight: Flight, settings: Settings | None = None, **options: Any) -> None:
+        self.pipe, self.clock = Pipe(), TurnedClock()
+        self.world = World(flight, WorldOptions(**options), self.pipe)  # type: ignore[arg-type]
+        self.began = self.clock.now
+        self.examination = Examination(
+            [Link(0, "memory", OurEnd(self.pipe), self.clock)], AIRFRAME, settings or Settings(), self.clock, SECONDS
+        )
+        # whoever waits for time to pass lets the vehicle fly
+        self.examination.turn = self.turn  # type: ignore[method-assign]
+        self._poll = Examination.turn
+
+    def turn(self, timeout_s: float = 0.0) -> None:
+        self.clock.now += 2 * MS
+        self.world.turn(self.clock.now - self.began, self.clock.now)
+        self._poll(self.examination, 0.0)
+
+    def listen(self, extra: Any = None) -> list[Finding]:
+        count = 0
+        while not self.examination.over:
+            count += 1
+            if extra is not None and count % 100 == 0:
+                self.pipe.outward += extra(count)
+            self.turn()
+        return list(diagnose(self.examination.evidence()))
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return build_flight(AIRFRAME, 4, 12.0)
+
+
+def wrong(findings: list[Finding]) -> dict[str, list[str]]:
+    return {entry.text: [str(fix) for fix in entry.fixes] for entry in findings if entry.level is Level.FIX}
+
+
+def fixes(findings: list[Finding]) -> set[str]:
+    return {str(fix) for entry in findings for fix in entry.fixes}
+
+
+def test_a_vehicle_that_is_set_up_well_has_nothing_to_fix(flight: Flight) -> None:
+    findings = Ward(flight).listen()
+    assert wrong(findings) == {}
+    subjects = {entry.subject for entry in findings if entry.level is Level.OK}
+    assert {"heartbeat", "wire", "routing", "ids", "loop", "rate", "filter", "clock", "wing", "range"} <= subjects
+    assert any("0.24 mrad" in entry.text for entry in findings)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "fix"),
+    [
+        ({"RNGFND1_MAX": 7.0}, "set RNGFND1_MAX 200"),
+        ({"RNGFND1_MIN": 10.0}, "set RNGFND1_MIN 4"),
+        ({"RNGFND1_TYPE": 0.0}, "set RNGFND1_TYPE 10, reboot"),
+        ({"RNGFND1_ORIENT": 0.0}, "set RNGFND1_ORIENT 25"),
+        ({"INS_ACCEL_FILTER": 10.0}, "set INS_ACCEL_FILTER 30"),
+        ({"INS_GYRO_FILTER": 8.0}, "set INS_GYRO_FILTER 30"),
+        ({"SCHED_LOOP_RATE": 50.0}, "set SCHED_LOOP_RATE 400, reboot"),
+        ({"RNGFND2_TYPE": 20.0, "RNGFND2_ORIENT": 25.0}, "set RNGFND2_TYPE 0, reboot"),
+    ],
+)
+def test_each_wrong_parameter_is_found_and_its_fix_named(
+    flight: Flight, parameters: dict[str, float], fix: str
+) -> None:
+    findings = Ward(flight, parameters=parameters).listen()
+    assert fix in fixes(findings)
+    assert len(wrong(findings)) in (1, 2) if "SCHED_LOOP_RATE" in parameters else len(wrong(findings)) == 1
+
+
+def test_agreed_fixes_are_set_and_the_rest_is_left(flight: Flight) -> None:
+    ward = Ward(flight, parameters={"RNGFND1_MAX": 7.0, "RNGFND1_MIN": 10.0, "SCHED_LOOP_RATE": 50.0})
+    asked = [fix for entry in ward.listen() for fix in entry.fixes]
+    said: list[str] = []
+    left = apply(asked, ward.examination, ward.clock, lambda fix: fix.name != "RNGFND1_MIN", said.append)
+    assert [fix.name for fix in left] == ["RNGFND1_MIN"]
+    autopilot = ward.world.autopilot.parameters
+    assert autopilot.get("RNGFND1_MAX") == 200.0
+    assert autopilot.get("RNGFND1_MIN") == 10.0
+    assert any("reboot" in text and "SCHED_LOOP_RATE" in text for text in said)
+
+
+def test_a_parameter_that_the_vehicle_does_not_take_is_said(flight: Flight) -> None:
+    ward = Ward(flight)
+    ward.listen()
+    said: list[str] = []
+    fix = Fix("NO_SUCH_THING", 1.0)
+    assert apply([fix], ward.examination, ward.clock, lambda _: True, said.append) == [fix]
+    assert "did not take" in said[0]
+
+
+def test_a_silent_node_a_stopped_one_and_a_dead_vehicle(flight: Flight) -> None:
+    findings = Ward(flight, faults=Faults(silences=((200, 0.0, 99.0),))).listen()
+    text = " ".join(wrong(findings))
+    assert "left: component 200 is silent" in text
+    assert "only the right tip" in text
+    assert "node_left: TIMESYNC is not answered" in text
+    stopped = Faults(stops=((200, 0.0, 99.0), (201, 0.0, 99.0)))
+    text = " ".join(wrong(Ward(flight, faults=stopped).listen()))
+    assert "component 201 beats but sends no HIGHRES_IMU" in text
+    assert "no wingtip is measured" in text
+    dead = Ward(flight, faults=Faults(silences=((1, 0.0, 99.0), (200, 0.0, 99.0), (201, 0.0, 99.0)))).listen()
+    assert len(dead) == 1
+    assert "nothing arrives" in dead[0].text
+
+
+def test_a_lossy_link_is_not_mistaken_for_a_broken_vehicle_but_rates_tell(flight: Flight) -> None:
+    findings = Ward(flight, faults=Faults(loss=0.4)).listen()
+    assert any("not 1000" in text for text in wrong(findings))
+    assert not [fix for fix in fixes(findings) if fix.startswith(("RNGFND", "INS"))]
+
+
+def test_another_component_with_our_id_and_a_rival_rangefinder_are_named(flight: Flight) -> None:
+    twin, rival = mavlink.MAVLink(None, 1, 191), mavlink.MAVLink(None, 1, 192)
+
+    def extra(count: int) -> bytes:
+        strange = mavlink.MAVLink_timesync_message(0, 1_000_000 + count).pack(twin)
+        ranging = mavlink.MAVLink_distance_sensor_message(count, 20, 4000, 1000, 0, 0, 25, 1).pack(rival)
+        sideways = mavlink.MAVLink_distance_sensor_message(count, 20, 4000, 1000, 0, 1, 2, 1).pack(rival)
+        return bytes(strange + ranging + sideways)
+
+    found = wrong(Ward(flight).listen(extra))
+    assert len(found) == 2
+    text = " ".join(found)
+    assert "another component speaks as 1/191" in text
+    assert "1/192 also sends DISTANCE_SENSOR of orientation 25" in text
+
+
+def test_our_own_ranges_repeated_by_the_autopilot_are_no_rival(flight: Flight) -> None:
+    pilot = mavlink.MAVLink(None, 1, 1)
+    report = mavlink.MAVLink_distance_sensor_message(1, 20, 4000, 1000, 10, 0, 25, 1)
+    assert wrong(Ward(flight).listen(lambda _: bytes(report.pack(pilot)))) == {}
+
+
+# ------------------------------------------------------------------------------------------ without a flight
+
+
+def seen(**changes: Any) -> Evidence:
+    base = Evidence(AIRFRAME, Settings(), live=True, seconds=10.0, system=1)
+    return dataclasses.replace(base, **changes)
+
+
+def texts(evidence: Evidence, check: Any) -> str:
+    return " ".join(f"{entry.level} {entry.text} {' '.join(map(str, entry.fixes))}" for entry in check(evidence))
+
+
+@pytest.mark.parametrize(("name", "value", "fix"), [("RNGFND1_MAX_CM", 700.0, "set RNGFND1_MAX_CM 20000")])
+def test_limits_of_older_versions_are_in_centimetres(name: str, value: float, fix: str) -> None:
+    evidence = seen(parameters={"RNGFND1_TYPE": 10.0, name: value})
+    assert fix in texts(evidence, doctor.check_ranging)
+    evidence.parameters[name] = 30000.0
+    assert "FIX" not in texts(evidence, doctor.check_ranging)
+
+
+@pytest.mark.parametrize(
+    ("axes", "expected_mrad"),
+    [(Axis.Z, 0.47), (Axis.Z | Axis.Y, 0.26), (Axis.Z | Axis.P, 0.33), (Axis.ALL, 0.24)],
+)
+def test_the_axes_that_arrive_say_what_accuracy_they_allow(axes: Axis, expected_mrad: float) -> None:
+    both = {Station.LEFT: axes, Station.RIGHT: Axis.ALL}
+    said = texts(seen(axes=both, rate_hz={Station.LEFT: 1000.0, Station.RIGHT: 1000.0}), doctor.check_nodes)
+    assert f"about {expected_mrad:.2f} mrad" in said
+    assert ("axes" in said and "never come" in said) is (axes is not Axis.ALL)
+
+
+def test_a_serial_line_too_slow_for_a_node_is_named_with_what_it_needs() -> None:
+    rates = {Station.LEFT: 400.0, Station.RIGHT: 1000.0}
+    full = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL)
+    said = texts(seen(axes=full, rate_hz=rates, serial_baud={"/dev/ttyAMA0,460800": 460_800}), doctor.check_nodes)
+    assert "460800 baud" in said
+    assert "750000" in said
+
+
+def test_copters_need_proximity_and_planes_have_none() -> None:
+    forward = load_airframe("forward-2m")
+    good = {"RNGFND1_TYPE": 10.0, "RNGFND1_ORIENT": 0.0, "PRX1_TYPE": 0.0}
+    copter = seen(airframe=forward, parameters=good, beats={(1, 1): Beat(mavlink.MAV_TYPE_QUADROTOR, 3, 10)})
+    assert "set PRX1_TYPE 2, reboot" in texts(copter, doctor.check_ranging)
+    plane = seen(airframe=forward, parameters=good, beats={(1, 1): Beat(mavlink.MAV_TYPE_FIXED_WING, 3, 10)})
+    said = texts(plane, doctor.check_ranging)
+    assert "PRX1_TYPE" not in said
+    assert "no proximity library" in said
+
+
+def test_cameras_that_do_not_pair() -> None:
+    assert "one camera only" in texts(seen(feedback=Counter({1: 10})), doctor.check_cameras)
+    assert "does not pair" in texts(seen(feedback=Counter({1: 10, 2: 7})), doctor.check_cameras)
+    assert "ok" in texts(seen(feedback=Counter({1: 10, 2: 10})), doctor.check_cameras)
+
+
+# ------------------------------------------------------------------------------------------ a real log
+
+
+DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[2].parent / "shared"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["flight.tlog", "flight.BIN"])
+def test_a_recorded_flight_is_examined(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = DATA / "recordings" / name
+    if not path.is_file():
+        pytest.skip(f"no {path.name} here")
+    parser = argparse.ArgumentParser()
+    doctor.add_arguments(parser)
+    code = doctor.execute(parser.parse_args(["--log", str(path), "--airframe", "sitl-plane", "--json"]))
+    findings = json.loads(capsys.readouterr().out)
+    assert code in (0, 4)
+    rates = [entry["text"] for entry in findings if entry["subject"] == "rate"]
+    assert len(rates) == 3
+    assert all("Hz" in text for text in rates)
