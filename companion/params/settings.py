@@ -104,9 +104,9 @@ class Settings:
     )
     trigger_rate_hz: float = _tunable("TRG_RATE", "Hz", 0.5, 30, 10, "Most shots per second")
     trigger_sigma_s: float = _tunable(
-        "TRG_SIGMA", "s", 0.0005, 0.05, 0.012, "Skip a peak whose time is less certain than this"
+        "TRG_SIGMA", "s", 0.0005, 0.05, 0.025, "Skip a peak whose time is less certain than this"
     )
-    trigger_blur_px: float = _tunable("TRG_BLUR", "px", 0.05, 10, 1.5, "Skip a shot with more predicted blur than this")
+    trigger_blur_px: float = _tunable("TRG_BLUR", "px", 0.05, 10, 3.0, "Skip a shot with more predicted blur than this")
 
     # ranging
     orientation: int = _tunable(

@@ -203,10 +203,10 @@ class Planner:
 
     def _judge(self, instant: StillInstant, spacing_ns: int) -> _Draft:
         reject = None
-        if instant.sigma_ns > self.settings.trigger_sigma_s * 1e9:
-            reject = Reject.PEAK_UNCERTAIN
-        elif instant.blur_px > self.settings.trigger_blur_px:
+        if instant.blur_px > self.settings.trigger_blur_px:
             reject = Reject.BLUR_TOO_LARGE
+        elif instant.sigma_ns > self.settings.trigger_sigma_s * 1e9:
+            reject = Reject.PEAK_UNCERTAIN
         firing = Firing.SKIP if reject else Firing.PEAK
         return _Draft(firing, instant.t_host_ns, instant.sigma_ns, instant.blur_px, reject, True, spacing_ns)
 
