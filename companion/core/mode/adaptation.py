@@ -14,7 +14,16 @@ import numpy as np
 
 from companion.core.mode.layout import P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.mode.model import Parameters
-from companion.core.mode.parameters import CORNER_1, CORNER_2, FREQUENCY_2, LIMITS, PARAMETERS, ModeParameters
+from companion.core.mode.parameters import (
+    CORNER_1,
+    CORNER_2,
+    FREQUENCY_2,
+    LIMITS,
+    LOAD,
+    LOAD_2,
+    PARAMETERS,
+    ModeParameters,
+)
 from companion.core.mode.rigid import Cells
 from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan, seek_peak
 from companion.records import Bools, Floats
@@ -27,6 +36,8 @@ _PERIOD_S = 1.0
 _SCAN_UNTIL_S = 6.0
 _DRIFT_EVIDENCE = 6.0
 _PEAK_EVIDENCE = 8.0
+_SECOND_EVIDENCE = 3.0
+_IDLE = 1e-7  # of the first mode's load
 _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))
 _ROUNDS = 6
 _CLEARLY = 1.0
@@ -136,6 +147,7 @@ class Adaptation:
         if elapsed_s > 2.0 * _SHORT_S:
             short = make_stretch(samples[-round(_SHORT_S / self._step_s) :], self._step_s, band, floor)
             best = _prefer(best, fit(short, prior, start, 3), short, prior)
+        best = _without_idle_seconds(long, prior, best)
         out, at = [], 0
         for k, size in zip(which, prior.sizes, strict=True):
             piece = slice(at, at + size)
@@ -215,10 +227,12 @@ def _join(families: list[ModeParameters]) -> Prior:
     logs = [family.logs() for family in families]
     mean, sigma = np.concatenate(logs), np.concatenate([family.log_sigma for family in families])
     low, high = (np.tile(np.log(limit), len(families)) for limit in LIMITS)
+    lowest = np.maximum(low, mean - _REACH * sigma)
+    lowest[LOAD_2::PARAMETERS] = low[LOAD_2::PARAMETERS]
     return Prior(
         mean,
         sigma,
-        np.maximum(low, mean - _REACH * sigma),
+        lowest,
         np.minimum(high, mean + _REACH * sigma),
         tuple(len(own) for own in logs),
         tuple(family.reference_hz for family in families),
@@ -236,6 +250,18 @@ def _with_second(stretch: Stretch, prior: Prior, start: Floats) -> Floats:
         moved, gain = seek_peak(stretch, prior, start, at)
         start = moved if gain > _PEAK_EVIDENCE else start
     return start
+
+
+def _without_idle_seconds(stretch: Stretch, prior: Prior, found: Fit) -> Fit:
+    """Silence a second mode without evidence: its share of a white load could not be told from the first mode's."""
+    logs, value = found.logs.copy(), misfit(stretch, prior, found.logs)
+    for at in range(0, len(logs), PARAMETERS):
+        tried = logs.copy()
+        tried[at + LOAD_2] = max(tried[at + LOAD] + np.log(_IDLE), prior.low[at + LOAD_2])
+        without = misfit(stretch, prior, tried)
+        if without - value < _SECOND_EVIDENCE:
+            logs, value = tried, without
+    return Fit(logs, found.log_sigma, found.cost)
 
 
 def _prefer(long: Fit, short: Fit, stretch: Stretch, prior: Prior) -> Fit:

@@ -202,7 +202,7 @@ class Kalman:
         """The model's rows that a pattern of present ones leaves."""
         view = self._views.get(pattern)
         if view is None:
-            rows = np.flatnonzero((pattern >> np.arange(ROWS)) & 1)
+            rows = self._rows_of((pattern >> np.arange(ROWS)) & 1)
             biases = dict(self.layout.bias)
             lateral = [
                 (local, biases[int(row)], int(row) - Y_LEFT)
@@ -217,6 +217,13 @@ class Kalman:
             view = _View(rows, square, model.sense[rows], cross, measured, lateral, vertical, own)
             self._views[pattern] = view
         return view
+
+    def _rows_of(self, present: Ints) -> Ints:
+        """The rows to use: moments are left out where they would tell nothing beside a gyro."""
+        use = present.copy()
+        for side in (0, 1):
+            use[M_LEFT + side] &= int(self.model.rough or not present[P_LEFT + side])
+        return np.flatnonzero(use)
 
     def _own_of(self, rows: Ints) -> tuple[Ints, Ints, Floats]:
         local = {int(row): at for at, row in enumerate(rows)}

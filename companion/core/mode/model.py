@@ -6,7 +6,7 @@ poles; a second mode has a load of its own with one pole. Over one step of lengt
 - vertical, mean of ``-w''`` = ``-(w1' - w0') / h``, exactly, gust load included, so that measurement and process
   noise are correlated in the way they are in nature;
 - vertical, first moment ``integral (t - middle) (-w'') dt / h^2`` = ``-((w1' + w0')/2 - (w1 - w0)/h) / h``, exactly:
-  under a nearly white gust the path inside the step would be lost without it, where no gyro witnesses it;
+  under a nearly white gust the path inside the step would be lost without it;
 - lateral over vertical specific force: mean slope, ``(psi0 + psi1)/2 - h (psi1' - psi0')/12``, error (omega h)^4/720;
 - roll rate: mean slope rate ``(psi1 - psi0) / h``, exactly, on top of the rigid roll rate.
 
@@ -39,6 +39,7 @@ from companion.records import Floats
 
 Parameters = tuple[ModeParameters, ModeParameters]
 _TURN_RADPS2, _TURN_CORNER_RADPS = 3.0, 2.0 * np.pi * 5.0
+_ROUGH = 0.02
 _ROLL_SIGMA_RADPS = 3.0  # before the first measurement
 
 
@@ -64,6 +65,8 @@ class StepModel:
         Left and right tip slope of a state.
     stationary : (n, n) float64
         Covariance of a wing that has been in this gust for ever (biases: their prior).
+    rough : bool
+        The load is so white that the path inside a step matters beside a gyro's noise: the moments tell it.
     """
 
     step_s: float
@@ -75,6 +78,7 @@ class StepModel:
     measured: Floats
     slope: Floats
     stationary: Floats
+    rough: bool
 
 
 def build_model(
@@ -100,7 +104,10 @@ def build_model(
     for family in layout.families:  # the path between two samples is not in the moment that is made of samples
         lost = q[family.v, family.v] * noise.sample_s**2 / (12.0 * step_s**4)
         measured[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += lost * np.outer(family.sign, family.sign)
-    return StepModel(step_s, parameters, transition, sense, q, q @ after.T, measured, slope_rows(layout), static)
+    slopes = slope_rows(layout)
+    path = sum(q[family.v, family.v] * slopes[1, family.q] ** 2 for family in layout.families) / 12.0
+    rough = bool(path > _ROUGH * noise.own[P_LEFT:P_ROOT].min())
+    return StepModel(step_s, parameters, transition, sense, q, q @ after.T, measured, slopes, static, rough)
 
 
 def propagation(layout: Layout, noise: Noise, parameters: Parameters, step_s: float) -> tuple[Floats, Floats]:

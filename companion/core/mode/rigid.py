@@ -134,8 +134,8 @@ def _motion(streams: tuple[Stream, Stream, Stream], edges_ns: Ints, step_s: floa
         there[:, Z_LEFT + side] = both & _sends(stream, Axis.Z, "z")
         there[:, Y_LEFT + side] = both & _sends(stream, Axis.Y, "y")
         there[:, P_LEFT + side] = own.covered & _sends(stream, Axis.P, "p")
-        if own.resolved:  # a gyro knows the path inside the cell better
-            there[:, M_LEFT + side] = there[:, Z_LEFT + side] & ~there[:, P_LEFT + side]
+        if own.resolved:
+            there[:, M_LEFT + side] = there[:, Z_LEFT + side]
     load = np.where(root_there & _sends(root, Axis.Z, "z"), -f_root[:, 2] / GRAVITY_MPS2 - 1.0, 0.0)
     motion = Motion(
         step_s=step_s,
