@@ -10,21 +10,32 @@ sensing    ``sample_time``  the instant that a sample stamped ``t_s`` really sho
            ``sense``      change what a station's sensor reports (scale, bias, cubic, tone, saturation)
 camera     ``camera``     change when and where to a camera looks (exposure delay, baseline, focal length, mount)
 forcing    ``forcing``    change the load on the modes (colour, periodic, impulsive)
+
+Diagnosis asks the same hooks (``force`` with whole time series: each entry of :class:`ModalMotion` then has a last
+axis for time) and three more, for what is linear and steady and can be said exactly in the frequency domain:
+
+``response``   the sensor's complex gain beyond the calibrated one; with it ``sample_time`` and ``sense`` are not asked
+``load_gain``  what the load passes through, beyond the believed gust
+``bias``       what the sensor shows at rest
 """
 
 from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from companion.core.wing.structure import Structure
 from companion.errors import ConfigError
 from companion.records import Floats, Side, Station
+
+Complexes = npt.NDArray[np.complex128]
 
 
 class Group(enum.StrEnum):
@@ -51,7 +62,8 @@ class EffectParameter:
 class ModalMotion:
     """The instant at which a force is asked for.
 
-    ``offset_m`` is the deflection from the equilibrium ``static_m`` of this load factor.
+    ``offset_m`` is the deflection from the equilibrium ``static_m`` of this load factor; ``covariate`` a recorded
+    channel about its mean in units of its rms, where an effect follows one.
     """
 
     t_s: float
@@ -60,6 +72,7 @@ class ModalMotion:
     static_m: Floats
     load_factor: float
     structure: Structure
+    covariate: Floats | float = 0.0
 
     @property
     def offset_m(self) -> Floats:
@@ -69,12 +82,19 @@ class ModalMotion:
 
 @dataclass(frozen=True, slots=True)
 class CameraView:
-    """What the effects have made of a camera: extra rotation vector (camera axes) and shift (body), focal, time."""
+    """What the effects have made of a camera: extra rotation vector (camera axes) and shift (body), focal, time.
+
+    The mount follows the tip station's slope ``slope_gain`` times, ``lag_s`` late (first order); ``jitter_s`` is the
+    standard deviation of what the exposure's instant wanders.
+    """
 
     rotation_rad: Floats = field(default_factory=lambda: np.zeros(3))
     shift_m: Floats = field(default_factory=lambda: np.zeros(3))
     focal_ratio: float = 1.0
     exposure_delay_s: float = 0.0
+    slope_gain: float = 1.0
+    lag_s: float = 0.0
+    jitter_s: float = 0.0
 
 
 def parameter(unit: str, sigma: float, doc: str, default: float = 0.0) -> Any:
@@ -88,6 +108,10 @@ class Effect:
 
     name: ClassVar[str]
     group: ClassVar[Group]
+    advice: ClassVar[str] = ""
+    """What would separate it from its neighbours, or mend it."""
+    scan: ClassVar[Mapping[str, tuple[float, ...]]] = MappingProxyType({})
+    """Values at which to begin for parameters that mean nothing while the others are 0 (a mode's frequency)."""
 
     @classmethod
     def parameters(cls) -> tuple[EffectParameter, ...]:
@@ -132,6 +156,21 @@ class Effect:
         del t_s, generator
         return load_mps2
 
+    def response(self, station: Station, f_hz: Floats) -> Complexes | None:
+        """Complex gain of a station's accelerometer, (m,), or None for 1."""
+        del station, f_hz
+        return None
+
+    def bias(self, station: Station) -> float:
+        """Constant that a station's vertical accelerometer adds, m/s^2."""
+        del station
+        return 0.0
+
+    def load_gain(self, f_hz: Floats, count: int) -> Complexes | None:
+        """Matrix (m, n, n) that the modal loads pass through, or None for unity."""
+        del f_hz, count
+        return None
+
     @classmethod
     def from_values(cls, values: dict[str, float]) -> Effect:
         """Build the effect; raise :class:`ConfigError` naming a parameter that it does not have."""
@@ -155,6 +194,23 @@ def viewed(effects: Iterable[Effect], side: Side, t_s: float) -> CameraView:
     for effect in effects:
         view = effect.camera(side, t_s, view)
     return view
+
+
+def on_halves(motion: ModalMotion, law: Callable[[Floats, Floats], Floats]) -> Floats:
+    """Apply a force law to each wing half's first-mode deflection and speed, and give its modal loads.
+
+    With w = s - a on the left and s + a on the right the loads are the mean and the half difference. A wing with a
+    single mode is one half.
+    """
+    added = np.zeros_like(motion.q_m)
+    offset, speed = motion.offset_m, motion.qdot_mps
+    if len(added) < 2:
+        added[0] = law(offset[0], speed[0])
+        return added
+    left = law(offset[0] - offset[1], speed[0] - speed[1])
+    right = law(offset[0] + offset[1], speed[0] + speed[1])
+    added[0], added[1] = 0.5 * (left + right), 0.5 * (right - left)
+    return added
 
 
 def _number(value: Any) -> float:

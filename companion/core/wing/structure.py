@@ -83,6 +83,38 @@ def structure_of(wing: Wing) -> Structure:
     )
 
 
+def with_mode(
+    structure: Structure, slot: int, frequency_hz: float, zeta: float, participation: float, slope_radpm: float
+) -> Structure:
+    """Append a mode of the symmetry of ``slot`` whose tip acceleration has ``participation`` times the power.
+
+    A mode without participation is left out.
+    """
+    if participation <= 0.0:
+        return structure
+    omega = 2.0 * math.pi * frequency_hz
+    sign = np.array([1.0, 1.0] if slot % 2 == 0 else [-1.0, 1.0])[:, None]
+    lift = math.sqrt(participation) * sign
+    n = structure.count
+
+    def grown(matrix: Floats, corner: float) -> Floats:
+        large = np.zeros((n + 1, n + 1))
+        large[:n, :n] = matrix
+        large[n, n] = corner
+        return large
+
+    return Structure(
+        (*structure.slots, slot),
+        grown(structure.stiffness_radps2, omega**2),
+        grown(structure.damping_radps, 2.0 * zeta * omega),
+        np.hstack([structure.lift, lift]),
+        np.hstack([structure.slope_radpm, slope_radpm * lift]),
+        np.hstack([structure.twist_radpm, np.zeros((2, 1))]),
+        np.append(structure.static_trim_m, 0.0),
+        np.append(structure.static_per_g_m, 0.0),
+    )
+
+
 def _omega(slot: int, mode: Mode) -> float:
     frequency_hz = mode.frequency_hz.value
     if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):

@@ -1,0 +1,27 @@
+"""One camera turns more with the wing than the other."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
+
+from companion.core.wing.effect import CameraView, Effect, Group, parameter
+from companion.records import Side
+
+
+@dataclass(frozen=True, slots=True)
+class CameraAsymmetry(Effect):
+    """Slope gain (1 - ratio) on the left and (1 + ratio) on the right."""
+
+    name: ClassVar[str] = "camera-asymmetry"
+    group: ClassVar[Group] = Group.CAMERA
+    advice: ClassVar[str] = "excite the antisymmetric mode with ranges to a known target"
+
+    ratio: float = parameter("", 0.1, "half of the relative difference, right minus left")
+
+    def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:
+        """Scale the slope that the mount follows."""
+        del t_s
+        factor = 1.0 + (self.ratio if side is Side.RIGHT else -self.ratio)
+        return dataclasses.replace(view, slope_gain=view.slope_gain * factor)

@@ -1,0 +1,26 @@
+"""A frequency that follows a recorded channel (roller position, temperature, rpm)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from companion.core.wing.effect import Effect, Group, ModalMotion, parameter
+from companion.records import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class CovariateFrequency(Effect):
+    """omega(t) = omega (1 + ratio c(t)), c the channel about its mean in units of its rms."""
+
+    name: ClassVar[str] = "covariate-frequency"
+    group: ClassVar[Group] = Group.STRUCTURE
+    advice: ClassVar[str] = "vary the channel independently of time and of the other channels"
+
+    ratio_per_rms: float = parameter("", 0.05, "relative change of every natural frequency per rms of the channel")
+
+    def force(self, motion: ModalMotion) -> Floats:
+        """The part of the spring force that the channel adds."""
+        factor = (1.0 + self.ratio_per_rms * motion.covariate) ** 2 - 1.0
+        spring: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
+        return -factor * spring

@@ -1,0 +1,26 @@
+"""Exposure instants that wander about their stamps."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
+
+from companion.core.wing.effect import CameraView, Effect, Group, parameter
+from companion.records import Side
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureJitter(Effect):
+    """Mid-exposure wanders with standard deviation ``jitter_s``; given as its square, which may come out negative."""
+
+    name: ClassVar[str] = "exposure-jitter"
+    group: ClassVar[Group] = Group.CAMERA
+    advice: ClassVar[str] = "stamp exposures in hardware (a strobe line)"
+
+    jitter2_us2: float = parameter("us^2", 4e6, "square of the standard deviation of the exposure instant")
+
+    def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:
+        """Wander."""
+        del side, t_s
+        return dataclasses.replace(view, jitter_s=max(self.jitter2_us2, 0.0) ** 0.5 * 1e-6)

@@ -1,0 +1,32 @@
+"""A further mode, well apart from the believed ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import ClassVar
+
+from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.structure import Structure, with_mode
+
+
+@dataclass(frozen=True, slots=True)
+class SecondMode(Effect):
+    """A symmetric mode of its own frequency, driven by a load as dense as the first mode's, seen at the tips.
+
+    ``participation`` is the power of its acceleration at the tip relative to a mode with participation 1.
+    """
+
+    name: ClassVar[str] = "second-mode"
+    group: ClassVar[Group] = Group.STRUCTURE
+    advice: ClassVar[str] = "add it to the airframe as wing.second_symmetric; a ground vibration test gives its slope"
+    scan: ClassVar = MappingProxyType({"frequency_hz": tuple(7.5 * 1.06**k for k in range(30))})
+
+    participation: float = parameter("", 0.3, "power of its acceleration at the tip")
+    frequency_hz: float = parameter("Hz", 10.0, "natural frequency", default=20.0)
+    damping: float = parameter("", 0.01, "damping ratio", default=0.02)
+
+    def structure(self, structure: Structure) -> Structure:
+        """Append the mode."""
+        slope_radpm = 3.4 * float(structure.slope_radpm[1, 0])  # a uniform cantilever's second mode against its first
+        return with_mode(structure, 2, self.frequency_hz, self.damping, self.participation, slope_radpm)

@@ -1,0 +1,34 @@
+"""One wing node whose samples are late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from companion.core.wing.effect import Complexes, Effect, Group, parameter
+from companion.records import Floats, Station
+
+
+@dataclass(frozen=True, slots=True)
+class StreamDelay(Effect):
+    """Positive: the right stream is late by ``delay_s``; negative: the left one by ``-delay_s``."""
+
+    name: ClassVar[str] = "stream-delay"
+    group: ClassVar[Group] = Group.SENSING
+    advice: ClassVar[str] = "strike the fuselage once: both streams must show it in the same sample"
+
+    delay_s: float = parameter("s", 0.005, "how much later the right stream is than the left")
+
+    def response(self, station: Station, f_hz: Floats) -> Complexes:
+        """A pure delay."""
+        return np.asarray(np.exp(-2j * np.pi * f_hz * self._late_s(station)), dtype=np.complex128)
+
+    def sample_time(self, station: Station, t_s: Floats) -> Floats:
+        """A late stamp shows an earlier instant."""
+        return t_s - self._late_s(station)
+
+    def _late_s(self, station: Station) -> float:
+        late = {Station.LEFT: -self.delay_s, Station.RIGHT: self.delay_s}
+        return max(late.get(station, 0.0), 0.0)

@@ -1,0 +1,121 @@
+"""What may be wrong with a believed airframe without anything being wrong with the model: the nuisance parameters.
+
+Each is a deviation from the belief, 0 before the data speak, with the prior sigma of the airframe file. Positive
+quantities deviate in their logarithm. Everything that a named effect claims is judged with these free.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from companion.core.wing.structure import SLOT_NAMES
+from companion.params.airframe import Airframe, Mode, Uncertain, Wing
+from companion.records import Floats, Side
+
+_UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells
+_CORNER_SIGMA = 0.15
+_MATCH_SIGMA_PX = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisance:
+    """One deviation: its key, prior sigma, and whether it is a logarithm."""
+
+    key: str
+    sigma: float
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """The airframe and the deviations from it that are free, in the order of every parameter vector."""
+
+    airframe: Airframe
+    nuisances: tuple[Nuisance, ...]
+
+    @property
+    def sigmas(self) -> Floats:
+        """Prior sigmas, (p,)."""
+        return np.array([entry.sigma for entry in self.nuisances])
+
+    def named(self, deviations: Sequence[float] | Floats) -> dict[str, float]:
+        """Deviations by key."""
+        return {entry.key: float(value) for entry, value in zip(self.nuisances, deviations, strict=True)}
+
+    def wing(self, deviation: dict[str, float]) -> Wing:
+        """The wing with its deviations put in."""
+        wing = self.airframe.wing
+        modes: dict[str, Any] = {}
+        for name in SLOT_NAMES:
+            mode: Mode | None = getattr(wing, name)
+            if mode is not None:
+                modes[name] = _moved(mode, name, deviation)
+        trim = Uncertain(wing.trim_bend_m.value + deviation.get("trim_bend_m", 0.0), wing.trim_bend_m.sigma)
+        per_g = Uncertain(wing.bend_per_g_m.value + deviation.get("bend_per_g_m", 0.0), wing.bend_per_g_m.sigma)
+        return dataclasses.replace(wing, trim_bend_m=trim, bend_per_g_m=per_g, **modes)
+
+    def match_sigma_rad(self) -> float:
+        """Believed noise of one measured toe."""
+        camera = self.airframe.left_camera
+        return _MATCH_SIGMA_PX / camera.focal_px.value if camera else 0.0
+
+
+def believe(airframe: Airframe, sides: Sequence[Side], with_range: bool, load_varies: bool) -> Belief:
+    """List the nuisances of an airframe that this recording can have an opinion about."""
+    found = [entry for name in SLOT_NAMES for entry in _of_mode(getattr(airframe.wing, name), name, with_range)]
+    found += [Nuisance(f"corner{i}", _CORNER_SIGMA, True) for i, c in enumerate(airframe.wing.gust.corners_hz) if c]
+    for side in sides:
+        sensor = (airframe.left, airframe.right)[side]
+        name = side.name.lower()
+        found.append(Nuisance(f"{name}.noise", _UNKNOWN_LEVEL, True))
+        found.append(Nuisance(f"{name}.scale", sensor.accel_scale_sigma))
+        found.append(Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s))
+        found.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))
+    if with_range:
+        found += _of_cameras(airframe, load_varies)
+    return Belief(airframe, tuple(entry for entry in found if entry.sigma > 0.0))
+
+
+def _of_mode(mode: Mode | None, name: str, with_range: bool) -> list[Nuisance]:
+    if mode is None:
+        return []
+    found = [
+        Nuisance(f"{name}.frequency", mode.frequency_hz.sigma / mode.frequency_hz.value, True),
+        Nuisance(f"{name}.damping", mode.damping.sigma / max(mode.damping.value, 1e-6), True),
+        Nuisance(f"{name}.level", _UNKNOWN_LEVEL, True),
+    ]
+    if with_range and not name.endswith("antisymmetric"):
+        slope = mode.slope_factor_radpm
+        found.append(Nuisance(f"{name}.slope", slope.sigma / max(slope.value, 1e-6), True))
+    return found
+
+
+def _of_cameras(airframe: Airframe, load_varies: bool) -> list[Nuisance]:
+    camera = airframe.left_camera
+    assert camera is not None
+    wing = airframe.wing
+    found = [
+        Nuisance("toe_rad", math.sqrt(2.0) * camera.rotation_sigma_rad),
+        Nuisance("focal", camera.focal_px.sigma / camera.focal_px.value / math.sqrt(2.0)),
+        Nuisance("match", 0.7, True),
+        Nuisance("trim_bend_m", wing.trim_bend_m.sigma),
+    ]
+    return found + ([Nuisance("bend_per_g_m", wing.bend_per_g_m.sigma)] if load_varies else [])
+
+
+def _moved(mode: Mode, name: str, deviation: dict[str, float]) -> Mode:
+    def scaled(value: Uncertain, key: str) -> Uncertain:
+        return Uncertain(value.value * math.exp(deviation.get(f"{name}.{key}", 0.0)), value.sigma)
+
+    return dataclasses.replace(
+        mode,
+        frequency_hz=scaled(mode.frequency_hz, "frequency"),
+        damping=scaled(mode.damping, "damping"),
+        slope_factor_radpm=scaled(mode.slope_factor_radpm, "slope"),
+    )

@@ -1,0 +1,243 @@
+"""What a recording says about the wing, on one uniform grid: tip accelerations, load factor, covariates, toe.
+
+Diagnosis sees nothing else of a recording. Raw streams of any rate, with gaps, become these tables here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.core.wing.sensing import GRAVITY_MPS2
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe
+from companion.records import Floats, Side
+
+_SHORTEST_S = 8.0
+_LONGEST_GAP_S = 0.02
+_MARGIN_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RawStream:
+    """One station's samples as recorded: ``t_s`` (n,) increasing, vertical specific force (n,) in body FRD."""
+
+    t_s: Floats
+    force_z_mps2: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class RawRanges:
+    """Ranges as computed with the rigid extrinsics, and the true distances where they are known."""
+
+    t_s: Floats
+    range_m: Floats
+    reference_m: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RawRecording:
+    """The channels of one recording as they came, before any grid."""
+
+    tips: Mapping[Side, RawStream]
+    root: RawStream | None = None
+    ranges: RawRanges | None = None
+    covariates: Mapping[str, tuple[Floats, Floats]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ToeData:
+    """Toe as the pair measured it: y = B (1/Z_rigid - 1/Z_reference), one entry per exposure.
+
+    Attributes
+    ----------
+    t_s : (k,)
+        Mid-exposure, on the same time as the grid.
+    toe_rad : (k,)
+    inverse_m : (k,)
+        1 / reference distance.
+    has_reference : bool
+        False where the distance had to be taken from the slow part of the ranges themselves.
+    """
+
+    t_s: Floats
+    toe_rad: Floats
+    inverse_m: Floats
+    has_reference: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Observations:
+    """One recording on one uniform grid.
+
+    Attributes
+    ----------
+    rate_hz : float
+    sides : tuple of Side
+        Which tips have an accelerometer, in the order of the columns.
+    up_mps2 : (m, c)
+        Upward acceleration of each tip against the root (or against its own mean without a root), mean removed.
+    mean_force_mps2 : (c,)
+        Mean of the vertical specific force plus gravity times the mean load factor: what a biased sensor shows.
+    has_root : bool
+    load_factor : (m,)
+        1 everywhere without a root sensor.
+    covariates : dict of str to (m,)
+        About their means, in units of their rms over the whole recording.
+    toe : ToeData or None
+    notes : tuple of str
+    """
+
+    rate_hz: float
+    sides: tuple[Side, ...]
+    up_mps2: Floats
+    mean_force_mps2: Floats
+    has_root: bool
+    load_factor: Floats
+    covariates: dict[str, Floats]
+    toe: ToeData | None
+    notes: tuple[str, ...] = ()
+    start_s: float = 0.0
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the grid."""
+        return len(self.up_mps2) / self.rate_hz
+
+    @property
+    def t_s(self) -> Floats:
+        """Times of the grid, (m,), from the start of the recording of which this may be a part."""
+        return self.start_s + np.arange(len(self.up_mps2)) / self.rate_hz
+
+    def window(self, start_s: float, stop_s: float) -> Observations:
+        """The part between two times as a recording of its own, its mean removed anew."""
+        first, last = round(start_s * self.rate_hz), round(stop_s * self.rate_hz)
+        last -= (last - first) % 2
+        up = self.up_mps2[first:last]
+        begin_s = self.start_s + first / self.rate_hz
+        toe = self.toe and _toe_within(self.toe, begin_s, begin_s + (last - first) / self.rate_hz)
+        return dataclasses.replace(
+            self,
+            up_mps2=up - up.mean(0),
+            load_factor=self.load_factor[first:last],
+            covariates={name: values[first:last] for name, values in self.covariates.items()},
+            toe=toe,
+            start_s=self.start_s + first / self.rate_hz,
+        )
+
+
+def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observations:
+    """Put a recording on a grid that carries everything up to ``top_hz``.
+
+    Raises
+    ------
+    RecordingError
+        No wing accelerometer, too slow, or no gap-free stretch of at least 8 s.
+    """
+    if not raw.tips:
+        raise RecordingError("no wing accelerometer in this recording: diagnosis needs left_z or right_z")
+    notes: list[str] = []
+    streams = [*raw.tips.values(), *([raw.root] if raw.root else [])]
+    start_s, stop_s = _longest_stretch(streams, notes)
+    fine_hz = min(_rate(stream) for stream in raw.tips.values())
+    if fine_hz < 2.0 * top_hz:
+        notes.append(f"sampled at {fine_hz:.0f} Hz: nothing above {0.45 * fine_hz:.0f} Hz can be judged")
+    fine_t = start_s + np.arange(int((stop_s - start_s) * fine_hz)) / fine_hz
+    rate_hz, keep = _coarse(len(fine_t), fine_hz, top_hz)
+    sides = tuple(sorted(raw.tips))
+    tips = np.stack([np.interp(fine_t, raw.tips[side].t_s, raw.tips[side].force_z_mps2) for side in sides], 1)
+    root = np.interp(fine_t, raw.root.t_s, raw.root.force_z_mps2) if raw.root else np.full(len(fine_t), -GRAVITY_MPS2)
+    up = root[:, None] - tips
+    load = -root / GRAVITY_MPS2
+    grid_t = start_s + np.arange(keep) / rate_hz
+    return Observations(
+        rate_hz,
+        sides,
+        _resample(up - up.mean(0), keep),
+        np.asarray(tips.mean(0) - root.mean()),
+        raw.root is not None,
+        _resample(load - load.mean(), keep) + load.mean(),
+        {name: _standard(np.interp(grid_t, t_s, values)) for name, (t_s, values) in raw.covariates.items()},
+        _toe(raw.ranges, airframe, start_s, stop_s),
+        tuple(notes),
+    )
+
+
+def _rate(stream: RawStream) -> float:
+    return float(1.0 / np.median(np.diff(stream.t_s)))
+
+
+def _longest_stretch(streams: list[RawStream], notes: list[str]) -> tuple[float, float]:
+    """The longest time in which no stream has a gap."""
+    start = max(float(stream.t_s[0]) for stream in streams)
+    stop = min(float(stream.t_s[-1]) for stream in streams)
+    holes: list[tuple[float, float]] = []
+    for stream in streams:
+        step = np.diff(stream.t_s)
+        wide = np.flatnonzero(step > max(_LONGEST_GAP_S, 5.0 * float(np.median(step))))
+        holes += [(float(stream.t_s[i]), float(stream.t_s[i + 1])) for i in wide]
+    edges = sorted([(start, start), *[hole for hole in holes if start < hole[0] < stop], (stop, stop)])
+    pieces = [(edges[i][1], edges[i + 1][0]) for i in range(len(edges) - 1)]
+    best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0.0, 0.0))
+    if holes:
+        notes.append(
+            f"{len(holes)} gaps, the longest {max(b - a for a, b in holes) * 1e3:.0f} ms; "
+            f"judged is the longest stretch without one, {best[1] - best[0]:.1f} s"
+        )
+    if best[1] - best[0] < _SHORTEST_S:
+        raise RecordingError(
+            f"the longest stretch without a gap is {best[1] - best[0]:.1f} s; {_SHORTEST_S:g} s needed"
+        )
+    return best
+
+
+def _coarse(count: int, fine_hz: float, top_hz: float) -> tuple[float, int]:
+    keep = min(count, 2 * math.ceil(count * 2.2 * top_hz / fine_hz / 2.0))
+    keep -= keep % 2
+    return fine_hz * keep / count, keep
+
+
+def _resample(values: Floats, count: int) -> Floats:
+    """Keep the lower part of the spectrum; a straight line between the ends is set aside against ringing."""
+    n = len(values)
+    if n == count:
+        return values
+    line = np.linspace(0.0, 1.0, n, endpoint=False)
+    across = values[-1] - values[0]
+    flat = values - np.multiply.outer(line, across)
+    spectrum = np.fft.rfft(flat, axis=0)[: count // 2 + 1]
+    thin = np.fft.irfft(spectrum, count, axis=0) * (count / n)
+    return np.asarray(thin + np.multiply.outer(np.linspace(0.0, 1.0, count, endpoint=False), across))
+
+
+def _standard(values: Floats) -> Floats:
+    spread = float(values.std())
+    return np.asarray((values - values.mean()) / spread if spread > 0 else np.zeros_like(values))
+
+
+def _toe(ranges: RawRanges | None, airframe: Airframe, start_s: float, stop_s: float) -> ToeData | None:
+    left, right = airframe.left_camera, airframe.right_camera
+    if ranges is None or left is None or right is None:
+        return None
+    baseline_m = right.position_m[1] - left.position_m[1]
+    inside = (ranges.t_s > start_s + _MARGIN_S) & (ranges.t_s < stop_s - _MARGIN_S) & (ranges.range_m != 0.0)
+    inverse = 1.0 / ranges.range_m[inside]  # of an infinite range it is 0, which is what was measured
+    t_s = ranges.t_s[inside] - start_s
+    if len(t_s) < 20:
+        return None
+    known = ranges.reference_m is not None
+    reference = (
+        1.0 / ranges.reference_m[inside] if ranges.reference_m is not None else np.full(len(t_s), inverse.mean())
+    )
+    return ToeData(t_s, baseline_m * (inverse - reference), reference, known)
+
+
+def _toe_within(toe: ToeData, start_s: float, stop_s: float) -> ToeData | None:
+    inside = (toe.t_s > start_s + _MARGIN_S) & (toe.t_s < stop_s - _MARGIN_S)
+    if inside.sum() < 5:
+        return None
+    return ToeData(toe.t_s[inside], toe.toe_rad[inside], toe.inverse_m[inside], toe.has_reference)

@@ -1,0 +1,158 @@
+"""Screens every named effect at once: efficient scores with the nuisances projected out, no refit.
+
+At the fitted model the efficient score of an effect is what is left of its gradient once every nuisance has had its
+say; its variance is the effect's information less what the nuisances share. From the same numbers comes confusion:
+the correlation of the efficient scores of two effects on this very recording.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from companion.core.wing.effect import Effect
+from companion.diagnosis.fit import Fit, derivatives, joint_scores
+from companion.diagnosis.supermodel import Part, SuperModel
+from companion.records import Floats
+
+FOLLOWS_CHANNEL = frozenset({"covariate-frequency"})
+_BARELY = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One named effect as screened.
+
+    Attributes
+    ----------
+    part : Part
+        The effect at the values from which a refit should start.
+    z : float
+        Its strength as the equivalent of a standard normal (two-sided).
+    log_odds : float
+        Approximate log Bayes factor with the prior of the catalogue.
+    sigma : (d,)
+        Of each parameter, profiled.
+    score, information : (d,), (d, d)
+        Efficient, in units of the prior sigmas.
+    """
+
+    part: Part
+    z: float
+    log_odds: float
+    sigma: Floats
+    score: Floats
+    information: Floats
+    direction: Floats
+
+    @property
+    def name(self) -> str:
+        """The effect's stable name."""
+        return self.part.effect.name
+
+
+@dataclass(frozen=True, slots=True)
+class Screening:
+    """All candidates, strongest first, and how far each can be told from the others."""
+
+    candidates: tuple[Candidate, ...]
+    correlation: Floats
+
+
+def candidates_of(kinds: Iterable[type[Effect]], channels: Sequence[str]) -> list[Part]:
+    """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow."""
+    parts = []
+    for kind in kinds:
+        names, grids = list(kind.scan), [kind.scan[name] for name in kind.scan]
+        for values in itertools.product(*grids):
+            effect = kind.from_values(dict(zip(names, values, strict=True)))
+            follows = channels if kind.name in FOLLOWS_CHANNEL else ("",)
+            parts += [Part(effect, channel) for channel in follows]
+    return parts
+
+
+def screen(
+    models: Sequence[SuperModel],
+    null: Fit,
+    parts: Sequence[Part],
+    progress: Callable[[float], None] = lambda _share: None,
+) -> Screening:
+    """Score every part at a fitted model ``null``, which may hold effects that have been accepted.
+
+    ``parts`` as :func:`candidates_of` gives them; ``progress`` is told the share that is done.
+    """
+    base = derivatives(models, null.values, null.parts, null.found, null.sigmas)
+    tested: list[tuple[Part, Floats]] = []
+    columns = base
+    for done, part in enumerate(parts):
+        declared = part.effect.parameters()
+        sigmas = np.array([entry.sigma for entry in declared])
+        values = np.concatenate([null.values, [getattr(part.effect, entry.name) for entry in declared]])
+        only = range(len(null.values), len(values))
+        wide = np.concatenate([null.sigmas, sigmas])
+        own = derivatives(models, values, (*null.parts, part), null.found, wide, only)
+        columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
+        tested.append((part, sigmas))
+        progress((done + 1) / len(parts))
+    gradient, information = joint_scores(models, null.found, columns)
+    return _efficient(null, tested, gradient, information)
+
+
+def _efficient(null: Fit, tested: Sequence[tuple[Part, Floats]], gradient: Floats, information: Floats) -> Screening:
+    p = len(null.values)
+    nuisance = information[:p, :p] + np.diag(1.0 / null.sigmas**2)
+    pull = gradient[:p] - (null.values - null.centres) / null.sigmas**2
+    share = np.linalg.solve(nuisance, information[:p, p:])
+    unit = np.concatenate([sigmas for _, sigmas in tested])
+    score = (gradient[p:] - share.T @ pull) * unit
+    left = (information[p:, p:] - information[p:, :p] @ share) * np.outer(unit, unit)
+    found, at = [], 0
+    for part, sigmas in tested:
+        mine = slice(at, at + len(sigmas))
+        found.append((_candidate(part, sigmas, score[mine], left[mine, mine]), mine))
+        at += len(sigmas)
+    best: dict[tuple[str, str], tuple[Candidate, slice]] = {}
+    for entry in found:
+        key = (entry[0].name, entry[0].part.channel)
+        if key not in best or entry[0].z > best[key][0].z:
+            best[key] = entry
+    ranked = sorted(best.values(), key=lambda entry: -entry[0].z)
+    directions = np.zeros((len(ranked), len(score)))
+    for i, (candidate, mine) in enumerate(ranked):
+        directions[i, mine] = candidate.direction
+    shared = directions @ left @ directions.T
+    scale = np.sqrt(np.maximum(np.diag(shared), 1e-30))
+    return Screening(tuple(entry[0] for entry in ranked), shared / np.outer(scale, scale))
+
+
+def _candidate(part: Part, sigmas: Floats, score: Floats, information: Floats) -> Candidate:
+    """Test the parameters that this recording says anything about."""
+    values, vectors = np.linalg.eigh(information)
+    telling = values > max(_BARELY * float(values[-1]), _BARELY)
+    if not telling.any():
+        return Candidate(part, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
+    along = vectors[:, telling].T @ score
+    # with the prior: a change far beyond what is physical is not what explains
+    power = float(np.sum(along**2 / (values[telling] + 1.0)))
+    # directions that the prior already knows better count for nothing
+    freedom = max(int(np.sum(values > 0.1)), 1)
+    tail = float(chi2.logsf(power, freedom))
+    z = _normal_of(tail)
+    odds = 0.5 * power - 0.5 * float(np.sum(np.log1p(values[telling])))
+    step = vectors[:, telling] @ (along / (values[telling] + 1.0))
+    length = float(np.linalg.norm(step))
+    spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas
+    return Candidate(part, z, odds, spread, score, information, step / length if length else step)
+
+
+def _normal_of(log_tail: float) -> float:
+    """|z| whose two-sided tail has this log probability."""
+    half = log_tail - math.log(2.0)
+    if half > -600.0:
+        return max(float(norm.isf(math.exp(half))), 0.0)
+    return math.sqrt(-2.0 * half)

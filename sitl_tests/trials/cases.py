@@ -1,0 +1,176 @@
+"""Blind trials: what is hidden, and the tables that a laboratory would have recorded. Imports nothing of Spanwise.
+
+A trial's label is sealed: only its hash is told before the diagnosis has answered.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sitl_tests.trials.wing import GRAVITY, Array, World, integrate, roller
+
+BASELINE_M = 1.98
+FOCAL_PX = 800.0
+MATCH_PX = 0.3
+BELIEF = {
+    "frequency_hz": (5.0, 6.4),
+    "frequency_sigma": 0.01,
+    "damping": 0.03,
+    "damping_sigma": 0.1,
+    "slope_radpm": 1.39,
+    "slope_sigma": 0.01,
+    "trim_m": 0.0149,
+    "trim_sigma_m": 0.0002,
+    "toe_sigma_rad": 1.4e-4,
+    "focal_sigma": 0.00035,
+    "scale_sigma": 0.005,
+    "delay_sigma_s": 0.0002,
+    "bias_sigma_mps2": 0.02,
+    "rms_m": (0.005, 0.003),
+}
+SENSED = ("accel-scale", "accel-bias", "stream-delay", "clock-skew", "sensor-filter", "accel-cubic")
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What one trial hides: names with magnitudes, and the seal that is told beforehand."""
+
+    effects: dict[str, float]
+    side: int = 1
+    salt: str = ""
+    extra: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def seal(self) -> str:
+        """Hash of the label."""
+        return hashlib.sha256((self.salt + json.dumps(self.effects, sort_keys=True)).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Tables:
+    """One recording: accelerometers (m, 2) vertical specific force, ranges, a covariate."""
+
+    t_s: Array
+    force_z_mps2: Array
+    range_t_s: Array
+    range_m: Array
+    reference_m: Array
+    roller: Array
+
+
+def fly(
+    hidden: list[Hidden], snr_db: float, seed: int, duration_s: float = 60.0, colour_hz: float = 0.0
+) -> list[Tables]:
+    """Record every trial: truth drawn from the belief's priors, the hidden effect on top."""
+    rng = np.random.default_rng(seed)
+    n = len(hidden)
+    names = {name for entry in hidden for name in entry.effects}
+    magnitude = {name: np.array([entry.effects.get(name, 0.0) for entry in hidden]) for name in names}
+    for key in ("second-mode.frequency_hz",):
+        magnitude[key] = np.array([entry.extra.get(key, 0.0) for entry in hidden])
+    draw = rng.standard_normal
+    world = World(
+        np.array(BELIEF["frequency_hz"])[:, None] * np.exp(BELIEF["frequency_sigma"] * draw((2, n))),
+        BELIEF["damping"] * np.exp(BELIEF["damping_sigma"] * draw((2, n))),
+        np.array(BELIEF["rms_m"])[:, None] * np.exp(0.2 * draw((2, n))),
+        BELIEF["slope_radpm"] * (1.0 + BELIEF["slope_sigma"] * draw(n)),
+        BELIEF["trim_m"] + BELIEF["trim_sigma_m"] * draw(n),
+        np.full(n, colour_hz),
+    )
+    flight = integrate(world, magnitude, duration_s, rng)
+    return [_record(flight, world, hidden[i], i, snr_db, rng) for i in range(n)]
+
+
+def noise_density(snr_db: float) -> float:
+    """One-sided root density of the accelerometers at which the believed motion has this ratio in the band.
+
+    Tip acceleration of both believed modes (variance omega^4 rms^2, without the gust's own broad part) against noise
+    from 1.5 to 51.2 Hz.
+    """
+    omega = 2 * np.pi * np.array(BELIEF["frequency_hz"])
+    variance = float(np.sum((omega**2 * np.array(BELIEF["rms_m"])) ** 2))
+    return float(np.sqrt(variance / 10 ** (snr_db / 10) / (51.2 - 1.5)))
+
+
+def _record(
+    flight: dict[str, Array], world: World, hidden: Hidden, i: int, snr_db: float, rng: np.random.Generator
+) -> Tables:
+    effects, side = hidden.effects, hidden.side
+    t_s, t_up = flight["t_s"], flight["t_up_s"]
+    force = np.empty((len(t_s), 2))
+    for s in range(2):
+        late = BELIEF["delay_sigma_s"] * rng.standard_normal()
+        delay = effects.get("stream-delay", 0.0)
+        late += max(delay if s == 1 else -delay, 0.0)
+        shift = np.full(len(t_s), late)
+        if s == 1:
+            shift += effects.get("clock-skew", 0.0) / 60.0 * t_s
+        up = _cubic(t_up, flight["up_mps2"][:, s, i], t_s - shift)
+        lag = effects.get("sensor-filter", 0.0)
+        if lag > 0:
+            a = np.exp(-0.001 / lag)
+            up = _one_pole(up, a)
+        up = up + effects.get("accel-cubic", 0.0) * up**3
+        scale = (
+            1.0
+            + BELIEF["scale_sigma"] * rng.standard_normal()
+            + (effects.get("accel-scale", 0.0) if s == side else 0.0)
+        )
+        bias = BELIEF["bias_sigma_mps2"] * rng.standard_normal() + (
+            effects.get("accel-bias", 0.0) if s == side else 0.0
+        )
+        tone = effects.get("tone", 0.0) * np.sin(2 * np.pi * hidden.extra.get("tone.frequency_hz", 17.0) * t_s)
+        white = noise_density(snr_db) * np.sqrt(500.0) * rng.standard_normal(len(t_s))
+        force[:, s] = -(GRAVITY + up) * scale + bias + tone + white
+    at = np.arange(0.1, t_s[-1] - 0.1, 0.1) + rng.uniform(0, 0.04)
+    reference = 45.0 + 25.0 * np.sin(2 * np.pi * at / 40.0) + 10.0 * np.sin(2 * np.pi * at / 13.0)
+    toe = _toe(flight, world, effects, i, at, rng)
+    baseline = BASELINE_M + effects.get("baseline-error", 0.0)
+    focal = FOCAL_PX * (1.0 + BELIEF["focal_sigma"] * rng.standard_normal() + effects.get("focal-error", 0.0))
+    disparity = focal * (baseline / reference + toe) + MATCH_PX * rng.standard_normal(len(at))
+    return Tables(t_s, force, at, FOCAL_PX * BASELINE_M / disparity, reference, np.array([roller(t) for t in t_s]))
+
+
+def _toe(
+    flight: dict[str, Array], world: World, effects: dict[str, float], i: int, at: Array, rng: np.random.Generator
+) -> Array:
+    t_s = flight["t_s"]
+    late = effects.get("exposure-delay", 0.0) + np.sqrt(
+        max(effects.get("exposure-jitter", 0.0), 0.0)
+    ) * 1e-6 * rng.standard_normal(len(at))
+    toe = np.full(len(at), effects.get("convergence-offset", 0.0) + BELIEF["toe_sigma_rad"] * rng.standard_normal())
+    for s in range(2):
+        w = flight["w_m"][:, s, i]
+        lag = effects.get("mount-lag", 0.0)
+        if lag > 0:
+            w = _one_pole(w, np.exp(-0.001 / lag))
+        gain = 1.0 + (effects.get("camera-asymmetry", 0.0) if s else -effects.get("camera-asymmetry", 0.0))
+        toe += gain * world.slope_radpm[i] * (_cubic(t_s, w, at + late) + world.trim_m[i])
+    return toe
+
+
+def _one_pole(values: Array, a: float) -> Array:
+    """Exact for an input that is straight between samples (first-order lag, time constant -1 ms/ln a)."""
+    from scipy.signal import lfilter  # takes most of a second to import
+
+    tau = -0.001 / np.log(a)
+    ramp = tau / 0.001 * (1 - a)
+    return np.asarray(lfilter([1 - ramp, ramp - a], [1, -a], values))
+
+
+def _cubic(t: Array, values: Array, at: Array) -> Array:
+    """Four-point Lagrange interpolation on an even grid."""
+    x = (at - t[0]) * 1000.0
+    k = np.clip(np.floor(x).astype(int), 1, len(t) - 3)
+    u = x - k
+    p0, p1, p2, p3 = (values[k + j] for j in (-1, 0, 1, 2))
+    return np.asarray(
+        p0 * (-u * (u - 1) * (u - 2) / 6)
+        + p1 * ((u + 1) * (u - 1) * (u - 2) / 2)
+        - p2 * ((u + 1) * u * (u - 2) / 2)
+        + p3 * ((u + 1) * u * (u - 1) / 6)
+    )
