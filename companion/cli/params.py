@@ -9,6 +9,7 @@ from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.params.document import parameters_page
+from companion.params.metadata import apm_pdef_xml
 from companion.params.settings import tunables
 
 _PAGE = Path("config/PARAMETERS.md")
@@ -20,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--write", action="store_true", help=f"write {_PAGE}")
     what.add_argument("--check", action="store_true", help=f"fail when {_PAGE} is not what --write would write")
     what.add_argument("--json", action="store_true", help="the table as JSON")
+    what.add_argument("--xml", type=Path, metavar="FILE", help="write apm.pdef.xml (MAVProxy: param set_xml_filepath)")
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -27,6 +29,9 @@ def execute(options: argparse.Namespace) -> int:
     if options.write:
         _PAGE.write_text(parameters_page(), encoding="utf-8")
         print(f"wrote {_PAGE}")
+    elif options.xml is not None:
+        options.xml.write_text(apm_pdef_xml(), encoding="utf-8")
+        print(f"wrote {options.xml}")
     elif options.check:
         _check()
     elif options.json:

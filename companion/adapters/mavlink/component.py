@@ -6,12 +6,15 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
+from companion.adapters.mavlink.commands import CommandServer
 from companion.adapters.mavlink.computer import ComputerStatus
+from companion.adapters.mavlink.ftp import FileServer
 from companion.adapters.mavlink.identity import IdentityWatch
 from companion.adapters.mavlink.parameter_server import ParameterServer
 from companion.adapters.mavlink.signing import Signing
 from companion.adapters.mavlink.texts import TextLimiter
 from companion.adapters.mavlink.translate import Echo, Heard
+from companion.params.metadata import GENERAL_FILE, metadata_files
 from companion.records import Notice, ParameterChange
 
 _MOST_NOTICES = 16
@@ -27,12 +30,21 @@ class OwnComponent:
         self.signing = signing
         self.identity = IdentityWatch()
         self.texts = TextLimiter()
+        component = parameters.settings.component_id
+        files = metadata_files(component)
+        self.files = FileServer(files, component)
+        self.commands = CommandServer(component, files[GENERAL_FILE])
         self._computer = ComputerStatus() if computer is None else computer
         self._notices: deque[Notice] = deque(maxlen=_MOST_NOTICES)
 
     def hear(self, heard: Heard, system: int) -> None:
         """Take in a rare message of somebody else."""
-        self.parameters.hear(heard, system)
+        if heard.name == "FILE_TRANSFER_PROTOCOL":
+            self.files.hear(heard, system)
+        elif heard.name in ("COMMAND_LONG", "COMMAND_INT"):
+            self.commands.hear(heard, system)
+        else:
+            self.parameters.hear(heard, system)
 
     def echoed(self, echo: Echo) -> None:
         """Take in a message that carries our own ids."""
@@ -42,7 +54,12 @@ class OwnComponent:
 
     def due(self, now_host_ns: int) -> Iterator[Any]:
         """The messages to send now."""
-        for message in (self.parameters.due(now_host_ns), self._computer.due(now_host_ns)):
+        for message in (
+            self.commands.due(),
+            self.parameters.due(now_host_ns),
+            self.files.due(now_host_ns),
+            self._computer.due(now_host_ns),
+        ):
             if message is not None:
                 yield message
         if self.signing is not None:

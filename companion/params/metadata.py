@@ -1,0 +1,114 @@
+"""The settings table for ground stations: ``apm.pdef.xml`` (MAVProxy, Mission Planner) and component metadata (JSON).
+
+The XML has the shape that MAVProxy's ``param help`` reads: ``vehicles`` with names "Vehicle:NAME", and ``libraries``.
+The JSON follows the MAVLink component metadata service, parameter metadata version 1.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from typing import Any
+from xml.etree import ElementTree
+
+from companion.params.settings import Tunable, tunables
+
+GENERAL_FILE, PARAMETER_FILE, PDEF_FILE = "/general.json", "/parameter.json", "/apm.pdef.xml"
+_VEHICLE = "Spanwise"
+_PARAMETER_TYPE = 1
+_GROUPS = {
+    "SW": "Identity",
+    "TRK": "Tracking",
+    "TRG": "Triggering",
+    "RNG": "Ranging",
+    "OUT": "Outputs",
+    "IMU": "Rates",
+}
+
+
+def apm_pdef_xml() -> str:
+    """The table as ArduPilot's parameter definition file (MAVProxy: ``param set_xml_filepath``)."""
+    root = ElementTree.Element("paramfile")
+    vehicles = ElementTree.SubElement(ElementTree.SubElement(root, "vehicles"), "parameters", name=_VEHICLE)
+    ElementTree.SubElement(ElementTree.SubElement(root, "libraries"), "parameters", name="none")
+    for row in tunables():
+        _xml_row(vehicles, row)
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _xml_row(parent: ElementTree.Element, row: Tunable) -> None:
+    title = row.doc.split(";")[0].split(" (")[0]
+    entry = ElementTree.SubElement(
+        parent, "param", humanName=title, name=f"{_VEHICLE}:{row.name}", documentation=row.doc, user="Standard"
+    )
+    if row.choices:
+        values = ElementTree.SubElement(entry, "values")
+        for code, choice in enumerate(row.choices):
+            ElementTree.SubElement(values, "value", code=str(code)).text = choice
+    fields = {"Range": f"{row.minimum:g} {row.maximum:g}", "Units": row.unit, "Default": f"{row.default:g}"}
+    if not row.live:
+        fields["RebootRequired"] = "True"
+    for name, text in fields.items():
+        if text:
+            ElementTree.SubElement(entry, "field", name=name).text = text
+
+
+def parameter_json() -> str:
+    """Parameter metadata of the component metadata service."""
+    return json.dumps({"version": 1, "parameters": [_json_row(row) for row in tunables()]}, separators=(",", ":"))
+
+
+def _json_row(row: Tunable) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "name": row.name,
+        "type": "Float",
+        "group": _GROUPS.get(row.name.split("_")[0], "Other"),
+        "category": "Standard",
+        "shortDesc": row.doc,
+        "units": row.unit,
+        "min": row.minimum,
+        "max": row.maximum,
+        "default": row.default,
+        "decimalPlaces": 0 if row.integer else 4,
+        "rebootRequired": not row.live,
+    }
+    if row.choices:
+        entry["values"] = [{"value": code, "description": choice} for code, choice in enumerate(row.choices)]
+    return entry
+
+
+def general_json(component_id: int) -> str:
+    """The root of the component metadata: who we are, and where the parameter metadata lies."""
+    document = {
+        "version": 1,
+        "vendorName": "Spanwise",
+        "modelName": "Spanwise companion",
+        "metadataTypes": [
+            {
+                "type": _PARAMETER_TYPE,
+                "uri": metadata_uri(component_id, PARAMETER_FILE),
+                "fileCrc": mavlink_crc32(parameter_json().encode()),
+            }
+        ],
+    }
+    return json.dumps(document, separators=(",", ":"))
+
+
+def metadata_uri(component_id: int, path: str) -> str:
+    """A file of ours in MAVLink FTP's spelling."""
+    return f"mftp://[;comp={component_id}]{path}"
+
+
+def metadata_files(component_id: int) -> dict[str, bytes]:
+    """Every file that is served, by path."""
+    return {
+        GENERAL_FILE: general_json(component_id).encode(),
+        PARAMETER_FILE: parameter_json().encode(),
+        PDEF_FILE: apm_pdef_xml().encode(),
+    }
+
+
+def mavlink_crc32(data: bytes) -> int:
+    """CRC-32 as MAVLink FTP computes it: the polynomial of zlib, started at 0 and not inverted at the end."""
+    return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
