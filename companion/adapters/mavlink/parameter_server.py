@@ -161,6 +161,7 @@ class ParameterServer:
         if problem is not None:
             self.refused += 1
             self._say(_WARNING, problem, heard.received_host_ns)
+            self._complain(heard, mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)
         elif value != self._values[row.name]:
             self._accept(row, value, heard.received_host_ns)
         self._first(index)
