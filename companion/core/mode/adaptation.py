@@ -44,9 +44,8 @@ _CLEARLY = 1.0
 _LOWEST_HZ = 0.25
 _KEPT, _ROLL, _STATIC = 4, 2, 3  # columns: both vertical rows, root roll rate, bend by the load factor
 _EDGE = 8
-_SMOOTH = np.hanning(2 * _EDGE + 1)[
-    1:-1
-]  # rigid roll lies below some 10 Hz; above, the gyro's noise would be differentiated
+# rigid roll lies below some 10 Hz; above, the gyro's noise would be differentiated
+_SMOOTH = np.hanning(2 * _EDGE + 1)[1:-1]
 _DERIVATIVE = np.convolve(_SMOOTH / _SMOOTH.sum(), [0.5, 0.0, -0.5])
 _REACH = 4.0
 _LEAST_PRESENT = 0.98

@@ -94,7 +94,7 @@ def make_cells(layout: Layout, streams: tuple[Stream, Stream, Stream], edges_ns:
     rows = np.empty((len(there), ROWS))
     rows[:, Z_LEFT:M_LEFT] = motion.tip[:, :, 2] - motion.rigid[:, :, 2]
     rows[:, M_LEFT:Y_LEFT] = motion.moment - motion.step_s / 12.0 * motion.d_rigid_z
-    rows[:, Y_LEFT:P_LEFT] = (motion.tip[:, :, 1] - motion.rigid[:, :, 1]) * gains
+    rows[:, Y_LEFT:P_LEFT] = np.arctan((motion.tip[:, :, 1] - motion.rigid[:, :, 1]) * gains)
     rows[:, P_LEFT:P_ROOT] = motion.tip[:, :, 3]
     rows[:, P_ROOT] = motion.omega[:, 0]
     rows[~there] = 0.0
