@@ -11,6 +11,7 @@ from typing import Protocol
 from companion.core.pipeline import PipelineState, step
 from companion.ports import Autopilot, Clock, Recorder
 from companion.records import (
+    ClockState,
     CorrectedRange,
     ModeState,
     NoRange,
@@ -26,7 +27,7 @@ from companion.records import (
 
 TICK_NS = 10_000_000
 _POLL_S = 0.002
-_PUBLISHED = (CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
+_PUBLISHED = (ClockState, CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
 _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange)
 
 

@@ -1,0 +1,223 @@
+"""The service's own loop against the simulated vehicle, in simulated time: no process, no socket, no waiting.
+
+The clock, the wire and the cameras are this file's; the autopilot adapter, the decoder, the loop, the pipeline and the
+simulated vehicle are the real ones. Every look at the clock costs 20 us, and the vehicle lives on meanwhile.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.mavlink.autopilot import MavlinkAutopilot
+from companion.adapters.mavlink.link import Link
+from companion.adapters.recordings.writer import About, McapWriter
+from companion.core.pipeline import start
+from companion.core.stereo.geometry import Rig
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.ports import Recorder
+from companion.records import ClockName, Firing, MatchSet, Record, Rejected, Shot, TriggerPlan
+from companion.service.inertial import InertialLoop
+from companion.sim.faults import Faults
+from companion.sim.flight import Flight
+from companion.sim.world import World, WorldOptions
+from sitl_tests.unit.stereo_cases import ground_below, seen
+
+EPOCH_NS = 5_000_000_000_000
+GROUND_M = 40.0
+MS = 1_000_000
+_LOOK_NS = 20_000
+_EXPOSURE_NS = 2 * MS
+_LATENCY_NS = 8 * MS
+_VISION_NS = 60 * MS
+
+
+class Wire:
+    """Bytes between vehicle and companion; both a transport of the one and the link of the other."""
+
+    def __init__(self) -> None:
+        self.to_companion: deque[bytes] = deque()
+        self.to_vehicle: deque[bytes] = deque()
+        self._ready, writing = os.pipe()
+        os.write(writing, b"!")  # never read: whoever waits on it goes on at once
+        os.close(writing)
+
+    def fileno(self) -> int:
+        return self._ready
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        del limit, now_host_ns
+        data = b"".join(self.to_companion)
+        self.to_companion.clear()
+        return data
+
+    def send(self, data: Any) -> bool:
+        """Frames as bytes from the companion, as lists of bytes from the vehicle."""
+        if isinstance(data, bytes):
+            self.to_vehicle.append(data)
+        else:
+            self.to_companion.extend(data)
+        return True
+
+    def drain(self) -> bytes:
+        data = b"".join(self.to_vehicle)
+        self.to_vehicle.clear()
+        return data
+
+    def close(self) -> None:
+        if self._ready >= 0:
+            os.close(self._ready)
+            self._ready = -1
+
+
+class SimulatedTime:
+    """The companion's clock; the vehicle is turned every millisecond that passes on it."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self._now_ns = EPOCH_NS
+        self._turned_ns = EPOCH_NS
+
+    def now_ns(self) -> int:
+        self._pass_until(self._now_ns + _LOOK_NS)
+        return self._now_ns
+
+    def sleep_until(self, target_host_ns: int) -> None:
+        self._pass_until(max(self._now_ns, target_host_ns))
+
+    def _pass_until(self, host_ns: int) -> None:
+        self._now_ns = host_ns
+        while self._turned_ns + MS <= host_ns:
+            self._turned_ns += MS
+            self.world.turn(self._turned_ns - EPOCH_NS, self._turned_ns)
+
+
+@dataclass
+class Cameras:
+    """Trigger, cameras and vision at once: exact matches of level ground, as the truly bent wing sees it."""
+
+    flight: Flight
+    clock: SimulatedTime
+    plan: TriggerPlan | None = None
+    coming: deque[MatchSet] = field(default_factory=deque)
+    made: int = 0
+
+    def __post_init__(self) -> None:
+        self._rig = Rig.from_airframe(self.flight.airframe)
+
+    def send(self, plan: TriggerPlan) -> None:
+        self.plan = None if plan.firing is Firing.SKIP else plan
+
+    def poll(self) -> list[Shot | Rejected]:
+        plan, now_ns = self.plan, self.clock.now_ns()
+        if plan is None or now_ns < plan.command_host_ns:
+            return []
+        self.plan = None
+        fired_ns = plan.command_host_ns + 30_000
+        self.coming.append(self._matches(plan.plan_id, fired_ns + _LATENCY_NS + _EXPOSURE_NS // 2))
+        return [Shot(plan.plan_id, plan.command_host_ns, fired_ns)]
+
+    def seen(self) -> list[Record]:
+        """What vision has ready by now."""
+        ready: list[Record] = []
+        while self.coming and self.coming[0].matched_host_ns <= self.clock.now_ns():
+            ready.append(self.coming.popleft())
+        return ready
+
+    def _matches(self, plan_id: int, middle_ns: int) -> MatchSet:
+        self.made += 1
+        truth = self.flight.truth.at(middle_ns - EPOCH_NS)
+        points = ground_below(GROUND_M, 60, seed=self.made)
+        slope, lift = tuple(truth.slope_rad.tolist()), tuple(truth.lift_m.tolist())
+        left_px, right_px = seen(self._rig, points, slope, lift)
+        noise = 0.05 * np.random.default_rng(self.made).standard_normal((2, len(points), 2))
+        return MatchSet(
+            pair_id=self.made,
+            plan_id=plan_id,
+            clocks=(ClockName.HOST, ClockName.HOST),
+            mid_exposure_ns=np.array([middle_ns, middle_ns]),
+            exposure_ns=_EXPOSURE_NS,
+            row_time_ns=0,
+            left_px=left_px + noise[0],
+            right_px=right_px + noise[1],
+            sigma_px=np.full(len(points), 0.05),
+            matched_host_ns=middle_ns + _VISION_NS,
+        )
+
+
+@dataclass
+class Tape:
+    """Keeps what was recorded, in memory and, where there is a writer, in a file."""
+
+    writer: McapWriter | None = None
+    records: list[Record] = field(default_factory=list)
+
+    def write(self, record: Record) -> None:
+        self.records.append(record)
+        if self.writer is not None:
+            self.writer.write(record)
+
+    def close(self) -> None:
+        if self.writer is not None:
+            self.writer.close()
+
+    def of(self, kind: type[Any], since_s: float = 0.0, until_s: float = 1e9) -> list[Any]:
+        """Records of one kind with the flight seconds in between; the time is that of the last tick before."""
+        found, at_s = [], 0.0
+        for record in self.records:
+            at_s = (getattr(record, "now_host_ns", 0) - EPOCH_NS) * 1e-9 if hasattr(record, "now_host_ns") else at_s
+            if isinstance(record, kind) and since_s <= at_s < until_s:
+                found.append(record)
+        return found
+
+
+class SimulatedService:
+    """One run of the loop; :meth:`fly` turns it for some seconds of flight."""
+
+    def __init__(
+        self,
+        flight: Flight,
+        *,
+        faults: Faults | None = None,
+        settings: Settings | None = None,
+        recording: Path | None = None,
+        airframe: Airframe | None = None,
+    ) -> None:
+        airframe, settings = airframe or flight.airframe, settings or Settings()
+        self.wire = Wire()
+        self.world = World(flight, WorldOptions(faults=faults or Faults()), self.wire)  # type: ignore[arg-type]
+        self.clock = SimulatedTime(self.world)
+        link = Link(0, "simulated", self.wire, self.clock)
+        self.autopilot = MavlinkAutopilot([link], airframe, settings, self.clock)
+        self.cameras = Cameras(flight, self.clock)
+        self.tape = Tape(McapWriter(recording, About.of(airframe, settings)) if recording else None)
+        recorder: Recorder = self.tape
+        self.loop = InertialLoop(
+            state=start(airframe, settings),
+            autopilot=self.autopilot,
+            clock=self.clock,
+            shots=self.cameras,
+            inbox=self.cameras.seen,
+            show=lambda record: None,
+            recorder=recorder,
+        )
+
+    @property
+    def flown_s(self) -> float:
+        return (self.clock.now_ns() - EPOCH_NS) * 1e-9
+
+    def fly(self, until_s: float) -> Tape:
+        """Turn the loop until some second of the flight."""
+        while self.flown_s < until_s:
+            self.loop.turn()
+        return self.tape
+
+    def close(self) -> None:
+        self.autopilot.close()
+        self.tape.close()
