@@ -165,6 +165,10 @@ class SuperModel:
         scores["rest"] = float(-0.5 * np.sum(rest + np.log(found.rest_variance)))
         return scores
 
+    def data_in_band(self) -> Complexes:
+        """The recorded accelerations' tapered spectrum, (b, c); its squared size estimates the two-sided density."""
+        return self._tapered(self._spectrum)
+
     def time_shift(self, effect: Effect) -> Floats | None:
         """How a unit of the effect's first parameter shifts the channels' time, (c, m) seconds; None if not at all."""
         kind = type(effect)

@@ -164,7 +164,7 @@ def _one_pole(values: Array, a: float) -> Array:
 
 def _cubic(t: Array, values: Array, at: Array) -> Array:
     """Four-point Lagrange interpolation on an even grid."""
-    x = (at - t[0]) * 1000.0
+    x = np.clip((at - t[0]) * 1000.0, 1.0, len(t) - 2.001)  # the ends hold
     k = np.clip(np.floor(x).astype(int), 1, len(t) - 3)
     u = x - k
     p0, p1, p2, p3 = (values[k + j] for j in (-1, 0, 1, 2))
