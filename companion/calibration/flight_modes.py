@@ -1,0 +1,111 @@
+"""Wing motion in flight on an even time grid: symmetric and antisymmetric acceleration of the tips against the root."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import firwin, upfirdn
+
+from companion.calibration.ambient import AmbientMode, ambient_modes
+from companion.core.clock.bank import ClockBank
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe
+from companion.records import ClockName, Floats, ImuBatch, Ints, Record, Station, TimesyncReply
+
+_VERTICAL = 2
+_RATE_HZ = 200.0
+_TAPS = 129
+_LEAST_S = 20.0
+_GAP_NS = 200_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class WingMotion:
+    """Accelerations of the tips relative to the root, up positive: (n,) each, m/s^2, evenly spaced."""
+
+    rate_hz: float
+    symmetric: Floats
+    antisymmetric: Floats
+
+    def modes(self, band_hz: tuple[float, float]) -> dict[str, list[AmbientMode]]:
+        """Identify both families of modes."""
+        return {
+            name: ambient_modes(samples[:, np.newaxis], self.rate_hz, band_hz)
+            for name, samples in (("symmetric", self.symmetric), ("antisymmetric", self.antisymmetric))
+        }
+
+
+def wing_motion(records: Iterable[Record], airframe: Airframe, hub: ClockName) -> WingMotion:
+    """Put the samples of all three stations onto one grid of host time.
+
+    The rigid part is the root's own specific force, and what roll acceleration adds at the tips, from the root's gyro.
+    Only the longest stretch without a gap is used.
+
+    Raises
+    ------
+    RecordingError
+        A station sent nothing, or there is no stretch of 20 s that all three share.
+    """
+    streams = _collect(records, hub)
+    for station in Station:
+        if not len(streams[station][0]):
+            raise RecordingError(f"the recording has no samples of the {station.name.lower()} station")
+    first, last = _shared(streams)
+    if last - first < _LEAST_S * 1e9:
+        raise RecordingError(f"root, left and right share only {max(last - first, 0) * 1e-9:.1f} s without a gap")
+    grid = np.arange(first, last, round(1e9 / _RATE_HZ))
+    root, left, right = (_on_grid(*streams[station], grid) for station in Station)
+    roll_rate = root[:, 3]
+    roll_accel = np.gradient(roll_rate, 1.0 / _RATE_HZ)
+    span = 0.5 * (airframe.right.position_m[1] - airframe.left.position_m[1])
+    up_left, up_right = -left[:, _VERTICAL], -right[:, _VERTICAL]
+    symmetric = 0.5 * (up_left + up_right) + root[:, _VERTICAL]
+    return WingMotion(_RATE_HZ, symmetric, 0.5 * (up_right - up_left) + roll_accel * span)
+
+
+def _collect(records: Iterable[Record], hub: ClockName) -> dict[Station, tuple[Ints, Floats]]:
+    bank = ClockBank()
+    bank.identity(hub)
+    found: dict[Station, list[tuple[Ints, Floats]]] = {station: [] for station in Station}
+    for record in records:
+        if isinstance(record, TimesyncReply):
+            bank.exchange(record)
+        elif isinstance(record, ImuBatch):
+            answer = bank.to_host(record.clock, record.t_ns)
+            if isinstance(answer, tuple):
+                found[record.station].append((answer[0], record.values))
+    return {station: _joined(parts) for station, parts in found.items()}
+
+
+def _joined(parts: list[tuple[Ints, Floats]]) -> tuple[Ints, Floats]:
+    if not parts:
+        return np.empty(0, dtype=np.int64), np.empty((0, 6))
+    t_ns, first = np.unique(np.concatenate([t for t, _ in parts]), return_index=True)
+    return t_ns, np.concatenate([values for _, values in parts])[first]
+
+
+def _shared(streams: dict[Station, tuple[Ints, Floats]]) -> tuple[int, int]:
+    """Longest stretch in which no station has a gap."""
+    start = max(int(t[0]) for t, _ in streams.values())
+    end = min(int(t[-1]) for t, _ in streams.values())
+    holes = [(start, start), (end, end)]
+    for t_ns, _ in streams.values():
+        wide = np.flatnonzero(np.diff(t_ns) > _GAP_NS)
+        holes += [(int(t_ns[i]), int(t_ns[i + 1])) for i in wide if start < t_ns[i] < end]
+    holes.sort()
+    stretches = [(a[1], b[0]) for a, b in itertools.pairwise(holes)]
+    return max(stretches, key=lambda each: each[1] - each[0], default=(start, end))
+
+
+def _on_grid(t_ns: Ints, values: Floats, grid: Ints) -> Floats:
+    """Low-pass and sample: interpolation to a dense even grid first, so that the filter's taps are evenly spaced."""
+    dense = max(1, round(float(np.median(1e9 / np.maximum(np.diff(t_ns), 1))) / _RATE_HZ))
+    fine = np.linspace(grid[0], grid[-1], (len(grid) - 1) * dense + 1)
+    channels = [np.interp(fine, t_ns, values[:, axis]) for axis in range(values.shape[1])]
+    if dense > 1:
+        taps = firwin(_TAPS, 0.8 / dense)
+        channels = [upfirdn(taps, channel)[_TAPS // 2 :][: len(fine)] for channel in channels]
+    return np.column_stack([channel[::dense] for channel in channels])

@@ -1,0 +1,217 @@
+"""Modes of a wing from several runs of a vibration test: matched across runs, with shapes, scatter and assurance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.calibration.poles import Complex, Pole, stable_poles
+from companion.records import Floats, Ints
+
+_LINK = 0.017  # relative gap between runs within one mode: roving accelerometers shift it as they travel
+_LEAST_RUNS = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run: responses of a few points to the measured force.
+
+    Attributes
+    ----------
+    name : str
+    points : (m,) int64
+        Which points of the structure.
+    frequency_hz : (k,) float64
+    response : (m, k) complex128
+        Acceleration over force, m/s^2/N.
+    """
+
+    name: str
+    points: Ints
+    frequency_hz: Floats
+    response: Complex
+
+    def lines(self, first: int, step: int) -> Run:
+        """Every ``step``-th line from the ``first``: halves without a common sample of noise."""
+        chosen = slice(first, None, step)
+        return Run(self.name, self.points, self.frequency_hz[chosen], self.response[:, chosen])
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifiedMode:
+    """A mode of the structure.
+
+    Attributes
+    ----------
+    frequency_hz, damping : float
+        Mean over the runs; ``*_sigma`` is the standard deviation of one run, that of the mean is smaller by the root of
+        the number of runs.
+    shape : (points,) float64
+        Real displacement shape, largest entry 1, NaN where no run measured.
+    shape_sigma : (points,) float64
+        From the two halves of the lines, each with poles of its own.
+    assurance : float
+        Modal assurance criterion between the shapes of the two halves.
+    phase_scatter_rad : float
+        How far the points are from moving in phase, weighted by the shape: 0 for a real mode.
+    runs : int
+        In how many runs it was found.
+    """
+
+    frequency_hz: float
+    frequency_sigma_hz: float
+    damping: float
+    damping_sigma: float
+    shape: Floats
+    shape_sigma: Floats
+    assurance: float
+    phase_scatter_rad: float
+    runs: int
+
+
+def identify_runs(runs: list[Run], points: int) -> list[IdentifiedMode]:
+    """Modes that at least half of the runs show, by frequency.
+
+    Parameters
+    ----------
+    runs : list of Run
+        Each with the same drive point.
+    points : int
+        Number of points of the structure.
+    """
+    found = [stable_poles(run.frequency_hz, run.response) for run in runs]
+    groups = _grouped(found, len(runs))
+    per_run = [_completed(poles, groups, index) for index, poles in enumerate(found)]
+    whole = [_residues(run, poles) for run, poles in zip(runs, per_run, strict=True)]
+    even, odd = (
+        [_of_half(run.lines(first, 2), poles) for run, poles in zip(runs, per_run, strict=True)] for first in (0, 1)
+    )
+    order = range(len(groups))
+    return [_describe(groups[k], *(_shape(runs, part, k, points) for part in (whole, even, odd))) for k in order]
+
+
+def assurance(first: Floats | Complex, second: Floats | Complex) -> float:
+    """Modal assurance criterion ``|a^H b|^2 / (a^H a b^H b)`` over the points that both have."""
+    both = np.isfinite(first) & np.isfinite(second)
+    a, b = first[both], second[both]
+    return float(np.abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real))
+
+
+def residues(frequency_hz: Floats, response: Complex, poles: list[Pole]) -> Complex:
+    """Acceleration residues (outputs, poles) of a sum of modes, with terms for what lies below and above the band.
+
+    ``H(omega) = sum_k -omega^2 [r_k / (j omega - p_k) + conj(...)] + lower + upper omega^2``; for a real mode of unit
+    force ``r = -j phi phi_drive / (2 m omega_d)``. Least squares frequency domain, linear in ``r``.
+    """
+    omega = 2.0 * np.pi * frequency_hz
+    columns = []
+    for pole in poles:
+        direct = 1.0 / (1j * omega - pole.value)
+        mirrored = 1.0 / (1j * omega - np.conj(pole.value))
+        columns += [-(omega**2) * (direct + mirrored), -(omega**2) * 1j * (direct - mirrored)]
+    scale = omega[-1]
+    columns += [np.ones_like(omega) + 0j, (omega / scale) ** 2 + 0j]
+    design = np.stack(columns, axis=1)
+    stacked = np.concatenate([design.real, design.imag])
+    wanted = np.concatenate([response.real, response.imag], axis=1).T
+    norms = np.linalg.norm(stacked, axis=0)
+    fitted, *_ = np.linalg.lstsq(stacked / norms, wanted, rcond=None)
+    parts = (fitted / norms[:, np.newaxis])[: 2 * len(poles)].reshape(len(poles), 2, -1)
+    answer: Complex = (parts[:, 0] + 1j * parts[:, 1]).T
+    return answer
+
+
+_Found = list[tuple[int, Pole]]
+
+
+def _grouped(found: list[list[Pole]], runs: int) -> list[_Found]:
+    """Poles of the same mode, one per run; modes that too few runs show are left out."""
+    every = sorted(((run, pole) for run, poles in enumerate(found) for pole in poles), key=lambda e: e[1].frequency_hz)
+    chains: list[_Found] = []
+    for entry in every:
+        near = chains and entry[1].frequency_hz < (1.0 + _LINK) * chains[-1][-1][1].frequency_hz
+        if near:
+            chains[-1].append(entry)
+        else:
+            chains.append([entry])
+    modes = [_one_per_run(chain) for chain in chains]
+    return [mode for mode in modes if len(mode) >= _LEAST_RUNS * runs]
+
+
+def _one_per_run(chain: _Found) -> _Found:
+    best: dict[int, Pole] = {}
+    for run, pole in chain:
+        if run not in best or pole.share > best[run].share:
+            best[run] = pole
+    return sorted(best.items())
+
+
+def _completed(poles: list[Pole], groups: list[_Found], run: int) -> list[Pole]:
+    """The poles of a run: one for every mode first (that of the others where it has none), then its own extra ones."""
+    chosen = []
+    for group in groups:
+        mine = [pole for index, pole in group if index == run]
+        chosen.append(mine[0] if mine else _middle(group))
+    taken = {(pole.frequency_hz, pole.damping) for pole in chosen}
+    clear = [p for p in poles if all(abs(p.frequency_hz - f) > 0.004 * f for f, _ in taken)]
+    return chosen + clear
+
+
+def _middle(group: _Found) -> Pole:
+    frequency, damping = (
+        float(np.median([getattr(p, name) for _, p in group])) for name in ("frequency_hz", "damping")
+    )
+    return Pole(frequency, damping, 0.0)
+
+
+def _of_half(half: Run, poles: list[Pole]) -> Complex:
+    """Residues of one half of the lines, by the poles that this half shows itself, where it shows them."""
+    own = stable_poles(half.frequency_hz, half.response)
+    return _residues(half, [_nearest(own, pole) for pole in poles])
+
+
+def _nearest(own: list[Pole], wanted: Pole) -> Pole:
+    best = min(own, key=lambda pole: abs(pole.frequency_hz - wanted.frequency_hz), default=wanted)
+    return best if abs(best.frequency_hz - wanted.frequency_hz) < 0.5 * _LINK * wanted.frequency_hz else wanted
+
+
+def _residues(run: Run, poles: list[Pole]) -> Complex:
+    return residues(run.frequency_hz, run.response, poles)
+
+
+def _shape(runs: list[Run], parts: list[Complex], mode: int, points: int) -> Complex:
+    """Residues of one mode at all points (mean where runs overlap); NaN where no run measured."""
+    total, count = np.zeros(points, dtype=np.complex128), np.zeros(points)
+    for run, part in zip(runs, parts, strict=True):
+        total[run.points] += part[:, mode]
+        count[run.points] += 1
+    mean = total / np.where(count > 0, count, 1.0)
+    shape: Complex = np.where(count > 0, mean, np.nan)
+    return shape
+
+
+def _describe(group: _Found, whole: Complex, even: Complex, odd: Complex) -> IdentifiedMode:
+    frequencies = np.array([pole.frequency_hz for _, pole in group])
+    dampings = np.array([pole.damping for _, pole in group])
+    known = np.isfinite(whole)
+    # the common phase that makes the shape as real as it gets
+    turn = np.exp(-0.5j * np.angle(np.sum(whole[known] ** 2)))
+    real = np.real(whole * turn)
+    largest = int(np.nanargmax(np.abs(real)))
+    scale = turn / real[largest]
+    difference = np.real((even - odd) * scale)
+    weight = np.abs(real[known]) ** 2
+    off = np.arctan2(np.imag(whole * turn)[known], np.abs(real[known]))
+    return IdentifiedMode(
+        frequency_hz=float(frequencies.mean()),
+        frequency_sigma_hz=float(frequencies.std(ddof=1)) if len(group) > 1 else float("nan"),
+        damping=float(dampings.mean()),
+        damping_sigma=float(dampings.std(ddof=1)) if len(group) > 1 else float("nan"),
+        shape=np.real(whole * scale),
+        # each half has twice the variance of the whole, their difference four times
+        shape_sigma=np.abs(difference) / 2.0,
+        assurance=assurance(even, odd),
+        phase_scatter_rad=float(np.sqrt(np.sum(weight * off**2) / np.sum(weight))),
+        runs=len(group),
+    )

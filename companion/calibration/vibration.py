@@ -1,0 +1,133 @@
+"""Reads a ground vibration test: MATLAB files of force and roving accelerometers, and the layout that explains them.
+
+The layout is a TOML file::
+
+    rate_hz = 2000.0
+    band_hz = [4.0, 35.5]
+    force = { column = 1, newton_per_volt = 9.4967 }
+    accelerometers = { columns = [2, 3], mps2_per_volt = 9.5396 }
+    semispan_m = 1.55
+    [[points]]   # one per point; span_m > 0 right, edge is "leading" or "trailing"
+    number = 1
+    span_m = 0.454
+    aft_m = 0.483
+    edge = "leading"
+    [[runs]]
+    file = "run_Run1.mat"
+    points = [1, 2]
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+
+from companion.calibration.modes import Run
+from companion.errors import ConfigError, RecordingError
+from companion.records import Floats
+
+_SIGNALS = "signalIn"
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A measured point: span station (right positive), distance aft, and which edge it is on."""
+
+    number: int
+    span_m: float
+    aft_m: float
+    leading: bool
+
+
+@dataclass(frozen=True, slots=True)
+class VibrationTest:
+    """A test that has been read."""
+
+    points: list[Point]
+    runs: list[Run]
+
+
+def read_vibration_test(layout_path: Path, folder: Path) -> VibrationTest:
+    """Read layout and runs.
+
+    Raises
+    ------
+    ConfigError
+        The layout is missing, no TOML, or lacks a key.
+    RecordingError
+        A run's file is missing or has no such channel.
+    """
+    layout = _layout(layout_path)
+    try:
+        points = [
+            Point(int(e["number"]), float(e["span_m"]), float(e["aft_m"]), str(e["edge"]) == "leading")
+            for e in layout["points"]
+        ]
+        place = {point.number: index for index, point in enumerate(points)}
+        runs = [_run(layout, entry, place, folder) for entry in layout["runs"]]
+    except KeyError as error:
+        raise ConfigError(f"{layout_path}: key {error} is missing") from error
+    return VibrationTest(points, runs)
+
+
+def frequency_response(force: Floats, answers: Floats, rate_hz: float, band_hz: tuple[float, float]) -> Run:
+    """Responses of a whole record to its force: one transform, no window, for sweeps that start and end at rest.
+
+    Parameters
+    ----------
+    force : (n,) float64
+        Newton.
+    answers : (n, m) float64
+        Metres per second squared.
+    rate_hz : float
+        Of the samples.
+    band_hz : tuple
+        Which lines are kept.
+
+    Returns
+    -------
+    Run
+        Without a name; its points are counted from 0.
+    """
+    frequency: Floats = np.asarray(np.fft.rfftfreq(len(force), 1.0 / rate_hz), dtype=np.float64)
+    inside = (frequency > band_hz[0]) & (frequency < band_hz[1])
+    pushed = np.fft.rfft(force - force.mean())[inside]
+    answered = np.fft.rfft(answers - answers.mean(axis=0), axis=0)[inside]
+    return Run("", np.arange(answers.shape[1]), frequency[inside], (answered / pushed[:, np.newaxis]).T)
+
+
+def _run(layout: dict[str, Any], entry: dict[str, Any], place: dict[int, int], folder: Path) -> Run:
+    path = folder / str(entry["file"])
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file")
+    try:
+        signals = np.asarray(loadmat(path, variable_names=[_SIGNALS])[_SIGNALS], dtype=np.float64)
+    except (KeyError, ValueError, NotImplementedError) as error:
+        raise RecordingError(f"{path}: not a MATLAB v5 file with '{_SIGNALS}': {error}") from error
+    force, sensors = layout["force"], layout["accelerometers"]
+    wanted = [int(force["column"]), *(int(column) for column in sensors["columns"])]
+    if max(wanted) >= signals.shape[1]:
+        raise RecordingError(f"{path}: has {signals.shape[1]} channels, the layout asks for column {max(wanted)}")
+    low, high = layout["band_hz"]
+    run = frequency_response(
+        signals[:, wanted[0]] * float(force["newton_per_volt"]),
+        signals[:, wanted[1:]] * float(sensors["mps2_per_volt"]),
+        float(layout["rate_hz"]),
+        (float(low), float(high)),
+    )
+    numbers = np.array([place[int(number)] for number in entry["points"]], dtype=np.int64)
+    return Run(path.stem, numbers, run.frequency_hz, run.response)
+
+
+def _layout(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such file; the layout of the test names points, channels and runs")
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error

@@ -1,0 +1,117 @@
+"""A real flexible flying wing on the shaker (mAEWing1): repeatable modes, shapes, an established library.
+
+The data lie in ``$SPANWISE_DATA`` or in ``shared`` beside the repository.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.calibration.modes import IdentifiedMode, identify_runs
+from companion.calibration.vibration import VibrationTest, read_vibration_test
+from companion.calibration.wing_modes import bending_modes, symmetry
+from companion.cli import identify
+from companion.errors import ConfigError, RecordingError
+from companion.params.files import load_airframe
+
+DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
+GVT = DATA / "measured" / "maewing1-gvt"
+LAYOUT = Path(__file__).parent / "maewing1.toml"
+here = pytest.mark.skipif(not GVT.exists(), reason="measured/maewing1-gvt is not here (SPANWISE_DATA)")
+WELL_EXCITED_HZ = (9.3, 19.1, 30.9, 33.4)
+
+
+@pytest.fixture(scope="module")
+def test() -> VibrationTest:
+    return read_vibration_test(LAYOUT, GVT)
+
+
+@pytest.fixture(scope="module")
+def modes(test: VibrationTest) -> list[IdentifiedMode]:
+    return identify_runs(test.runs, len(test.points))
+
+
+def _near(modes: list[IdentifiedMode], frequency_hz: float) -> IdentifiedMode:
+    return min(modes, key=lambda mode: abs(mode.frequency_hz - frequency_hz))
+
+
+@here
+@pytest.mark.slow
+def test_the_well_excited_modes_come_back_in_every_run(modes: list[IdentifiedMode]) -> None:
+    """Run to run they stay within 2 % in frequency (the accelerometers' mass travels) and 20 % in damping."""
+    for frequency in WELL_EXCITED_HZ:
+        mode = _near(modes, frequency)
+        assert mode.runs == 10
+        assert mode.frequency_sigma_hz < 0.02 * mode.frequency_hz
+        assert mode.damping_sigma < 0.2 * mode.damping
+
+
+@here
+@pytest.mark.slow
+def test_independent_halves_of_the_data_give_the_same_shapes(modes: list[IdentifiedMode]) -> None:
+    """Halves share neither noise nor poles; an assurance above 0.9 is commonly called the same mode."""
+    assert all(_near(modes, frequency).assurance > 0.9 for frequency in WELL_EXCITED_HZ)
+    assert all(_near(modes, frequency).assurance > 0.99 for frequency in WELL_EXCITED_HZ[:3])
+
+
+@here
+@pytest.mark.slow
+def test_first_symmetric_and_antisymmetric_bending_move_as_such(
+    test: VibrationTest, modes: list[IdentifiedMode]
+) -> None:
+    assert symmetry(_near(modes, 9.3), test.points) > 0.95
+    assert symmetry(_near(modes, 19.1), test.points) < -0.95
+    for each in bending_modes(modes, test.points)[:2]:
+        assert each.mode.phase_scatter_rad < np.radians(3)
+        sigma = np.sqrt(np.diag(each.factors.covariance))
+        assert each.factors.slope_factor_radpm > 5 * sigma[1]
+
+
+@here
+@pytest.mark.slow
+def test_the_command_writes_an_airframe_that_reads_back(tmp_path: Path) -> None:
+    parser = argparse.ArgumentParser()
+    identify.add_arguments(parser)
+    assert identify.execute(parser.parse_args(["gvt", str(GVT), "--layout", str(LAYOUT), "--out", str(tmp_path)])) == 0
+    airframe = load_airframe(str(tmp_path / "airframe.toml"))
+    assert airframe.wing.symmetric.frequency_hz.value == pytest.approx(9.27, abs=0.2)
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in ("responses.png", "shapes.png"))
+
+
+@here
+@pytest.mark.slow
+@pytest.mark.parametrize("run", [4, 9])  # right tip, left tip
+def test_an_established_library_finds_the_same_modes_in_the_same_run(test: VibrationTest, run: int) -> None:
+    """sdypy-EMA (LSCF with a chosen pole per mode) on one run's responses, against our poles of that run."""
+    ema = pytest.importorskip("sdypy.EMA", reason="sdypy-EMA is not installed")
+    ours = identify_runs([test.runs[run]], len(test.points))
+    wanted = [_near(ours, frequency) for frequency in WELL_EXCITED_HZ[:3]]
+    one = test.runs[run]
+    spacing = one.frequency_hz[1] - one.frequency_hz[0]
+    frequency = np.arange(0.0, one.frequency_hz[-1] + spacing / 2, spacing)
+    response = np.zeros((len(one.points), len(frequency)), dtype=complex)
+    response[:, -len(one.frequency_hz) :] = one.response
+    model = ema.Model(
+        frf=response, freq=frequency, lower=one.frequency_hz[0], upper=one.frequency_hz[-1], pol_order_high=60
+    )
+    model.get_poles(show_progress=False)
+    model.select_closest_poles([mode.frequency_hz for mode in wanted])
+    for mode, theirs_hz, theirs_damping in zip(wanted, model.nat_freq, model.nat_xi, strict=True):
+        assert mode.frequency_hz == pytest.approx(theirs_hz, rel=0.005)
+        assert mode.damping == pytest.approx(theirs_damping, rel=0.15)
+
+
+def test_a_layout_or_a_run_that_is_missing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml"):
+        read_vibration_test(tmp_path / "none.toml", tmp_path)
+    with pytest.raises(RecordingError, match=r"run_Run1\.mat"):
+        read_vibration_test(LAYOUT, tmp_path)
+    broken = tmp_path / "broken.toml"
+    broken.write_text("rate_hz = 1.0\n")
+    with pytest.raises(ConfigError, match="points"):
+        read_vibration_test(broken, tmp_path)

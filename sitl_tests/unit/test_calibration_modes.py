@@ -1,0 +1,172 @@
+"""Identification against structures that are known: poles, residues, shapes, ambient response, airframe file."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from companion.calibration.ambient import ambient_modes
+from companion.calibration.modes import IdentifiedMode, Run, assurance, identify_runs, residues
+from companion.calibration.poles import Pole, stable_poles
+from companion.calibration.vibration import Point, frequency_response
+from companion.calibration.wing_modes import airframe_with, bending_modes, symmetry
+from companion.errors import ConfigError
+from companion.params.files import dump_airframe, load_airframe, parse_airframe
+
+SPANS_M = (0.4, 0.6, 0.8, 1.0, 1.2)
+CHORD_M = 0.12
+TRUE = ((6.0, 0.02), (8.5, 0.015), (21.0, 0.01))  # symmetric, antisymmetric, a further symmetric one
+
+
+def _points() -> list[Point]:
+    points: list[Point] = []
+    for side in (1.0, -1.0):
+        for span in SPANS_M:
+            for leading in (True, False):
+                aft = 0.3 + (0.0 if leading else CHORD_M)
+                points.append(Point(len(points) + 1, side * span, aft, leading))
+    return points
+
+
+def _shape(point: Point, kind: int) -> float:
+    """Cubic bending on top of what a free wing does rigidly, with twist that grows outward (nose up)."""
+    y = abs(point.span_m)
+    nose = 0.5 if point.leading else -0.5
+    bend = (y**3 - 0.1, y**3 + 0.2 * y, 2.0 * y**3 - 1.5 * y**2)[kind] + nose * CHORD_M * 0.3 * y
+    return bend if kind != 1 or point.span_m > 0.0 else -bend
+
+
+def _runs(noise: float = 0.0, seed: int = 0) -> list[Run]:
+    """Two points per run, as roving accelerometers give them; unit modal masses, driven at the first point."""
+    random, points = np.random.default_rng(seed), _points()
+    frequency = np.arange(3.0, 30.0, 1 / 20)
+    omega = 2 * np.pi * frequency
+    runs = []
+    for first in range(0, len(points), 2):
+        response = np.zeros((2, len(frequency)), dtype=complex)
+        for kind, (f, zeta) in enumerate(TRUE):
+            receptance = 1.0 / ((2 * np.pi * f) ** 2 - omega**2 + 2j * zeta * omega * 2 * np.pi * f)
+            drive = _shape(points[0], kind) or 1.0
+            for row in range(2):
+                response[row] += -(omega**2) * _shape(points[first + row], kind) * drive * receptance
+        response += noise * (random.normal(size=response.shape) + 1j * random.normal(size=response.shape))
+        runs.append(Run(f"run{first}", np.array([first, first + 1]), frequency, response))
+    return runs
+
+
+@functools.cache
+def _clean() -> list[IdentifiedMode]:
+    return identify_runs(_runs(), len(_points()))
+
+
+def test_poles_of_a_noise_free_response_are_exact() -> None:
+    run = _runs()[3]
+    found = stable_poles(run.frequency_hz, run.response)
+    assert [round(pole.frequency_hz, 4) for pole in found] == [6.0, 8.5, 21.0]
+    assert [pole.damping for pole in found] == pytest.approx([0.02, 0.015, 0.01], rel=1e-3)
+
+
+@pytest.mark.slow
+def test_modes_of_a_noisy_test_lie_within_their_scatter() -> None:
+    modes = identify_runs(_runs(noise=0.01, seed=3), len(_points()))
+    assert len(modes) == 3
+    for kind, (mode, (f, zeta)) in enumerate(zip(modes, TRUE, strict=True)):
+        many = np.sqrt(mode.runs)
+        assert abs(mode.frequency_hz - f) < 5 * mode.frequency_sigma_hz / many + 1e-4 * f
+        assert abs(mode.damping - zeta) < 5 * mode.damping_sigma / many + 0.01 * zeta
+        true = np.array([_shape(point, kind) for point in _points()])
+        assert assurance(mode.shape, true) > 0.998
+        assert mode.assurance > 0.99
+
+
+@pytest.mark.slow
+def test_shape_sigma_tells_the_scatter_of_the_shape() -> None:
+    true = np.array([_shape(point, 0) for point in _points()])
+    unit = []
+    for seed in range(3):
+        mode = identify_runs(_runs(noise=0.03, seed=seed), len(true))[0]
+        error = mode.shape - true * (mode.shape @ true) / (true @ true)
+        unit.append(np.sqrt(np.mean(error**2) / np.mean(mode.shape_sigma**2)))
+    assert 0.5 < np.mean(unit) < 2.0
+
+
+def test_residues_of_a_sum_of_modes_are_found_with_close_neighbours() -> None:
+    omega = 2 * np.pi * np.arange(4.0, 12.0, 0.02)
+    poles = [Pole(7.0, 0.01, 1.0), Pole(7.2, 0.012, 1.0)]
+    true = np.array([[0.3 - 1.0j, 0.1 + 0.7j]])
+    response = sum(
+        -(omega**2) * (r / (1j * omega - p.value) + np.conj(r) / (1j * omega - np.conj(p.value)))
+        for r, p in zip(true[0], poles, strict=True)
+    )
+    assert np.allclose(residues(omega / 2 / np.pi, response[np.newaxis], poles), true, rtol=1e-6)
+
+
+def test_symmetric_and_antisymmetric_modes_are_told_apart() -> None:
+    points = _points()
+    likeness = [symmetry(mode, points) for mode in _clean()]
+    assert likeness == pytest.approx([1.0, -1.0, 1.0], abs=1e-3)
+
+
+def test_slope_and_twist_at_the_tip_come_out_of_the_cubic() -> None:
+    """Relative to the root section at 0.4 m: slope 3 y^2 / (y^3 - 0.4^3), twist 0.3 y over the same, at y = 1.2."""
+    points = _points()
+    first = bending_modes(_clean(), points)[0]
+    lift = 1.2**3 - 0.4**3
+    assert first.factors.slope_factor_radpm == pytest.approx(3 * 1.2**2 / lift, rel=0.01)
+    assert first.factors.twist_factor_radpm == pytest.approx(0.3 * 1.2 / lift, rel=0.01)
+
+
+def test_what_is_written_reads_back_with_the_modes_in_it() -> None:
+    points = _points()
+    airframe = airframe_with(load_airframe("nadir-2m"), bending_modes(_clean(), points))
+    again = parse_airframe(dump_airframe(airframe), "written")
+    assert again == airframe
+    assert again.wing.symmetric.frequency_hz.value == pytest.approx(6.0, abs=0.01)
+    assert again.wing.antisymmetric.frequency_hz.value == pytest.approx(8.5, abs=0.01)
+    with pytest.raises(ConfigError, match="no symmetric"):
+        airframe_with(load_airframe("nadir-2m"), [])
+
+
+def test_a_sweep_gives_the_response_of_the_filter_it_went_through() -> None:
+    rate_hz, n = 500.0, 20000
+    t = np.arange(n) / rate_hz
+    force = np.sin(2 * np.pi * (2.0 * t + 0.5 * t**2)) * np.hanning(n)
+    answer = np.roll(force, 3) * 0.5
+    run = frequency_response(force, answer[:, np.newaxis], rate_hz, (5.0, 30.0))
+    assert np.allclose(run.response[0], 0.5 * np.exp(-2j * np.pi * run.frequency_hz * 3 / rate_hz), atol=1e-9)
+
+
+def _gust_driven(seed: int, modes: tuple[tuple[float, float, float], ...], seconds: float) -> np.ndarray:
+    """Acceleration of modes under white load: exact discretisation, rate 200 Hz."""
+    random, rate_hz = np.random.default_rng(seed), 200.0
+    n = round(seconds * rate_hz)
+    total = 0.02 * random.standard_normal(n)
+    for f, zeta, gain in modes:
+        omega = 2 * np.pi * f
+        a = np.array([[0.0, 1.0], [-(omega**2), -2 * zeta * omega]])
+        step = expm(a / rate_hz)
+        held = np.linalg.solve(a, (step - np.eye(2)) @ np.array([0.0, 1.0]))
+        state, load = np.zeros(2), random.standard_normal(n)
+        for k in range(n):
+            total[k] += gain * (a[1] @ state + load[k])
+            state = step @ state + held * load[k]
+    return total
+
+
+@pytest.mark.slow
+def test_modes_of_a_gusty_flight_lie_within_their_sigma() -> None:
+    """Three minutes of two modes; at least 5 Hz x 180 s = 900 cycles, so f to about sqrt(zeta/(omega T)) = 0.2 %."""
+    modes = ((5.0, 0.03, 1.0), (27.0, 0.02, 0.3))
+    unit = []
+    for seed in range(3):
+        found = ambient_modes(_gust_driven(seed, modes, 180.0)[:, np.newaxis], 200.0, (2.0, 40.0))
+        assert len(found) == 2
+        for mode, (f, zeta, _) in zip(found, modes, strict=True):
+            assert mode.frequency_hz == pytest.approx(f, rel=0.01)
+            assert mode.damping == pytest.approx(zeta, rel=0.4)
+            unit.append((mode.frequency_hz - f) / mode.frequency_sigma_hz)
+    # six blocks give a Student's t of 5 degrees of freedom: rms 1.3
+    assert 0.4 < np.sqrt(np.mean(np.square(unit))) < 2.5
