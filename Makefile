@@ -19,8 +19,9 @@ $(STAMP): requirements.lock pyproject.toml
 demo: $(STAMP)   ## fly the simulated aircraft against the live service and show the ranges
 	$(BIN)/spanwise demo
 
-test: $(STAMP)   ## every test
-	$(BIN)/python -m pytest -n 2 --dist loadgroup
+test: $(STAMP)   ## every test; those that start live processes come last and have the machine to themselves
+	$(BIN)/python -m pytest -n 2 -m "not realtime"
+	$(BIN)/python -m pytest -m realtime
 
 check: lint types architecture generated fast ## what must be green before a commit (under two minutes)
 

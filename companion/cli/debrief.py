@@ -110,15 +110,8 @@ def debrief(
     ways = dict(shots.ways)
     blur = {"at_plan": wing_blur_px(judge, [flown.matches[pair_id] for pair_id in shots.ids])}
     if compare:
-        say("replaying with vertical accelerometers alone ...")
-        ways["vertical_only"] = judged(judge, _replayed(vertical_only(inputs), flight.airframe, settings)).ways[
-            "corrected"
-        ]
-        say("rendering the same flight at random instants ...")
-        extra = _random_shots(flight, judge.renderer, settings, start_host_ns)
-        others = _replayed(with_matches(inputs, extra), flight.airframe, settings)
-        ways["random_instants"] = judged(judge, others).ways["corrected"]
-        blur["at_random"] = wing_blur_px(judge, extra)
+        others, blur["at_random"] = _compared(judge, inputs, say)
+        ways |= others
     plain: dict[str, Any] = {
         "airframe": flight.airframe.name,
         "seed": flight.seed,
@@ -134,6 +127,18 @@ def debrief(
         "refused": dict(sorted(flown.rejected.items())),
     }
     return Debrief(plain, _series(judge, flown, shots, ways, blur))
+
+
+def _compared(judge: Judge, inputs: list[Record], say: Callable[[str], None]) -> tuple[dict[str, Scored], Floats]:
+    """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result)."""
+    airframe, settings = judge.flight.airframe, judge.settings
+    say("replaying with vertical accelerometers alone ...")
+    vertical = judged(judge, _replayed(vertical_only(inputs), airframe, settings))
+    say("rendering the same flight at random instants ...")
+    extra = _random_shots(judge)
+    random = judged(judge, _replayed(with_matches(inputs, extra), airframe, settings))
+    ways = {"vertical_only": vertical.ways["corrected"], "random_instants": random.ways["corrected"]}
+    return ways, wing_blur_px(judge, extra)
 
 
 # ------------------------------------------------------------------------------------------------ collecting
@@ -186,16 +191,17 @@ def vertical_only(inputs: Iterable[Record]) -> Iterator[Record]:
         yield record
 
 
-def _random_shots(flight: Flight, renderer: Renderer, settings: Settings, start_host_ns: int) -> list[MatchSet]:
+def _random_shots(judge: Judge) -> list[MatchSet]:
     """Pairs exposed at instants that know nothing of the wing, matched as the vision process would."""
+    flight, start_host_ns = judge.flight, judge.start_host_ns
     rng = np.random.default_rng([flight.seed, _RANDOM_SEED])
     count = int((flight.duration_s - SETTLED_S - 1.0) * _RANDOM_RATE_HZ)
     edges_s = SETTLED_S + (np.arange(count) + rng.uniform(0, 1, count)) / _RANDOM_RATE_HZ
     shutters = Shutters(flight.real.actual, flight.seed)
-    vision = VisionState.create(flight.airframe, settings)
+    vision = VisionState.create(flight.airframe, judge.settings)
     found = []
     for shot, edge_s in enumerate(edges_s):
-        pair = render_pair(renderer, shutters, int(edge_s * 1e9), shot)
+        pair = render_pair(judge.renderer, shutters, int(edge_s * 1e9), shot)
         left, right = (
             dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + start_host_ns)
             for frame in (pair.left, pair.right)

@@ -37,7 +37,7 @@ class Judge:
         self.flight = flight
         self.renderer = renderer
         self.start_host_ns = start_host_ns
-        self._settings = settings
+        self.settings = settings
         self._belief = Rig.from_airframe(flight.airframe)
         self._tips = TipMotion.from_airframe(flight.airframe)
         self._true_tips = TipMotion.from_airframe(flight.real.actual)
@@ -85,7 +85,7 @@ class Judge:
     def _read(self, matches: MatchSet, rig: Rig, moving: tuple[Exposure, Exposure]) -> Reading | None:
         sight = sight_along(self._belief, self._axis)
         depths = triangulate(match_rays(rig, moving, matches), sight, matches.sigma_px / rig.left.lens.focal_px)
-        reading = read(depths, Product(self._settings.product), self._settings.min_matches)
+        reading = read(depths, Product(self.settings.product), self.settings.min_matches)
         if reading is None:
             return None
         true_inverse = self._true_inverse(matches)

@@ -49,6 +49,7 @@ def execute(options: argparse.Namespace) -> int:
         signal.signal(number, lambda caught, _: stopped.append(caught))
     view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}")
     live = sys.stdout.isatty() and not options.plain
+    began = time.monotonic()
     fly(config, view, lambda: bool(stopped) or time.monotonic() >= ends, live=live)
-    print(view.line(0.0 if not stopped else options.seconds or 0.0).strip())
+    print(view.line(time.monotonic() - began).strip())
     return 0

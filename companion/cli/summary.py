@@ -84,8 +84,9 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
     )
     lines.append(
         f"shots: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected, {shots['trusted']} "
-        f"trusted and published; planned {_joined(shots['planned'])}; not trusted: {_joined(shots['not_trusted']) or 'none'}"
+        f"trusted and published; planned {_joined(shots['planned'])}"
     )
+    lines.append(f"not trusted: {_joined(shots['not_trusted']) or 'none'}")
     received = summary["published"]["received"] or {}
     lines.append(f"received by the autopilot: {_joined(received)}")
     return lines
