@@ -19,6 +19,7 @@ from companion.records import Axis, Bools, Floats, Ints
 GRAVITY_MPS2 = 9.80665
 _LEAST_FORCE_MPS2 = 1.0  # in free fall the lateral axis does not see the slope
 _SIDE = np.array([1.0, -1.0])
+_BESIDE = 2  # cells at either end that time derivatives and smoothing lean on
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +89,8 @@ def join(runs: list[Cells]) -> Cells:
 def make_cells(layout: Layout, streams: tuple[Stream, Stream, Stream], edges_ns: Ints) -> Cells:
     """Average the streams over the cells between ``edges_ns`` (equally spaced) and remove the rigid motion."""
     step_ns = edges_ns[1] - edges_ns[0]
-    wide_ns = np.concatenate([[edges_ns[0] - step_ns], edges_ns, [edges_ns[-1] + step_ns]])  # for time derivatives
+    beside = step_ns * np.arange(1, _BESIDE + 1)
+    wide_ns = np.concatenate([edges_ns[0] - beside[::-1], edges_ns, edges_ns[-1] + beside])
     motion, there = _motion(streams, wide_ns, float(step_ns) * 1e-9)
     gains = _lateral_gain(motion, there)
     rows = np.empty((len(there), ROWS))
@@ -111,14 +113,14 @@ def make_cells(layout: Layout, streams: tuple[Stream, Stream, Stream], edges_ns:
         0.5 * (motion.omega + np.concatenate([motion.omega[1:], motion.omega[-1:]])),
         sensitivities(layout, motion, gains, there),
     )
-    return cells.span(1, len(cells) - 1)
+    return cells.span(_BESIDE, len(cells) - _BESIDE)
 
 
 def _motion(streams: tuple[Stream, Stream, Stream], edges_ns: Ints, step_s: float) -> tuple[Motion, Bools]:
     root, n = streams[0], len(edges_ns) - 1
     averages = [stream.average(edges_ns) for stream in streams]
     root_there = averages[0].covered
-    calm = _smoothed(averages[0].mean, root_there)
+    calm = _smoothed(averages[0].mean, root_there) if root.filtered else averages[0].mean
     f_root, omega = calm[:, :3], calm[:, 3:]
     turn = rate_of_change(omega, step_s, root_there)
     there = np.zeros((n, ROWS), dtype=bool)

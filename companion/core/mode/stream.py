@@ -124,13 +124,13 @@ class Stream:
         t = (t_ns - edges_ns[0]) * 1e-9
         edges = (edges_ns - edges_ns[0]) * 1e-9
         covered = self._covered(t, edges)
-        if self._filtered:
+        if self.filtered:
             mean, moment = cell_means_unfiltered(t, y, edges, self._cutoff_hz), np.zeros(cells)
         else:
             mean, moment = cell_means(t, y, edges)
         if not covered.all():
             mean[~covered], moment[~covered] = 0.0, 0.0
-        resolved = not self._filtered and (edges[1] - edges[0]) * self.sensor.rate_hz >= _RESOLVED
+        resolved = not self.filtered and (edges[1] - edges[0]) * self.sensor.rate_hz >= _RESOLVED
         return Averages(mean, moment, covered, bool(resolved))
 
     def _covered(self, t: Floats, edges: Floats) -> Bools:
@@ -148,7 +148,8 @@ class Stream:
         return np.array([self.sensor.accel_range_mps2] * 3 + [self.sensor.gyro_range_radps] * 3)
 
     @property
-    def _filtered(self) -> bool:
+    def filtered(self) -> bool:
+        """Whether the source low-passes what it sends."""
         return self.sensor.lowpass_accel_hz > 0.0 or self.sensor.lowpass_gyro_hz > 0.0
 
     @property
