@@ -176,6 +176,7 @@ def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter)
 
 def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputRecord]:
     state.settings = state.settings.replace(change.name, change.value)
+    state.tracker.adopt(state.settings)
     if state.scheduling is not None:
         state.scheduling.adopt(state.settings)
     if state.correction is not None:

@@ -13,7 +13,7 @@ from companion.adapters.mavlink.decode import Decoder
 from companion.core.pipeline import start, step
 from companion.params.files import load_airframe
 from companion.params.persist import Keeper, load_stored
-from companion.params.settings import Settings, tunables
+from companion.params.settings import Settings, Tunable, tunables
 from companion.records import Notice, ParameterChange, RawChunk
 from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, MavProxy, QGroundControl, Station
 
@@ -177,6 +177,18 @@ def test_a_live_change_acts_at_once_in_the_adapter_and_through_a_record_in_the_p
     decoder = Decoder(load_airframe("nadir-2m"), COMPANION)
     replayed = [again for chunk in told(records, RawChunk) for again in decoder.decode_chunk(chunk)]
     assert not told(replayed, ParameterChange)
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if row.live], ids=lambda row: row.name)
+def test_a_live_change_reaches_everyone_who_uses_settings(row: Tunable) -> None:
+    state = start(load_airframe("nadir-2m"), Settings())
+    value = row.minimum if row.minimum != row.default else row.maximum
+    state, _ = step(state, ParameterChange(row.name, value, 0))
+    assert state.scheduling is not None
+    assert state.correction is not None
+    users = (state, state.scheduling.planner, state.correction)
+    assert {getattr(user.settings, row.attribute) for user in users} == {value}
+    assert getattr(state.tracker._settings, row.attribute) == value
 
 
 def test_a_repeated_set_is_answered_again_but_changes_once() -> None:

@@ -91,6 +91,10 @@ class WingTracker:
         done_ns = self._next_ns if self._start_ns is not None else -(2**62)
         return self._streams[batch.station].add(batch, done_ns)
 
+    def adopt(self, settings: Settings) -> None:
+        """Use changed live settings from now on."""
+        self._settings = settings
+
     def advance(self, now_host_ns: int) -> ModeState | None:
         """Process every cell that ended before ``now`` less the reorder window; None until there is a first one."""
         until_ns = now_host_ns - round(self._settings.reorder_window_s * 1e9)
