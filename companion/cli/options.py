@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tomllib
 from pathlib import Path
@@ -45,7 +46,16 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
     stored = load_stored(path)
     for problem in stored.problems:
         print(problem, file=sys.stderr)
+    if stored.values:
+        told = ", ".join(f"{name} {value:g}" for name, value in sorted(stored.values.items()))
+        print(f"set from a ground station: {told} (kept in {path})", file=sys.stderr)
     return stored.over(settings)
+
+
+def state_file(name: str) -> Path:
+    """Where a file that outlives a run belongs, by the XDG base directory rules."""
+    state = os.environ.get("XDG_STATE_HOME")
+    return (Path(state) if state else Path.home() / ".local" / "state") / "spanwise" / name
 
 
 def _from_file(path: Path | None) -> dict[str, float]:

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from companion.cli.flying import fly
-from companion.cli.options import add_settings, read_settings
+from companion.cli.options import add_settings, read_settings, state_file
 from companion.cli.view import View
 from companion.errors import ConfigError
 from companion.params.files import load_airframe
@@ -24,7 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--airframe", required=True, metavar="NAME", help="name or path of an airframe file")
     parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record everything that goes in and out")
-    parser.add_argument("--parameters", type=Path, metavar="FILE", help="keep here what a ground station sets")
+    parser.add_argument(
+        "--parameters", type=Path, metavar="FILE",
+        help="where what a ground station sets is kept (default: ~/.local/state/spanwise/<airframe>.parameters)",
+    )  # fmt: skip
     parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
     parser.add_argument("--for", type=float, metavar="SECONDS", dest="seconds", help="stop after so long")
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
@@ -35,6 +38,8 @@ def execute(options: argparse.Namespace) -> int:
     """Run until Ctrl-C or SIGTERM (or for the given time)."""
     if options.record is not None and not options.record.parent.is_dir():
         raise ConfigError(f"--record {options.record}: no folder {options.record.parent}")
+    if options.parameters is None:
+        options.parameters = state_file(f"{Path(options.airframe).stem}.parameters")
     config = ServiceConfig(
         airframe=load_airframe(options.airframe),
         settings=read_settings(options),
