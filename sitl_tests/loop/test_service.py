@@ -93,6 +93,8 @@ def test_the_demo_flies_and_its_recording_replays_to_what_was_published(
     assert toe["corrected"]["rms"] < 0.1 * toe["rigid"]["rms"]
     assert summary["published"]["received"]["DISTANCE_SENSOR"] > 100
     assert summary["published"]["problems"] == []
+    assert summary["sigma"]["published_beyond_5_sigma"] == 0
+    assert summary["published"]["ranges_used"] > 50
     assert main(["replay", str(tmp_path / "flight.mcap"), "--json"]) == 0
     replayed = json.loads(capsys.readouterr().out)
     assert replayed["reproduced"] is True
