@@ -83,11 +83,11 @@ class Examination:
             state = self._clocks.state(clock, now)
             if state.synced or clock in seen.clocks:
                 seen.clocks[clock] = state
+        counters = [decoder.counters(link.number) for link in self._links]
+        seen.frames = sum(entry.frames for entry in counters)
+        seen.crc_errors = sum(entry.crc_errors for entry in counters)
+        seen.skipped_bytes = sum(entry.skipped_bytes for entry in counters)
         for link in self._links:
-            counters = decoder.counters(link.number)
-            seen.frames += counters.frames
-            seen.crc_errors += counters.crc_errors
-            seen.skipped_bytes += counters.skipped_bytes
             _, comma, baud = link.spelling.partition(",")
             if comma:
                 seen.serial_baud[link.spelling] = int(baud)
