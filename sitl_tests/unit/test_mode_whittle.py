@@ -1,0 +1,99 @@
+"""The spectrum that a model must have, and the parameters that a spectrum tells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.mode.discretise import stationary_covariance, van_loan
+from companion.core.mode.spectrum import acceleration_density
+from companion.core.mode.whittle import Prior, Stretch, expected_power, fit, make_stretch, seek_peak
+
+STEP_S = 0.004
+LOGS = np.log([5.0, 0.04, 0.2, 2.0, 20.0, 27.0, 0.02, 3e-3])
+
+
+def _system(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mode, two gust poles, second mode, its load's pole (at half its frequency), written out anew."""
+    f, zeta, load, c1, c2, f2, zeta2, load2 = np.exp(logs)
+    w, w2, k1, k2 = (2 * np.pi * x for x in (f, f2, c1, c2))
+    a = np.zeros((7, 7))
+    a[0, 1], a[1, 0], a[1, 1], a[1, 3] = 1, -w * w, -2 * zeta * w, 1
+    a[2, 2], a[3, 2], a[3, 3] = -k1, k2, -k2
+    a[4, 5], a[5, 4], a[5, 5], a[5, 6], a[6, 6] = 1, -w2 * w2, -2 * zeta2 * w2, 1, -w2 / 2
+    q = np.zeros((7, 7))
+    q[2, 2] = k1**2 * load * (1 + (5.0 / c1) ** 2) * (1 + (5.0 / c2) ** 2) / 2
+    q[6, 6] = (w2 / 2) ** 2 * load2 * 5.0 / 2
+    return a, q
+
+
+def _simulate(seconds: float, seed: int) -> np.ndarray:
+    transition, noise = van_loan(*_system(LOGS), STEP_S)
+    rng = np.random.default_rng(seed)
+    values, vectors = np.linalg.eigh(noise)
+    root = vectors * np.sqrt(np.clip(values, 0, None))
+    values, vectors = np.linalg.eigh(stationary_covariance(transition, noise))
+    x = (vectors * np.sqrt(np.clip(values, 0, None))) @ rng.normal(size=7)
+    out = np.empty(round(seconds / STEP_S))
+    for k in range(len(out)):
+        after = transition @ x + root @ rng.normal(size=7)
+        out[k] = -(after[1] + after[5] - x[1] - x[5]) / STEP_S
+        x = after
+    return out + rng.normal(0, 0.008, len(out))
+
+
+def _floor(frequency_hz: np.ndarray) -> np.ndarray:
+    return np.full_like(frequency_hz, 0.008**2 * 2 * STEP_S)
+
+
+def _stretch(seconds: float, seed: int) -> Stretch:
+    return make_stretch(_simulate(seconds, seed), STEP_S, (0.25, 11.0, 120.0), _floor)
+
+
+def _prior(sigma: float = 2.0) -> Prior:
+    spread = np.array([0.1, 0.7, 2.5, sigma, sigma, 0.1, 0.7, 3.0])
+    mean = LOGS + np.array([0.07, 0.5, 1.0, 1.0, 1.0, -0.08, 0.5, -1.0])
+    return Prior(mean, spread, mean - 4 * spread, mean + 4 * spread, (8,), (5.0,))
+
+
+def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -> None:
+    transition, noise = van_loan(*_system(LOGS), STEP_S)
+    p = stationary_covariance(transition, noise)
+    row = np.zeros(7)
+    row[[1, 5]] = 1.0
+    variance = 2 * row @ (p - transition @ p) @ row / STEP_S**2
+    f = (np.arange(50000) + 0.5) * 125.0 / 50000
+    density = acceleration_density(LOGS, f, 5.0, STEP_S)
+    assert density.sum() * 125.0 / 50000 == pytest.approx(variance, rel=2e-3)
+
+
+def test_the_periodogram_is_expected_without_bias() -> None:
+    stretches = [_stretch(8.0, seed) for seed in range(40)]
+    ratio = np.mean([s.power / expected_power(s, _prior(), LOGS) for s in stretches], axis=0)
+    weight, f = stretches[0].weight, stretches[0].frequency_hz
+    for low, high in ((0.8, 3.0), (3.0, 4.5), (4.5, 5.5), (5.5, 8.0), (8.0, 20.0), (20.0, 35.0), (35.0, 110.0)):
+        band = (f > low) & (f < high)
+        mean = np.average(ratio[band], weights=weight[band])
+        assert mean == pytest.approx(1.0, abs=4.5 / np.sqrt(40 * weight[band].sum()))
+
+
+def test_a_fit_finds_the_parameters_within_its_sigma() -> None:
+    pulls = []
+    for seed in range(6):
+        prior = _prior()
+        found = fit(_stretch(20.0, 100 + seed), prior, prior.mean, 25)
+        pulls.append((found.logs - LOGS)[[0, 1, 2, 5]] / found.log_sigma[[0, 1, 2, 5]])
+        assert abs(found.logs[0] - LOGS[0]) < 3 * np.sqrt(0.04 / (2 * np.pi * 5 * 20))
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.8
+
+
+def test_a_peak_that_the_model_has_not_is_found() -> None:
+    prior, stretch = _prior(), _stretch(10.0, 3)
+    without = LOGS.copy()
+    without[7] -= 12.0
+    without[5] -= 0.2
+    moved, gain = seek_peak(stretch, prior, without, 5)
+    assert gain > 20
+    assert moved[5] == pytest.approx(LOGS[5], abs=0.05)
+    _, nothing = seek_peak(stretch, prior, LOGS, 5)
+    assert nothing < 8
