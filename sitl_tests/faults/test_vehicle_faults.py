@@ -1,0 +1,59 @@
+"""Faults strike a tracked flight: nothing crashes, no wrong range goes out, the health tells, and ranges come back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from companion.records import Health
+from companion.sim.flight import Flight
+from sitl_tests.faults.vehicle_faults import FAULTS, Outcome, build, strike, table, write
+
+BY_NAME = {fault.name: fault for fault in FAULTS}
+HARMLESS = ("flood at 20 x the rate", "foreign TIMESYNC answers")
+# what goes missing is missed: ranges stop, the heartbeat says so, and they come back by themselves
+HARMFUL = ("link silent both ways", "autopilot reboots, 2 s", "left node reboots, 2 s", "right node sends NaN")
+# a clock is locked again after 1.5 s, the tracker settles in 1 s or so, and a range waits for the smoother's lag
+RECOVERY_S = 6.0
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return build()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HARMLESS)
+def test_what_others_send_changes_nothing(flight: Flight, name: str) -> None:
+    outcome = strike(flight, BY_NAME[name])
+    assert outcome.wrong == 0
+    assert outcome.recovery_s == 0.0
+    assert set(outcome.healths) == {Health.ACTIVE}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HARMFUL)
+def test_ranges_stop_truthfully_and_come_back(flight: Flight, name: str) -> None:
+    outcome = strike(flight, BY_NAME[name])
+    assert outcome.wrong == 0
+    assert outcome.trusted > 0
+    assert outcome.recovery_s <= RECOVERY_S
+    if outcome.gap_s > 2.0:
+        assert Health.CRITICAL in outcome.healths
+    assert outcome.healths[-1] is Health.ACTIVE
+
+
+def test_the_table_is_put_between_its_marks_and_replaced(tmp_path: Path) -> None:
+    page = tmp_path / "README.md"
+    page.write_text("# Tests\n\nwords\n")
+    first = Outcome("one", 1.0, 1.5, 100, 3, {"stream stopped": 2}, 0, 50, (Health.ACTIVE, Health.CRITICAL))
+    second = Outcome("two", 0.0, 0.2, 100, 0, {}, 0, 90, (Health.ACTIVE,))
+    write([first], page)
+    assert "| one | active > critical | 1.50 s | 1.00 s | 3 | 2 stream stopped | 50 / 0 |" in page.read_text()
+    write([second], page)
+    text = page.read_text()
+    assert text.startswith("# Tests\n\nwords\n")
+    assert "| one |" not in text
+    assert text.count("| two |") == 1
+    assert table([second]) in text

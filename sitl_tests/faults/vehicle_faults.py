@@ -1,0 +1,229 @@
+"""The fault table: each fault strikes a tracked flight for two seconds; what happened, and how long it took to recover.
+
+``python -m sitl_tests.faults.vehicle_faults`` runs all and writes the table into ``sitl_tests/README.md``. The real
+loop, adapter and pipeline fly; vehicle, wire and cameras are simulated (:mod:`sitl_tests.loop.simulated_service`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.params.files import load_airframe
+from companion.records import CorrectedRange, Health, Rejected, ServiceStatus, Tick
+from companion.sim.faults import Faults
+from companion.sim.flight import Flight, build_flight
+from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, SimulatedService
+
+BEGIN_S, END_S, OVER_S = 13.0, 15.0, 24.0
+_BEGIN_MARK, _END_MARK = "<!-- fault table: begin (generated) -->", "<!-- fault table: end -->"
+_SIGMAS, _SHARE = 5.0, 0.05
+
+Meddle = Callable[[list[bytes], np.random.Generator], list[bytes]]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What strikes: the simulated vehicle's own faults, or a hand on the frames that it sends."""
+
+    name: str
+    faults: Faults = field(default_factory=Faults)
+    meddle: Meddle | None = None
+    deaf: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One row of the table.
+
+    ``recovery_s`` is from the end of the fault to the next trusted range; 0 where ranges never stopped for longer than
+    the half second after which an autopilot forgets them. ``gap_s`` is the longest time without a trusted range from
+    the fault on.
+    """
+
+    name: str
+    recovery_s: float
+    gap_s: float
+    sent: int
+    lost: int
+    refused: dict[str, int]
+    wrong: int
+    trusted: int
+    healths: tuple[Health, ...]
+
+
+def _packer(component: int, system: int = 1) -> mavlink.MAVLink:
+    return mavlink.MAVLink(None, system, component)
+
+
+def _lost(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    return []
+
+
+def _thinned(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    return [frame for frame in frames if rng.random() > 0.2]
+
+
+def _garbage(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    out = []
+    for frame in frames:
+        cut = rng.random() < 0.05
+        out += [rng.bytes(int(rng.integers(0, 40))), frame[: len(frame) // 2] if cut else frame]
+    return out
+
+
+def _doubled_and_shuffled(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    twice = [frame for frame in frames for _ in range(1 + (rng.random() < 0.3))]
+    return [twice[k] for k in rng.permutation(len(twice))]
+
+
+def _wild(component: int, system: int = 1) -> bytes:
+    values = (90.0, -80.0, 70.0, 9.0, -9.0, 9.0)
+    message = mavlink.MAVLink_highres_imu_message(123_456_789, *values, 0, 0, 0, 0, 0, 0, 0, 63)
+    return bytes(message.pack(_packer(component, system)))
+
+
+_SPOOFED = [_wild(158), _wild(202), _wild(200, system=77), _wild(1, system=77)]
+
+
+def _spoofed(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    return [*frames, *_SPOOFED]
+
+
+def _flood(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    return frames + 20 * max(len(frames), 1) * _SPOOFED[:1]
+
+
+def _version_1(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    attitude = mavlink.MAVLink_attitude_message(1, 0.1, 0.1, 0.1, 0, 0, 0)
+    return [*frames, bytes(attitude.pack(_packer(158), force_mavlink1=True))]
+
+
+def _foreign_time(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
+    now = int(rng.integers(1, 1 << 40))
+    answers = [mavlink.MAVLink_timesync_message(now, now).pack(_packer(c)) for c in (1, 200, 201)]
+    asked = mavlink.MAVLink_timesync_message(0, now).pack(_packer(190, 255))
+    return [*frames, *(bytes(frame) for frame in (*answers, asked))]
+
+
+FAULTS = (
+    Fault("none"),
+    Fault("link silent both ways", meddle=_lost, deaf=True),
+    Fault("a fifth of all frames lost", meddle=_thinned),
+    Fault("garbage, truncated frames", meddle=_garbage),
+    Fault("duplicated, reordered frames", meddle=_doubled_and_shuffled),
+    Fault("flood at 20 x the rate", meddle=_flood),
+    Fault("IMU spoofed by wrong components", meddle=_spoofed),
+    Fault("MAVLink 1 frames among ours", meddle=_version_1),
+    Fault("foreign TIMESYNC answers", meddle=_foreign_time),
+    Fault("autopilot reboots, 2 s", Faults(reboots=((1, BEGIN_S, END_S - BEGIN_S),))),
+    Fault("left node reboots, 2 s", Faults(reboots=((200, BEGIN_S, END_S - BEGIN_S),))),
+    Fault("left node's stream stops", Faults(stops=((200, BEGIN_S, END_S),))),
+    Fault("both nodes silent", Faults(silences=((200, BEGIN_S, END_S), (201, BEGIN_S, END_S)))),
+    Fault("right node sends NaN", Faults(nans=((201, BEGIN_S, END_S),))),
+)
+
+
+def build() -> Flight:
+    """The flight that all faults strike."""
+    return build_flight(load_airframe("nadir-2m"), 6, OVER_S + 1.0)
+
+
+def strike(flight: Flight, fault: Fault) -> Outcome:
+    """Fly, let the fault strike, and look."""
+    service = SimulatedService(flight, faults=fault.faults)
+    rng = np.random.default_rng(1)
+    carry, drain = service.wire.send, service.wire.drain
+    sent = 0
+
+    def striking() -> bool:
+        return BEGIN_S <= service.world.autopilot._tick_ns * 1e-9 < END_S
+
+    def send(data: bytes | list[bytes]) -> bool:
+        nonlocal sent
+        if isinstance(data, bytes):
+            return carry(data)
+        sent += len(data)
+        return carry(fault.meddle(data, rng) if fault.meddle and striking() else data)
+
+    def heard() -> bytes:
+        data = drain()
+        return b"" if fault.deaf and striking() else data
+
+    service.wire.send, service.wire.drain = send, heard  # type: ignore[method-assign]
+    service.fly(OVER_S)
+    service.close()
+    return _judge(fault, service, sent)
+
+
+def _judge(fault: Fault, service: SimulatedService, sent: int) -> Outcome:
+    now_s, trusted_s, wrong, healths = 0.0, [BEGIN_S], 0, []
+    refused: dict[str, int] = {}
+    for record in service.tape.records:
+        if isinstance(record, Tick):
+            now_s = (record.now_host_ns - EPOCH_NS) * 1e-9
+        elif isinstance(record, CorrectedRange) and record.trusted:
+            error_m = abs(record.range_m - GROUND_M)
+            wrong += error_m > _SIGMAS * record.sigma_m and error_m > _SHARE * GROUND_M
+            if now_s >= BEGIN_S:
+                trusted_s.append(now_s)
+        elif isinstance(record, Rejected) and BEGIN_S <= now_s < OVER_S:
+            refused[str(record.reason)] = refused.get(str(record.reason), 0) + record.count
+        elif (
+            isinstance(record, ServiceStatus) and now_s >= BEGIN_S and (not healths or healths[-1] is not record.health)
+        ):
+            healths.append(record.health)
+    gap_s = float(np.max(np.diff([*trusted_s, OVER_S])))
+    after = [at_s for at_s in trusted_s if at_s >= END_S]
+    recovery_s = 0.0 if gap_s <= 0.5 else (after[0] - END_S if after else float("inf"))
+    counters = service.autopilot.decoder.counters(0)
+    lost = sent - counters.frames if fault.meddle in (_lost, _thinned, _garbage) else 0
+    return Outcome(fault.name, recovery_s, gap_s, sent, lost, refused, wrong, len(trusted_s) - 1, tuple(healths))
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """The rows as Markdown."""
+    head = (
+        "| fault (2 s long) | health told | longest time without a range | recovery after its end | frames lost | "
+        "samples refused | ranges trusted / wrong |\n|---|---|---|---|---|---|---|\n"
+    )
+    rows = []
+    for outcome in outcomes:
+        health = " > ".join(str(entry) for entry in outcome.healths)
+        refused = ", ".join(f"{count} {reason}" for reason, count in sorted(outcome.refused.items())) or "none"
+        rows.append(
+            f"| {outcome.name} | {health} | {outcome.gap_s:.2f} s | {outcome.recovery_s:.2f} s | {outcome.lost} | "
+            f"{refused} | {outcome.trusted} / {outcome.wrong} |"
+        )
+    return head + "\n".join(rows) + "\n"
+
+
+def write(outcomes: list[Outcome], page: Path) -> None:
+    """Put the table into the page, between its marks (at the end, where it has none)."""
+    text = page.read_text(encoding="utf-8")
+    block = f"{_BEGIN_MARK}\n{table(outcomes)}{_END_MARK}"
+    if _BEGIN_MARK in text:
+        before, _, rest = text.partition(_BEGIN_MARK)
+        _, _, after = rest.partition(_END_MARK)
+        text = before + block + after
+    else:
+        text = f"{text.rstrip()}\n\n## Fault table\n\n{__doc__.splitlines()[0]}\n\n{block}\n"
+    page.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Strike with every fault and write the table."""
+    flight = build()
+    outcomes = []
+    for fault in FAULTS:
+        outcomes.append(strike(flight, fault))
+        print(table(outcomes[-1:]).splitlines()[-1], flush=True)
+    write(outcomes, Path(__file__).resolve().parents[1] / "README.md")
+
+
+if __name__ == "__main__":
+    main()
