@@ -1,0 +1,70 @@
+"""A GPIO line through libgpiod 2: the edge leaves with the call, at the planned instant of the trigger process.
+
+The ``gpiod`` package is needed only where a line is wired: it is imported when the line is opened.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from typing import Any
+
+from companion.errors import DeviceError
+from companion.records import Shot, TriggerPlan
+
+_WIDTH_NS = 500_000
+
+
+class GpioTrigger:
+    """Implements :class:`companion.ports.Trigger` on one line of a GPIO chip.
+
+    Parameters
+    ----------
+    chip : str
+        ``/dev/gpiochip0``.
+    line : int
+        Offset on the chip.
+    active_low : bool
+        The cameras want a falling edge.
+
+    Raises
+    ------
+    DeviceError
+        ``gpiod`` is not installed, there is no such chip or line, or somebody else has it.
+    """
+
+    def __init__(self, chip: str, line: int, *, active_low: bool = False) -> None:
+        gpiod = _library()
+        settings = gpiod.LineSettings(
+            direction=gpiod.line.Direction.OUTPUT, active_low=active_low, output_value=gpiod.line.Value.INACTIVE
+        )
+        try:
+            self._request = gpiod.request_lines(chip, consumer="spanwise", config={line: settings})
+        except (OSError, ValueError) as error:
+            raise DeviceError(f"cannot take line {line} of {chip}: {error}") from error
+        self._line = line
+        self._on, self._off = gpiod.line.Value.ACTIVE, gpiod.line.Value.INACTIVE
+
+    def fire(self, plan: TriggerPlan) -> Shot:
+        """Raise the line now, hold it for half a millisecond, lower it; the stamp is the middle of the raising call."""
+        try:
+            before_ns = time.monotonic_ns()
+            self._request.set_value(self._line, self._on)
+            after_ns = time.monotonic_ns()
+            while time.monotonic_ns() < after_ns + _WIDTH_NS:
+                pass
+            self._request.set_value(self._line, self._off)
+        except OSError as error:
+            raise DeviceError(f"GPIO line {self._line}: {error}") from error
+        return Shot(plan.plan_id, plan.command_host_ns, (before_ns + after_ns) // 2)
+
+    def close(self) -> None:
+        """Release the line."""
+        self._request.release()
+
+
+def _library() -> Any:
+    try:
+        return importlib.import_module("gpiod")
+    except ImportError as error:
+        raise DeviceError("a GPIO trigger needs the gpiod package (pip install 'gpiod>=2.2')") from error

@@ -1,0 +1,184 @@
+"""A trigger board on a serial port: the plan travels ahead, the board raises the line at an instant of its own clock.
+
+The line protocol is in ``tools/trigger_board/README.md``, the reference firmware beside it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import serial
+
+from companion.errors import DeviceError
+from companion.records import Shot, TriggerPlan
+
+LEAD_NS = 4_000_000
+"""From the call of ``fire`` to the edge: what a slow USB link needs to deliver a line. A constant latency, learned."""
+_ANSWER_S = 0.05
+_WAKE_S = 3.0
+_FIRST_EXCHANGES = 24
+_KEPT = 32
+_DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age
+_WIDTH_US = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class BoardExchange:
+    """One question for the board's time: offset (board minus host), and half of what the way took, ns."""
+
+    at_host_ns: int
+    offset_ns: int
+    half_way_ns: int
+
+
+class BoardClock:
+    """Offset of the board's clock from its best recent exchange: short ways count, old ones lose."""
+
+    def __init__(self) -> None:
+        self._exchanges: deque[BoardExchange] = deque(maxlen=_KEPT)
+
+    def add(self, asked_ns: int, received_us: int, sent_us: int, answered_ns: int) -> None:
+        """Take the four stamps of one exchange."""
+        way_ns = (answered_ns - asked_ns) - 1000 * (sent_us - received_us)
+        offset_ns = 1000 * received_us - asked_ns + 1000 * sent_us - answered_ns
+        self._exchanges.append(BoardExchange((asked_ns + answered_ns) // 2, offset_ns // 2, max(way_ns, 0) // 2))
+
+    def offset(self, now_host_ns: int) -> tuple[int, int]:
+        """Board minus host time, and its bound, ns.
+
+        Raises
+        ------
+        DeviceError
+            The board has never told its time.
+        """
+        if not self._exchanges:
+            raise DeviceError("the trigger board has not told its time")
+        bounds = [(e.half_way_ns + int(_DRIFT * abs(now_host_ns - e.at_host_ns)), e.offset_ns) for e in self._exchanges]
+        bound_ns, offset_ns = min(bounds)
+        return offset_ns, bound_ns
+
+
+class SerialBoardTrigger:
+    """Implements :class:`companion.ports.Trigger` over a serial port.
+
+    Parameters
+    ----------
+    port : str
+        Device name.
+    baud : int
+        Of a real serial line; USB CDC does not care.
+
+    Raises
+    ------
+    DeviceError
+        The port cannot be opened, or no trigger board answers on it.
+    """
+
+    def __init__(self, port: str, baud: int = 115200) -> None:
+        try:
+            self._serial = serial.Serial(port, baud, timeout=_ANSWER_S, write_timeout=_ANSWER_S)
+        except (OSError, ValueError) as error:
+            raise DeviceError(f"cannot open trigger board on {port}: {error}") from error
+        with contextlib.suppress(NotImplementedError, OSError, ValueError):
+            self._serial.set_low_latency_mode(True)
+        self._port, self._asked = port, 0
+        self.clock = BoardClock()
+        self._greet()
+        for _ in range(_FIRST_EXCHANGES):
+            self.exchange()
+
+    def fire(self, plan: TriggerPlan) -> Shot:
+        """Have the line raised ``LEAD_NS`` after the planned command, and say when the board did it, in host time.
+
+        Raises
+        ------
+        DeviceError
+            The board refused the plan (too late, its queue is full), or did not answer.
+        """
+        target_ns = plan.command_host_ns + LEAD_NS
+        offset_ns, _ = self.clock.offset(time.monotonic_ns())
+        wanted = plan.plan_id % (1 << 32)
+        self._send(f"F {wanted} {(target_ns + offset_ns + 500) // 1000} {_WIDTH_US}")
+        verdict = self._await("f", wanted)
+        if verdict[0] != "ok":
+            raise DeviceError(f"trigger board refused plan {plan.plan_id}: {verdict[0]}")
+        edge_us = _number(self._await("E", wanted)[0])
+        shot = Shot(plan.plan_id, plan.command_host_ns, 1000 * edge_us - offset_ns)
+        self.exchange()
+        return shot
+
+    def exchange(self) -> None:
+        """Ask the board for its time once; a lost answer is no error."""
+        self._asked += 1
+        asked_ns = time.monotonic_ns()
+        self._send(f"T {self._asked}")
+        with contextlib.suppress(DeviceError):
+            received, sent = self._await("t", self._asked)
+            self.clock.add(asked_ns, _number(received), _number(sent), time.monotonic_ns())
+
+    def close(self) -> None:
+        """Forget what waits, release the port."""
+        with contextlib.suppress(DeviceError):
+            self._send("C")
+        self._serial.close()
+
+    def _greet(self) -> None:
+        """Some boards restart when the port is opened: ask until it answers."""
+        until_ns = time.monotonic_ns() + int(_WAKE_S * 1e9)
+        while time.monotonic_ns() < until_ns:
+            self._send("V")
+            words = self._line()
+            if words[:2] == ["v", "spanwise-trigger"]:
+                return
+        self._serial.close()
+        raise DeviceError(f"no trigger board answers on {self._port}")
+
+    def _await(self, kind: str, number: int) -> list[str]:
+        """Words after kind and number of the answer; lines that answer something else are passed over."""
+        until_ns = time.monotonic_ns() + int((_ANSWER_S + LEAD_NS * 1e-9) * 1e9)
+        while time.monotonic_ns() < until_ns:
+            words = self._line()
+            if len(words) > 2 and words[0] == kind and words[1] == str(number):
+                return words[2:]
+        raise DeviceError(f"trigger board on {self._port} does not answer")
+
+    def _send(self, text: str) -> None:
+        try:
+            self._serial.write(sealed(text))
+        except OSError as error:
+            raise DeviceError(f"trigger board on {self._port} is gone: {error}") from error
+
+    def _line(self) -> list[str]:
+        try:
+            return opened(self._serial.readline())
+        except OSError as error:
+            raise DeviceError(f"trigger board on {self._port} is gone: {error}") from error
+
+
+def sealed(text: str) -> bytes:
+    """A line of the protocol with its checksum."""
+    return f"{text}*{_checksum(text.encode()):02X}\n".encode()
+
+
+def opened(line: bytes) -> list[str]:
+    """Words of a line; none if its checksum is wrong."""
+    text, star, check = line.strip().rpartition(b"*")
+    if not star or check.upper() != f"{_checksum(text):02X}".encode():
+        return []
+    return text.decode("ascii", errors="replace").split()
+
+
+def _checksum(text: bytes) -> int:
+    total = 0
+    for byte in text:
+        total ^= byte
+    return total
+
+
+def _number(word: str) -> int:
+    if not word.isdigit():
+        raise DeviceError(f"trigger board answered '{word}' where a time was due")
+    return int(word)

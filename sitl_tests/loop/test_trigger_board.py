@@ -1,0 +1,208 @@
+"""The trigger board's firmware, built for this machine, over a pseudo-terminal: protocol, refusals, punctuality."""
+
+from __future__ import annotations
+
+import os
+import pty
+import shutil
+import subprocess
+import sys
+import time
+import tty
+import types
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.adapters.triggers.gpio import GpioTrigger
+from companion.adapters.triggers.serial_board import LEAD_NS, BoardClock, SerialBoardTrigger, opened, sealed
+from companion.errors import DeviceError
+from companion.records import Firing, TriggerPlan
+
+SOURCE = Path(__file__).resolve().parents[2] / "tools" / "trigger_board"
+SKEW_PPM = 20.0
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
+
+
+def _plan(plan_id: int, command_ns: int) -> TriggerPlan:
+    return TriggerPlan(plan_id, Firing.PEAK, command_ns, command_ns, 0, 0.0, command_ns + 10**9, command_ns)
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("board")
+    subprocess.run(["make", "-s", "-C", str(SOURCE), f"OUT={out}"], check=True, timeout=60)
+    return out / "trigger_board"
+
+
+class Bench:
+    """A running board, its serial port, and the true instants of its edges in host time."""
+
+    def __init__(self, program: Path, edges: Path) -> None:
+        master, self._slave = pty.openpty()
+        self._edges, self.port = edges, os.ttyname(self._slave)
+        with edges.open("wb") as file:
+            self.process = subprocess.Popen([str(program), str(master), str(SKEW_PPM)], stdout=file, pass_fds=[master])
+        os.close(master)
+
+    def edges_ns(self) -> np.ndarray:
+        return np.array([int(line) for line in self._edges.read_text().split()])
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self._slave)
+
+
+@pytest.fixture
+def bench(firmware: Path, tmp_path: Path) -> Iterator[Bench]:
+    running = Bench(firmware, tmp_path / "edges")
+    yield running
+    running.close()
+
+
+@needs_compiler
+@pytest.mark.realtime
+def test_the_edge_comes_when_it_was_planned(bench: Bench) -> None:
+    """Planned against true edge, by the firmware's own look at the host's clock; a table for who reads with -s."""
+    trigger = SerialBoardTrigger(bench.port)
+    planned, told, refused = [], [], 0
+    for k in range(100):
+        plan = _plan(k, time.monotonic_ns() + 2_000_000)
+        while time.monotonic_ns() < plan.command_host_ns:
+            time.sleep(0.0002)
+        try:
+            shot = trigger.fire(plan)
+        except DeviceError:  # a busy machine let us sleep past the lead: said, and not fired late
+            refused += 1
+            continue
+        assert shot.plan_id == k
+        planned.append(plan.command_host_ns + LEAD_NS)
+        told.append(shot.fired_host_ns)
+        time.sleep(0.01)
+    trigger.close()
+    true = bench.edges_ns()
+    assert len(true) == 100 - refused
+    assert refused < 50
+    late_us, report_us = 1e-3 * (true - np.array(planned)), 1e-3 * np.abs(true - np.array(told))
+    for name, values in (("edge after plan", late_us), ("report against edge", report_us)):
+        print(
+            f"{name:20s} median {np.median(values):7.1f}  p99 {np.percentile(values, 99):7.1f}  max {values.max():7.1f} us"
+        )
+    assert np.median(np.abs(late_us)) < 300.0
+    assert np.median(report_us) < 300.0
+
+
+@needs_compiler
+def test_a_plan_that_comes_too_late_is_refused_and_does_not_fire(bench: Bench) -> None:
+    trigger = SerialBoardTrigger(bench.port)
+    with pytest.raises(DeviceError, match="late"):
+        trigger.fire(_plan(7, time.monotonic_ns() - 50_000_000))
+    trigger.close()
+    assert len(bench.edges_ns()) == 0
+
+
+@needs_compiler
+def test_garbage_and_wrong_checksums_are_answered_and_do_nothing(bench: Bench) -> None:
+    line = os.open(bench.port, os.O_RDWR | os.O_NOCTTY)
+    os.set_blocking(line, False)
+    tty.setraw(line)
+    cases = {
+        b"F 1 99999999999 1000*00\n": "! checksum",
+        b"garbage\n": "! checksum",
+        b"A" * 300 + b"\n": "! checksum",
+        sealed("X 1"): "! unknown",
+        sealed("F 1 99999999999 0"): "f 1 width",
+        sealed("F 1 99999999999 1000 9"): "! unknown",
+        sealed("V"): "v spanwise-trigger 1",
+    }
+    for sent, expected in cases.items():
+        os.write(line, sent)
+        assert " ".join(opened(_read_line(line))) == expected
+    for k in range(5):
+        os.write(line, sealed(f"F {k} {10**12 + k} 1000"))
+        assert opened(_read_line(line)) == ["f", str(k), "ok" if k < 4 else "full"]
+    os.close(line)
+
+
+def _read_line(file: int) -> bytes:
+    got, until = b"", time.monotonic() + 5.0
+    while not got.endswith(b"\n"):
+        assert time.monotonic() < until, f"no answer, only {got!r}"
+        try:
+            got += os.read(file, 1)
+        except BlockingIOError:
+            time.sleep(0.001)
+    return got
+
+
+@needs_compiler
+def test_a_board_that_goes_away_is_a_device_error(bench: Bench) -> None:
+    trigger = SerialBoardTrigger(bench.port)
+    bench.process.kill()
+    bench.process.wait()
+    with pytest.raises(DeviceError):
+        trigger.fire(_plan(1, time.monotonic_ns()))
+
+
+def test_a_port_that_is_not_there_is_named() -> None:
+    with pytest.raises(DeviceError, match="/dev/none"):
+        SerialBoardTrigger("/dev/none")
+
+
+def test_the_board_clock_believes_short_ways_and_forgets_old_ones() -> None:
+    clock, offset_ns = BoardClock(), 5_000_000_000
+    clock.add(1_000_000, (1_400_000 + offset_ns) // 1000, (1_400_000 + offset_ns) // 1000, 1_500_000)
+    clock.add(2_000_000, (2_010_000 + offset_ns) // 1000, (2_010_000 + offset_ns) // 1000, 2_020_000)
+    found, bound = clock.offset(2_020_000)
+    assert abs(found - offset_ns) <= bound
+    assert bound < 11_000
+    later, grown = clock.offset(2_020_000 + 10_000_000_000)
+    assert later == found
+    assert grown == pytest.approx(bound + 300_000, rel=0.01)  # 30 ppm of 10 s
+
+
+def test_the_host_asks_only_what_has_a_checksum() -> None:
+    assert opened(sealed("t 3 12 13")) == ["t", "3", "12", "13"]
+    assert opened(b"t 3 12 13*00\n") == []
+    assert opened(b"t 3 12 13\n") == []
+
+
+class _FakeRequest:
+    def __init__(self) -> None:
+        self.log: list[tuple[int, str, int]] = []
+        self.released = False
+
+    def set_value(self, line: int, value: str) -> None:
+        self.log.append((line, value, time.monotonic_ns()))
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_gpio_raises_the_line_and_lowers_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    request = _FakeRequest()
+    library = types.SimpleNamespace(
+        LineSettings=lambda **settings: settings,
+        line=types.SimpleNamespace(
+            Direction=types.SimpleNamespace(OUTPUT="out"), Value=types.SimpleNamespace(ACTIVE="on", INACTIVE="off")
+        ),
+        request_lines=lambda chip, consumer, config: request,
+    )
+    monkeypatch.setitem(sys.modules, "gpiod", library)
+    trigger = GpioTrigger("/dev/gpiochip0", 17)
+    shot = trigger.fire(_plan(3, 0))
+    trigger.close()
+    (line, on, up_ns), (_, off, down_ns) = request.log
+    assert (line, on, off) == (17, "on", "off")
+    assert down_ns - up_ns >= 500_000
+    assert abs(shot.fired_host_ns - up_ns) < 5_000_000
+    assert request.released
+
+
+def test_gpio_without_its_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gpiod", None)
+    with pytest.raises(DeviceError, match="gpiod"):
+        GpioTrigger("/dev/gpiochip0", 17)
