@@ -1,4 +1,4 @@
-"""The exceptions of Spanwise. A refusal is a value (:class:`companion.records.Reject`); these mean a bad input or a dead device.
+"""The exceptions of Spanwise: a bad input or a dead device. A refusal is a value, :class:`companion.records.Reject`.
 
 SpanwiseError                   the base; ``str()`` says what was wrong, where, and what to do
 ├── ConfigError                 an airframe or settings file

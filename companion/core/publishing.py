@@ -1,4 +1,4 @@
-"""What goes out on the clock rather than on an event: the mode for graphs, and "alive, no range" in place of an old number."""
+"""What goes out on the clock, not on an event: the mode for graphs, "alive, no range" in place of an old number."""
 
 from __future__ import annotations
 

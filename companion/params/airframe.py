@@ -26,8 +26,8 @@ class Uncertain:
 class Mode:
     """One bending mode pair member.
 
-    ``slope_factor_radpm`` is the slope at the tip station per metre of tip deflection; ``twist_factor_radpm`` the nose-up
-    twist there per metre (torsion that comes with the bending).
+    ``slope_factor_radpm`` is the slope at the tip station per metre of tip deflection; ``twist_factor_radpm`` the
+    nose-up twist there per metre (torsion that comes with the bending).
     """
 
     frequency_hz: Uncertain
@@ -83,7 +83,7 @@ class Source:
 class Sensor:
     """An inertial sensor, its place and its errors. Noise is one-sided root spectral density; errors are prior sigmas.
 
-    ``lowpass_*_hz`` is the 2nd-order Butterworth that the source has applied (INS_ACCEL_FILTER, INS_GYRO_FILTER), 0 none.
+    ``lowpass_*_hz`` is the 2nd-order Butterworth that the source has applied (INS_ACCEL_FILTER, INS_GYRO_FILTER), or 0.
     ``sends`` lists the axes that are really measured, as letters of "xyzpqr".
     """
 
@@ -110,8 +110,8 @@ class Sensor:
 class Camera:
     """One camera. Its frame is OpenCV's (x right, y down, z forward).
 
-    ``axes`` names the body direction of camera x, y, z at rest (nadir: ``["y", "-x", "z"]``, forward: ``["y", "z", "x"]``);
-    ``rotation_rad`` is the calibrated small rotation vector, in camera axes, from there to the camera as mounted.
+    ``axes`` names the body direction of camera x, y, z at rest (nadir: ``["y", "-x", "z"]``, forward:
+    ``["y", "z", "x"]``); ``rotation_rad`` is the calibrated small rotation vector, in camera axes, from there to the camera as mounted.
     ``slope_gain`` scales the tip station's slope to the camera (1: mounted at the station); ``lift_gain`` likewise its
     deflection. ``focal_px`` is along the rows, ``focal_ratio`` times it along the columns. ``latency_s`` is from
     trigger command to the start of the exposure.

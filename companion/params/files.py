@@ -1,4 +1,4 @@
-"""Airframe files: TOML in and out of the dataclasses of :mod:`companion.params.airframe`, with errors that name the key."""
+"""Airframe files: TOML in and out of :mod:`companion.params.airframe`, with errors that name the key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairing by exposure time: no loss, duplicate, delay or reordering between sides may join frames of different shots."""
+"""Pairing by exposure time: no loss, duplicate, delay or reordering may join frames of different shots."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class RangeGate:
     _agreeing: int = 0
 
     def judge(self, measured: CorrectedRange, climb_mps: float, slack_mps: float = 5.0) -> CorrectedRange:
-        """Return ``measured``, its trust withdrawn where it jumps; ``slack_mps`` bounds what terrain and airspeed do."""
+        """Give ``measured``, its trust withdrawn where it jumps; ``slack_mps`` bounds what terrain and speed do."""
         if not measured.trusted:
             return measured
         agrees = self._agrees(measured, climb_mps, slack_mps)
