@@ -11,9 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.adapters.mavlink.decode import Decoder
 from companion.adapters.mavlink.signing import Refusal, SignedTransport, Signing, load_signing
 from companion.errors import ConfigError
-from sitl_tests.loop.ground_stations import S, TurnedClock, Wire
+from companion.params.files import load_airframe
+from companion.records import Notice, ParameterChange, RawChunk
+from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, S, Station, TurnedClock, Wire
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 NOW = 300_000_000_000_000 // 10  # some day, in 10 us
@@ -189,3 +192,27 @@ def test_the_signing_time_is_kept_over_a_restart(tmp_path: Path) -> None:
     assert again.now() > NOW, "nothing that was accepted before can be accepted again as a new stream"
     stale = Other(timestamp=NOW - SECOND).frame()
     assert again.judge(stale) is Refusal.STALE
+
+
+def test_over_a_signed_link_only_the_signed_station_sets_and_the_recording_replays_without_the_key() -> None:
+    honest, intruder = Station(), Station(system=254)
+    air = Air(honest, intruder)
+    signing = Signing(KEY, air.clock, NOW)
+    air.pilot._links[0]._transport = SignedTransport(air.wire, signing, 0)
+    for link, mav in enumerate((honest.packer, air.beats)):
+        mav.signing.secret_key, mav.signing.link_id, mav.signing.timestamp = KEY, link, NOW
+        mav.signing.sign_outgoing = True
+    air.run(2.0)
+    intruder.set("RNG_TRUST", 0.2)
+    honest.set("OUT_RATE", 5.0)
+    air.run(0.5)
+    changes = [record for record in air.records if isinstance(record, ParameterChange)]
+    assert [(change.name, change.value) for change in changes] == [("OUT_RATE", 5.0)]
+    assert honest.values["OUT_RATE"] == 5.0
+    assert signing.refused == {Refusal.UNSIGNED: 4}  # its heartbeats and its PARAM_SET
+    decoder = Decoder(load_airframe("nadir-2m"), COMPANION)
+    chunks = [record for record in air.records if isinstance(record, RawChunk)]
+    again = [repr(record) for chunk in chunks for record in decoder.decode_chunk(chunk)]
+    kept = (RawChunk, Notice, ParameterChange)
+    assert again == [repr(record) for record in air.records if not isinstance(record, kept)]
+    assert decoder.system_id == SYSTEM
