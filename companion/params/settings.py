@@ -72,7 +72,9 @@ class Settings:
     """The values in force. Attribute names carry the unit; see :func:`tunables` for the rest of each row."""
 
     # identity (restart)
-    component_id: int = _tunable("SW_COMPID", "", 1, 255, 191, "MAVLink component id of this service", live=False)
+    component_id: int = _tunable(
+        "SW_COMPID", "", 2, 255, 191, "MAVLink component id of this service (1 is the autopilot)", live=False
+    )
 
     # tracking
     smoother_lag_s: float = _tunable(
