@@ -20,7 +20,7 @@ from companion.records import Floats
 
 Complexes = npt.NDArray[np.complex128]
 _STEP = 1e-4
-_ENOUGH = 0.005
+_ENOUGH = 0.02
 _HALVINGS = 7
 
 

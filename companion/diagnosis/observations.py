@@ -184,8 +184,9 @@ def _longest_stretch(streams: list[RawStream], notes: list[str]) -> tuple[float,
     pieces = [(edges[i][1], edges[i + 1][0]) for i in range(len(edges) - 1)]
     best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0.0, 0.0))
     if holes:
+        count = len(set(holes))
         notes.append(
-            f"{len(holes)} gaps, the longest {max(b - a for a, b in holes) * 1e3:.0f} ms; "
+            f"{count} gap{'s' if count > 1 else ''}, the longest {max(b - a for a, b in holes) * 1e3:.0f} ms; "
             f"judged is the longest stretch without one, {best[1] - best[0]:.1f} s"
         )
     if best[1] - best[0] < _SHORTEST_S:

@@ -22,9 +22,10 @@ CERTAIN_Z = 4.4
 """Its strength must also be beyond what forty candidates reach by chance in hundreds of recordings."""
 SAME = 0.95
 """Correlation of efficient scores from which two effects are one group."""
-_REFITTED = 6
+_REFITTED = 5
 _WORTH_A_REFIT_Z = 3.5
 _TOO_CLOSE = 2.0
+_OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that
 _QUIET_DB = 3.0
 Progress = Callable[[str, float], None]
 
@@ -116,6 +117,8 @@ def _extend(
 ) -> tuple[Fit, list[Cause]]:
     current, screening, causes = null, first, list[Cause]()
     while len(causes) < max_causes:
+        if max((entry.z for entry in screening.candidates), default=0.0) <= CERTAIN_Z:
+            break
         tried = _refit(models, current, screening, [cause.part for cause in causes], progress)
         good = [entry for entry in tried if entry.log_bayes_factor > ENOUGH and entry.candidate.z > CERTAIN_Z]
         if not good:
@@ -131,7 +134,9 @@ def _refit(
     models: Sequence[SuperModel], current: Fit, screening: Screening, taken: Sequence[Part], progress: Progress
 ) -> list[_Tried]:
     names = {part.effect.name for part in taken}
-    leading = [c for c in screening.candidates if c.z > _WORTH_A_REFIT_Z and c.name not in names][:_REFITTED]
+    fresh = [c for c in screening.candidates if c.name not in names]
+    enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z) if fresh else 0.0
+    leading = [c for c in fresh if c.z > enough][:_REFITTED]
     tried = []
     for i, candidate in enumerate(leading):
         progress(f"refit {candidate.name}", i / len(leading))

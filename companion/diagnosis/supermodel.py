@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from companion.core.wing.effect import CameraView, Effect, ModalMotion, viewed
+from companion.core.wing.effect import CameraView, Effect, Group, ModalMotion, viewed
 from companion.core.wing.model import WingModel
 from companion.core.wing.structure import structure_of
 from companion.diagnosis.belief import Belief
@@ -26,7 +26,8 @@ from companion.records import Floats, Side, Station
 Complexes = npt.NDArray[np.complex128]
 _TAPER = 0.05  # share of the recording over which each end fades
 _FINER = 4
-_LOW = 0.3
+_RANGE_ONLY = frozenset({"toe_rad", "focal", "match", "trim_bend_m", "bend_per_g_m"})
+_LOW = 0.15
 _STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
 GRAVITY_MPS2 = 9.80665
 
@@ -86,7 +87,21 @@ class _Linear:
     load: Complexes  # (f, n, n) two-sided load density
     seen: Complexes  # (f, c, n) accelerometer channel per modal deflection
     noise: Floats  # (c,) two-sided density
-    slope: Complexes  # (f, 2, n) camera slope of either side per modal deflection
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """What the accelerations have a say in."""
+
+    linear: _Linear
+    cross: Complexes
+    smoother: Complexes
+    spectrum: Complexes
+    inverse: Complexes
+    residual: Complexes
+    modal: Complexes
+    q_m: Floats
+    qdot_mps: Floats
 
 
 class SuperModel:
@@ -106,6 +121,7 @@ class SuperModel:
         self.weight = float(np.sum(self._taper**2) ** 2 / (m * np.sum(self._taper**4)))
         self._spectrum = np.fft.rfft(seen.up_mps2, axis=0)
         self._level = self._reference_levels()
+        self._kept: tuple[object, _Motion] | None = None
 
     # ------------------------------------------------------------------------------------------- public
 
@@ -124,28 +140,23 @@ class SuperModel:
         deviation = self.belief.named(deviations)
         effects = tuple(part.effect for part in parts)
         wing = WingModel(self.belief.wing(deviation), effects)
-        linear = self._linear(wing, effects, deviation)
-        motion_per_load = linear.seen @ linear.receptance
-        cross = linear.receptance @ linear.load @ _adjoint(motion_per_load)  # (f, n, c): q with what is seen
-        spectrum = (motion_per_load @ linear.load @ _adjoint(motion_per_load))[self.band]
-        spectrum += np.diag(linear.noise)
-        inverse = _inverse(spectrum)
-        smoother = np.zeros_like(cross)
-        smoother[self.band] = cross[self.band] @ inverse
-
-        straight = self._straighten(effects)
-        modal = (smoother @ straight[..., None])[..., 0]
-        q, qdot = self._in_time(modal), self._in_time(modal * (2j * np.pi * self.f_hz[:, None]))
-        push = self._push(wing, parts, q, qdot)
-        forced = np.zeros_like(modal) if push is None else (linear.receptance @ push[..., None])[..., 0]
-        left = straight if push is None else straight - (linear.seen @ forced[..., None])[..., 0]
-        modal = (smoother @ left[..., None])[..., 0] + forced
-        toe, toe_variance = self._toe(wing, effects, deviation, linear, modal)
+        motion = self._motion(wing, parts, deviation)
+        slope = self._slope(wing, effects)
+        toe, toe_variance = self._toe(wing, effects, deviation, slope, motion.modal)
         if posterior is None:
-            posterior = self._toe_posterior(linear, smoother, cross)
+            posterior = self._toe_posterior(slope, motion)
         rest, rest_variance = self._rest(effects, deviation)
         return Expectation(
-            spectrum, inverse, self._tapered(left), toe, posterior, toe_variance, rest, rest_variance, q, qdot
+            motion.spectrum,
+            motion.inverse,
+            motion.residual,
+            toe,
+            posterior,
+            toe_variance,
+            rest,
+            rest_variance,
+            motion.q_m,
+            motion.qdot_mps,
         )
 
     def log_likelihood(self, found: Expectation) -> float:
@@ -181,6 +192,35 @@ class SuperModel:
 
     # ------------------------------------------------------------------------------------------- pieces
 
+    def _motion(self, wing: WingModel, parts: Sequence[Part], deviation: Mapping[str, float]) -> _Motion:
+        """What the accelerations have a say in; kept, for half of all parameters are of the cameras alone."""
+        inner = tuple(part for part in parts if part.effect.group is not Group.CAMERA)
+        key = (inner, tuple(value for name, value in deviation.items() if not _of_range(name)))
+        if self._kept is None or self._kept[0] != key:
+            self._kept = (key, self._moved(wing, inner, deviation))
+        return self._kept[1]
+
+    def _moved(self, wing: WingModel, parts: Sequence[Part], deviation: Mapping[str, float]) -> _Motion:
+        effects = tuple(part.effect for part in parts)
+        linear = self._linear(wing, effects, deviation)
+        motion_per_load = linear.seen @ linear.receptance
+        cross = linear.receptance @ linear.load @ _adjoint(motion_per_load)  # (f, n, c): q with what is seen
+        spectrum = (motion_per_load @ linear.load @ _adjoint(motion_per_load))[self.band]
+        spectrum += np.diag(linear.noise)
+        inverse = _inverse(spectrum)
+        smoother = np.zeros_like(cross)
+        smoother[self.band] = cross[self.band] @ inverse
+        straight = self._straighten(effects)
+        modal = (smoother @ straight[..., None])[..., 0]
+        q, qdot = self._in_time(modal), self._in_time(modal * (2j * np.pi * self.f_hz[:, None]))
+        push = self._push(wing, parts, q, qdot)
+        left = straight
+        if push is not None:
+            forced = (linear.receptance @ push[..., None])[..., 0]
+            left = straight - (linear.seen @ forced[..., None])[..., 0]
+            modal = (smoother @ left[..., None])[..., 0] + forced
+        return _Motion(linear, cross, smoother, spectrum, inverse, self._tapered(left), modal, q, qdot)
+
     def _reference_levels(self) -> Floats:
         """Load density that gives each believed mode the believed rms deflection, (n,)."""
         wing = self.belief.airframe.wing
@@ -207,15 +247,16 @@ class SuperModel:
         sides = list(self.seen.sides)
         seen = -(omega**2)[:, None, None] * structure.lift[sides]
         gains = [self._response(side, effects, deviation) for side in sides]
-        slope: Complexes = np.broadcast_to(structure.slope_radpm, (len(omega), 2, structure.count)).astype(
-            np.complex128
-        )
-        for side in Side:
-            view = _steady_view(effects, side)
-            slope[:, side] = slope[:, side] * (view.slope_gain / (1.0 + 1j * omega * view.lag_s))[:, None]
         noise = np.array([self._noise(side, deviation) for side in sides])
         load = self._load(structure.slots, effects, deviation)
-        return _Linear(receptance, load, seen * np.stack(gains, 1)[..., None], noise, slope)
+        return _Linear(receptance, load, seen * np.stack(gains, 1)[..., None], noise)
+
+    def _slope(self, wing: WingModel, effects: Sequence[Effect]) -> Complexes:
+        """Slope of either camera per modal deflection, (f, 2, n)."""
+        omega = 2.0 * np.pi * self.f_hz
+        follows = [_steady_view(effects, side) for side in Side]
+        gains = np.stack([view.slope_gain / (1.0 + 1j * omega * view.lag_s) for view in follows], 1)
+        return np.asarray(gains[..., None] * wing.structure.slope_radpm)
 
     def _load(self, slots: tuple[int, ...], effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         names = ("symmetric", "antisymmetric", "second_symmetric", "second_antisymmetric")
@@ -303,7 +344,7 @@ class SuperModel:
         wing: WingModel,
         effects: Sequence[Effect],
         deviation: Mapping[str, float],
-        linear: _Linear,
+        slopes: Complexes,
         modal: Complexes,
     ) -> tuple[Floats, Floats]:
         toe = self.seen.toe
@@ -314,7 +355,7 @@ class SuperModel:
         baseline_m = focal = rotation = jitter_s = 0.0
         for side in Side:
             view = _steady_view(effects, side)
-            slope = np.sum(linear.slope[:, side] * modal, axis=1)
+            slope = np.sum(slopes[:, side] * modal, axis=1)
             at_s = toe.t_s + view.exposure_delay_s
             expected += self._at(slope, at_s) + view.slope_gain * self._static(wing, side, at_s)
             if view.jitter_s:
@@ -347,13 +388,14 @@ class SuperModel:
         bend = structure.static_trim_m[:, None] + structure.static_per_g_m[:, None] * load
         return np.asarray(structure.slope_radpm[side] * np.array([1.0]) @ bend)
 
-    def _toe_posterior(self, linear: _Linear, smoother: Complexes, cross: Complexes) -> Floats:
+    def _toe_posterior(self, slope: Complexes, motion: _Motion) -> Floats:
         """Covariance of the toe that the accelerations leave, (k, k)."""
         if self.seen.toe is None:
             return np.zeros((0, 0))
-        row = linear.slope.sum(1)[:, None, :]
+        linear = motion.linear
+        row = slope.sum(1)[:, None, :]
         prior = linear.receptance @ linear.load @ _adjoint(linear.receptance)
-        left = (row @ (prior - smoother @ _adjoint(cross)) @ _adjoint(row))[:, 0, 0].real
+        left = (row @ (prior - motion.smoother @ _adjoint(motion.cross)) @ _adjoint(row))[:, 0, 0].real
         left[0] = 0.0  # the constant part is trim and toe, which are parameters
         m = _FINER * len(self.seen.up_mps2)
         lags = np.fft.irfft(np.maximum(left, 0.0), m) * m * self.f_hz[1]
@@ -390,6 +432,11 @@ class SuperModel:
 def with_values(part: Part, values: Mapping[str, float]) -> Part:
     """The same effect with other values."""
     return dataclasses.replace(part, effect=type(part.effect).from_values(dict(values)))
+
+
+def _of_range(name: str) -> bool:
+    """Whether a nuisance concerns the ranges or the sensors at rest alone."""
+    return name in _RANGE_ONLY or name.endswith((".slope", ".bias_mps2"))
 
 
 def _acts_on_samples(effect: Effect) -> bool:

@@ -32,7 +32,48 @@ BELIEF = {
     "bias_sigma_mps2": 0.02,
     "rms_m": (0.005, 0.003),
 }
-SENSED = ("accel-scale", "accel-bias", "stream-delay", "clock-skew", "sensor-filter", "accel-cubic")
+SIGMA = {
+    "frequency-shift": 0.0076,
+    "damping-shift": 0.11,
+    "left-right-frequency": 0.0026,
+    "left-right-damping": 0.085,
+    "left-right-forcing": 0.0070,
+    "cubic-stiffness": 90.0,
+    "quadratic-stiffness": 1.0,
+    "quadratic-damping": 1.7,
+    "coulomb-friction": 0.065,
+    "freeplay": 6.5e-5,
+    "frequency-drift": 0.010,
+    "covariate-frequency": 0.0029,
+    "accel-scale": 0.0059,
+    "accel-bias": 0.053,
+    "stream-delay": 0.00024,
+    "clock-skew": 0.00031,
+    "sensor-filter": 0.00018,
+    "accel-cubic": 2e-5,
+    "exposure-delay": 0.00018,
+    "mount-lag": 0.00018,
+    "baseline-error": 0.0080,
+    "focal-error": 0.0037,
+    "convergence-offset": 0.00057,
+    "camera-asymmetry": 0.0055,
+    "second-mode": 4e-4,
+}
+"""Profiled posterior sigma of each effect at 20 dB with this belief, from screening recordings that hide none."""
+ONE_WAY = frozenset(
+    {"damping-shift", "quadratic-damping", "coulomb-friction", "freeplay", "sensor-filter", "mount-lag", "second-mode"}
+)
+"""Effects that nature has in one direction only."""
+
+
+def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generator) -> Hidden:
+    """Draw magnitude (in posterior sigmas), sign, side and whatever else an effect leaves open."""
+    effects = {}
+    for name in names:
+        sign = 1.0 if name in ONE_WAY else rng.choice((-1.0, 1.0))
+        effects[name] = float(sign * SIGMA[name] * rng.uniform(*strength))
+    extra = {"second-mode.frequency_hz": float(rng.uniform(12.0, 35.0))}
+    return Hidden(effects, int(rng.integers(0, 2)), rng.bytes(8).hex(), extra)
 
 
 @dataclass(frozen=True)

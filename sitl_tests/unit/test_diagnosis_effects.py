@@ -1,0 +1,108 @@
+"""The catalogue as diagnosis asks it: neutral at nothing, and each hook true to its own closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.wing.effect import Effect, ModalMotion, viewed
+from companion.core.wing.effects import catalogue
+from companion.core.wing.model import WingModel
+from companion.diagnosis.screen import candidates_of
+from companion.params.files import load_airframe
+from companion.records import Side, Station
+
+F_HZ = np.linspace(0.5, 40.0, 80)
+KINDS = list(catalogue().values())
+
+
+def motion(model: WingModel, rows: int = 500) -> ModalMotion:
+    t_s = np.arange(rows) / 200.0
+    n = model.count
+    phase = 2 * np.pi * 5.0 * t_s
+    q = 0.005 * np.stack([np.sin(phase + k) for k in range(n)])
+    qdot = 0.005 * 2 * np.pi * 5.0 * np.stack([np.cos(phase + k) for k in range(n)])
+    return ModalMotion(t_s, q, qdot, np.zeros((n, 1)), 1.0, model.structure, np.sin(0.7 * t_s))
+
+
+@pytest.fixture(scope="module")
+def model() -> WingModel:
+    return WingModel(load_airframe("nadir-2m").wing)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=[kind.name for kind in KINDS])
+def test_every_hook_is_neutral_at_nothing(kind: type[Effect], model: WingModel) -> None:
+    (part, *_) = candidates_of([kind], ["airspeed_mps"])
+    effect = part.effect
+    force = effect.force(motion(model))
+    assert force is None or not np.any(force)
+    for station in (Station.LEFT, Station.RIGHT):
+        response = effect.response(station, F_HZ)
+        assert response is None or np.allclose(response, 1.0, atol=1e-15)
+        assert effect.bias(station) == 0.0
+        assert np.array_equal(effect.sample_time(station, F_HZ), F_HZ)
+    gain = effect.load_gain(F_HZ, 3)
+    assert gain is None or np.allclose(gain, np.eye(3), atol=1e-15)
+    assert effect.structure(model.structure).count == model.count
+    for side in Side:
+        view = viewed([effect], side, 0.0)
+        assert (view.focal_ratio, view.slope_gain, view.lag_s, view.jitter_s, view.exposure_delay_s) == (1, 1, 0, 0, 0)
+
+
+@pytest.mark.parametrize("name", ["accel-scale", "sensor-filter"])
+def test_response_and_samples_agree(name: str) -> None:
+    """A sine through the time-domain hook comes out as the frequency-domain hook says."""
+    kind = catalogue()[name]
+    effect = kind(0.004, 0.1) if name == "accel-scale" else kind(0.004)
+    t_s = np.arange(4000) / 1000.0
+    f_hz = 5.0
+    values = np.zeros((len(t_s), 6))
+    values[:, 2] = np.sin(2 * np.pi * f_hz * t_s)
+    shown = effect.sense(Station.RIGHT, t_s, values)[:, 2]
+    seen = 2.0 * np.mean(shown * np.exp(-2j * np.pi * f_hz * t_s)) * 1j
+    response = effect.response(Station.RIGHT, np.array([f_hz]))
+    assert response is not None
+    assert seen == pytest.approx(complex(response[0]), abs=1e-6)
+
+
+@pytest.mark.parametrize("delay_s", [0.004, -0.004])
+def test_a_late_stream_is_late_on_one_side_only(delay_s: float) -> None:
+    effect = catalogue()["stream-delay"](delay_s)
+    late, other = (Station.RIGHT, Station.LEFT) if delay_s > 0 else (Station.LEFT, Station.RIGHT)
+    assert effect.sample_time(late, np.array([1.0]))[0] == pytest.approx(1.0 - 0.004)
+    assert effect.sample_time(other, np.array([1.0]))[0] == 1.0
+    response = effect.response(late, np.array([10.0]))
+    assert response is not None
+    assert np.angle(response[0]) == pytest.approx(-2 * np.pi * 10.0 * 0.004)
+
+
+def test_quadratic_damping_takes_the_energy_that_its_law_says(model: WingModel) -> None:
+    """Over whole periods of v = V cos, the mean of -beta |v| v v is -beta V^3 4/(3 pi)."""
+    t_s = np.arange(2000) / 2000.0
+    speed = np.zeros((model.count, len(t_s)))
+    speed[0] = 0.2 * np.cos(2 * np.pi * 5.0 * t_s)
+    state = ModalMotion(t_s, np.zeros_like(speed), speed, np.zeros((model.count, 1)), 1.0, model.structure)
+    force = catalogue()["quadratic-damping"](10.0).force(state)
+    assert force is not None
+    assert np.mean(force[0] * speed[0]) == pytest.approx(-10.0 * 0.2**3 * 4 / (3 * np.pi), rel=1e-4)
+    assert np.allclose(force[1], 0.0, atol=1e-15)
+
+
+def test_freeplay_has_no_spring_inside_its_gap(model: WingModel) -> None:
+    t_s = np.linspace(0.0, 1.0, 101)
+    q = np.zeros((model.count, len(t_s)))
+    q[0] = np.linspace(-0.002, 0.002, 101)
+    state = ModalMotion(t_s, q, np.zeros_like(q), np.zeros((model.count, 1)), 1.0, model.structure)
+    force = catalogue()["freeplay"](0.0005).force(state)
+    assert force is not None
+    total = force[0] - model.structure.stiffness_radps2[0, 0] * q[0]
+    inside = np.abs(q[0]) <= 0.0005
+    assert np.allclose(total[inside], 0.0, atol=1e-12)
+    assert total[-1] == pytest.approx(-model.structure.stiffness_radps2[0, 0] * 0.0015)
+
+
+def test_a_mode_without_participation_is_no_mode(model: WingModel) -> None:
+    grown = WingModel(load_airframe("nadir-2m").wing, (catalogue()["second-mode"](0.4, 18.0, 0.02),))
+    assert grown.count == model.count + 1
+    assert grown.omega_radps[-1] == pytest.approx(2 * np.pi * 18.0)
+    assert grown.structure.lift[:, -1] == pytest.approx(np.sqrt([0.4, 0.4]))

@@ -1,0 +1,119 @@
+"""The super-model's likelihood against closed forms, and its derivatives against themselves."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from companion.core.wing.effects import catalogue
+from companion.diagnosis.belief import believe
+from companion.diagnosis.fit import derivatives, expect, fit, joint_scores, log_likelihood, priors
+from companion.diagnosis.observations import Observations, RawRanges, RawRecording, RawStream, observe
+from companion.diagnosis.supermodel import Part, SuperModel
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe
+from companion.params.files import parse_airframe
+from companion.records import Floats, Side
+from sitl_tests.trials.belief import airframe_text
+
+TOP_HZ = 40.0
+RATE_HZ = 100.0
+
+
+@pytest.fixture(scope="module")
+def airframe() -> Airframe:
+    return parse_airframe(airframe_text(0.15), "trial")
+
+
+@pytest.fixture(scope="module")
+def drawn(airframe: Airframe) -> SuperModel:
+    """A recording drawn from the model's own spectrum."""
+    rng = np.random.default_rng(5)
+    m = 3000
+    empty = Observations(RATE_HZ, (Side.LEFT, Side.RIGHT), rng.standard_normal((m, 2)), np.zeros(2), False,
+                         np.ones(m), {}, None)  # fmt: skip
+    model = SuperModel(believe(airframe, empty.sides, False, False), empty, TOP_HZ)
+    spectrum = model.expect(np.zeros(len(model.belief.nuisances))).spectrum
+    root = np.linalg.cholesky(spectrum)
+    noise = rng.standard_normal((len(spectrum), 2, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
+    bins = np.zeros((m // 2 + 1, 2), dtype=complex)
+    bins[model.band] = (root @ noise[..., None])[..., 0] * np.sqrt(m * RATE_HZ)
+    up = np.fft.irfft(bins, m, axis=0)
+    seen = dataclasses.replace(empty, up_mps2=up)
+    return SuperModel(model.belief, seen, TOP_HZ)
+
+
+def test_the_spectrum_of_one_mode_is_the_oscillators(airframe: Airframe, drawn: SuperModel) -> None:
+    """Deflection's variance under the model is what the airframe says, and S_a = w^4 |H|^2 S_g + noise."""
+    found = drawn.expect(np.zeros(len(drawn.belief.nuisances)))
+    symmetric = 0.25 * np.einsum("fij->f", found.spectrum).real  # of the mean of both tips
+    f_hz = drawn.band_hz
+    omega, w0, zeta = 2 * np.pi * f_hz, 2 * np.pi * 5.0, 0.03
+    receptance = 1.0 / np.abs(w0**2 - omega**2 + 2j * zeta * w0 * omega)
+    # white two-sided load density (per Hz) that gives 5 mm rms: variance = S/(4 zeta w0^3)
+    load = 4 * zeta * w0**3 * 0.005**2
+    expected = omega**4 * receptance**2 * load + 0.5 * (0.15**2 / 2.0)
+    assert symmetric == pytest.approx(expected, rel=0.02)  # the load's level is a sum over bins
+
+
+def test_the_gradient_is_the_slope_of_the_likelihood(drawn: SuperModel) -> None:
+    parts = (Part(catalogue()["stream-delay"](0.0004)), Part(catalogue()["frequency-shift"](0.01)))
+    _, sigmas = priors(drawn.belief, parts)
+    values = np.concatenate([np.zeros(len(drawn.belief.nuisances)), [0.0004, 0.01]])
+    found = expect([drawn], values, parts)
+    gradient, information = joint_scores([drawn], found, derivatives([drawn], values, parts, found, sigmas))
+    for i in range(len(values)):
+        step = np.zeros(len(values))
+        step[i] = 1e-3 * sigmas[i]
+        up, down = (log_likelihood([drawn], expect([drawn], values + sign * step, parts)) for sign in (1.0, -1.0))
+        slope = (up - down) / (2.0 * step[i])
+        assert slope == pytest.approx(gradient[i], abs=0.02 * np.sqrt(information[i, i]) + 0.02 / sigmas[i])
+
+
+def test_a_fit_of_the_models_own_draw_stays_at_the_truth(drawn: SuperModel) -> None:
+    fitted = fit([drawn], ())
+    assert fitted.converged
+    away = fitted.values / np.sqrt(np.diag(fitted.covariance))
+    assert np.abs(away).max() < 4.0
+
+
+def _raw(t_s: Floats, force: Floats) -> RawRecording:
+    return RawRecording({Side.LEFT: RawStream(t_s, force), Side.RIGHT: RawStream(t_s, force)})
+
+
+def test_the_grid_keeps_a_sine_and_its_mean(airframe: Airframe) -> None:
+    t_s = np.arange(20_001) / 1000.0  # a hundred whole periods
+    force = -9.80665 + 0.3 - 2.0 * np.sin(2 * np.pi * 5.0 * t_s)
+    seen = observe(_raw(t_s, force), airframe, TOP_HZ)
+    middle = slice(200, -200)
+    assert seen.up_mps2[middle, 0] == pytest.approx(2.0 * np.sin(2 * np.pi * 5.0 * seen.t_s)[middle], abs=5e-3)
+    assert seen.mean_force_mps2 == pytest.approx([0.3, 0.3], abs=1e-6)
+
+
+def test_gaps_are_told_and_never_filled(airframe: Airframe) -> None:
+    t_s = np.arange(30_000) / 1000.0
+    kept = (t_s < 6.0) | (t_s > 6.5)
+    seen = observe(_raw(t_s[kept], np.sin(t_s[kept])), airframe, TOP_HZ)
+    assert seen.duration_s == pytest.approx(23.5, abs=0.05)
+    assert seen.notes[0].startswith("1 gap, the longest 501 ms")
+
+
+def test_too_short_a_recording_is_refused(airframe: Airframe) -> None:
+    t_s = np.arange(3000) / 1000.0
+    with pytest.raises(RecordingError, match="8 s needed"):
+        observe(_raw(t_s, np.sin(t_s)), airframe, TOP_HZ)
+
+
+def test_toe_is_measured_against_the_reference(airframe: Airframe) -> None:
+    """4.5 mrad of divergence turns 60 m into 52.8 m."""
+    t_s = np.arange(20_000) / 1000.0
+    at = np.arange(2.0, 18.0, 0.1)
+    raw = dataclasses.replace(
+        _raw(t_s, np.sin(t_s)), ranges=RawRanges(at, np.full(len(at), 52.8), np.full(len(at), 60.0))
+    )
+    toe = observe(raw, airframe, TOP_HZ).toe
+    assert toe is not None
+    assert toe.toe_rad == pytest.approx(np.full(len(toe.t_s), 1.98 * (1 / 52.8 - 1 / 60.0)))
+    assert toe.toe_rad[0] == pytest.approx(4.5e-3, abs=5e-5)
