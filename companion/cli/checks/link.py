@@ -67,9 +67,7 @@ def _routing(seen: Evidence) -> Iterator[Finding]:
 
 def _ids(seen: Evidence) -> Iterator[Finding]:
     ours = seen.settings.component_id
-    if ours == mavlink.MAV_COMP_ID_AUTOPILOT1:
-        yield Finding("ids", Level.FIX, "SW_COMPID 1 is the autopilot's: it drops what claims to be itself; use 191")
-    elif seen.twice:
+    if seen.twice:
         text = f"another component speaks as {seen.system}/{ours}: stop it (a second spanwise?), or set SW_COMPID"
         yield Finding("ids", Level.FIX, text)
     else:
