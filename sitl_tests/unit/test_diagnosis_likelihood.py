@@ -97,7 +97,7 @@ def test_gaps_are_told_and_never_filled(airframe: Airframe) -> None:
     kept = (t_s < 6.0) | (t_s > 6.5)
     seen = observe(_raw(t_s[kept], np.sin(t_s[kept])), airframe, TOP_HZ)
     assert seen.duration_s == pytest.approx(23.5, abs=0.05)
-    assert seen.notes[0].startswith("1 gap, the longest 501 ms")
+    assert seen.notes[0].startswith("1 gap, the longest 502 ms")
 
 
 def test_too_short_a_recording_is_refused(airframe: Airframe) -> None:
