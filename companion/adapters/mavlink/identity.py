@@ -24,13 +24,17 @@ class IdentityWatch:
 
     def __init__(self) -> None:
         self.foreign = 0
-        self._sent: deque[tuple[int, bytes]] = deque(maxlen=_REMEMBERED)
+        self._sent: dict[tuple[int, bytes], None] = {}  # in order of sending; looked up at once, in a flood too
         self._seen_host_ns: deque[int] = deque(maxlen=_CONFIRMATIONS)
         self._said_host_ns: int | None = None
 
     def sent(self, message: int, payload: bytes) -> None:
         """Take note of a frame of ours."""
-        self._sent.append((message, payload.rstrip(b"\0")))
+        key = (message, payload.rstrip(b"\0"))
+        self._sent.pop(key, None)
+        self._sent[key] = None
+        if len(self._sent) > _REMEMBERED:
+            del self._sent[next(iter(self._sent))]
 
     def heard(self, echo: Echo) -> Notice | None:
         """Judge a frame with our ids; give a sentence for the operator when it is sure that another one sent it."""
