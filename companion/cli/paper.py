@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import sys
 import time
 from pathlib import Path
 
+from companion.cli.audit.experiments import FULL, QUICK
 from companion.cli.audit.report import make_sections, plain, write
 from companion.errors import ConfigError
 
@@ -14,13 +17,18 @@ from companion.errors import ConfigError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--out", type=Path, default=Path("out/paper"), metavar="FOLDER", help="default: out/paper")
+    parser.add_argument("--quick", action="store_true", help="shorter experiments, with fewer shots")
+    parser.add_argument(
+        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes; default: all cores"
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="the numbers also here; - for standard output")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Compute everything, write the report, say where it is."""
     begun_s = time.monotonic()
-    sections = make_sections()
+    pace = QUICK if options.quick else FULL
+    sections = make_sections(pace, options.jobs, lambda text: print(f"  {text}", file=sys.stderr, flush=True))
     try:
         paths = write(sections, options.out)
         if options.json is not None and str(options.json) != "-":

@@ -4,26 +4,38 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from companion.cli.audit import beam_tables, boom, equations, range_tables, wing_shapes
+from companion.cli.audit import beam_tables, boom, equations, experiment_report, range_tables, wing_shapes
+from companion.cli.audit.experiments import Outcome, Pace, run, trials
 from companion.cli.audit.findings import Section
 from companion.cli.audit.report_html import html
 from companion.cli.audit.report_markdown import markdown
 
 
-def make_sections() -> list[Section]:
-    """Run the whole audit."""
-    return [
-        beam_tables.section(),
-        range_tables.section(),
-        equations.section(),
-        boom.fig_4(),
-        wing_shapes.section(),
-        boom.figs_11_12(),
-    ]
+def make_sections(pace: Pace, jobs: int, told: Callable[[str], None]) -> list[Section]:
+    """Run the whole audit, the experiments in ``jobs`` processes meanwhile; ``told`` hears what is done."""
+    # spawned, for a fork would copy the threads' locks of whatever was imported
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        running = [pool.submit(run, trial, pace) for trial in trials()]
+        closed = [
+            beam_tables.section(),
+            range_tables.section(),
+            equations.section(),
+            boom.fig_4(),
+            wing_shapes.section(),
+            boom.figs_11_12(),
+        ]
+        told("tables, equations and figures")
+        outcomes: list[Outcome] = []
+        for future in running:
+            outcomes.append(future.result())
+            told(f"experiment {len(outcomes)} of {len(running)}: {outcomes[-1].trial.title}")
+    return [*closed, *experiment_report.sections(outcomes)]
 
 
 def plain(sections: Sequence[Section]) -> dict[str, Any]:
