@@ -21,6 +21,7 @@ from companion.core.mode.sensitivity import own_scales
 from companion.records import Floats, Ints
 
 _SOLVE_EVERY = 25
+_SYMMETRISE_EVERY = 8
 _LOAD_TIME_S = 0.1
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
 # that is not white, and what that would teach about its scale is wrong.
@@ -46,6 +47,7 @@ class History:
     state: Floats
     covariance: Floats
     static_m: Floats
+    filled: list[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +116,7 @@ class Kalman:
             np.zeros((keep, n, 1 + c)),
             np.zeros((keep, n, n)),
             np.zeros((keep, 1 + c)),
+            [0] * keep,
         )
         self._views: dict[int, _View] = {}
         self.use(model)
@@ -172,7 +175,7 @@ class Kalman:
         h.state[at], h.covariance[at], h.transition[at] = x[:n], self.covariance, model.transition
         h.static_m[at] = x[n]
         m = len(view.rows)
-        a = model.transition[:, :n]
+        a = self._transition
         grown = a @ self.covariance @ a.T + model.noise
         if m:
             for local, bias, side in view.lateral:
@@ -193,8 +196,10 @@ class Kalman:
             h.gain[at, :, :m], h.sense[at, :m], h.innovation[at, :m] = gain, g, innovation
         else:
             x[:n] = model.transition @ x
-        h.weighted[at, :, m:], h.gain[at, :, m:], h.innovation[at, m:] = 0.0, 0.0, 0.0
-        self.covariance = 0.5 * (grown + grown.T)
+        if h.filled[at] > m:
+            h.weighted[at, :, m:], h.gain[at, :, m:], h.innovation[at, m:] = 0.0, 0.0, 0.0
+        h.filled[at] = m
+        self.covariance = grown if self.steps % _SYMMETRISE_EVERY else 0.5 * (grown + grown.T)
         self._unsolved += 1
         self.steps += 1
 
@@ -257,6 +262,7 @@ class Kalman:
     def use(self, model: StepModel) -> None:
         """Go on with another model of the same wing."""
         self.model = model
+        self._transition = np.ascontiguousarray(model.transition[:, : self.layout.size])
         self._views.clear()
         n = self.layout.size
         ahead, now = model.transition, np.eye(n, n + 1)
