@@ -45,7 +45,8 @@ def execute(options: argparse.Namespace) -> int:
     hidden = ", ".join(f"{effect.name} {effect.parameters}" for effect in effects) or "nothing"
     print(
         f"flew {options.duration:g} s of {airframe.name}, seed {options.seed}: "
-        f"{wing.symmetric.frequency_hz.value:.3f} Hz, damping {wing.symmetric.damping.value:.4f}; hidden: {hidden}; wrote {options.out}"
+        f"{wing.symmetric.frequency_hz.value:.3f} Hz, damping {wing.symmetric.damping.value:.4f}; hidden: {hidden}; "
+        f"wrote {options.out}"
     )
     return 0
 

@@ -111,7 +111,8 @@ class Camera:
     """One camera. Its frame is OpenCV's (x right, y down, z forward).
 
     ``axes`` names the body direction of camera x, y, z at rest (nadir: ``["y", "-x", "z"]``, forward:
-    ``["y", "z", "x"]``); ``rotation_rad`` is the calibrated small rotation vector, in camera axes, from there to the camera as mounted.
+    ``["y", "z", "x"]``); ``rotation_rad`` is the calibrated small rotation vector, in camera axes, from there to the
+    camera as mounted.
     ``slope_gain`` scales the tip station's slope to the camera (1: mounted at the station); ``lift_gain`` likewise its
     deflection. ``focal_px`` is along the rows, ``focal_ratio`` times it along the columns. ``latency_s`` is from
     trigger command to the start of the exposure.
