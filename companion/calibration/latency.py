@@ -1,0 +1,63 @@
+"""Trigger latency from a recording: from the fired instant to the start of the exposure that it opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.errors import RecordingError
+from companion.records import ClockName, Floats, MatchSet, Record, Shot
+
+_LEAST_SHOTS = 10
+_LONGEST_S = 0.2
+_MEDIAN_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """Latency to the start of each camera's exposure: left, right.
+
+    Attributes
+    ----------
+    median_s, sigma_s, p99_s : (2,) float64
+        ``sigma_s`` is robust (from the median deviation); ``p99_s`` is the 99th percentile of the latency itself.
+    shots : int
+    """
+
+    median_s: Floats
+    sigma_s: Floats
+    p99_s: Floats
+    shots: int
+
+
+def trigger_latency(records: Iterable[Record]) -> Latency:
+    """Pair shots with exposures, by plan where the cameras know it, else by time.
+
+    Raises
+    ------
+    RecordingError
+        Fewer than ten shots have an exposure within 0.2 s on the host's clock.
+    """
+    fired: dict[int, int] = {}
+    late: list[tuple[float, float]] = []
+    for record in records:
+        if isinstance(record, Shot):
+            fired[record.plan_id] = record.fired_host_ns
+        elif isinstance(record, MatchSet) and record.clocks == (ClockName.HOST, ClockName.HOST):
+            start_ns = record.mid_exposure_ns - record.exposure_ns // 2
+            fired_ns = fired.get(record.plan_id, _before(fired, int(start_ns.min())))
+            if fired_ns is not None and 0 <= int(start_ns.min()) - fired_ns <= _LONGEST_S * 1e9:
+                late.append((1e-9 * (int(start_ns[0]) - fired_ns), 1e-9 * (int(start_ns[1]) - fired_ns)))
+    if len(late) < _LEAST_SHOTS:
+        raise RecordingError(f"only {len(late)} shots have an exposure on the host clock; {_LEAST_SHOTS} are needed")
+    seconds = np.array(late)
+    median = np.median(seconds, axis=0)
+    sigma = _MEDIAN_TO_SIGMA * np.median(np.abs(seconds - median), axis=0)
+    return Latency(median, sigma, np.percentile(seconds, 99, axis=0), len(late))
+
+
+def _before(fired: dict[int, int], start_ns: int) -> int | None:
+    """The latest shot before an exposure."""
+    return max((at for at in fired.values() if at <= start_ns), default=None)

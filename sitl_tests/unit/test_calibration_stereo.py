@@ -1,0 +1,152 @@
+"""Rig calibration on rendered boards of exactly known geometry: values within their sigmas, bad views named."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.calibration.boards import Board, find_corners
+from companion.calibration.stereo_rig import RigFit, airframe_with_rig, calibrate_rig, find_views
+from companion.cli import calibrate
+from companion.core.stereo.geometry import Lens, Rig
+from companion.core.stereo.rotation import exp_rotation, log_rotation
+from companion.errors import ConfigError
+from companion.params.files import load_airframe
+
+SIZE = (640, 480)
+BENT = np.array([-0.12, 0.05, 0.0004, -0.0003, 0.0])
+LEFT = Lens(np.array([[610.0, 0, 321.0], [0, 607.0, 243.0], [0, 0, 1]]), BENT, SIZE)
+RIGHT = Lens(np.array([[604.0, 0, 316.0], [0, 602.0, 238.0], [0, 0, 1]]), 0.9 * BENT, SIZE)
+TURN = np.array([0.01, -0.02, 0.015])  # right from left
+SHIFT = np.array([-0.25, 0.003, 0.002])
+CHESS = Board("chessboard", (10, 7), 0.04)
+CHARUCO = Board("charuco", (10, 7), 0.04)
+
+
+@functools.cache
+def _rays(which: str) -> np.ndarray:
+    lens = LEFT if which == "left" else RIGHT
+    columns, rows = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+    return lens.unproject(np.column_stack([columns.ravel(), rows.ravel()]))
+
+
+@functools.cache
+def _texture(kind: str) -> np.ndarray:
+    """The board at 40 px per square with a white margin of one square."""
+    board = CHESS if kind == "chessboard" else CHARUCO
+    across, down = board.squares
+    if kind == "charuco":
+        inner = board.charuco().generateImage((40 * across, 40 * down))
+    else:
+        dark = np.add.outer(np.arange(down), np.arange(across)) % 2 == 0
+        inner = np.kron(np.where(dark, 0, 255).astype(np.uint8), np.ones((40, 40), np.uint8))
+    return cv2.GaussianBlur(np.pad(inner, 40, constant_values=255), (0, 0), 1.2)
+
+
+def _photograph(which: str, kind: str, turn: np.ndarray, place: np.ndarray, seed: int) -> np.ndarray:
+    """Image of the board whose own coordinates go to left camera coordinates by ``R X + place``."""
+    rotation = exp_rotation(turn)
+    if which == "right":
+        rotation, place = exp_rotation(TURN) @ rotation, exp_rotation(TURN) @ place + SHIFT
+    rays = _rays(which) @ rotation
+    centre = rotation.T @ place
+    stretch = centre[2] / rays[:, 2]
+    on_board = (rays * stretch[:, None] - centre)[:, :2]
+    pixel = (on_board / CHESS.square_m * 40 + 40 - 0.5).astype(np.float32).reshape(SIZE[1], SIZE[0], 2)
+    image = cv2.remap(_texture(kind), pixel[..., 0], pixel[..., 1], cv2.INTER_AREA, borderValue=150)
+    noisy = 0.8 * image + 20 + 1.5 * np.random.default_rng(seed).standard_normal(image.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+@functools.cache
+def _pairs(kind: str, n: int = 14) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    random = np.random.default_rng(4)
+    pairs = []
+    for k in range(n):
+        turn = random.uniform(-0.45, 0.45, 3) * np.array([1, 1, 0.4])
+        middle = np.array([0.2, 0.14, 0.0])
+        depth = random.uniform(0.75, 1.1)
+        target = np.array([random.uniform(-0.1, 0.35) * depth, random.uniform(-0.22, 0.22) * depth, depth])
+        place = target - exp_rotation(turn) @ middle
+        left, right = (_photograph(which, kind, turn, place, 2 * k + i) for i, which in enumerate(("left", "right")))
+        pairs.append((f"view{k:02d}", left, right))
+    return pairs
+
+
+@functools.cache
+def _fit(kind: str) -> RigFit:
+    board = CHESS if kind == "chessboard" else CHARUCO
+    views, rejected = find_views(_pairs(kind), board)
+    return calibrate_rig(views, board, SIZE, rejected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
+def test_the_rig_comes_back_within_its_sigmas(kind: str) -> None:
+    fit = _fit(kind)
+    assert len(fit.views) >= 8
+    assert fit.error_px < 0.3
+    for lens, true in zip(fit.lenses, (LEFT, RIGHT), strict=True):
+        wanted = np.array([true.matrix[0, 0], true.matrix[1, 1], true.matrix[0, 2], true.matrix[1, 2]])
+        assert np.all(np.abs(lens.values[:4] - wanted) < 5 * lens.sigmas[:4] + 0.3)
+        assert np.all(lens.sigmas[:4] > 0.0)
+    assert np.all(np.abs(fit.rotation_rad - TURN) < 4 * fit.rotation_sigma_rad + 1e-4)
+    assert np.all(np.abs(fit.translation_m - SHIFT) < 4 * fit.translation_sigma_m + 1e-4)
+    assert np.all(fit.rotation_sigma_rad < 3e-3)
+    assert np.all(fit.translation_sigma_m < 4e-3)
+
+
+@pytest.mark.slow
+def test_a_view_whose_images_do_not_belong_together_or_show_no_board_is_refused_by_name() -> None:
+    pairs = _pairs("chessboard")
+    views, rejected = find_views([*pairs[:3], ("empty", np.full((480, 640), 90, np.uint8), pairs[0][2])], CHESS)
+    assert "left" in rejected["empty"]
+    whole, _ = find_views(pairs, CHESS)
+    spoiled = whole[2].left.pixels + np.random.default_rng(1).normal(0, 2.0, whole[2].left.pixels.shape)
+    bad = dataclasses.replace(whole[2], name="shaken", left=dataclasses.replace(whole[2].left, pixels=spoiled))
+    fit = calibrate_rig([*whole[:2], bad, *whole[3:]], CHESS, SIZE)
+    assert "reprojection error" in fit.rejected["shaken"]
+    with pytest.raises(ConfigError, match="too few"):
+        calibrate_rig(views, CHESS, SIZE)
+
+
+@pytest.mark.slow
+def test_the_airframe_that_is_written_has_the_rig_in_it() -> None:
+    fit = _fit("charuco")
+    rig = Rig.from_airframe(airframe_with_rig(load_airframe("forward-2m"), fit))
+    left, right = rig.left.rest, rig.right.rest
+    assert np.allclose(log_rotation(right.camera_from_body @ left.camera_from_body.T), fit.rotation_rad, atol=1e-9)
+    apart = right.camera_from_body @ (left.position_body_m - right.position_body_m)
+    assert np.allclose(apart, fit.translation_m, atol=1e-9)
+    assert rig.right.lens.matrix[1, 1] == pytest.approx(fit.lenses[1].values[1])
+
+
+def test_a_board_is_not_found_where_there_is_none() -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
+    assert find_corners(noise, CHESS) is None
+    assert find_corners(noise, CHARUCO) is None
+    with pytest.raises(ConfigError, match="triangle"):
+        Board("triangle", (10, 7), 0.04)
+
+
+@pytest.mark.slow
+def test_the_command_reads_folders_and_writes_airframe_and_report(tmp_path: Path) -> None:
+    for k, (_, left, right) in enumerate(_pairs("charuco")):
+        for camera, image in (("cam0", left), ("cam1", right)):
+            (tmp_path / camera).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / camera / f"{1000 + k}.png"), image)
+    cv2.imwrite(str(tmp_path / "cam0" / "5.png"), left)
+    parser = argparse.ArgumentParser()
+    calibrate.add_arguments(parser)
+    words = ["stereo", str(tmp_path), "--square-m", "0.04", "--airframe", "forward-2m", "--out", str(tmp_path / "out")]
+    assert calibrate.execute(parser.parse_args(words)) == 0
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "refused 5: only one camera" in report
+    assert report.count("<img") >= 6
+    Rig.from_airframe(load_airframe(str(tmp_path / "out" / "airframe.toml")))
