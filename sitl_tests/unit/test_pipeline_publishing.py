@@ -1,0 +1,175 @@
+"""The last gate before a range goes out, and what goes out in its place: closed forms in time and in metres."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.core.publishing import Publishing
+from companion.core.stereo.trust import RangeGate
+from companion.params.settings import Settings
+from companion.records import (
+    Axis,
+    CorrectedRange,
+    ModeEstimate,
+    ModeState,
+    NoRange,
+    OutputRecord,
+    Reject,
+    Station,
+    Validity,
+)
+
+MS = 1_000_000
+S = 1_000_000_000
+DOWN = 25
+
+
+def measured(range_m: float, t_ns: int, sigma_m: float = 0.1, *, trusted: bool = True) -> CorrectedRange:
+    return CorrectedRange(
+        pair_id=1,
+        plan_id=1,
+        t_host_ns=t_ns,
+        orientation=DOWN,
+        range_m=range_m,
+        sigma_m=sigma_m,
+        toe_rad=0.04,
+        toe_sigma_rad=0.0002,
+        rigid_range_m=20.0,
+        matches=50,
+        trusted=trusted,
+        reject=None if trusted else Reject.SIGMA_TOO_LARGE,
+    )
+
+
+def mode(validity: Validity) -> ModeState:
+    still = ModeEstimate(5.0, 0.1, 0.03, 0.01, 0.0, 0.001, 0.0, 1.0, 5.0, 0.1, 0.0)
+    return ModeState(10 * S, still, still, validity, np.zeros(2), np.full(2, 0.001), tuple(Station), (Axis.ALL,) * 3)
+
+
+def verdicts(gate: RangeGate, ranges_m: list[float], climb_mps: float = 0.0, slack_mps: float = 0.0) -> list[bool]:
+    """Judge ranges 100 ms apart, beginning at 1 s."""
+    return [
+        gate.judge(measured(range_m, S + k * 100 * MS), climb_mps, slack_mps).trusted
+        for k, range_m in enumerate(ranges_m)
+    ]
+
+
+# ------------------------------------------------------------------------------------------ the gate
+
+
+def test_three_that_agree_are_needed_before_one_is_trusted() -> None:
+    assert verdicts(RangeGate(1.0), [40.0] * 5) == [False, False, True, True, True]
+
+
+def test_after_a_jump_three_must_agree_again() -> None:
+    """Both the outlier and the first true one after it are refused; trust returns with the third in agreement."""
+    said = verdicts(RangeGate(1.0), [40.0, 40.0, 40.0, 55.0, 40.0, 40.0, 40.0])
+    assert said == [False, False, True, False, False, False, True]
+
+
+def test_a_real_step_is_believed_after_three() -> None:
+    assert verdicts(RangeGate(1.0), [40.0] * 3 + [55.0] * 3) == [False, False, True, False, False, True]
+
+
+@given(
+    sigma_m=st.floats(0.01, 2.0),
+    last_sigma_m=st.floats(0.01, 2.0),
+    slack_mps=st.floats(0.0, 20.0),
+    step_ns=st.integers(1 * MS, 1_999 * MS),
+    share=st.floats(0.0, 2.0),
+)
+def test_the_allowed_jump_is_five_sigma_of_the_difference_and_the_slack(
+    sigma_m: float, last_sigma_m: float, slack_mps: float, step_ns: int, share: float
+) -> None:
+    allowed_m = 5.0 * (sigma_m**2 + last_sigma_m**2) ** 0.5 + slack_mps * step_ns * 1e-9
+    if abs(share - 1.0) < 1e-6:
+        return
+    gate = RangeGate(1.0)
+    for k in range(3):
+        gate.judge(measured(40.0, S + k, last_sigma_m), 0.0, slack_mps)
+    answer = gate.judge(measured(40.0 + share * allowed_m, S + 2 + step_ns, sigma_m), 0.0, slack_mps)
+    assert answer.trusted == (share < 1.0)
+    assert answer.reject is (None if share < 1.0 else Reject.INCONSISTENT)
+
+
+@pytest.mark.parametrize("climb_mps", [-6.0, 6.0])
+def test_a_climbing_aircraft_sees_the_ground_recede(climb_mps: float) -> None:
+    """0.6 m between two ranges of sigma 0.01 m are a jump, unless the climb rate explains them."""
+    receding = [40.0 + 0.1 * climb_mps * k for k in range(5)]
+    downward, forward = RangeGate(1.0), RangeGate(0.0)
+    ranges = [measured(range_m, S + k * 100 * MS, 0.01) for k, range_m in enumerate(receding)]
+    assert [downward.judge(entry, climb_mps, 0.0).trusted for entry in ranges] == [False, False, True, True, True]
+    assert not any(forward.judge(entry, climb_mps, 0.0).trusted for entry in ranges)
+
+
+def test_two_seconds_of_silence_are_forgotten_and_time_never_goes_back() -> None:
+    gate = RangeGate(1.0)
+    verdicts(gate, [40.0] * 3)
+    late = measured(40.0, S + 200 * MS + 2 * S)
+    assert not gate.judge(late, 0.0, 0.0).trusted
+    gate = RangeGate(1.0)
+    verdicts(gate, [40.0] * 3)
+    assert not gate.judge(measured(40.0, S), 0.0, 0.0).trusted
+
+
+def test_what_was_refused_before_does_not_count_and_stays_as_it_is() -> None:
+    gate = RangeGate(1.0)
+    verdicts(gate, [40.0] * 3)
+    refused = measured(90.0, S + 300 * MS, trusted=False)
+    assert gate.judge(refused, 0.0, 0.0) is refused
+    assert gate.judge(measured(40.0, S + 400 * MS), 0.0, 0.0).trusted, "the refused one is no predecessor"
+
+
+# ------------------------------------------------------------------------------------------ publishing
+
+
+@given(st.lists(st.tuples(st.integers(1, 60), st.booleans(), st.booleans()), min_size=1, max_size=120))
+def test_an_old_number_never_stands_longer_than_400_ms(turns: list[tuple[int, bool, bool]]) -> None:
+    """Whatever comes when: at any tick more than 400 ms after the last trusted range, "no range" went out lately."""
+    publishing, settings = Publishing(DOWN), Settings()
+    now_ns = trusted_ns = 10 * S
+    publishing.tick(now_ns, [measured(40.0, now_ns)], None, settings)
+    said_ns: int | None = None
+    for wait_ms, comes, good in turns:
+        now_ns += wait_ms * MS
+        fresh: list[OutputRecord] = [measured(40.0, now_ns, trusted=good)] if comes else []
+        outputs = publishing.tick(now_ns, fresh, None, settings)
+        if comes and good:
+            trusted_ns, said_ns = now_ns, None
+        if any(isinstance(output, NoRange) for output in outputs):
+            said_ns = now_ns
+            assert now_ns - trusted_ns > 400 * MS, "a fresh range is not contradicted"
+        if now_ns - trusted_ns > 400 * MS:
+            assert said_ns is not None
+            assert now_ns - said_ns < 100 * MS, "and it is said again at the publishing rate"
+
+
+def test_silence_is_filled_at_the_publishing_rate_with_the_last_reason() -> None:
+    publishing, settings = Publishing(DOWN), Settings().replace("OUT_RATE", 5.0)
+    good = mode(Validity.TRACKING)
+    publishing.tick(10 * S, [measured(40.0, 10 * S)], good, settings)
+    publishing.tick(10 * S + 10 * MS, [measured(40.0, 10 * S, trusted=False)], good, settings)
+    said = [
+        output
+        for k in range(1, 201)
+        for output in publishing.tick(10 * S + k * 10 * MS, [], good, settings)
+        if isinstance(output, NoRange)
+    ]
+    assert len(said) == 8, "1.6 s of silence at 5 Hz"
+    assert {entry.reject for entry in said} == {Reject.SIGMA_TOO_LARGE}
+    assert {entry.orientation for entry in said} == {DOWN}
+    stale = dataclasses.replace(good, validity=Validity.STALE)
+    (entry,) = [e for e in publishing.tick(13 * S, [], stale, settings) if isinstance(e, NoRange)]
+    assert entry.reject is Reject.STALE
+
+
+@pytest.mark.parametrize(("rate_hz", "expected"), [(0.0, 0), (4.0, 8), (20.0, 40)])
+def test_the_mode_goes_out_at_the_rate_for_graphs(rate_hz: float, expected: int) -> None:
+    publishing, settings = Publishing(DOWN), Settings().replace("OUT_DEBUG", rate_hz)
+    said = [o for k in range(200) for o in publishing.tick(10 * S + k * 10 * MS, [], mode(Validity.CALM), settings)]
+    assert sum(isinstance(output, ModeState) for output in said) == expected
