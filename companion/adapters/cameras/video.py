@@ -1,0 +1,98 @@
+"""Pairs through OpenCV: two V4L2 cameras live, or two video files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from companion.errors import DeviceError
+from companion.records import Bytes, ClockName, Frame, Side
+
+PLAN_UNKNOWN = -1
+
+
+class CapturePair:
+    """Implements :class:`companion.ports.CameraPair` over two ``cv2.VideoCapture``.
+
+    A V4L2 camera's stamp is the driver's, on the host's monotonic clock, when the frame began to arrive: the end of the
+    exposure, to which ``stamp_to_middle_ns`` (negative) leads back. A frame without a stamp is an error, never "now".
+
+    Parameters
+    ----------
+    left, right : int, str or Path
+        Device number, device path, or file.
+    clock : ClockName
+        What the stamps are on: HOST for devices, the hub's name for files.
+    start_ns : int
+        Added to every stamp, for files, which begin at 0.
+    """
+
+    def __init__(
+        self,
+        left: int | str | Path,
+        right: int | str | Path,
+        *,
+        clock: ClockName = ClockName.HOST,
+        exposure_ns: int = 0,
+        row_time_ns: int = 0,
+        stamp_to_middle_ns: int = 0,
+        start_ns: int = 0,
+    ) -> None:
+        self._clock, self._exposure_ns, self._row_time_ns = clock, exposure_ns, row_time_ns
+        self._shift_ns = stamp_to_middle_ns + start_ns
+        self._captures = [_opened(source) for source in (left, right)]
+        self._live = not any(isinstance(source, Path) or Path(str(source)).is_file() for source in (left, right))
+        self._sequence = 0
+
+    def poll(self, timeout_s: float) -> list[Frame]:  # noqa: ARG002 - OpenCV waits for the frame itself
+        """The next frame of both; none at the end of a file.
+
+        Raises
+        ------
+        DeviceError
+            A live camera gives no more frames, or frames without a stamp.
+        """
+        grabbed = [capture.grab() for capture in self._captures]
+        if not all(grabbed):
+            if self._live:
+                raise DeviceError(f"camera {Side(grabbed.index(False)).name.lower()} gives no more frames")
+            return []
+        frames = [self._frame(side, capture) for side, capture in zip(Side, self._captures, strict=True)]
+        self._sequence += 1
+        return frames
+
+    def close(self) -> None:
+        """Release both."""
+        for capture in self._captures:
+            capture.release()
+
+    def _frame(self, side: Side, capture: Any) -> Frame:
+        stamp_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+        read, image = capture.retrieve()
+        if not read or (self._live and stamp_ns <= 0):
+            raise DeviceError(f"camera {side.name.lower()} gave a frame without {'stamp' if read else 'image'}")
+        return Frame(
+            side=side,
+            sequence=self._sequence,
+            clock=self._clock,
+            mid_exposure_ns=stamp_ns + self._shift_ns,
+            exposure_ns=self._exposure_ns,
+            row_time_ns=self._row_time_ns,
+            plan_id=PLAN_UNKNOWN,
+            image=_grey(image),
+        )
+
+
+def _opened(source: int | str | Path) -> Any:
+    capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
+    if not capture.isOpened():
+        raise DeviceError(f"cannot open camera or video {source}")
+    return capture
+
+
+def _grey(image: Any) -> Bytes:
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.asarray(grey, dtype=np.uint8)

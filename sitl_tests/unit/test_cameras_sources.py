@@ -1,0 +1,130 @@
+"""Frames from folders, videos and DepthAI objects: right stamp, right side, nothing shifted, errors named."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.adapters.cameras.euroc import euroc_cameras
+from companion.adapters.cameras.folder import FolderPair
+from companion.adapters.cameras.oak import OakPair, OakSensor, OakTiming, camera_to_handler, frame_of, lens_from_handler
+from companion.adapters.cameras.video import CapturePair
+from companion.core.stereo.geometry import Rig
+from companion.errors import DeviceError
+from companion.params.airframe import Uncertain
+from companion.params.files import load_airframe
+from companion.records import ClockName, Side
+
+
+def _write(folder: Path, camera: str, stamps: list[int]) -> None:
+    data = folder / camera / "data"
+    data.mkdir(parents=True)
+    for t_ns in stamps:
+        cv2.imwrite(str(data / f"{t_ns}.png"), np.full((6, 8), t_ns % 251, np.uint8))
+
+
+def test_a_folder_gives_frames_in_order_and_a_missing_one_shifts_nothing(tmp_path: Path) -> None:
+    _write(tmp_path, "cam0", [1000, 2000, 3000])
+    _write(tmp_path, "cam1", [1000, 3000])
+    frames = list(FolderPair(tmp_path, ClockName.BOOT, exposure_ns=10, stamp_to_middle_ns=5).frames())
+    assert [(f.side, f.mid_exposure_ns) for f in frames] == [(0, 1005), (1, 1005), (0, 2005), (0, 3005), (1, 3005)]
+    assert all(frame.clock is ClockName.BOOT for frame in frames)
+    assert all(int(frame.image[0, 0]) == (frame.mid_exposure_ns - 5) % 251 for frame in frames)
+
+
+def test_data_csv_overrules_the_names(tmp_path: Path) -> None:
+    for camera in ("cam0", "cam1"):
+        _write(tmp_path, camera, [7])
+        (tmp_path / camera / "data.csv").write_text("#timestamp [ns],filename\n1403715273262142976,7.png\n")
+    assert [f.mid_exposure_ns for f in FolderPair(tmp_path).frames()] == [1403715273262142976] * 2
+
+
+def test_a_folder_that_is_not_of_this_kind_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match="cam0"):
+        FolderPair(tmp_path)
+    _write(tmp_path, "cam0", [1])
+    (tmp_path / "cam0" / "data" / "late.png").write_bytes(b"")
+    with pytest.raises(DeviceError, match=r"late\.png"):
+        FolderPair(tmp_path)
+
+
+def test_sensor_files_become_cameras_of_the_same_geometry(tmp_path: Path) -> None:
+    """Right camera 0.2 m along the left one's rows, turned by 0.03 rad about its own columns."""
+    c, s = np.cos(0.03), np.sin(0.03)
+    poses = {"cam0": np.eye(4), "cam1": np.array([[c, 0, s, 0.2], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1.0]])}
+    for name, pose in poses.items():
+        (tmp_path / name).mkdir()
+        data = ", ".join(repr(float(x)) for x in pose.ravel())
+        text = f"%YAML:1.0\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{data}]\nresolution: [752, 480]\n"
+        text += "intrinsics: [458.0, 457.0, 367.0, 248.0]\ndistortion_coefficients: [-0.28, 0.07, 0.0, 0.0]\n"
+        (tmp_path / name / "sensor.yaml").write_text(text)
+    left, right = euroc_cameras(tmp_path)
+    rig = Rig.from_airframe(dataclasses.replace(load_airframe("forward-2m"), left_camera=left, right_camera=right))
+    relative = rig.right.rest.camera_from_body @ rig.left.rest.camera_from_body.T
+    assert np.allclose(relative, poses["cam1"][:3, :3].T, atol=1e-12)
+    assert rig.baseline_m == pytest.approx(0.2)
+    assert rig.left.lens.matrix[1, 1] == pytest.approx(457.0)
+
+
+def test_a_video_pair_plays_to_its_end(tmp_path: Path) -> None:
+    for name in ("left", "right"):
+        writer = cv2.VideoWriter(str(tmp_path / f"{name}.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (64, 48))
+        for k in range(5):
+            writer.write(np.full((48, 64, 3), 40 * k, np.uint8))
+        writer.release()
+    pair = CapturePair(tmp_path / "left.avi", tmp_path / "right.avi", clock=ClockName.BOOT, start_ns=10**9)
+    shots = []
+    while frames := pair.poll(0.0):
+        shots.append(frames)
+    pair.close()
+    assert len(shots) == 5
+    assert all((left.side, right.side) == (Side.LEFT, Side.RIGHT) for left, right in shots)
+    stamps = np.array([left.mid_exposure_ns for left, _ in shots])
+    assert np.diff(stamps) == pytest.approx(50_000_000, abs=1_000_000)
+    assert stamps[0] >= 10**9
+    with pytest.raises(DeviceError, match=r"none\.avi"):
+        CapturePair(tmp_path / "none.avi", tmp_path / "left.avi")
+
+
+def test_a_depthai_frame_becomes_ours() -> None:
+    dai = pytest.importorskip("depthai")
+    image = dai.ImgFrame()
+    image.setCvFrame(np.arange(24, dtype=np.uint8).reshape(4, 6), dai.ImgFrame.Type.GRAY8)
+    image.setTimestamp(datetime.timedelta(seconds=12, microseconds=345678))
+    image.setSequenceNum(9)
+    frame = frame_of(image, Side.RIGHT, OakTiming(exposure_us=1500), dai)
+    assert (frame.side, frame.sequence, frame.clock) == (Side.RIGHT, 9, ClockName.HOST)
+    assert frame.mid_exposure_ns == 12_345_678_000
+    assert frame.exposure_ns == 1_500_000
+    assert np.array_equal(frame.image, np.arange(24).reshape(4, 6))
+
+
+def test_a_lens_survives_the_device_s_calibration_handler() -> None:
+    dai = pytest.importorskip("depthai")
+    camera = load_airframe("nadir-2m").left_camera
+    assert camera is not None
+    bent = dataclasses.replace(
+        camera, focal_px=Uncertain(801.5), focal_ratio=0.998, distortion=(-0.1, 0.02, 1e-4, -2e-4, 3e-3)
+    )
+    handler = dai.CalibrationHandler()
+    camera_to_handler(handler, "CAM_B", bent)
+    lens = lens_from_handler(handler, "CAM_B", (640, 480))
+    assert lens["focal"] == pytest.approx(801.5, rel=1e-6)
+    assert lens["focal_ratio"] == pytest.approx(0.998, rel=1e-6)
+    assert lens["distortion"] == pytest.approx(bent.distortion, rel=1e-5)
+    with pytest.raises(DeviceError, match="CAM_C"):
+        lens_from_handler(handler, "CAM_C", (640, 480))
+
+
+@pytest.mark.slow
+def test_without_a_device_the_pair_says_so() -> None:
+    dai = pytest.importorskip("depthai")
+    if dai.Device.getAllAvailableDevices():
+        pytest.skip("a DepthAI device is connected")
+    with pytest.raises(DeviceError, match="DepthAI"):
+        OakPair(OakSensor("", "CAM_B"), OakSensor("", "CAM_C"), (640, 480), OakTiming())
