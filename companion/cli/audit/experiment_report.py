@@ -198,7 +198,7 @@ def _beyond(outcomes: Mapping[str, Outcome], peaks: Summaries, randoms: Summarie
         f"{lift['rigid']['median_range_m']:.1f} m (median), for 1 g alone is {trim_toe_mrad():.1f} mrad of toe; "
         f"corrected {lift['corrected']['median_range_m']:.1f} m, where a rigid pair calibrated in level flight reads "
         f"{lift['in_trim']['median_range_m']:.1f} m. Of the angle error (1/Z) the correction removes "
-        f"{percent(lift['removed'], 1)}, in gusts, rolls and a pull-up.",
+        f"{percent(lift['removed'], 1)}.",
         f"Antisymmetric bending turns both cameras the same way: calibrated in trim, the rigid range is off by only "
         f"{percent(anti['in_trim']['rms_percent'] / 100)} without any correction. A correction by one tip's "
         f"accelerometer, taken for symmetric as in the paper, would put in {wrong:.1f} mrad rms of its own.",

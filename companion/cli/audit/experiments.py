@@ -18,7 +18,7 @@ from companion.cli.judge import Reading
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Bytes, Floats, Side
-from companion.sim.aircraft import FlightPlan, Level, PullUp, Roll
+from companion.sim.aircraft import FlightPlan, Level
 from companion.sim.cameras import Shutters, render_pair
 from companion.sim.flight import Flight, build_flight
 from companion.sim.renderer import Renderer
@@ -37,20 +37,20 @@ WAYS = ("rigid", "in_trim", "corrected", "oracle")
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How long each experiment runs, and from when shots count (the tracker has settled)."""
+    """How long each experiment runs, and from when shots count (the tracker refits for 10 s)."""
 
     duration_s: float
     from_s: float
 
 
-FULL, QUICK = Pace(15.0, 7.0), Pace(10.0, 7.0)
+FULL, QUICK = Pace(17.0, 10.5), Pace(14.0, 10.5)
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
     """One experiment.
 
-    ``drive`` None is a flight with gusts, rolls and a pull-up; ``calibrated_at_m`` are the rest targets' distances,
+    ``drive`` None is a level flight in gusts; ``calibrated_at_m`` are the rest targets' distances,
     empty where the airframe's own calibration (drawn from its sigmas) stands.
     """
 
@@ -138,13 +138,8 @@ def _prepared(trial: Trial, pace: Pace) -> tuple[Flight, Scene, Settings]:
 
 
 def _flight_plan(duration_s: float) -> FlightPlan:
-    late = duration_s - 4.0
-    return FlightPlan(
-        duration_s,
-        levels=(Level(0.0, _FLOWN_FROM_M),),
-        rolls=(Roll(2.0, 0.3), Roll(late - 2.5, -0.3, 1.5, 1.0)),
-        pull_ups=(PullUp(late - 1.0, 1.5),),
-    )
+    """Level flight in turbulence; lift, gusts and wobble bend the wing."""
+    return FlightPlan(duration_s, levels=(Level(0.0, _FLOWN_FROM_M),))
 
 
 # ------------------------------------------------------------------------------------------------ summaries
