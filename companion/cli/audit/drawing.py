@@ -14,6 +14,7 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#e3e7eb",
     "grid.linewidth": 0.7,
     "axes.edgecolor": "#5b6875",

@@ -91,7 +91,7 @@ def _bars(outcomes: Mapping[str, Outcome], peaks: Summaries) -> Picture:
             ylabel="range error, %",
             title="rms over shots at peaks; diamonds: the paper, before and after",
         )
-        axis.set_xticks(at, [outcomes[key].trial.title.replace(", ", "\n", 1) for key in peaks], fontsize=6.5)
+        axis.set_xticks(at, [outcomes[key].trial.title.replace(", ", "\n") for key in peaks], fontsize=6)
         axis.legend(ncols=4, loc="upper left")
         axis.set_ylim(top=10 * max(peak["rigid"]["rms_percent"] for peak in peaks.values()))
 

@@ -67,7 +67,7 @@ def percent(share: float | None, digits: int = 2) -> str:
         return "-"
     if share > _AS_FACTOR:
         return f"factor {number(1.0 + share, 2)}"
-    return f"{round(100.0 * share, digits) + 0.0:.{digits}f} %"
+    return f"{round(100.0 * share, digits) + 0.0:.{digits}f}\u00a0%"
 
 
 def deviation(computed: float, printed: float) -> float:
