@@ -11,7 +11,7 @@ from companion.sim.flight import Flight
 from sitl_tests.faults.vehicle_faults import FAULTS, Outcome, build, strike, table, write
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
-HARMLESS = ("flood at 20 x the rate", "foreign TIMESYNC answers")
+HARMLESS = ("none", "flood at 20 x the rate", "foreign TIMESYNC answers")
 # what goes missing is missed: ranges stop, the heartbeat says so, and they come back by themselves
 HARMFUL = ("link silent both ways", "autopilot reboots, 2 s", "left node reboots, 2 s", "right node sends NaN")
 # a clock is locked again after 1.5 s, the tracker settles in 1 s or so, and a range waits for the smoother's lag
