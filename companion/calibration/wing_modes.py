@@ -12,7 +12,7 @@ from companion.calibration.vibration import Point
 from companion.core.wing.shapes import EdgePoints, ModalFactors, WingShape, fit_polynomial
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Mode, Uncertain
-from companion.records import Bools, Floats, Ints
+from companion.records import Floats, Ints
 
 SYMMETRIC_LEAST = 0.9
 _DEGREE = 3
@@ -67,11 +67,11 @@ def bending_modes(modes: list[IdentifiedMode], points: list[Point]) -> list[Bend
 
 
 def half_shape(mode: IdentifiedMode, points: list[Point], sign: float) -> WingShape:
-    """Both edges as polynomials in the span station, halves averaged, rigid heave (or roll) of the root taken out."""
+    """Both edges as polynomials in the span station, halves averaged, rigid motion of the root taken out."""
     span = np.array([abs(point.span_m) for point in points])
     folded = np.where(np.array([point.span_m > 0.0 for point in points]), 1.0, sign) * mode.shape
     leading = np.array([point.leading for point in points])
-    folded = folded - _rigid(span, folded, leading, sign)
+    folded = folded - _rigid(points, folded, sign)
     edges = [fit_polynomial(EdgePoints(span[some], folded[some]), _DEGREE) for some in (leading, ~leading)]
     return WingShape(edges[0], edges[1])
 
@@ -128,14 +128,17 @@ def _chord(points: list[Point], span_m: float) -> float:
     return lines[1] - lines[0]
 
 
-def _rigid(span: Floats, folded: Floats, leading: Bools, sign: float) -> Floats:
-    """Motion of the root section, as its innermost points show it: heave, or roll in an antisymmetric mode."""
-    inner = np.array([np.mean(folded[edge & (span < span[edge].min() + 1e-3)]) for edge in (leading, ~leading)])
-    middle = float(inner.mean())
+def _rigid(points: list[Point], folded: Floats, sign: float) -> Floats:
+    """Motion of the root section, as its innermost points show it: heave and pitch; roll if antisymmetric."""
+    span = np.array([abs(point.span_m) for point in points])
+    aft = np.array([point.aft_m for point in points])
+    leading = np.array([point.leading for point in points])
+    inner = [edge & (span < span[edge].min() + 1e-3) for edge in (leading, ~leading)]
+    moved, at = ([float(np.mean(values[some])) for some in inner] for values in (folded, aft))
     if sign > 0.0:
-        return np.full_like(folded, middle)
-    at = float(np.mean([span[edge].min() for edge in (leading, ~leading)]))
-    return middle * span / at
+        nose_up = (moved[0] - moved[1]) / (at[1] - at[0])
+        return moved[0] - nose_up * (aft - at[0])
+    return 0.5 * (moved[0] + moved[1]) * span / float(np.mean([span[some].mean() for some in inner]))
 
 
 def _mirrored(points: list[Point]) -> Ints:

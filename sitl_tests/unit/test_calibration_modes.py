@@ -111,12 +111,12 @@ def test_symmetric_and_antisymmetric_modes_are_told_apart() -> None:
 
 
 def test_slope_and_twist_at_the_tip_come_out_of_the_cubic() -> None:
-    """Relative to the root section at 0.4 m: slope 3 y^2 / (y^3 - 0.4^3), twist 0.3 y over the same, at y = 1.2."""
+    """Relative to the root section at 0.4 m: slope 3 y^2 / (y^3 - 0.4^3), twist 0.3 (y - 0.4), y = 1.2."""
     points = _points()
     first = bending_modes(_clean(), points)[0]
     lift = 1.2**3 - 0.4**3
     assert first.factors.slope_factor_radpm == pytest.approx(3 * 1.2**2 / lift, rel=0.01)
-    assert first.factors.twist_factor_radpm == pytest.approx(0.3 * 1.2 / lift, rel=0.01)
+    assert first.factors.twist_factor_radpm == pytest.approx(0.3 * (1.2 - 0.4) / lift, rel=0.01)
 
 
 def test_what_is_written_reads_back_with_the_modes_in_it() -> None:
