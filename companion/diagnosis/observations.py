@@ -90,6 +90,8 @@ class Observations:
         About their means, in units of their rms over the whole recording.
     toe : ToeData or None
     notes : tuple of str
+    start_s, centre_s : float
+        Where this part begins in its recording, and the middle of the whole.
     """
 
     rate_hz: float
@@ -102,6 +104,7 @@ class Observations:
     toe: ToeData | None
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
+    centre_s: float = 0.0
 
     @property
     def duration_s(self) -> float:
@@ -164,6 +167,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         {name: _standard(np.interp(grid_t, t_s, values)) for name, (t_s, values) in raw.covariates.items()},
         _toe(raw.ranges, airframe, start_s, stop_s),
         tuple(notes),
+        centre_s=0.5 * keep / rate_hz,
     )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -316,24 +317,29 @@ class SuperModel:
 
     def _push(self, wing: WingModel, parts: Sequence[Part], q: Floats, qdot: Floats) -> Complexes | None:
         """Spectrum of the forces that depend on state or time, their linear part taken out, (f, n)."""
-        total: Floats | None = None
-        n = wing.count
+        total = np.zeros_like(q)
+        pushed = False
         for part in parts:
             if type(part.effect).force is Effect.force:
                 continue
-            covariate = self._covariate(part.channel)
-            motion = ModalMotion(self.seen.t_s, q, qdot, np.zeros((n, 1)), 1.0, wing.structure, covariate)  # type: ignore[arg-type]
-            force = part.effect.force(motion)
-            if force is not None:
-                total = force if total is None else total + force
-        if total is None:
-            return None
-        # what is linear in the state is stiffness or damping, and those are free
-        basis = np.vstack([q, qdot])
-        gram = basis @ basis.T
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-        weights = np.linalg.lstsq(gram / np.outer(scale, scale), (basis / scale[:, None]) @ total.T, rcond=1e-9)[0]
-        return np.asarray(np.fft.rfft(total - (weights / scale[:, None]).T @ basis, axis=1).T)
+            force = self._force(wing, part, q, qdot)
+            if force is None:
+                continue
+            pushed = True
+            other = self._force(wing, part, q[:, ::-1], qdot[:, ::-1])
+            both = self._force(wing, part, q + q[:, ::-1], qdot + qdot[:, ::-1])
+            assert other is not None
+            assert both is not None
+            # what is linear and only swings in time about the middle of the recording has no steady part to take out
+            swings = np.allclose(both, force + other, rtol=1e-7, atol=1e-9 * float(np.abs(both).max()))
+            total += force if swings else _without_linear(force, q, qdot)
+        return np.asarray(np.fft.rfft(total, axis=1).T) if pushed else None
+
+    def _force(self, wing: WingModel, part: Part, q: Floats, qdot: Floats) -> Floats | None:
+        t_s: Any = self.seen.t_s - self.seen.centre_s
+        static = np.zeros((wing.count, 1))
+        motion = ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, self._covariate(part.channel))
+        return part.effect.force(motion)
 
     def _covariate(self, channel: str) -> Floats:
         values = self.seen.covariates.get(channel)
@@ -432,6 +438,15 @@ class SuperModel:
 def with_values(part: Part, values: Mapping[str, float]) -> Part:
     """The same effect with other values."""
     return dataclasses.replace(part, effect=type(part.effect).from_values(dict(values)))
+
+
+def _without_linear(force: Floats, q: Floats, qdot: Floats) -> Floats:
+    """A force without what is linear in the state: that is stiffness or damping, which are free."""
+    basis = np.vstack([q, qdot])
+    gram = basis @ basis.T
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    weights = np.linalg.lstsq(gram / np.outer(scale, scale), (basis / scale[:, None]) @ force.T, rcond=1e-9)[0]
+    return np.asarray(force - (weights / scale[:, None]).T @ basis)
 
 
 def _of_range(name: str) -> bool:

@@ -34,7 +34,7 @@ BELIEF = {
 }
 SIGMA = {
     "frequency-shift": 0.0076,
-    "damping-shift": 0.11,
+    "damping-shift": 0.125,
     "left-right-frequency": 0.0026,
     "left-right-damping": 0.085,
     "left-right-forcing": 0.0070,
@@ -71,7 +71,9 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
     effects = {}
     for name in names:
         sign = 1.0 if name in ONE_WAY else rng.choice((-1.0, 1.0))
-        effects[name] = float(sign * SIGMA[name] * rng.uniform(*strength))
+        size = float(sign * SIGMA[name] * rng.uniform(*strength))
+        # a damping ratio is told in its logarithm
+        effects[name] = float(np.expm1(size)) if name == "damping-shift" else size
     extra = {"second-mode.frequency_hz": float(rng.uniform(12.0, 35.0))}
     return Hidden(effects, int(rng.integers(0, 2)), rng.bytes(8).hex(), extra)
 
