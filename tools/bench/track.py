@@ -1,0 +1,211 @@
+"""Decode, track and plan for three sensors at 1 kHz, against mavutil's receive loop and a filterpy Kalman filter.
+
+On one core, by processor time, in one run: the bytes of a simulated flight (6-axis HIGHRES_IMU at 1 kHz from the
+fuselage and both tips, each on a clock of its own) in chunks of 4 ms as the service reads them, with TIMESYNC answers
+and ticks between. What counts is the flight after its first seconds; planning is what the run takes longer with it than
+without. The filterpy filter has as many
+states and rows as ours; it does nothing but predict and update, at the tracker's rate and at the sensors'.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import KalmanFilter  # type: ignore[import-untyped]
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.decode import Decoder
+from companion.core.mode.layout import make_layout
+from companion.core.pipeline import start, step
+from companion.params.airframe import Airframe
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, Floats, ModeState, RawChunk, Record, Station, Tick, TimesyncReply, TriggerPlan
+from companion.sim.flight import Flight, build_flight
+from companion.sim.wire import inertial_format, payloads, stamped
+from tools.bench.decode import _udp_mavutil
+
+TARGET = 20.0
+SECONDS = 20.0
+SETTLE_S = 10.0
+_SEED = 3
+_MS = 1_000_000
+_EPOCH_NS = 5_000_000_000_000
+_CHUNK_MS = 4
+_TICK_MS = 10
+_TIMESYNC_MS = 100
+_ROWS = 18
+_FILTER_STEPS = 1500
+_CLOCKS = {Station.ROOT: ClockName.BOOT, Station.LEFT: ClockName.NODE_LEFT, Station.RIGHT: ClockName.NODE_RIGHT}
+
+
+def run(seconds: float = SECONDS) -> list[dict[str, Any]]:
+    """Measure; each row has ``name``, ``ratio`` (seconds of data per CPU second) and perhaps ``target``."""
+    belief = _airframe()
+    blind = dataclasses.replace(belief, left_camera=None, right_camera=None)
+    flight = build_flight(belief, _SEED, seconds + 0.5)
+    frames = _frames(flight, round(seconds * 1000))
+    chunks = _chunks(frames)
+    inputs = _inputs(flight, chunks)
+    decode = _cpu_s(lambda: _decoded(chunks))
+    early, track = _driven(inputs, blind, ModeState)
+    _, plan = _driven(inputs, belief, TriggerPlan)
+    decode, settled = decode / seconds, seconds - SETTLE_S
+    few = frames[: 3 * round(1000 * min(seconds, 3.0))]
+    mavutil = _udp_mavutil(few) / 3000.0
+    states, rate_hz = make_layout(belief).size, Settings().track_rate_hz
+    filtered = _filter_step_s(states)
+    same = f"filterpy, {states} states, {_ROWS} rows"
+    return [
+        _row("decode, track and plan", 1.0 / (decode + plan / settled), TARGET),
+        _row("  decode alone", 1.0 / decode),
+        _row("  track alone", settled / track),
+        _row("  plan alone (with planning, less without)", settled / max(plan - track, 1e-3)),
+        _row(f"  track alone in the first {SETTLE_S:g} s, when it learns most", SETTLE_S / early),
+        _row("mavutil receive loop alone", mavutil),
+        _row(f"{same}, stepped at the tracker's {rate_hz:g} Hz, alone", 1.0 / (rate_hz * filtered)),
+        _row(f"{same}, stepped at the sensors' 1000 Hz, alone", 1.0 / (1000.0 * filtered)),
+    ]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; 1 where the target is missed."""
+    del arguments
+    rows = run()
+    print(f"{'seconds of data per CPU second, 3 sensors x 1 kHz':55s} {'':>9s} {'target':>8s}")
+    for row in rows:
+        target = row.get("target")
+        verdict = "" if target is None else f"{'>= ' + format(target, 'g'):>8s}  {_verdict(row)}"
+        print(f"{row['name']:55s} {row['ratio']:8.1f}x {verdict}")
+    return int(any(_verdict(row) == "missed" for row in rows if "target" in row))
+
+
+def _row(name: str, ratio: float, target: float | None = None) -> dict[str, Any]:
+    return {"name": name, "ratio": ratio} | ({} if target is None else {"target": target})
+
+
+def _verdict(row: dict[str, Any]) -> str:
+    return "met" if row["ratio"] >= row["target"] else "missed"
+
+
+def _airframe() -> Airframe:
+    """Nadir-2m whose fuselage sensor is as fast as its tips', and unfiltered."""
+    belief = load_airframe("nadir-2m")
+    root = dataclasses.replace(belief.root, rate_hz=1000.0, lowpass_accel_hz=0.0, lowpass_gyro_hz=0.0)
+    return dataclasses.replace(belief, root=root)
+
+
+def _frames(flight: Flight, count: int) -> list[bytes]:
+    """The sensors' frames, three in each millisecond, stamped on their own clocks."""
+    t_ns = np.arange(1, count + 1, dtype=np.int64) * _MS
+    form = inertial_format("HIGHRES_IMU")
+    columns: list[list[bytes]] = []
+    for station, component in zip(Station, (1, 200, 201), strict=True):
+        rest = payloads(_samples(flight, station, count), flight.airframe.sensor(station).source)
+        clock = _CLOCKS[station]
+        packer = mavlink.MAVLink(None, 1, component)
+        column = []
+        for sent_ns, body in zip(t_ns.tolist(), rest, strict=True):
+            payload = stamped(form, _remote_ns(flight, clock, sent_ns), body)
+            column.append(_framed(payload, packer))
+        columns.append(column)
+    return [frame for together in zip(*columns, strict=True) for frame in together]
+
+
+def _framed(payload: bytes, packer: Any) -> bytes:
+    message = mavlink.MAVLink_highres_imu_message(0, *[0.0] * 13, 0, 0)
+    frame = bytes(message._pack(packer, message.crc_extra, payload))
+    packer.seq = (packer.seq + 1) % 256
+    return frame
+
+
+def _samples(flight: Flight, station: Station, count: int) -> Floats:
+    """What a sensor read: a node's own samples; the fuselage's are the truth and the noise of its kind."""
+    if station in flight.nodes:
+        return flight.nodes[station].values[:count]
+    truth = flight.truth.series(np.arange(1, count + 1, dtype=np.int64) * _MS)
+    sensor = flight.airframe.sensor(station)
+    noise = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3) * np.sqrt(500.0)
+    exact = np.hstack([truth.specific_force_mps2, truth.body_rate_radps])
+    read: Floats = exact + noise * flight.generator("bench").standard_normal(exact.shape)
+    return read
+
+
+def _remote_ns(flight: Flight, clock: ClockName, boot_ns: int) -> int:
+    return boot_ns if clock is ClockName.BOOT else flight.real.clocks[clock].from_boot(boot_ns)
+
+
+def _chunks(frames: list[bytes]) -> list[RawChunk]:
+    beat = mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 1, 1))
+    size = 3 * _CHUNK_MS
+    chunks = [RawChunk(0, _EPOCH_NS, bytes(beat))]
+    for k in range(0, len(frames), size):
+        chunks.append(RawChunk(0, _EPOCH_NS + (k // 3 + _CHUNK_MS) * _MS + _MS, b"".join(frames[k : k + size])))
+    return chunks
+
+
+def _inputs(flight: Flight, chunks: list[RawChunk]) -> list[Record]:
+    """What the pipeline is given: decoded samples, answered exchanges and ticks, in order of time."""
+    decoder = Decoder(_airframe(), 191)
+    inputs: list[tuple[int, Record]] = []
+    for chunk in chunks:
+        inputs += [(chunk.received_host_ns, record) for record in decoder.decode_chunk(chunk)]
+    last_ms = (chunks[-1].received_host_ns - _EPOCH_NS) // _MS
+    for ms in range(_TICK_MS, last_ms, _TICK_MS):
+        now_ns = _EPOCH_NS + ms * _MS
+        inputs.append((now_ns, Tick(now_ns)))
+        for clock in _CLOCKS.values() if ms % _TIMESYNC_MS == 0 else ():
+            remote_ns = _remote_ns(flight, clock, ms * _MS)
+            inputs.append((now_ns, TimesyncReply(clock, now_ns - 200_000, remote_ns, now_ns + 200_000)))
+    return [record for _, record in sorted(inputs, key=lambda entry: entry[0])]
+
+
+def _decoded(chunks: Iterable[RawChunk]) -> None:
+    decoder = Decoder(_airframe(), 191)
+    for chunk in chunks:
+        decoder.decode_chunk(chunk)
+
+
+def _driven(inputs: Iterable[Record], belief: Airframe, expected: type[Any]) -> tuple[float, float]:
+    """Processor time of the pipeline until it has settled, and after that."""
+    state, made, settled_at_s = start(belief, Settings()), 0, 0.0
+    begin = time.process_time()
+    for record in inputs:
+        if not settled_at_s and isinstance(record, Tick) and record.now_host_ns >= _EPOCH_NS + SETTLE_S * 1e9:
+            settled_at_s = time.process_time()
+        state, outputs = step(state, record)
+        made += sum(isinstance(output, expected) for output in outputs)
+    if not made or not settled_at_s:
+        raise RuntimeError(f"{made} {expected.__name__} made: nothing was measured")
+    return settled_at_s - begin, time.process_time() - settled_at_s
+
+
+def _filter_step_s(states: int) -> float:
+    """Processor time of one predict and update of a filterpy filter of that size, dense as ours would be."""
+    rng = np.random.default_rng(1)
+    plain = KalmanFilter(dim_x=states, dim_z=_ROWS)
+    plain.F = np.eye(states) + 0.01 * rng.standard_normal((states, states)) / states
+    plain.H = rng.standard_normal((_ROWS, states))
+    plain.Q, plain.R = 1e-3 * np.eye(states), np.eye(_ROWS)
+    readings = rng.standard_normal((_FILTER_STEPS, _ROWS, 1))
+
+    def filtered() -> None:
+        for reading in readings:
+            plain.predict()
+            plain.update(reading)
+
+    return _cpu_s(filtered) / _FILTER_STEPS
+
+
+def _cpu_s(work: Callable[[], None]) -> float:
+    begin = time.process_time()
+    work()
+    return time.process_time() - begin
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
