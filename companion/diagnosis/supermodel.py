@@ -26,7 +26,7 @@ from companion.records import Floats, Side, Station
 
 Complexes = npt.NDArray[np.complex128]
 _TAPER = 0.05  # share of the recording over which each end fades
-_FINER = 4
+_FINER = 16
 _RANGE_ONLY = frozenset({"toe_rad", "focal", "match", "trim_bend_m", "bend_per_g_m"})
 _LOW = 0.15
 _STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
@@ -306,11 +306,10 @@ class SuperModel:
 
     def _sampled(self, effect: Effect, side: Side, t_s: Floats, up: Floats) -> Floats:
         """What a station would have shown of ``up`` with the effect in force."""
-        shown = np.interp(effect.sample_time(_STATIONS[side], t_s), t_s, up)
+        shown = up
         if type(effect).sample_time is not Effect.sample_time:
-            # a straight line between samples is too coarse: move each by its derivative instead
-            rate = np.fft.irfft(np.fft.rfft(up) * 2j * np.pi * self.f_hz, len(up))
-            shown = up + rate * (effect.sample_time(_STATIONS[side], t_s) - t_s)
+            # what is shown at t is taken back to where it belongs: up - (shown - up) is up at the mirrored instant
+            shown = 2.0 * up - self._at(np.fft.rfft(up), 2.0 * t_s - effect.sample_time(_STATIONS[side], t_s))
         values = np.zeros((len(up), 6))
         values[:, 2] = -GRAVITY_MPS2 - shown
         return np.asarray(-GRAVITY_MPS2 - effect.sense(_STATIONS[side], t_s, values)[:, 2])
