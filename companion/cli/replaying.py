@@ -15,6 +15,7 @@ from companion.records import (
     ParameterChange,
     RawChunk,
     Record,
+    Reject,
     Rejected,
     Shot,
     Tick,
@@ -23,13 +24,15 @@ from companion.records import (
 
 TICK_NS = 10_000_000
 _OWN_INPUTS = (RawChunk, MatchSet, Shot, Tick, ParameterChange)
+_DEVICES_REFUSALS = (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED)
+"""Made by the trigger and vision processes alone, so they come in; all others are made again by the replay."""
 
 
 def own_inputs(records: Iterable[Record], airframe: Airframe, settings: Settings) -> Iterator[Record]:
     """The inputs of one of our own recordings, raw bytes decoded again, everything that was derived left out."""
     decoder = Decoder(airframe, settings.component_id)
     for record in records:
-        if isinstance(record, _OWN_INPUTS):
+        if isinstance(record, _OWN_INPUTS) or (isinstance(record, Rejected) and record.reason in _DEVICES_REFUSALS):
             yield record
         if isinstance(record, RawChunk):
             yield from decoder.decode_chunk(record)

@@ -19,6 +19,7 @@ from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.writer import About, McapWriter
 from companion.cli.main import main
 from companion.cli.replay import encoded
+from companion.cli.replaying import own_inputs
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -28,6 +29,8 @@ from companion.records import (
     NoRange,
     RawChunk,
     Record,
+    Reject,
+    Rejected,
     ServiceStatus,
     Tick,
     TriggerPlan,
@@ -155,3 +158,11 @@ def test_raw_bytes_and_ticks_are_enough(flown: Flown, tmp_path: Path, capsys: py
     replay(bare, capsys, "--out", str(out))
     states = [encoded(record) for record in open_recording(out).records() if isinstance(record, ModeState)]
     assert states == [encoded(record) for record in flown.records if isinstance(record, ModeState)]
+
+
+def test_refusals_by_the_devices_are_inputs_and_our_own_are_made_again() -> None:
+    """What the trigger process could not fire is counted by the pipeline; only the recording can tell a replay of it."""
+    told = [Rejected(reason, "plan 3", 7) for reason in (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED)]
+    made = [Rejected(reason, "left samples", 8) for reason in (Reject.CLOCK_UNSYNCED, Reject.STALE, Reject.TOO_LATE)]
+    records: list[Record] = [*told, *made, Tick(9)]
+    assert list(own_inputs(records, load_airframe("nadir-2m"), Settings())) == [*told, Tick(9)]
