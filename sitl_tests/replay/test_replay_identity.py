@@ -161,7 +161,7 @@ def test_raw_bytes_and_ticks_are_enough(flown: Flown, tmp_path: Path, capsys: py
 
 
 def test_refusals_by_the_devices_are_inputs_and_our_own_are_made_again() -> None:
-    """What the trigger process could not fire is counted by the pipeline; only the recording can tell a replay of it."""
+    """What the trigger process could not fire is counted by the pipeline; only the recording knows of it."""
     told = [Rejected(reason, "plan 3", 7) for reason in (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED)]
     made = [Rejected(reason, "left samples", 8) for reason in (Reject.CLOCK_UNSYNCED, Reject.STALE, Reject.TOO_LATE)]
     records: list[Record] = [*told, *made, Tick(9)]
