@@ -25,7 +25,7 @@ from companion.core.mode.parameters import (
     ModeParameters,
 )
 from companion.core.mode.rigid import Cells
-from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan, score_gain, seek_peak
+from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan, seek_peak
 from companion.records import Bools, Floats
 
 _LONG_S = 20.0
@@ -41,7 +41,6 @@ _IDLE = 1e-7  # of the first mode's load
 _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))
 _ROUNDS = 6
 _CLEARLY = 1.0
-_SELDOM = 5
 _LOWEST_HZ = 0.25
 _KEPT, _ROLL, _STATIC = 4, 2, 3  # columns: both vertical rows, root roll rate, bend by the load factor
 _EDGE = 8
@@ -142,11 +141,11 @@ class Adaptation:
             best = self._search(long, prior, self._scanned(long, prior, start))
         else:
             best = fit(long, prior, _with_second(long, prior, start), 3)
-            best = self._other_colour(long, prior, best, elapsed_s)
+            other = fit(long, prior, _recoloured(best.logs, _CORNERS_HZ[self.fits % len(_CORNERS_HZ)]), 3)
+            best = other if other.cost < best.cost - _CLEARLY else best
         if elapsed_s > 2.0 * _SHORT_S:
             short = make_stretch(samples[-round(_SHORT_S / self._step_s) :], self._step_s, band, floor)
-            if score_gain(short, prior, best.logs) > _DRIFT_EVIDENCE:
-                best = _prefer(best, fit(short, prior, best.logs, 4), short, prior)
+            best = _prefer(best, fit(short, prior, start, 3), short, prior)
         best = _without_idle_seconds(long, prior, best)
         out, at = [], 0
         for k, size in zip(which, prior.sizes, strict=True):
@@ -165,14 +164,6 @@ class Adaptation:
                 best = found
         assert best is not None
         return fit(stretch, prior, best.logs, _ROUNDS)
-
-    def _other_colour(self, stretch: Stretch, prior: Prior, best: Fit, elapsed_s: float) -> Fit:
-        """Now and then, see whether a gust of another colour explains as well."""
-        if elapsed_s > _LONG_S and self.fits % _SELDOM:
-            return best
-        corners_hz = _CORNERS_HZ[self.fits // (_SELDOM if elapsed_s > _LONG_S else 1) % len(_CORNERS_HZ)]
-        other = fit(stretch, prior, _recoloured(best.logs, corners_hz), 3)
-        return other if other.cost < best.cost - _CLEARLY else best
 
     def _channel(self, rows: Floats, which: tuple[int, ...]) -> tuple[Floats, _Floor]:
         tip = self._noise.own[[Z_LEFT, Z_RIGHT]] * 2.0 * self._step_s

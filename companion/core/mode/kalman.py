@@ -21,7 +21,6 @@ from companion.core.mode.sensitivity import own_scales
 from companion.records import Floats, Ints
 
 _SOLVE_EVERY = 25
-_SYMMETRISE_EVERY = 8
 _LOAD_TIME_S = 0.1
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
 # that is not white, and what that would teach about its scale is wrong.
@@ -47,7 +46,6 @@ class History:
     state: Floats
     covariance: Floats
     static_m: Floats
-    filled: list[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +114,6 @@ class Kalman:
             np.zeros((keep, n, 1 + c)),
             np.zeros((keep, n, n)),
             np.zeros((keep, 1 + c)),
-            [0] * keep,
         )
         self._views: dict[int, _View] = {}
         self.use(model)
@@ -175,7 +172,7 @@ class Kalman:
         h.state[at], h.covariance[at], h.transition[at] = x[:n], self.covariance, model.transition
         h.static_m[at] = x[n]
         m = len(view.rows)
-        a = self._transition
+        a = model.transition[:, :n]
         grown = a @ self.covariance @ a.T + model.noise
         if m:
             for local, bias, side in view.lateral:
@@ -196,10 +193,8 @@ class Kalman:
             h.gain[at, :, :m], h.sense[at, :m], h.innovation[at, :m] = gain, g, innovation
         else:
             x[:n] = model.transition @ x
-        if h.filled[at] > m:
-            h.weighted[at, :, m:], h.gain[at, :, m:], h.innovation[at, m:] = 0.0, 0.0, 0.0
-        h.filled[at] = m
-        self.covariance = grown if self.steps % _SYMMETRISE_EVERY else 0.5 * (grown + grown.T)
+        h.weighted[at, :, m:], h.gain[at, :, m:], h.innovation[at, m:] = 0.0, 0.0, 0.0
+        self.covariance = 0.5 * (grown + grown.T)
         self._unsolved += 1
         self.steps += 1
 
@@ -262,7 +257,6 @@ class Kalman:
     def use(self, model: StepModel) -> None:
         """Go on with another model of the same wing."""
         self.model = model
-        self._transition = np.ascontiguousarray(model.transition[:, : self.layout.size])
         self._views.clear()
         n = self.layout.size
         ahead, now = model.transition, np.eye(n, n + 1)

@@ -206,12 +206,6 @@ def fit(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> Fit:
     return Fit(logs, spread, best)
 
 
-def score_gain(stretch: Stretch, prior: Prior, logs: Floats) -> float:
-    """Log posterior that one scoring step from ``logs`` promises to gain: tells cheaply whether a fit is worth it."""
-    gradient, information = _slope(stretch, prior, logs)
-    return 0.5 * float(gradient @ np.linalg.solve(information, gradient))
-
-
 def _moved(prior: Prior, logs: Floats, gradient: Floats, information: Floats, damping: float) -> Floats:
     """One step, parameters at their limits held where the step would push them out."""
     free = ~(((logs <= prior.low) & (gradient > 0.0)) | ((logs >= prior.high) & (gradient < 0.0)))
