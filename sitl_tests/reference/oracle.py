@@ -16,6 +16,7 @@ from sitl_tests.reference.observer import (
     initial_covariance,
     layout_of,
 )
+from sitl_tests.reference.priors import Sensitivity, constants_of
 from sitl_tests.reference.spec import TruthSpec
 from sitl_tests.reference.truth import SEGMENT_S
 from sitl_tests.reference.views import views
@@ -26,9 +27,9 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Deflection about trim of the first modes [symmetric, antisymmetric] and slope about trim [left, right].
+    """Deflection of the first modes [symmetric, antisymmetric], trim included, and slope of the tips [left, right].
 
-    Arrays are (S, n, 2); sigmas likewise, ``symmetric_slope_sigma_rad`` (S, n) is that of the tips' mean.
+    Arrays are (S, n, 2); ``symmetric_slope_sigma_rad`` (S, n) is that of the tips' mean.
     """
 
     q_m: Floats
@@ -43,50 +44,87 @@ class Oracle:
     def __init__(self, spec: TruthSpec, samples: tuple[Floats, Floats, Floats]) -> None:
         self.spec = spec
         self.layout = layout_of(spec)
-        data = views(spec, self.layout, samples)
+        self.constants = constants_of(spec)
         self.first = [self.layout.q(0), self.layout.q(1)]
-        self.segments, segment_of = _segments(spec, self.layout, len(data.values))
-        self.segment_of = segment_of
+        data = views(spec, self.layout, samples)
+        errors = Sensitivity(spec, self.layout, self.constants, data.means, data.rows)
+        self.segments, self.segment_of = _segments(spec, self.layout, len(data.values))
         self.excess = data.excess
         P = initial_covariance(spec, self.layout)
-        self.run: Filtered = filtered(self.segments, segment_of, data, P)
+        self.run: Filtered = filtered(self.segments, self.segment_of, data, P, errors)
 
     def causal(self, t_s: Floats) -> Estimate:
         """Estimate at ``t_s`` from the samples before it."""
         at = steps_of(t_s)
-        return self._estimate(self.run.states[at], self.run.covariances[at])
+        return self._estimate(self.run.states[at], self.run.covariances[at], at)
 
     def smoothed(self, t_s: Floats, lag_s: float) -> Estimate:
         """Estimate at ``t_s`` from the samples up to ``lag_s`` later."""
-        states, covariances = smoothed(self.run, steps_of(t_s), round(lag_s / REFERENCE_STEP_S))
-        return self._estimate(states, covariances)
+        at, lag = steps_of(t_s), round(lag_s / REFERENCE_STEP_S)
+        return self._estimate(*smoothed(self.run, at, lag), at + lag)
 
-    def forecast(self, t_s: Floats, seed_index: int, count: int) -> Floats:
-        """Deflections about trim (len(t), count, 2) 1, 2, ... ms after each ``t_s``, from the samples before it.
+    def forecast(self, t_s: float, seed_index: int, count: int) -> Floats:
+        """Deflections about trim (count, 2) 1, 2, ... ms after ``t_s``, from the samples before ``t_s``.
 
         The load factor of the last step is held.
         """
-        found = np.empty((len(t_s), count, 2))
-        for i, k in enumerate(steps_of(t_s)):
-            system = self.segments[self.segment_of[min(k, len(self.segment_of) - 1)]]
-            push = system.fine_push * self.excess[k - 1, seed_index]
-            x = self.run.states[k, seed_index, :, 0]
-            for j in range(count):
-                x = system.fine @ x + push
-                found[i, j] = x[self.first]
+        k = int(steps_of(np.array([t_s]))[0])
+        system = self.segments[self.segment_of[min(k, len(self.segment_of) - 1)]]
+        push = system.fine_push * self.excess[k - 1, seed_index]
+        theta = self.run.constants(k)[0][seed_index]
+        x = self.run.states[k, seed_index] @ np.concatenate([[1.0], theta])
+        found = np.empty((count, 2))
+        for j in range(count):
+            x = system.fine @ x + push
+            found[j] = x[self.first]
         return found
 
-    def _estimate(self, states: Floats, covariances: Floats) -> Estimate:
-        at = self.first
-        q = states[:, :, at, 0].swapaxes(0, 1)
-        variance = np.stack([covariances[:, :, i, i] for i in at], axis=-1)
-        row = np.zeros((2, self.layout.size))
+    def _estimate(self, columns: Floats, covariances: Floats, told_at: Ints) -> Estimate:
+        """Put state and constants together, for every instant and seed."""
+        shape = columns.shape[1::-1]
+        q, sigma, slope = np.empty((*shape, 2)), np.empty((*shape, 2)), np.empty((*shape, 2))
+        spread = np.empty(shape)
+        for i, step in enumerate(told_at):
+            theta, of_theta = self.run.constants(int(step))
+            for s in range(shape[0]):
+                state = columns[i, s, :, 0] + columns[i, s, :, 1:] @ theta[s]
+                rows, by_constants = self._rows(state, theta[s])
+                by_constants += rows @ columns[i, s, :, 1:]
+                P = rows @ covariances[i, s] @ rows.T + by_constants @ of_theta[s] @ by_constants.T
+                trim = self.spec.trim_bend_m + self._theta("trim", theta[s])
+                q[s, i] = state[self.first] + np.array([trim, 0.0])
+                sigma[s, i] = np.sqrt(np.diag(P)[:2])
+                slope[s, i] = self._slope(state, theta[s], trim)
+                spread[s, i] = np.sqrt(P[2, 2])
+        return Estimate(q, sigma, slope, spread)
+
+    def _rows(self, state: Floats, theta: Floats) -> tuple[Floats, Floats]:
+        """Derivatives of [q symmetric, q antisymmetric, mean slope of the tips] by state and by constants."""
+        rows, by_constants = np.zeros((3, self.layout.size)), np.zeros((3, len(theta)))
+        rows[[0, 1], self.first] = 1.0
+        for i in (0, 2)[: self.layout.modes - 1]:
+            factor = self.spec.modes[i].slope_radpm
+            rows[2, self.layout.q(i)] = factor * (1 + self._theta(f"slope{i}", theta))
+            column = self.constants.index(f"slope{i}")
+            if column is not None:
+                by_constants[2, column] = factor * (state[self.layout.q(i)] + (self.spec.trim_bend_m if i == 0 else 0))
+        column = self.constants.index("trim")
+        if column is not None:
+            by_constants[0, column] = 1.0
+            by_constants[2, column] = rows[2, self.first[0]]
+        return rows, by_constants
+
+    def _slope(self, state: Floats, theta: Floats, trim_m: float) -> Floats:
+        slope = np.zeros(2)
         for i, mode in enumerate(self.spec.modes):
-            row[:, self.layout.q(i)] = mode.slope_radpm * np.array([-1.0 if i == 1 else 1.0, 1.0])
-        slope = np.einsum("tn,ksn->skt", row, states[..., 0])
-        even = row.mean(axis=0)
-        spread = np.sqrt(np.einsum("n,ksnm,m->sk", even, covariances, even))
-        return Estimate(q, np.sqrt(variance.swapaxes(0, 1)), slope, spread)
+            q = state[self.layout.q(i)] + (trim_m if i == 0 else 0.0)
+            sign = np.array([-1.0 if i == 1 else 1.0, 1.0])
+            slope += mode.slope_radpm * (1 + self._theta(f"slope{i}", theta)) * q * sign
+        return slope
+
+    def _theta(self, name: str, theta: Floats) -> float:
+        column = self.constants.index(name)
+        return 0.0 if column is None else float(theta[column])
 
 
 def steps_of(t_s: Floats) -> Ints:

@@ -60,14 +60,16 @@ class TruthRun:
         index, part = _locate(t_s, self.steps)
         return self.v_mps[..., index] * (1 - part) + self.v_mps[..., index + 1] * part
 
-    def slope_at(self, t_s: Floats) -> Floats:
-        """True slope about trim at the left and the right tip, (S, 2, len(t)) rad."""
-        return self.slopes(self.q_at(t_s))
+    def total_at(self, t_s: Floats) -> Floats:
+        """Deflection with trim (S, modes, len(t))."""
+        q = self.q_at(t_s)
+        q[:, 0] += self.trim_m()[:, None]
+        return q
 
-    def slopes(self, q_m: Floats) -> Floats:
-        """Tip slopes (S, 2, ...) of modal coordinates (S, modes, ...)."""
+    def slope_at(self, t_s: Floats) -> Floats:
+        """True slope, trim included, at the left and the right tip, (S, 2, len(t)) rad."""
         factors = np.array([mode.slope_radpm for mode in self.spec.modes]) * (1 + self.errors.slope_ratio)
-        parts = factors[:, :, None] * q_m
+        parts = factors[:, :, None] * self.total_at(t_s)
         even = parts[:, 0] + parts[:, 2:].sum(axis=1)
         return np.stack([even - parts[:, 1], even + parts[:, 1]], axis=1)
 

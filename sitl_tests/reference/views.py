@@ -36,6 +36,10 @@ class Views:
         Covariance of the sensors' own noise.
     excess : (K, S)
         Measured load factor less 1.
+    root_gain : (m,), root_variance : float
+        How the root's vertical noise enters the rows directly, and its variance: it is in ``excess`` as well.
+    rows : list of (kind, station)
+    means : Reduced
     """
 
     values: Floats
@@ -43,10 +47,14 @@ class Views:
     bias_gains: Floats
     noise: Floats
     excess: Floats
+    root_gain: Floats
+    root_variance: float
+    rows: list[tuple[str, int]]
+    means: Reduced
 
 
 @dataclass(frozen=True, slots=True)
-class _Means:
+class Reduced:
     """Averages over each step, (K, S, 6); ``moment`` the first moment of z; per station."""
 
     mean: list[Floats]
@@ -54,7 +62,7 @@ class _Means:
     tilt_s: list[Floats]
 
 
-def reduce(samples: tuple[Floats, Floats, Floats]) -> _Means:
+def reduce(samples: tuple[Floats, Floats, Floats]) -> Reduced:
     """Average samples (S, N, 6) over the steps."""
     mean, moment, tilt = [], [], []
     for block in samples:
@@ -65,7 +73,12 @@ def reduce(samples: tuple[Floats, Floats, Floats]) -> _Means:
         z_moment = grouped[..., _Z] @ MOMENT
         moment.append(z_moment)
         tilt.append(z_moment * SAMPLE_S)  # average of z (t - middle)
-    return _Means(mean, moment, tilt)
+    return Reduced(mean, moment, tilt)
+
+
+def push_ratio(spec: TruthSpec) -> float:
+    """How much the tip is pushed up by the bend that the load factor demands, over the root's own acceleration."""
+    return float((2 * np.pi * spec.symmetric.frequency_hz) ** 2 * spec.bend_per_g_m / GRAVITY_MPS2)
 
 
 def views(spec: TruthSpec, layout: Layout, samples: tuple[Floats, Floats, Floats]) -> Views:
@@ -84,13 +97,15 @@ def views(spec: TruthSpec, layout: Layout, samples: tuple[Floats, Floats, Floats
 
 
 class _Builder:
-    def __init__(self, spec: TruthSpec, layout: Layout, means: _Means) -> None:
+    def __init__(self, spec: TruthSpec, layout: Layout, means: Reduced) -> None:
         self.spec, self.layout, self.means = spec, layout, means
         self.shape = means.mean[0].shape[:2]
         self.values: list[Floats] = []
         self.gains: list[Floats] = []
         self.bias_gains: list[Floats] = []
         self.noise: list[dict[tuple[str, int], float]] = []
+        self.rows: list[tuple[str, int]] = []
+        self.push_ratio = push_ratio(spec)
         self.trim_rad = spec.trim_bend_m * spec.symmetric.slope_radpm
 
     def vertical(self, station: int) -> None:
@@ -101,7 +116,7 @@ class _Builder:
         rigid_z = root[..., _Z] + root[..., 4] * root[..., 5] * arm
         lateral = self._lateral_force(station)
         M, b = self._rows()
-        lean = -(s * tip[..., _Z] / c + e * (c + s * s / c) * lateral)
+        lean = -(s * root[..., _Z] + e * c * lateral)
         for mode, sign, factor in self._signs(station):
             M[..., at.basis("a", mode)] = -c * sign
             M[..., at.basis("q", mode)] += lean * sign * factor
@@ -113,8 +128,10 @@ class _Builder:
         for mode, sign, _ in self._signs(station):
             M[..., at.basis("a1", mode)] = -c * sign
         M[..., at.basis("alpha1")] = c * arm
-        value = self.means.moment[station] - c * self.means.moment[0]
-        self._add(value, M, b, {("z1", station): 1.0, ("z1", 0): -c})
+        # the load factor's own slope inside the step pushes the symmetric mode as well
+        share = c * (1 + self.push_ratio)
+        value = self.means.moment[station] - share * self.means.moment[0]
+        self._add(value, M, b, {("z1", station): 1.0, ("z1", 0): -share})
 
     def lateral(self, station: int) -> None:
         """The lateral axis: the slope through the measured vertical specific force."""
@@ -158,7 +175,19 @@ class _Builder:
         variances = np.diag([self._variance(*key) for key in keys])
         excess = -self.means.mean[0][..., _Z] / GRAVITY_MPS2 - 1
         gains, bias_gains = np.stack(self.gains, axis=2), np.stack(self.bias_gains, axis=2)
-        return Views(np.stack(self.values, axis=2), gains, bias_gains, mix @ variances @ mix.T, excess)
+        values = np.stack(self.values, axis=2)
+        root_gain = mix[:, keys.index(("z", 0))]
+        return Views(
+            values,
+            gains,
+            bias_gains,
+            mix @ variances @ mix.T,
+            excess,
+            root_gain,
+            self._variance("z", 0),
+            self.rows,
+            self.means,
+        )
 
     def _variance(self, kind: str, station: int) -> float:
         sensor = self.spec.sensors[station]
@@ -184,3 +213,4 @@ class _Builder:
         self.gains.append(M)
         self.bias_gains.append(b)
         self.noise.append(noise)
+        self.rows.append(next(iter(noise)))

@@ -162,7 +162,7 @@ def run(seeds: int = SEEDS, suites: list[str] | None = None, jobs: int = 2) -> l
 def main(arguments: list[str] | None = None) -> int:
     """Run the bench; exit with 1 where a target is missed."""
     parser = argparse.ArgumentParser(prog="tools.bench.accuracy", description=__doc__)
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="runs of each frequency (pooled suites) or suite")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="runs of a suite; twice as many of the pooled ones")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} seeds: a look, not a verdict")
     parser.add_argument("--cases", nargs="+", choices=SUITES, default=list(SUITES), metavar="CASE")
     parser.add_argument("--jobs", type=int, default=2)

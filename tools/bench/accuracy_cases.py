@@ -45,26 +45,29 @@ class Cell:
 
 
 def cells(suite: str, seeds: int, duration_s: float) -> list[Cell]:
-    """Give the cells of one suite; ``seeds`` is the number of runs for each frequency, or of all where there is one."""
+    """Give the cells of one suite, with ``seeds`` runs in all; the pooled suites take twice as many.
+
+    With 50 seeds the pooled suites meet every combination of frequency, damping, gust and second mode once.
+    """
     if suite in ("six-axis", "vertical"):
-        return _pooled(suite, seeds, duration_s)
+        return _pooled(suite, 2 * seeds, duration_s)
     return _gathered(suite, [_special(suite, i, duration_s) for i in range(seeds)])
 
 
-def _pooled(suite: str, seeds: int, duration_s: float) -> list[Cell]:
-    """Every frequency with every seed; seed i takes combination i of damping, gust and second mode."""
+def _pooled(suite: str, runs: int, duration_s: float) -> list[Cell]:
+    """Run i takes frequency i mod 4, and then combination i // 4 of damping, gust and second mode."""
     rows = []
-    for number, frequency in enumerate(FREQUENCIES_HZ):
-        for i in range(seeds):
-            spec = _spec(
-                frequency,
-                DAMPINGS[i % 3],
-                SHAPES[i // 3 % 4],
-                second=i // 12 % 2 == 1,
-                duration_s=duration_s,
-                sends="z" if suite == "vertical" else "xyzpqr",
-            )
-            rows.append((spec, Perturbation(), 1000 * number + i))
+    for i in range(runs):
+        k = i // 4
+        spec = _spec(
+            FREQUENCIES_HZ[i % 4],
+            DAMPINGS[k % 3],
+            SHAPES[k // 3 % 4],
+            second=(k // 12 + k) % 2 == 1,
+            duration_s=duration_s,
+            sends="z" if suite == "vertical" else "xyzpqr",
+        )
+        rows.append((spec, Perturbation(), 1000 * SUITES.index(suite) + i))
     return _gathered(suite, rows)
 
 

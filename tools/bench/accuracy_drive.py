@@ -16,9 +16,9 @@ from tools.bench.accuracy_peaks import Issue
 
 LAG_S = 0.5
 START_S = 10.0
-EVERY_S = 0.04
+EVERY_S = 0.1
 LOCK_S = 5.0
-_CHUNKS_S = (0.008, 0.012)
+_CHUNKS_S = (0.044, 0.056)
 _GRID_S = 0.004
 _MARGIN_S = 0.004  # samples that have arrived beyond the newest processed instant
 
@@ -85,7 +85,7 @@ def drive(
 
 
 def _ends(duration_s: float, issue_at: dict[int, list[int]]) -> list[int]:
-    """Chunk ends in steps of the grid: 8 and 12 ms in turn, and wherever a forecast is called for."""
+    """Chunk ends in steps of the grid: 44 and 56 ms in turn, and wherever a forecast is called for."""
     pattern = [round(c / _GRID_S) for c in _CHUNKS_S]
     last = round((duration_s - _MARGIN_S) / _GRID_S)
     ends, at, turn = set(issue_at), 0, 0

@@ -74,10 +74,10 @@ def _score_some(cell: Cell, seeds: tuple[int, ...]) -> list[Score]:
         truth = _Truth(run, s, at_s)
         curves: list[list[Floats | None]] = [told.forecasts, []]
         for issue in issues:
-            curves[1].append(oracle.forecast(np.array([issue.t_s]), s, issue.count)[0, :, issue.mode])
+            curves[1].append(oracle.forecast(issue.t_s, s, issue.count)[:, issue.mode])
         peak = np.array([[_peak(issues, c, mode) for mode in (0, 1)] for c in curves])
         reference = (causal.q_m[s], causal.q_sigma_m[s], smoothed.q_m[s], smoothed.q_sigma_m[s])
-        slope_error = (told.slope.sum(axis=1) - truth.slope, smoothed.slope_rad[s].sum(axis=1) - truth.about_trim_slope)
+        slope_error = (told.slope.sum(axis=1) - truth.slope, smoothed.slope_rad[s].sum(axis=1) - truth.slope)
         mode = cell.spec.symmetric
         scores.append(
             Score(
@@ -86,8 +86,8 @@ def _score_some(cell: Cell, seeds: tuple[int, ...]) -> list[Score]:
                 seed=seed,
                 frequency_hz=mode.frequency_hz,
                 gust=cell.spec.gust.name,
-                causal=np.stack([truth.square(told.causal, truth.q), truth.square(reference[0], truth.about_trim)]),
-                smoothed=np.stack([truth.square(told.smoothed, truth.q), truth.square(reference[2], truth.about_trim)]),
+                causal=np.stack([truth.square(told.causal, truth.q), truth.square(reference[0], truth.q)]),
+                smoothed=np.stack([truth.square(told.smoothed, truth.q), truth.square(reference[2], truth.q)]),
                 slope_rad2=np.array([np.nanmean(error**2) for error in slope_error]),
                 peak=peak,
                 nees=_nees(told, reference, truth),
@@ -102,13 +102,9 @@ class _Truth:
     """The truth of one seed at the judged instants."""
 
     def __init__(self, run: TruthRun, s: int, at_s: Floats) -> None:
-        spec = run.spec
-        self.about_trim = run.q_at(at_s)[s, :2].T
-        self.q = self.about_trim + np.array([run.trim_m()[s], 0.0])
-        self.rms = np.array([mode.rms_m for mode in spec.modes[:2]])
-        self.about_trim_slope = run.slope_at(at_s)[s].sum(axis=0)
-        factor = spec.symmetric.slope_radpm * (1 + run.errors.slope_ratio[s, 0])
-        self.slope = self.about_trim_slope + 2 * factor * run.trim_m()[s]
+        self.q = run.total_at(at_s)[s, :2].T
+        self.rms = np.array([mode.rms_m for mode in run.spec.modes[:2]])
+        self.slope = run.slope_at(at_s)[s].sum(axis=0)
 
     def square(self, told: Floats, q: Floats) -> Floats:
         """Mean square error per mode, in units of its rms."""
@@ -129,8 +125,8 @@ def _peak(issues: list, curves: list[Floats | None], mode: int) -> float:  # typ
 def _nees(told: Told, reference: tuple[Floats, Floats, Floats, Floats], truth: _Truth) -> Floats:
     every = round(_INDEPENDENT_S / (told.instants_s[1] - told.instants_s[0]))
     pairs = (
-        ((told.causal - truth.q) / told.causal_sigma, (reference[0] - truth.about_trim) / reference[1]),
-        ((told.smoothed - truth.q) / told.smoothed_sigma, (reference[2] - truth.about_trim) / reference[3]),
+        ((told.causal - truth.q) / told.causal_sigma, (reference[0] - truth.q) / reference[1]),
+        ((told.smoothed - truth.q) / told.smoothed_sigma, (reference[2] - truth.q) / reference[3]),
     )
     return np.array([[np.nanmean(z[::every] ** 2, axis=0) for z in pair] for pair in pairs])
 
