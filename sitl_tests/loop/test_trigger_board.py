@@ -23,6 +23,7 @@ from companion.records import Firing, TriggerPlan
 
 SOURCE = Path(__file__).resolve().parents[2] / "tools" / "trigger_board"
 SKEW_PPM = 20.0
+pytestmark = pytest.mark.realtime
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
 
 
@@ -64,7 +65,6 @@ def bench(firmware: Path, tmp_path: Path) -> Iterator[Bench]:
 
 
 @needs_compiler
-@pytest.mark.realtime
 def test_the_edge_comes_when_it_was_planned(bench: Bench) -> None:
     """Planned against true edge, by the firmware's own look at the host's clock; a table for who reads with -s."""
     trigger = SerialBoardTrigger(bench.port)

@@ -101,7 +101,10 @@ class SerialBoardTrigger:
         target_ns = plan.command_host_ns + LEAD_NS
         offset_ns, _ = self.clock.offset(time.monotonic_ns())
         wanted = plan.plan_id % (1 << 32)
-        self._send(f"F {wanted} {(target_ns + offset_ns + 500) // 1000} {_WIDTH_US}")
+        board_us = (target_ns + offset_ns + 500) // 1000
+        if board_us < 0:  # the protocol has no negative times
+            raise DeviceError(f"trigger board refused plan {plan.plan_id}: late (before the board was started)")
+        self._send(f"F {wanted} {board_us} {_WIDTH_US}")
         verdict = self._await("f", wanted)
         if verdict[0] != "ok":
             raise DeviceError(f"trigger board refused plan {plan.plan_id}: {verdict[0]}")
