@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.stamp
 
-.PHONY: demo test check fast lint types architecture generated bench lock clean help
+.PHONY: demo test long check fast lint types architecture generated bench lock clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -19,9 +19,12 @@ $(STAMP): requirements.lock pyproject.toml
 demo: $(STAMP)   ## fly the simulated aircraft against the live service and show the ranges
 	$(BIN)/spanwise demo
 
-test: $(STAMP)   ## every test; those that start live processes come last and have the machine to themselves
-	$(BIN)/python -m pytest -n 2 -m "not realtime"
-	$(BIN)/python -m pytest -m realtime
+test: $(STAMP)   ## the tests; those that start live processes come last and have the machine to themselves
+	$(BIN)/python -m pytest -n 2 -m "not realtime and not long"
+	$(BIN)/python -m pytest -m "realtime and not long"
+
+long: $(STAMP)   ## what takes minutes of processor time each: live demo, fault flights, blind trials, measured wings
+	$(BIN)/python -m pytest -m long
 
 check: lint types architecture generated fast ## what must be green before a commit (under two minutes)
 
@@ -39,7 +42,7 @@ generated: $(STAMP) ## generated files are fresh
 	$(BIN)/spanwise params --check
 
 fast: $(STAMP)
-	$(BIN)/python -m pytest -n 2 -m "not slow and not realtime" --ignore sitl_tests/architecture
+	$(BIN)/python -m pytest -n 2 -m "not slow and not realtime and not long" --ignore sitl_tests/architecture
 
 bench: $(STAMP)  ## speed, memory and accuracy figures, side by side with the alternatives
 	$(BIN)/python -m tools.bench

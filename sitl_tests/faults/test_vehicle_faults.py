@@ -23,7 +23,7 @@ def flight() -> Flight:
     return build()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", HARMLESS)
 def test_what_others_send_changes_nothing(flight: Flight, name: str) -> None:
     outcome = strike(flight, BY_NAME[name])
@@ -32,7 +32,7 @@ def test_what_others_send_changes_nothing(flight: Flight, name: str) -> None:
     assert set(outcome.healths) == {Health.ACTIVE}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", HARMFUL)
 def test_ranges_stop_truthfully_and_come_back(flight: Flight, name: str) -> None:
     outcome = strike(flight, BY_NAME[name])

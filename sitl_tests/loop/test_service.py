@@ -33,7 +33,7 @@ def toe_mrad(range_m: Any) -> Any:
     return 1e3 * BASELINE_M * (1.0 / np.asarray(range_m) - 1.0 / GROUND_M)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ranges_are_true_although_the_wing_bends(service: SimulatedService) -> None:
     trusted = [measured for measured in service.tape.of(CorrectedRange) if measured.trusted]
     assert len(trusted) > 20
@@ -48,7 +48,7 @@ def test_ranges_are_true_although_the_wing_bends(service: SimulatedService) -> N
     assert corrected < 0.05 * rigid
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_vehicle_uses_the_ranges_and_never_misses_a_message(service: SimulatedService) -> None:
     report = service.world.report()
     assert report["problems"] == []
@@ -58,7 +58,7 @@ def test_the_vehicle_uses_the_ranges_and_never_misses_a_message(service: Simulat
     assert np.diff(arrivals).max() <= 500 * MS, "ArduPilot counts half a second of silence as a dead range finder"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_used_range_is_stamped_in_the_vehicles_own_time(service: SimulatedService) -> None:
     """A range is some 0.6 s old when it goes out (the smoother's lag), and its stamp says which instant it is of."""
     used = [entry for entry in service.world.report()["ranges"] if entry["used"]]
@@ -67,7 +67,7 @@ def test_every_used_range_is_stamped_in_the_vehicles_own_time(service: Simulated
     assert age_ms.max() < 900
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_heartbeat_and_the_plans_tell_how_it_stands(service: SimulatedService) -> None:
     health = [status.health for status in service.tape.of(ServiceStatus)]
     assert health[0] is Health.BOOT
@@ -79,7 +79,7 @@ def test_the_heartbeat_and_the_plans_tell_how_it_stands(service: SimulatedServic
     assert all(plan.command_host_ns > plan.planned_host_ns > EPOCH_NS for plan in plans if plan.reject is None)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
 def test_the_demo_flies_and_its_recording_replays_to_what_was_published(

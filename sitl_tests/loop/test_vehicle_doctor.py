@@ -266,7 +266,7 @@ def test_cameras_that_do_not_pair() -> None:
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[2].parent / "shared"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["flight.tlog", "flight.BIN"])
 def test_a_recorded_flight_is_examined(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     path = DATA / "recordings" / name

@@ -48,7 +48,7 @@ def test_table_3_s_amplitude() -> None:
     assert experiments.wing_amplitude_m() == pytest.approx(sum(exact) / 3 / (2 * 1.39), rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("key", "paper_removes"), [("boom_1m", 0.70), ("wing_60m", 0.555)])
 def test_the_correction_removes_more_than_the_paper_claims(key: str, paper_removes: float) -> None:
     trial = next(entry for entry in experiments.trials() if entry.key == key)

@@ -180,7 +180,7 @@ CASES = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("truth", CASES.values(), ids=CASES)
 def test_the_reference_is_as_good_as_it_says(truth) -> None:
     """Truth and reference were written from different equations; only if both are right is the error its sigma."""
@@ -194,7 +194,7 @@ def test_the_reference_is_as_good_as_it_says(truth) -> None:
         assert nees == pytest.approx([1.0, 1.0], abs=0.66)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("motion", [LEVEL, flight(2)], ids=["level", "flight"])
 def test_the_reference_that_knows_the_priors_is_as_good_as_it_says(motion) -> None:
     tip = {"accel_scale_sigma": 0.005, "gyro_scale_sigma": 0.005, "misalignment_sigma_rad": 0.005}

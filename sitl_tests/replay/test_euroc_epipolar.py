@@ -20,7 +20,7 @@ from sitl_tests.replay.euroc_judging import calibration_error, cramer_rao, estim
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
 EUROC = DATA / "measured" / "euroc-stereo"
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.long,
     pytest.mark.skipif(not EUROC.exists(), reason="measured/euroc-stereo is not here (SPANWISE_DATA)"),
 ]
 PITCH, YAW, ROLL = 0, 1, 2

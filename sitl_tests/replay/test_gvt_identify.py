@@ -41,7 +41,7 @@ def _near(modes: list[IdentifiedMode], frequency_hz: float) -> IdentifiedMode:
 
 
 @here
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_well_excited_modes_come_back_in_every_run(modes: list[IdentifiedMode]) -> None:
     """Run to run they stay within 2 % in frequency (the accelerometers' mass travels) and 20 % in damping."""
     for frequency in WELL_EXCITED_HZ:
@@ -52,7 +52,7 @@ def test_the_well_excited_modes_come_back_in_every_run(modes: list[IdentifiedMod
 
 
 @here
-@pytest.mark.slow
+@pytest.mark.long
 def test_independent_halves_of_the_data_give_the_same_shapes(modes: list[IdentifiedMode]) -> None:
     """Halves share neither noise nor poles; an assurance above 0.9 is commonly called the same mode."""
     assert all(_near(modes, frequency).assurance > 0.9 for frequency in WELL_EXCITED_HZ)
@@ -60,7 +60,7 @@ def test_independent_halves_of_the_data_give_the_same_shapes(modes: list[Identif
 
 
 @here
-@pytest.mark.slow
+@pytest.mark.long
 def test_first_symmetric_and_antisymmetric_bending_move_as_such(
     test: VibrationTest, modes: list[IdentifiedMode]
 ) -> None:
@@ -73,7 +73,7 @@ def test_first_symmetric_and_antisymmetric_bending_move_as_such(
 
 
 @here
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_writes_an_airframe_that_reads_back(tmp_path: Path) -> None:
     parser = argparse.ArgumentParser()
     identify.add_arguments(parser)
@@ -84,7 +84,7 @@ def test_the_command_writes_an_airframe_that_reads_back(tmp_path: Path) -> None:
 
 
 @here
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("run", [4, 9])  # right tip, left tip
 def test_an_established_library_finds_the_same_modes_in_the_same_run(test: VibrationTest, run: int) -> None:
     """sdypy-EMA (LSCF) on one run's responses: its pole nearest to ours, at its highest order."""
