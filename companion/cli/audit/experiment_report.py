@@ -47,7 +47,8 @@ def _papers(outcomes: Mapping[str, Outcome], peaks: Summaries) -> Section:
         f"more than {printed.BEAM_REMOVED_PERCENT:.0f} %.",
         f"Random excitation: {percent(peaks['boom_random']['removed'], 1)} (boom) and "
         f"{percent(peaks['wing_random']['removed'], 1)} (wing) of the error removed, with one vertical "
-        f"accelerometer per station; {peaks['boom_random']['trusted']} and {peaks['wing_random']['trusted']} of these shots were trusted.",
+        f"accelerometer per station; {peaks['boom_random']['trusted']} and {peaks['wing_random']['trusted']} of these "
+        "shots were trusted.",
     )
     table = Table(
         "Triggered at peaks: range error, rms over the shots",
