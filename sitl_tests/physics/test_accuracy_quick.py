@@ -1,9 +1,9 @@
 """The bench of the tracker's accuracy: its own parts held to closed forms, and a few of its runs held to the targets.
 
 The verdict belongs to ``python -m tools.bench accuracy`` with its hundreds of runs. Here a target counts as missed only
-The verdict belongs to ``python -m tools.bench accuracy`` with its hundreds of runs. Here a target counts as missed
-only where the runs exclude it: where the pooled figure less twice its standard error, taken from the spread of the runs,
-lies beyond it.
+where the runs exclude it: where the pooled figure less twice its standard error (from the spread of the runs) lies
+beyond it.
+"""
 
 from __future__ import annotations
 
