@@ -95,14 +95,14 @@ class CsvRecording(LoggedRecording):
         t_s = table.columns["t_s"]
         found: dict[Station, list[tuple[int, Floats]]] = {}
         for name, values in table.columns.items():
-            column = _inertial_column(file, name, place)
+            column = inertial_column(file, name, place)
             if column is not None:
                 station, index, factor = column
                 found.setdefault(station, []).append((index, values if factor == 1.0 else values * factor))
             elif name != "t_s":
                 self._covariate(file, name, t_s, values)
         for station, columns in sorted(found.items()):
-            yield _stream(station, _nanoseconds(t_s), columns)
+            yield stream_of(station, nanoseconds(t_s), columns)
 
     def _covariate(self, file: Path, name: str, t_s: Floats, values: Floats) -> None:
         if not has_known_unit(name):
@@ -123,7 +123,7 @@ class CsvRecording(LoggedRecording):
 
     def _fitting(self, airframe: Airframe) -> Airframe:
         sensors: dict[str, Any] = {
-            stream.station.name.lower(): _sensor_as_recorded(airframe.sensor(stream.station), stream)
+            stream.station.name.lower(): sensor_as_recorded(airframe.sensor(stream.station), stream)
             for stream in self.streams
         }
         for station in Station:
@@ -154,8 +154,11 @@ def accel_files(folder: Path) -> list[Path]:
     return files
 
 
-def _inertial_column(file: Path, name: str, place: str) -> tuple[Station, int, float] | None:
-    """Station, index of the axis and factor to SI of an inertial column; None for a covariate."""
+def inertial_column(file: Path, name: str, place: str) -> tuple[Station, int, float] | None:
+    """Station, index of the axis and factor to SI of an inertial column; None for a covariate.
+
+    ``place`` is that of ``accel_<place>.csv``, or "". Raises TableError where place, axis or unit is wrong.
+    """
     if place and _BARE.fullmatch(name):
         name = f"{place}_{name}"
     parts = _INERTIAL.fullmatch(name)
@@ -178,7 +181,8 @@ def _inertial_column(file: Path, name: str, place: str) -> tuple[Station, int, f
     return _PLACES[where], _LETTERS.index(axis), _UNITS[axis][unit]
 
 
-def _stream(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -> Stream:
+def stream_of(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -> Stream:
+    """A station's stream of axes by index, each (n,)."""
     values = np.zeros((t_ns.size, 6))
     axes = Axis.NONE
     for index, column in columns:
@@ -187,12 +191,14 @@ def _stream(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -> 
     return Stream(station, ClockName.HOST, axes, t_ns, values)
 
 
-def _sensor_as_recorded(sensor: Sensor, stream: Stream) -> Sensor:
+def sensor_as_recorded(sensor: Sensor, stream: Stream) -> Sensor:
+    """The sensor with the axes and the rate that are really there."""
     sent = [_LETTERS[i] for i in range(6) if stream.axes >> i & 1]
     rate_hz = 1e9 / float(np.median(np.diff(stream.t_ns))) if stream.t_ns.size > 1 else sensor.rate_hz
     source = dataclasses.replace(sensor.source, clock=ClockName.HOST, stamp_offset_s=0.0)
     return dataclasses.replace(sensor, sends="".join(sent), rate_hz=rate_hz, source=source)
 
 
-def _nanoseconds(t_s: Floats) -> Ints:
+def nanoseconds(t_s: Floats) -> Ints:
+    """Seconds as whole nanoseconds."""
     return np.rint(t_s * 1e9).astype(np.int64)

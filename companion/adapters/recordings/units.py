@@ -13,6 +13,16 @@ _FORCE = {"n": 1.0, "mn": 0.001, "kn": 1000.0}
 _OTHERS = "s ms us m mm cm km mps kmh kt rad mrad deg hz rpm nm pa hpa kpa kg w v mv a px k degc".split()  # noqa: SIM905
 _KNOWN = frozenset((*_OTHERS, "ratio", "percent", "strain", "ustrain", "count", *ACCELERATION, *ANGULAR_RATE, *_FORCE))
 _PLAIN_NUMBERS = frozenset({"throttle", "load_factor", "mach"})
+_LENGTH = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+_VOLTAGE = {"v": 1.0, "mv": 1e-3}
+_ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)}
+_STRAIN = {"strain": 1.0, "ustrain": 1e-6}
+_SPEED = {"mps": 1.0, "kmh": 1.0 / 3.6, "kt": 1852.0 / 3600.0}
+_DIMENSIONS = (
+    {**ACCELERATION, "ftps2": 0.3048}, ANGULAR_RATE, {**_FORCE, "lbf": 4.4482216152605}, _LENGTH, _TIME, _VOLTAGE,
+    _ANGLE, _STRAIN, _SPEED,
+)  # fmt: skip
 
 
 def has_known_unit(column: str) -> bool:
@@ -27,3 +37,25 @@ def input_in_si(column: str) -> tuple[str, float]:
         if unit in factors:
             return f"{stem}_{name}", factors[unit]
     return column, 1.0
+
+
+def unit_of(channel: str) -> str:
+    """The unit at the end of a channel's name, "" where there is none that is known."""
+    if channel in _PLAIN_NUMBERS:
+        return ""
+    unit = channel.rpartition("_")[2].lower()
+    return unit if unit in _KNOWN or any(unit in units for units in _DIMENSIONS) else ""
+
+
+def conversion(unit: str, wanted: str) -> float | None:
+    """What a number in ``unit`` is multiplied by to be in ``wanted``; None where they are of different kinds.
+
+    A unit is written as in the names of columns; upper and lower case are the same.
+    """
+    unit, wanted = unit.lower(), wanted.lower()
+    if unit == wanted:
+        return 1.0
+    for units in _DIMENSIONS:
+        if unit in units and wanted in units:
+            return units[unit] / units[wanted]
+    return None

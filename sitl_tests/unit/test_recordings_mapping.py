@@ -1,0 +1,188 @@
+"""Tables in another layout: mapping files, text and MATLAB readers, errors that name file, line, column and unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from companion.adapters.recordings.mapped import files_of, read_mapped
+from companion.adapters.recordings.mapped_recording import MappedRecording
+from companion.adapters.recordings.mapping import TestKind, known_mappings, load_mapping, parse_mapping
+from companion.adapters.recordings.units import conversion
+from companion.errors import ConfigError, RecordingError, TableError
+from companion.params.files import load_airframe
+from companion.records import Axis, Station
+
+VOLTS = """
+[table]
+delimiter = "tab"
+header_line = 3
+first_line = 5
+[columns]
+"Time" = { channel = "t_s", unit = "ms" }
+"Acc L" = { channel = "left_z_mps2", unit = "V", scale = -2.0, offset = -9.80665 }
+"Gauge" = { channel = "strain_v", unit = "V", optional = true }
+"""
+
+
+def table(tmp_path: Path, text: str, name: str = "one.txt") -> Path:
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_a_text_table_with_a_foreign_header_is_read_in_si(tmp_path: Path) -> None:
+    path = table(tmp_path, "rig 7\nno date\nTime\tOther\tAcc L\n\n0\tx\t1\n2.5\ty\t-0.5\n4\tz\t0\n")
+    read = read_mapped(path, parse_mapping(VOLTS, "lab.toml"))
+    np.testing.assert_allclose(read.t_s, [0.0, 0.0025, 0.004])
+    np.testing.assert_allclose(read.channels["left_z_mps2"], [-11.80665, -8.80665, -9.80665])
+    assert read.notes == ("one.txt: no column 'Gauge' (strain_v)",)
+
+
+@pytest.mark.parametrize(
+    ("rows", "line", "told"),
+    [
+        ("0\tx\t1\n1\tx\thigh\n", 6, "column 'Acc L' (left_z_mps2, unit V): 'high' is not a number"),
+        ("0\tx\t1\n1\tx\tnan\n", 6, "column 'Acc L' (left_z_mps2, unit V): 'nan' is not a finite number"),
+        ("0\tx\t1\n1\tx\t\n", 6, "column 'Acc L' (left_z_mps2, unit V) is empty"),
+        ("0\tx\t1\n1\tx\n", 6, "2 cells, but column 'Acc L' is number 3"),
+        ("0\tx\t1\n1\tx\t2\n1\tx\t2\n", 7, "time must increase"),
+        ("", 5, "no row of numbers"),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_named_with_line_column_and_unit(
+    tmp_path: Path, rows: str, line: int, told: str
+) -> None:
+    path = table(tmp_path, f"rig 7\nno date\nTime\tOther\tAcc L\n\n{rows}")
+    with pytest.raises(TableError) as error:
+        read_mapped(path, parse_mapping(VOLTS, "lab.toml"))
+    assert f"{path}, line {line}: " in str(error.value)
+    assert told in str(error.value)
+
+
+def test_a_missing_column_is_named_with_its_unit_and_with_what_is_there(tmp_path: Path) -> None:
+    path = table(tmp_path, "rig 7\nno date\nTime\tAcc R\n\n0\t1\n")
+    with pytest.raises(TableError, match=r"line 3: column 'Acc L' \(left_z_mps2, unit V\) of lab.toml is missing") as e:
+        read_mapped(path, parse_mapping(VOLTS, "lab.toml"))
+    assert "'Time', 'Acc R'" in str(e.value)
+
+
+def test_columns_go_by_number_where_there_is_no_header_and_time_by_rate(tmp_path: Path) -> None:
+    mapping = parse_mapping(
+        'rate_hz = 500.0\n[table]\ndelimiter = "space"\nheader_line = 0\n'
+        '[columns]\n"#2" = { channel = "right_z_mps2", unit = "g" }\n',
+        "bare.toml",
+    )
+    read = read_mapped(table(tmp_path, " 5   1.0\n 6  -1.0\n 7   0.5\n"), mapping)
+    np.testing.assert_allclose(read.t_s, [0.0, 0.002, 0.004])
+    np.testing.assert_allclose(read.channels["right_z_mps2"], [9.80665, -9.80665, 4.903325])
+
+
+def test_a_matlab_file_is_read_by_names_in_the_file(tmp_path: Path) -> None:
+    mapping = parse_mapping(
+        'test = "vibration"\nrate_hz = 100.0\n[matlab]\narray = "data"\nnames = "channels"\n'
+        '[columns]\n"Force" = { channel = "input_n", unit = "lbf" }\n'
+        '"Tip" = { channel = "response_tip_mps2", unit = "V", scale = 10.0 }\n'
+        '[[recordings]]\nfile = "run2.mat"\nvalues = { sensor_span_m = 0.5 }\n',
+        "gvt.toml",
+    )
+    data = np.array([[9.0, 1.0, 0.1], [9.0, 2.0, -0.2]])
+    savemat(tmp_path / "run2.mat", {"data": data, "channels": np.array(["Drive", "Force", "Tip"], dtype=object)})
+    read = read_mapped(tmp_path / "run2.mat", mapping)
+    np.testing.assert_allclose(read.channels["input_n"], [4.4482216152605, 8.896443230521])
+    np.testing.assert_allclose(read.channels["response_tip_mps2"], [1.0, -2.0])
+    assert read.constants == {"sensor_span_m": 0.5}
+    data[1, 2] = np.inf
+    savemat(tmp_path / "run2.mat", {"data": data, "channels": np.array(["Drive", "Force", "Tip"], dtype=object)})
+    with pytest.raises(TableError, match=r"run2.mat, line 2: column 'Tip' \(response_tip_mps2, unit V\): inf"):
+        read_mapped(tmp_path / "run2.mat", mapping)
+    savemat(tmp_path / "run2.mat", {"data": data, "channels": np.array(["Drive", "Force", "Root"], dtype=object)})
+    with pytest.raises(RecordingError, match=r"no channel 'Tip' \(response_tip_mps2, unit V\) of gvt.toml; it has"):
+        read_mapped(tmp_path / "run2.mat", mapping)
+    with pytest.raises(RecordingError, match="cannot be read as a MATLAB v5 file"):
+        read_mapped(table(tmp_path, "no matlab", "x.mat"), mapping)
+
+
+def test_files_of_a_folder_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for k in (10, 9, 1):
+        table(tmp_path, "", f"run{k}.txt")
+    table(tmp_path, "", "notes.md")
+    mapping = parse_mapping(f'files = "run*.txt"\n{VOLTS}', "lab.toml")
+    assert [path.name for path in files_of(tmp_path, mapping)] == ["run1.txt", "run9.txt", "run10.txt"]
+    with pytest.raises(RecordingError, match="no such file or folder"):
+        files_of(tmp_path / "nowhere", mapping)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (('unit = "ms"', 'unit = "V"'), "'columns.Time.scale' is missing: nothing is known that makes 's' of unit 'V'"),
+        (("scale = -2.0, ", ""), "'columns.Acc L.scale' is missing"),
+        (("scale = -2.0", "scale = 0"), "'columns.Acc L.scale' must not be 0"),
+        (("scale = -2.0", "gain = -2.0"), "'columns.Acc L.scale' is missing"),
+        (('"strain_v", unit = "V"', '"left_z_mps2", unit = "g"'), "is the second column of channel 'left_z_mps2'"),
+        (('"tab"', '"pipe"'), "'table.delimiter' must be one of comma, semicolon, tab, space, not 'pipe'"),
+        (("first_line = 5", "first_line = 2"), "'table.first_line' must come after the header line"),
+        (('channel = "t_s"', 'channel = "clock_s"'), "give either a column with channel = 't_s' or rate_hz"),
+        (("[table]", "test = 'walk'\n[table]"), "'test' must be one of flight, ringing, vibration, not 'walk'"),
+        (("[table]", "surprise = 1\n[table]"), "'surprise' is no key of a mapping file"),
+        (("[table]", "band_hz = [5, 2]\n[table]"), "'band_hz' must be two frequencies"),
+    ],
+)
+def test_what_is_wrong_in_a_mapping_is_named_with_file_and_key(change: tuple[str, str], told: str) -> None:
+    text = VOLTS.replace(*change)
+    assert text != VOLTS
+    with pytest.raises(ConfigError) as error:
+        parse_mapping(text, "lab.toml")
+    assert str(error.value).startswith("lab.toml: ")
+    assert told in str(error.value)
+
+
+def test_an_unknown_mapping_lists_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match="no mapping 'nowhere'; known: dropbear8"):
+        load_mapping("nowhere")
+
+
+@pytest.mark.parametrize("name", known_mappings())
+def test_the_mappings_that_travel_with_spanwise_are_whole(name: str) -> None:
+    mapping = load_mapping(name)
+    assert mapping.description
+    assert mapping.columns
+    if mapping.test is TestKind.RINGING:
+        assert mapping.band_hz is not None
+
+
+def test_the_laboratory_table_becomes_a_recording_with_ranges_where_there_are_any(tmp_path: Path) -> None:
+    path = table(
+        tmp_path,
+        "time_ms,right_g,left_g,airspeed_kt,range_m,reference_m\n0,-1,-1.5,10,,\n1,-1,-1,10,52.8,60\n2,-1,-1,11,,\n",
+        "wing.csv",
+    )
+    recording = MappedRecording(path, load_mapping("two-accelerometers"), load_airframe("nadir-2m"))
+    assert [(stream.station, stream.axes) for stream in recording.streams] == [
+        (Station.LEFT, Axis.Z),
+        (Station.RIGHT, Axis.Z),
+    ]
+    assert recording.streams[0].values[0, 2] == pytest.approx(-1.5 * 9.80665)
+    assert recording.covariates["airspeed_mps"].values[2] == pytest.approx(11 * 1852 / 3600)
+    assert recording.ranges is not None
+    assert recording.ranges.t_s.tolist() == [0.001]
+    assert recording.ranges.range_m.tolist() == [52.8]
+    assert recording.ranges.reference_m is not None
+    assert recording.ranges.reference_m.tolist() == [60.0]
+    assert recording.airframe.left.rate_hz == pytest.approx(1000.0)
+    assert sum(batch.t_ns.size for batch in recording.records()) == 6
+
+
+@given(st.sampled_from([("g", "mps2"), ("mg", "g"), ("in", "m"), ("ms", "s"), ("deg", "rad"), ("lbf", "n")]))
+def test_conversions_undo_each_other(units: tuple[str, str]) -> None:
+    there, back = conversion(*units), conversion(units[1], units[0])
+    assert there is not None
+    assert back is not None
+    assert there * back == pytest.approx(1.0)
+    assert conversion(units[0], "k") is None
