@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.records import Floats, Station
 from companion.sim.faults import Faults, boot_origin_ns
 from companion.sim.flight import Flight
+from companion.sim.orders import PERIODS_MS, Orders
 from companion.sim.received import Received
 from companion.sim.sensors import BackendImu
 from companion.sim.vehicle_parameters import VehicleParameters, addressed_to_autopilot, default_parameters
@@ -50,6 +51,7 @@ class SimAutopilot:
         faults: Faults,
         parameters: Mapping[str, float] | None = None,
         on_trigger: Trigger | None = None,
+        orders: Orders | None = None,
     ) -> None:
         values = {**default_parameters(flight.real.actual), **(parameters or {})}
         self.parameters = VehicleParameters(values)
@@ -60,6 +62,7 @@ class SimAutopilot:
         self._flight = flight
         self._faults = faults
         self.on_trigger = on_trigger
+        self.orders = orders
         self._rng = flight.generator("autopilot")
         self._inbox: deque[tuple[Any, int, int]] = deque()
         self._outbox: deque[tuple[int, bytes]] = deque()
@@ -88,7 +91,7 @@ class SimAutopilot:
 
     def greeting(self) -> bytes:
         """A heartbeat out of turn, while the flight has not begun."""
-        return self.sender.message(_heartbeat())
+        return self.sender.message(self._heartbeat())
 
     def receive(self, message: Any, now_boot_ns: int, host_ns: int) -> None:
         """Take a message in; it is handled at the first tick from now on, never at an earlier one."""
@@ -103,13 +106,14 @@ class SimAutopilot:
             self.parameters.reboot()
             self._start()
         silent = self._faults.silent(AUTOPILOT_ID, t_s)
+        said = self.orders.advance(tick_ns) if self.orders else []
         while self._inbox and self._inbox[0][1] <= tick_ns:
             message, _, host_ns = self._inbox.popleft()
             if not silent:
                 self._handle(message, tick_ns, host_ns)
         if silent:
             return
-        for message in self.parameters.listed():
+        for message in (*self.parameters.listed(), *said):
             self._send(message, tick_ns)
         self.received.expire(tick_ns)
         self._stream(tick_ns, self._faults.stopped(AUTOPILOT_ID, t_s))
@@ -118,6 +122,8 @@ class SimAutopilot:
         """Boot: default streams, filters from the parameters."""
         now = self._tick_ns
         self._streams = {name: Interval(period, now) for name, period in _DEFAULT_MS.items()}
+        if self.orders:
+            self._streams.update({name: Interval(period, now) for name, period in PERIODS_MS.items()})
         self._streams["HEARTBEAT"] = Interval(1000, now)
         self._streams["TIMESYNC"] = Interval(_TIMESYNC_NS // 1_000_000, now + _NS)
         self._packed = {name: self._pack(name, imu) for name, imu in self._imus.items()}
@@ -144,9 +150,11 @@ class SimAutopilot:
             return self._inertial(name, tick_ns, sent_ns)
         boot_ns = sent_ns - self._origin_ns
         if name == "HEARTBEAT":
-            return self.sender.message(_heartbeat())
+            return self.sender.message(self._heartbeat())
         if name == "TIMESYNC":
             return self.sender.message(mavlink.MAVLink_timesync_message(tc1=0, ts1=boot_ns))
+        if self.orders and self.orders.tells(name):
+            return self.sender.message(self.orders.telemetry(name, boot_ns // 1_000_000))
         return self.sender.message(self._motion(name, sent_ns, boot_ns // 1_000_000))
 
     def _inertial(self, name: str, tick_ns: int, sent_ns: int) -> bytes:
@@ -213,6 +221,9 @@ class SimAutopilot:
             if self.parameters.changed & {"INS_ACCEL_FILTER", "INS_GYRO_FILTER"}:
                 self._packed.clear()
             self.parameters.changed.clear()
+        elif self.orders and (answers := self.orders.receive(message, tick_ns)) is not None:
+            for answer in answers:
+                self._send(answer, tick_ns)
         elif name in ("COMMAND_LONG", "COMMAND_INT"):
             self._command(message, tick_ns)
 
@@ -236,7 +247,8 @@ class SimAutopilot:
         """Whole milliseconds, not faster than 0.8 of the loop rate: ArduPilot's GCS_MAVLINK::set_message_interval."""
         kind = mavlink.mavlink_map.get(number)
         name = kind.msgname if kind else ""
-        if name not in _DEFAULT_MS and name not in _IMU_STATIONS and name not in self._imus:
+        told = name in _DEFAULT_MS or (self.orders is not None and self.orders.tells(name))
+        if not told and name not in _IMU_STATIONS and name not in self._imus:
             return int(mavlink.MAV_RESULT_FAILED)
         if interval_us < 0:
             self._streams.pop(name, None)
@@ -277,17 +289,18 @@ class SimAutopilot:
     def _post(self, sent_ns: int, frame: bytes) -> None:
         self._outbox.append((sent_ns, frame))
 
+    def _heartbeat(self) -> Any:
+        if self.orders:
+            return self.orders.heartbeat()
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_FIXED_WING,
+            mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+            mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED,
+            10,
+            mavlink.MAV_STATE_ACTIVE,
+            3,
+        )
+
     @staticmethod
     def _message_of(imu: BackendImu) -> str:
         return imu.sensor.source.message
-
-
-def _heartbeat() -> Any:
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_FIXED_WING,
-        mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
-        mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED,
-        10,
-        mavlink.MAV_STATE_ACTIVE,
-        3,
-    )

@@ -21,6 +21,8 @@ from companion.sim.cameras import PLAN_UNKNOWN, SimTriggerLine
 from companion.sim.faults import Faults, Wire
 from companion.sim.flight import Flight, GustKind, build_flight
 from companion.sim.nodes import WingNode
+from companion.sim.orders import Orders
+from companion.sim.routing import Port
 
 _DATAGRAM = 1400
 _WAKE_NS = 1_000_000
@@ -60,6 +62,9 @@ class WorldOptions:
         Host time at which the flight starts, for processes that must know it beforehand; 0: when all is ready.
     trigger_line : Path, optional
         The simulated cameras' line, on which IMAGE_START_CAPTURE sends its pulses.
+    pilot_height_m : float, optional
+        Fly as a ground station orders (:mod:`companion.sim.orders`), from this height (0: on the ground, disarmed),
+        instead of the prescribed path.
     """
 
     connection: str = "udpout:127.0.0.1:14550"
@@ -69,6 +74,7 @@ class WorldOptions:
     parameters: Mapping[str, float] = field(default_factory=dict)
     start_host_ns: int = 0
     trigger_line: Path | None = None
+    pilot_height_m: float | None = None
 
 
 class Link:
@@ -126,10 +132,11 @@ class Link:
 class World:
     """Autopilot and nodes of one flight on one link; :meth:`turn` is one pass of the loop."""
 
-    def __init__(self, flight: Flight, options: WorldOptions, link: Link, on_trigger: Trigger | None = None) -> None:
+    def __init__(self, flight: Flight, options: WorldOptions, link: Port, on_trigger: Trigger | None = None) -> None:
         faults = options.faults
         self.flight = flight
-        self.autopilot = SimAutopilot(flight, faults, options.parameters, on_trigger)
+        orders = None if options.pilot_height_m is None else Orders(options.pilot_height_m)
+        self.autopilot = SimAutopilot(flight, faults, options.parameters, on_trigger, orders)
         self.nodes = [
             WingNode(stream, flight.real.clocks[stream.clock], faults) for _, stream in sorted(flight.nodes.items())
         ]
