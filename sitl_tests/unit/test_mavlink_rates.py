@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -129,11 +131,23 @@ def test_the_needed_loop_rate(rate_hz: float, loop_hz: int) -> None:
 
 def test_time_is_asked_for_often_at_first_and_after_a_restart() -> None:
     timer = TimesyncTimer()
-    asked = [step for step in range(2000) if timer.due(1 + step * 10 * MS)]
-    assert sum(step < 500 for step in asked) == 50
-    assert sum(1000 <= step < 1500 for step in asked) == 25
+    asked = [step for step in range(20_000) if timer.due(1 + step * MS)]
+    assert sum(step < 5000 for step in asked) == pytest.approx(50, abs=2)
+    assert sum(10_000 <= step < 15_000 for step in asked) == pytest.approx(25, abs=2)
     timer.hurry(20 * S)
-    assert sum(timer.due(20 * S + step * 10 * MS) for step in range(500)) == 50
+    assert sum(timer.due(20 * S + step * MS) for step in range(5000)) == pytest.approx(50, abs=2)
+
+
+@pytest.mark.parametrize("loop_hz", [50, 300, 400, 1000])
+def test_questions_come_at_every_phase_of_the_autopilots_loop(loop_hz: int) -> None:
+    timer, phases, now = TimesyncTimer(), [], 1
+    while len(phases) < 100:
+        now = max(now, timer.next_host_ns)
+        assert timer.due(now)
+        phases.append(now * loop_hz % S / S)
+    phases.sort()
+    gaps = [b - a for a, b in itertools.pairwise([*phases, phases[0] + 1.0])]
+    assert max(gaps) < 0.1, "of a hundred questions one comes within a tenth of the loop before its answer"
 
 
 def test_an_answer_is_awaited_only_from_those_who_answer() -> None:
@@ -145,14 +159,15 @@ def test_an_answer_is_awaited_only_from_those_who_answer() -> None:
     assert not timer.awaiting(now + 5 * MS)
     awaited = 0
     for _ in range(20):
-        now += 200 * MS
+        now = max(now + 50 * MS, timer.next_host_ns)
         assert timer.due(now)
         awaited += timer.awaiting(now + 5 * MS)
         assert not timer.awaiting(now + 50 * MS)
     assert awaited == 5  # five requests without an answer, and it is waited for no more
     timer.answered(ClockName.BOOT)
-    assert timer.due(now + 200 * MS)
-    assert timer.awaiting(now + 205 * MS)
+    now = timer.next_host_ns
+    assert timer.due(now)
+    assert timer.awaiting(now + 5 * MS)
 
 
 def test_missing_parameters_are_asked_for_a_few_times_then_left_until_the_next_round() -> None:

@@ -134,6 +134,8 @@ class MavlinkAutopilot:
         """Wait for bytes; whether it is time to read them."""
         now = self._clock.now_ns()
         deadline = now + max(0, round(timeout_s * _SECOND_NS))
+        if self.decoder.system_id is not None:
+            deadline = min(deadline, max(self._timesync.next_host_ns, now))
         if not self._timesync.awaiting(now):
             gathered = self._read_host_ns + self._gather_ns
             self._clock.sleep_until(min(gathered, deadline))

@@ -7,6 +7,8 @@ from companion.records import ClockName
 _MS_NS = 1_000_000
 _HURRY_PERIOD_NS = 100 * _MS_NS
 _PERIOD_NS = 200 * _MS_NS
+_DITHER = 0.4
+_GOLDEN = 0.6180339887498949
 _HURRY_NS = 5_000 * _MS_NS
 _AWAITED_NS = 15 * _MS_NS
 _GIVEN_UP = 5
@@ -27,9 +29,17 @@ NEEDED_PARAMETERS = (
 
 
 class TimesyncTimer:
-    """Every 100 ms in the first 5 s and after a restart, then every 200 ms."""
+    """About every 100 ms in the first 5 s and after a restart, then about every 200 ms.
+
+    An autopilot answers from its loop. A question that always came at the same phase of that loop, as one does that
+    waits for its messages, would always wait as long for its answer, and that wait would look like the way there. So
+    the pauses are spread evenly by up to a fifth either way, and none of them is tied to what arrives:
+    :attr:`next_host_ns` is to be waited for.
+    """
 
     def __init__(self) -> None:
+        self.next_host_ns = 0
+        self._asked = 0
         self._last_host_ns: int | None = None
         self._hurry_until_host_ns: int | None = None
         self._missed: dict[ClockName, int] = {}
@@ -38,15 +48,18 @@ class TimesyncTimer:
     def hurry(self, now_host_ns: int) -> None:
         """Ask often for a while: a clock restarted."""
         self._hurry_until_host_ns = now_host_ns + _HURRY_NS
+        self.next_host_ns = min(self.next_host_ns, now_host_ns + _HURRY_PERIOD_NS)
 
     def due(self, now_host_ns: int) -> bool:
         """Whether to ask now."""
         if self._hurry_until_host_ns is None:
             self.hurry(now_host_ns)
-        hurried = self._hurry_until_host_ns is not None and now_host_ns < self._hurry_until_host_ns
-        period = _HURRY_PERIOD_NS if hurried else _PERIOD_NS
-        if self._last_host_ns is not None and now_host_ns - self._last_host_ns < period:
+        if now_host_ns < self.next_host_ns:
             return False
+        hurried = self._hurry_until_host_ns is not None and now_host_ns < self._hurry_until_host_ns
+        self._asked += 1
+        spread = 1.0 + _DITHER * (self._asked * _GOLDEN % 1.0 - 0.5)  # low discrepancy: no two phases alike
+        self.next_host_ns = now_host_ns + round((_HURRY_PERIOD_NS if hurried else _PERIOD_NS) * spread)
         self._last_host_ns = now_host_ns
         for clock in self._awaited:
             self._missed[clock] += 1
