@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.cli.audit import boom, modal_peaks, wing_shapes
+from companion.cli.audit import edge_fits, fig_4, modal_peaks, shaken_boom, vibration_test
+from companion.core.wing.beam import BeamMode
 from companion.params.files import load_airframe
 
 RATE = modal_peaks.RATE_HZ
@@ -24,7 +25,7 @@ def test_fig_4_has_the_tip_slope_of_the_cantilever_with_that_tip_mass() -> None:
     r = (math.cosh(x) + math.cos(x)) / (math.sinh(x) + math.sin(x))
     shape = math.cosh(x) - math.cos(x) - r * (math.sinh(x) - math.sin(x))
     slope = x * (math.sinh(x) + math.sin(x) - r * (math.cosh(x) - math.cos(x)))
-    assert boom.fig_4().data["slope_at_tip_times_length"] == pytest.approx(slope / shape, rel=1e-9)
+    assert fig_4.section().data["slope_at_tip_times_length"] == pytest.approx(slope / shape, rel=1e-9)
 
 
 def test_a_sweep_gives_the_quadrature_of_a_single_oscillator() -> None:
@@ -48,11 +49,11 @@ def test_a_sweep_gives_the_quadrature_of_a_single_oscillator() -> None:
 
 def test_the_fit_finds_the_slope_of_a_known_wing() -> None:
     airframe = load_airframe("paper-flying-wing")
-    first, _ = wing_shapes.true_shapes(airframe)
+    first, _ = vibration_test.true_shapes(airframe)
     assert first.slope_at_tip_radpm == pytest.approx(1.39)
     true = float(first.slope(np.array([0.99]))[0])
-    points = wing_shapes.simulated_points(airframe, seed=3, gain_sigma=0.0)
-    assert wing_shapes.clamped_factor(points) == pytest.approx(true, rel=0.015)  # a quartic is not quite the shape
+    points = vibration_test.simulated_points(airframe, seed=3, gain_sigma=0.0)
+    assert edge_fits.clamped_factor(points) == pytest.approx(true, rel=0.015)  # a quartic is not quite the shape
 
 
 @pytest.mark.skipif(not modal_peaks.gvt_folder().is_dir(), reason="measured/maewing1-gvt is not here (SPANWISE_DATA)")
@@ -68,13 +69,44 @@ def test_the_measured_wing_bends_alike_on_both_sides() -> None:
 
 def test_the_random_drive_shows_the_first_mode_alone() -> None:
     airframe = load_airframe("paper-beam")
-    response = boom.respond(boom.shake(airframe, seed=5))
+    response = shaken_boom.respond(shaken_boom.shake(airframe, seed=5))
     assert response.averages == 100
     peak = response.frequency_hz[np.argmax(response.gain)]
     assert peak == pytest.approx(20.1, abs=0.3)
     # far above resonance the tip is left behind: gain 1 - participation of mode 1 / (1 - (f1/f)^2), and less of mode 2
     at = np.searchsorted(response.frequency_hz, 5.0)
     f = response.frequency_hz[at]
-    participation = boom.boom_wing(0.01)[1][0].base_participation()
+    participation = shaken_boom.boom_wing(0.01)[1][0].base_participation()
     closed = 1 + participation * f**2 / (20.1057**2 - f**2)
     assert response.gain[at] == pytest.approx(closed, rel=0.01)
+
+
+def test_the_measured_transfer_function_is_the_closed_form_one() -> None:
+    """Within the scatter of 100 averages, away from the peak; the window blunts the peak itself."""
+    response = shaken_boom.respond(shaken_boom.shake(load_airframe("paper-beam"), seed=6))
+    f = response.frequency_hz
+    first, second = shaken_boom.boom_wing(0.01)[1]
+    total = np.ones(len(f), complex)
+    for mode, own in ((first, 20.1057), (second, 297.1625)):
+        total += base_participation(mode) * f**2 / (own**2 - f**2 + 0.02j * own * f)
+    away = np.abs(f - 20.1) > 1.0
+    assert np.median(np.abs(response.gain / np.abs(total) - 1)[away]) < 0.02
+    assert np.max(response.gain) == pytest.approx(np.max(np.abs(total)), rel=0.15)
+
+
+def test_a_white_drive_gives_the_second_mode_what_its_variance_formula_says() -> None:
+    first, second = modes = shaken_boom.boom_wing(0.01)[1]
+    ratio = base_participation(second) / base_participation(first)
+    deflection = ratio**2 * (20.1057 / 297.1625) ** 3
+    assert shaken_boom.white_share(modes, of_slope=False) == pytest.approx(deflection, rel=1e-3)
+    steeper = second.slope_at_tip_radpm / first.slope_at_tip_radpm
+    assert shaken_boom.white_share(modes, of_slope=True) == pytest.approx(deflection * steeper**2, rel=1e-3)
+
+
+def base_participation(mode: BeamMode) -> float:
+    """Integral of the shape over that of its square, the tip mass at both ends of the fraction; tip deflection is 1."""
+    station = np.linspace(0.0, mode.length_m, 20001)
+    shape = mode.shape(station)
+    per_length, tip = 2700 * 0.0507 * 0.001, 0.0365
+    moved = per_length * np.trapezoid(shape, station) + tip
+    return float(moved / (per_length * np.trapezoid(shape**2, station) + tip))

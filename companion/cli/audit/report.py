@@ -10,7 +10,15 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from companion.cli.audit import beam_tables, boom, equations, experiment_report, range_tables, wing_shapes
+from companion.cli.audit import (
+    beam_tables,
+    equations,
+    experiment_report,
+    fig_4,
+    random_drive,
+    range_tables,
+    wing_shapes,
+)
 from companion.cli.audit.experiments import Outcome, Pace, run, trials
 from companion.cli.audit.findings import Section
 from companion.cli.audit.report_html import html
@@ -26,9 +34,9 @@ def make_sections(pace: Pace, jobs: int, told: Callable[[str], None]) -> list[Se
             beam_tables.section(),
             range_tables.section(),
             equations.section(),
-            boom.fig_4(),
+            fig_4.section(),
             wing_shapes.section(),
-            boom.figs_11_12(),
+            random_drive.section(),
         ]
         told("tables, equations and figures")
         outcomes: list[Outcome] = []
