@@ -27,6 +27,7 @@ from companion.records import (
 
 TICK_NS = 10_000_000
 _POLL_S = 0.002
+_WARNING = 4
 _PUBLISHED = (ClockState, CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
 _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange)
 
@@ -42,10 +43,18 @@ class Shots(Protocol):
         """Shots made since the last call."""
         ...
 
+    def warnings(self) -> list[str]:
+        """Sentences for the operator since the last call."""
+        ...
+
 
 @dataclass(slots=True)
 class InertialLoop:
-    """One turn reads, estimates, publishes. Kept apart from its process so that tests can turn it by hand."""
+    """One turn reads, estimates, publishes. Kept apart from its process so that tests can turn it by hand.
+
+    ``fires_by_link`` says that the trigger process only keeps the time and the autopilot fires: each shot is published
+    at once, before anything is made of it.
+    """
 
     state: PipelineState
     autopilot: Autopilot
@@ -54,6 +63,7 @@ class InertialLoop:
     inbox: Callable[[], list[Record]]
     show: Callable[[Record], object]
     recorder: Recorder
+    fires_by_link: bool = False
     next_tick_ns: int = 0
     outputs: list[Record] = field(default_factory=list)
 
@@ -62,8 +72,12 @@ class InertialLoop:
         for record in self.autopilot.poll(_POLL_S):
             self._handle(record)
         for record in (*self.shots.poll(), *self.inbox()):
+            if self.fires_by_link and isinstance(record, Shot):
+                self.autopilot.publish(record)
             self._handle(record)
         now_ns = self.clock.now_ns()
+        for sentence in self.shots.warnings():
+            self._route(Notice(_WARNING, sentence, now_ns))
         if now_ns >= self.next_tick_ns:
             self.next_tick_ns = max(self.next_tick_ns + TICK_NS, now_ns)
             self._handle(Tick(now_ns))

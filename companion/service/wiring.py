@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import signal
 import socket
+import tempfile
+from collections.abc import Mapping
 from multiprocessing.synchronize import Event
+from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.autopilot import MavlinkAutopilot
@@ -15,10 +19,12 @@ from companion.adapters.mavlink.signing import Signing, load_signing
 from companion.adapters.recordings.inlet import Inlet, recorder_channel
 from companion.adapters.recordings.recorder import run_recorder
 from companion.adapters.recordings.writer import About
+from companion.adapters.triggers.mavlink import MavlinkTrigger
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
 from companion.errors import SpanwiseError
 from companion.params.persist import Keeper, load_stored
+from companion.params.settings import Settings, tunables
 from companion.ports import Clock, Recorder
 from companion.records import Record, Rejected, Shot, TriggerPlan
 from companion.service import inertial, vision
@@ -39,6 +45,9 @@ class Service(Supervisor):
     def __init__(self, config: ServiceConfig) -> None:
         super().__init__()
         _try_links(config)
+        self._scratch = tempfile.TemporaryDirectory(prefix="spanwise-")
+        if config.parameters is None:  # what is set must outlive a restart of the process, if not of the service
+            config = dataclasses.replace(config, parameters=Path(self._scratch.name) / "parameters")
         shown_in, self._shown = channel()
         matches_in, matches = channel()
         ends: list[socket.socket] = []
@@ -55,7 +64,7 @@ class Service(Supervisor):
             self.add("trigger", _trigger_process, config, line)
         if config.cameras is not None:
             self.add("vision", _vision_process, config, matches_in, vision_tape)
-        self.add("inertial", _inertial_process, config, shots, matches, shown_in, inertial_tape)
+        self.add("inertial", _inertial_process, config, _stored(config), shots, matches, shown_in, inertial_tape)
         if ends:
             about = About.of(config.airframe, config.settings)
             self.add("recorder", run_recorder, config.recording, about, ends)
@@ -63,6 +72,11 @@ class Service(Supervisor):
     def shown(self) -> list[Record]:
         """What the inertial process wants to be seen, since the last call."""
         return self._shown.receive()
+
+    def stop(self) -> None:
+        """End the processes, and forget what was to outlive them alone."""
+        super().stop()
+        self._scratch.cleanup()
 
 
 class _NoShots:
@@ -73,6 +87,10 @@ class _NoShots:
 
     def poll(self) -> list[Shot | Rejected]:
         """Nothing was fired."""
+        return []
+
+    def warnings(self) -> list[str]:
+        """Nothing to be warned of."""
         return []
 
 
@@ -104,8 +122,23 @@ def _ignore_interrupt() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def _stored(config: ServiceConfig) -> dict[str, float]:
+    """What a ground station has set up to now, by MAVLink name."""
+    return {} if config.parameters is None else load_stored(config.parameters).values
+
+
+def resumed(settings: Settings, at_start: Mapping[str, float], now: Mapping[str, float]) -> Settings:
+    """The settings of a process that starts anew: live changes since the service's own start are in force again."""
+    live = {row.name for row in tunables() if row.live}
+    for name in sorted(live & now.keys()):
+        if at_start.get(name) != now[name]:
+            settings = settings.replace(name, now[name])
+    return settings
+
+
 def _inertial_process(
     config: ServiceConfig,
+    stored_at_start: dict[str, float],
     shots: socket.socket | None,
     matches: Receiver,
     shown: Sender,
@@ -113,6 +146,7 @@ def _inertial_process(
     stop: Event,
 ) -> None:
     _ignore_interrupt()
+    config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     clock: Clock = MonotonicClock()
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
@@ -125,6 +159,7 @@ def _inertial_process(
         inbox=matches.receive,
         show=shown.send,
         recorder=_recorder(tape),
+        fires_by_link=config.trigger is MavlinkTrigger,
     )
     inertial.run(loop, stop)
 
@@ -133,8 +168,7 @@ def _component(config: ServiceConfig, signing: Signing | None) -> OwnComponent:
     """Our own MAVLink component, which keeps its parameters where that is asked for."""
     parameters = ParameterServer(config.settings)
     if config.parameters is not None:
-        kept = load_stored(config.parameters).values
-        parameters = ParameterServer(config.settings, Keeper(config.parameters), kept)
+        parameters = ParameterServer(config.settings, Keeper(config.parameters), _stored(config))
     return OwnComponent(parameters, signing=signing)
 
 

@@ -123,6 +123,9 @@ class Cameras:
         self.coming.append(self._matches(plan.plan_id, fired_ns + _LATENCY_NS + _EXPOSURE_NS // 2))
         return [Shot(plan.plan_id, plan.command_host_ns, fired_ns)]
 
+    def warnings(self) -> list[str]:
+        return []
+
     def seen(self) -> list[Record]:
         """What vision has ready by now."""
         ready: list[Record] = []
@@ -188,10 +191,11 @@ class SimulatedService:
         settings: Settings | None = None,
         recording: Path | None = None,
         airframe: Airframe | None = None,
+        parameters: dict[str, float] | None = None,
     ) -> None:
         airframe, settings = airframe or flight.airframe, settings or Settings()
         self.wire = Wire()
-        self.world = World(flight, WorldOptions(faults=faults or Faults()), self.wire)  # type: ignore[arg-type]
+        self.world = World(flight, WorldOptions(faults=faults or Faults(), parameters=parameters or {}), self.wire)  # type: ignore[arg-type]
         self.clock = SimulatedTime(self.world)
         link = Link(0, "simulated", self.wire, self.clock)
         self.autopilot = MavlinkAutopilot([link], airframe, settings, self.clock)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import select
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -43,6 +45,7 @@ _SECOND_NS = 1_000_000_000
 _STATE_RATE_HZ = 20.0
 _KNOCK_SYSTEM = 1
 _MOST_ANSWERS = 16
+_MOST_HELD = 16
 
 
 class MavlinkAutopilot:
@@ -97,6 +100,7 @@ class MavlinkAutopilot:
         self._read_host_ns = 0
         self._boot_offset_ns = 0
         self._texts = 0
+        self._held: deque[Notice] = deque(maxlen=_MOST_HELD)  # until somebody is there to read them
         self._graphed_host_ns: dict[type, int] = {}
 
     def _wanted_rates(self, settings: Settings) -> dict[int, float]:
@@ -191,6 +195,8 @@ class MavlinkAutopilot:
         system = self.decoder.system_id
         if system is not None:
             self._packer.srcSystem = system
+            while self._held:
+                self._tell(dataclasses.replace(self._held.popleft(), at_host_ns=now_host_ns))
         if self._heartbeat_host_ns is None or now_host_ns - self._heartbeat_host_ns >= _SECOND_NS:
             self._heartbeat_host_ns = now_host_ns
             for link in self._links:
@@ -242,17 +248,23 @@ class MavlinkAutopilot:
         elif isinstance(record, ObstacleSectors):
             self._send(encode.obstacle_distance(record, (record.t_host_ns + self._boot_offset_ns) // 1000))
         elif isinstance(record, Notice):
-            text = self.component.texts.admit(record)
-            if text is not None:
-                self._texts += 1
-                for piece in encode.status_text(record.severity, text, self._texts):
-                    self._send(piece)
+            if self.decoder.system_id is None:
+                self._held.append(record)
+            else:
+                self._tell(record)
         elif isinstance(record, ServiceStatus):
             self.health = record.health
         elif isinstance(record, ClockState) and record.clock == ClockName.BOOT and record.synced:
             self._boot_offset_ns = record.offset_ns
         if isinstance(record, ModeState | CorrectedRange):
             self._graph(record)
+
+    def _tell(self, notice: Notice) -> None:
+        text = self.component.texts.admit(notice)
+        if text is not None:
+            self._texts += 1
+            for piece in encode.status_text(notice.severity, text, self._texts):
+                self._send(piece)
 
     def adopt(self, settings: Settings) -> None:
         """Use changed live settings from now on."""

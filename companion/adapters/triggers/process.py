@@ -72,6 +72,7 @@ class TriggerLink:
         self.realtime: Realtime | None = None
         self.dropped = 0
         self.garbled = 0
+        self._warnings: list[str] = []
 
     def fileno(self) -> int:
         """For ``select``."""
@@ -88,6 +89,11 @@ class TriggerLink:
         """Give what was fired or refused since the last call."""
         return [report for report in self._reports() if not isinstance(report, Realtime)]
 
+    def warnings(self) -> list[str]:
+        """What the operator should know of the process since the last call: that it was not granted punctuality."""
+        taken, self._warnings = self._warnings, []
+        return taken
+
     def _reports(self) -> list[Report]:
         reports: list[Report] = []
         with contextlib.suppress(OSError):
@@ -95,6 +101,8 @@ class TriggerLink:
                 report = unpack_report(message)
                 if isinstance(report, Realtime):
                     self.realtime = report
+                    if not (report.fifo and report.memory_locked):
+                        self._warnings.append(report.sentence())
                 if report is None:
                     self.garbled += 1
                 else:

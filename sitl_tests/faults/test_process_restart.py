@@ -1,0 +1,140 @@
+"""A process of the service dies: it is started again, and what a ground station had set is still in force."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.triggers.process import TriggerLink, line_pair
+from companion.adapters.triggers.wire import Realtime, pack_report
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import Shot, TriggerPlan
+from companion.service.config import ServiceConfig
+from companion.service.wiring import Service, resumed
+from companion.sim.flight import build_flight
+from sitl_tests.loop.simulated_service import SimulatedService
+
+US = 191
+
+
+def test_only_live_changes_since_the_start_are_taken_up_again() -> None:
+    settings = Settings().replace("RNG_MAX", 80.0)  # by the command line, over the 90 that a ground station had set
+    now = {"RNG_MAX": 90.0, "TRG_RATE": 7.0, "TRK_LAG": 0.3}
+    after = resumed(settings, {"RNG_MAX": 90.0}, now)
+    assert (after.max_range_m, after.trigger_rate_hz) == (80.0, 7.0)
+    assert after.smoother_lag_s == Settings().smoother_lag_s, "acts from the next start of the service"
+    assert resumed(settings, {"RNG_MAX": 90.0}, {"RNG_MAX": 100.0}).max_range_m == 100.0
+
+
+class Vehicle:
+    """An autopilot that only beats, and a ground station, on the service's port."""
+
+    def __init__(self, port: int) -> None:
+        self.link: Any = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255)
+        self.beats = mavlink.MAVLink(None, 1, 1)
+        self.beat_s = 0.0
+
+    def until(self, kind: str, fits: Callable[[Any], bool], within_s: float, ask: Callable[[], None]) -> Any:
+        """Ask twice a second until a message of ours fits."""
+        ends = time.monotonic() + within_s
+        while time.monotonic() < ends:
+            if time.monotonic() - self.beat_s > 0.5:
+                self.beat_s = time.monotonic()
+                self.link.write(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(self.beats))
+                ask()
+            message = self.link.recv_match(type=kind, blocking=True, timeout=0.1)
+            if message is not None and message.get_srcComponent() == US and fits(message):
+                return message
+        raise AssertionError(f"no such {kind} within {within_s} s")
+
+    def set(self, name: str, value: float) -> None:
+        self.link.mav.param_set_send(1, US, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32)
+
+    def read(self, name: str) -> None:
+        self.link.mav.param_request_read_send(1, US, name.encode(), -1)
+
+
+@pytest.fixture
+def port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(params=[True, False], ids=["kept in a file", "kept nowhere"])
+def service(request: pytest.FixtureRequest, tmp_path: Path, port: int) -> Iterator[Service]:
+    config = ServiceConfig(
+        airframe=load_airframe("nadir-2m"),
+        settings=Settings(),
+        connections=(f"udpin:127.0.0.1:{port}",),
+        parameters=tmp_path / "parameters" if request.param else None,
+        trigger=Deaf,
+    )
+    with Service(config) as running:
+        yield running
+
+
+class Deaf:
+    """A trigger line that does nothing."""
+
+    def fire(self, plan: TriggerPlan) -> Shot:
+        return Shot(plan.plan_id, plan.command_host_ns, plan.command_host_ns)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+def test_a_live_change_survives_the_death_of_the_inertial_process(service: Service, port: int) -> None:
+    vehicle = Vehicle(port)
+    told = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 20.0, lambda: vehicle.read("TRG_RATE"))
+    assert told.param_value == Settings().trigger_rate_hz
+    vehicle.until("PARAM_VALUE", lambda m: m.param_value == 7.5, 5.0, lambda: vehicle.set("TRG_RATE", 7.5))
+    time.sleep(0.5)  # until it is stored
+    (worker,) = [worker for worker in service._workers if worker.name == "inertial"]
+    assert worker.process is not None
+    assert worker.process.pid is not None
+    os.kill(worker.process.pid, signal.SIGKILL)
+    worker.process.join(5.0)
+    killed_s = time.monotonic()
+    assert len(service.tend()) == 1
+    while vehicle.link.recv_match(blocking=False) is not None:
+        pass  # what was said before
+    told = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 20.0, lambda: vehicle.read("TRG_RATE"))
+    print(f"answers again {time.monotonic() - killed_s:.2f} s after it was killed")
+    assert told.param_value == 7.5
+
+
+def test_a_trigger_without_realtime_priority_is_told_to_the_ground() -> None:
+    run = SimulatedService(build_flight(load_airframe("nadir-2m"), 1, 3.0))
+    sentences = [Realtime(False, True, True).sentence()]
+    run.cameras.warnings = lambda: [sentences.pop()] if sentences else []  # type: ignore[method-assign]
+    run.fly(2.0)  # the warning comes before the vehicle is known, and is kept until it is
+    run.close()
+    assert "real-time priority" in "".join(run.world.report()["statustexts"])
+
+
+def test_what_was_not_granted_becomes_one_warning() -> None:
+    ours, theirs = line_pair()
+    link = TriggerLink(ours)
+    theirs.send(pack_report(Realtime(True, True, True)))
+    assert link.poll() == []
+    assert link.warnings() == []
+    theirs.send(pack_report(Realtime(False, True, True)))
+    assert link.poll() == []
+    (sentence,) = link.warnings()
+    assert "real-time priority" in sentence
+    assert link.warnings() == []
+    theirs.close()
+    link.close()
