@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+from companion.adapters.triggers.mavlink import MavlinkTrigger
 from companion.cli.flying import fly
 from companion.cli.options import add_settings, read_settings, state_file
 from companion.cli.view import View
@@ -28,6 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--parameters", type=Path, metavar="FILE",
         help="where what a ground station sets is kept (default: ~/.local/state/spanwise/<airframe>.parameters)",
     )  # fmt: skip
+    parser.add_argument(
+        "--trigger", choices=["none", "mavlink"], default="none",
+        help="mavlink: the autopilot fires its own cameras at the planned instants (IMAGE_START_CAPTURE)",
+    )  # fmt: skip
     parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
     parser.add_argument("--for", type=float, metavar="SECONDS", dest="seconds", help="stop after so long")
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
@@ -44,6 +49,7 @@ def execute(options: argparse.Namespace) -> int:
         airframe=load_airframe(options.airframe),
         settings=read_settings(options),
         connections=tuple(options.connect),
+        trigger=MavlinkTrigger if options.trigger == "mavlink" else None,
         recording=options.record,
         parameters=options.parameters,
         signing_key=options.sign_key,

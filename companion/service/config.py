@@ -20,7 +20,8 @@ class ServiceConfig:
     connections
         MAVLink links in mavutil's spelling.
     cameras, trigger
-        Picklable factories, called inside the process that uses the device; None without cameras.
+        Picklable factories, called inside the process that uses the device; None without cameras. With
+        :class:`companion.adapters.triggers.mavlink.MavlinkTrigger` the autopilot fires.
     recording
         Path of the MCAP to write, or None.
     parameters
