@@ -149,7 +149,7 @@ def _spectra(found: Diagnosis, model: SuperModel) -> Any:
     axes = np.atleast_1d(figure.subplots(1, len(sides), sharey=True))
     for channel, (axis, side) in enumerate(zip(axes, sides, strict=True)):
         f_hz = model.band_hz
-        data = np.abs(model.data_in_band()[:, channel]) ** 2
+        data = np.abs(model.data_in_band()[channel]) ** 2
         thin, power = _averaged(f_hz, 2.0 * data)
         axis.loglog(thin, np.sqrt(power), color=_DATA, lw=1.6, label="recorded")
         for fitted, colour, label in (
@@ -158,7 +158,7 @@ def _spectra(found: Diagnosis, model: SuperModel) -> Any:
         ):
             if label == "extended" and not found.causes:
                 continue
-            density = fitted.found[0].spectrum[:, channel, channel].real
+            density = fitted.found[0].spectrum[channel, channel].real
             axis.loglog(f_hz, np.sqrt(2.0 * density), color=colour, lw=1.2, label=label)
         axis.set(title=f"{side.name.lower()} tip", xlabel="Hz", ylabel="m/s² per √Hz" if channel == 0 else "")
         axis.grid(alpha=0.3)

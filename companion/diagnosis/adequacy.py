@@ -11,16 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
+from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.fit import Fit
 from companion.diagnosis.latent import LatentForce, law_names
+from companion.diagnosis.matrices import Complexes, adjoint, apply
+from companion.diagnosis.part import Part
 from companion.diagnosis.screen import screen
-from companion.diagnosis.supermodel import Expectation, Part, SuperModel
+from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
-Complexes = npt.NDArray[np.complex128]
 _SIMULATED = 200
 _BANDS = 14
 _BLOCKS = 12
@@ -62,8 +63,7 @@ def forces(models: Sequence[SuperModel], fitted: Fit) -> dict[str, float]:
 
 def _spectral(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Compare the whitened spectrum's statistics with those of simulated white ones."""
-    root = np.linalg.cholesky(found.inverse)  # inverse = L L^H, so L^H whitens
-    white = (root.conj().swapaxes(-1, -2) @ found.residual[..., None])[..., 0]
+    white = apply(adjoint(found.motion.whitener), found.residual).T
     names, real = _statistics(model, white)
     count, channels = white.shape
     drawn = np.empty((_SIMULATED, len(real)))

@@ -21,6 +21,9 @@ from companion.records import Floats, Side
 _UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells
 _CORNER_SIGMA = 0.15
 _MATCH_SIGMA_PX = 0.3
+_OWN = "#"
+_CHANGING = (".level", ".noise", ".bias_mps2", "match")
+_RANGE_ONLY = frozenset({"toe_rad", "focal", "match", "trim_bend_m", "bend_per_g_m"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +47,19 @@ class Belief:
         """Prior sigmas, (p,)."""
         return np.array([entry.sigma for entry in self.nuisances])
 
-    def named(self, deviations: Sequence[float] | Floats) -> dict[str, float]:
-        """Deviations by key."""
-        return {entry.key: float(value) for entry, value in zip(self.nuisances, deviations, strict=True)}
+    def named(self, deviations: Sequence[float] | Floats, recording: int = 0) -> dict[str, float]:
+        """Deviations by key as one recording has them: its own, and those that all share."""
+        found = {}
+        for entry, value in zip(self.nuisances, deviations, strict=True):
+            key, _, owner = entry.key.partition(_OWN)
+            if not owner or int(owner) == recording:
+                found[key] = float(value)
+        return found
+
+    def concerns(self, index: int, recording: int) -> bool:
+        """Whether a nuisance has a say in a recording."""
+        _, _, owner = self.nuisances[index].key.partition(_OWN)
+        return not owner or int(owner) == recording
 
     def wing(self, deviation: dict[str, float]) -> Wing:
         """The wing with its deviations put in."""
@@ -66,8 +79,13 @@ class Belief:
         return _MATCH_SIGMA_PX / camera.focal_px.value if camera else 0.0
 
 
-def believe(airframe: Airframe, sides: Sequence[Side], with_range: bool, load_varies: bool) -> Belief:
-    """List the nuisances of an airframe that this recording can have an opinion about."""
+def believe(
+    airframe: Airframe, sides: Sequence[Side], with_range: bool, load_varies: bool, recordings: int = 1
+) -> Belief:
+    """List the nuisances of an airframe that these recordings can have an opinion about.
+
+    What differs from flight to flight (gust, noise, bias, matching) is a nuisance of each recording.
+    """
     found = [entry for name in SLOT_NAMES for entry in _of_mode(getattr(airframe.wing, name), name, with_range)]
     found += [Nuisance(f"corner{i}", _CORNER_SIGMA, True) for i, c in enumerate(airframe.wing.gust.corners_hz) if c]
     for side in sides:
@@ -79,7 +97,21 @@ def believe(airframe: Airframe, sides: Sequence[Side], with_range: bool, load_va
         found.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))
     if with_range:
         found += _of_cameras(airframe, load_varies)
-    return Belief(airframe, tuple(entry for entry in found if entry.sigma > 0.0))
+    known = [entry for entry in found if entry.sigma > 0.0]
+    if recordings > 1:
+        known = [one for entry in known for one in _for_each(entry, recordings)]
+    return Belief(airframe, tuple(known))
+
+
+def of_range(key: str) -> bool:
+    """Whether a nuisance concerns the ranges or the sensors at rest alone."""
+    return key in _RANGE_ONLY or key.endswith((".slope", ".bias_mps2"))
+
+
+def _for_each(entry: Nuisance, recordings: int) -> list[Nuisance]:
+    if not (entry.key.startswith("corner") or entry.key.endswith(_CHANGING)):
+        return [entry]
+    return [dataclasses.replace(entry, key=f"{entry.key}{_OWN}{k}") for k in range(recordings)]
 
 
 def _of_mode(mode: Mode | None, name: str, with_range: bool) -> list[Nuisance]:

@@ -1,7 +1,7 @@
 """Fits the super-model with given effects: Fisher scoring on nuisances and effect parameters, with their priors.
 
-Scores and information are those of a complex Gaussian with mean and covariance that both depend on the parameters
-(accelerations), and of a real one (toe, rest); derivatives are differences of :meth:`SuperModel.expect`.
+Derivatives are differences of :meth:`SuperModel.expect`; :mod:`companion.diagnosis.scores` makes scores and information
+of them.
 """
 
 from __future__ import annotations
@@ -10,30 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
 
 from companion.core.wing.effect import Effect
 from companion.diagnosis.belief import Belief
-from companion.diagnosis.supermodel import Expectation, Part, SuperModel, with_values
+from companion.diagnosis.expectation import Expectation
+from companion.diagnosis.part import Part
+from companion.diagnosis.scores import Column, column, scores
+from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
-Complexes = npt.NDArray[np.complex128]
 _STEP = 1e-4
 _ENOUGH = 0.02
 _HALVINGS = 7
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """Derivative of an expectation with respect to one parameter, whitened where it is dear to do twice."""
-
-    relative: Complexes  # (b, c, c): inverse times spectrum's derivative
-    residual: Complexes  # (b, c)
-    toe: Floats  # (k,)
-    toe_variance: Floats | None
-    rest: Floats  # (c,)
-    shift_s: Floats | None = None  # (c, m) how the parameter shifts time, for warps
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +131,7 @@ def expect(
     """Hold a whole parameter vector against the recordings; ``near`` lends how well the toe is told."""
     belief = models[0].belief
     there = placed(belief, values, parts)
-    lent = [one.toe_posterior for one in near] if near else [None] * len(models)
+    lent = near if near else [None] * len(models)
     deviations = values[: len(belief.nuisances)]
     return tuple(model.expect(deviations, there, own) for model, own in zip(models, lent, strict=True))
 
@@ -153,7 +141,7 @@ def placed(belief: Belief, values: Floats, parts: Sequence[Part]) -> tuple[Part,
     at, done = len(belief.nuisances), []
     for part in parts:
         names = [entry.name for entry in part.effect.parameters()]
-        done.append(with_values(part, dict(zip(names, values[at : at + len(names)].tolist(), strict=True))))
+        done.append(part.with_values(dict(zip(names, values[at : at + len(names)].tolist(), strict=True))))
         at += len(names)
     return tuple(done)
 
@@ -189,84 +177,20 @@ def derivatives(
     for i in range(len(values)) if only is None else only:
         owner = owners[i]
         # how well the accelerations tell the toe is taken as it is; what adds to its noise is not
-        alone = (i < len(keys) and keys[i] == "match") or (owner is not None and owner.name == "exposure-jitter")
+        alone = (i < len(keys) and keys[i].startswith("match")) or (
+            owner is not None and owner.name == "exposure-jitter"
+        )
         there = values.copy()
         there[i] += _STEP * sigmas[i]
         moved = placed(belief, there, parts)
         for model, one, mine in zip(models, found, columns, strict=True):
-            other = model.expect(there[: len(keys)], moved, one.toe_posterior)
-            mine.append(_column(model, one, other, _STEP * float(sigmas[i]), alone, owner))
+            if i < len(keys) and not belief.concerns(i, model.recording):
+                mine.append(Column())
+                continue
+            other = model.expect(there[: len(keys)], moved, one)
+            shift = model.time_shift(owner) if owner is not None else None
+            mine.append(column(one, other, _STEP * float(sigmas[i]), alone, shift))
     return columns
-
-
-def scores(model: SuperModel, found: Expectation, columns: Sequence[Column]) -> tuple[Floats, Floats]:
-    """Gradient of the log likelihood and its Fisher information, (p,) and (p, p)."""
-    p, weight = len(columns), model.weight
-    relative = np.stack([column.relative.reshape(-1) for column in columns])
-    turned = np.stack([column.relative.swapaxes(-1, -2).reshape(-1) for column in columns])
-    information = weight * (relative @ turned.T).real
-    white = np.einsum("fij,fj->fi", found.inverse, found.residual)
-    moved = np.stack([column.residual for column in columns])
-    weighed = np.einsum("fij,pfj->pfi", found.inverse, moved)
-    information += 2.0 * weight * (moved.reshape(p, -1).conj() @ weighed.reshape(p, -1).T).real
-    trace = np.einsum("pfii->p", np.stack([column.relative for column in columns])).real
-    outer = np.einsum("fi,pfij,fj->p", found.residual.conj(), np.stack([c.relative for c in columns]), white).real
-    gradient = weight * (outer - trace - 2.0 * np.einsum("pfi,fi->p", moved.conj(), white).real)
-    _add_warps(model, columns, information)
-    _add_toe(found, columns, gradient, information)
-    rest = np.stack([column.rest for column in columns])
-    gradient -= rest @ (found.rest_residual / found.rest_variance)
-    information += (rest / found.rest_variance) @ rest.T
-    return gradient, information
-
-
-def _add_warps(model: SuperModel, columns: Sequence[Column], information: Floats) -> None:
-    """A shift in time can only be seen where both sides agree: take out what the naive product counts too much."""
-    warped = [i for i, column in enumerate(columns) if column.shift_s is not None]
-    power = 2.0 * model.weight * float(np.sum((2.0 * np.pi * model.band_hz) ** 2))
-    for i in warped:
-        for j in warped:
-            first, second = columns[i].shift_s, columns[j].shift_s
-            assert first is not None
-            assert second is not None
-            information[i, j] -= power * float(np.sum(np.mean(first * second, axis=1)))
-
-
-def _add_toe(found: Expectation, columns: Sequence[Column], gradient: Floats, information: Floats) -> None:
-    if not len(found.toe_residual_rad):
-        return
-    factor = cho_factor(found.toe_covariance, lower=True)
-    toe = np.stack([column.toe for column in columns], 1)
-    weighed = cho_solve(factor, toe)
-    gradient -= weighed.T @ found.toe_residual_rad
-    information += toe.T @ weighed
-    random = [(i, np.diag(column.toe_variance)) for i, column in enumerate(columns) if column.toe_variance is not None]
-    if not random:
-        return
-    white = cho_solve(factor, found.toe_residual_rad)
-    ratios = [(i, cho_solve(factor, changed)) for i, changed in random]
-    for (i, changed), (_, ratio) in zip(random, ratios, strict=True):
-        gradient[i] += 0.5 * float(white @ changed @ white - np.trace(ratio))
-        for j, other in ratios:
-            information[i, j] += 0.5 * float(np.sum(ratio * other.T))
-
-
-def _column(
-    model: SuperModel,
-    found: Expectation,
-    there: Expectation,
-    step: float,
-    alone: bool,
-    owner: Effect | None,
-) -> Column:
-    return Column(
-        np.asarray(found.inverse @ (there.spectrum - found.spectrum)) / step,
-        (there.residual - found.residual) / step,
-        (there.toe_residual_rad - found.toe_residual_rad) / step,
-        (there.toe_variance - found.toe_variance) / step if alone else None,
-        (there.rest_residual - found.rest_residual) / step,
-        model.time_shift(owner) if owner is not None else None,
-    )
 
 
 def _climb(

@@ -76,7 +76,7 @@ def _blocks(model: SuperModel, count: int) -> list[SuperModel]:
     seen = model.seen
     length = seen.duration_s / count
     windows = [(k * length + _GUARD_S, (k + 1) * length - _GUARD_S) for k in range(count)]
-    return [SuperModel(model.belief, seen.window(*window), model.top_hz) for window in windows]
+    return [SuperModel(model.belief, seen.window(*window), model.top_hz, model.recording) for window in windows]
 
 
 def _again(train: Sequence[SuperModel], whole: Fit) -> Fit:

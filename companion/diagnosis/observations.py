@@ -11,8 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from companion.core.wing.sensing import GRAVITY_MPS2
+from companion.diagnosis.transforms import fast_length
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side
@@ -20,6 +22,7 @@ from companion.records import Floats, Side
 _SHORTEST_S = 8.0
 _LONGEST_GAP_S = 0.02
 _MARGIN_S = 1.0
+_CROWDED = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +44,16 @@ class RawRanges:
 
 @dataclass(frozen=True, slots=True)
 class RawRecording:
-    """The channels of one recording as they came, before any grid."""
+    """The channels of one recording as they came, before any grid.
+
+    ``rigid`` has the root's further axes by letter: x, y in m/s^2, p, q, r in rad/s.
+    """
 
     tips: Mapping[Side, RawStream]
     root: RawStream | None = None
     ranges: RawRanges | None = None
     covariates: Mapping[str, tuple[Floats, Floats]] = field(default_factory=dict)
+    rigid: Mapping[str, tuple[Floats, Floats]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +96,8 @@ class Observations:
     covariates : dict of str to (m,)
         About their means, in units of their rms over the whole recording.
     toe : ToeData or None
+    rigid : dict of str to (m,)
+        The root's further axes by letter (x, y, p, q, r), where they were recorded.
     notes : tuple of str
     start_s, centre_s : float
         Where this part begins in its recording, and the middle of the whole.
@@ -102,6 +111,7 @@ class Observations:
     load_factor: Floats
     covariates: dict[str, Floats]
     toe: ToeData | None
+    rigid: dict[str, Floats] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
     centre_s: float = 0.0
@@ -119,7 +129,7 @@ class Observations:
     def window(self, start_s: float, stop_s: float) -> Observations:
         """The part between two times as a recording of its own, its mean removed anew."""
         first, last = round(start_s * self.rate_hz), round(stop_s * self.rate_hz)
-        last -= (last - first) % 2
+        last = first + fast_length(min(last, len(self.up_mps2)) - first, up=False)
         up = self.up_mps2[first:last]
         begin_s = self.start_s + first / self.rate_hz
         toe = self.toe and _toe_within(self.toe, begin_s, begin_s + (last - first) / self.rate_hz)
@@ -128,6 +138,7 @@ class Observations:
             up_mps2=up - up.mean(0),
             load_factor=self.load_factor[first:last],
             covariates={name: values[first:last] for name, values in self.covariates.items()},
+            rigid={name: values[first:last] for name, values in self.rigid.items()},
             toe=toe,
             start_s=self.start_s + first / self.rate_hz,
         )
@@ -152,8 +163,8 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     fine_t = start_s + np.arange(int((stop_s - start_s) * fine_hz)) / fine_hz
     rate_hz, keep = _coarse(len(fine_t), fine_hz, top_hz)
     sides = tuple(sorted(raw.tips))
-    tips = np.stack([np.interp(fine_t, raw.tips[side].t_s, raw.tips[side].force_z_mps2) for side in sides], 1)
-    root = np.interp(fine_t, raw.root.t_s, raw.root.force_z_mps2) if raw.root else np.full(len(fine_t), -GRAVITY_MPS2)
+    tips = np.stack([_on_grid(raw.tips[side], fine_t) for side in sides], 1)
+    root = _on_grid(raw.root, fine_t) if raw.root else np.full(len(fine_t), -GRAVITY_MPS2)
     up = root[:, None] - tips
     load = -root / GRAVITY_MPS2
     grid_t = start_s + np.arange(keep) / rate_hz
@@ -166,6 +177,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         _resample(load - load.mean(), keep) + load.mean(),
         {name: _standard(np.interp(grid_t, t_s, values)) for name, (t_s, values) in raw.covariates.items()},
         _toe(raw.ranges, airframe, start_s, stop_s),
+        {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
         tuple(notes),
         centre_s=0.5 * keep / rate_hz,
     )
@@ -200,9 +212,21 @@ def _longest_stretch(streams: list[RawStream], notes: list[str]) -> tuple[float,
     return best
 
 
+def _on_grid(stream: RawStream, t_s: Floats) -> Floats:
+    """A stream at other instants by a cubic spline: a straight line would lose 5 % of a tone at a fifth of the rate."""
+    inside = stream.t_s[(stream.t_s >= t_s[0] - 1e-9) & (stream.t_s <= t_s[-1] + 1e-9)]
+    if len(inside) == len(t_s) and np.allclose(inside, t_s, rtol=0.0, atol=1e-6):
+        return np.asarray(np.interp(t_s, stream.t_s, stream.force_z_mps2))
+    step = np.diff(stream.t_s)
+    if float(step.min()) < _CROWDED * float(np.median(step)):  # a spline through crowded samples would swing
+        return np.asarray(np.interp(t_s, stream.t_s, stream.force_z_mps2))
+    return np.asarray(CubicSpline(stream.t_s, stream.force_z_mps2)(t_s))
+
+
 def _coarse(count: int, fine_hz: float, top_hz: float) -> tuple[float, int]:
-    keep = min(count, 2 * math.ceil(count * 2.2 * top_hz / fine_hz / 2.0))
-    keep -= keep % 2
+    keep = fast_length(math.ceil(count * 2.2 * top_hz / fine_hz), up=True)
+    if keep > count:
+        keep = fast_length(count, up=False)
     return fine_hz * keep / count, keep
 
 

@@ -17,7 +17,8 @@ from scipy.stats import chi2, norm
 
 from companion.core.wing.effect import Effect
 from companion.diagnosis.fit import Fit, derivatives, joint_scores
-from companion.diagnosis.supermodel import Part, SuperModel
+from companion.diagnosis.part import Part
+from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
 FOLLOWS_CHANNEL = frozenset({"covariate-frequency"})

@@ -13,8 +13,9 @@ from companion.core.wing.effect import Effect
 from companion.diagnosis.adequacy import Check, check
 from companion.diagnosis.fit import Fit, fit
 from companion.diagnosis.gain import HeldOut, held_out
+from companion.diagnosis.part import Part
 from companion.diagnosis.screen import Candidate, Screening, candidates_of, screen
-from companion.diagnosis.supermodel import Part, SuperModel
+from companion.diagnosis.supermodel import SuperModel
 
 ENOUGH = 6.0
 """Log Bayes factor above which an effect may be accepted."""
@@ -143,7 +144,7 @@ def _refit(
         begun = (*current.parts, _begun(candidate))
         fitted = fit(models, begun, current.values)
         factor = fitted.log_evidence - current.log_evidence
-        count = sum(len(model.band) * 2 * len(model.seen.sides) for model in models)
+        count = sum(len(model.band_hz) * 2 * len(model.seen.sides) for model in models)
         extra = len(fitted.values) - len(current.values)
         bic = -2.0 * (fitted.log_likelihood - current.log_likelihood) + extra * math.log(count)
         tried.append(_Tried(candidate, fitted, factor, bic))
@@ -208,9 +209,8 @@ def _restated(cause: Cause, final: Fit, index: int, causes: Sequence[Cause]) -> 
 def _excited(models: Sequence[SuperModel], null: Fit) -> bool:
     """Whether the accelerations stand above the sensors' noise anywhere in the band."""
     for found in null.found:
-        power = np.einsum("fii->fi", found.spectrum).real
-        floor = np.min(power, axis=0)
-        if np.any(10.0 * np.log10(power.max(0) / floor) > _QUIET_DB):
+        power = np.einsum("iif->if", found.spectrum).real
+        if np.any(10.0 * np.log10(power.max(1) / power.min(1)) > _QUIET_DB):
             return True
     return not models
 

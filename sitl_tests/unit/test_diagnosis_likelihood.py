@@ -11,7 +11,8 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.belief import believe
 from companion.diagnosis.fit import derivatives, expect, fit, joint_scores, log_likelihood, priors
 from companion.diagnosis.observations import Observations, RawRanges, RawRecording, RawStream, observe
-from companion.diagnosis.supermodel import Part, SuperModel
+from companion.diagnosis.part import Part
+from companion.diagnosis.supermodel import SuperModel
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
@@ -35,11 +36,12 @@ def drawn(airframe: Airframe) -> SuperModel:
     empty = Observations(RATE_HZ, (Side.LEFT, Side.RIGHT), rng.standard_normal((m, 2)), np.zeros(2), False,
                          np.ones(m), {}, None)  # fmt: skip
     model = SuperModel(believe(airframe, empty.sides, False, False), empty, TOP_HZ)
-    spectrum = model.expect(np.zeros(len(model.belief.nuisances))).spectrum
+    spectrum = np.moveaxis(model.expect(np.zeros(len(model.belief.nuisances))).spectrum, -1, 0)
     root = np.linalg.cholesky(spectrum)
     noise = rng.standard_normal((len(spectrum), 2, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
     bins = np.zeros((m // 2 + 1, 2), dtype=complex)
-    bins[model.band] = (root @ noise[..., None])[..., 0] * np.sqrt(m * RATE_HZ)
+    inside = np.isin(np.fft.rfftfreq(m, 1.0 / RATE_HZ), model.band_hz)
+    bins[inside] = (root @ noise[..., None])[..., 0] * np.sqrt(m * RATE_HZ)
     up = np.fft.irfft(bins, m, axis=0)
     seen = dataclasses.replace(empty, up_mps2=up)
     return SuperModel(model.belief, seen, TOP_HZ)
@@ -48,7 +50,7 @@ def drawn(airframe: Airframe) -> SuperModel:
 def test_the_spectrum_of_one_mode_is_the_oscillators(airframe: Airframe, drawn: SuperModel) -> None:
     """Deflection's variance under the model is what the airframe says, and S_a = w^4 |H|^2 S_g + noise."""
     found = drawn.expect(np.zeros(len(drawn.belief.nuisances)))
-    symmetric = 0.25 * np.einsum("fij->f", found.spectrum).real  # of the mean of both tips
+    symmetric = 0.25 * np.einsum("ijf->f", found.spectrum).real  # of the mean of both tips
     f_hz = drawn.band_hz
     omega, w0, zeta = 2 * np.pi * f_hz, 2 * np.pi * 5.0, 0.03
     receptance = 1.0 / np.abs(w0**2 - omega**2 + 2j * zeta * w0 * omega)

@@ -36,6 +36,8 @@ from companion.errors import ConfigError
 from companion.records import Floats, Side, Station
 
 Complexes = npt.NDArray[np.complex128]
+MOUNT_DAMPING = 0.02
+"""Damping ratio of a camera mount that rings."""
 
 
 class Group(enum.StrEnum):
@@ -84,8 +86,9 @@ class ModalMotion:
 class CameraView:
     """What the effects have made of a camera: extra rotation vector (camera axes) and shift (body), focal, time.
 
-    The mount follows the tip station's slope ``slope_gain`` times, ``lag_s`` late (first order); ``jitter_s`` is the
-    standard deviation of what the exposure's instant wanders.
+    The mount follows the tip station's slope ``slope_gain`` times, ``lag_s`` late (first order), through a resonance at
+    ``1/sqrt(softness_s2)`` rad/s; the image is the mean over a readout of ``readout2_s2`` seconds squared; ``jitter_s``
+    is the standard deviation of what the exposure's instant wanders.
     """
 
     rotation_rad: Floats = field(default_factory=lambda: np.zeros(3))
@@ -95,6 +98,20 @@ class CameraView:
     slope_gain: float = 1.0
     lag_s: float = 0.0
     jitter_s: float = 0.0
+    softness_s2: float = 0.0
+    readout2_s2: float = 0.0
+
+    def follows(self, omega_radps: Floats) -> Complexes:
+        """Camera slope per station slope, (f,); (1,) where it is the same at every frequency."""
+        if not (self.lag_s or self.softness_s2 or self.readout2_s2):
+            return np.array([self.slope_gain + 0.0j])
+        omega: Floats = np.asarray(omega_radps)
+        lag = 1.0 / (1.0 + 1j * omega * self.lag_s)
+        soft = self.softness_s2 * omega**2
+        resonance = 1.0 / (1.0 - soft + 2j * MOUNT_DAMPING * np.sqrt(np.abs(soft)))
+        # a mean over T passes sinc(omega T / 2) = 1 - omega^2 T^2 / 24 + ...
+        mean = np.sinc(np.sqrt(np.maximum(self.readout2_s2, 0.0)) * omega / (2.0 * np.pi))
+        return np.asarray(self.slope_gain * lag * resonance * mean, dtype=np.complex128)
 
 
 def parameter(unit: str, sigma: float, doc: str, default: float = 0.0) -> Any:
@@ -135,6 +152,11 @@ class Effect:
         """Modal acceleration to add, (n,) in m/s^2, or None for none."""
         del motion
         return None
+
+    @classmethod
+    def forces_modes(cls) -> bool:
+        """Whether it overrides ``force``, so that a wing with it is not linear."""
+        return cls.force is not Effect.force
 
     def sample_time(self, station: Station, t_s: Floats) -> Floats:
         """The instants that samples stamped ``t_s`` really show, (m,)."""

@@ -1,0 +1,101 @@
+"""Small matrices, one for every frequency, as arrays (rows, columns, f): frequency last, so that numpy runs along it.
+
+A diagonal matrix may be given as (n, f).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from companion.records import Floats
+
+Complexes = npt.NDArray[np.complex128]
+
+
+def product(a: Complexes, b: Complexes) -> Complexes:
+    """Matrix product at every frequency."""
+    if a.ndim == 2 and b.ndim == 2:
+        return np.asarray(a * b)
+    if a.ndim == 2:
+        return np.asarray(a[:, None] * b)
+    if b.ndim == 2:
+        return np.asarray(a * b[None])
+    found = np.empty((a.shape[0], b.shape[1], max(a.shape[2], b.shape[2])), dtype=np.complex128)
+    for i, k in np.ndindex(a.shape[0], b.shape[1]):
+        total = a[i, 0] * b[0, k]
+        for j in range(1, a.shape[1]):
+            total += a[i, j] * b[j, k]
+        found[i, k] = total
+    return found
+
+
+def apply(a: Complexes, vector: Complexes) -> Complexes:
+    """Matrix times vector (n, f) at every frequency."""
+    if a.ndim == 2:
+        return np.asarray(a * vector)
+    return np.asarray(np.sum(a * vector[None], axis=1))
+
+
+def adjoint(a: Complexes) -> Complexes:
+    """Conjugate transpose."""
+    return np.asarray(a.conj() if a.ndim == 2 else a.conj().swapaxes(0, 1))
+
+
+def full(a: Complexes) -> Complexes:
+    """A diagonal matrix written out."""
+    if a.ndim == 3:
+        return a
+    found = np.zeros((len(a), *a.shape), dtype=np.complex128)
+    found[np.diag_indices(len(a))] = a
+    return found
+
+
+def inverse(a: Complexes) -> Complexes:
+    """Inverse at every frequency; elimination without pivots, which damped oscillators and covariances allow."""
+    if a.ndim == 2:
+        return np.asarray(1.0 / a)
+    n = len(a)
+    if n == 1:
+        return np.asarray(1.0 / a)
+    if n == 2:
+        share = 1.0 / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
+        return np.stack([[a[1, 1] * share, -a[0, 1] * share], [-a[1, 0] * share, a[0, 0] * share]])
+    work, found = a.copy(), full(np.ones(a.shape[1:], dtype=np.complex128))
+    for k in range(n):
+        share = 1.0 / work[k, k]
+        work[k], found[k] = work[k] * share, found[k] * share
+        for i in range(n):
+            if i != k:
+                times = work[i, k].copy()
+                work[i] -= times * work[k]
+                found[i] -= times * found[k]
+    return found
+
+
+def triangle(a: Complexes) -> Complexes:
+    """Lower triangular L with L L^H = a, for Hermitian positive ``a`` (n, n, f)."""
+    found = np.zeros_like(a)
+    for j in range(len(a)):
+        left = a[j, j].real - np.sum(np.abs(found[j, :j]) ** 2, axis=0)
+        found[j, j] = np.sqrt(left)
+        for i in range(j + 1, len(a)):
+            shared = np.sum(found[i, :j] * found[j, :j].conj(), axis=0)
+            found[i, j] = (a[i, j] - shared) / found[j, j]
+    return found
+
+
+def log_determinant(a: Complexes) -> Floats:
+    """Logarithm of the determinant of Hermitian positive matrices, (f,)."""
+    if a.ndim == 2:
+        return np.asarray(np.sum(np.log(a.real), axis=0))
+    if len(a) == 1:
+        return np.asarray(np.log(a[0, 0].real))
+    if len(a) == 2:
+        return np.asarray(np.log(a[0, 0].real * a[1, 1].real - np.abs(a[0, 1]) ** 2))
+    return np.asarray(np.linalg.slogdet(np.moveaxis(a, -1, 0))[1])
+
+
+def weighed_square(a: Complexes, vector: Complexes) -> float:
+    """Sum over frequencies of vector^H a vector, for Hermitian ``a``."""
+    return float(np.sum((vector.conj() * apply(a, vector)).real))

@@ -1,0 +1,21 @@
+"""The parts of a model: named effects at some values."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from companion.core.wing.effect import Effect
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One named effect in a model, with the recorded channel that it follows, if any."""
+
+    effect: Effect
+    channel: str = ""
+
+    def with_values(self, values: Mapping[str, float]) -> Part:
+        """The same effect with other values."""
+        return dataclasses.replace(self, effect=type(self.effect).from_values(dict(values)))
