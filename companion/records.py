@@ -393,6 +393,33 @@ class CorrectedRange:
 
 
 @dataclass(frozen=True, slots=True)
+class RelativeRotation:
+    """What one pair's matches say about the right camera's rotation against the left, beyond the tracked bend.
+
+    Rotation vectors in the epipolar frame: x along the baseline (pitch), y across it (yaw: the toe of a pair), z where
+    the cameras look (roll). Yaw is seen weakly in distant flat scenes; the covariances say how weakly.
+
+    Attributes
+    ----------
+    rotation_rad, covariance : (3,), (3, 3) float64
+        At this exposure, what the tracker's fast part has wrong included: the pair is corrected by this.
+    slow_rad, slow_covariance : (3,), (3, 3) float64
+        The slow part alone (static bend, thermal set, mounting), carried from pair to pair.
+    parallax_scale : float
+        How much more the matches scatter across the epipolar lines than their sigmas say; 0 where none were used.
+    """
+
+    pair_id: int
+    t_host_ns: int
+    rotation_rad: Floats
+    covariance: Floats
+    slow_rad: Floats
+    slow_covariance: Floats
+    matches: int
+    parallax_scale: float
+
+
+@dataclass(frozen=True, slots=True)
 class NoRange:
     """Alive, but without a range to trust: what goes out instead of an old number."""
 
@@ -466,6 +493,7 @@ OutputRecord = (
     | Deflection
     | TriggerPlan
     | CorrectedRange
+    | RelativeRotation
     | NoRange
     | ObstacleSectors
     | Rejected

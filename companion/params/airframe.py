@@ -113,6 +113,8 @@ class Camera:
     ``axes`` names the body direction of camera x, y, z at rest (nadir: ``["y", "-x", "z"]``, forward:
     ``["y", "z", "x"]``); ``rotation_rad`` is the calibrated small rotation vector, in camera axes, from there to the
     camera as mounted.
+    ``drift_sigma_rad`` is how far, per axis, heat and load may slowly turn the camera against the wing section that its
+    inertial sensor sits on, ``drift_time_s`` how long it takes; matched features follow it.
     ``slope_gain`` scales the tip station's slope to the camera (1: mounted at the station); ``lift_gain`` likewise its
     deflection. ``focal_px`` is along the rows, ``focal_ratio`` times it along the columns. ``latency_s`` is from
     trigger command to the start of the exposure.
@@ -126,6 +128,8 @@ class Camera:
     axes: tuple[str, str, str]
     rotation_rad: Vector3 = (0.0, 0.0, 0.0)
     rotation_sigma_rad: float = 0.0001
+    drift_sigma_rad: float = 0.0
+    drift_time_s: float = 600.0
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     exposure_s: float = 0.002
     row_time_s: float = 0.0

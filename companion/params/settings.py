@@ -121,6 +121,15 @@ class Settings:
     product: int = _tunable(
         "RNG_PRODUCT", "", 0, 2, 0, "Which range is published", choices=("median", "nearest", "centre")
     )
+    hold_slow: int = _tunable(
+        "RNG_EPIPOLAR",
+        "",
+        0,
+        1,
+        1,
+        "Hold the slow part of the cameras' relative rotation by matched features",
+        choices=("off", "on"),
+    )
 
     # outputs
     publish_rate_hz: float = _tunable("OUT_RATE", "Hz", 2, 50, 10, "Rate of DISTANCE_SENSOR and OBSTACLE_DISTANCE")

@@ -152,7 +152,11 @@ def test_it_refuses_and_forgets_nothing(rig: Rig) -> None:
 
 
 def test_belief_grows_wider_while_nothing_is_seen(rig: Rig) -> None:
-    tracker = EpipolarFilter(rig, SlowPrior(walk_rad_rts=1e-3))
+    """An Ornstein-Uhlenbeck process: ``P(t) = V + (P(0) - V) exp(-2 t / T)``, ``T = 2 V / walk^2``."""
+    prior = SlowPrior(walk_rad_rts=1e-3, rotation_rad=0.005)
+    tracker = EpipolarFilter(rig, prior)
     tracker.update(_rays(rig, np.zeros(3), 12), np.full(150, NOISE_RAD), 1e-8 * np.eye(3), 0)
-    now, later = tracker.predict(0)[1], tracker.predict(4_000_000_000)[1]
-    assert np.allclose(np.diag(later - now), 4e-6, rtol=1e-9)
+    now, soon, late = (np.diag(tracker.predict(t_ns)[1]) for t_ns in (0, 4_000_000_000, 10**13))
+    assert prior.time_s == pytest.approx(50.0)
+    assert np.allclose(soon, 25e-6 + (now - 25e-6) * np.exp(-8.0 / 50.0), rtol=1e-9)
+    assert np.allclose(late, 25e-6, rtol=1e-9)

@@ -1,4 +1,4 @@
-"""From matches to ranges: wait for the smoother, take each camera's bend at its own exposure, range, gate."""
+"""From matches to ranges: wait for the smoother, take each camera's bend at its exposure, hold the slow part, gate."""
 
 from __future__ import annotations
 
@@ -7,12 +7,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from companion.core.mode.tracker import WingTracker
+from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.ranging import RangeAnswer, correct
+from companion.core.stereo.ranging import TIMING_SIGMA_S, RangeAnswer, correct
+from companion.core.stereo.slow import SlowRotation
+from companion.core.stereo.triangulation import match_rays
 from companion.core.stereo.trust import RangeGate
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, CorrectedRange, MatchSet, OutputRecord, Reject, Rejected
+from companion.records import (
+    ClockName,
+    CorrectedRange,
+    Deflection,
+    MatchSet,
+    OutputRecord,
+    Reject,
+    Rejected,
+    RelativeRotation,
+)
 
 _QUEUE_DEPTH = 64
 _DOWN = 25
@@ -27,6 +39,7 @@ class Correction:
     rig: Rig
     gate: RangeGate
     settings: Settings
+    slow: SlowRotation
     pending: deque[MatchSet] = field(default_factory=deque)
     last_trusted: CorrectedRange | None = None
 
@@ -34,7 +47,8 @@ class Correction:
     def create(cls, airframe: Airframe, settings: Settings) -> Correction:
         """For an airframe that has both cameras."""
         closing = 1.0 if airframe.orientation == _DOWN else 0.0
-        return cls(airframe, Rig.from_airframe(airframe), RangeGate(closing), settings)
+        rig = Rig.from_airframe(airframe)
+        return cls(airframe, rig, RangeGate(closing), settings, SlowRotation(rig, airframe))
 
     def add(self, matches: MatchSet) -> Iterator[OutputRecord]:
         """Queue a pair; a full queue drops the oldest and says so."""
@@ -65,7 +79,9 @@ class Correction:
             return
         yield left
         yield right
-        answer: RangeAnswer = correct(matches, left, right, self.rig, self.airframe, self.settings)
+        turned = self._turned(matches, left, right)
+        yield turned
+        answer: RangeAnswer = correct(matches, left, right, self.rig, self.airframe, self.settings, turned=turned)
         slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
         judged = self.gate.judge(answer.range, climb_mps, slack_mps)
         if judged.trusted:
@@ -73,3 +89,9 @@ class Correction:
         yield judged
         if answer.sectors is not None:
             yield answer.sectors
+
+    def _turned(self, matches: MatchSet, left: Deflection, right: Deflection) -> RelativeRotation:
+        moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), left, right)
+        rays = match_rays(self.rig, moving, matches)
+        look = bool(self.settings.hold_slow)
+        return self.slow.update(matches, rays, (left, right), moving, TIMING_SIGMA_S, look=look)

@@ -9,6 +9,9 @@ really points to ``(1, b_y, b_z)``, leave the parallax
 so pitch ``phi_x`` and roll ``phi_z`` are seen strongly, yaw ``phi_y`` only through ``x y``, and the baseline only
 through depth that varies. Yaw is the toe that falsifies ranges; its covariance tells how weakly a picture shows it.
 What two lenses may have wrong differently (focal length, radial distortion) is carried as two constants with a prior.
+
+The wing tracker's own slow error (trim bend, tilt bias) turns the cameras about one known axis; it is a state of its
+own, so that what the accelerometers know of it counts, and only that: see :class:`BendBelief`.
 """
 
 from __future__ import annotations
@@ -22,12 +25,14 @@ from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
-PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL = range(7)
-_SLOW = 7
+PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND = range(8)
+_SLOW = 8
+_SEEN = 7  # states that the parallax has a column of its own for
 _LEAST_MATCHES = 12
 _ROUNDS = 10
 _STUDENT = 5.0  # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
 _MEDIAN_TO_SIGMA = 1.4826
+_TINY = 1e-17  # rad^2: what is known exactly has a finite information
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +42,9 @@ class SlowPrior:
     Attributes
     ----------
     rotation_rad : float
-        Sigma of each axis at the start: trim bend, thermal set, mounting.
+        Sigma of each axis, at the start and after a long time unseen: thermal set, mounting, what no model has.
     walk_rad_rts : float
-        Its random walk, per square root of a second.
+        How fast it wanders, per square root of a second; it is pulled back so that its sigma stays ``rotation_rad``.
     baseline_rad : float
         Sigma of the baseline's direction, a constant: mounting, and static bend that differs between the wings.
     focal, radial : float
@@ -60,6 +65,33 @@ class SlowPrior:
         sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + [self.focal, self.radial]
         return np.array(sigmas, dtype=np.float64) ** 2
 
+    @property
+    def time_s(self) -> float:
+        """Correlation time of the rotation: an Ornstein-Uhlenbeck process with this sigma and walk."""
+        return 2.0 * (self.rotation_rad / max(self.walk_rad_rts, 1e-12)) ** 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BendBelief:
+    """What the wing tracker knows of its own slow error, a slope of both tips.
+
+    Attributes
+    ----------
+    direction : (3,) float64
+        Relative rotation per radian of that slope, in the epipolar frame.
+    sigma_rad : float
+        Of the slope, now.
+    time_s : float
+        How long the error stays what it is: that of the inertial biases.
+    """
+
+    direction: Floats
+    sigma_rad: float
+    time_s: float
+
+
+NO_BEND = BendBelief(np.zeros(3), 0.0, 1000.0)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpipolarUpdate:
@@ -68,7 +100,7 @@ class EpipolarUpdate:
     Attributes
     ----------
     slow_rad, slow_covariance : (3,), (3, 3) float64
-        Pitch, yaw, roll of the slow part alone: what to carry to the next pair.
+        Pitch, yaw, roll of the slow part alone, the bend's included: what to carry to the next pair.
     total_rad, total_covariance : (3,), (3, 3) float64
         Slow part and this pair's error of the fast part: what to correct this pair by.
     baseline_rad : (2,) float64
@@ -99,10 +131,13 @@ class EpipolarFilter:
         self.epipolar_from_body = epipolar_frame(rig)
         self._prior = prior
         self._mean = np.zeros(_SLOW)
-        self._covariance = np.diag(prior.variances())
+        self._covariance = np.diag(np.append(prior.variances(), 0.0))
+        self._bend_variance = 0.0
         self._seen_ns: int | None = None
 
-    def update(self, rays: Rays, sigma_rad: Floats, fast_covariance: Floats, t_host_ns: int) -> EpipolarUpdate | Reject:
+    def update(
+        self, rays: Rays, sigma_rad: Floats, fast_covariance: Floats, t_host_ns: int, bend: BendBelief = NO_BEND
+    ) -> EpipolarUpdate | Reject:
         """Take the matches of one pair.
 
         Parameters
@@ -115,6 +150,8 @@ class EpipolarFilter:
             Of the believed fast relative rotation, pitch, yaw, roll in the epipolar frame; rad^2.
         t_host_ns : int
             Mid-exposure.
+        bend : BendBelief
+            Slow error of the believed bend; none where the fast covariance has it all.
 
         Returns
         -------
@@ -123,25 +160,40 @@ class EpipolarFilter:
         refused = self._refuse(rays, sigma_rad, t_host_ns)
         if refused is not None:
             return refused
-        predicted = self._predicted(t_host_ns)
+        mean, predicted = self._predicted(t_host_ns, bend)
         seen = in_frame(rays, self.epipolar_from_body)
         joint = np.zeros((_SLOW + 3, _SLOW + 3))
         joint[:_SLOW, :_SLOW], joint[_SLOW:, _SLOW:] = predicted, fast_covariance
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        answer = _solve(seen, noise_rad, np.concatenate([self._mean, np.zeros(3)]), joint)
+        answer = _solve(seen, noise_rad, np.concatenate([mean, np.zeros(3)]), joint, bend.direction)
         self._mean, self._covariance, self._seen_ns = answer.mean[:_SLOW], answer.covariance[:_SLOW, :_SLOW], t_host_ns
-        return _describe(answer)
+        self._bend_variance = bend.sigma_rad**2
+        return _describe(answer, bend.direction)
 
-    def predict(self, t_host_ns: int) -> tuple[Floats, Floats]:
+    def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
         """Slow rotation (3,) and its covariance (3, 3) at a time at or after the last update."""
-        return self._mean[:3].copy(), self._predicted(t_host_ns)[:3, :3]
+        mean, covariance = self._predicted(t_host_ns, bend)
+        gather = _gather(bend.direction)
+        return gather @ mean, gather @ covariance @ gather.T
 
-    def _predicted(self, t_host_ns: int) -> Floats:
+    def _predicted(self, t_host_ns: int, bend: BendBelief) -> tuple[Floats, Floats]:
+        """Mean and covariance before the pair: the rotation wanders, the bend's error shrinks as the tracker learns.
+
+        The tracker's next error is independent of what it learns until then, so of the part ``1 - s1^2/s0^2`` that it
+        learns nothing is left: mean and deviations shrink by ``s1^2/s0^2``, and its own sigma fills the rest.
+        """
+        first = self._seen_ns is None
         passed_s = 0.0 if self._seen_ns is None else max(t_host_ns - self._seen_ns, 0) * 1e-9
-        walk = np.zeros(_SLOW)
-        walk[:3] = self._prior.walk_rad_rts**2 * passed_s
-        grown: Floats = self._covariance + np.diag(walk)
-        return grown
+        keep = np.ones(_SLOW)
+        keep[:3] = np.exp(-passed_s / self._prior.time_s)
+        before, now = self._bend_variance, bend.sigma_rad**2
+        learnt = 0.0 if first or before <= 0.0 else min(now / before, 1.0)
+        keep[BEND] = learnt * np.exp(-passed_s / bend.time_s)
+        fresh = np.zeros(_SLOW)
+        fresh[:3] = (1.0 - keep[:3] ** 2) * self._prior.rotation_rad**2
+        fresh[BEND] = now - keep[BEND] ** 2 * before
+        covariance = self._covariance * np.outer(keep, keep) + np.diag(fresh)
+        return keep * self._mean, covariance
 
     def _refuse(self, rays: Rays, sigma_rad: Floats, t_host_ns: int) -> Reject | None:
         if len(sigma_rad) < _LEAST_MATCHES:
@@ -182,7 +234,7 @@ def parallax(seen: Rays, state: Floats) -> tuple[Floats, Floats]:
     seen : Rays
         In the epipolar frame.
     state : (7,) float64
-        Pitch, yaw, roll, baseline y and z, focal and radial difference of the lenses.
+        Pitch, yaw, roll of the right camera in all, baseline y and z, focal and radial difference of the lenses.
     """
     left, right = seen.left, seen.right @ exp_rotation(state[:3]).T
     x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
@@ -206,14 +258,16 @@ class _Answer:
     used: int
 
 
-def _solve(seen: Rays, sigma_rad: Floats, mean: Floats, covariance: Floats) -> _Answer:
-    """Maximum a posteriori by Gauss-Newton; the last three entries add to the first three (the fast part's error)."""
-    prior_information = np.linalg.inv(covariance)
+def _solve(seen: Rays, sigma_rad: Floats, mean: Floats, covariance: Floats, bend: Floats) -> _Answer:
+    """Maximum a posteriori by Gauss-Newton; bend and the last three entries (fast part) add to the first three."""
+    gather = np.hstack([_gather(bend), np.eye(3)])
+    prior_information = np.linalg.inv(covariance + _TINY * np.eye(len(mean)))
     state, scale = mean.copy(), 1.0
     weight, information = np.ones(len(sigma_rad)), prior_information
     for _ in range(_ROUNDS):
-        left_over, slow = parallax(seen, state[:_SLOW] + _padded(state[_SLOW:]))
-        design = np.hstack([slow, slow[:, :3]])
+        left_over, columns = parallax(seen, np.concatenate([gather @ state, state[3:_SEEN]]))
+        design = columns[:, :3] @ gather
+        design[:, 3:_SEEN] = columns[:, 3:]
         # the first rounds see the rotation itself and take it for noise; as it shrinks, outliers come to stand alone
         unit = left_over / sigma_rad
         scale = max(_MEDIAN_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
@@ -227,17 +281,22 @@ def _solve(seen: Rays, sigma_rad: Floats, mean: Floats, covariance: Floats) -> _
     return _Answer(state, np.linalg.inv(information), scale, int(np.sum(weight > 0.5)))
 
 
-def _padded(fast: Floats) -> Floats:
-    return np.concatenate([fast, np.zeros(_SLOW - 3)])
+def _gather(bend: Floats) -> Floats:
+    """Rows (3, 8) that add up the slow relative rotation."""
+    rows = np.zeros((3, _SLOW))
+    rows[:, :3] = np.eye(3)
+    rows[:, BEND] = bend
+    return rows
 
 
-def _describe(answer: _Answer) -> EpipolarUpdate:
-    add = np.hstack([np.eye(3), np.zeros((3, _SLOW - 3)), np.eye(3)])
+def _describe(answer: _Answer, bend: Floats) -> EpipolarUpdate:
+    slow = np.hstack([_gather(bend), np.zeros((3, 3))])
+    total = np.hstack([_gather(bend), np.eye(3)])
     return EpipolarUpdate(
-        slow_rad=answer.mean[:3],
-        slow_covariance=answer.covariance[:3, :3],
-        total_rad=add @ answer.mean,
-        total_covariance=add @ answer.covariance @ add.T,
+        slow_rad=slow @ answer.mean,
+        slow_covariance=slow @ answer.covariance @ slow.T,
+        total_rad=total @ answer.mean,
+        total_covariance=total @ answer.covariance @ total.T,
         baseline_rad=answer.mean[BASELINE_Y : BASELINE_Z + 1],
         parallax_scale=answer.scale,
         used=answer.used,

@@ -80,6 +80,24 @@ def exposures(
     )
 
 
+def turned_apart(pair: tuple[Exposure, Exposure], rotation_rad: Floats) -> tuple[Exposure, Exposure]:
+    """Both exposures with the cameras turned against each other by a small rotation vector (3,), body axes.
+
+    The right camera takes half of it and the left one the opposite half: bending of both wings does it so, and where
+    the pair looks stays what it was.
+    """
+    halves = (-0.5 * rotation_rad, 0.5 * rotation_rad)
+    left, right = (
+        Exposure(
+            Pose(exposure.pose.camera_from_body @ exp_rotation(-half), exposure.pose.position_body_m),
+            exposure.rate_radps,
+            exposure.velocity_mps,
+        )
+        for exposure, half in zip(pair, halves, strict=True)
+    )
+    return left, right
+
+
 def rest_exposures(rig: Rig) -> tuple[Exposure, Exposure]:
     """What the ground calibration alone would assume: nothing bends, nothing moves."""
     still = np.zeros(3)

@@ -7,7 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures
+from companion.core.stereo.epipolar import epipolar_frame
+from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
 from companion.core.stereo.geometry import Rig, axes_from_body
 from companion.core.stereo.sectors import matched_sectors
 from companion.core.stereo.sigma import Budget, budget, gradient_of, toe_gradient
@@ -16,10 +17,20 @@ from companion.core.stereo.triangulation import Depths, Rays, Sight, match_rays,
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import CorrectedRange, Deflection, Floats, MatchSet, ObstacleSectors, Reject
+from companion.records import (
+    CorrectedRange,
+    Deflection,
+    Floats,
+    MatchSet,
+    ObstacleSectors,
+    Reject,
+    RelativeRotation,
+)
 
 # What all matches of a pair may share: blur that differs between the cameras, imperfect interpolation.
 _COMMON_MATCH_PX = 0.02
+TIMING_SIGMA_S = 1e-4
+"""Of the stamps of an exposure, where nobody says otherwise."""
 _FORWARD = 0
 _AXES = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}
 # 1 / (10 km): below this an inverse depth is called infinite.
@@ -57,8 +68,9 @@ def correct(
     rig: Rig,
     airframe: Airframe,
     settings: Settings,
-    timing_sigma_s: float = 1e-4,
+    timing_sigma_s: float = TIMING_SIGMA_S,
     velocity_mps: Floats | None = None,
+    turned: RelativeRotation | None = None,
 ) -> RangeAnswer:
     """Range along the airframe's orientation from one matched pair.
 
@@ -78,6 +90,8 @@ def correct(
         One-sigma of each exposure's stamp.
     velocity_mps : (3,) float64, optional
         The aircraft's velocity in body axes, which moves it between unequal exposures.
+    turned : RelativeRotation, optional
+        What the matches say about the relative rotation beyond the bend; without, the bend is taken as it is.
 
     Returns
     -------
@@ -85,6 +99,11 @@ def correct(
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
     moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, velocity_mps)
+    apart_rad2 = None
+    if turned is not None:
+        body_from_epipolar = epipolar_frame(rig).T
+        moving = turned_apart(moving, body_from_epipolar @ turned.rotation_rad)
+        apart_rad2 = body_from_epipolar @ turned.covariance @ body_from_epipolar.T
     sight = sight_along(rig, range_axis(airframe.orientation))
     rays = match_rays(rig, moving, matches)
     sigma_rad = matches.sigma_px / rig.left.lens.focal_px
@@ -92,7 +111,7 @@ def correct(
     reading = read(depths, Product(settings.product), settings.min_matches)
     toe = _Toe(
         toe_between(rig, moving),
-        budget(toe_gradient(_epipolar_y(moving)), rig, airframe, left, moving, timing_sigma_s).total,
+        budget(toe_gradient(_epipolar_y(moving)), rig, airframe, left, moving, timing_sigma_s, apart_rad2).total,
     )
     t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
     if reading is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
@@ -102,7 +121,7 @@ def correct(
 
     inverse_depths = partial(_inverse_depths, sight)
     gradient = gradient_of(inverse_depths, reading.influence, rays, moving)
-    causes = budget(gradient, rig, airframe, left, moving, timing_sigma_s)
+    causes = budget(gradient, rig, airframe, left, moving, timing_sigma_s, apart_rad2)
     match_pm = float(np.hypot(reading.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
     rigid = np.nan_to_num(inverse_depths(match_rays(rig, rest_exposures(rig), matches)))
     answer = _answer(
@@ -167,10 +186,11 @@ def range_axis(orientation: int) -> Floats:
 
 def toe_between(rig: Rig, moving: tuple[Exposure, Exposure]) -> float:
     """Divergence of the optical axes in the epipolar plane beyond that of the ground calibration, radians."""
-    return _divergence(moving) - _divergence(rest_exposures(rig))
+    return divergence(moving) - divergence(rest_exposures(rig))
 
 
-def _divergence(pair: tuple[Exposure, Exposure]) -> float:
+def divergence(pair: tuple[Exposure, Exposure]) -> float:
+    """Angle by which the optical axes of a pair part in the epipolar plane, radians."""
     x, z = _epipolar_xz(pair)
     left, right = (exposure.pose.camera_from_body[2] for exposure in pair)
     return float(np.arctan2(right @ x, right @ z) - np.arctan2(left @ x, left @ z))

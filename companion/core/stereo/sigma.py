@@ -17,6 +17,9 @@ from companion.records import Deflection, Floats, Side
 _STEP_RAD = 1e-6
 _STEP_M = 1e-5
 _STEP_RELATIVE = 1e-6
+# modal coordinates and the antisymmetric slope, of [q symmetric, q antisymmetric, slope left, slope right]
+_KEPT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.5]])
+_TOGETHER = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])
 _PARTS = ("left_m", "left", "right_m", "right")
 
 
@@ -100,12 +103,18 @@ def budget(
     bend: Deflection,
     exposures: tuple[Exposure, Exposure],
     timing_sigma_s: float,
+    apart_rad2: Floats | None = None,
 ) -> Budget:
     """Sigma of a result by cause.
 
     The two exposures are so near each other that one error of the modal state holds for both: modal errors are
     propagated jointly, calibration and stamping errors of the two cameras are independent.
+
+    ``apart_rad2`` (3, 3), body axes, is the covariance of the cameras' relative rotation where matches have told it
+    (:class:`companion.core.stereo.slow.SlowRotation`); then only what turns both cameras alike is left of the rest.
     """
+    if apart_rad2 is not None:
+        return _told(gradient, rig, airframe, bend, exposures, timing_sigma_s, apart_rad2)
     modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe))
     block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
     variance = float(modal @ bend.covariance[block] @ modal)
@@ -119,6 +128,29 @@ def budget(
         rate = gradient.turn_prad[side] @ moving.rate_radps + gradient.shift_pm[side] @ moving.velocity_mps
         timing += (timing_sigma_s * float(rate)) ** 2
     return Budget(float(np.sqrt(max(variance, 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
+
+
+def _told(
+    gradient: Gradient,
+    rig: Rig,
+    airframe: Airframe,
+    bend: Deflection,
+    exposures: tuple[Exposure, Exposure],
+    timing_sigma_s: float,
+    apart_rad2: Floats,
+) -> Budget:
+    modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe)) @ _TOGETHER.T
+    block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
+    apart = 0.5 * (gradient.turn_prad[Side.RIGHT] - gradient.turn_prad[Side.LEFT])
+    alike = gradient.turn_prad[Side.RIGHT] + gradient.turn_prad[Side.LEFT]
+    variance = modal @ (_KEPT @ bend.covariance[block] @ _KEPT.T) @ modal + apart @ apart_rad2 @ apart
+    calibration = timing = 0.0
+    for side in Side:
+        camera = _camera(airframe, side)
+        calibration += (0.5 * camera.rotation_sigma_rad) ** 2 * float(alike @ alike)
+        calibration += (camera.focal_px.sigma / camera.focal_px.value * float(gradient.focal[side])) ** 2
+        timing += (timing_sigma_s * float(gradient.shift_pm[side] @ exposures[side].velocity_mps)) ** 2
+    return Budget(float(np.sqrt(max(float(variance), 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
 
 
 def modal_gradient(gradient: Gradient, rig: Rig, tips: TipMotion) -> Floats:

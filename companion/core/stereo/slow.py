@@ -1,0 +1,117 @@
+"""Holds the slow part of the relative rotation: what the tracker tells, what the matches say, and both fused.
+
+The tracker gives each tip's slope with a covariance, and which part of it is slow (trim bend, tilt bias). The rest is
+fast and independent from pair to pair. Mounting and thermal set of the cameras no inertial sensor sees. Out comes the
+relative rotation to take out of this pair, with its covariance; without matches, what is left of the last ones.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from companion.core.stereo.epipolar import BendBelief, EpipolarFilter, EpipolarUpdate, SlowPrior
+from companion.core.stereo.exposure import Exposure
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.triangulation import Rays
+from companion.params.airframe import Airframe
+from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
+
+_LEAST_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is found again, slowly
+_BASELINE_M = 0.0005  # how well a camera's place across the baseline is known
+_RADIAL = 0.002
+
+
+class SlowRotation:
+    """State of the slow part for one airframe; pure, driven by pairs in order of exposure."""
+
+    def __init__(self, rig: Rig, airframe: Airframe) -> None:
+        self._rig = rig
+        self._filter = EpipolarFilter(rig, slow_prior(rig, airframe))
+        self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
+        self._per_slope = np.stack(
+            [-rig.left.turn_rad(1.0), rig.right.turn_rad(1.0)], axis=1
+        )  # relative rotation, body axes, per radian of left and right tip slope
+        self.body_from_epipolar: Floats = self._filter.epipolar_from_body.T
+
+    def update(
+        self,
+        matches: MatchSet,
+        rays: Rays,
+        bend: tuple[Deflection, Deflection],
+        exposures: tuple[Exposure, Exposure],
+        timing_sigma_s: float,
+        *,
+        look: bool = True,
+    ) -> RelativeRotation:
+        """Take one pair.
+
+        Parameters
+        ----------
+        matches : MatchSet
+            For its sigmas and numbers.
+        rays : Rays
+            Its rays by the tracked bend alone.
+        bend : tuple of Deflection
+            The tracked wing at the left and at the right exposure.
+        exposures : tuple of Exposure
+            For how fast the cameras turn.
+        timing_sigma_s : float
+            One-sigma of each exposure's stamp.
+        look : bool
+            False leaves the matches aside: the tracker's own uncertainty alone.
+        """
+        t_host_ns = (bend[0].t_host_ns + bend[1].t_host_ns) // 2
+        belief, fast = self._belief(bend), self._fast(bend, exposures, timing_sigma_s)
+        sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
+        seen = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief) if look else None
+        if isinstance(seen, EpipolarUpdate):
+            return RelativeRotation(
+                matches.pair_id,
+                t_host_ns,
+                seen.total_rad,
+                seen.total_covariance,
+                seen.slow_rad,
+                seen.slow_covariance,
+                seen.used,
+                seen.parallax_scale,
+            )
+        slow, covariance = self._filter.predict(t_host_ns, belief)
+        return RelativeRotation(matches.pair_id, t_host_ns, slow, covariance + fast, slow, covariance, 0, 0.0)
+
+    def _belief(self, bend: tuple[Deflection, Deflection]) -> BendBelief:
+        direction = self._filter.epipolar_from_body @ self._per_slope.sum(axis=1)
+        sigma_rad = 0.5 * (bend[0].slow_slope_sigma_rad + bend[1].slow_slope_sigma_rad)
+        return BendBelief(direction, sigma_rad, self._time_s)
+
+    def _fast(
+        self, bend: tuple[Deflection, Deflection], exposures: tuple[Exposure, Exposure], timing_sigma_s: float
+    ) -> Floats:
+        """Covariance (3, 3) of the fast part: the slopes less what of them is slow, and stamps of moving cameras."""
+        left, right = bend
+        slopes = np.nan_to_num(0.5 * (left.covariance[4:, 4:] + right.covariance[4:, 4:]))
+        slow = 0.5 * (left.slow_slope_sigma_rad + right.slow_slope_sigma_rad)
+        values, vectors = np.linalg.eigh(slopes - slow**2)
+        fast = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        turn = self._filter.epipolar_from_body @ self._per_slope
+        covariance: Floats = turn @ fast @ turn.T
+        for side in Side:
+            moved = timing_sigma_s * (self._filter.epipolar_from_body @ exposures[side].rate_radps)
+            covariance = covariance + np.outer(moved, moved)
+        return covariance
+
+
+def slow_prior(rig: Rig, airframe: Airframe) -> SlowPrior:
+    """What the airframe says of its cameras: mounting and its drift, lenses, places."""
+    cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
+    mounting = math.sqrt(sum(camera.rotation_sigma_rad**2 + camera.drift_sigma_rad**2 for camera in cameras))
+    walk = math.sqrt(sum(2.0 * camera.drift_sigma_rad**2 / camera.drift_time_s for camera in cameras))
+    focal = math.sqrt(sum((camera.focal_px.sigma / camera.focal_px.value) ** 2 for camera in cameras))
+    return SlowPrior(
+        rotation_rad=mounting,
+        walk_rad_rts=max(walk, _LEAST_WALK_RAD_RTS),
+        baseline_rad=math.sqrt(2.0) * _BASELINE_M / rig.baseline_m,
+        focal=focal,
+        radial=_RADIAL,
+    )
