@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.clock.bank import ClockBank
+from companion.core.delivery import Delivery
 from companion.core.mode.tracker import WingTracker
 from companion.core.publishing import Publishing
 from companion.core.stereo.correction import Correction
@@ -65,6 +66,7 @@ class PipelineState:
     scheduling: Scheduling | None
     correction: Correction | None
     publishing: Publishing
+    delivery: Delivery = field(default_factory=Delivery)
     mode: ModeState | None = None
     vehicle: VehicleState | None = None
     counters: Counter[str] = field(default_factory=Counter)
@@ -116,10 +118,24 @@ def _take_samples(state: PipelineState) -> list[OutputRecord]:
     refused: list[OutputRecord] = []
     for batches in state.waiting.values():
         for batch in joined(batches):
+            state.delivery.note(batch)
             state.counters[f"samples {batch.station.name.lower()}"] += len(batch.t_ns)
             refused += _track(state, batch)
     state.waiting.clear()
     return refused
+
+
+def _adapt_to_delivery(state: PipelineState, now_ns: int) -> list[OutputRecord]:
+    """Take the rates that really come for those that the airframe file believes."""
+    said: list[OutputRecord] = []
+    for station, rate_hz in state.delivery.changed(state.airframe):
+        name, sensor = station.name.lower(), state.airframe.sensor(station)
+        changed: dict[str, Any] = {name: dataclasses.replace(sensor, rate_hz=rate_hz)}
+        state.airframe = dataclasses.replace(state.airframe, **changed)
+        said.append(Notice(4, f"{name} comes at {rate_hz:.0f} Hz, not {sensor.rate_hz:.0f}: tracker restarted", now_ns))
+    if said:
+        state.tracker = WingTracker(state.airframe, state.settings)
+    return said
 
 
 def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
@@ -214,6 +230,7 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     if now_ns >= state.next_track_ns:
         state.next_track_ns = now_ns + _TRACK_PERIOD_NS
         outputs += _take_samples(state)
+        outputs += _adapt_to_delivery(state, now_ns)
         state.mode = state.tracker.advance(now_ns) or state.mode
     if state.scheduling is not None:
         outputs += state.scheduling.tick(state.tracker, state.mode, _motion(state), now_ns)

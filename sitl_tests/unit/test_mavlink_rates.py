@@ -182,3 +182,47 @@ def test_missing_parameters_are_asked_for_a_few_times_then_left_until_the_next_r
     assert asked.count("A") == 1
     assert asked.count("B") == 5
     assert reader.due(31 * S) in ("A", "B")
+
+
+@pytest.mark.parametrize(
+    ("loop_hz", "wanted_hz", "mode_hz", "remedy"),
+    [
+        (50, 333, 7.3, "set SCHED_LOOP_RATE 100, reboot"),
+        (50, 333, 20.0, "set SCHED_LOOP_RATE 250, reboot"),
+        (400, 50, 7.3, "set IMU_RATE 73, restart"),
+    ],
+)
+def test_a_rate_too_low_for_the_mode_is_told_with_parameter_and_value(
+    loop_hz: float, wanted_hz: float, mode_hz: float, remedy: str
+) -> None:
+    keeper, vehicle = RateKeeper({RAW: wanted_hz}, {RAW}), Vehicle(loop_hz)
+    keeper.mode(mode_hz)
+    keeper.loop_rate(loop_hz)
+    _, texts = fly(keeper, vehicle, 0, 50)
+    told = [text for text in texts if f"{mode_hz:.1f} Hz mode needs" in text]
+    assert len(told) == 1
+    assert told[0].endswith(remedy)
+    _, texts = fly(keeper, vehicle, 50, 60)
+    assert len([text for text in texts if "mode needs" in text]) == 1, "once a minute"
+
+
+def test_a_rate_that_is_enough_for_the_mode_is_not_complained_of() -> None:
+    keeper, vehicle = RateKeeper({RAW: 333.0}, {RAW}), Vehicle(50)
+    keeper.mode(3.9)
+    keeper.loop_rate(50)
+    _, texts = fly(keeper, vehicle, 0, 30)
+    assert not [text for text in texts if "mode needs" in text]
+    slow = RateKeeper({RAW: 333.0}, ())
+    slow.mode(20.0)
+    _, texts = fly(slow, Vehicle(50), 0, 30)
+    assert not [text for text in texts if "mode needs" in text], "attitude need not be as fast"
+
+
+def test_silence_is_no_slow_rate() -> None:
+    keeper = RateKeeper({RAW: 333.0}, {RAW})
+    keeper.mode(7.3)
+    texts = []
+    for second in range(1, 20):
+        keeper.verify({}, second * S)
+        texts += [notice.text for notice in keeper.notices()]
+    assert not [text for text in texts if "mode needs" in text]

@@ -39,6 +39,7 @@ from companion.records import (
     ServiceStatus,
     Shot,
     TimesyncReply,
+    Validity,
 )
 
 _SECOND_NS = 1_000_000_000
@@ -94,7 +95,9 @@ class MavlinkAutopilot:
         self._packer = mavlink.MAVLink(None, _KNOCK_SYSTEM, settings.component_id)
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader(needed)
-        self.rates = RateKeeper(self._wanted_rates(settings))
+        self.rates = RateKeeper(self._wanted_rates(settings), self.decoder.mapping.messages)
+        modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
+        self.rates.mode(max(mode.frequency_hz.value for mode in modes))
         self._heartbeat_host_ns: int | None = None
         self._verified_host_ns = 0
         self._read_host_ns = 0
@@ -256,6 +259,8 @@ class MavlinkAutopilot:
             self.health = record.health
         elif isinstance(record, ClockState) and record.clock == ClockName.BOOT and record.synced:
             self._boot_offset_ns = record.offset_ns
+        if isinstance(record, ModeState) and record.validity is Validity.TRACKING:
+            self.rates.mode(max(record.symmetric.frequency_hz, record.antisymmetric.frequency_hz))
         if isinstance(record, ModeState | CorrectedRange):
             self._graph(record)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 from companion.adapters.mavlink.dialect import NAME_OF, mavlink
@@ -23,7 +23,11 @@ _TRIES = 5
 _ENOUGH = 0.75
 _SLOWER = 1.25
 _SLOWEST_US = 200_000
+_SLOW_VERDICTS = 3
+_SLOW_REPEAT_NS = 60 * _SECOND_NS
 _WARNING, _INFO = 4, 6
+SAMPLES_PER_PERIOD = 10.0
+"""Samples that the tracker wants of every period of the fastest mode."""
 
 
 @dataclass(slots=True)
@@ -39,6 +43,8 @@ class _Wanted:
     fallen: int = 0
     counted: int = 0
     counted_host_ns: int = 0
+    slow: int = 0
+    slow_said_host_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +67,13 @@ class RateKeeper:
     ----------
     wanted_hz
         Message id to rate.
+    inertial
+        Those of them that the wing's modes are tracked with.
     """
 
-    def __init__(self, wanted_hz: Mapping[int, float]) -> None:
+    def __init__(self, wanted_hz: Mapping[int, float], inertial: Container[int] = ()) -> None:
+        self._inertial = inertial
+        self._mode_hz = 0.0
         self._wanted = {key: _Wanted(key, *(2 * (round(1e6 / rate),))) for key, rate in wanted_hz.items()}
         self._asked: _Wanted | None = None
         self._asked_host_ns = 0
@@ -81,6 +91,10 @@ class RateKeeper:
     def loop_rate(self, rate_hz: float) -> None:
         """Take note of SCHED_LOOP_RATE."""
         self._loop_rate_hz = rate_hz
+
+    def mode(self, frequency_hz: float) -> None:
+        """Take note of the fastest mode that is tracked: inertial messages must be fast enough for it."""
+        self._mode_hz = frequency_hz
 
     def due(self, now_host_ns: int) -> IntervalRequest | None:
         """Give the request that is to be sent now, if any."""
@@ -123,6 +137,8 @@ class RateKeeper:
             if rate_hz is not None:
                 self.delivered_hz[entry.message] = rate_hz
                 self._judge(entry, rate_hz, now_host_ns)
+                if entry.message in self._inertial:
+                    self._judge_mode(entry, rate_hz, now_host_ns)
 
     def notices(self) -> list[Notice]:
         """Take the sentences for the operator that have gathered."""
@@ -143,6 +159,19 @@ class RateKeeper:
         if entry.fallen in (1, 3):
             text = f"{NAME_OF[entry.message]} comes at {rate_hz:.0f}, not {granted_hz:.0f} Hz: "
             self._say(_WARNING, text + (self._remedy(granted_hz) if entry.fallen > 1 else "asking again"), now_host_ns)
+
+    def _judge_mode(self, entry: _Wanted, rate_hz: float, now_host_ns: int) -> None:
+        """Say, and once a minute again, that what comes is too little for the mode, and what to change to what."""
+        needed_hz = SAMPLES_PER_PERIOD * self._mode_hz
+        entry.slow = entry.slow + 1 if 0 < rate_hz < needed_hz else 0  # silence is told elsewhere
+        last = entry.slow_said_host_ns
+        if entry.slow < _SLOW_VERDICTS or (last is not None and now_host_ns - last < _SLOW_REPEAT_NS):
+            return
+        entry.slow_said_host_ns = now_host_ns
+        wanted_hz = 1e6 / entry.wanted_us
+        remedy = self._remedy(needed_hz) if wanted_hz >= needed_hz else f"set IMU_RATE {math.ceil(needed_hz)}, restart"
+        text = f"{NAME_OF[entry.message]} {rate_hz:.0f} Hz, {self._mode_hz:.1f} Hz mode needs {needed_hz:.0f}: {remedy}"
+        self._say(_WARNING, text, now_host_ns)
 
     def _reduce(self, entry: _Wanted, now_host_ns: int) -> None:
         slower_us = math.ceil(entry.granted_us * _SLOWER / 1000.0) * 1000

@@ -6,11 +6,10 @@ import math
 from collections.abc import Iterator
 
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
-from companion.adapters.mavlink.rates import needed_loop_rate_hz
+from companion.adapters.mavlink.rates import SAMPLES_PER_PERIOD, needed_loop_rate_hz
 from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
 from companion.records import ClockName, Station
 
-_SAMPLES_PER_PERIOD = 10.0
 _FILTER_RATIO = 2.5
 _GOOD_BOUND_NS = 2_000_000
 _ENOUGH = 0.75
@@ -18,7 +17,7 @@ _ENOUGH = 0.75
 
 def check_rates(seen: Evidence) -> Iterator[Finding]:
     """Whether every sensor wired to the autopilot is fast enough for the wing's modes."""
-    needed_hz = _SAMPLES_PER_PERIOD * seen.highest_hz
+    needed_hz = SAMPLES_PER_PERIOD * seen.highest_hz
     loop = seen.parameter("SCHED_LOOP_RATE")
     wanted_hz = max(seen.settings.imu_rate_hz, needed_hz) if seen.live else needed_hz
     fixes: tuple[Fix, ...] = ()

@@ -1,0 +1,52 @@
+"""What rate the streams really deliver, and when that is so different from the belief that the tracker must know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.params.airframe import Airframe
+from companion.records import ImuBatch, Ints, Station
+
+_WINDOW_NS = 2_000_000_000
+_ALIKE = 0.15
+_LEAST, _MOST = 0.7, 1.4
+_SLOWEST_HZ = 5.0
+
+
+@dataclass(slots=True)
+class _Window:
+    stamps: list[Ints] = field(default_factory=list)
+    spacing_hz: float = 0.0
+
+
+@dataclass(slots=True)
+class Delivery:
+    """Watches the stamps. An autopilot grants what it can, falls back, and sends more after a change.
+
+    The tracker takes the believed rate for how long a gap may be and how much noise a cell has. What is lost on the
+    way changes neither: it is the typical spacing that tells, and two windows of 2 s must agree on it.
+    """
+
+    _windows: dict[Station, _Window] = field(default_factory=dict)
+
+    def note(self, batch: ImuBatch) -> None:
+        """Take note of samples."""
+        stamps = self._windows.setdefault(batch.station, _Window()).stamps
+        if stamps and batch.t_ns[0] < stamps[-1][-1] - _WINDOW_NS:
+            stamps.clear()  # its clock restarted
+        stamps.append(batch.t_ns)
+
+    def changed(self, airframe: Airframe) -> Iterator[tuple[Station, float]]:
+        """Give stations whose rate has settled far from the airframe's, with that rate in Hz."""
+        for station, window in self._windows.items():
+            if not window.stamps or window.stamps[-1][-1] - window.stamps[0][0] < _WINDOW_NS:
+                continue
+            t_ns, before_hz = np.sort(np.concatenate(window.stamps)), window.spacing_hz
+            window.stamps.clear()
+            window.spacing_hz = hz = 1e9 / max(float(np.median(np.diff(t_ns))), 1.0)
+            settled = abs(hz - before_hz) < _ALIKE * hz
+            if settled and hz > _SLOWEST_HZ and not _LEAST <= hz / airframe.sensor(station).rate_hz <= _MOST:
+                yield station, (len(t_ns) - 1) * 1e9 / float(t_ns[-1] - t_ns[0])
