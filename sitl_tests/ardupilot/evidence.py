@@ -1,0 +1,72 @@
+"""What a run left behind, read for the tests: the service's recording, the autopilot's log, its boot clock."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pymavlink import mavutil
+
+from companion.adapters.recordings.reader import McapRecording
+from companion.records import Floats, ImuBatch, Ints, Station
+from sitl_tests.ardupilot.rail import RATE_HZ
+
+T = TypeVar("T")
+RANGE_GOOD, RANGE_TOO_FAR = 4, 3
+"""RangeFinder::Status in the autopilot's log: what it uses, and what lies beyond the sensor's reach."""
+
+
+class Tape:
+    """The service's recording, in memory."""
+
+    def __init__(self, path: Path) -> None:
+        self.records: list[Any] = list(McapRecording(path).records())
+
+    def of(self, kind: type[T]) -> list[T]:
+        """Records of one kind, in order."""
+        return [record for record in self.records if isinstance(record, kind)]
+
+    def rate_hz(self, station: Station, from_ns: int, to_ns: int) -> float:
+        """Samples a second of one sensor between two host times."""
+        arrived = [b for b in self.of(ImuBatch) if b.station == station and from_ns <= b.received_host_ns < to_ns]
+        return sum(len(batch.t_ns) for batch in arrived) * 1e9 / (to_ns - from_ns)
+
+    def last_ns(self) -> int:
+        """Host time of the last inertial batch."""
+        return max(batch.received_host_ns for batch in self.of(ImuBatch))
+
+
+class BootClock:
+    """The autopilot's boot clock on the host's: it stands between frames, so at any instant it is known to one frame.
+
+    Parameters
+    ----------
+    report
+        What the physics process reported: when each frame was sent. Frame n carries the stamp (n + 1)/1200 s.
+    """
+
+    def __init__(self, report: Mapping[str, Any]) -> None:
+        self._sent_ns: Ints = np.array(array("q", report["sent_ns"]), dtype=np.int64)
+
+    def between(self, host_ns: int) -> tuple[int, int]:
+        """Earliest and latest boot time that it can show at a host instant."""
+        sent = int(np.searchsorted(self._sent_ns, host_ns))
+        return (sent - 1) * 1_000_000_000 // RATE_HZ, sent * 1_000_000_000 // RATE_HZ
+
+    def lateness_ms(self) -> Floats:
+        """How late each frame went out."""
+        due = np.arange(len(self._sent_ns)) * (1e9 / RATE_HZ)
+        return np.asarray((self._sent_ns - self._sent_ns[0] - due) * 1e-6)
+
+
+def rangefinder_log(folder: Path) -> list[tuple[float, float, int]]:
+    """Boot time in s, distance in m and status of every RFND entry of the autopilot's own logs."""
+    found = []
+    for path in sorted((folder / "logs").glob("*.BIN")):
+        log = mavutil.mavlink_connection(str(path))
+        while (entry := log.recv_match(type=["RFND"])) is not None:
+            found.append((entry.TimeUS * 1e-6, float(entry.Dist), int(entry.Stat)))
+    return found

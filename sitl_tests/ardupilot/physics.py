@@ -1,0 +1,233 @@
+"""The process that ArduPilot's ``--model JSON`` talks to: physics frames in real time, wing nodes, the cameras' line.
+
+ArduPilot sends its servo outputs once a frame and waits for the sensors of the next. Frames are due every 1/1200 s of
+the host's monotonic clock, and what a stall delays is made up for at once: its boot time never drifts from ours. A
+rising edge on a camera's servo is passed on to the simulated cameras' trigger line, with the instant of its arrival.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import socket
+import struct
+import time
+from array import array
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.errors import DeviceError
+from companion.params.airframe import Airframe
+from companion.sim.cameras import PLAN_UNKNOWN, SimTriggerLine
+from companion.sim.faults import Faults
+from companion.sim.flight import Flight, build_flight
+from companion.sim.nodes import WingNode
+from companion.sim.world import Link
+from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, flight_motion, launch_motion, lines
+
+SERVOS_16, SERVOS_32 = 18458, 29569
+SERVO_HEAD = struct.Struct("<HHI")
+CAMERA_OFF_PWM, CAMERA_ON_PWM = 1100, 1300
+CAMERA_CHANNELS = (9, 10)
+_MIDDLE_PWM = 1200
+_PATIENCE_S = 0.002
+_SPIN_NS = 100_000
+_NODE_TURN_NS = 1_000_000
+_LONGEST_HOLD_NS = 120_000_000_000
+_LISTEN_NS = 50_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsOptions:
+    """What is flown, and who is told; picklable.
+
+    Attributes
+    ----------
+    hold_s : float
+        How long the aircraft hangs still before its run-up.
+    nodes : str
+        Where the wing nodes speak, ``udpout:host:port``; empty for an aircraft whose nodes are off.
+    trigger_line : Path, optional
+        The simulated cameras' line.
+    """
+
+    airframe: Airframe
+    seed: int
+    duration_s: float
+    hold_s: float
+    port: int
+    nodes: str = ""
+    trigger_line: Path | None = None
+
+    @property
+    def flight_frame(self) -> int:
+        """The frame at which the flight begins."""
+        return round((self.hold_s + LAUNCH_S) * RATE_HZ)
+
+
+class Frames:
+    """The JSON line of every frame, from power-on to the end of the flight (which then stands still)."""
+
+    def __init__(self, flight: Flight, options: PhysicsOptions) -> None:
+        launch = lines(launch_motion(flight.truth))
+        self._moving = launch + lines(flight_motion(flight.truth, options.duration_s))
+        self._still = round(options.hold_s * RATE_HZ)
+
+    def line(self, frame: int) -> bytes:
+        """Sensors of one frame."""
+        row = min(max(frame - self._still, 0), len(self._moving) - 1)
+        return b'\n{"timestamp":%.6f,' % ((frame + 1) / RATE_HZ) + self._moving[row]
+
+
+class Nodes:
+    """The wing nodes on a link of their own."""
+
+    def __init__(self, flight: Flight, connection: str) -> None:
+        clocks = flight.real.clocks
+        self._nodes = [WingNode(s, clocks[s.clock], Faults()) for _, s in sorted(flight.nodes.items())]
+        if any(node.node_ns(-_LONGEST_HOLD_NS) < 0 for node in self._nodes):
+            raise ValueError("a node's clock would be negative while the aircraft hangs: take another seed")
+        self._turned_ns = self._greeted_ns = -_LONGEST_HOLD_NS
+        self._link = Link(connection)
+        self._parser = mavlink.MAVLink(None)
+        self._parser.robust_parsing = True
+
+    def turn(self, flight_ns: int) -> None:
+        """Answer and send what is due; before the flight (negative times) nodes only beat and keep time."""
+        if flight_ns - self._turned_ns < _NODE_TURN_NS:
+            return
+        self._turned_ns = flight_ns
+        data = self._link.drain()
+        for message in (self._parser.parse_buffer(data) or []) if data else []:
+            for node in self._nodes:
+                node.receive(message, flight_ns)
+        frames: list[bytes] = []
+        if flight_ns < 0 and flight_ns - self._greeted_ns >= 1_000_000_000:
+            self._greeted_ns = flight_ns
+            frames += [node.greeting() for node in self._nodes]
+        for node in self._nodes:
+            frames += node.advance(flight_ns)
+        self._link.send(frames)
+
+
+@dataclass(slots=True)
+class Shutter:
+    """Watches the camera servos; ``edges`` are (host ns, channel) of every rising one."""
+
+    line: SimTriggerLine | None
+    edges: list[tuple[int, int]]
+    high: dict[int, bool]
+
+    def watch(self, servos: tuple[int, ...], now_ns: int) -> None:
+        """Compare the outputs with those before; the first camera's edge exposes both, as their wire does."""
+        for channel in CAMERA_CHANNELS:
+            high = servos[channel - 1] > _MIDDLE_PWM
+            if high and not self.high.get(channel, True):
+                self.edges.append((now_ns, channel))
+                if channel == CAMERA_CHANNELS[0] and self.line is not None:
+                    with contextlib.suppress(DeviceError):
+                        self.line.pulse(PLAN_UNKNOWN, now_ns)
+            self.high[channel] = high
+
+
+def servo_outputs(data: bytes) -> tuple[int, ...] | None:
+    """PWM of the outputs in one packet, or None for what is no servo packet."""
+    if len(data) < SERVO_HEAD.size:
+        return None
+    magic, _, _ = SERVO_HEAD.unpack_from(data)
+    count = {SERVOS_16: 16, SERVOS_32: 32}.get(magic, 0)
+    if not count or len(data) != SERVO_HEAD.size + 2 * count:
+        return None
+    return struct.unpack_from(f"<{count}H", data, SERVO_HEAD.size)
+
+
+class Physics:
+    """The loop of the process."""
+
+    def __init__(self, options: PhysicsOptions) -> None:
+        self.flight = build_flight(options.airframe, options.seed, options.duration_s)
+        self._options = options
+        self._frames = Frames(self.flight, options)
+        self._nodes = Nodes(self.flight, options.nodes) if options.nodes else None
+        line = None if options.trigger_line is None else SimTriggerLine(options.trigger_line)
+        self._shutter = Shutter(line, [], {})
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", options.port))
+        self._socket.settimeout(_PATIENCE_S)
+        self.start_ns = 0
+        self.sent_ns = array("q")
+
+    @property
+    def flight_start_ns(self) -> int:
+        """Host time at which the flight begins."""
+        return self.start_ns + self._options.flight_frame * 1_000_000_000 // RATE_HZ
+
+    def turn(self) -> None:
+        """Take the servos of one frame and give the sensors of the next when they are due."""
+        data, peer = b"", ("", 0)
+        with contextlib.suppress(TimeoutError, ConnectionRefusedError):
+            data, peer = self._socket.recvfrom(256)
+        now_ns = time.monotonic_ns()
+        servos = servo_outputs(data)
+        if servos is not None:
+            if not self.start_ns:
+                self.start_ns = now_ns
+            self._shutter.watch(servos, now_ns)
+        if self._nodes is not None and self.start_ns:
+            self._nodes.turn(now_ns - self.flight_start_ns)
+        if servos is not None:
+            self._answer(peer)
+
+    def _answer(self, peer: tuple[str, int]) -> None:
+        frame = len(self.sent_ns)
+        due_ns = self.start_ns + frame * 1_000_000_000 // RATE_HZ
+        wait_ns = due_ns - time.monotonic_ns()
+        if wait_ns > _SPIN_NS:
+            time.sleep((wait_ns - _SPIN_NS) * 1e-9)
+        line = self._frames.line(frame)
+        with contextlib.suppress(ConnectionRefusedError):
+            self._socket.sendto(line, peer)
+        self.sent_ns.append(time.monotonic_ns())
+
+    def report(self) -> dict[str, Any]:
+        """What happened, as plain values."""
+        return {
+            "start_ns": self.start_ns,
+            "flight_start_ns": self.flight_start_ns,
+            "sent_ns": self.sent_ns.tobytes(),
+            "edges": self._shutter.edges,
+        }
+
+
+def serve(options: PhysicsOptions, control: Connection) -> None:
+    """Entry of the process: run until told to stop, then report."""
+    physics = Physics(options)
+    control.send(("ready", None))
+    started, listened_ns = False, 0
+    while True:
+        now_ns = time.monotonic_ns()
+        if now_ns - listened_ns > _LISTEN_NS:
+            listened_ns = now_ns
+            if control.poll(0):
+                break
+        physics.turn()
+        if physics.start_ns and not started:
+            started = True
+            control.send(("started", (physics.start_ns, physics.flight_start_ns)))
+    control.send(("report", physics.report()))
+
+
+def start_physics(options: PhysicsOptions) -> tuple[BaseProcess, Connection]:
+    """Start the process; its port is open when this returns."""
+    spawn = multiprocessing.get_context("spawn")
+    ours, theirs = spawn.Pipe()
+    process = spawn.Process(target=serve, args=(options, theirs), name="sim-physics", daemon=True)
+    process.start()
+    kind, _ = ours.recv()
+    assert kind == "ready"
+    return process, ours

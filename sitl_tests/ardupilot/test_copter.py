@@ -1,0 +1,87 @@
+"""A real ArduCopter with our obstacle sectors as its proximity sensor."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.params.files import load_airframe
+from sitl_tests.ardupilot.bench import Run
+from sitl_tests.ardupilot.station import COMPANION, Heard
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(400)]
+
+SECOND_NS = 1_000_000_000
+SEED, HOLD_S, FLOWN_S = 1, 30.0, 30.0
+PROXIMITY_ID = 10
+PARAMETERS = {"FRAME_CLASS": 1, "PRX1_TYPE": 2, "RNGFND1_ORIENT": 0, "AVOID_ENABLE": 0}
+
+
+@dataclass
+class Flown:
+    run: Run
+    sectors: list[Heard]
+    ahead: list[Heard]
+    proximity: list[Heard]
+
+
+@pytest.fixture(scope="module")
+def flown(arducopter: Path, tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    folder = tmp_path_factory.mktemp("copter")
+    airframe = load_airframe("forward-2m")
+    with Run(arducopter, folder, airframe, "forward-2m", PARAMETERS, SEED, HOLD_S, FLOWN_S, eyes=True) as run:
+        run.station.stream(mavlink.MAVLink_distance_sensor_message, 20)
+        run.service("TRG_RATE=4")
+        assert run.station.wait("HEARTBEAT", component=COMPANION, seconds=40) is not None, "the service is not heard"
+        assert time.monotonic_ns() < run.flight_ns, "the service was up after the flight began"
+        run.sleep_until(run.flight_ns + round(FLOWN_S * SECOND_NS))
+        run.end_service()
+    from_autopilot = run.station.heard("DISTANCE_SENSOR", 1)
+    return Flown(
+        run,
+        run.station.heard("OBSTACLE_DISTANCE", COMPANION),
+        run.station.heard("DISTANCE_SENSOR", COMPANION),
+        [entry for entry in from_autopilot if entry.message.id >= PROXIMITY_ID],
+    )
+
+
+def nearest_ahead_cm(message: Any) -> int | None:
+    """The nearest obstacle within 22.5 degrees of straight ahead, the autopilot's sector 0."""
+    inside = [message.distances[i % 72] for i in range(-4, 5)]
+    known = [d for d in inside if 0 < d <= message.max_distance]
+    return min(known) if known else None
+
+
+def test_obstacle_sectors_go_out_as_the_full_circle(flown: Flown) -> None:
+    assert len(flown.sectors) > 20
+    for entry in flown.sectors:
+        message = entry.message
+        assert (len(message.distances), message.increment_f, message.frame) == (72, 5.0, mavlink.MAV_FRAME_BODY_FRD)
+
+
+def test_the_copters_proximity_is_what_we_sent(flown: Flown) -> None:
+    """Its sector ahead shows a distance that we sent within the second before, to the centimetre, or its maximum."""
+    sent = [(e.at_ns, nearest_ahead_cm(e.message)) for e in flown.sectors]
+    sent += [(e.at_ns, e.message.current_distance) for e in flown.ahead if e.message.signal_quality > 1]
+    ahead = [e for e in flown.proximity if e.message.orientation == 0]
+    told = [e for e in ahead if e.message.current_distance < e.message.max_distance]
+    assert len(told) > 20, "proximity ahead was never reported"
+    strange = []
+    for entry in told:
+        near = {d for at, d in sent if d is not None and entry.at_ns - SECOND_NS < at < entry.at_ns + 50_000_000}
+        if not any(abs(entry.message.current_distance - d) <= 1 for d in near):
+            strange.append((entry.message.current_distance, sorted(near)))
+    assert not strange, strange[:5]
+    used = {nearest_ahead_cm(e.message) for e in flown.sectors} - {None}
+    assert any(min(abs(e.message.current_distance - d) for d in used if d) <= 1 for e in told)
+
+
+def test_it_sees_nothing_where_nothing_was_looked_at(flown: Flown) -> None:
+    """Sectors beside and behind are unknown, and the autopilot invents nothing there."""
+    behind = [e for e in flown.proximity if e.message.orientation in (2, 3, 4, 5, 6)]
+    assert all(e.message.current_distance >= e.message.max_distance for e in behind)

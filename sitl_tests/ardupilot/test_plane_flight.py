@@ -1,0 +1,150 @@
+"""A real ArduPlane carried along a flight: it fires our cameras, we range through the bent wing, it uses the range."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.params.files import load_airframe
+from companion.records import CorrectedRange, MatchSet, ModeState, Shot, Station
+from sitl_tests.ardupilot.bench import Run
+from sitl_tests.ardupilot.evidence import RANGE_GOOD, Tape, rangefinder_log
+from sitl_tests.ardupilot.physics import CAMERA_CHANNELS
+from sitl_tests.ardupilot.station import COMPANION, Heard
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(400)]
+
+SECOND_NS = 1_000_000_000
+SEED, HOLD_S, FLOWN_S = 1, 30.0, 40.0
+SETTLED_S = 10.0
+SHOTS_HZ = 4
+# from the request leaving our process to the servo's edge: link, a turn of a 400 Hz loop, a turn of the 50 Hz camera
+SLOWEST_SHOT_NS = 60_000_000
+
+
+@dataclass
+class Flown:
+    run: Run
+    tape: Tape
+    service: list[Heard]
+    echo: list[Heard]
+    feedback: list[Heard]
+
+    def flight_s(self, host_ns: int) -> float:
+        return (host_ns - self.run.flight_ns) * 1e-9
+
+
+@pytest.fixture(scope="module")
+def flown(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    folder = tmp_path_factory.mktemp("plane-flight")
+    airframe = load_airframe("nadir-2m")
+    with Run(arduplane, folder, airframe, "nadir-2m", {"RNGFND1_ORIENT": 25}, SEED, HOLD_S, FLOWN_S, eyes=True) as run:
+        for kind in (mavlink.MAVLink_distance_sensor_message, mavlink.MAVLink_rangefinder_message):
+            run.station.stream(kind, 20)
+        run.service(f"TRG_RATE={SHOTS_HZ}")
+        assert run.station.wait("HEARTBEAT", component=COMPANION, seconds=40) is not None, "the service is not heard"
+        late_s = (time.monotonic_ns() - run.flight_ns) * 1e-9
+        assert late_s < 0, f"the service was up {late_s:.1f} s after the flight began"
+        run.sleep_until(run.flight_ns + round(FLOWN_S * SECOND_NS))
+        run.end_service()
+    station = run.station
+    return Flown(
+        run,
+        Tape(run.recording),
+        station.heard("DISTANCE_SENSOR", COMPANION),
+        station.heard("DISTANCE_SENSOR", 1),
+        station.heard("CAMERA_FEEDBACK", 1),
+    )
+
+
+def test_all_sensors_arrive_at_their_rates(flown: Flown) -> None:
+    window = (flown.run.flight_ns + 20 * SECOND_NS, flown.run.flight_ns + 30 * SECOND_NS)
+    assert flown.tape.rate_hz(Station.ROOT, *window) == pytest.approx(333.3, rel=0.02)
+    for station in (Station.LEFT, Station.RIGHT):
+        assert flown.tape.rate_hz(station, *window) == pytest.approx(1000.0, rel=0.02)
+
+
+def test_the_wings_own_frequency_is_found(flown: Flown) -> None:
+    truth_hz = flown.run.flight.real.actual.wing.symmetric.frequency_hz.value
+    last = [state for state in flown.tape.of(ModeState) if flown.flight_s(state.t_host_ns) < FLOWN_S - 1][-1]
+    sigma_hz = last.symmetric.frequency_sigma_hz
+    assert abs(last.symmetric.frequency_hz - truth_hz) < max(4 * sigma_hz, 0.02 * truth_hz)
+
+
+def test_the_autopilot_fires_what_was_planned(flown: Flown) -> None:
+    """Each request of ours is a rising edge on both camera servos, within the time that link and loop may take."""
+    shots = flown.tape.of(Shot)
+    assert len(shots) > 0.5 * SHOTS_HZ * (FLOWN_S - SETTLED_S)
+    for channel in CAMERA_CHANNELS:
+        edges = np.array([at for at, which in flown.run.report["edges"] if which == channel])
+        delay = np.array([np.min(np.where(edges > s.fired_host_ns, edges, 1 << 62)) - s.fired_host_ns for s in shots])
+        served = delay < SLOWEST_SHOT_NS
+        assert served.mean() > 0.95, f"servo {channel}: {served.sum()} of {len(shots)}"
+        assert len(edges) <= len(shots)
+
+
+def test_both_cameras_are_fed_back_alike(flown: Flown) -> None:
+    edges = [at for at, which in flown.run.report["edges"] if which == CAMERA_CHANNELS[0]]
+    once = {(entry.message.cam_idx, entry.message.img_idx) for entry in flown.feedback}
+    counts = [sum(camera == which for camera, _ in once) for which in sorted({camera for camera, _ in once})]
+    assert len(counts) == 2
+    assert counts[0] == counts[1]
+    assert counts[0] == pytest.approx(len(edges), abs=2)
+
+
+def test_shots_become_matched_pairs(flown: Flown) -> None:
+    edges = [at for at, which in flown.run.report["edges"] if which == CAMERA_CHANNELS[0] and flown.flight_s(at) > 0]
+    matched = {m.pair_id for m in flown.tape.of(MatchSet)}
+    assert len(matched) > 0.8 * len(edges)
+
+
+def true_range_m(flown: Flown, measured: CorrectedRange) -> float:
+    """Along the body's z axis to the ground plane z = 0, from the flight's truth at mid-exposure."""
+    truth = flown.run.flight.truth.at(measured.t_host_ns - flown.run.flight_ns)
+    return float(-truth.position_ned_m[2] / truth.body_from_ned[2, 2])
+
+
+def test_no_wrong_range_is_published(flown: Flown) -> None:
+    """Wrong: off by more than 5 sigma and 5 % while declared trusted."""
+    trusted = [r for r in flown.tape.of(CorrectedRange) if r.trusted]
+    assert len(trusted) > 20
+    error = [(r.range_m - true_range_m(flown, r), r.sigma_m, r.range_m) for r in trusted]
+    wrong = [e for e in error if abs(e[0]) > 5 * e[1] and abs(e[0]) > 0.05 * e[2]]
+    assert not wrong
+    rigid = np.array([r.rigid_range_m for r in trusted if r.rigid_range_m > 0])
+    true = np.array([true_range_m(flown, r) for r in trusted if r.rigid_range_m > 0])
+    assert np.median(np.abs([e[0] for e in error])) < 0.2 * np.median(np.abs(rigid - true))
+
+
+def test_the_autopilot_repeats_our_range_as_its_rangefinder(flown: Flown) -> None:
+    """What it echoes is what we sent within the half second before, to the centimetre."""
+    sent = [(e.at_ns, e.message.current_distance) for e in flown.service if e.message.signal_quality > 1]
+    assert len(sent) > 20
+    times = np.array([at for at, _ in sent])
+    used = [e for e in flown.echo if e.message.signal_quality > 1 and e.at_ns > sent[0][0] + SECOND_NS // 10]
+    assert len(used) > 20
+    for entry in used:
+        near = np.flatnonzero((times > entry.at_ns - 700_000_000) & (times < entry.at_ns + 50_000_000))
+        assert entry.message.current_distance in {sent[i][1] for i in near} | {
+            d - 1 for _, d in (sent[i] for i in near)
+        }, "a number that we did not send"
+
+
+def test_the_autopilot_flies_on_it(flown: Flown) -> None:
+    """Its own log calls the rangefinder good, with distances near the truth at that boot time."""
+    start_s = (flown.run.flight_ns - flown.run.start_ns) * 1e-9
+    good = [(t - start_s, d) for t, d, status in rangefinder_log(flown.run.folder) if status == RANGE_GOOD]
+    flying = [(t, d) for t, d in good if SETTLED_S < t < FLOWN_S - 1]
+    assert len(flying) > 50
+    truth = flown.run.flight.truth
+    # a range is about 0.65 s old when it arrives and is held for up to 0.4 s
+    offs = []
+    for t, distance in flying:
+        ages = [truth.at(round((t - age) * 1e9)) for age in np.arange(0.4, 1.3, 0.1)]
+        offs.append(min(abs(distance - float(-a.position_ned_m[2] / a.body_from_ned[2, 2])) for a in ages))
+    assert np.percentile(offs, 95) < 0.05 * np.median([d for _, d in flying])
