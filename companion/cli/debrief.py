@@ -35,6 +35,7 @@ from companion.records import (
     MatchSet,
     Record,
     Rejected,
+    RelativeRotation,
     Shot,
     Station,
     Tick,
@@ -46,7 +47,7 @@ from companion.sim.renderer import Renderer
 from companion.sim.scene import Scene
 
 SETTLED_S = 10.0
-WAYS = ("rigid", "rigid_in_trim", "corrected", "oracle")
+WAYS = ("rigid", "rigid_in_trim", "tilt_only", "corrected", "oracle")
 _RANDOM_RATE_HZ = 4.0
 _RANDOM_SEED = 0xA11
 _ARRIVAL_NS = 100_000_000
@@ -59,6 +60,7 @@ class Flown:
     matches: dict[int, MatchSet] = field(default_factory=dict)
     ranges: dict[int, CorrectedRange] = field(default_factory=dict)
     bends: dict[int, tuple[Deflection, Deflection]] = field(default_factory=dict)
+    turned: dict[int, RelativeRotation] = field(default_factory=dict)
     plans: dict[int, TriggerPlan] = field(default_factory=dict)
     shots: dict[int, Shot] = field(default_factory=dict)
     rejected: Counter[str] = field(default_factory=Counter)
@@ -153,6 +155,8 @@ def collect(records: Iterable[Record]) -> Flown:
             flown.matches[record.pair_id] = record
         elif isinstance(record, Deflection):
             bends[record.t_host_ns] = record
+        elif isinstance(record, RelativeRotation):
+            flown.turned[record.pair_id] = record
         elif isinstance(record, CorrectedRange):
             flown.ranges[record.pair_id] = record
             left, right = (bends[int(t_ns)] for t_ns in flown.matches[record.pair_id].mid_exposure_ns)
@@ -245,7 +249,8 @@ def judged(judge: Judge, flown: Flown) -> Shots:
         readings = {
             "rigid": judge.rigid(matches),
             "rigid_in_trim": judge.rigid_in_trim(matches),
-            "corrected": judge.corrected(matches, *flown.bends[pair_id]),
+            "tilt_only": judge.corrected(matches, *flown.bends[pair_id]),
+            "corrected": judge.corrected(matches, *flown.bends[pair_id], flown.turned.get(pair_id)),
             "oracle": judge.oracle(matches),
         }
         complete = {name: reading for name, reading in readings.items() if reading is not None}

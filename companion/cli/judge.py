@@ -10,14 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures
+from companion.core.stereo.epipolar import epipolar_frame
+from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import range_axis
 from companion.core.stereo.surface import Product, read
 from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import Deflection, Floats, MatchSet, Side
+from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
 from companion.sim.flight import Flight
 from companion.sim.renderer import Renderer
 
@@ -58,9 +59,14 @@ class Judge:
         still = _deflection(int(matches.mid_exposure_ns[0]), wing.trim_bend_m.value, self.flight.airframe)
         return self._read(matches, self._belief, exposures(self._belief, self._tips, still, still))
 
-    def corrected(self, matches: MatchSet, left: Deflection, right: Deflection) -> Reading | None:
-        """The estimate's own extrinsics."""
-        return self._read(matches, self._belief, exposures(self._belief, self._tips, left, right))
+    def corrected(
+        self, matches: MatchSet, left: Deflection, right: Deflection, turned: RelativeRotation | None = None
+    ) -> Reading | None:
+        """The estimate's own extrinsics: the tracked bend, and what the matches told of the rotation beyond it."""
+        moving = exposures(self._belief, self._tips, left, right)
+        if turned is not None:
+            moving = turned_apart(moving, epipolar_frame(self._belief).T @ turned.rotation_rad)
+        return self._read(matches, self._belief, moving)
 
     def oracle(self, matches: MatchSet) -> Reading | None:
         """The true extrinsics and lenses."""

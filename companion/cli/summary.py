@@ -11,6 +11,7 @@ from companion.cli.view import console
 _NAMES = {
     "rigid": "rigid stereo (ground calibration)",
     "rigid_in_trim": "rigid stereo, calibrated in trim",
+    "tilt_only": "corrected, matches unused",
     "corrected": "corrected by Spanwise",
     "oracle": "true extrinsics (oracle)",
     "vertical_only": "corrected, vertical axes alone",

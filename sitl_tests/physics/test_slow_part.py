@@ -1,0 +1,50 @@
+"""The slow part of the toe through the whole pipeline: tilt alone, matches alone, both; each says how good it is.
+
+``python -m tools.bench.slow`` prints the table over more seeds.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.sim.flight import build_flight
+from tools.bench.slow import SETTLED_S, WAYS, Scored, TrueEyes, run, wide_airframe
+
+pytestmark = pytest.mark.long
+
+
+@pytest.fixture(scope="module")
+def flown() -> dict[str, list[Scored]]:
+    rows = run(seeds=(1, 3), duration_s=40.0)
+    return {way: [row for row in rows if row.way == way] for way in WAYS}
+
+
+def _rms(rows: list[Scored], name: str) -> float:
+    return float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in rows])))
+
+
+def test_both_together_hold_the_toe_that_tilt_alone_cannot(flown: dict[str, list[Scored]]) -> None:
+    tilt, epipolar, both = (_rms(flown[way], "rms_mrad") for way in WAYS)
+    assert both < epipolar < tilt
+    assert both < 0.3  # 0.5 m at 60 m
+    assert tilt > 5 * both
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_sigma_of_each_is_honest(flown: dict[str, list[Scored]], way: str) -> None:
+    """Errors of a flight are one draw, not many: two seeds' rms over sigma below the 99.5 % point of chi-square / 2."""
+    assert _rms(flown[way], "over_sigma") < np.sqrt(10.6 / 2)
+    assert _rms(flown[way], "sigma_mrad") < 12 * max(_rms(flown[way], "rms_mrad"), 0.05)
+
+
+def test_the_truth_has_what_no_inertial_sensor_sees() -> None:
+    """Thermal set and mounting: they move the toe during the flight, by what the airframe says."""
+    flight = build_flight(wide_airframe(), 1, SETTLED_S)
+    eyes = TrueEyes(flight)
+    seen = []
+    for t_ns in range(0, 9_000_000_000, 500_000_000):
+        bend = flight.truth.at(t_ns).slope_rad.sum()
+        seen.append(eyes.toe_rad(t_ns) - bend)
+    assert 1e-4 < np.abs(seen).max() < 5e-3
+    assert np.ptp(seen) > 2e-5
