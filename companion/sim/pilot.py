@@ -26,6 +26,7 @@ _TRIM_PITCH_RAD = 0.05
 _PITCH_TIME_S, _SPEED_TIME_S = 0.35, 1.5
 _FORCED_FOR_S = 3.0
 _LANDED_M = 0.3
+_LINED_UP_RAD = 0.3
 
 
 class Mode(enum.IntEnum):
@@ -48,6 +49,7 @@ class Order(enum.IntEnum):
     RETURN_TO_LAUNCH = 20
     LAND = 21
     TAKEOFF = 22
+    LOITER_TO_ALT = 31
     CHANGE_SPEED = 178
 
 
@@ -190,6 +192,8 @@ class Pilot:
             return False
         if item.order is Order.LOITER_UNLIM:
             return False
+        if item.order is Order.LOITER_TO_ALT:
+            return self._high_and_lined_up(item)
         arrived = self._arrived(item)
         if item.order is Order.LOITER_TIME:
             if arrived and self._since_s is None:
@@ -202,6 +206,14 @@ class Pilot:
         along, _, length = self._on_leg(item)
         near = math.hypot(item.north_m - self.north_m, item.east_m - self.east_m) < _ACCEPT_M
         return near or (length > 0 and along >= length)
+
+    def _high_and_lined_up(self, item: Item) -> bool:
+        """At the height, close by, and heading for the next item."""
+        after = self.items[self.current + 1] if self.current + 1 < len(self.items) else item
+        bearing = math.atan2(after.east_m - self.east_m, after.north_m - self.north_m)
+        off = (bearing - self.course_rad + math.pi) % math.tau - math.pi
+        near = math.hypot(item.north_m - self.north_m, item.east_m - self.east_m) < 2 * _ORBIT_M
+        return near and abs(self.height_m - item.height_m) < 2.0 and abs(off) < _LINED_UP_RAD
 
     def _touch_down(self, item: Item) -> None:
         if self.airborne and self.height_m <= _LANDED_M:
@@ -231,7 +243,7 @@ class Pilot:
         item = self._item()
         if item.order is Order.TAKEOFF:
             return self.course_rad, item.height_m + 2.0
-        if item.order in (Order.LOITER_UNLIM, Order.LOITER_TIME):
+        if item.order in (Order.LOITER_UNLIM, Order.LOITER_TIME, Order.LOITER_TO_ALT):
             return self._orbit(item.north_m, item.east_m), item.height_m
         return self._along(item)
 

@@ -54,6 +54,13 @@ class RangeStandIn:
         The true distance now, None where there is nothing to see.
     now_ns : callable
         Boot time.
+
+    Attributes
+    ----------
+    faults : RangeFaults
+        In force; may be changed in flight.
+    bend_mm : tuple, optional
+        Symmetric and antisymmetric deflection to send for the graphs.
     """
 
     def __init__(
@@ -68,6 +75,7 @@ class RangeStandIn:
         seed: int = 1,
     ) -> None:
         self.faults = RangeFaults()
+        self.bend_mm: tuple[float, float] | None = None
         self._distance_m, self._now_ns = distance_m, now_ns
         self._orientation, self._baseline_m, self._limits_m = orientation, baseline_m, limits_m
         self._sigma_factor = sigma_at_60m / 60.0**2
@@ -101,6 +109,8 @@ class RangeStandIn:
         if now_ns >= self._next_ns:
             self._next_ns = max(self._next_ns + _RATE_NS, now_ns)
             out += self._range(now_ns // 1_000_000)
+            for name, value in zip((b"q_sym_mm", b"q_anti_mm"), self.bend_mm or (), strict=False):
+                out += self._sender.message(mavlink.MAVLink_named_value_float_message(now_ns // 1_000_000, name, value))
         return out
 
     def _range(self, boot_ms: int) -> bytes:

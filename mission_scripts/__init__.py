@@ -1,0 +1,1 @@
+"""Flights for the aircraft, scripted with MAVSDK; each runs as ``python -m mission_scripts.<name>``."""

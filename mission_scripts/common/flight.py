@@ -1,0 +1,259 @@
+"""A flight in hand: orders that are watched until they show, waiting under guard, progress lines."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TextIO
+
+from companion.params.airframe import Airframe
+from mission_scripts.common.guard import Guard
+from mission_scripts.common.outcome import Aborted, Refused
+from mission_scripts.common.places import LOITER, TAKEOFF, Route
+from mission_scripts.common.recording import Tap, tap_is_enough
+from mission_scripts.common.vehicle import AUTO, NotAccepted, Vehicle
+from mission_scripts.common.vehicle import LOITER as LOITER_MODE
+from mission_scripts.common.watch import Watch
+
+_LOOK_S = 0.05
+_LINE_S = 5.0
+_MODE_S = 5.0
+_IDS = {"SCALED_IMU": 26, "RAW_IMU": 27, "HIGHRES_IMU": 105, "SCALED_IMU2": 116, "SCALED_IMU3": 129}
+_STREAMS = {30: 0.1, 33: 0.1, 74: 0.2, 1: 1.0, 42: 0.5}  # ATTITUDE, position, VFR_HUD, SYS_STATUS, MISSION_CURRENT
+_SLOWER = (1.0, 1.34, 1.67, 3.4, 6.7)
+
+
+class Log:
+    """Progress lines: on the terminal, and in a file beside the recording."""
+
+    def __init__(self, path: Path) -> None:
+        self._file: TextIO = path.open("w", encoding="utf-8")
+        self._began_s = time.monotonic()
+
+    def say(self, sentence: str) -> None:
+        """One line, with the seconds since the script began."""
+        line = f"{time.monotonic() - self._began_s:7.1f} s  {sentence}"
+        print(line, flush=True)
+        self._file.write(line + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+
+class Flight:
+    """What a mission is given.
+
+    Attributes
+    ----------
+    options : argparse.Namespace
+    airframe : Airframe
+    watch, vehicle, guard
+        What is heard, what can be ordered, who watches.
+    engaged : bool
+        Whether the vehicle has been commanded, so that an abort must make it safe.
+    """
+
+    def __init__(
+        self, options: argparse.Namespace, airframe: Airframe, watch: Watch, vehicle: Vehicle, guard: Guard, log: Log
+    ) -> None:
+        self.options, self.airframe = options, airframe
+        self.watch, self.vehicle, self.guard = watch, vehicle, guard
+        self.engaged = False
+        self._log = log
+
+    def say(self, sentence: str) -> None:
+        """One progress line."""
+        self._log.say(sentence)
+        while self.watch.texts:
+            self._log.say(f"  vehicle: {self.watch.texts.popleft()}")
+
+    # ------------------------------------------------------------------------------------------ waiting
+
+    def wait(
+        self,
+        what: str,
+        until: Callable[[], bool],
+        timeout_s: float,
+        tell: Callable[[], str] | None = None,
+        look_s: float = _LOOK_S,
+    ) -> None:
+        """Wait under guard; a line every few seconds.
+
+        Raises
+        ------
+        Aborted
+            It did not come about in time, or the guard says so.
+        """
+        began_s = time.monotonic()
+        told_s = began_s
+        while not until():
+            self.guard.check()
+            now_s = time.monotonic()
+            if now_s - began_s > timeout_s:
+                raise Aborted(f"{what}: not within {timeout_s:g} s")
+            if now_s - told_s >= _LINE_S:
+                told_s = now_s
+                self.say(f"{what}: {tell() if tell else self.where()}")
+            time.sleep(look_s)
+
+    def pause(self, seconds: float) -> None:
+        """Let time pass under guard."""
+        ends_s = time.monotonic() + seconds
+        self.wait("", lambda: time.monotonic() >= ends_s, seconds + 1.0, look_s=0.02)
+
+    def where(self) -> str:
+        """Height, airspeed and charge in words."""
+        watch = self.watch
+        charge = f", battery {watch.battery:.0%}" if watch.battery is not None else ""
+        return f"{watch.height_m:.0f} m, {watch.airspeed_mps:.1f} m/s{charge}"
+
+    # ------------------------------------------------------------------------------------------ before
+
+    def prepare(self) -> None:
+        """Ask for the streams that are needed, and look whether the vehicle can be flown by us.
+
+        Raises
+        ------
+        Refused
+            Something is missing; nothing has been commanded.
+        """
+        for number, period_s in _STREAMS.items():
+            self.vehicle.ask_rate(number, period_s)
+        ends_s = time.monotonic() + 6.0
+        watch = self.watch
+        missing = ["GLOBAL_POSITION_INT", "ATTITUDE", "VFR_HUD"]
+        while missing and time.monotonic() < ends_s:
+            missing = [name for name in missing if watch.age_s(name) > 2.0]
+            time.sleep(_LOOK_S)
+        if missing:
+            raise Refused(f"the autopilot does not send {', '.join(missing)}")
+        if watch.battery is not None and watch.battery < self.guard.limits.battery:
+            raise Refused(f"battery at {watch.battery:.0%}, limit {self.guard.limits.battery:.0%}")
+        self.guard.centre = watch.place
+        state = "airborne" if self.airborne else "on the ground"
+        self.say(f"vehicle is {state}, {'armed' if watch.armed else 'disarmed'}, mode {watch.mode}, {self.where()}")
+
+    @property
+    def airborne(self) -> bool:
+        """Armed, with height and airspeed."""
+        return self.watch.armed and self.watch.height_m > 5.0 and self.watch.airspeed_mps > 5.0
+
+    def ask_inertial(self, tap: Tap | None) -> None:
+        """Ask the autopilot for the inertial messages that the airframe names, as fast as it will send them."""
+        airframe = self.airframe
+        own = {s.source.message: s.rate_hz for s in (airframe.root, airframe.left, airframe.right)
+               if s.source.component == 1 and s.source.message in _IDS}  # fmt: skip
+        if tap is None or not own:
+            return
+        for name, rate_hz in own.items():
+            granted = next((k for k in _SLOWER if self.vehicle.ask_rate(_IDS[name], k / rate_hz)), None)
+            told = f"{rate_hz / granted:.0f} Hz" if granted else "refused at every rate; what comes by itself"
+            self.watch.texts.clear()  # the refusals of the faster rates
+            self.say(f"{name}: {told}")
+        if not tap_is_enough(airframe):
+            self.say(
+                f"note: airframe '{airframe.name}' has wing nodes on clocks of their own; the tap alone cannot be "
+                "estimated from, record with the service (--service LINK, or spanwise run --record)"
+            )
+
+    def need_ranges(self, within_s: float = 5.0) -> None:
+        """Refuse to begin without a companion that sends ranges (trusted or not)."""
+        ends_s = time.monotonic() + within_s
+        while time.monotonic() < ends_s:
+            newest = self.watch.newest_range()
+            if newest is not None and time.monotonic() - newest.at_s < 1.0:
+                return
+            time.sleep(_LOOK_S)
+        who = "its heartbeat is here" if self.watch.companion_age_s() < 3.0 else "not even a heartbeat"
+        raise Refused(
+            f"no DISTANCE_SENSOR of component {self.options.companion} with orientation {self.airframe.orientation} "
+            f"on this link ({who}): is the service running, with cameras?"
+        )
+
+    # ------------------------------------------------------------------------------------------ flying
+
+    def be_airborne(self) -> None:
+        """Take off if that was asked for; refuse to go on from the ground."""
+        if self.airborne:
+            return
+        height_m = self.options.take_off
+        if height_m is None:
+            raise Refused("the vehicle is not flying: take off first, or give --take-off HEIGHT")
+        floor_m, self.guard.floor_m = self.guard.floor_m, -10.0
+        here = self.watch.place
+        route = Route()
+        route.add(TAKEOFF, here, height_m, 10.0)
+        route.add(LOITER, here, height_m)
+        self.vehicle.upload(route)
+        self.engaged = True
+        self.vehicle.arm()
+        self.wait("armed", lambda: self.watch.armed, _MODE_S)
+        self.begin()
+        self.wait("take-off", lambda: self.watch.height_m > 0.9 * height_m, 120.0)
+        self.guard.floor_m = floor_m
+
+    def change_mode(self, number: int, order: Callable[[], None]) -> None:
+        """Give an order that changes the mode, and wait until the heartbeat shows it."""
+        self.engaged = True
+        self.guard.mode = None
+        order()
+        self.wait(f"mode {number}", lambda: self.watch.mode == number, _MODE_S)
+        self.guard.mode = number
+
+    def begin(self, number: int = 1) -> None:
+        """Fly the uploaded mission from an item on."""
+        self.watch.reached.clear()
+        self.change_mode(AUTO, lambda: self.vehicle.start(number))
+
+    def follow(
+        self, route: Route, timeout_s: float, names: dict[int, str], each: Callable[[int], None] | None = None
+    ) -> None:
+        """Fly an uploaded mission until its last item, which circles for ever, is the current one.
+
+        Parameters
+        ----------
+        route : Route
+            What was uploaded.
+        timeout_s : float
+            For the whole of it.
+        names : dict
+            What to say when an item becomes current.
+        each : callable, optional
+            Called with the current item at every look.
+        """
+        said = 0
+
+        def there() -> bool:
+            nonlocal said
+            item = self.watch.item
+            if item != said:
+                said = item
+                if item in names:
+                    self.say(f"item {item} of {route.last}: {names[item]} ({self.where()})")
+            if each is not None:
+                each(item)
+            return item >= route.last
+
+        self.guard.off_track = lambda: route.off_track_m(self.watch.item, self.watch.place)
+        try:
+            self.wait("mission", there, timeout_s)
+        finally:
+            self.guard.off_track = None
+
+    def leave(self) -> None:
+        """End well: circle where the mission ended."""
+        self.change_mode(LOITER_MODE, self.vehicle.hold)
+        self.say(f"done; the vehicle circles here in LOITER ({self.where()})")
+
+
+def safe_order(order: Callable[[], None]) -> str | None:
+    """Try an order; what went wrong, if anything."""
+    try:
+        order()
+    except NotAccepted as error:
+        return str(error)
+    return None

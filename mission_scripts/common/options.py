@@ -1,0 +1,58 @@
+"""Options that all missions share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from mission_scripts.common.guard import Limits
+from mission_scripts.common.outcome import MEANING, Response
+
+
+def parser_for(name: str, text: str) -> argparse.ArgumentParser:
+    """The command line of one mission, with the shared options in it; ``text`` is the script's docstring."""
+    parser = argparse.ArgumentParser(
+        prog=f"python -m mission_scripts.{name}", description=text, epilog=MEANING, allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument(
+        "--connect", required=True, metavar="URL",
+        help="MAVSDK's spelling: udpin://0.0.0.0:14540, tcpout://host:port, serial:///dev/ttyUSB0:57600",
+    )  # fmt: skip
+    parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="name or path of the airframe file")
+    parser.add_argument("--companion", type=int, default=191, metavar="ID", help="MAVLink component of the service")
+    parser.add_argument("--wait", type=float, default=15.0, metavar="S", help="for the autopilot to appear")
+    _recording(parser.add_argument_group("recording"), name)
+    _limits(parser.add_argument_group("limits; leaving them aborts"))
+    parser.add_argument(
+        "--on-abort", type=Response, default=Response.HOLD, choices=list(Response), metavar="hold|rtl",
+        help="after Ctrl-C and the like; lost link, battery, failsafe and floor always mean rtl",
+    )  # fmt: skip
+    parser.add_argument(
+        "--take-off", type=float, metavar="M", help="arm and climb to this height first (AUTO take-off)"
+    )
+    return parser
+
+
+def _recording(group: argparse._ArgumentGroup, name: str) -> None:
+    group.add_argument("--out", type=Path, default=Path("out/missions") / name, metavar="FOLDER")
+    group.add_argument("--no-tap", action="store_true", help="do not write flight.tlog from this link")
+    group.add_argument(
+        "--service", metavar="LINK",
+        help="also run `spanwise run --record` on this link (mavutil's spelling) for the length of the mission",
+    )  # fmt: skip
+
+
+def _limits(group: argparse._ArgumentGroup) -> None:
+    base = Limits()
+    group.add_argument("--floor", type=float, default=base.floor_m, metavar="M", help="lowest height above home")
+    group.add_argument("--ceiling", type=float, default=base.ceiling_m, metavar="M", help="greatest height above home")
+    group.add_argument("--radius", type=float, default=base.radius_m, metavar="M", help="from where it began")
+    group.add_argument("--off-track", type=float, default=base.off_track_m, metavar="M", help="from the leg flown")
+    group.add_argument("--battery", type=float, default=base.battery, metavar="0..1", help="least charge")
+    group.add_argument("--link-loss", type=float, default=base.link_s, metavar="S", help="silence that counts as lost")
+
+
+def limits_from(options: argparse.Namespace) -> Limits:
+    """The limits that were asked for."""
+    return Limits(options.floor, options.ceiling, options.radius, options.battery, options.link_loss, options.off_track)
