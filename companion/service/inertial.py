@@ -17,6 +17,7 @@ from companion.records import (
     NoRange,
     Notice,
     ObstacleSectors,
+    ParameterChange,
     Record,
     Rejected,
     ServiceStatus,
@@ -53,7 +54,7 @@ class InertialLoop:
     """One turn reads, estimates, publishes. Kept apart from its process so that tests can turn it by hand.
 
     ``fires_by_link`` says that the trigger process only keeps the time and the autopilot fires: each shot is published
-    at once, before anything is made of it.
+    at once, before anything is made of it. ``tell_vision`` gets changed settings and plans.
     """
 
     state: PipelineState
@@ -64,6 +65,7 @@ class InertialLoop:
     show: Callable[[Record], object]
     recorder: Recorder
     fires_by_link: bool = False
+    tell_vision: Callable[[Record], object] = lambda _: None
     next_tick_ns: int = 0
     outputs: list[Record] = field(default_factory=list)
 
@@ -87,6 +89,8 @@ class InertialLoop:
             self._route(record)
             return
         self.recorder.write(record)
+        if isinstance(record, ParameterChange):
+            self.tell_vision(record)
         self.state, outputs = step(self.state, record)
         for output in outputs:
             self._route(output)
@@ -95,6 +99,7 @@ class InertialLoop:
         self.recorder.write(output)
         if isinstance(output, TriggerPlan):
             self.shots.send(output)
+            self.tell_vision(output)
         if isinstance(output, _PUBLISHED):
             self.autopilot.publish(output)
         if isinstance(output, _SHOWN):

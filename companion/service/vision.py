@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from multiprocessing.synchronize import Event
 
 from companion.core.pipeline import VisionState, vision_step
 from companion.ports import CameraPair, Clock, Recorder
-from companion.records import Record
+from companion.records import ParameterChange, Record, TriggerPlan
 
 _POLL_S = 0.05
 
@@ -19,11 +19,19 @@ def run(
     send: Callable[[Record], object],
     recorder: Recorder | None,
     stop: Event,
+    told: Callable[[], Iterable[ParameterChange | TriggerPlan]] = tuple,
 ) -> None:
-    """Match every pair as it comes until told to stop; ``recorder`` keeps the images where that is asked for."""
+    """Match every pair as it comes until told to stop.
+
+    ``recorder`` keeps the images where that is asked for; ``told`` gives what the inertial process has said since the
+    last call: changed settings, and plans for cameras that run free.
+    """
     try:
         while not stop.is_set():
-            for frame in cameras.poll(_POLL_S):
+            frames = cameras.poll(_POLL_S)
+            for word in told():
+                vision_step(state, word, clock.now_ns())
+            for frame in frames:
                 if recorder is not None:
                     recorder.write(frame)
                 for record in vision_step(state, frame, clock.now_ns()):

@@ -58,13 +58,16 @@ class Service(Supervisor):
             if config.record_images and config.cameras is not None:
                 vision_tape, end = recorder_channel()
                 ends.append(end)
-        shots = None
+        shots = told_in = None
         if config.trigger is not None:
             shots, line = line_pair()
             self.add("trigger", _trigger_process, config, line)
         if config.cameras is not None:
-            self.add("vision", _vision_process, config, matches_in, vision_tape)
-        self.add("inertial", _inertial_process, config, _stored(config), shots, matches, shown_in, inertial_tape)
+            told_in, told = channel()
+            self.add("vision", _vision_process, config, _stored(config), told, matches_in, vision_tape)
+        self.add(
+            "inertial", _inertial_process, config, _stored(config), shots, matches, told_in, shown_in, inertial_tape
+        )
         if ends:
             about = About.of(config.airframe, config.settings)
             self.add("recorder", run_recorder, config.recording, about, ends)
@@ -141,6 +144,7 @@ def _inertial_process(
     stored_at_start: dict[str, float],
     shots: socket.socket | None,
     matches: Receiver,
+    vision_ear: Sender | None,
     shown: Sender,
     tape: socket.socket | None,
     stop: Event,
@@ -160,8 +164,14 @@ def _inertial_process(
         show=shown.send,
         recorder=_recorder(tape),
         fires_by_link=config.trigger is MavlinkTrigger,
+        tell_vision=_unheard if vision_ear is None else vision_ear.send,
     )
     inertial.run(loop, stop)
+
+
+def _unheard(record: Record) -> None:
+    """Stands in where no vision process listens."""
+    del record
 
 
 def _component(config: ServiceConfig, signing: Signing | None) -> OwnComponent:
@@ -178,7 +188,14 @@ def _trigger_process(config: ServiceConfig, line: socket.socket, stop: Event) ->
     serve_trigger(config.trigger, line, stop.is_set)
 
 
-def _vision_process(config: ServiceConfig, matches: Sender, tape: socket.socket | None, stop: Event) -> None:
+def _vision_process(
+    config: ServiceConfig,
+    stored_at_start: dict[str, float],
+    told: Receiver,
+    matches: Sender,
+    tape: socket.socket | None,
+    stop: Event,
+) -> None:
     _ignore_interrupt()
     assert config.cameras is not None
     recorder = None if tape is None else Inlet(tape)
@@ -186,9 +203,10 @@ def _vision_process(config: ServiceConfig, matches: Sender, tape: socket.socket 
         cameras = config.cameras()
     except SpanwiseError as error:
         raise SystemExit(f"spanwise vision: {error}") from error
-    state = VisionState.create(config.airframe, config.settings)
+    settings = resumed(config.settings, stored_at_start, _stored(config))
+    state = VisionState.create(config.airframe, settings, free_running=config.trigger is None)
     try:
-        vision.run(state, cameras, MonotonicClock(), matches.send, recorder, stop)
+        vision.run(state, cameras, MonotonicClock(), matches.send, recorder, stop, told.receive)
     finally:
         if recorder is not None:
             recorder.close()

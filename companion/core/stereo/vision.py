@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 
 from companion.core.stereo.geometry import Rig
@@ -10,29 +11,82 @@ from companion.core.stereo.pairing import FramePairer
 from companion.core.stereo.search import Search, trim_search
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import Frame, MatchSet, Rejected
+from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Rejected, TriggerPlan
+
+_PLANS_KEPT = 32
+
+
+@dataclass(slots=True)
+class FrameChoice:
+    """Of cameras that run free, the pair nearest each planned instant.
+
+    A pair is taken when no neighbour can be nearer: within half the time between two pairs.
+    """
+
+    plans: deque[TriggerPlan] = field(default_factory=lambda: deque(maxlen=_PLANS_KEPT))
+    last_ns: int | None = None
+
+    def plan(self, plan: TriggerPlan) -> None:
+        """Take note of an instant; a newer plan takes the place of those that were to come after it."""
+        while self.plans and self.plans[-1].exposure_host_ns >= plan.exposure_host_ns:
+            self.plans.pop()
+        if plan.firing is not Firing.SKIP:
+            self.plans.append(plan)
+
+    def takes(self, pair: FramePair) -> bool:
+        """Whether the pair is the one that a plan has waited for; each plan gets one."""
+        t_ns = (pair.left.mid_exposure_ns + pair.right.mid_exposure_ns) // 2
+        period_ns = 0 if self.last_ns is None else t_ns - self.last_ns
+        self.last_ns = t_ns
+        while self.plans and self.plans[0].exposure_host_ns < t_ns - period_ns // 2:
+            self.plans.popleft()
+        if not self.plans or self.plans[0].exposure_host_ns > t_ns + period_ns // 2:
+            return False
+        self.plans.popleft()
+        return True
 
 
 @dataclass(slots=True)
 class VisionState:
     """The pairer and the search of one camera pair.
 
-    The search is opened as far as trim bend, gusts and load factor can move the images, so that it depends on the
-    airframe alone: a recorded pair gives the same matches in replay, whatever the wing was believed to do.
+    The search is opened as far as trim bend, gusts and load factor can move the images, and from the shortest to the
+    longest range that is asked for: it depends on airframe and settings alone, and a recorded pair gives the same
+    matches in replay, whatever the wing was believed to do. ``choice`` is for cameras that nobody triggers.
     """
 
+    airframe: Airframe
+    settings: Settings
     rig: Rig
     search: Search
     pairer: FramePairer = field(default_factory=FramePairer)
+    choice: FrameChoice | None = None
 
     @classmethod
-    def create(cls, airframe: Airframe, settings: Settings) -> VisionState:
+    def create(cls, airframe: Airframe, settings: Settings, *, free_running: bool = False) -> VisionState:
         """For an airframe that has both cameras."""
         rig = Rig.from_airframe(airframe)
-        return cls(rig, trim_search(rig, airframe, settings))
+        choice = FrameChoice() if free_running else None
+        return cls(airframe, settings, rig, trim_search(rig, airframe, settings), choice=choice)
+
+    def adopt(self, change: ParameterChange) -> None:
+        """Use a changed setting from the next pair on."""
+        self.settings = self.settings.replace(change.name, change.value)
+        self.search = trim_search(self.rig, self.airframe, self.settings)
 
 
-def vision_step(state: VisionState, frame: Frame, now_host_ns: int) -> list[MatchSet | Rejected]:
-    """Take one frame; give the matches of every pair that it completes, stamped with the time that is given."""
-    pairs, lonely = state.pairer.add(frame)
+def vision_step(
+    state: VisionState, record: Frame | ParameterChange | TriggerPlan, now_host_ns: int
+) -> list[MatchSet | Rejected]:
+    """Take a frame, a changed setting or a plan; give the matches of every pair that a frame completes."""
+    if isinstance(record, ParameterChange):
+        state.adopt(record)
+        return []
+    if isinstance(record, TriggerPlan):
+        if state.choice is not None:
+            state.choice.plan(record)
+        return []
+    pairs, lonely = state.pairer.add(record)
+    if state.choice is not None:
+        pairs = [pair for pair in pairs if state.choice.takes(pair)]
     return [*(match_pair(pair, state.rig, state.search, now_host_ns) for pair in pairs), *lonely]

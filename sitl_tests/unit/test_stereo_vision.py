@@ -1,0 +1,119 @@
+"""What the vision process does beside matching: live range limits, and frames chosen where nobody triggers."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.vision import FrameChoice, VisionState, vision_step
+from companion.params.settings import Settings
+from companion.records import (
+    ClockName,
+    Firing,
+    Frame,
+    FramePair,
+    MatchSet,
+    ParameterChange,
+    Reject,
+    Side,
+    TriggerPlan,
+)
+from sitl_tests.unit.stereo_cases import nadir
+from sitl_tests.unit.stereo_scene import TexturedPlane, photograph
+
+MS = 1_000_000
+RANGE_M = 8.0
+BLANK = np.zeros((2, 2), dtype=np.uint8)
+
+
+def _frames(shot: int) -> list[Frame]:
+    """Textured ground at 8 m, seen in trim."""
+    airframe = nadir()
+    rig, wing = Rig.from_airframe(airframe), airframe.wing
+    slope = wing.symmetric.slope_factor_radpm.value * wing.trim_bend_m.value
+    plane = TexturedPlane.facing((0.0, 0.0, 1.0), RANGE_M, 800.0, seed=2)
+    poses = [rig.pose(side, slope, wing.trim_bend_m.value) for side in Side]
+    images = [photograph(plane, rig.camera(side), poses[side], noise_grey=2.0, seed=side) for side in Side]
+    return [Frame(side, shot, ClockName.HOST, shot * 100 * MS, 2 * MS, 0, shot, images[side]) for side in Side]
+
+
+def _matches(state: VisionState, frames: list[Frame]) -> int:
+    found = [record for frame in frames for record in vision_step(state, frame, 0)]
+    assert len(found) == 1
+    assert isinstance(found[0], MatchSet)
+    return len(found[0].sigma_px)
+
+
+def test_live_range_limits_reach_the_search() -> None:
+    """Nothing at 8 m is found while RNG_MIN is 30 m; a ground station lowers it, and the next pair has it."""
+    state = VisionState.create(nadir(), dataclasses.replace(Settings(), min_range_m=30.0))
+    frames = _frames(1)
+    few = _matches(state, frames)
+    assert vision_step(state, ParameterChange("RNG_MIN", 4.0, 0), 0) == []
+    again = [dataclasses.replace(frame, mid_exposure_ns=frame.mid_exposure_ns + 100 * MS) for frame in frames]
+    many = _matches(state, again)
+    assert many > 50
+    assert few < 0.1 * many
+    vision_step(state, ParameterChange("RNG_MAX", 5.0, 0), 0)
+    later = [dataclasses.replace(frame, mid_exposure_ns=frame.mid_exposure_ns + 200 * MS) for frame in frames]
+    assert _matches(state, later) < 0.1 * many
+
+
+def _plan(plan_id: int, t_ns: int, firing: Firing = Firing.PEAK) -> TriggerPlan:
+    return TriggerPlan(plan_id, firing, t_ns - 8 * MS, t_ns, 0, 0.1, t_ns, t_ns - 60 * MS, None)
+
+
+def _pair(number: int, t_ns: int) -> FramePair:
+    left, right = (Frame(side, number, ClockName.HOST, t_ns, 2 * MS, 0, -1, BLANK) for side in Side)
+    return FramePair(number, left, right)
+
+
+@given(
+    period_ms=st.integers(10, 50),
+    wanted=st.lists(st.integers(200, 2800), min_size=1, max_size=12, unique=True),
+    phase_ms=st.integers(0, 49),
+)
+def test_of_free_running_cameras_each_plan_gets_the_nearest_pair(
+    period_ms: int, wanted: list[int], phase_ms: int
+) -> None:
+    period_ns = period_ms * MS + 1  # no pair is exactly midway between two instants
+    plans = sorted({t // 100: t * MS for t in wanted}.values())
+    plans = [t for k, t in enumerate(plans) if k == 0 or t - plans[k - 1] > 2 * period_ns]
+    choice, waiting, taken = FrameChoice(), list(enumerate(plans)), []
+    for k in range(3000 // period_ms):
+        t_ns = phase_ms * MS + k * period_ns
+        while waiting and waiting[0][1] - 60 * MS <= t_ns:
+            choice.plan(_plan(*waiting.pop(0)))
+        if choice.takes(_pair(k, t_ns)):
+            taken.append(t_ns)
+    last_ns = t_ns
+    assert len(taken) == len([t for t in plans if t <= last_ns])
+    assert all(abs(a - b) <= period_ns / 2 for a, b in zip(taken, plans, strict=False))
+
+
+def test_a_plan_that_was_replaced_or_skipped_takes_no_pair() -> None:
+    choice = FrameChoice()
+    choice.takes(_pair(0, 0))
+    choice.plan(_plan(1, 100 * MS))
+    choice.plan(_plan(2, 80 * MS))
+    choice.plan(_plan(3, 60 * MS, Firing.SKIP))
+    assert [k for k in range(1, 10) if choice.takes(_pair(k, 20 * MS * k))] == []
+
+
+def test_triggered_cameras_are_matched_whatever_is_planned() -> None:
+    state = VisionState.create(nadir(), Settings())
+    vision_step(state, _plan(1, 10**12), 0)
+    assert _matches(state, _frames(1)) > 50
+    free = VisionState.create(nadir(), Settings(), free_running=True)
+    assert [record for frame in _frames(2) for record in vision_step(free, frame, 0)] == []
+
+
+def test_a_lonely_frame_is_told_while_frames_are_chosen_too() -> None:
+    free = VisionState.create(nadir(), Settings(), free_running=True)
+    vision_step(free, Frame(Side.LEFT, 1, ClockName.HOST, 5 * MS, MS, 0, -1, BLANK), 0)
+    told = vision_step(free, Frame(Side.LEFT, 0, ClockName.HOST, MS, MS, 0, -1, BLANK), 0)
+    assert [getattr(record, "reason", None) for record in told] == [Reject.UNPAIRED]
