@@ -23,6 +23,7 @@ from companion.core.stereo.correction import Correction
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.trigger.blur import Motion
 from companion.core.trigger.scheduling import Scheduling
+from companion.core.vehicle_filters import VehicleFilters
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -67,6 +68,7 @@ class PipelineState:
     correction: Correction | None
     publishing: Publishing
     delivery: Delivery = field(default_factory=Delivery)
+    filters: VehicleFilters = field(default_factory=VehicleFilters)
     mode: ModeState | None = None
     vehicle: VehicleState | None = None
     counters: Counter[str] = field(default_factory=Counter)
@@ -139,6 +141,7 @@ def _adapt_to_delivery(state: PipelineState, now_ns: int) -> list[OutputRecord]:
 
 
 def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
+    batch = state.filters.undone(batch)
     if batch.clock is not ClockName.HOST:
         converted = state.clocks.to_host(batch.clock, batch.t_ns, batch.received_host_ns)
         if isinstance(converted, Reject):
@@ -179,15 +182,21 @@ def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecor
 
 
 def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter) -> list[OutputRecord]:
-    """The root's filters are the vehicle's own: take what it says over what the airframe file believes."""
-    attribute = {"INS_ACCEL_FILTER": "lowpass_accel_hz", "INS_GYRO_FILTER": "lowpass_gyro_hz"}.get(parameter.name)
-    if attribute is None or getattr(state.airframe.root, attribute) == parameter.value:
+    """The autopilot's filters are its own affair: take what it says over what the airframe file believes."""
+    filters = state.filters
+    before = (filters.gyro_delay_s, filters.stamp_shift_ns)
+    if not filters.take(parameter.name, parameter.value):
         return []
-    change: dict[str, Any] = {attribute: float(parameter.value)}
-    state.airframe = dataclasses.replace(state.airframe, root=dataclasses.replace(state.airframe.root, **change))
-    state.tracker = WingTracker(state.airframe, state.settings)
-    text = f"{parameter.name} is {parameter.value:g} Hz on the vehicle: tracker restarted with it"
-    return [Notice(4, text, parameter.received_host_ns)]
+    airframe = filters.applied(state.airframe)
+    if airframe != state.airframe:
+        state.airframe = airframe
+        state.tracker = WingTracker(state.airframe, state.settings)
+        text = f"{parameter.name} is {parameter.value:g} Hz on the vehicle: tracker restarted with it"
+        return [Notice(4, text, parameter.received_host_ns)]
+    if (filters.gyro_delay_s, filters.stamp_shift_ns) == before:
+        return []
+    delays_ms = f"rates {1e3 * filters.gyro_delay_s:.2f} ms, stamps {1e-6 * filters.stamp_shift_ns:+.2f} ms"
+    return [Notice(6, f"{parameter.name} {parameter.value:g}: undone ({delays_ms})", parameter.received_host_ns)]
 
 
 def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputRecord]:

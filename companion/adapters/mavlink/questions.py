@@ -25,7 +25,10 @@ NEEDED_PARAMETERS = (
     "RNGFND1_ORIENT",
     "RNGFND1_MIN",
     "RNGFND1_MAX",
+    *(f"INS_{notch}_{what}" for notch in ("HNTCH", "HNTC2") for what in ("ENABLE", "FREQ", "BW", "ATT", "HMNCS")),
+    "IMU_INTEG_RATE",
 )
+"""What the pipeline goes by; adapters do not import it, so a test holds the two lists together."""
 
 
 class TimesyncTimer:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,7 @@ from companion.records import AutopilotParameter, ClockRestart, Record, Reject, 
 PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32
 _STATE_PERIOD_MS = 20
+_INTEGERS = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,14 @@ class Echo:
     received_host_ns: int
 
 
+def parameter_value(message: Any, *, bytewise: bool) -> float:
+    """The value of a PARAM_VALUE. PX4 puts the bytes of its integers where ArduPilot puts the number as a float."""
+    value = float(message.param_value)
+    if bytewise and message.param_type in _INTEGERS:
+        return float(struct.unpack("<i", struct.pack("<f", value))[0])
+    return value
+
+
 class Translator:
     """Keeps the little state that rare messages need; driven by chunks alone, so that a replay repeats it."""
 
@@ -59,6 +69,7 @@ class Translator:
         self._requests: dict[int, set[tuple[int, int]]] = {}
         self._air: Any = None
         self._last_state_ms: int | None = None
+        self._bytewise = False
 
     def sent(self, message: Any) -> None:
         """Take note of a TIMESYNC request of ours."""
@@ -93,6 +104,7 @@ class Translator:
         if self.system is None:
             self.system = heard.system
         if heard.system == self.system:
+            self._bytewise = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
     def _timesync(self, heard: Heard) -> Iterator[Record]:
@@ -143,7 +155,8 @@ class Translator:
         message = heard.message
         if not message.param_id.startswith(PARAMETER_PREFIXES):
             return
-        if math.isfinite(message.param_value):
-            yield AutopilotParameter(message.param_id, message.param_value, heard.received_host_ns)
+        value = parameter_value(message, bytewise=self._bytewise)
+        if math.isfinite(value):
+            yield AutopilotParameter(message.param_id, value, heard.received_host_ns)
         else:
             self._tally.add(Reject.NOT_FINITE, f"parameter {message.param_id}")

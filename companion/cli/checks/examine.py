@@ -10,7 +10,7 @@ from companion.adapters.mavlink.decode import Decoder
 from companion.adapters.mavlink.dialect import mavlink
 from companion.adapters.mavlink.link import Link
 from companion.adapters.mavlink.questions import NEEDED_PARAMETERS
-from companion.adapters.mavlink.translate import Heard
+from companion.adapters.mavlink.translate import Heard, parameter_value
 from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.tlog import TlogRecording
 from companion.cli.checks.evidence import Beat, Evidence
@@ -36,7 +36,7 @@ WANTED = (
     *NEEDED_PARAMETERS,
     "RNGFND1_MAX_CM", "RNGFND1_MIN_CM", "PRX1_TYPE", "PRX_TYPE",
     "RNGFND2_TYPE", "RNGFND2_ORIENT", "RNGFND3_TYPE", "RNGFND3_ORIENT",
-    "INS_HNTCH_ENABLE", "INS_HNTCH_FREQ", "IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF",
+    "IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF",
 )  # fmt: skip
 
 
@@ -125,7 +125,9 @@ def note(seen: Evidence, heard: Heard, system: int | None) -> None:
     elif heard.component != mavlink.MAV_COMP_ID_AUTOPILOT1:
         return
     elif heard.name == "PARAM_VALUE":
-        seen.parameters[message.param_id] = message.param_value
+        pilot = seen.beats.get(sender)
+        bytewise = pilot is not None and pilot.autopilot == mavlink.MAV_AUTOPILOT_PX4
+        seen.parameters[message.param_id] = parameter_value(message, bytewise=bytewise)
     elif heard.name == "CAMERA_FEEDBACK":
         seen.feedback[message.cam_idx] += 1
 
