@@ -59,6 +59,9 @@ def _recorded(options: argparse.Namespace, airframe: Airframe, mission: Mission,
         code = _connected(options, airframe, mission, log, interrupted, tap)
     except (Refused, FileNotFoundError) as error:
         log.say(f"refused: {error}")
+    except Aborted as error:
+        log.say(f"{error} before anything was commanded")
+        code = error.code
     finally:
         if tap is not None:
             tap.close()
@@ -74,7 +77,7 @@ def _connected(
 ) -> Exit:
     watch = Watch(options.companion, airframe.orientation)
     log.say(f"waiting for an autopilot on {options.connect}")
-    vehicle = Vehicle(options.connect, watch, tap, options.wait)
+    vehicle = Vehicle(options.connect, watch, tap, options.wait, interrupted)
     try:
         check_kind(watch)
         guard = Guard(watch, limits_from(options), interrupted, watch.place)

@@ -6,6 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable
+from threading import Event
 from typing import Any
 
 import mavsdk
@@ -14,7 +15,7 @@ from mavsdk.plugins.action.action import Action
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.mission_raw.mission_raw import MissionRaw
 
-from mission_scripts.common.outcome import MissionError, Refused
+from mission_scripts.common.outcome import Aborted, Exit, MissionError, Refused
 from mission_scripts.common.places import Route
 from mission_scripts.common.recording import Tap
 from mission_scripts.common.watch import AUTOPILOT, KINDS, Watch
@@ -26,6 +27,7 @@ _ROLL_AND_PITCH = 0b11111100  # ArduPlane takes these two from the quaternion, a
 _FIXED_WING, _ARDUPILOT = 1, 3
 _RELATIVE_FRAME = 6
 _TRIES = 2
+_LOOK_S = 0.5
 
 
 class NotAccepted(MissionError):
@@ -45,19 +47,24 @@ class Vehicle:
     tap : Tap, optional
         Given every frame.
 
+    timeout_s : float
+        For the autopilot to speak.
+    interrupted : Event
+        Ends the waiting for it.
+
     Raises
     ------
     Refused
-        The link cannot be opened, or no autopilot spoke within ``timeout_s``.
+        The link cannot be opened, or no autopilot spoke in time.
     """
 
-    def __init__(self, url: str, watch: Watch, tap: Tap | None, timeout_s: float) -> None:
+    def __init__(self, url: str, watch: Watch, tap: Tap | None, timeout_s: float, interrupted: Event) -> None:
         log_subscribe(lambda *_: True)  # its log would run through our progress lines
         kind = mavsdk.ComponentType.GROUND_STATION
         self._sdk = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(kind))
         try:
-            self._system = self._open(url, tap, timeout_s)
-        except Refused:
+            self._system = self._open(url, tap, timeout_s, interrupted)
+        except MissionError:
             self._sdk.destroy()
             raise
         self._action, self._missions = Action(self._system), MissionRaw(self._system)
@@ -66,7 +73,7 @@ class Vehicle:
             self._direct.subscribe_message(name, lambda message, _: watch.take(message))
         self._system_id = self._system.get_system_id()
 
-    def _open(self, url: str, tap: Tap | None, timeout_s: float) -> Any:
+    def _open(self, url: str, tap: Tap | None, timeout_s: float, interrupted: Event) -> Any:
         on = mavsdk.ForwardingOption.ON
         result = self._sdk.add_any_connection_with_forwarding(url, on)
         if result != mavsdk.ConnectionResult.SUCCESS:
@@ -75,7 +82,11 @@ class Vehicle:
             # what comes on one connection is forwarded to all others: to this one, whose bytes are ours
             self._sdk.add_any_connection_with_forwarding("raw://", on)
             self._sdk.subscribe_raw_bytes_to_be_sent(tap.take)
-        system = self._sdk.first_autopilot(timeout_s)
+        system, ends_s = None, time.monotonic() + timeout_s
+        while system is None and time.monotonic() < ends_s:
+            if interrupted.is_set():
+                raise Aborted("Ctrl-C", code=Exit.INTERRUPTED)
+            system = self._sdk.first_autopilot(_LOOK_S)
         if system is None:
             raise Refused(f"no autopilot on {url} within {timeout_s:g} s: is it powered, and is the link free?")
         return system
