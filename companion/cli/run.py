@@ -8,6 +8,8 @@ import sys
 import time
 from pathlib import Path
 
+from companion.adapters.cameras import opening as cameras
+from companion.adapters.triggers import opening as triggers
 from companion.adapters.triggers.mavlink import MavlinkTrigger
 from companion.cli.flying import fly
 from companion.cli.options import add_settings, read_settings, state_file
@@ -29,10 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--parameters", type=Path, metavar="FILE",
         help="where what a ground station sets is kept (default: ~/.local/state/spanwise/<airframe>.parameters)",
     )  # fmt: skip
+    parser.add_argument("--cameras", metavar="PAIR", help="left and right camera: " + "; ".join(cameras.SPELLINGS))
     parser.add_argument(
-        "--trigger", choices=["none", "mavlink"], default="none",
-        help="mavlink: the autopilot fires its own cameras at the planned instants (IMAGE_START_CAPTURE)",
-    )  # fmt: skip
+        "--trigger", default="none", metavar="LINE", help="what fires the cameras: " + "; ".join(triggers.SPELLINGS)
+    )
+    parser.add_argument("--record-images", action="store_true", help="record every image too (PNG, lossless)")
     parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
     parser.add_argument("--for", type=float, metavar="SECONDS", dest="seconds", help="stop after so long")
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
@@ -41,19 +44,52 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Run until Ctrl-C or SIGTERM (or for the given time)."""
+    config = service_config(options)
+    try_devices(config)
+    serve(config, options)
+    return 0
+
+
+def service_config(options: argparse.Namespace) -> ServiceConfig:
+    """What the options ask for."""
     if options.record is not None and not options.record.parent.is_dir():
         raise ConfigError(f"--record {options.record}: no folder {options.record.parent}")
     if options.parameters is None:
         options.parameters = state_file(f"{Path(options.airframe).stem}.parameters")
-    config = ServiceConfig(
-        airframe=load_airframe(options.airframe),
+    if options.record_images and (options.record is None or options.cameras is None):
+        raise ConfigError("--record-images needs --record and --cameras")
+    airframe, trigger = load_airframe(options.airframe), triggers.trigger_factory(options.trigger)
+    eyes = None
+    if options.cameras is not None:
+        eyes = cameras.camera_factory(options.cameras, airframe, triggered=trigger is not None)
+    return ServiceConfig(
+        airframe=airframe,
         settings=read_settings(options),
         connections=tuple(options.connect),
-        trigger=MavlinkTrigger if options.trigger == "mavlink" else None,
+        cameras=eyes,
+        trigger=trigger,
         recording=options.record,
+        record_images=options.record_images,
         parameters=options.parameters,
         signing_key=options.sign_key,
     )
+
+
+def try_devices(config: ServiceConfig) -> None:
+    """Open and close cameras and trigger once, so that a missing one is told to the user and not to a log.
+
+    Raises
+    ------
+    DeviceError
+        A device or its library is absent.
+    """
+    for factory in (config.cameras, None if config.trigger is MavlinkTrigger else config.trigger):
+        if factory is not None:
+            factory().close()
+
+
+def serve(config: ServiceConfig, options: argparse.Namespace) -> None:
+    """Run it in the foreground, and say at the end how it stood."""
     ends = time.monotonic() + options.seconds if options.seconds else float("inf")
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -63,4 +99,3 @@ def execute(options: argparse.Namespace) -> int:
     began = time.monotonic()
     fly(config, view, lambda: bool(stopped) or time.monotonic() >= ends, live=live)
     print(view.line(time.monotonic() - began).strip())
-    return 0

@@ -207,6 +207,8 @@ def _vision_process(
     state = VisionState.create(config.airframe, settings, free_running=config.trigger is None)
     try:
         vision.run(state, cameras, MonotonicClock(), matches.send, recorder, stop, told.receive)
+    except SpanwiseError as error:
+        raise SystemExit(f"spanwise vision: {error}") from error
     finally:
         if recorder is not None:
             recorder.close()

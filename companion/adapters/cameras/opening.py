@@ -1,0 +1,115 @@
+"""Which camera pair a word stands for: ``kind:where``, as ``spanwise run --cameras`` takes it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+from companion.adapters.cameras.folder import FolderPair
+from companion.adapters.cameras.oak import OakPair, OakSensor, OakTiming
+from companion.adapters.cameras.paced import PacedPair, RecordedPair
+from companion.adapters.cameras.video import CapturePair
+from companion.adapters.clocks import MonotonicClock
+from companion.errors import ConfigError
+from companion.params.airframe import Airframe, Camera
+from companion.ports import CameraPair
+
+SPELLINGS = (
+    "oak:CAM_B,CAM_C (one OAK device) or oak:<id>/CAM_A,<id>/CAM_A (one at each tip)",
+    "v4l2:/dev/video0,/dev/video2 (left, right; numbers do too)",
+    "folder:DIR (EuRoC layout: cam0 left, cam1 right)",
+    "video:LEFT.avi,RIGHT.avi",
+    "recording:FILE.mcap",
+)
+_FREE_RUN_HZ = 30.0
+
+
+def camera_factory(spelling: str, airframe: Airframe, *, triggered: bool) -> Callable[[], CameraPair]:
+    """Give what opens the pair, in whichever process uses it; files play at their own pace from then on.
+
+    Parameters
+    ----------
+    spelling : str
+        One of :data:`SPELLINGS`.
+    airframe : Airframe
+        Size, exposure and row time of its cameras.
+    triggered : bool
+        Exposures follow a trigger line; otherwise the cameras run free.
+
+    Raises
+    ------
+    ConfigError
+        The spelling is none of these, or the airframe has no cameras. What opening raises, the factory raises.
+    """
+    left, right = airframe.left_camera, airframe.right_camera
+    if left is None or right is None:
+        raise ConfigError(f"airframe '{airframe.name}' has no camera pair; leave --cameras out")
+    kind, colon, where = spelling.partition(":")
+    if not colon or not where:
+        raise ConfigError(_unknown(spelling))
+    if kind == "oak":
+        one, other = (_oak_sensor(word) for word in _two(where, spelling))
+        return functools.partial(OakPair, one, other, (left.width_px, left.height_px), _oak_timing(left, triggered))
+    if kind == "v4l2":
+        first, second = (int(word) if word.isdigit() else word for word in _two(where, spelling))
+        return functools.partial(_v4l2, first, second, left)
+    if kind == "folder":
+        return functools.partial(_folder, Path(where), left)
+    if kind == "video":
+        files = [Path(word) for word in _two(where, spelling)]
+        return functools.partial(_video, files[0], files[1], left)
+    if kind == "recording":
+        return functools.partial(_recording, Path(where))
+    raise ConfigError(_unknown(spelling))
+
+
+def _unknown(spelling: str) -> str:
+    return f"--cameras {spelling}: not a camera pair; known are " + "; ".join(SPELLINGS)
+
+
+def _two(where: str, spelling: str) -> list[str]:
+    words = [word.strip() for word in where.split(",")]
+    if len(words) != 2 or not all(words):
+        raise ConfigError(f"--cameras {spelling}: name the left and the right one, with a comma between")
+    return words
+
+
+def _oak_sensor(word: str) -> OakSensor:
+    device, _, socket = word.rpartition("/")
+    return OakSensor(device, socket)
+
+
+def _oak_timing(camera: Camera, triggered: bool) -> OakTiming:
+    return OakTiming(
+        exposure_us=round(camera.exposure_s * 1e6),
+        rate_hz=_FREE_RUN_HZ,
+        external=triggered,
+        row_time_ns=round(camera.row_time_s * 1e9),
+    )
+
+
+def _v4l2(left: int | str, right: int | str, camera: Camera) -> CameraPair:
+    """The driver stamps the end of the first row's exposure; from there back to the middle of the middle row's."""
+    to_middle_s = 0.5 * camera.row_time_s * (camera.height_px - 1) - 0.5 * camera.exposure_s
+    exposure_ns, row_ns = _times(camera)
+    shift_ns = round(to_middle_s * 1e9)
+    return CapturePair(left, right, exposure_ns=exposure_ns, row_time_ns=row_ns, stamp_to_middle_ns=shift_ns)
+
+
+def _folder(folder: Path, camera: Camera) -> CameraPair:
+    exposure_ns, row_ns = _times(camera)
+    return PacedPair(FolderPair(folder, exposure_ns=exposure_ns, row_time_ns=row_ns), MonotonicClock())
+
+
+def _video(left: Path, right: Path, camera: Camera) -> CameraPair:
+    exposure_ns, row_ns = _times(camera)
+    return PacedPair(CapturePair(left, right, exposure_ns=exposure_ns, row_time_ns=row_ns), MonotonicClock())
+
+
+def _recording(path: Path) -> CameraPair:
+    return PacedPair(RecordedPair(path), MonotonicClock())
+
+
+def _times(camera: Camera) -> tuple[int, int]:
+    return round(camera.exposure_s * 1e9), round(camera.row_time_s * 1e9)

@@ -1,0 +1,40 @@
+"""Which trigger a word stands for: ``kind:where``, as ``spanwise run --trigger`` takes it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+from companion.adapters.triggers.gpio import GpioTrigger
+from companion.adapters.triggers.mavlink import MavlinkTrigger
+from companion.adapters.triggers.serial_board import SerialBoardTrigger
+from companion.errors import ConfigError
+from companion.ports import Trigger
+
+SPELLINGS = (
+    "none (the cameras run free; the frame nearest the plan is taken)",
+    "mavlink (the autopilot's own cameras, IMAGE_START_CAPTURE)",
+    "serial:/dev/ttyACM0 or serial:/dev/ttyUSB0,115200 (the trigger board)",
+    "gpio:/dev/gpiochip0,17 or gpio:/dev/gpiochip0,17,low (libgpiod; low is active low)",
+)
+
+
+def trigger_factory(spelling: str) -> Callable[[], Trigger] | None:
+    """Give what opens the trigger, in the trigger process; None where nothing is to be fired.
+
+    Raises
+    ------
+    ConfigError
+        The spelling is none of :data:`SPELLINGS`. What opening raises, the factory raises.
+    """
+    kind, _, where = spelling.partition(":")
+    words = [word.strip() for word in where.split(",")] if where else []
+    if spelling == "none":
+        return None
+    if spelling == "mavlink":
+        return MavlinkTrigger
+    if kind == "serial" and (len(words) == 1 or (len(words) == 2 and words[1].isdigit())):
+        return functools.partial(SerialBoardTrigger, words[0], *(int(word) for word in words[1:]))
+    if kind == "gpio" and len(words) in (2, 3) and words[1].isdigit() and words[2:] in ([], ["low"]):
+        return functools.partial(GpioTrigger, words[0], int(words[1]), active_low=words[2:] == ["low"])
+    raise ConfigError(f"--trigger {spelling}: not a trigger; known are " + "; ".join(SPELLINGS))
