@@ -20,8 +20,9 @@ import numpy as np
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.belief import believe
 from companion.diagnosis.observations import RawRanges, RawRecording, RawStream, observe
-from companion.diagnosis.search import Diagnosis, diagnose
+from companion.diagnosis.search import diagnose
 from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.verdict import Diagnosis
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
 from companion.records import Side

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from companion.diagnosis.report import sentence
-from companion.diagnosis.search import Diagnosis, Verdict
 from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.verdict import Diagnosis, Verdict
 from companion.records import Floats
 
 _BEFORE, _AFTER, _DATA = "#c2571a", "#1f6fb4", "#9aa3ad"

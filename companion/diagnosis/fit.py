@@ -41,6 +41,8 @@ class Fit:
     log_likelihood, log_evidence : float
     found : tuple of Expectation
         At the fitted values, by recording.
+    columns : tuple of tuple of Column
+        Derivatives there, by recording and parameter.
     converged : bool
     """
 
@@ -52,6 +54,7 @@ class Fit:
     log_likelihood: float
     log_evidence: float
     found: tuple[Expectation, ...]
+    columns: tuple[tuple[Column, ...], ...]
     converged: bool
 
 
@@ -68,8 +71,9 @@ def fit(models: Sequence[SuperModel], parts: Sequence[Part], start: Floats | Non
         values[:count] = start[:count]
     found = expect(models, values, parts)
     score, converged = log_posterior(models, found, values, centres, sigmas), False
+    columns = derivatives(models, values, parts, found, sigmas)
     for _ in range(rounds):
-        gradient, information = _posterior_scores(models, values, parts, found, centres, sigmas)
+        gradient, information = _posterior_scores(models, values, found, columns, centres, sigmas)
         move: Floats = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         better = _climb(models, parts, found, values, move, score, centres, sigmas)
         if better is None:
@@ -79,10 +83,11 @@ def fit(models: Sequence[SuperModel], parts: Sequence[Part], start: Floats | Non
         values = better[0]
         found = expect(models, values, parts)
         score = log_posterior(models, found, values, centres, sigmas)
+        columns = derivatives(models, values, parts, found, sigmas)
         if gained < _ENOUGH:
             converged = True
             break
-    information = _posterior_scores(models, values, parts, found, centres, sigmas)[1]
+    information = _posterior_scores(models, values, found, columns, centres, sigmas)[1]
     _, log_det = np.linalg.slogdet(information)
     return Fit(
         placed(belief, values, parts),
@@ -93,6 +98,7 @@ def fit(models: Sequence[SuperModel], parts: Sequence[Part], start: Floats | Non
         log_likelihood(models, found),
         score - float(np.sum(np.log(sigmas))) - 0.5 * float(log_det),
         found,
+        tuple(tuple(entry) for entry in columns),
         converged,
     )
 
@@ -100,12 +106,11 @@ def fit(models: Sequence[SuperModel], parts: Sequence[Part], start: Floats | Non
 def _posterior_scores(
     models: Sequence[SuperModel],
     values: Floats,
-    parts: Sequence[Part],
     found: Sequence[Expectation],
+    columns: Sequence[Sequence[Column]],
     centres: Floats,
     sigmas: Floats,
 ) -> tuple[Floats, Floats]:
-    columns = derivatives(models, values, parts, found, sigmas)
     gradient, information = joint_scores(models, found, columns)
     gradient -= (values - centres) / sigmas**2
     information[np.diag_indices(len(values))] += 1.0 / sigmas**2

@@ -1,4 +1,4 @@
-"""Forces that nobody has named: a basis of laws over deflection, speed and time, to see whether something is left.
+"""Laws that nobody has named: forces over deflection, speed and time, sensors over acceleration and time.
 
 They are tested like named effects, and only ever described, never given as a cause.
 """
@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from companion.core.wing.effect import Effect, Group, ModalMotion, on_halves, parameter
-from companion.records import Floats
+from companion.records import Floats, Station
 
 _Law = Callable[[Floats, Floats], Floats]
 
@@ -65,6 +65,46 @@ class LatentForce(Effect):
         return -self.strength * sway * pull
 
 
-def law_names() -> list[str]:
-    """What each law says, by index."""
-    return [*LAWS, *TIMES]
+SENSED: dict[str, Callable[[Floats, Floats], Floats]] = {
+    "acceleration squared": lambda a, x: a**2 + 0.0 * x,
+    "acceleration cubed": lambda a, x: a**3 + 0.0 * x,
+    "amount of acceleration times acceleration": lambda a, x: np.abs(a) * a + 0.0 * x,
+    "acceleration, drifting in time": lambda a, x: a * x,
+    "acceleration, bowed in time": lambda a, x: a * (1.5 * x**2 - 0.5),
+}
+"""Over upward acceleration in units of its rms, and time from -1 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class LatentSense(Effect):
+    """One law of the sensors' basis, on both sides alike or against each other, in units of the rms acceleration."""
+
+    name: ClassVar[str] = "latent-sense"
+    group: ClassVar[Group] = Group.SENSING
+
+    strength: float = parameter("", 0.05, "share of the rms acceleration")
+    law: float = parameter("", 1e-9, "index of the law; odd: left against right")
+
+    def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
+        """Apply the law to the upward axis."""
+        if station is Station.ROOT:
+            return values
+        index, against = divmod(round(self.law), 2)
+        up = values[:, 2] - np.mean(values[:, 2])
+        unit = max(float(np.std(up)), 1e-12)
+        x = 2.0 * (t_s - t_s[0]) / (t_s[-1] - t_s[0]) - 1.0
+        sign = -1.0 if against and station is Station.LEFT else 1.0
+        bent = values.copy()
+        bent[:, 2] += sign * self.strength * unit * list(SENSED.values())[index](up / unit, x)
+        return bent
+
+
+def laws() -> list[tuple[str, Effect]]:
+    """Every law at nothing, with what it says."""
+    forces = [(f"force with {name}", LatentForce(0.0, float(i))) for i, name in enumerate([*LAWS, *TIMES])]
+    senses = [
+        (f"sensors with {name}{', left against right' if against else ''}", LatentSense(0.0, float(2 * i + against)))
+        for i, name in enumerate(SENSED)
+        for against in range(2)
+    ]
+    return [*forces, *senses]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.wing.effect import Effect
-from companion.core.wing.model import WingModel
 from companion.core.wing.structure import SLOT_NAMES, Structure, structure_of
 from companion.diagnosis.matrices import Complexes, adjoint, full, inverse, product
 from companion.params.airframe import Airframe
@@ -48,14 +47,16 @@ class Spectra:
         self._filters = [_butterworth(f_hz, airframe.sensor(STATIONS[side]).lowpass_accel_hz) for side in self.sides]
         self._level = self._reference_levels()
 
-    def linear(self, wing: WingModel, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Linear:
-        """Spectra of a wing under effects and nuisances."""
-        structure = wing.structure
+    def linear(
+        self, structure: Structure, scale: Floats, effects: Sequence[Effect], deviation: Mapping[str, float]
+    ) -> Linear:
+        """Spectra of a structure under effects and nuisances; ``scale`` (c,) is on the accelerometers beside them."""
         inertia = -(self._omega**2) * structure.lift[list(self.sides)][..., None]
-        gains = np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
+        gains: Complexes = np.stack([scale[i] * self._response(i, effects, deviation) for i in range(len(self.sides))])
         noise = np.array([self._noise(side, deviation) for side in self.sides])
         load = self._load(structure, effects, deviation)
-        return Linear(receptance(structure, self._omega), load, gains[:, None] * inertia, noise)
+        seen: Complexes = gains[:, None] * inertia
+        return Linear(receptance(structure, self._omega), load, seen, noise)
 
     def _load(self, structure: Structure, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         believed, level = len(self._level), np.empty(structure.count)

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from companion.core.wing.model import WingModel
+from companion.core.wing.structure import Structure
 from companion.diagnosis.linear import Linear
 from companion.diagnosis.matrices import Complexes, adjoint, apply, inverse, product, triangle
 from companion.diagnosis.part import Part
 from companion.diagnosis.straighten import Straightener
 from companion.diagnosis.transforms import Transforms
 from companion.records import Floats
+
+_PASSES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """What every model of one recording shares: ``recorded`` is its spectrum, plain from 0 and tapered in the band."""
+
+    straightener: Straightener
+    transforms: Transforms
+    low: int
+    recorded: tuple[Complexes, Complexes]
 
 
 class Motion:
@@ -24,39 +38,46 @@ class Motion:
     """
 
     def __init__(
-        self,
-        key: object,
-        wing: WingModel,
-        parts: Sequence[Part],
-        linear: Linear,
-        straightener: Straightener,
-        transforms: Transforms,
-        low: int,
-        recorded: tuple[Complexes, Complexes],
+        self, key: object, wing: WingModel, parts: Sequence[Part], grid: Grid, linear_of: Callable[..., Linear]
     ) -> None:
-        self.key, self.linear = key, linear
-        self._transforms, self._low, self._recorded = transforms, low, recorded
-        self._top = linear.seen.shape[-1]
+        self.key = key
+        self._grid, self._transforms, self._low = grid, grid.transforms, grid.low
         effects = tuple(part.effect for part in parts)
-        self._up_mps2 = straightener.straight_mps2(effects)
-        self._bent = self._up_mps2 is not straightener.recorded_mps2
+        self._up_mps2, scale = grid.straightener.straight_mps2(effects)
+        self._bent = self._up_mps2 is not grid.straightener.recorded_mps2
+        self._push: Complexes | None = None
+        self._take(linear_of(wing.structure, scale))
+        if any(part.effect.forces_modes() for part in parts):
+            self._linearise(wing, parts, lambda structure: linear_of(structure, scale))
+
+    def _take(self, linear: Linear) -> None:
+        """Spectra of what is seen under a linear model."""
+        self.linear, self._top = linear, linear.seen.shape[-1]
+        low = self._low
         per_load = product(linear.seen, linear.receptance)
         loaded = product(per_load, linear.load)
         self.cross = adjoint(product(loaded, adjoint(linear.receptance)))  # (n, c, f): q with what is seen
         self.spectrum = product(loaded[..., low:], adjoint(per_load[..., low:]))
         self.spectrum[np.diag_indices(len(linear.noise))] += linear.noise[:, None]
         self.inverse = inverse(self.spectrum)
-        self._push: Complexes | None = None
-        if any(part.effect.forces_modes() for part in parts):
-            push = straightener.push_mps2(wing, parts, *self._smoothed(self._modal_unforced))
-            self._push = None if push is None else transforms.spectrum(push)[:, : self._top]
+
+    def _linearise(self, wing: WingModel, parts: Sequence[Part], linear_of: Callable[[Structure], Linear]) -> None:
+        """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data."""
+        for _ in range(_PASSES):
+            smoother = self._smoother()
+            push = self._grid.straightener.push(wing, parts, *self._smoothed(apply(smoother, self._straight)))
+            stiffness = wing.structure.stiffness_radps2 - push.per_q
+            damping = wing.structure.damping_radps - push.per_qdot
+            if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
+                raise ValueError("these forces make the wing unstable")
+            self._take(linear_of(replace(wing.structure, stiffness_radps2=stiffness, damping_radps=damping)))
+        if np.any(push.rest_mps2):
+            self._push = self._transforms.spectrum(push.rest_mps2)[:, : self._top]
 
     @cached_property
     def smoother(self) -> Complexes:
         """Modal deflection per acceleration seen, (n, c, f), zero below the band."""
-        found = np.zeros_like(self.cross)
-        found[..., self._low :] = product(self.cross[..., self._low :], self.inverse)
-        return found
+        return self._smoother()
 
     @cached_property
     def whitener(self) -> Complexes:
@@ -67,7 +88,7 @@ class Motion:
     def modal(self) -> Complexes:
         """Spectrum of the smoothed modal deflection, (n, f)."""
         if self._push is None:
-            return self._modal_unforced
+            return apply(self.smoother, self._straight)
         left = self._straight - apply(self.linear.seen, self._forced)
         return np.asarray(apply(self.smoother, left) + self._forced)
 
@@ -75,11 +96,19 @@ class Motion:
     def residual(self) -> Complexes:
         """Tapered spectrum in the band of what is left once crooked sensors and forces are out, (c, b)."""
         if self._push is None and not self._bent:
-            return self._recorded[1]
+            return self._grid.recorded[1]
         up = self._up_mps2
         if self._push is not None:
             up = up - self._transforms.in_time(apply(self.linear.seen, self._forced))
         return self._transforms.tapered(up)[:, self._low : self._top]
+
+    @cached_property
+    def force_score(self) -> Complexes:
+        """What is left, weighed and taken back to the modes that a force would have moved, (n, f)."""
+        path = adjoint(product(self.linear.seen, self.linear.receptance))
+        found = np.zeros(path.shape[::2], dtype=np.complex128)
+        found[:, self._low :] = apply(path[..., self._low :], apply(self.inverse, self.residual))
+        return found
 
     @cached_property
     def in_time(self) -> tuple[Floats, Floats]:
@@ -89,17 +118,18 @@ class Motion:
     @cached_property
     def _straight(self) -> Complexes:
         if not self._bent:
-            return self._recorded[0]
+            return self._grid.recorded[0]
         return self._transforms.spectrum(self._up_mps2)[:, : self._top]
-
-    @cached_property
-    def _modal_unforced(self) -> Complexes:
-        return apply(self.smoother, self._straight)
 
     @cached_property
     def _forced(self) -> Complexes:
         assert self._push is not None
         return apply(self.linear.receptance, self._push)
+
+    def _smoother(self) -> Complexes:
+        found = np.zeros_like(self.cross)
+        found[..., self._low :] = product(self.cross[..., self._low :], self.inverse)
+        return found
 
     def _smoothed(self, modal: Complexes) -> tuple[Floats, Floats]:
         omega = 2j * np.pi * self._transforms.f_hz[: self._top]

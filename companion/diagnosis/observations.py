@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from companion.core.wing.sensing import GRAVITY_MPS2
+from companion.diagnosis.samples import SampleFinding, bridged, find_in_samples, together
 from companion.diagnosis.transforms import fast_length
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
@@ -98,6 +99,8 @@ class Observations:
     toe : ToeData or None
     rigid : dict of str to (m,)
         The root's further axes by letter (x, y, p, q, r), where they were recorded.
+    in_samples : tuple of SampleFinding
+        What the tips' samples themselves show; cut peaks have been bridged.
     notes : tuple of str
     start_s, centre_s : float
         Where this part begins in its recording, and the middle of the whole.
@@ -112,6 +115,7 @@ class Observations:
     covariates: dict[str, Floats]
     toe: ToeData | None
     rigid: dict[str, Floats] = field(default_factory=dict)
+    in_samples: tuple[SampleFinding, ...] = ()
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
     centre_s: float = 0.0
@@ -163,7 +167,9 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     fine_t = start_s + np.arange(int((stop_s - start_s) * fine_hz)) / fine_hz
     rate_hz, keep = _coarse(len(fine_t), fine_hz, top_hz)
     sides = tuple(sorted(raw.tips))
-    tips = np.stack([_on_grid(raw.tips[side], fine_t) for side in sides], 1)
+    faults = {side: _faults(raw.tips[side], start_s, stop_s, airframe, side) for side in sides}
+    mended = {side: _mended(raw.tips[side], faults[side]) for side in sides}
+    tips = np.stack([_on_grid(mended[side], fine_t) for side in sides], 1)
     root = _on_grid(raw.root, fine_t) if raw.root else np.full(len(fine_t), -GRAVITY_MPS2)
     up = root[:, None] - tips
     load = -root / GRAVITY_MPS2
@@ -178,6 +184,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         {name: _standard(np.interp(grid_t, t_s, values)) for name, (t_s, values) in raw.covariates.items()},
         _toe(raw.ranges, airframe, start_s, stop_s),
         {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
+        together([entry for side in sides for entry in faults[side]]),
         tuple(notes),
         centre_s=0.5 * keep / rate_hz,
     )
@@ -210,6 +217,16 @@ def _longest_stretch(streams: list[RawStream], notes: list[str]) -> tuple[float,
             f"the longest stretch without a gap is {best[1] - best[0]:.1f} s; {_SHORTEST_S:g} s needed"
         )
     return best
+
+
+def _faults(stream: RawStream, start_s: float, stop_s: float, airframe: Airframe, side: Side) -> list[SampleFinding]:
+    inside = (stream.t_s >= start_s) & (stream.t_s <= stop_s)
+    sensor = airframe.left if side is Side.LEFT else airframe.right
+    return find_in_samples(stream.t_s[inside], stream.force_z_mps2[inside], sensor)
+
+
+def _mended(stream: RawStream, faults: Sequence[SampleFinding]) -> RawStream:
+    return RawStream(stream.t_s, bridged(stream.t_s, stream.force_z_mps2, faults))
 
 
 def _on_grid(stream: RawStream, t_s: Floats) -> Floats:

@@ -11,10 +11,14 @@ from companion.core.wing.effect import Effect
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One named effect in a model, with the recorded channel that it follows, if any."""
+    """One named effect in a model, with the recorded channel that it follows, if any.
+
+    ``looks`` is the logarithm of how many places were looked at before it was begun where it was.
+    """
 
     effect: Effect
     channel: str = ""
+    looks: float = 0.0
 
     def with_values(self, values: Mapping[str, float]) -> Part:
         """The same effect with other values."""

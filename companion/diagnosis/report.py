@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from companion.diagnosis.gain import HeldOut
-from companion.diagnosis.search import Cause, Diagnosis, Verdict
 from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.verdict import Cause, Diagnosis, Verdict
 
 FORMAT = 1
 _SIGMAS_95 = 1.959964
@@ -26,6 +26,7 @@ def as_json(found: Diagnosis, models: Sequence[SuperModel], recordings: Sequence
         "reason": found.reason,
         "causes": [_cause(entry, gain) for entry in found.causes],
         "nearest": found.nearest or None,
+        "nearest_causes": [_cause(entry, gain) for entry in found.nearest_causes],
         "gain": gain,
         "adequacy": {
             "before": [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in found.before],
@@ -80,6 +81,7 @@ def _cause(cause: Cause, gain: dict[str, Any] | None) -> dict[str, Any]:
             for entry, value, sigma in zip(declared, cause.values, cause.sigmas, strict=True)
         },
         "gain": gain["total"] if gain else None,
+        "seen_in_samples": cause.seen or None,
         "advice": cause.part.effect.advice,
     }
 

@@ -17,11 +17,13 @@ from scipy.stats import chi2, norm
 
 from companion.core.wing.effect import Effect
 from companion.diagnosis.fit import Fit, derivatives, joint_scores
+from companion.diagnosis.leads import LED, NO_LEADS, Leads
 from companion.diagnosis.part import Part
+from companion.diagnosis.samples import SEEN_IN_SAMPLES
+from companion.diagnosis.scores import Column
 from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
-FOLLOWS_CHANNEL = frozenset({"covariate-frequency"})
 _BARELY = 1e-9
 
 
@@ -65,14 +67,24 @@ class Screening:
     correlation: Floats
 
 
-def candidates_of(kinds: Iterable[type[Effect]], channels: Sequence[str]) -> list[Part]:
-    """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow."""
+def candidates_of(kinds: Iterable[type[Effect]], channels: Sequence[str], leads: Leads = NO_LEADS) -> list[Part]:
+    """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow.
+
+    Effects that the data themselves must lead to (a tone's frequency) begin where ``leads`` say, or not at all;
+    effects that show in the samples themselves are not screened.
+    """
     parts = []
     for kind in kinds:
+        if kind.name in SEEN_IN_SAMPLES:
+            continue
+        if kind.name in LED:
+            found = leads.get(kind.name, ())
+            parts += [Part(kind.from_values(entry.values), looks=entry.looks) for entry in found]
+            continue
+        follows = [channel for channel in channels if kind.may_follow(channel)] if kind.follows_channel else [""]
         names, grids = list(kind.scan), [kind.scan[name] for name in kind.scan]
         for values in itertools.product(*grids):
             effect = kind.from_values(dict(zip(names, values, strict=True)))
-            follows = channels if kind.name in FOLLOWS_CHANNEL else ("",)
             parts += [Part(effect, channel) for channel in follows]
     return parts
 
@@ -87,9 +99,8 @@ def screen(
 
     ``parts`` as :func:`candidates_of` gives them; ``progress`` is told the share that is done.
     """
-    base = derivatives(models, null.values, null.parts, null.found, null.sigmas)
+    columns = [list(entry) for entry in null.columns]
     tested: list[tuple[Part, Floats]] = []
-    columns = base
     for done, part in enumerate(parts):
         declared = part.effect.parameters()
         sigmas = np.array([entry.sigma for entry in declared])
@@ -100,18 +111,26 @@ def screen(
         columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
         tested.append((part, sigmas))
         progress((done + 1) / len(parts))
+    score, left = efficient(models, null, columns)
+    return _ranked(tested, score, left)
+
+
+def efficient(models: Sequence[SuperModel], null: Fit, columns: Sequence[Sequence[Column]]) -> tuple[Floats, Floats]:
+    """Score and information of what is beyond the fit's own parameters, with these projected out.
+
+    ``columns`` by recording: those of the fit, then d others; gives (d,) and (d, d).
+    """
     gradient, information = joint_scores(models, null.found, columns)
-    return _efficient(null, tested, gradient, information)
-
-
-def _efficient(null: Fit, tested: Sequence[tuple[Part, Floats]], gradient: Floats, information: Floats) -> Screening:
     p = len(null.values)
     nuisance = information[:p, :p] + np.diag(1.0 / null.sigmas**2)
     pull = gradient[:p] - (null.values - null.centres) / null.sigmas**2
     share = np.linalg.solve(nuisance, information[:p, p:])
-    unit = np.concatenate([sigmas for _, sigmas in tested])
-    score = (gradient[p:] - share.T @ pull) * unit
-    left = (information[p:, p:] - information[p:, :p] @ share) * np.outer(unit, unit)
+    return gradient[p:] - share.T @ pull, information[p:, p:] - information[p:, :p] @ share
+
+
+def _ranked(tested: Sequence[tuple[Part, Floats]], score: Floats, left: Floats) -> Screening:
+    unit = np.concatenate([sigmas for _, sigmas in tested]) if tested else np.zeros(0)
+    score, left = score * unit, left * np.outer(unit, unit)
     found, at = [], 0
     for part, sigmas in tested:
         mine = slice(at, at + len(sigmas))
@@ -132,26 +151,26 @@ def _efficient(null: Fit, tested: Sequence[tuple[Part, Floats]], gradient: Float
 
 
 def _candidate(part: Part, sigmas: Floats, score: Floats, information: Floats) -> Candidate:
-    """Test the parameters that this recording says anything about."""
+    """Test the parameters that this recording says anything about; what nature has one way only, that way only."""
     values, vectors = np.linalg.eigh(information)
     telling = values > max(_BARELY * float(values[-1]), _BARELY)
-    if not telling.any():
+    if not telling.any() or (part.effect.one_way and score[0] < 0.0):
         return Candidate(part, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
     along = vectors[:, telling].T @ score
     # with the prior: a change far beyond what is physical is not what explains
     power = float(np.sum(along**2 / (values[telling] + 1.0)))
     # directions that the prior already knows better count for nothing
     freedom = max(int(np.sum(values > 0.1)), 1)
-    tail = float(chi2.logsf(power, freedom))
-    z = _normal_of(tail)
-    odds = 0.5 * power - 0.5 * float(np.sum(np.log1p(values[telling])))
+    tail = min(float(chi2.logsf(power, freedom)) + part.looks, 0.0)
+    z = normal_of(tail)
+    odds = 0.5 * power - part.looks - 0.5 * float(np.sum(np.log1p(values[telling])))
     step = vectors[:, telling] @ (along / (values[telling] + 1.0))
     length = float(np.linalg.norm(step))
     spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas
     return Candidate(part, z, odds, spread, score, information, step / length if length else step)
 
 
-def _normal_of(log_tail: float) -> float:
+def normal_of(log_tail: float) -> float:
     """|z| whose two-sided tail has this log probability."""
     half = log_tail - math.log(2.0)
     if half > -600.0:

@@ -1,8 +1,15 @@
-"""Takes out of the accelerations what no linear, steady model makes: crooked sensors, and forces of state or time."""
+"""What no linear, steady model makes: crooked sensors, and forces of state or time.
+
+Both are split by statistical linearisation. Of a Gaussian motion the part of a law that is linear in the state acts as
+stiffness and damping (of the reading: as a scale), and what is left is uncorrelated with the motion at every lag
+(Bussgang), so that it can be taken out of the data without pretending that the wing moves less. A law with memory is
+made so band by band.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +23,17 @@ from companion.diagnosis.transforms import Transforms
 from companion.records import Floats, Side, Station
 
 GRAVITY_MPS2 = 9.80665
+_BANDS = 60
 _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """A force: ``per_q`` and ``per_qdot`` (n, n) of it linear in deflection and speed, and the rest (n, m), m/s^2."""
+
+    per_q: Floats
+    per_qdot: Floats
+    rest_mps2: Floats
 
 
 class Straightener:
@@ -24,62 +41,74 @@ class Straightener:
 
     def __init__(self, seen: Observations, transforms: Transforms) -> None:
         self._seen, self._transforms = seen, transforms
+        self._weight: Floats = transforms.taper**2  # the likelihood sees tapered data
         self._up: Floats = np.ascontiguousarray(seen.up_mps2.T)
         self._rigid = np.zeros((len(seen.up_mps2), 6))
         for name, column in _RIGID_COLUMNS.items():
             if name in seen.rigid:
                 self._rigid[:, column] = seen.rigid[name]
-        self._kinds: dict[tuple[type[Effect], str], str] = {}
 
     @property
     def recorded_mps2(self) -> Floats:
         """The accelerations as recorded, (c, m)."""
         return self._up
 
-    def straight_mps2(self, effects: Sequence[Effect]) -> Floats:
-        """Undo, to first order, what effects do to samples that no linear response describes: (c, m)."""
-        up = self._up
+    def straight_mps2(self, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
+        """Undo, to first order, what effects do to samples that no linear response describes.
+
+        Returns
+        -------
+        (c, m), (c,)
+            Accelerations, and the scale on them that the effects' linear part amounts to.
+        """
+        up, scale = self._up, np.ones(len(self._up))
         for effect in effects:
             if type(effect).response is not Effect.response or not _acts_on_samples(effect):
                 continue
             change = np.stack([self._change(effect, side, up[i]) for i, side in enumerate(self._seen.sides)])
             if type(effect).sample_time is Effect.sample_time:
-                # its linear part is a scale, which is free
-                change -= np.linalg.lstsq(up.T, change.T, rcond=None)[0].T @ up
+                share = np.sum(self._weight * change * up, axis=1) / np.sum(self._weight * up**2, axis=1)
+                change = change - share[:, None] * up
+                scale = scale * (1.0 + share)
             up = up - change
-        return up
+        return up, scale
 
-    def push_mps2(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Floats | None:
-        """Modal forces (n, m) that depend on state or time, without what is linear in the state; None for none."""
-        total: Floats | None = None
+    def push(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Push:
+        """Forces of state and time on a smoothed motion (n, m), split by statistical linearisation."""
+        total, lasting = np.zeros_like(q_m), False
         for part in parts:
-            if type(part.effect).force is Effect.force:
+            if not part.effect.forces_modes():
                 continue
             force = self._force(wing, part, q_m, qdot_mps)
-            if force is None or not np.any(force):
-                continue
-            kind = self._kind(wing, part, force, q_m, qdot_mps)
-            force = _without_linear(force, q_m, qdot_mps) if kind == "law" else force
-            total = force if total is None else total + force
-        return total
+            if force is not None:
+                total = total + force
+                lasting = lasting or type(part.effect).remember is not Effect.remember
+        if not np.any(total):
+            return Push(np.zeros((len(q_m),) * 2), np.zeros((len(q_m),) * 2), total)
+        basis = np.vstack([q_m, qdot_mps])
+        weighed = self._weight * basis
+        scale = np.sqrt(np.maximum(np.sum(weighed * basis, axis=1), 1e-300))
+        gram = (weighed @ basis.T) / np.outer(scale, scale)
+        weights = np.linalg.lstsq(gram, (weighed / scale[:, None]) @ total.T, rcond=1e-9)[0] / scale[:, None]
+        rest = total - weights.T @ basis
+        n = len(q_m)
+        return Push(weights[:n].T, weights[n:].T, self._uncorrelated(rest, q_m) if lasting else rest)
 
-    def _kind(self, wing: WingModel, part: Part, force: Floats, q: Floats, qdot: Floats) -> str:
-        """Whether a force ignores the state ("alone"), swings a linear one in time, or is a law of the state."""
-        key = (type(part.effect), part.channel)
-        if key not in self._kinds:
-            other = self._force(wing, part, q[:, ::-1], qdot[:, ::-1])
-            both = self._force(wing, part, q + q[:, ::-1], qdot + qdot[:, ::-1])
-            assert other is not None
-            assert both is not None
-            small = 1e-9 * float(np.abs(both).max())
-            # what is linear and only swings in time about the middle of the recording has no steady part to take out
-            swings = np.allclose(both, force + other, rtol=1e-7, atol=small)
-            alone = np.allclose(both, force, rtol=1e-9, atol=small)
-            self._kinds[key] = "alone" if alone else "swings" if swings else "law"
-        return self._kinds[key]
+    def _uncorrelated(self, rest: Floats, q_m: Floats) -> Floats:
+        """What is left of a force once, band by band, all is out that a linear filter of the motion makes."""
+        taper = self._transforms.taper
+        spectrum, wanted, motion = (np.fft.rfft(x, axis=1) for x in (rest, rest * taper, q_m * taper))
+        whole = np.fft.rfft(q_m, axis=1)
+        for band in np.array_split(np.arange(spectrum.shape[1]), _BANDS):
+            known = motion[:, band]
+            power = known @ known.conj().T
+            power += (1e-9 * np.trace(power).real + 1e-300) * np.eye(len(known))
+            filters = np.linalg.solve(power.T, (wanted[:, band] @ known.conj().T).T).T
+            spectrum[:, band] -= filters @ whole[:, band]
+        return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1))
 
     def _force(self, wing: WingModel, part: Part, q: Floats, qdot: Floats) -> Floats | None:
-        t_s: Any = self._seen.t_s - self._seen.centre_s
+        t_s: Any = self._seen.t_s
         static = np.zeros((wing.count, 1))
         channel = self._seen.covariates.get(part.channel)
         follows = np.zeros(len(self._seen.up_mps2)) if channel is None else channel
@@ -108,12 +137,3 @@ class Straightener:
 
 def _acts_on_samples(effect: Effect) -> bool:
     return type(effect).sense is not Effect.sense or type(effect).sample_time is not Effect.sample_time
-
-
-def _without_linear(force: Floats, q: Floats, qdot: Floats) -> Floats:
-    """A force without what is linear in the state: that is stiffness or damping, which are free."""
-    basis = np.vstack([q, qdot])
-    gram = basis @ basis.T
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    weights = np.linalg.lstsq(gram / np.outer(scale, scale), (basis / scale[:, None]) @ force.T, rcond=1e-9)[0]
-    return np.asarray(force - (weights / scale[:, None]).T @ basis)

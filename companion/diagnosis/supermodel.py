@@ -19,7 +19,7 @@ from companion.diagnosis.belief import Belief, of_range
 from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.linear import STATIONS, Spectra
 from companion.diagnosis.matrices import Complexes, log_determinant, weighed_square
-from companion.diagnosis.motion import Motion
+from companion.diagnosis.motion import Grid, Motion
 from companion.diagnosis.observations import Observations
 from companion.diagnosis.part import Part
 from companion.diagnosis.straighten import GRAVITY_MPS2, Straightener
@@ -47,12 +47,10 @@ class SuperModel:
         self.band_hz: Floats = all_hz[self._low : top]
         self.weight = self._transforms.weight
         self._spectra = Spectra(belief.airframe, seen.sides, all_hz[:top])
-        self._straightener = Straightener(seen, self._transforms)
-        up = self._straightener.recorded_mps2
-        self._recorded = (
-            self._transforms.spectrum(up)[:, :top],
-            self._transforms.tapered(up)[:, self._low : top],
-        )
+        straightener = Straightener(seen, self._transforms)
+        up = straightener.recorded_mps2
+        recorded = self._transforms.spectrum(up)[:, :top], self._transforms.tapered(up)[:, self._low : top]
+        self._grid = Grid(straightener, self._transforms, self._low, recorded)
         self._toe: ToeModel | None = None
         if seen.toe is not None:
             self._toe = ToeModel(belief, seen, seen.toe, self._transforms, all_hz[:top])
@@ -99,7 +97,17 @@ class SuperModel:
 
     def data_in_band(self) -> Complexes:
         """The recorded accelerations' tapered spectrum, (c, b); its squared size estimates the two-sided density."""
-        return self._recorded[1]
+        return self._grid.recorded[1]
+
+    def residual_force(self, found: Expectation) -> Floats:
+        """Score of the likelihood with respect to a force on each mode at each instant, (n, m)."""
+        return self._transforms.in_time(found.motion.force_score)
+
+    def spring_force(self, found: Expectation) -> Floats:
+        """Modal spring force of the smoothed motion, (n, m)."""
+        n = len(found.q_m)
+        stiffness = WingModel(self.belief.airframe.wing).structure.stiffness_radps2
+        return np.asarray(np.diag(stiffness)[: min(n, len(stiffness)), None] * found.q_m[: len(stiffness)])
 
     @property
     def baseline_m(self) -> float:
@@ -125,8 +133,10 @@ class SuperModel:
         key = (inner, tuple(value for name, value in deviation.items() if not of_range(name)))
         if near is not None and near.motion.key == key:
             return near.motion
-        linear = self._spectra.linear(wing, tuple(part.effect for part in inner), deviation)
-        return Motion(key, wing, inner, linear, self._straightener, self._transforms, self._low, self._recorded)
+        effects = tuple(part.effect for part in inner)
+        return Motion(
+            key, wing, inner, self._grid, lambda shape, scale: self._spectra.linear(shape, scale, effects, deviation)
+        )
 
     def _rest(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> tuple[Floats, Floats]:
         shown = self.seen.mean_force_mps2.copy()

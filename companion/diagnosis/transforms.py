@@ -18,10 +18,10 @@ class Transforms:
     def __init__(self, count: int, dt_s: float, start_s: float) -> None:
         self.count, self.dt_s, self.start_s = count, dt_s, start_s
         self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
-        self._taper = _tukey(count, _TAPER)
-        self._norm = float(np.sqrt(dt_s / np.sum(self._taper**2)))
+        self.taper = _tukey(count, _TAPER)
+        self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
         # neighbouring bins of a tapered periodogram share information: count them once
-        self.weight = float(np.sum(self._taper**2) ** 2 / (count * np.sum(self._taper**4)))
+        self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))
 
     def spectrum(self, values: Floats) -> Complexes:
         """Of channels (c, m): (c, f), all frequencies."""
@@ -33,7 +33,7 @@ class Transforms:
 
     def tapered(self, values: Floats) -> Complexes:
         """Spectrum (c, f) of tapered channels; its squared size estimates the two-sided density."""
-        return np.asarray(np.fft.rfft(values * self._taper, axis=-1) * self._norm)
+        return np.asarray(np.fft.rfft(values * self.taper, axis=-1) * self._norm)
 
     def at(self, spectrum: Complexes, at_s: Floats) -> Floats:
         """A band-limited signal (f,) at any instants: twice finer by zero padding, then six-point Lagrange."""

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from companion.core.wing.effect import Effect
-from companion.core.wing.model import WingModel
+from companion.core.wing.model import Memories, WingModel
 from companion.records import Floats
 
 SUBSTEP_S = 0.0005
@@ -22,7 +21,7 @@ SUBSTEP_S = 0.0005
 
 def adds_forces(model: WingModel) -> bool:
     """Tell whether an effect in force overrides the ``force`` hook, so that the model is not linear."""
-    return any(type(effect).force is not Effect.force for effect in model.effects)
+    return any(effect.forces_modes() for effect in model.effects)
 
 
 class WingStepper:
@@ -46,6 +45,7 @@ class WingStepper:
         self.qdot_mps = np.zeros(model.count)
         self._transition, self._drive = _exponential(model, step_s)
         self._nonlinear = adds_forces(model)
+        self._memories: Memories | None = None
 
     def step(self, gust_mps2: Floats, load_factor: float) -> None:
         """Advance by one step under a modal gust load (n,) and a load factor, both held."""
@@ -60,14 +60,15 @@ class WingStepper:
 
     def _runge_kutta(self, load: Floats, factor: float) -> None:
         h, t, q, v = self.step_s, self.t_s, self.q_m, self.qdot_mps
-        slope = self.model.acceleration
-        a1 = slope(t, q, v, load, factor)
+        self._memories = self.model.remembered(t, q, v, factor, self._memories)
+        slope, known = self.model.acceleration, self._memories
+        a1 = slope(t, q, v, load, factor, known)
         v2 = v + h / 2 * a1
-        a2 = slope(t + h / 2, q + h / 2 * v, v2, load, factor)
+        a2 = slope(t + h / 2, q + h / 2 * v, v2, load, factor, known)
         v3 = v + h / 2 * a2
-        a3 = slope(t + h / 2, q + h / 2 * v2, v3, load, factor)
+        a3 = slope(t + h / 2, q + h / 2 * v2, v3, load, factor, known)
         v4 = v + h * a3
-        a4 = slope(t + h, q + h * v3, v4, load, factor)
+        a4 = slope(t + h, q + h * v3, v4, load, factor, known)
         self.q_m = q + h / 6 * (v + 2 * v2 + 2 * v3 + v4)
         self.qdot_mps = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 

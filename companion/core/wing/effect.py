@@ -65,7 +65,8 @@ class ModalMotion:
     """The instant at which a force is asked for.
 
     ``offset_m`` is the deflection from the equilibrium ``static_m`` of this load factor; ``covariate`` a recorded
-    channel about its mean in units of its rms, where an effect follows one.
+    channel about its mean in units of its rms, where an effect follows one; ``memory`` what the effect's
+    :meth:`Effect.remember` gave at the end of the last step, None at the start and for whole time series.
     """
 
     t_s: float
@@ -75,6 +76,7 @@ class ModalMotion:
     load_factor: float
     structure: Structure
     covariate: Floats | float = 0.0
+    memory: Floats | None = None
 
     @property
     def offset_m(self) -> Floats:
@@ -129,6 +131,10 @@ class Effect:
     """What would separate it from its neighbours, or mend it."""
     scan: ClassVar[Mapping[str, tuple[float, ...]]] = MappingProxyType({})
     """Values at which to begin for parameters that mean nothing while the others are 0 (a mode's frequency)."""
+    follows_channel: ClassVar[bool] = False
+    """Whether it needs a recorded channel."""
+    one_way: ClassVar[bool] = False
+    """Whether nature has it with a positive first parameter only (friction is never negative)."""
 
     @classmethod
     def parameters(cls) -> tuple[EffectParameter, ...]:
@@ -152,6 +158,17 @@ class Effect:
         """Modal acceleration to add, (n,) in m/s^2, or None for none."""
         del motion
         return None
+
+    def remember(self, motion: ModalMotion) -> Floats | None:
+        """What a force that depends on history must know of this instant at the next, or None for nothing."""
+        del motion
+        return None
+
+    @classmethod
+    def may_follow(cls, channel: str) -> bool:
+        """Whether the effect may follow a recorded channel of this name; asked where ``follows_channel``."""
+        del channel
+        return cls.follows_channel
 
     @classmethod
     def forces_modes(cls) -> bool:
@@ -224,14 +241,21 @@ def on_halves(motion: ModalMotion, law: Callable[[Floats, Floats], Floats]) -> F
     With w = s - a on the left and s + a on the right the loads are the mean and the half difference. A wing with a
     single mode is one half.
     """
+    loads = np.stack([law(w, v) for w, v in zip(halves(motion.offset_m), halves(motion.qdot_mps), strict=True)])
+    return from_halves(motion, loads)
+
+
+def halves(modal: Floats) -> Floats:
+    """First modes (n, ...) as each wing half's motion, (2, ...): left, right; a single mode is one half, (1, ...)."""
+    return np.stack([modal[0] - modal[1], modal[0] + modal[1]]) if len(modal) > 1 else modal[:1]
+
+
+def from_halves(motion: ModalMotion, loads: Floats) -> Floats:
+    """Modal loads (n, ...) of loads on each half."""
     added = np.zeros_like(motion.q_m)
-    offset, speed = motion.offset_m, motion.qdot_mps
-    if len(added) < 2:
-        added[0] = law(offset[0], speed[0])
-        return added
-    left = law(offset[0] - offset[1], speed[0] - speed[1])
-    right = law(offset[0] + offset[1], speed[0] + speed[1])
-    added[0], added[1] = 0.5 * (left + right), 0.5 * (right - left)
+    added[0] = 0.5 * (loads[0] + loads[-1])
+    if len(loads) > 1:
+        added[1] = 0.5 * (loads[1] - loads[0])
     return added
 
 

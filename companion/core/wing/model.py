@@ -20,6 +20,7 @@ from companion.params.airframe import Airframe, Uncertain, Wing
 from companion.records import Floats
 
 ALL_SLOTS = len(SLOT_NAMES)
+Memories = tuple[Floats | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,8 @@ class WingModel:
         for effect in effects:
             structure = effect.structure(structure)
         self.structure: Structure = structure
-        self._forcing = tuple(effect for effect in effects if type(effect).force is not Effect.force)
+        self._forcing = tuple(effect for effect in effects if effect.forces_modes())
+        self._nothing: Memories = (None,) * len(self._forcing)
 
     @classmethod
     def from_airframe(cls, airframe: Airframe) -> WingModel:
@@ -77,18 +79,38 @@ class WingModel:
         """Equilibrium under a steady load factor, (n,) metres; trim bend at 1 g."""
         return self.structure.static_trim_m + self.structure.static_per_g_m * (load_factor - 1.0)
 
-    def acceleration(self, t_s: float, q_m: Floats, qdot_mps: Floats, load_mps2: Floats, load_factor: float) -> Floats:
-        """Full right-hand side q'' (n,), effects included, for an integrator of the caller's."""
+    def acceleration(
+        self,
+        t_s: float,
+        q_m: Floats,
+        qdot_mps: Floats,
+        load_mps2: Floats,
+        load_factor: float,
+        memories: Memories | None = None,
+    ) -> Floats:
+        """Full right-hand side q'' (n,), effects included, for an integrator of the caller's.
+
+        ``memories`` are what :meth:`remembered` gave at the end of the last step, for forces that depend on history.
+        """
         structure = self.structure
         static = self.q_static(load_factor)
         spring = structure.stiffness_radps2 @ (q_m - static)
         total = load_mps2 - structure.damping_radps @ qdot_mps - spring
         if self._forcing:
             motion = ModalMotion(t_s, q_m, qdot_mps, static, load_factor, structure)
-            for effect in self._forcing:
-                added = effect.force(motion)
+            for effect, memory in zip(self._forcing, memories or self._nothing, strict=True):
+                added = effect.force(motion if memory is None else dataclasses.replace(motion, memory=memory))
                 total = total if added is None else total + added
         return np.asarray(total)
+
+    def remembered(
+        self, t_s: float, q_m: Floats, qdot_mps: Floats, load_factor: float, before: Memories | None
+    ) -> Memories:
+        """What the forces in effect know of an instant at the next one; ``before`` is what they knew at the last."""
+        static = self.q_static(load_factor)
+        motion = ModalMotion(t_s, q_m, qdot_mps, static, load_factor, self.structure)
+        pairs = zip(self._forcing, before or self._nothing, strict=True)
+        return tuple(effect.remember(dataclasses.replace(motion, memory=memory)) for effect, memory in pairs)
 
     def state_space(self) -> StateSpace:
         """The linear part; forces of effects are not in it."""

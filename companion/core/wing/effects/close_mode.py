@@ -18,6 +18,7 @@ class CloseMode(Effect):
 
     name: ClassVar[str] = "close-mode"
     group: ClassVar[Group] = Group.STRUCTURE
+    one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "excite each alone, or record a free decay: two close modes beat"
     scan: ClassVar = MappingProxyType({"ratio": (-0.1, -0.075, -0.05, 0.05, 0.075, 0.1)})
 

@@ -19,6 +19,7 @@ class CoulombFriction(Effect):
 
     name: ClassVar[str] = "coulomb-friction"
     group: ClassVar[Group] = Group.STRUCTURE
+    one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "record free decays down to rest: the envelope falls on a straight line"
 
     friction_mps2: float = parameter("m/s^2", 0.3, "modal acceleration of the friction")

@@ -15,9 +15,15 @@ class CovariateFrequency(Effect):
 
     name: ClassVar[str] = "covariate-frequency"
     group: ClassVar[Group] = Group.STRUCTURE
+    follows_channel: ClassVar[bool] = True
     advice: ClassVar[str] = "vary the channel independently of time and of the other channels"
 
     ratio_per_rms: float = parameter("", 0.05, "relative change of every natural frequency per rms of the channel")
+
+    @classmethod
+    def may_follow(cls, channel: str) -> bool:
+        """Any channel but airspeed, which has an effect of its own, and measured inputs."""
+        return not channel.startswith(("airspeed", "input_"))
 
     def force(self, motion: ModalMotion) -> Floats:
         """The part of the spring force that the channel adds."""

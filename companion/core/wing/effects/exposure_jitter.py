@@ -16,6 +16,7 @@ class ExposureJitter(Effect):
 
     name: ClassVar[str] = "exposure-jitter"
     group: ClassVar[Group] = Group.CAMERA
+    one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "stamp exposures in hardware (a strobe line)"
 
     jitter2_us2: float = parameter("us^2", 4e6, "square of the standard deviation of the exposure instant")

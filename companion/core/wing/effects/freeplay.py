@@ -17,6 +17,7 @@ class Freeplay(Effect):
 
     name: ClassVar[str] = "freeplay"
     group: ClassVar[Group] = Group.STRUCTURE
+    one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "push the tip by hand through zero load and feel for play"
 
     gap_m: float = parameter("m", 0.0005, "half-width of the gap")

@@ -16,6 +16,7 @@ class MountLag(Effect):
 
     name: ClassVar[str] = "mount-lag"
     group: ClassVar[Group] = Group.CAMERA
+    one_way: ClassVar[bool] = True
     advice: ClassVar[str] = (
         "record with two wing frequencies: a delay turns the phase in proportion, a lag less and less"
     )

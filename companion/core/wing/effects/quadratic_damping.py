@@ -17,6 +17,7 @@ class QuadraticDamping(Effect):
 
     name: ClassVar[str] = "quadratic-damping"
     group: ClassVar[Group] = Group.STRUCTURE
+    one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "record free decays from a large amplitude: the envelope falls as 1/t"
 
     beta_per_m: float = parameter("1/m", 10.0, "damping acceleration per squared speed")

@@ -19,6 +19,7 @@ class SecondMode(Effect):
 
     name: ClassVar[str] = "second-mode"
     group: ClassVar[Group] = Group.STRUCTURE
+    one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "add it to the airframe as wing.second_symmetric; a ground vibration test gives its slope"
     scan: ClassVar = MappingProxyType({"frequency_hz": tuple(7.5 * 1.06**k for k in range(30))})
 

@@ -1,0 +1,59 @@
+"""A spring that slips: part of the stiffness holds up to a yield deflection and then follows at constant force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from companion.core.wing.effect import Effect, Group, ModalMotion, from_halves, halves, parameter
+from companion.records import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Hysteresis(Effect):
+    """Each half's spring is omega^2 (w - share (w - z)): z follows w, but never beyond +-yield (Jenkins element).
+
+    Below the yield nothing slips; above, the wing is softer, and a loop damps it the more the further it swings.
+    """
+
+    name: ClassVar[str] = "hysteresis"
+    group: ClassVar[Group] = Group.STRUCTURE
+    one_way: ClassVar[bool] = True
+    advice: ClassVar[str] = "load and unload the tip slowly by hand: force against deflection makes a loop"
+    scan: ClassVar = MappingProxyType({"yield_m": (0.001, 0.0025, 0.006)})
+
+    share: float = parameter("", 0.1, "share of the stiffness that slips")
+    yield_m: float = parameter("m", 0.003, "deflection at which it slips", default=0.0025)
+
+    def force(self, motion: ModalMotion) -> Floats:
+        """What slipping takes off the spring, half by half."""
+        stiffness = float(motion.structure.stiffness_radps2[0, 0])
+        return from_halves(motion, self.share * stiffness * (halves(motion.offset_m) - self._held(motion)))
+
+    def remember(self, motion: ModalMotion) -> Floats:
+        """How far each half's spring is stretched, and where that half is."""
+        w = halves(motion.offset_m)
+        return np.concatenate([self._held(motion), w])
+
+    def _held(self, motion: ModalMotion) -> Floats:
+        w, reach = halves(motion.offset_m), abs(self.yield_m)
+        if motion.memory is not None:
+            held, before = np.split(motion.memory, 2)
+            return np.clip(held + w - before, -reach, reach)
+        if w.ndim == 1:
+            return np.clip(w, -reach, reach)
+        return np.stack([_followed(row.tolist(), reach) for row in w])
+
+
+def _followed(deflection: list[float], reach: float) -> list[float]:
+    """The stretch of a slipping spring along a whole path."""
+    held, before, path = 0.0, 0.0, []
+    for w in deflection:
+        held += w - before
+        held = reach if held > reach else -reach if held < -reach else held
+        before = w
+        path.append(held)
+    return path

@@ -1,0 +1,47 @@
+"""Kicks: single short loads that no gust spectrum makes (hail, a hard gust edge, a released store)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from companion.core.wing.effect import Effect, Group, ModalMotion, parameter
+from companion.records import Floats
+
+WIDTH_S = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class ImpulsiveForcing(Effect):
+    """Up to three kicks; each changes the modal speeds at once, by a bell-shaped pulse of 5 ms."""
+
+    name: ClassVar[str] = "impulsive-forcing"
+    group: ClassVar[Group] = Group.FORCING
+    advice: ClassVar[str] = "look at the video of these instants"
+
+    symmetric1_mps: float = parameter("m/s", 0.1, "speed that the first kick gives the symmetric mode")
+    antisymmetric1_mps: float = parameter("m/s", 0.1, "speed that it gives the antisymmetric mode")
+    at1_s: float = parameter("s", 20.0, "its instant")
+    symmetric2_mps: float = parameter("m/s", 0.1, "second kick, symmetric")
+    antisymmetric2_mps: float = parameter("m/s", 0.1, "second kick, antisymmetric")
+    at2_s: float = parameter("s", 20.0, "its instant")
+    symmetric3_mps: float = parameter("m/s", 0.1, "third kick, symmetric")
+    antisymmetric3_mps: float = parameter("m/s", 0.1, "third kick, antisymmetric")
+    at3_s: float = parameter("s", 20.0, "its instant")
+
+    def force(self, motion: ModalMotion) -> Floats:
+        """The pulses."""
+        added = np.zeros_like(motion.q_m)
+        for symmetric, antisymmetric, at_s in (
+            (self.symmetric1_mps, self.antisymmetric1_mps, self.at1_s),
+            (self.symmetric2_mps, self.antisymmetric2_mps, self.at2_s),
+            (self.symmetric3_mps, self.antisymmetric3_mps, self.at3_s),
+        ):
+            away = (np.asarray(motion.t_s) - at_s) / WIDTH_S
+            pulse = np.exp(-0.5 * away**2) / (np.sqrt(2.0 * np.pi) * WIDTH_S)
+            added[0] += symmetric * pulse
+            if len(added) > 1:
+                added[1] += antisymmetric * pulse
+        return added

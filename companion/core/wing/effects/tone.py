@@ -1,0 +1,37 @@
+"""A tone in the sensors that the wing does not make (propeller, switching supply)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from companion.core.wing.effect import Effect, Group, parameter
+from companion.records import Floats, Station
+
+
+@dataclass(frozen=True, slots=True)
+class Tone(Effect):
+    """Each wing accelerometer adds cosine cos 2 pi f t + sine sin 2 pi f t to the upward axis, t from the start."""
+
+    name: ClassVar[str] = "tone"
+    group: ClassVar[Group] = Group.SENSING
+    advice: ClassVar[str] = "stop the propeller, or run it on the ground; a supply's tone stays when nothing turns"
+
+    left_cosine_mps2: float = parameter("m/s^2", 0.5, "left, in phase with the start")
+    left_sine_mps2: float = parameter("m/s^2", 0.5, "left, a quarter period later")
+    right_cosine_mps2: float = parameter("m/s^2", 0.5, "right, in phase with the start")
+    right_sine_mps2: float = parameter("m/s^2", 0.5, "right, a quarter period later")
+    frequency_hz: float = parameter("Hz", 10.0, "frequency", default=17.0)
+
+    def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
+        """Add the tone; up is -z."""
+        cosine, sine = {
+            Station.LEFT: (self.left_cosine_mps2, self.left_sine_mps2),
+            Station.RIGHT: (self.right_cosine_mps2, self.right_sine_mps2),
+        }.get(station, (0.0, 0.0))
+        phase = 2.0 * np.pi * self.frequency_hz * t_s
+        sung = values.copy()
+        sung[:, 2] -= cosine * np.cos(phase) + sine * np.sin(phase)
+        return sung

@@ -1,0 +1,205 @@
+"""Extends the model by named effects: a beam of paths, each step by the largest gain in evidence, judged at the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.wing.effect import Effect
+from companion.diagnosis.fit import Fit, fit
+from companion.diagnosis.leads import find_leads
+from companion.diagnosis.part import Part
+from companion.diagnosis.screen import Candidate, Screening, candidates_of, screen
+from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.verdict import Cause
+
+ENOUGH = 6.0
+"""Log Bayes factor above which the first effect may be accepted."""
+ENOUGH_MORE = 12.0
+"""And a further one: two things wrong at once are rarer than one that is not in the catalogue."""
+CERTAIN_Z = 4.4
+"""Its strength must also be beyond what forty candidates reach by chance in hundreds of recordings."""
+SAME = 0.95
+"""Correlation of efficient scores from which two effects are one group."""
+_BEAM = 2
+_WITHIN = 25.0  # nats behind the best path: a further effect will not make up for more
+_REFITTED = 5
+_WORTH_A_REFIT_Z = 3.5
+_TOO_CLOSE = 2.0
+_CONCEIVABLE = 6.0
+_FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
+_OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A model reached by accepting effects one after the other."""
+
+    fitted: Fit
+    causes: tuple[Cause, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    candidate: Candidate
+    fitted: Fit
+    log_bayes_factor: float
+    bic: float
+
+
+class Extension:
+    """The search on some recordings with some catalogue."""
+
+    def __init__(self, models: Sequence[SuperModel], kinds: Sequence[type[Effect]], progress: Progress) -> None:
+        self._models, self._kinds, self._progress = models, kinds, progress
+        self._channels = sorted({name for model in models for name in model.seen.covariates})
+
+    def screen(self, fitted: Fit) -> Screening:
+        """Score the whole catalogue at a fitted model."""
+        parts = candidates_of(self._kinds, self._channels, find_leads(self._models, fitted))
+        return screen(self._models, fitted, parts, lambda share: self._progress("screen the catalogue", share))
+
+    def search(self, null: Fit, first: Screening, most: int) -> Path:
+        """The path of at most ``most`` effects with the largest evidence, without effects that it can do without."""
+        beam, best = [Path(null)], Path(null)
+        screenings = [first]
+        for _ in range(most):
+            grown = [
+                child for path, screening in zip(beam, screenings, strict=True) for child in self._grow(path, screening)
+            ]
+            beam = _foremost(grown)
+            if not beam:
+                break
+            if beam[0].fitted.log_evidence > best.fitted.log_evidence:
+                best = beam[0]
+            screenings = [self.screen(path.fitted) for path in beam]
+        return self._pruned(best, null)
+
+    def _grow(self, path: Path, screening: Screening) -> list[Path]:
+        enough = ENOUGH_MORE if path.causes else ENOUGH
+        tried = self._refit(path, screening)
+        good = [entry for entry in tried if entry.log_bayes_factor > enough and entry.candidate.z > CERTAIN_Z]
+        return [self._step(path, entry, tried, screening) for entry in good]
+
+    def _refit(self, path: Path, screening: Screening) -> list[_Tried]:
+        names = {cause.part.effect.name for cause in path.causes}
+        fresh = [entry for entry in screening.candidates if entry.name not in names]
+        if not fresh or fresh[0].z <= CERTAIN_Z:
+            return []
+        enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z)
+        leading = [entry for entry in fresh if entry.z > enough][:_REFITTED]
+        tried = []
+        for i, candidate in enumerate(leading):
+            self._progress(f"refit {candidate.name}", i / len(leading))
+            fitted = self._fitted(path, candidate)
+            if fitted is None:
+                continue
+            if candidate.part.effect.one_way and fitted.values[len(path.fitted.values)] <= 0.0:
+                continue
+            factor = fitted.log_evidence - path.fitted.log_evidence - candidate.part.looks
+            tried.append(_Tried(candidate, fitted, factor, self._bic(path.fitted, fitted)))
+        return sorted(tried, key=lambda entry: -entry.log_bayes_factor)
+
+    def _fitted(self, path: Path, candidate: Candidate) -> Fit | None:
+        """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
+        for step in _FIRST_STEPS:
+            try:
+                return fit(self._models, (*path.fitted.parts, _begun(candidate, step)), path.fitted.values)
+            except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+                continue
+        return None
+
+    def _bic(self, before: Fit, after: Fit) -> float:
+        count = sum(len(model.band_hz) * 2 * len(model.seen.sides) for model in self._models)
+        extra = len(after.values) - len(before.values)
+        return -2.0 * (after.log_likelihood - before.log_likelihood) + extra * math.log(count)
+
+    def _step(self, path: Path, best: _Tried, tried: Sequence[_Tried], screening: Screening) -> Path:
+        size = len(best.fitted.values) - len(path.fitted.values)
+        cause = Cause(
+            best.fitted.parts[-1],
+            _alike(best, tried, screening),
+            best.log_bayes_factor,
+            best.bic,
+            best.candidate.z,
+            (0.0,) * size,
+            (0.0,) * size,
+        )
+        return Path(best.fitted, restated((*path.causes, cause), best.fitted))
+
+    def _pruned(self, path: Path, null: Fit) -> Path:
+        """Leave out what later effects have made superfluous; restate what each is worth beside the others."""
+        kept = path
+        for cause in path.causes if len(path.causes) > 1 else ():
+            index = [entry.part.effect.name for entry in kept.causes].index(cause.part.effect.name)
+            parts = tuple(part for i, part in enumerate(kept.fitted.parts) if i != index)
+            self._progress(f"do without {cause.part.effect.name}", 0.0)
+            without = fit(self._models, parts, kept.fitted.values[: len(null.values)])
+            factor = kept.fitted.log_evidence - without.log_evidence - cause.part.looks
+            others = tuple(entry for i, entry in enumerate(kept.causes) if i != index)
+            if factor < ENOUGH_MORE and others:
+                kept = Path(without, restated(others, without))
+            else:
+                bic = self._bic(without, kept.fitted)
+                causes = list(kept.causes)
+                own = causes[index]
+                causes[index] = Cause(own.part, own.group, factor, bic, own.z, own.values, own.sigmas)
+                kept = Path(kept.fitted, tuple(causes))
+        return kept
+
+
+def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
+    """Causes with the values of a fit that has them all, in order."""
+    sizes = [len(cause.values) for cause in causes]
+    at = len(final.values) - sum(sizes)
+    spread = np.sqrt(np.diag(final.covariance))
+    found = []
+    for cause, part, size in zip(causes, final.parts, sizes, strict=True):
+        mine = slice(at, at + size)
+        at += size
+        values, sigmas = tuple(final.values[mine].tolist()), tuple(spread[mine].tolist())
+        found.append(Cause(part, cause.group, cause.log_bayes_factor, cause.bic, cause.z, values, sigmas))
+    return tuple(found)
+
+
+def _foremost(paths: Sequence[Path]) -> list[Path]:
+    """The best paths, each set of names once."""
+    found: list[Path] = []
+    seen: set[frozenset[tuple[str, str]]] = set()
+    for path in sorted(paths, key=lambda entry: -entry.fitted.log_evidence):
+        names = frozenset((part.effect.name, part.channel) for part in path.fitted.parts)
+        if names not in seen and (not found or _behind(path, found[0]) < _WITHIN):
+            seen.add(names)
+            found.append(path)
+    return found[:_BEAM]
+
+
+def _behind(path: Path, best: Path) -> float:
+    return best.fitted.log_evidence - path.fitted.log_evidence
+
+
+def _begun(candidate: Candidate, most: float) -> Part:
+    """Start a refit at a small step in the direction of the score, on the side where the effect can be."""
+    declared = candidate.part.effect.parameters()
+    values = {entry.name: float(getattr(candidate.part.effect, entry.name)) for entry in declared}
+    information = candidate.information + np.eye(len(declared))
+    step = np.linalg.solve(information, candidate.score)
+    for entry, share in zip(declared, step.tolist(), strict=True):
+        values[entry.name] += most * entry.sigma * max(min(share, 1.0), -1.0)
+    return candidate.part.with_values(values)
+
+
+def _alike(best: _Tried, tried: Sequence[_Tried], screening: Screening) -> tuple[str, ...]:
+    """Names that this recording cannot tell from the best: scores that are one, or evidence too close to call."""
+    mine = screening.candidates.index(best.candidate)
+    refitted = {entry.candidate.name: entry.log_bayes_factor for entry in tried}
+    alike = {name for name, factor in refitted.items() if best.log_bayes_factor - factor < _TOO_CLOSE}
+    for other, rho in zip(screening.candidates, screening.correlation[mine], strict=True):
+        factor = refitted.get(other.name, other.log_odds)
+        if abs(rho) > SAME and best.log_bayes_factor - factor < _CONCEIVABLE:
+            alike.add(other.name)
+    return tuple(sorted(alike - {best.candidate.name}))

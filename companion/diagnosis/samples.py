@@ -1,0 +1,133 @@
+"""What shows in the samples themselves, before any model: a range too small, steps too coarse, stamps that wander.
+
+Such causes are certain where they are seen; nothing is fitted to them. What can be mended is mended (cut peaks are
+bridged), the rest is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from companion.params.airframe import Sensor
+from companion.records import Floats
+
+SEEN_IN_SAMPLES = frozenset({"saturation", "quantisation", "dropout-jitter"})
+_FEWEST = 8
+_PILE = 4.0
+_COARSE = 0.5  # of the believed noise's variance
+_OFF_LATTICE = 0.1
+_LOST = 0.005
+_LONGEST_LOSS = 10.0
+_WANDERING = 0.15  # of a period
+_CERTAIN = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class SampleFinding:
+    """One cause seen in samples: the effect's name and values, what was seen, and how certain that is."""
+
+    name: str
+    values: dict[str, float]
+    sigmas: dict[str, float]
+    seen: str
+    log_bayes_factor: float
+
+
+def find_in_samples(t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> list[SampleFinding]:
+    """Look at one stream's stamps and values."""
+    found = [saturated(force_z_mps2), coarse(t_s, force_z_mps2, sensor), unsteady(t_s)]
+    return [entry for entry in found if entry is not None]
+
+
+def together(found: Sequence[SampleFinding]) -> tuple[SampleFinding, ...]:
+    """Of each name the most certain; what was seen on either side is told."""
+    names = sorted({entry.name for entry in found})
+    best = [max((e for e in found if e.name == name), key=lambda e: e.log_bayes_factor) for name in names]
+    return tuple(sorted(best, key=lambda entry: -entry.log_bayes_factor))
+
+
+def saturated(values: Floats) -> SampleFinding | None:
+    """Samples that pile up at the largest or smallest value, more than the values next to it."""
+    step = _step(values)
+    best: SampleFinding | None = None
+    for sign in (1.0, -1.0):
+        turned = sign * values
+        top = float(turned.max())
+        width = max(step, 1e-6 * max(abs(top), 1.0))
+        piled = int(np.sum(turned > top - 0.5 * width))
+        beside = int(np.sum((turned > top - 1.5 * width) & (turned <= top - 0.5 * width)))
+        # a finer look needs more neighbours: what a smooth tail would have there
+        spread = float(np.sum(turned > top - 0.02 * float(turned.std()))) - piled
+        expected = max(beside, spread * min(width / (0.02 * float(turned.std())), 1.0), 1.0)
+        if piled < _FEWEST or piled < _PILE * expected:
+            continue
+        factor = piled * math.log(piled / expected) - (piled - expected)
+        if best is None or factor > best.log_bayes_factor:
+            values_at = {"inverse_s2pm": 1.0 / abs(top)}
+            text = f"{piled} samples of {len(values)} at exactly {sign * top:.3f} m/s^2"
+            best = SampleFinding("saturation", values_at, {"inverse_s2pm": width / top**2}, text, factor)
+    return best
+
+
+def coarse(t_s: Floats, values: Floats, sensor: Sensor) -> SampleFinding | None:
+    """Values on a lattice whose step adds noise that counts beside what the sensor is believed to have."""
+    step = _step(values)
+    rate_hz = 1.0 / float(np.median(np.diff(t_s)))
+    noise = sensor.accel_noise_mps2_rthz**2 * 0.5 * rate_hz
+    if step <= 0.0 or step**2 / 12.0 < _COARSE * noise:
+        return None
+    text = f"all values are multiples of {step:.4g} m/s^2: noise of {step / math.sqrt(12.0):.3g} m/s^2"
+    return SampleFinding("quantisation", {"step_mps2": step}, {"step_mps2": 1e-3 * step}, text, _CERTAIN)
+
+
+def unsteady(t_s: Floats) -> SampleFinding | None:
+    """Stamps that are missing, or wander about a steady rate."""
+    steps = np.diff(t_s)
+    period = float(np.median(steps))
+    whole = np.maximum(np.round(steps / period), 1.0)
+    single = whole <= _LONGEST_LOSS  # longer ones are gaps, which are told elsewhere
+    lost = float(np.sum(whole[single] - 1.0) / np.sum(whole[single]))
+    index = np.concatenate([[0.0], np.cumsum(whole)])
+    line = np.polynomial.Polynomial.fit(index, t_s, 1)
+    jitter = float(np.std(t_s - line(index)))
+    wanders = float(np.std(np.where(whole > 1, 0.0, steps - period))) / math.sqrt(2.0)
+    if lost < _LOST and wanders < _WANDERING * period:
+        return None
+    jitter = min(jitter, wanders)
+    text = f"{100 * lost:.1f} % of samples missing, stamps wander {1e3 * jitter:.2f} ms about {1e3 * period:.2f} ms"
+    count = len(steps)
+    sigmas = {"jitter_s": jitter / math.sqrt(2.0 * count), "lost": math.sqrt(max(lost, 1.0 / count) / count)}
+    return SampleFinding("dropout-jitter", {"jitter_s": jitter, "lost": lost}, sigmas, text, _CERTAIN)
+
+
+def bridged(t_s: Floats, values: Floats, findings: Sequence[SampleFinding]) -> Floats:
+    """Where samples were cut, a spline through the others, never inside the range."""
+    for finding in findings:
+        if finding.name == "saturation":
+            limit = 1.0 / finding.values["inverse_s2pm"]
+            cut = np.abs(values) > limit * (1.0 - 1e-6)
+            if cut.any() and not cut.all():
+                spline = CubicSpline(t_s[~cut], values[~cut])(t_s[cut])
+                mended = values.copy()
+                mended[cut] = np.sign(values[cut]) * np.maximum(np.abs(spline), limit)
+                return mended
+    return values
+
+
+def _step(values: Floats) -> float:
+    """The lattice that all values lie on, or 0."""
+    distinct = np.unique(values)
+    if len(distinct) < 2:
+        return 0.0
+    apart = np.diff(distinct)
+    step = float(np.median(apart[apart < 1.5 * apart.min()]))
+    span = float(distinct[-1] - distinct[0])
+    step = span / max(round(span / step), 1)
+    places = (distinct - distinct[0]) / step
+    on_it = np.abs(places - np.round(places)) < _OFF_LATTICE
+    return step if bool(np.mean(on_it) > 0.99) and len(distinct) < 0.5 * len(values) else 0.0
