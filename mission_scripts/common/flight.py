@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,9 @@ from mission_scripts.common.watch import Watch
 _LOOK_S = 0.05
 _LINE_S = 5.0
 _MODE_S = 5.0
+_SERVICE_S = 60.0
+_RANGES_S = 5.0
+_ONTO_S = 15.0
 _IDS = {"SCALED_IMU": 26, "RAW_IMU": 27, "HIGHRES_IMU": 105, "SCALED_IMU2": 116, "SCALED_IMU3": 129}
 _STREAMS = {30: 0.1, 33: 0.1, 74: 0.2, 1: 1.0, 42: 0.5}  # ATTITUDE, position, VFR_HUD, SYS_STATUS, MISSION_CURRENT
 _SLOWER = (1.0, 1.34, 1.67, 3.4, 6.7)
@@ -42,6 +46,25 @@ class Log:
     def close(self) -> None:
         """Finish the file."""
         self._file.close()
+
+
+class Track:
+    """Distance from the leg being flown, once the aircraft has come onto it: a circle is left some way beside it."""
+
+    def __init__(self, route: Route, watch: Watch, limit_m: float) -> None:
+        self._route, self._watch, self._limit_m = route, watch, limit_m
+        self._item, self._since_s, self._onto = -1, 0.0, False
+
+    def off_m(self) -> float | None:
+        """In metres; None while there is no leg, or the aircraft is still turning onto it."""
+        item, now_s = self._watch.item, time.monotonic()
+        if item != self._item:
+            self._item, self._since_s, self._onto = item, now_s, False
+        off_m = self._route.off_track_m(item, self._watch.place)
+        if off_m is None:
+            return None
+        self._onto = self._onto or off_m < self._limit_m or now_s - self._since_s > _ONTO_S
+        return off_m if self._onto else None
 
 
 class Flight:
@@ -154,15 +177,25 @@ class Flight:
             told = f"{rate_hz / granted:.0f} Hz" if granted else "refused at every rate; what comes by itself"
             self.watch.texts.clear()  # the refusals of the faster rates
             self.say(f"{name}: {told}")
-        if not tap_is_enough(airframe):
+        if not tap_is_enough(airframe) and self.options.service is None:
             self.say(
                 f"note: airframe '{airframe.name}' has wing nodes on clocks of their own; the tap alone cannot be "
                 "estimated from, record with the service (--service LINK, or spanwise run --record)"
             )
 
-    def need_ranges(self, within_s: float = 5.0) -> None:
+    def await_service(self) -> None:
+        """Give a service that was started with the mission the time to find its clocks and its wing."""
+        if self.options.service is not None:
+            self.guard.floor_m, floor_m = -math.inf, self.guard.floor_m
+            self.wait(
+                "the service to become active", lambda: self.watch.companion_active, _SERVICE_S, lambda: "not yet"
+            )
+            self.guard.floor_m = floor_m
+
+    def need_ranges(self) -> None:
         """Refuse to begin without a companion that sends ranges (trusted or not)."""
-        ends_s = time.monotonic() + within_s
+        self.await_service()
+        ends_s = time.monotonic() + _RANGES_S
         while time.monotonic() < ends_s:
             newest = self.watch.newest_range()
             if newest is not None and time.monotonic() - newest.at_s < 1.0:
@@ -225,7 +258,7 @@ class Flight:
         each : callable, optional
             Called with the current item at every look.
         """
-        said = 0
+        said, track = 0, Track(route, self.watch, self.guard.limits.off_track_m)
 
         def there() -> bool:
             nonlocal said
@@ -238,7 +271,7 @@ class Flight:
                 each(item)
             return item >= route.last
 
-        self.guard.off_track = lambda: route.off_track_m(self.watch.item, self.watch.place)
+        self.guard.off_track = track.off_m
         try:
             self.wait("mission", there, timeout_s)
         finally:

@@ -119,7 +119,7 @@ def make_safe(flight: Flight, response: Response, code: Exit) -> Exit:
     """
     if not flight.engaged:
         flight.say("the vehicle was not commanded by this script and is left as it is")
-        return code
+        return code if code is Exit.INTERRUPTED else Exit.REFUSED
     watch, guard = flight.watch, flight.guard
     wanted, order = (RTL, flight.vehicle.return_home) if response is Response.RETURN else (LOITER, flight.vehicle.hold)
     flight.say(f"ordering {response.value.upper()}")
