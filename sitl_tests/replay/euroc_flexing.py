@@ -60,9 +60,9 @@ def rotations(times_s: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return slow, fast
 
 
-def flexed_pairs(folder: Path, rig: Rig, seed: int = 0) -> list[FlexedPair]:
+def flexed_pairs(folder: Path, rig: Rig, seed: int = 0, which: slice = slice(None)) -> list[FlexedPair]:
     frames = list(FolderPair(folder).frames())
-    pairs = list(zip(frames[0::2], frames[1::2], strict=True))
+    pairs = list(zip(frames[0::2], frames[1::2], strict=True))[which]
     times_s = 1e-9 * np.array([left.mid_exposure_ns - pairs[0][0].mid_exposure_ns for left, _ in pairs])
     slow, fast = rotations(times_s, seed)
     random = np.random.default_rng(seed + 1)

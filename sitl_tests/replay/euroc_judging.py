@@ -1,4 +1,7 @@
-"""Judges estimates of the flexed EuRoC pairs: against the known rotation, on features that no estimate has used."""
+"""Judges estimates of the flexed EuRoC pairs: against the known rotation, on features that no estimate has used.
+
+What is tuned is tuned on the first pairs of the sequence, and judged on the others under other rotations.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,9 @@ from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
 
-# a rigid bar holds EuRoC's cameras; its calibration says nothing of its own sigmas, these are usual for a good one
-PRIOR = SlowPrior(baseline_rad=0.0005, parallax_rad=0.00015)
+# a rigid bar holds EuRoC's cameras; its calibration says nothing of its own sigmas, this is usual for a good one
+_BASELINE_RAD = 0.0005
+TUNED = 15  # pairs, of 40
 _UNKNOWN_FAST_RAD = 0.005
 WAYS = ("modal", "epipolar", "both")
 
@@ -25,23 +29,33 @@ class Verdict:
     sigma_rad: np.ndarray
 
 
+def tuned_prior(rig: Rig, pairs: list[FlexedPair]) -> SlowPrior:
+    """The one thing that is learned: what these matches scatter beyond their stated sigmas, about each pair's fit."""
+    excess = []
+    for pair in pairs:
+        every = np.ones(len(pair.matches), dtype=bool)
+        stated = float(np.median(pair.matches.sigma_px)) / rig.right.lens.focal_px
+        excess.append(noise_rad(rig, pair, every) ** 2 - stated**2)
+    return SlowPrior(baseline_rad=_BASELINE_RAD, parallax_rad=float(np.sqrt(max(np.median(excess), 0.0))))
+
+
 def split(pairs: list[FlexedPair], seed: int = 5) -> list[np.ndarray]:
     """For each pair, which matches the estimate may use; the others judge it."""
     random = np.random.default_rng(seed)
     return [random.random(len(pair.matches)) < 0.5 for pair in pairs]
 
 
-def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str) -> Verdict:
+def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str, prior: SlowPrior) -> Verdict:
     """Error of the total rotation of every pair, estimated in one of three ways; no held-out match is touched."""
     epipolar_from_camera = epipolar_frame(rig) @ rig.right.rest.camera_from_body.T
-    running = EpipolarFilter(rig, PRIOR)
+    running = EpipolarFilter(rig, prior)
     errors, sigmas = [], []
     for pair, mine in zip(pairs, used, strict=True):
         fast = np.zeros(3) if way == "epipolar" else pair.fast_known_rad
         fast_sigma = _UNKNOWN_FAST_RAD if way == "epipolar" else FAST_SIGMA_RAD
-        correction, sigma = np.zeros(3), np.full(3, np.hypot(PRIOR.rotation_rad, FAST_SIGMA_RAD))
+        correction, sigma = np.zeros(3), np.full(3, np.hypot(prior.rotation_rad, FAST_SIGMA_RAD))
         if way != "modal":
-            one = EpipolarFilter(rig, PRIOR) if way == "epipolar" else running
+            one = EpipolarFilter(rig, prior) if way == "epipolar" else running
             rays = rays_of(rig, pair.matches, fast, mine)
             sigma_rad = pair.matches.sigma_px[mine] / rig.right.lens.focal_px
             update = one.update(rays, sigma_rad, fast_sigma**2 * np.eye(3), pair.t_ns)
@@ -68,12 +82,12 @@ def kept(parallax: np.ndarray) -> np.ndarray:
     return off < 4 * 1.4826 * np.median(off)
 
 
-def calibration_error(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray]) -> np.ndarray:
+def calibration_error(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], belief: SlowPrior) -> np.ndarray:
     """Constant relative rotation (3,) by which the published calibration is off: all held-out matches together."""
     rows = [own_design(rig, pair, ~mine) for pair, mine in zip(pairs, used, strict=True)]
     parallax, design = np.concatenate([p for p, _ in rows]), np.concatenate([h for _, h in rows])
     good = kept(parallax)
-    prior = np.diag(1.0 / np.sqrt(PRIOR.variances()))
+    prior = np.diag(1.0 / np.sqrt(belief.variances()))
     sigma = 1.4826 * np.median(np.abs(parallax[good] - np.median(parallax[good])))
     stacked = np.vstack([design[good] / sigma, prior])
     fitted, *_ = np.linalg.lstsq(stacked, np.concatenate([parallax[good] / sigma, np.zeros(7)]), rcond=None)
@@ -89,21 +103,23 @@ def noise_rad(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(left_over)))
 
 
-def cramer_rao(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], fast_sigma_rad: float | None) -> np.ndarray:
+def cramer_rao(
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], fast_sigma_rad: float | None, prior: SlowPrior
+) -> np.ndarray:
     """Sigma (n, 3) that nobody can beat with these matches: lenses and baseline unknown within their priors.
 
     With ``fast_sigma_rad`` the slow part is followed from pair to pair and the fast part is known to that; without,
     every pair stands alone.
     """
     walk = np.zeros(7)
-    walk[:3] = PRIOR.walk_rad_rts**2
-    information = np.diag(1.0 / PRIOR.variances())
+    walk[:3] = prior.walk_rad_rts**2
+    information = np.diag(1.0 / prior.variances())
     bounds, last_ns = [], pairs[0].t_ns
     for pair, mine in zip(pairs, used, strict=True):
         parallax, design = own_design(rig, pair, mine)
         design = design[kept(parallax)] / noise_rad(rig, pair, mine)
         if fast_sigma_rad is None:
-            alone = np.linalg.inv(np.diag(1.0 / PRIOR.variances()) + design.T @ design)
+            alone = np.linalg.inv(np.diag(1.0 / prior.variances()) + design.T @ design)
             bounds.append(np.sqrt(np.diag(alone)[:3]))
             continue
         predicted = np.linalg.inv(information) + np.diag(walk) * 1e-9 * (pair.t_ns - last_ns)

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.core.stereo.epipolar import epipolar_frame
+from companion.core.stereo.epipolar import SlowPrior, epipolar_frame
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation
 from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, euroc_airframe, flexed_pairs, rays_of, rotations
-from sitl_tests.replay.euroc_judging import calibration_error, cramer_rao, estimate, split
+from sitl_tests.replay.euroc_judging import TUNED, calibration_error, cramer_rao, estimate, split, tuned_prior
 
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
 EUROC = DATA / "measured" / "euroc-stereo"
@@ -35,8 +35,14 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="module")
+def prior(rig: Rig) -> SlowPrior:
+    """Tuned on other pairs, under other rotations, than those that are judged."""
+    return tuned_prior(rig, flexed_pairs(EUROC, rig, seed=0, which=slice(0, TUNED)))
+
+
+@pytest.fixture(scope="module")
 def pairs(rig: Rig) -> list[FlexedPair]:
-    return flexed_pairs(EUROC, rig)
+    return flexed_pairs(EUROC, rig, seed=1, which=slice(TUNED, None))
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +50,9 @@ def used(pairs: list[FlexedPair]) -> list[np.ndarray]:
     return split(pairs)
 
 
-def _rms(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str) -> np.ndarray:
+def _rms(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str, prior: SlowPrior) -> np.ndarray:
     """Pitch, yaw, roll; the reference's own constant error comes from the matches that judge."""
-    error = estimate(rig, pairs, used, way).error_rad[SETTLED:] - calibration_error(rig, pairs, used)
+    error = estimate(rig, pairs, used, way, prior).error_rad[SETTLED:] - calibration_error(rig, pairs, used, prior)
     return np.sqrt(np.mean(error**2, axis=0))
 
 
@@ -57,43 +63,47 @@ def test_the_rotation_stays_within_five_mrad_and_uses_most_of_it() -> None:
 
 
 def test_both_together_hold_pitch_and_roll_to_a_tenth_of_a_mrad(
-    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray]
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior
 ) -> None:
-    rms = _rms(rig, pairs, used, "both")
+    rms = _rms(rig, pairs, used, "both", prior)
     assert rms[PITCH] <= LIMIT_RAD
     assert rms[ROLL] <= LIMIT_RAD
 
 
-def test_yaw_comes_near_its_bound(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray]) -> None:
-    bound = cramer_rao(rig, pairs, used, FAST_SIGMA_RAD)[SETTLED:, YAW]
-    assert _rms(rig, pairs, used, "both")[YAW] <= 1.5 * np.sqrt(np.mean(bound**2))
+def test_yaw_comes_near_its_bound(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior) -> None:
+    bound = cramer_rao(rig, pairs, used, FAST_SIGMA_RAD, prior)[SETTLED:, YAW]
+    assert _rms(rig, pairs, used, "both", prior)[YAW] <= 1.5 * np.sqrt(np.mean(bound**2))
 
 
 def test_both_beat_the_matches_alone_where_they_are_weak_and_the_modal_part_everywhere(
-    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray]
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior
 ) -> None:
-    modal, epipolar, both = (_rms(rig, pairs, used, way) for way in ("modal", "epipolar", "both"))
+    modal, epipolar, both = (_rms(rig, pairs, used, way, prior) for way in ("modal", "epipolar", "both"))
     assert np.all(modal > BEFORE_ANYTHING_RAD)
     assert np.all(both < 0.3 * modal)
     assert both[YAW] < 0.8 * epipolar[YAW]
 
 
-def test_the_stated_sigma_is_honest(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray]) -> None:
+def test_the_stated_sigma_is_honest(
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior
+) -> None:
     """Errors over stated sigmas: neither three times too bold nor three times too shy (40 pairs of one scene)."""
     for way in ("epipolar", "both"):
-        verdict = estimate(rig, pairs, used, way)
-        ratio = (verdict.error_rad - calibration_error(rig, pairs, used)) / verdict.sigma_rad
+        verdict = estimate(rig, pairs, used, way, prior)
+        ratio = (verdict.error_rad - calibration_error(rig, pairs, used, prior)) / verdict.sigma_rad
         rms = np.sqrt(np.mean(ratio[SETTLED:] ** 2, axis=0))
         assert np.all(rms < 3.0), way
         assert rms[YAW] > 1 / 3, way
 
 
-def test_depth_agrees_within_the_yaw_that_is_left(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray]) -> None:
+def test_depth_agrees_within_the_yaw_that_is_left(
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior
+) -> None:
     """Disparity of held-out matches, by estimated and by true rotation: they differ by what the bound of yaw allows."""
-    verdict = estimate(rig, pairs, used, "both")
-    bound = cramer_rao(rig, pairs, used, FAST_SIGMA_RAD)
+    verdict = estimate(rig, pairs, used, "both", prior)
+    bound = cramer_rao(rig, pairs, used, FAST_SIGMA_RAD, prior)
     camera_from_epipolar = (epipolar_frame(rig) @ rig.right.rest.camera_from_body.T).T
-    off = calibration_error(rig, pairs, used)
+    off = calibration_error(rig, pairs, used, prior)
     gaps = []
     for pair, mine, error in zip(pairs, used, verdict.error_rad, strict=True):
         wrong = camera_from_epipolar @ (error - off)
