@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import pty
 import shutil
-import subprocess
 import sys
 import time
 import tty
@@ -20,9 +18,8 @@ from companion.adapters.triggers.gpio import GpioTrigger
 from companion.adapters.triggers.serial_board import LEAD_NS, BoardClock, SerialBoardTrigger, opened, sealed
 from companion.errors import DeviceError
 from companion.records import Firing, TriggerPlan
+from tools.bench.board import Board, build
 
-SOURCE = Path(__file__).resolve().parents[2] / "tools" / "trigger_board"
-SKEW_PPM = 20.0
 pytestmark = pytest.mark.realtime
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
 
@@ -33,39 +30,18 @@ def _plan(plan_id: int, command_ns: int) -> TriggerPlan:
 
 @pytest.fixture(scope="module")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("board")
-    subprocess.run(["make", "-s", "-C", str(SOURCE), f"OUT={out}"], check=True, timeout=60)
-    return out / "trigger_board"
-
-
-class Bench:
-    """A running board, its serial port, and the true instants of its edges in host time."""
-
-    def __init__(self, program: Path, edges: Path) -> None:
-        master, self._slave = pty.openpty()
-        self._edges, self.port = edges, os.ttyname(self._slave)
-        with edges.open("wb") as file:
-            self.process = subprocess.Popen([str(program), str(master), str(SKEW_PPM)], stdout=file, pass_fds=[master])
-        os.close(master)
-
-    def edges_ns(self) -> np.ndarray:
-        return np.array([int(line) for line in self._edges.read_text().split()])
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        os.close(self._slave)
+    return build(tmp_path_factory.mktemp("board"))
 
 
 @pytest.fixture
-def bench(firmware: Path, tmp_path: Path) -> Iterator[Bench]:
-    running = Bench(firmware, tmp_path / "edges")
+def bench(firmware: Path, tmp_path: Path) -> Iterator[Board]:
+    running = Board(firmware, tmp_path / "edges")
     yield running
     running.close()
 
 
 @needs_compiler
-def test_the_edge_comes_when_it_was_planned(bench: Bench) -> None:
+def test_the_edge_comes_when_it_was_planned(bench: Board) -> None:
     """Planned against true edge, by the firmware's own look at the host's clock; a table for who reads with -s."""
     trigger = SerialBoardTrigger(bench.port)
     planned, told, refused = [], [], 0
@@ -97,7 +73,7 @@ def test_the_edge_comes_when_it_was_planned(bench: Bench) -> None:
 
 
 @needs_compiler
-def test_a_plan_that_comes_too_late_is_refused_and_does_not_fire(bench: Bench) -> None:
+def test_a_plan_that_comes_too_late_is_refused_and_does_not_fire(bench: Board) -> None:
     trigger = SerialBoardTrigger(bench.port)
     with pytest.raises(DeviceError, match="late"):
         trigger.fire(_plan(7, time.monotonic_ns() - 50_000_000))
@@ -106,7 +82,7 @@ def test_a_plan_that_comes_too_late_is_refused_and_does_not_fire(bench: Bench) -
 
 
 @needs_compiler
-def test_garbage_and_wrong_checksums_are_answered_and_do_nothing(bench: Bench) -> None:
+def test_garbage_and_wrong_checksums_are_answered_and_do_nothing(bench: Board) -> None:
     line = os.open(bench.port, os.O_RDWR | os.O_NOCTTY)
     os.set_blocking(line, False)
     tty.setraw(line)
@@ -140,7 +116,7 @@ def _read_line(file: int) -> bytes:
 
 
 @needs_compiler
-def test_a_board_that_goes_away_is_a_device_error(bench: Bench) -> None:
+def test_a_board_that_goes_away_is_a_device_error(bench: Board) -> None:
     trigger = SerialBoardTrigger(bench.port)
     bench.process.kill()
     bench.process.wait()
