@@ -42,7 +42,7 @@ class Run:
     airframe_name: str
     parameters: Mapping[str, float]
     seed: int = 1
-    hold_s: float = 600.0
+    hold_s: float = 150.0
     duration_s: float = 5.0
     eyes: bool = False
     ports: Ports = field(default_factory=Ports.free)
@@ -76,7 +76,7 @@ class Run:
         ends = time.monotonic() + _START_S
         while not self._control.poll(0.1):
             self.vehicle.check()
-            assert time.monotonic() < ends, "ArduPilot never sent a servo packet to the physics"
+            assert time.monotonic() < ends, "ArduPilot does not keep pace with the physics: is the machine busy?"
         kind, (self.start_ns, self.flight_ns) = self._control.recv()
         assert kind == "started"
         heartbeat = self.station.wait("HEARTBEAT", component=1, seconds=_START_S)

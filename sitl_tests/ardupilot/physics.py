@@ -1,7 +1,8 @@
 """The process that ArduPilot's ``--model JSON`` talks to: physics frames in real time, wing nodes, the cameras' line.
 
 ArduPilot sends its servo outputs once a frame and waits for the sensors of the next. Frames are due every 1/1200 s of
-the host's monotonic clock, and what a stall delays is made up for at once: its boot time never drifts from ours. A
+the host's monotonic clock, and what a stall delays is made up for at once: its boot time never drifts from ours. (While
+the autopilot starts up it stalls for seconds; only when it has kept pace for one is its clock pinned to the host's.) A
 rising edge on a camera's servo is passed on to the simulated cameras' trigger line, with the instant of its arrival.
 """
 
@@ -38,7 +39,7 @@ _MIDDLE_PWM = 1200
 _PATIENCE_S = 0.002
 _SPIN_NS = 100_000
 _NODE_TURN_NS = 1_000_000
-_LONGEST_HOLD_NS = 120_000_000_000
+_LATE_NS, _STEADY_NS = 100_000_000, 1_000_000_000
 _LISTEN_NS = 50_000_000
 
 
@@ -87,12 +88,12 @@ class Frames:
 class Nodes:
     """The wing nodes on a link of their own."""
 
-    def __init__(self, flight: Flight, connection: str) -> None:
+    def __init__(self, flight: Flight, connection: str, before_s: float) -> None:
         clocks = flight.real.clocks
         self._nodes = [WingNode(s, clocks[s.clock], Faults()) for _, s in sorted(flight.nodes.items())]
-        if any(node.node_ns(-_LONGEST_HOLD_NS) < 0 for node in self._nodes):
+        self._turned_ns = self._greeted_ns = -round(before_s * 1e9) - _LISTEN_NS
+        if any(node.node_ns(self._turned_ns) < 0 for node in self._nodes):
             raise ValueError("a node's clock would be negative while the aircraft hangs: take another seed")
-        self._turned_ns = self._greeted_ns = -_LONGEST_HOLD_NS
         self._link = Link(connection)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
@@ -153,13 +154,16 @@ class Physics:
         self.flight = build_flight(options.airframe, options.seed, options.duration_s)
         self._options = options
         self._frames = Frames(self.flight, options)
-        self._nodes = Nodes(self.flight, options.nodes) if options.nodes else None
+        before_s = options.hold_s + LAUNCH_S
+        self._nodes = Nodes(self.flight, options.nodes, before_s) if options.nodes else None
         line = None if options.trigger_line is None else SimTriggerLine(options.trigger_line)
         self._shutter = Shutter(line, [], {})
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", options.port))
         self._socket.settimeout(_PATIENCE_S)
         self.start_ns = 0
+        self.pinned = False
+        self._late_host_ns = 0
         self.sent_ns = array("q")
 
     @property
@@ -175,13 +179,22 @@ class Physics:
         now_ns = time.monotonic_ns()
         servos = servo_outputs(data)
         if servos is not None:
-            if not self.start_ns:
-                self.start_ns = now_ns
             self._shutter.watch(servos, now_ns)
-        if self._nodes is not None and self.start_ns:
+            self._pin(now_ns)
+        if self._nodes is not None and self.pinned:
             self._nodes.turn(now_ns - self.flight_start_ns)
         if servos is not None:
             self._answer(peer)
+
+    def _pin(self, now_ns: int) -> None:
+        """Until the autopilot keeps pace, let boot time begin so that the frame asked for now is due now."""
+        if self.pinned:
+            return
+        behind_ns = now_ns - self.start_ns - len(self.sent_ns) * 1_000_000_000 // RATE_HZ
+        if behind_ns > _LATE_NS:
+            self.start_ns += behind_ns
+            self._late_host_ns = now_ns
+        self.pinned = now_ns - self._late_host_ns > _STEADY_NS
 
     def _answer(self, peer: tuple[str, int]) -> None:
         frame = len(self.sent_ns)
@@ -216,7 +229,7 @@ def serve(options: PhysicsOptions, control: Connection) -> None:
             if control.poll(0):
                 break
         physics.turn()
-        if physics.start_ns and not started:
+        if physics.pinned and not started:
             started = True
             control.send(("started", (physics.start_ns, physics.flight_start_ns)))
     control.send(("report", physics.report()))

@@ -27,7 +27,7 @@ COMMON: Mapping[str, float] = {
     # SITL's gyros, accelerometers and compass as "calibrated"
     "INS_ACCOFFS_X": 0.001, "INS_ACCOFFS_Y": 0.001, "INS_ACCOFFS_Z": 0.001,
     "INS_ACCSCAL_X": 1.001, "INS_ACCSCAL_Y": 1.001, "INS_ACCSCAL_Z": 1.001,
-    # serial 1 carries Spanwise, serial 2 is free
+    # serial 1 carries Spanwise; SITL keeps 3 and 4 for its own GPS
     "SERIAL1_PROTOCOL": 2, "SERIAL1_BAUD": 921,
     "RNGFND1_TYPE": 10, "RNGFND1_MIN": 0.2, "RNGFND1_MAX": 250,
     "CAM1_TYPE": 1, "CAM1_DURATION": 0.1, "CAM2_TYPE": 1, "CAM2_DURATION": 0.1,
@@ -78,7 +78,7 @@ class Vehicle:
             "--rc-in-port", str(ports.remote_control),
             "--serial0", f"udpclient:127.0.0.1:{ports.station}",
             "--serial1", f"udpclient:127.0.0.1:{ports.service}",
-            "--serial2", "none:", "--serial3", "none:", "--serial4", "none:",
+            "--serial2", "none:",
         ]  # fmt: skip
         with self.console.open("wb") as out:
             self._process = subprocess.Popen(
