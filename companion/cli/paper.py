@@ -9,8 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-from companion.cli.audit.experiments import FULL, QUICK
 from companion.cli.audit.report import make_sections, plain, write
+from companion.cli.audit.trials import FULL, QUICK, SEED
 from companion.errors import ConfigError
 
 
@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes; default: all cores"
     )
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the simulated wings and drives; default: {SEED}")
     parser.add_argument("--json", type=Path, metavar="FILE", help="the numbers also here; - for standard output")
 
 
@@ -28,7 +29,9 @@ def execute(options: argparse.Namespace) -> int:
     """Compute everything, write the report, say where it is."""
     begun_s = time.monotonic()
     pace = QUICK if options.quick else FULL
-    sections = make_sections(pace, options.jobs, lambda text: print(f"  {text}", file=sys.stderr, flush=True))
+    sections = make_sections(
+        pace, options.jobs, lambda text: print(f"  {text}", file=sys.stderr, flush=True), options.seed
+    )
     try:
         paths = write(sections, options.out)
         if options.json is not None and str(options.json) != "-":

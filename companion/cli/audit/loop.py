@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.cli.judge import Judge, Reading
+from companion.cli.audit.shots import Answer, Flown, Scored, Usual, score
+from companion.cli.judge import Judge
 from companion.core.pipeline import PipelineState, start, step
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.vision import VisionState
@@ -22,8 +23,10 @@ from companion.records import (
     Ints,
     MatchSet,
     OutputRecord,
+    Reject,
+    Rejected,
+    RelativeRotation,
     Shot,
-    Side,
     Tick,
     TriggerPlan,
 )
@@ -35,30 +38,9 @@ from companion.sim.scene import Scene
 
 _TICK_NS = 10_000_000
 _VISION_NS = 60_000_000
+_WARM_UP_NS = 2_000_000_000
 _RANDOM_PLAN = -1
-
-
-@dataclass(frozen=True, slots=True)
-class Scored:
-    """One shot: what triggered it, what every way reads (None: no reading), and what the wing did.
-
-    ``tip_rad`` is the true slope of the left and right tip beyond rest, ``toe_rad`` their sum; ``blur_px`` is what
-    bending alone smears in the worse camera.
-    """
-
-    planned: bool
-    rigid: Reading | None
-    in_trim: Reading | None
-    corrected: Reading | None
-    oracle: Reading | None
-    trusted: bool
-    tip_rad: tuple[float, float]
-    blur_px: float
-
-    @property
-    def toe_rad(self) -> float:
-        """Relative toe beyond rest."""
-        return sum(self.tip_rad)
+_PAIR = "pair "
 
 
 @dataclass(slots=True)
@@ -69,10 +51,13 @@ class _Run:
     renderer: Renderer
     shutters: Shutters
     from_ns: int
+    until_ns: int
     waiting: deque[MatchSet] = field(default_factory=deque)
     shots: dict[int, MatchSet] = field(default_factory=dict)
     bends: list[Deflection] = field(default_factory=list)
-    found: dict[int, tuple[CorrectedRange, Deflection, Deflection]] = field(default_factory=dict)
+    turned: RelativeRotation | None = None
+    found: dict[int, Answer] = field(default_factory=dict)
+    refused: dict[int, Reject] = field(default_factory=dict)
     plan: TriggerPlan | None = None
     count: int = 0
 
@@ -83,8 +68,12 @@ class _Run:
                 self.plan = output if output.firing is not Firing.SKIP else None
             elif isinstance(output, Deflection):
                 self.bends = [*self.bends[-1:], output]
+            elif isinstance(output, RelativeRotation):
+                self.turned = output
             elif isinstance(output, CorrectedRange):
-                self.found[output.pair_id] = (output, self.bends[0], self.bends[1])
+                self.found[output.pair_id] = Answer(output, self.bends[0], self.bends[1], self.turned)
+            elif isinstance(output, Rejected) and output.what.startswith(_PAIR):
+                self.refused[int(output.what.removeprefix(_PAIR))] = output.reason
 
     def feed(self, record: object) -> None:
         """One input of the pipeline."""
@@ -113,25 +102,27 @@ class _Run:
             return
         self.plan = None
         self.feed(Shot(plan.plan_id, plan.command_host_ns, plan.command_host_ns))
-        if plan.command_host_ns >= self.from_ns:
+        if self.from_ns <= plan.command_host_ns < self.until_ns:
             self.expose(plan.command_host_ns, plan.plan_id)
 
 
 def fly(
-    flight: Flight, scene: Scene, settings: Settings, from_s: float, random_edges_ns: Ints, warm_s: float = 2.0
-) -> list[Scored]:
-    """Fly through; shots at the planner's instants, and further ones at random edges (boot ns), from ``from_s`` on.
+    flight: Flight, scene: Scene, settings: Settings, counted_s: tuple[float, float], random_edges_ns: Ints
+) -> Flown:
+    """Fly through; shots at the planner's instants and at random edges (boot ns), within ``counted_s``.
 
-    The planner's shots begin ``warm_s`` earlier, so that the trigger's latency is learned; those are not scored.
+    The planner's shots begin two seconds earlier, so that the trigger's latency is learned; those are not scored.
     """
     renderer = Renderer(flight.real.actual, flight.truth, scene, flight.seed)
+    from_ns, until_ns = (HOST_EPOCH_NS + round(t_s * 1e9) for t_s in counted_s)
     run = _Run(
         start(flight.airframe, settings),
         Judge(flight, renderer, settings, HOST_EPOCH_NS),
         VisionState.create(flight.airframe, settings),
         renderer,
         Shutters(flight.real.actual, flight.seed),
-        HOST_EPOCH_NS + round((from_s - warm_s) * 1e9),
+        from_ns - _WARM_UP_NS,
+        until_ns,
     )
     edges = deque((HOST_EPOCH_NS + np.sort(random_edges_ns)).tolist())
     records = deque(flight_records(flight))
@@ -144,30 +135,22 @@ def fly(
         run.fire(now_ns + _TICK_NS)
         while edges and edges[0] < now_ns + _TICK_NS:
             run.expose(edges.popleft(), _RANDOM_PLAN)
-    scored_from_ns = HOST_EPOCH_NS + round(from_s * 1e9)
-    return [_scored(run, pair_id) for pair_id in run.found if run.shots[pair_id].mid_exposure_ns[0] >= scored_from_ns]
+    return _counted(run, from_ns)
+
+
+def _counted(run: _Run, from_ns: int) -> Flown:
+    """Score every shot that counts; one without an answer is refused, whatever the reason."""
+    counted = [pair_id for pair_id, shot in run.shots.items() if shot.mid_exposure_ns[0] >= from_ns]
+    usual = Usual.of(run.judge.flight)
+    shots = tuple(_scored(run, pair_id, usual) for pair_id in counted if pair_id in run.found)
+    refused = Counter(str(run.refused.get(pair_id, "no answer")) for pair_id in counted if pair_id not in run.found)
+    return Flown(shots, len(run.shots) - len(counted), dict(refused))
 
 
 def _ticks(flight: Flight) -> Iterator[int]:
     yield from range(HOST_EPOCH_NS + _TICK_NS, HOST_EPOCH_NS + round(flight.duration_s * 1e9), _TICK_NS)
 
 
-def _scored(run: _Run, pair_id: int) -> Scored:
+def _scored(run: _Run, pair_id: int, usual: Usual) -> Scored:
     matches = run.shots[pair_id]
-    answer, left, right = run.found[pair_id]
-    judge, truth = run.judge, run.judge.flight.truth
-    samples = [truth.at(int(t_ns) - HOST_EPOCH_NS) for t_ns in matches.mid_exposure_ns]
-    rest = run.judge.flight.model
-    still = rest.tip_slope_rad(rest.q_static(1.0))
-    left_rad, right_rad = (float(samples[side].slope_rad[side] - still[side]) for side in Side)
-    rate = max(abs(float(samples[side].slope_rate_radps[side])) for side in Side)
-    return Scored(
-        planned=matches.plan_id != _RANDOM_PLAN,
-        rigid=judge.rigid(matches),
-        in_trim=judge.rigid_in_trim(matches),
-        corrected=judge.corrected(matches, left, right),
-        oracle=judge.oracle(matches),
-        trusted=answer.trusted,
-        tip_rad=(left_rad, right_rad),
-        blur_px=run.renderer.rig.left.lens.focal_px * matches.exposure_ns * 1e-9 * rate,
-    )
+    return score(run.judge, usual, matches, run.found[pair_id], matches.plan_id != _RANDOM_PLAN)

@@ -12,38 +12,55 @@ from typing import Any
 
 from companion.cli.audit import (
     beam_tables,
+    digest,
     equations,
-    experiment_report,
     fig_4,
+    misprints,
+    own_experiments,
     random_drive,
     range_tables,
+    setups,
+    triggering,
+    untried,
     wing_shapes,
 )
-from companion.cli.audit.experiments import Outcome, Pace, run, trials
+from companion.cli.audit.experiments import Outcome, run
 from companion.cli.audit.findings import Section
 from companion.cli.audit.report_html import html
 from companion.cli.audit.report_markdown import markdown
+from companion.cli.audit.scores import Results
+from companion.cli.audit.trials import SEED, Pace, trials
 
 
-def make_sections(pace: Pace, jobs: int, told: Callable[[str], None]) -> list[Section]:
+def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seed: int = SEED) -> list[Section]:
     """Run the whole audit, the experiments in ``jobs`` processes meanwhile; ``told`` hears what is done."""
     # spawned, for a fork would copy the threads' locks of whatever was imported
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        running = [pool.submit(run, trial, pace) for trial in trials()]
+        running = [pool.submit(run, trial, pace, seed) for trial in trials()]
+        random = random_drive.section()
         closed = [
             beam_tables.section(),
             range_tables.section(),
             equations.section(),
             fig_4.section(),
             wing_shapes.section(),
-            random_drive.section(),
+            random,
         ]
         told("tables, equations and figures")
         outcomes: list[Outcome] = []
         for future in running:
             outcomes.append(future.result())
             told(f"experiment {len(outcomes)} of {len(running)}: {outcomes[-1].trial.title}")
-    return [*closed, *experiment_report.sections(outcomes)]
+    results = Results.of(outcomes, seed)
+    return [
+        digest.section(results, random.data),
+        misprints.section(),
+        *closed,
+        setups.section(results),
+        own_experiments.section(results),
+        triggering.section(results),
+        untried.section(results),
+    ]
 
 
 def plain(sections: Sequence[Section]) -> dict[str, Any]:

@@ -1,7 +1,9 @@
 """Calibration before the vibration, as in the paper: flat targets at known distances, the wing at rest.
 
 Fitted are the right camera's rotation and both focal lengths, with the airframe's sigmas as priors. A static bend of
-the hanging wing goes into the rotation, as it does in the paper's calibration.
+the hanging wing goes into the rotation, as it does in the paper's calibration; what the pictures leave open of all that
+stands in the calibrated airframe as the right camera's rotation sigma and the focal lengths' sigmas, and the static
+bend is known with it.
 """
 
 from __future__ import annotations
@@ -47,7 +49,7 @@ def calibrate(setup: Setup, settings: Settings, distances_m: Sequence[float]) ->
         weight = 1.0 / np.maximum(1.0, np.abs(residual) / 3.0)  # a wrong match counts little
         normal = (jacobian * weight[:, None]).T @ jacobian
         theta = theta - np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual)
-    return _changed(setup.airframe, theta)
+    return _known(_changed(setup.airframe, theta), np.sqrt(np.diag(np.linalg.inv(normal))))
 
 
 def settings_for(settings: Settings, distance_m: float) -> Settings:
@@ -92,6 +94,23 @@ def _changed(airframe: Airframe, theta: Floats) -> Airframe:
     x, y, z = (np.array(right.rotation_rad) + theta[:3]).tolist()
     turned = dataclasses.replace(_refocused(right, float(theta[4])), rotation_rad=(x, y, z))
     return dataclasses.replace(airframe, left_camera=_refocused(left, float(theta[3])), right_camera=turned)
+
+
+def _known(airframe: Airframe, sigma: Floats) -> Airframe:
+    """The calibrated airframe with the sigmas (5,) that the pictures leave; the relative rotation has one sigma."""
+    left, right = airframe.left_camera, airframe.right_camera
+    assert left is not None
+    assert right is not None
+    rotation, left_px, right_px = float(np.max(sigma[:3])), float(sigma[3]), float(sigma[4])
+    trim = Uncertain(airframe.wing.trim_bend_m.value)
+    return dataclasses.replace(
+        airframe,
+        wing=dataclasses.replace(airframe.wing, trim_bend_m=trim),
+        left_camera=dataclasses.replace(left, rotation_sigma_rad=0.0, focal_px=Uncertain(left.focal_px.value, left_px)),
+        right_camera=dataclasses.replace(
+            right, rotation_sigma_rad=rotation, focal_px=Uncertain(right.focal_px.value, right_px)
+        ),
+    )
 
 
 def _refocused(camera: Camera, by_px: float) -> Camera:
