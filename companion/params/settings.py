@@ -133,6 +133,15 @@ class Settings:
 
     # outputs
     publish_rate_hz: float = _tunable("OUT_RATE", "Hz", 2, 50, 10, "Rate of DISTANCE_SENSOR and OBSTACLE_DISTANCE")
+    obstacles: int = _tunable(
+        "OUT_OBSTACLES",
+        "",
+        0,
+        2,
+        1,
+        "How obstacles go out; an autopilot wants one form of them, not both",
+        choices=("not at all", "OBSTACLE_DISTANCE", "OBSTACLE_DISTANCE_3D"),
+    )
     debug_rate_hz: float = _tunable("OUT_DEBUG", "Hz", 0, 25, 4, "Rate of NAMED_VALUE_FLOAT for graphs; 0 is off")
 
     # rates asked of the autopilot

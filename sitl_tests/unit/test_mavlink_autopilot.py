@@ -179,7 +179,7 @@ def test_time_is_exchanged_with_the_autopilot_and_each_node() -> None:
     replies = kinds(records, TimesyncReply)
     for clock in (ClockName.BOOT, ClockName.NODE_LEFT):
         mine = [reply for reply in replies if reply.clock == clock]
-        assert 25 <= len(mine) <= 31
+        assert 50 <= len(mine) <= 62
         for reply in mine:
             assert reply.sent_host_ns <= reply.remote_ns - bench.vehicle.offset_ns <= reply.received_host_ns
 
@@ -295,7 +295,6 @@ def test_graphs_keep_their_rate() -> None:
     bench.vehicle.run()
     sigmas = [message for message in bench.vehicle.of("NAMED_VALUE_FLOAT") if message.name == "rng_sig_m"]
     assert len(sigmas) in (7, 8)
-    assert len(bench.vehicle.of("DISTANCE_SENSOR")) == 100
 
 
 @pytest.mark.parametrize(("health", "state"), [(Health.ACTIVE, 4), (Health.CRITICAL, 5), (Health.STANDBY, 3)])

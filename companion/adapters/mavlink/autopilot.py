@@ -14,6 +14,7 @@ from companion.adapters.mavlink.decode import OUTGOING, Decoded, Decoder
 from companion.adapters.mavlink.dialect import ID_OF, mavlink
 from companion.adapters.mavlink.link import Link
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
+from companion.adapters.mavlink.outputs import RangeOutputs
 from companion.adapters.mavlink.parameter_server import ParameterServer
 from companion.adapters.mavlink.questions import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.rates import RateKeeper
@@ -102,6 +103,7 @@ class MavlinkAutopilot:
         self._verified_host_ns = 0
         self._read_host_ns = 0
         self._boot_offset_ns = 0
+        self._ranges = RangeOutputs(settings, airframe.orientation)
         self._texts = 0
         self._held: deque[Notice] = deque(maxlen=_MOST_HELD)  # until somebody is there to read them
         self._graphed_host_ns: dict[type, int] = {}
@@ -240,16 +242,12 @@ class MavlinkAutopilot:
 
         A :class:`Shot` becomes the command that fires the autopilot's cameras: publish shots only where those are used.
         """
-        limits_m = (self._settings.min_range_m, self._settings.max_range_m)
-        if isinstance(record, CorrectedRange):
-            self._send(encode.distance_sensor(record, *limits_m, self._boot_ms(record.t_host_ns)))
-        elif isinstance(record, NoRange):
-            self._send(encode.no_range(record.orientation, *limits_m, self._boot_ms(record.at_host_ns)))
+        if isinstance(record, CorrectedRange | NoRange | ObstacleSectors):
+            for message in self._ranges.messages(record, self._boot_offset_ns, self._clock.now_ns()):
+                self._send(message)
         elif isinstance(record, Shot):
             request = capture_command(record)
             self.command(request.command, *request.parameters)
-        elif isinstance(record, ObstacleSectors):
-            self._send(encode.obstacle_distance(record, (record.t_host_ns + self._boot_offset_ns) // 1000))
         elif isinstance(record, Notice):
             if self.decoder.system_id is None:
                 self._held.append(record)
@@ -274,6 +272,7 @@ class MavlinkAutopilot:
     def adopt(self, settings: Settings) -> None:
         """Use changed live settings from now on."""
         self._settings = settings
+        self._ranges.adopt(settings)
 
     def _graph(self, record: ModeState | CorrectedRange) -> None:
         rate_hz, last = self._settings.debug_rate_hz, self._graphed_host_ns.get(type(record))

@@ -19,9 +19,10 @@ _SECTOR_DEG = 5
 _CM = 100.0
 _LARGEST_CM = 65_533
 _UNKNOWN_CM = 65_535
+_NO_OBSTACLE_ID = 65_535
 _UNKNOWN_COVARIANCE = 255
 _LARGEST_COVARIANCE = 254
-_NO_RANGE_QUALITY, _LEAST_QUALITY, _BEST_QUALITY = 1, 2, 100
+NO_RANGE_QUALITY, _LEAST_QUALITY, _BEST_QUALITY = 1, 2, 100
 _UINT32 = 0xFFFFFFFF
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 _NAME_CHARACTERS = 10
@@ -62,7 +63,7 @@ def distance_sensor(record: CorrectedRange, min_m: float, max_m: float, time_boo
 def no_range(orientation: int, min_m: float, max_m: float, time_boot_ms: int) -> Any:
     """DISTANCE_SENSOR that says "alive, no range": one centimetre beyond the largest distance, with quality 1."""
     least, most = _limits_cm(min_m, max_m)
-    return _distance(orientation, (least, most), most + 1, _UNKNOWN_COVARIANCE, _NO_RANGE_QUALITY, time_boot_ms)
+    return _distance(orientation, (least, most), most + 1, _UNKNOWN_COVARIANCE, NO_RANGE_QUALITY, time_boot_ms)
 
 
 def _distance(
@@ -107,6 +108,38 @@ def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
         0.0,
         mavlink.MAV_FRAME_BODY_FRD,
     )
+
+
+def obstacle_points(record: ObstacleSectors, time_boot_ms: int) -> list[Any]:
+    """OBSTACLE_DISTANCE_3D, one for each known sector, level with the body, all of one stamp.
+
+    ArduPilot takes points of one stamp for one look and uses it when the next stamp arrives. A look without a point
+    therefore still says one, beyond the largest distance, which it ignores; nothing can say that a direction is clear.
+    """
+    least_m, most_m = (limit / _CM for limit in _limits_cm(record.min_m, record.max_m))
+    sectors = np.flatnonzero(record.known[:SECTORS] & np.isfinite(record.distance_m[:SECTORS]))
+    points = [(math.radians(_SECTOR_DEG * index), float(record.distance_m[index])) for index in sectors.tolist()]
+    points = [(bearing, distance) for bearing, distance in points if least_m <= distance <= most_m]
+    return [
+        mavlink.MAVLink_obstacle_distance_3d_message(
+            time_boot_ms & _UINT32,
+            mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
+            mavlink.MAV_FRAME_BODY_FRD,
+            _NO_OBSTACLE_ID,
+            distance * math.cos(bearing),
+            distance * math.sin(bearing),
+            0.0,
+            least_m,
+            most_m,
+        )
+        for bearing, distance in points or [(0.0, most_m + 1.0)]
+    ]
+
+
+def unknown_sectors(at_host_ns: int, min_m: float, max_m: float) -> ObstacleSectors:
+    """Nothing is known in any direction: what stands for "alive, no range" among obstacles."""
+    none = np.zeros(SECTORS, dtype=np.bool_)
+    return ObstacleSectors(at_host_ns, np.zeros(SECTORS), np.zeros(SECTORS), none, none, min_m, max_m)
 
 
 def named_value(name: str, value: float, time_boot_ms: int) -> Any | None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from companion.records import ClockName
 
 _MS_NS = 1_000_000
-_HURRY_PERIOD_NS = 100 * _MS_NS
-_PERIOD_NS = 200 * _MS_NS
+_HURRY_PERIOD_NS = 50 * _MS_NS
+_PERIOD_NS = 100 * _MS_NS
 _DITHER = 0.4
 _GOLDEN = 0.6180339887498949
 _HURRY_NS = 5_000 * _MS_NS
@@ -32,7 +32,7 @@ NEEDED_PARAMETERS = (
 
 
 class TimesyncTimer:
-    """About every 100 ms in the first 5 s and after a restart, then about every 200 ms.
+    """About every 50 ms in the first 5 s and after a restart, then about every 100 ms.
 
     An autopilot answers from its loop. A question that always came at the same phase of that loop, as one does that
     waits for its messages, would always wait as long for its answer, and that wait would look like the way there. So
