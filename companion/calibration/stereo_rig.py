@@ -7,19 +7,20 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from companion.calibration.boards import LEAST_CORNERS, Board, Corners, common, find_corners
+from companion.calibration.bundle import LENS, Bundle, adjust
 from companion.core.stereo.geometry import axes_from_body
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
-from companion.records import Bytes, Floats, Side
+from companion.records import Bytes, Floats, Ints, Side
 
 LEAST_VIEWS = 6
 _OUTLIER = 3.0  # times the median reprojection error of the views
 _HARMLESS_PX = 0.15
-_CELLS = 4
-_GROUPS = 6
+CELLS = 4
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 
@@ -34,11 +35,10 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """One lens: ``values`` and ``sigmas`` (9,) of fx, fy, cx, cy, k1, k2, p1, p2, k3; errors of each view, px."""
+    """One lens: ``values`` and ``sigmas`` (9,) of fx, fy, cx, cy, k1, k2, p1, p2, k3."""
 
     values: Floats
     sigmas: Floats
-    view_errors_px: Floats
 
     @property
     def matrix(self) -> Floats:
@@ -58,8 +58,14 @@ class RigFit:
         Rotation vector that takes left camera coordinates to right ones.
     translation_m, translation_sigma_m : (3,) float64
         ``X_right = R X_left + translation``.
+    error_px : float
+        Rms distance between seen and projected corners, both cameras.
     views : list of str
         What was used.
+    bundle : Bundle
+        The fit itself: joint covariance, board poses, residuals of each view in the order of ``views``.
+    size_px : (int, int)
+        Width and height of the images.
     rejected : dict of str to str
         What was not, and why.
     unseen : dict of str to list of str
@@ -75,6 +81,8 @@ class RigFit:
     views: list[str]
     rejected: dict[str, str]
     unseen: dict[str, list[str]]
+    bundle: Bundle
+    size_px: tuple[int, int]
 
 
 def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[list[View], dict[str, str]]:
@@ -117,17 +125,29 @@ def calibrate_rig(
     while True:
         if len(views) < LEAST_VIEWS:
             raise ConfigError(f"{len(views)} usable views are too few, {LEAST_VIEWS} are needed; refused: {refused}")
-        lenses = (_lens(views, Side.LEFT, board, size_px), _lens(views, Side.RIGHT, board, size_px))
-        bad = _worst(lenses)
-        if bad is None:
-            break
-        refused[views[bad[0]].name] = bad[1]
-        views = [view for index, view in enumerate(views) if index != bad[0]]
-    pose, error = _relative(views, board, lenses, size_px)
-    sigma = _jackknife([_whole(some, board, size_px) for some in _without_a_group(views)])
-    unseen = {side.name.lower(): _uncovered(views, side, size_px) for side in Side}
+        alone = [_lens(views, side, board, size_px) for side in Side]
+        bad = _worst([lens.errors_px for lens in alone], "reprojection error {:.2f} px in the {} image, usual {:.2f}")
+        bundle = None if bad else _bundle(views, board, alone, size_px)
+        if bundle is not None:
+            bad = _worst(
+                list(bundle.view_errors_px().T),
+                "the cameras disagree, {:.2f} px in the {} image, usual {:.2f}: "
+                "board or camera moved between the exposures",
+            )
+            if bad is None:
+                break
+        if bad is not None:
+            refused[views[bad[0]].name] = bad[1]
+            views = [view for index, view in enumerate(views) if index != bad[0]]
+    sigma = np.sqrt(np.diag(bundle.covariance))
+    first, second, pose = (slice(0, LENS), slice(LENS, 2 * LENS), slice(2 * LENS, None))
+    lenses = (LensFit(bundle.shared[first], sigma[first]), LensFit(bundle.shared[second], sigma[second]))
+    vector, sigmas = bundle.shared[pose], sigma[pose]
+    unseen = {side.name.lower(): uncovered(views, side, size_px) for side in Side}
     names = [view.name for view in views]
-    return RigFit(lenses, pose[:3], sigma[:3], pose[3:], sigma[3:], error, names, refused, unseen)
+    return RigFit(
+        lenses, vector[:3], sigmas[:3], vector[3:], sigmas[3:], bundle.error_px, names, refused, unseen, bundle, size_px
+    )
 
 
 def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
@@ -140,8 +160,8 @@ def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
     """
     if base.left_camera is None or base.right_camera is None:
         raise ConfigError(f"airframe '{base.name}' has no cameras to calibrate")
-    left = _with_lens(base.left_camera, fit.lenses[0])
-    right = _with_lens(base.right_camera, fit.lenses[1])
+    left = _with_lens(base.left_camera, fit.lenses[0], fit.size_px)
+    right = _with_lens(base.right_camera, fit.lenses[1], fit.size_px)
     left_from_body = exp_rotation(-np.array(left.rotation_rad)) @ axes_from_body(left.axes, "left_camera.axes")
     right_from_left = exp_rotation(fit.rotation_rad)
     turned = right_from_left @ left_from_body @ axes_from_body(right.axes, "right_camera.axes").T
@@ -155,10 +175,12 @@ def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
     )
 
 
-def _with_lens(camera: Camera, fit: LensFit) -> Camera:
+def _with_lens(camera: Camera, fit: LensFit, size_px: tuple[int, int]) -> Camera:
     fx, fy, cx, cy, *bent = (float(value) for value in fit.values)
     return dataclasses.replace(
         camera,
+        width_px=size_px[0],
+        height_px=size_px[1],
         focal_px=Uncertain(fx, float(fit.sigmas[0])),
         focal_ratio=fy / fx,
         principal_px=(cx, cy),
@@ -166,77 +188,81 @@ def _with_lens(camera: Camera, fit: LensFit) -> Camera:
     )
 
 
-def _lens(views: list[View], side: Side, board: Board, size_px: tuple[int, int]) -> LensFit:
+@dataclass(frozen=True, slots=True)
+class _Alone:
+    """A lens calibrated without the other one: where the bundle starts."""
+
+    matrix: Floats
+    bent: Floats
+    boards: Floats
+    errors_px: Floats
+
+
+def _lens(views: list[View], side: Side, board: Board, size_px: tuple[int, int]) -> _Alone:
     corners = [view.left if side is Side.LEFT else view.right for view in views]
     grid = board.points_m().astype(np.float32)
     points = [grid[each.ids] for each in corners]
     pixels = [each.pixels.astype(np.float32).reshape(-1, 1, 2) for each in corners]
-    _, matrix, bent, _, _, sigmas, _, errors = cv2.calibrateCameraExtended(
+    _, matrix, bent, turns, places, _, _, errors = cv2.calibrateCameraExtended(
         points, pixels, size_px, np.eye(3), np.zeros(5), criteria=_STOP
     )
-    values = np.concatenate([[matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]], np.ravel(bent)[:5]])
-    return LensFit(
-        values.astype(np.float64),
-        np.asarray(np.ravel(sigmas)[:9], dtype=np.float64),
-        np.asarray(np.ravel(errors), dtype=np.float64),
+    poses = np.array([np.concatenate([t.ravel(), p.ravel()]) for t, p in zip(turns, places, strict=True)])
+    return _Alone(
+        np.asarray(matrix, dtype=np.float64),
+        np.asarray(bent, dtype=np.float64).ravel()[:5],
+        poses,
+        np.asarray(errors, dtype=np.float64).ravel(),
     )
 
 
-def _worst(lenses: tuple[LensFit, LensFit]) -> tuple[int, str] | None:
-    """The view that fits worst, if it does not belong to the others."""
+def _worst(errors_px: list[Floats], text: str) -> tuple[int, str] | None:
+    """The view that fits worst, if it does not belong to the others, and why in words."""
     found: list[tuple[float, int, str]] = []
-    for side, lens in zip(Side, lenses, strict=True):
-        errors = lens.view_errors_px
-        limit = max(_OUTLIER * float(np.median(errors)), _HARMLESS_PX)
-        worst = int(np.argmax(errors))
-        if errors[worst] > limit:
-            usual = float(np.median(errors))
-            text = f"reprojection error {errors[worst]:.2f} px in the {side.name.lower()} image, usual {usual:.2f}"
-            found.append((float(errors[worst]), worst, text))
+    for side, errors in zip(Side, errors_px, strict=True):
+        usual, worst = float(np.median(errors)), int(np.argmax(errors))
+        if errors[worst] > max(_OUTLIER * usual, _HARMLESS_PX):
+            found.append((float(errors[worst]), worst, text.format(errors[worst], side.name.lower(), usual)))
     return max(found)[1:] if found else None
 
 
-def _relative(
-    views: list[View], board: Board, lenses: tuple[LensFit, LensFit], size_px: tuple[int, int]
-) -> tuple[Floats, float]:
-    """Rotation vector and translation (6,) from left to right, and the reprojection error, px."""
+def _bundle(views: list[View], board: Board, alone: list[_Alone], size_px: tuple[int, int]) -> Bundle:
+    start = [np.concatenate([each.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], each.bent]) for each in alone]
+    seen = [(view.left, view.right) for view in views]
+    return adjust(
+        seen, board.points_m(), np.concatenate([*start, _relative(views, board, alone, size_px)]), alone[0].boards
+    )
+
+
+def _relative(views: list[View], board: Board, alone: list[_Alone], size_px: tuple[int, int]) -> Floats:
+    """Rotation vector and translation (6,) from left to right, lenses held."""
     grid = board.points_m().astype(np.float32)
-    points, pixels = [], ([], [])  # type: ignore[var-annotated]
-    for view in views:
-        shared = common(view.left, view.right)
-        points.append(grid[shared])
-        for store, seen in zip(pixels, (view.left, view.right), strict=True):
-            place = {int(number): index for index, number in enumerate(seen.ids)}
-            rows = seen.pixels[[place[int(number)] for number in shared]]
-            store.append(rows.astype(np.float32).reshape(-1, 1, 2))
-    error, _, _, _, _, rotation, translation, _, _ = cv2.stereoCalibrate(
-        points, pixels[0], pixels[1], lenses[0].matrix, lenses[0].values[4:], lenses[1].matrix, lenses[1].values[4:],
-        size_px, flags=cv2.CALIB_FIX_INTRINSIC, criteria=_STOP,
+    shared = [common(view.left, view.right) for view in views]
+    pixels = [
+        [_of(seen, ids) for seen, ids in zip([getattr(view, side) for view in views], shared, strict=True)]
+        for side in ("left", "right")
+    ]
+    _, _, _, _, _, rotation, translation, _, _ = cv2.stereoCalibrate(
+        [grid[ids] for ids in shared], pixels[0], pixels[1], alone[0].matrix, alone[0].bent, alone[1].matrix,
+        alone[1].bent, size_px, flags=cv2.CALIB_FIX_INTRINSIC, criteria=_STOP,
     )  # fmt: skip
     vector = log_rotation(np.asarray(rotation, dtype=np.float64))
-    return np.concatenate([vector, np.asarray(translation, dtype=np.float64).ravel()]), float(error)
+    return np.concatenate([vector, np.asarray(translation, dtype=np.float64).ravel()])
 
 
-def _whole(views: list[View], board: Board, size_px: tuple[int, int]) -> Floats:
-    """Relative pose (6,) from scratch: lenses and all, so that its scatter holds the lenses' uncertainty too."""
-    lenses = (_lens(views, Side.LEFT, board, size_px), _lens(views, Side.RIGHT, board, size_px))
-    return _relative(views, board, lenses, size_px)[0]
+def _of(seen: Corners, ids: Ints) -> npt.NDArray[np.float32]:
+    """Pixels of some corners, as OpenCV wants them."""
+    place = {int(number): index for index, number in enumerate(seen.ids)}
+    return seen.pixels[[place[int(number)] for number in ids]].astype(np.float32).reshape(-1, 1, 2)
 
 
-def _without_a_group(views: list[View]) -> list[list[View]]:
-    return [[view for k, view in enumerate(views) if k % _GROUPS != group] for group in range(_GROUPS)]
+def uncovered(views: list[View], side: Side, size_px: tuple[int, int]) -> list[str]:
+    """Cells of the image, 4 by 4, in which no corner of any view lies."""
+    seen = {cell for view in views for cell in cells(view.left if side is Side.LEFT else view.right, size_px)}
+    everything = [(column, row) for row in range(CELLS) for column in range(CELLS)]
+    return [f"column {c + 1}, row {r + 1} of {CELLS}" for c, r in everything if (c, r) not in seen]
 
 
-def _jackknife(answers: list[Floats]) -> Floats:
-    """Standard deviation of the whole from the estimates that leave out one group of views each."""
-    each, n = np.array(answers), len(answers)
-    sigma: Floats = np.sqrt((n - 1) * np.mean((each - each.mean(axis=0)) ** 2, axis=0))
-    return sigma
-
-
-def _uncovered(views: list[View], side: Side, size_px: tuple[int, int]) -> list[str]:
-    pixels = np.concatenate([(view.left if side is Side.LEFT else view.right).pixels for view in views])
-    cell = np.clip((pixels / np.array(size_px) * _CELLS).astype(int), 0, _CELLS - 1)
-    seen = {(int(column), int(row)) for column, row in cell}
-    everything = [(column, row) for row in range(_CELLS) for column in range(_CELLS)]
-    return [f"column {c + 1}, row {r + 1} of {_CELLS}" for c, r in everything if (c, r) not in seen]
+def cells(corners: Corners, size_px: tuple[int, int]) -> set[tuple[int, int]]:
+    """(column, row) of the cells that hold corners."""
+    each = np.clip((corners.pixels / np.array(size_px) * CELLS).astype(int), 0, CELLS - 1)
+    return {(int(column), int(row)) for column, row in each}

@@ -3,34 +3,34 @@
 from __future__ import annotations
 
 import argparse
-import base64
 import dataclasses
-import html
 from pathlib import Path
 
-import cv2
-import numpy as np
-
+from companion.adapters.cameras import opening as cameras
 from companion.adapters.cameras.folder import list_images, read_grey
 from companion.adapters.recordings.opening import open_recording
-from companion.calibration.boards import Board, find_corners
+from companion.calibration.boards import Board
+from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
-from companion.calibration.stereo_rig import RigFit, airframe_with_rig, calibrate_rig, find_views
+from companion.calibration.stereo_rig import airframe_with_rig, calibrate_rig, find_views
+from companion.cli.calibrate_live import take_views
+from companion.cli.calibrate_report import Pairs, report, rows
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import dump_airframe, load_airframe
-from companion.records import Bytes, Side
-
-_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-_SHOWN = 6
-_Pairs = list[tuple[str, Bytes, Bytes]]
+from companion.records import Side
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="stereo|latency")
     stereo = kinds.add_parser("stereo", help="lenses and relative pose from images of a board")
-    stereo.add_argument("folder", type=Path, help="cam0 (left) and cam1 (right), images of equal stamp are a pair")
+    stereo.add_argument(
+        "folder", type=Path, nargs="?", help="cam0 (left) and cam1 (right), images of equal stamp are a pair"
+    )
+    stereo.add_argument("--cameras", metavar="PAIR", help="take the views now: " + "; ".join(cameras.SPELLINGS))
+    stereo.add_argument("--views", type=int, default=20, metavar="N", help="with --cameras: how many views to take")
+    stereo.add_argument("--for", type=float, default=600.0, dest="seconds", metavar="SECONDS", help="and how long")
     stereo.add_argument(
         "--board", choices=("chessboard", "charuco"), default="charuco", help="charuco: 4x4_250 markers"
     )
@@ -56,59 +56,38 @@ def execute(options: argparse.Namespace) -> int:
 
 def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     board = Board(options.board, tuple(options.squares), options.square_m)
-    pairs, lonely = _read_pairs(options.folder)
+    if (options.folder is None) == (options.cameras is None):
+        raise ConfigError("give a folder of images, or --cameras to take them now")
+    folder = options.folder
+    if folder is None:
+        pair = cameras.camera_factory(options.cameras, base, triggered=False)()
+        folder = take_views(pair, board, options.views, options.out, options.seconds)
+    pairs, lonely = _read_pairs(folder)
     views, rejected = find_views(pairs, board)
-    rows, columns = pairs[0][1].shape
-    fit = calibrate_rig(views, board, (columns, rows), lonely | rejected)
-    for line in _lines(fit):
-        print(line)
-    report = options.out / "report.html"
-    report.write_text(_report(fit, pairs, board), encoding="utf-8")
-    print(f"wrote {report}")
+    size_px = (pairs[0][1].shape[1], pairs[0][1].shape[0])
+    fit = calibrate_rig(views, board, size_px, lonely | rejected)
+    print(f"{len(fit.views)} views used, reprojection error {fit.error_px:.3f} px")
+    for name, value, sigma, where in rows(fit):
+        print(f"{where:14s} {name:18s} {value:>12s} +- {sigma}")
+    for name, why in fit.rejected.items():
+        print(f"refused {name}: {why}")
+    missing = advice([view for view in views if view.name in fit.views], board, size_px)
+    for text in missing:
+        print(f"for a better result: {text}")
+    page, picture = report(fit, views, pairs, board, missing)
+    (options.out / "report.html").write_text(page, encoding="utf-8")
+    (options.out / "report.png").write_bytes(picture)
+    print(f"wrote {options.out / 'report.html'} and report.png")
     return airframe_with_rig(base, fit)
 
 
-def _read_pairs(folder: Path) -> tuple[_Pairs, dict[str, str]]:
+def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
     left, right = ({e.t_ns: e.path for e in list_images(folder / f"cam{int(side)}", side)} for side in Side)
     both = sorted(left.keys() & right.keys())
     lonely = {str(t): "only one camera has this image" for t in left.keys() ^ right.keys()}
     if not both:
         raise ConfigError(f"{folder}: no stamp has an image of both cameras")
     return [(left[t].name, read_grey(left[t]), read_grey(right[t])) for t in both], lonely
-
-
-def _lines(fit: RigFit) -> list[str]:
-    lines = [f"{len(fit.views)} views used, reprojection error {fit.error_px:.3f} px"]
-    for side, lens in zip(Side, fit.lenses, strict=True):
-        values = zip(_NAMES, lens.values, lens.sigmas, strict=True)
-        lines.append(f"{side.name.lower()}: " + ", ".join(f"{name} {v:.6g} +- {s:.2g}" for name, v, s in values))
-    turned = zip(1e3 * fit.rotation_rad, 1e3 * fit.rotation_sigma_rad, strict=True)
-    moved = zip(1e3 * fit.translation_m, 1e3 * fit.translation_sigma_m, strict=True)
-    lines.append("rotation, mrad: " + ", ".join(f"{v:.3f} +- {s:.3f}" for v, s in turned))
-    lines.append("translation, mm: " + ", ".join(f"{v:.2f} +- {s:.2f}" for v, s in moved))
-    lines += [f"refused {name}: {why}" for name, why in fit.rejected.items()]
-    lines += [
-        f"no corners yet in the {side} image at {', '.join(cells)}" for side, cells in fit.unseen.items() if cells
-    ]
-    return lines
-
-
-def _report(fit: RigFit, pairs: _Pairs, board: Board) -> str:
-    """A page with numbers and some of the views, nothing external in it."""
-    pictures = []
-    for name, *images in pairs[:_SHOWN]:
-        drawn = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in images]
-        for picture, image in zip(drawn, images, strict=True):
-            seen = find_corners(image, board)
-            for x, y in np.empty((0, 2)) if seen is None else seen.pixels:
-                cv2.circle(picture, (round(x), round(y)), 4, (0, 0, 255), 1)
-        data = cv2.imencode(".jpg", cv2.hconcat(drawn))[1].tobytes()
-        source = base64.b64encode(data).decode("ascii")
-        why = html.escape(fit.rejected.get(name, "used"))
-        pictures.append(f"<h3>{html.escape(name)}: {why}</h3><img width=900 src='data:image/jpeg;base64,{source}'>")
-    text = html.escape("\n".join(_lines(fit)))
-    body = f"<h1>Stereo calibration</h1><pre>{text}</pre>{''.join(pictures)}"
-    return f"<!doctype html><meta charset=utf-8><title>Stereo calibration</title>{body}"
 
 
 def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:

@@ -1,0 +1,140 @@
+"""Bundle adjustment of a stereo rig: both lenses, their relative pose and every board pose at once, with covariance.
+
+Gauss-Newton on all corners of both cameras. The board poses are eliminated (Schur complement), which leaves normal
+equations of the 24 shared parameters; their inverse, times the variance of the residuals, is the covariance of lenses
+and pose together, so that what trades against what (focal length against distance, principal point against rotation)
+is in every sigma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from companion.calibration.boards import Corners
+from companion.records import Floats
+
+LENS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
+SHARED = 2 * LENS + 6
+_ROUNDS = 12
+_SETTLED = 1e-9
+_PARTS = np.r_[6:10, 10:15]  # of projectPoints' derivatives: rotation, translation, focal, principal, distortion
+
+
+@dataclass(frozen=True, slots=True)
+class Bundle:
+    """A rig fitted to views.
+
+    Attributes
+    ----------
+    shared : (24,) float64
+        Left lens (9), right lens (9), rotation vector (3, rad) and translation (3, m) from left to right coordinates.
+    covariance : (24, 24) float64
+    boards : (views, 6) float64
+        Rotation vector and translation from the board to the left camera.
+    residuals_px : list of (Floats, Floats)
+        Seen minus projected, (n, 2) each, of left and right in every view.
+    """
+
+    shared: Floats
+    covariance: Floats
+    boards: Floats
+    residuals_px: list[tuple[Floats, Floats]]
+
+    def view_errors_px(self) -> Floats:
+        """(views, 2) rms distance of the corners in the left and right image of each view."""
+        return np.array([[np.sqrt(np.mean(np.sum(r**2, axis=1))) for r in pair] for pair in self.residuals_px])
+
+    @property
+    def error_px(self) -> float:
+        """Rms distance of all corners."""
+        everything = np.concatenate([part for pair in self.residuals_px for part in pair])
+        return float(np.sqrt(np.mean(np.sum(everything**2, axis=1))))
+
+
+def adjust(seen: list[tuple[Corners, Corners]], points_m: Floats, shared: Floats, boards: Floats) -> Bundle:
+    """Fit from a start.
+
+    Parameters
+    ----------
+    seen : list of (Corners, Corners)
+        Left and right corners of each view; they need not be the same ones.
+    points_m : (corners, 3) float64
+        On the board, by corner id.
+    shared, boards : float64
+        Start, as in :class:`Bundle`.
+    """
+    for _ in range(_ROUNDS):
+        normal, gradient, back = _normal_equations(seen, points_m, shared, boards)
+        step = _scaled_solve(normal, gradient)
+        moves = np.array([one @ (g - cross.T @ step) for one, g, cross in back])
+        shared, boards = shared + step, boards + moves
+        if float(np.max(np.abs(step / (np.abs(shared) + 1e-3)))) < _SETTLED:
+            break
+    normal, _, _ = _normal_equations(seen, points_m, shared, boards)
+    residuals = [tuple(_view(pair, points_m, shared, board)[0]) for pair, board in zip(seen, boards, strict=True)]
+    total = float(sum(np.sum(part**2) for pair in residuals for part in pair))
+    count = sum(part.size for pair in residuals for part in pair)
+    variance = total / max(count - SHARED - boards.size, 1)
+    covariance = variance * _scaled_solve(normal, np.eye(SHARED))
+    return Bundle(shared, covariance, boards, [(left, right) for left, right in residuals])
+
+
+def _normal_equations(
+    seen: list[tuple[Corners, Corners]], points_m: Floats, shared: Floats, boards: Floats
+) -> tuple[Floats, Floats, list[tuple[Floats, Floats, Floats]]]:
+    """Reduced normal matrix and gradient of the shared parameters, and per view what gives its board's step back."""
+    normal: Floats = np.zeros((SHARED, SHARED))
+    gradient: Floats = np.zeros(SHARED)
+    back: list[tuple[Floats, Floats, Floats]] = []
+    for pair, board in zip(seen, boards, strict=True):
+        errors, slopes = _view(pair, points_m, shared, board)
+        error = np.concatenate([each.ravel() for each in errors])
+        slope: Floats = np.concatenate(slopes)
+        of_shared, of_board = slope[:, :SHARED], slope[:, SHARED:]
+        inverse: Floats = np.asarray(np.linalg.inv(of_board.T @ of_board), dtype=np.float64)
+        cross, own = of_shared.T @ of_board, of_board.T @ error
+        normal += of_shared.T @ of_shared - cross @ inverse @ cross.T
+        gradient += of_shared.T @ error - cross @ inverse @ own
+        back.append((inverse, own, cross))
+    return normal, gradient, back
+
+
+def _view(
+    pair: tuple[Corners, Corners], points_m: Floats, shared: Floats, board: Floats
+) -> tuple[list[Floats], list[Floats]]:
+    """Residuals (n, 2) of left and right, and derivatives (2 n, 24 + 6) of the projections."""
+    turned = cv2.composeRT(board[:3], board[3:], shared[2 * LENS : 2 * LENS + 3], shared[2 * LENS + 3 :])
+    poses = (board, np.concatenate([turned[0].ravel(), turned[1].ravel()]))
+    errors, slopes = [], []
+    for side, (corners, pose) in enumerate(zip(pair, poses, strict=True)):
+        lens = shared[side * LENS : (side + 1) * LENS]
+        matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+        pixels, slope = cv2.projectPoints(points_m[corners.ids], pose[:3], pose[3:], matrix, lens[4:])
+        errors.append(corners.pixels - np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
+        whole = np.zeros((len(slope), SHARED + 6))
+        whole[:, side * LENS : (side + 1) * LENS] = slope[:, _PARTS]
+        of_pose = slope[:, :6]
+        if side:
+            by_board, by_rig = _chain(turned)
+            whole[:, 2 * LENS : SHARED] = of_pose @ by_rig
+            of_pose = of_pose @ by_board
+        whole[:, SHARED:] = of_pose
+        slopes.append(whole)
+    return errors, slopes
+
+
+def _chain(turned: tuple[Floats, ...]) -> tuple[Floats, Floats]:
+    """Derivatives (6, 6) of the board's pose in the right camera by its pose in the left one, and by the rig's."""
+    r_r1, r_t1, r_r2, r_t2, t_r1, t_t1, t_r2, t_t2 = turned[2:]
+    return np.block([[r_r1, r_t1], [t_r1, t_t1]]), np.block([[r_r2, r_t2], [t_r2, t_t2]])
+
+
+def _scaled_solve(normal: Floats, wanted: Floats) -> Floats:
+    """Solve with rows and columns scaled to a unit diagonal: pixels, radians and metres differ by orders."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    solved = np.linalg.solve(normal * np.outer(scale, scale), (wanted.T * scale).T)
+    answer: Floats = (solved.T * scale).T
+    return answer
