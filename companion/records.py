@@ -81,6 +81,7 @@ class Reject(enum.StrEnum):
     SIGMA_TOO_LARGE = "sigma too large"
     OUT_OF_RANGE = "range outside its limits"
     INCONSISTENT = "inconsistent with the last ranges"
+    CONTRADICTED = "the sensors contradict the wing's model"
     PEAK_UNCERTAIN = "peak time too uncertain"
     BLUR_TOO_LARGE = "predicted blur too large"
     PLAN_EXPIRED = "plan expired before it could be fired"
@@ -98,6 +99,7 @@ class Validity(enum.StrEnum):
     CALM = "calm"
     SETTLING = "settling"
     AMBIGUOUS = "ambiguous"
+    INCONSISTENT = "inconsistent"
     STALE = "stale"
     SATURATED = "saturated"
 
@@ -371,6 +373,24 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True)
+class TriggerLatency:
+    """What was learned of the time from the command to the start of the exposure, left and right camera.
+
+    Attributes
+    ----------
+    latency_s, sigma_s : (2,) float64
+        Bias, and how far the next shot may be from it: its sigma and the spread from shot to shot together.
+    shots : int
+        Exposures that it rests on, of the camera with fewer.
+    """
+
+    at_host_ns: int
+    latency_s: Floats
+    sigma_s: Floats
+    shots: int
+
+
+@dataclass(frozen=True, slots=True)
 class CorrectedRange:
     """A range at mid-exposure, corrected for the bend, with everything that tells how far to trust it.
 
@@ -492,6 +512,7 @@ OutputRecord = (
     | ModeState
     | Deflection
     | TriggerPlan
+    | TriggerLatency
     | CorrectedRange
     | RelativeRotation
     | NoRange

@@ -15,8 +15,13 @@ from companion.cli.flying import fly
 from companion.cli.options import add_settings, read_settings, state_file
 from companion.cli.view import View
 from companion.errors import ConfigError
+from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
+from companion.params.learned import keep_latency, load_latency, with_latency
+from companion.records import Record, TriggerLatency
 from companion.service.config import ServiceConfig
+
+_KEEP_NS = 30_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -58,7 +63,8 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         options.parameters = state_file(f"{Path(options.airframe).stem}.parameters")
     if options.record_images and (options.record is None or options.cameras is None):
         raise ConfigError("--record-images needs --record and --cameras")
-    airframe, trigger = load_airframe(options.airframe), triggers.trigger_factory(options.trigger)
+    trigger = triggers.trigger_factory(options.trigger)
+    airframe = _with_kept_latency(load_airframe(options.airframe), options)
     eyes = None
     if options.cameras is not None:
         eyes = cameras.camera_factory(options.cameras, airframe, triggered=trigger is not None)
@@ -73,6 +79,46 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         parameters=options.parameters,
         signing_key=options.sign_key,
     )
+
+
+def _with_kept_latency(airframe: Airframe, options: argparse.Namespace) -> Airframe:
+    kept = load_latency(_latency_file(options))
+    known = with_latency(airframe, kept, _path(options))
+    if kept is not None and known is not airframe:
+        told = " and ".join(f"{1e3 * one.value:.2f} +- {1e3 * one.sigma:.2f} ms" for one in kept.latency_s)
+        print(f"trigger latency of the last flight: {told} ({kept.shots} shots)", file=sys.stderr)
+    return known
+
+
+def _latency_file(options: argparse.Namespace) -> Path:
+    file: Path = options.parameters.with_suffix(".latency")
+    return file
+
+
+def _path(options: argparse.Namespace) -> str:
+    """What the latency belongs to."""
+    return f"{options.trigger} {options.cameras or ''}".strip()
+
+
+class LatencyKeeper:
+    """Keeps what is learned of the trigger for the next flight; never in the process that flies."""
+
+    def __init__(self, file: Path, path: str) -> None:
+        self._file, self._path = file, path
+        self._newest: TriggerLatency | None = None
+        self._kept_ns = 0
+
+    def take(self, record: Record) -> None:
+        """Look at a record; write at most every half minute."""
+        if isinstance(record, TriggerLatency):
+            self._newest = record
+            if record.at_host_ns - self._kept_ns >= _KEEP_NS:
+                self.keep()
+
+    def keep(self) -> None:
+        """Write the newest, if there is one."""
+        if self._newest is not None and keep_latency(self._file, self._path, self._newest):
+            self._kept_ns = self._newest.at_host_ns
 
 
 def try_devices(config: ServiceConfig) -> None:
@@ -97,5 +143,9 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> None:
     view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}")
     live = sys.stdout.isatty() and not options.plain
     began = time.monotonic()
-    fly(config, view, lambda: bool(stopped) or time.monotonic() >= ends, live=live)
+    keeper = LatencyKeeper(_latency_file(options), _path(options))
+    try:
+        fly(config, view, lambda: bool(stopped) or time.monotonic() >= ends, live=live, each=keeper.take)
+    finally:
+        keeper.keep()
     print(view.line(time.monotonic() - began).strip())

@@ -265,7 +265,12 @@ def _motion(state: PipelineState) -> Motion:
 def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     health, reason = _health(state)
     clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
-    return [*clocks, ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items())))]
+    latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
+    return [
+        *clocks,
+        *([] if latency is None else [latency]),
+        ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items()))),
+    ]
 
 
 def _clocks_in_use(airframe: Airframe) -> list[ClockName]:

@@ -68,8 +68,8 @@ def store(path: Path, values: Mapping[str, float]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if _is_good(path):
-            _write(last_good(path), path.read_text(encoding="utf-8"))
-        _write(path, text)
+            write_whole(last_good(path), path.read_text(encoding="utf-8"))
+        write_whole(path, text)
     except OSError as error:
         raise ConfigError(f"cannot keep parameters in {path}: {error.strerror}") from error
 
@@ -79,7 +79,8 @@ def last_good(path: Path) -> Path:
     return path.with_name(path.name + ".last")
 
 
-def _write(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str) -> None:
+    """Write a file in one step: after a power cut there is the old one or the new one; OSError where it cannot be."""
     fresh = path.with_name(path.name + ".new")
     with fresh.open("w", encoding="utf-8") as file:
         file.write(text)

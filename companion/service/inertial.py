@@ -23,6 +23,7 @@ from companion.records import (
     ServiceStatus,
     Shot,
     Tick,
+    TriggerLatency,
     TriggerPlan,
 )
 
@@ -30,7 +31,7 @@ TICK_NS = 10_000_000
 _POLL_S = 0.002
 _WARNING = 4
 _PUBLISHED = (ClockState, CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
-_SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange)
+_SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange, TriggerLatency)
 
 
 class Shots(Protocol):

@@ -30,6 +30,7 @@ from companion.records import (
     Shot,
     Tick,
     TimesyncReply,
+    TriggerLatency,
     TriggerPlan,
     VehicleState,
 )
@@ -90,6 +91,7 @@ _LISTED: dict[type, tuple[str, str]] = {
     MatchSet: ("/vision/matches", "matched_host_ns"),
     Shot: ("/trigger/shot", "fired_host_ns"),
     TriggerPlan: ("/trigger/plan", "planned_host_ns"),
+    TriggerLatency: ("/trigger/latency", "at_host_ns"),
     ModeState: ("/wing/mode", "t_host_ns"),
     Deflection: ("/wing/deflection", "t_host_ns"),
     CorrectedRange: ("/range/corrected", "t_host_ns"),

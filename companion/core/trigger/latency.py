@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.params.airframe import Airframe, Camera
-from companion.records import Reject, Shot, Side
+from companion.records import Reject, Shot, Side, TriggerLatency
 
 MOST_LATENCY_NS = 500_000_000
 """A frame that is further from a shot than this was not caused by it."""
@@ -41,6 +41,7 @@ class _Path:
     odd: list[float] = field(default_factory=list)
     count: int = 0
     outliers: int = 0
+    to_middle_ns: float = 0.0
     belief: Latency = field(init=False)
 
     def __post_init__(self) -> None:
@@ -136,6 +137,16 @@ class LatencyModel:
         left, right = (math.hypot(path.belief.bias_sigma_ns, path.belief.spread_ns) for path in self._paths)
         return left, right
 
+    def learned(self, now_host_ns: int) -> TriggerLatency | None:
+        """Tell what to keep for the next flight; None before there is anything."""
+        beliefs = [path.belief for path in self._paths]
+        shots = min(belief.count for belief in beliefs)
+        if shots < _REGIME:
+            return None
+        latency = [(path.belief.bias_ns - path.to_middle_ns) * 1e-9 for path in self._paths]
+        sigma = np.array(self.sigmas_ns()) * 1e-9
+        return TriggerLatency(now_host_ns, np.maximum(np.array(latency), 0.0), sigma, shots)
+
     def _nearest(self, side: Side, mid_exposure_host_ns: int) -> int | None:
         expected = mid_exposure_host_ns - self._paths[side].belief.bias_ns
         earlier = [fired for fired in self._fired.values() if 0 <= mid_exposure_host_ns - fired <= MOST_LATENCY_NS]
@@ -147,4 +158,4 @@ def _path(camera: Camera | None) -> _Path:
         return _Path(0.0, 0.0)
     middle_s = camera.exposure_s / 2 + camera.row_time_s * camera.height_px / 2
     sigma_ns = max(camera.latency_s.sigma * 1e9, _LEAST_SPREAD_NS)
-    return _Path((camera.latency_s.value + middle_s) * 1e9, sigma_ns)
+    return _Path((camera.latency_s.value + middle_s) * 1e9, sigma_ns, to_middle_ns=middle_s * 1e9)

@@ -1,0 +1,97 @@
+"""What a flight has learned about its trigger, kept for the next one: a small TOML file beside the parameters.
+
+Latency belongs to a path: these cameras behind this trigger. The file says which; on another path it is not used. It
+comes back as the airframe's ``latency_s``, so that a recording, which holds the airframe, replays with it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from companion.errors import ConfigError
+from companion.params.airframe import Airframe, Uncertain
+from companion.params.persist import write_whole
+from companion.records import TriggerLatency
+
+_LEAST_SHOTS = 10
+_LONGEST_S = 0.5
+_SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, slots=True)
+class KeptLatency:
+    """Latency of one path, left and right camera.
+
+    Attributes
+    ----------
+    path : str
+        Trigger and cameras as they were named.
+    latency_s : tuple of Uncertain
+    shots : int
+    """
+
+    path: str
+    latency_s: tuple[Uncertain, Uncertain]
+    shots: int
+
+
+def keep_latency(file: Path, path: str, learned: TriggerLatency) -> bool:
+    """Write what was learned, whole or not at all; False where it rests on too few shots to be worth it.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be written.
+    """
+    if learned.shots < _LEAST_SHOTS:
+        return False
+    lines = [f"path = {_quoted(path)}", f"shots = {learned.shots}"]
+    for side, value, sigma in zip(_SIDES, learned.latency_s.tolist(), learned.sigma_s.tolist(), strict=True):
+        lines.append(f"{side}_s = {{ value = {value!r}, sigma = {sigma!r} }}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(file, "\n".join(lines) + "\n")
+    except OSError as error:
+        raise ConfigError(f"cannot keep the trigger's latency in {file}: {error.strerror}") from error
+    return True
+
+
+def load_latency(file: Path) -> KeptLatency | None:
+    """Read what was kept; None where nothing is. Raises :class:`ConfigError` for a file that is damaged."""
+    try:
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        left, right = (_uncertain(table[f"{side}_s"]) for side in _SIDES)
+        return KeptLatency(str(table["path"]), (left, right), int(table["shots"]))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{file}: not a latency that was kept here ({error}); delete it") from error
+
+
+def with_latency(airframe: Airframe, kept: KeptLatency | None, path: str) -> Airframe:
+    """The airframe with the latency that this path had in the last flight; unchanged where that is not known."""
+    left, right = airframe.left_camera, airframe.right_camera
+    if kept is None or kept.path != path or left is None or right is None:
+        return airframe
+    return dataclasses.replace(
+        airframe,
+        left_camera=dataclasses.replace(left, latency_s=kept.latency_s[0]),
+        right_camera=dataclasses.replace(right, latency_s=kept.latency_s[1]),
+    )
+
+
+def _uncertain(entry: Any) -> Uncertain:
+    value, sigma = float(entry["value"]), float(entry["sigma"])
+    if not (0.0 <= value <= _LONGEST_S and 0.0 < sigma <= _LONGEST_S and math.isfinite(value + sigma)):
+        raise ValueError(f"{value!r} +- {sigma!r} s is no latency")
+    return Uncertain(value, sigma)
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
