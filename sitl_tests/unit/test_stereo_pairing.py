@@ -48,3 +48,66 @@ def test_a_repeated_stale_frame_is_refused() -> None:
     pairer.add(_frame(Side.LEFT, 2))
     _, dropped = pairer.add(_frame(Side.LEFT, 1))
     assert [drop.reason for drop in dropped] == [Reject.UNPAIRED]
+
+
+@st.composite
+def _streams(draw: st.DrawFn) -> tuple[list[tuple[int, Frame]], set[int]]:
+    """Frames of two cameras as they arrive, and the shots of which both are there.
+
+    Shots are 40 to 200 ms apart; a shot's frames differ by up to 6 ms of skew. Frames get lost, arrive late by up to
+    three shots, come twice (the stale copy of a shot before), and extra ones appear far from any shot.
+    """
+    gaps = draw(st.lists(st.integers(40, 200), min_size=4, max_size=14))
+    shots = np.cumsum([1000, *gaps]).tolist()
+    numbered = draw(st.booleans())
+    arrivals: list[tuple[float, int, Frame]] = []
+    there: list[set[int]] = [set(), set()]
+    for side in Side:
+        lag = draw(st.integers(0, 300))
+        for number, at_ms in enumerate(shots):
+            skew_ms = draw(st.integers(-3, 3))
+            if draw(st.integers(0, 9)) == 0:
+                continue
+            there[side].add(number)
+            frame = _timed(side, number, at_ms + skew_ms, number if numbered else -1)
+            arrivals.append((at_ms + 10 + lag, side, frame))
+            if draw(st.integers(0, 9)) == 0:
+                arrivals.append((at_ms + 11 + lag, side, frame))
+            if draw(st.integers(0, 9)) == 0:
+                arrivals.append((at_ms + 30 + lag, side, _timed(side, 1000 + number, at_ms + 20, -1)))
+    arrivals.sort(key=lambda entry: (entry[0], entry[1]))
+    return [(side, frame) for _, side, frame in arrivals], there[0] & there[1]
+
+
+def _timed(side: Side, sequence: int, at_ms: int, plan_id: int) -> Frame:
+    return Frame(side, sequence, ClockName.HOST, at_ms * 1_000_000, 2_000_000, 0, plan_id, IMAGE)
+
+
+@given(_streams())
+def test_stale_missing_and_extra_frames_never_shift_the_pairing(
+    streams: tuple[list[tuple[int, Frame]], set[int]],
+) -> None:
+    arrivals, complete = streams
+    pairer, pairs, lonely = FramePairer(), [], []
+    for _, frame in arrivals:
+        made, dropped = pairer.add(frame)
+        pairs += made
+        lonely += dropped
+    shots = [(pair.left.sequence, pair.right.sequence) for pair in pairs if pair.left.sequence < 1000]
+    assert all(left == right for left, right in shots)
+    assert {left for left, _ in shots} == complete
+    assert [pair.pair_id for pair in pairs] == list(range(len(pairs)))
+    # no frame is used twice
+    for side in Side:
+        used = [(pair.left, pair.right)[side].mid_exposure_ns for pair in pairs]
+        assert len(set(used)) == len(used)
+
+
+@given(st.integers(0, 7), st.integers(0, 7))
+def test_frames_that_name_different_plans_are_no_pair_however_near(left_ms: int, right_ms: int) -> None:
+    pairer = FramePairer()
+    assert pairer.add(_timed(Side.LEFT, 1, 100 + left_ms, 4)) == ([], [])
+    pairs, _ = pairer.add(_timed(Side.RIGHT, 1, 100 + right_ms, 5))
+    assert pairs == []
+    pairs, _ = pairer.add(_timed(Side.RIGHT, 2, 108 + left_ms, -1))
+    assert [(pair.left.sequence, pair.right.sequence) for pair in pairs] == [(1, 2)]

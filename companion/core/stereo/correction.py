@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from companion.core.mode.tracker import WingTracker
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.geometry import Rig
@@ -19,6 +21,7 @@ from companion.records import (
     ClockName,
     CorrectedRange,
     Deflection,
+    Floats,
     MatchSet,
     OutputRecord,
     Reject,
@@ -79,9 +82,12 @@ class Correction:
             return
         yield left
         yield right
-        turned = self._turned(matches, left, right)
+        velocity_mps = np.array([airspeed_mps, 0.0, -climb_mps])
+        turned = self._turned(matches, left, right, velocity_mps)
         yield turned
-        answer: RangeAnswer = correct(matches, left, right, self.rig, self.airframe, self.settings, turned=turned)
+        answer: RangeAnswer = correct(
+            matches, left, right, self.rig, self.airframe, self.settings, velocity_mps=velocity_mps, turned=turned
+        )
         slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
         judged = self.gate.judge(answer.range, climb_mps, slack_mps)
         if judged.trusted:
@@ -90,8 +96,8 @@ class Correction:
         if answer.sectors is not None:
             yield answer.sectors
 
-    def _turned(self, matches: MatchSet, left: Deflection, right: Deflection) -> RelativeRotation:
-        moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), left, right)
+    def _turned(self, matches: MatchSet, left: Deflection, right: Deflection, velocity_mps: Floats) -> RelativeRotation:
+        moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), left, right, velocity_mps)
         rays = match_rays(self.rig, moving, matches)
         look = bool(self.settings.hold_slow)
         return self.slow.update(matches, rays, (left, right), moving, TIMING_SIGMA_S, look=look)

@@ -13,7 +13,8 @@ class FramePairer:
     """Hold each frame until its partner comes or can no longer come.
 
     Two frames are partners when their mid-exposures differ by at most ``tolerance_ns`` (less than half the shortest
-    time between shots) and no other waiting frame is nearer. Frames of one side come in order of exposure.
+    time between shots), no other waiting frame is nearer, and they do not name different plans. Frames of one side
+    come in order of exposure.
     """
 
     tolerance_ns: int = 8_000_000
@@ -45,7 +46,10 @@ class FramePairer:
     def _nearest(self) -> tuple[int, int] | None:
         left, right = self._waiting
         gaps = [
-            (abs(a.mid_exposure_ns - b.mid_exposure_ns), i, j) for i, a in enumerate(left) for j, b in enumerate(right)
+            (abs(a.mid_exposure_ns - b.mid_exposure_ns), i, j)
+            for i, a in enumerate(left)
+            for j, b in enumerate(right)
+            if not _of_different_plans(a, b)
         ]
         if not gaps or min(gaps)[0] > self.tolerance_ns:
             return None
@@ -66,3 +70,8 @@ class FramePairer:
     @staticmethod
     def _lonely(frame: Frame) -> Rejected:
         return Rejected(Reject.UNPAIRED, f"{frame.side.name.lower()} frame {frame.sequence}", frame.mid_exposure_ns)
+
+
+def _of_different_plans(one: Frame, other: Frame) -> bool:
+    """Whether both say which plan fired them, and it is not the same; a negative number says nothing."""
+    return one.plan_id >= 0 and other.plan_id >= 0 and one.plan_id != other.plan_id
