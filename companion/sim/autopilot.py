@@ -19,6 +19,7 @@ from companion.records import Floats, Station
 from companion.sim.faults import Faults, boot_origin_ns
 from companion.sim.flight import Flight
 from companion.sim.orders import PERIODS_MS, Orders
+from companion.sim.proximity import Proximity
 from companion.sim.received import Received
 from companion.sim.sensors import BackendImu
 from companion.sim.vehicle_parameters import VehicleParameters, addressed_to_autopilot, default_parameters
@@ -28,6 +29,8 @@ _NS = 1_000_000_000
 _TIMESYNC_NS = 10 * _NS
 _PARAMETER_MESSAGES = ("PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET")
 _DEFAULT_MS = {"ATTITUDE": 100, "VFR_HUD": 250, "GLOBAL_POSITION_INT": 250, "RAW_IMU": 250}
+_ECHO_MS = {"RANGEFINDER": 250, "DISTANCE_SENSOR": 250}  # while the rangefinder has data
+_MAVLINK_PROXIMITY = 2
 _IMU_STATIONS = {"HIGHRES_IMU": Station.ROOT, "RAW_IMU": Station.ROOT, "SCALED_IMU": Station.ROOT}
 
 Trigger = Callable[[int], None]
@@ -56,6 +59,8 @@ class SimAutopilot:
         values = {**default_parameters(flight.real.actual), **(parameters or {})}
         self.parameters = VehicleParameters(values)
         self.received = Received(int(values["RNGFND1_ORIENT"]), values["RNGFND1_MIN"], values["RNGFND1_MAX"])
+        if values["PRX1_TYPE"] == _MAVLINK_PROXIMITY:
+            self.received.proximity = Proximity()
         self.sender = Sender(AUTOPILOT_ID)
         self.granted: dict[str, int] = {}
         self.commands: list[tuple[int, int, int]] = []
@@ -121,7 +126,7 @@ class SimAutopilot:
     def _start(self) -> None:
         """Boot: default streams, filters from the parameters."""
         now = self._tick_ns
-        self._streams = {name: Interval(period, now) for name, period in _DEFAULT_MS.items()}
+        self._streams = {name: Interval(period, now) for name, period in {**_DEFAULT_MS, **_ECHO_MS}.items()}
         if self.orders:
             self._streams.update({name: Interval(period, now) for name, period in PERIODS_MS.items()})
         self._streams["HEARTBEAT"] = Interval(1000, now)
@@ -140,7 +145,7 @@ class SimAutopilot:
             if interval.next_ns <= tick_ns:
                 interval.next_ns = tick_ns + period_ns
             inertial = name in _IMU_STATIONS or name in self._imus
-            if inertial and inertial_stopped:
+            if (inertial and inertial_stopped) or (name in _ECHO_MS and not self.received.has_range_data):
                 continue
             sent_ns = self._instant(tick_ns + late + 100_000 + int(self._rng.exponential(50_000.0)))
             self._post(sent_ns, self._frame(name, tick_ns, sent_ns))
@@ -153,6 +158,8 @@ class SimAutopilot:
             return self.sender.message(self._heartbeat())
         if name == "TIMESYNC":
             return self.sender.message(mavlink.MAVLink_timesync_message(tc1=0, ts1=boot_ns))
+        if name in _ECHO_MS:
+            return self.sender.message(self._echo(name, boot_ns // 1_000_000))
         if self.orders and self.orders.tells(name):
             return self.sender.message(self.orders.telemetry(name, boot_ns // 1_000_000))
         return self.sender.message(self._motion(name, sent_ns, boot_ns // 1_000_000))
@@ -176,6 +183,17 @@ class SimAutopilot:
         if source.message != name:
             return inertial_format(name).pack(values, 0)
         return payloads(values, source)
+
+    def _echo(self, name: str, boot_ms: int) -> Any:
+        """What the rangefinder says, as ArduPilot repeats it to everyone."""
+        last = self.received.rangefinder
+        assert last is not None
+        if name == "RANGEFINDER":
+            return mavlink.MAVLink_rangefinder_message(last.distance_m, 0.0)
+        limits = (round(100 * self.received.min_m), round(100 * self.received.max_m))
+        return mavlink.MAVLink_distance_sensor_message(
+            boot_ms, *limits, round(100 * last.distance_m), 0, 0, last.orientation, 0, signal_quality=last.quality
+        )
 
     def _motion(self, name: str, sent_ns: int, boot_ms: int) -> Any:
         truth = self._flight.truth.series(np.array([sent_ns], dtype=np.int64))

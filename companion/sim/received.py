@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
+from companion.sim.proximity import Proximity
 from companion.sim.wire import AUTOPILOT_ID, SYSTEM_ID
 
 _TIMEOUT_NS = 500_000_000
@@ -36,7 +37,7 @@ class ReceivedRange:
 class Received:
     """Counts and lists of one flight.
 
-    ``orientation``, ``min_m`` and ``max_m`` are RNGFND1_ORIENT, _MIN and _MAX.
+    ``orientation``, ``min_m`` and ``max_m`` are RNGFND1_ORIENT, _MIN and _MAX; ``proximity`` is there with PRX1_TYPE 2.
     """
 
     orientation: int
@@ -49,6 +50,7 @@ class Received:
     states: list[tuple[int, int]] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)
     timeouts: int = 0
+    proximity: Proximity | None = None
     _last_range_ns: int | None = None
     _sector_stamp: int = -1
 
@@ -75,6 +77,13 @@ class Received:
         """Whether the rangefinder is alive, which is what the arming check asks."""
         return self._last_range_ns is not None
 
+    @property
+    def rangefinder(self) -> ReceivedRange | None:
+        """What the rangefinder says now: the last range of its orientation, while it is alive."""
+        if self._last_range_ns is None:
+            return None
+        return next((entry for entry in reversed(self.ranges) if entry.orientation == self.orientation), None)
+
     def _take_distance_sensor(self, message: Any, boot_ns: int, host_ns: int) -> None:
         distance = message.current_distance * _CENTIMETRE_M
         fits = message.orientation == self.orientation
@@ -100,7 +109,9 @@ class Received:
         )
 
     def _take_obstacle_distance(self, message: Any, boot_ns: int, host_ns: int) -> None:
-        del boot_ns, host_ns
+        del host_ns
+        if self.proximity is not None:
+            self.proximity.circle(message, boot_ns)
         step = message.increment_f or message.increment
         if message.frame != _BODY_FRD:
             self._problem(f"OBSTACLE_DISTANCE: frame {message.frame}, not body FRD")
@@ -113,7 +124,9 @@ class Received:
             self._problem("OBSTACLE_DISTANCE: a distance beyond max + 1 that is not 65535")
 
     def _take_obstacle_distance_3d(self, message: Any, boot_ns: int, host_ns: int) -> None:
-        del boot_ns, host_ns
+        del host_ns
+        if self.proximity is not None:
+            self.proximity.point(message, boot_ns)
         if not all(math.isfinite(value) for value in (message.x, message.y, message.z)):
             # this crashes a real arducopter
             self._problem("OBSTACLE_DISTANCE_3D: coordinate not finite")

@@ -278,6 +278,43 @@ def test_ranges_are_used_by_orientation_quality_and_limits(flight: Flight) -> No
     assert not report["range_alive"]
 
 
+def test_the_rangefinder_is_repeated_to_everyone_while_it_is_alive(flight: Flight) -> None:
+    peer = Peer(flight)
+    peer.run(0.6)
+    assert peer.of("RANGEFINDER") == []
+    for metres in (30, 31, 32):
+        peer.send(distance(100 * metres, 90))
+        peer.run(0.3)
+    told = [message.distance for _, message in peer.of("RANGEFINDER", 1)]
+    assert set(told) == {30.0, 31.0, 32.0}
+    echoed = [m for _, m in peer.of("DISTANCE_SENSOR", 1)]
+    assert {m.current_distance for m in echoed} == {3000, 3100, 3200}
+    assert {m.orientation for m in echoed} == {25}
+    peer.run(1.0)
+    count = len(peer.of("RANGEFINDER"))
+    peer.run(1.0)
+    assert len(peer.of("RANGEFINDER")) == count, "half a second of silence clears it"
+
+
+def test_obstacles_are_used_by_a_vehicle_with_proximity_and_forgotten(flight: Flight) -> None:
+    peer = Peer(flight, parameters={"PRX1_TYPE": 2})
+    proximity = peer.world.autopilot.received.proximity
+    assert proximity is not None
+    distances = [65535] * 72
+    distances[0], distances[18], distances[36], distances[54] = 1500, 0, 20001, 800
+    peer.send(mavlink.MAVLink_obstacle_distance_message(1, 0, distances, 5, 400, 20000, 5.0, 0.0, 12))
+    peer.run(0.1)
+    assert proximity.nearest_m(peer.now_ns) == {0: 15.0, 270: 8.0}
+    peer.run(0.6)
+    assert proximity.nearest_m(peer.now_ns) == {}
+    for stamp, x, y in ((10, 9.0, 0.0), (10, 0.0, 7.0), (20, 300.0, 0.0)):
+        assert proximity.nearest_m(peer.now_ns) == {}, "a look acts when the next one begins"
+        peer.send(mavlink.MAVLink_obstacle_distance_3d_message(stamp, 0, 12, 65535, x, y, 0.0, 4.0, 200.0))
+        peer.run(0.05)
+    assert proximity.nearest_m(peer.now_ns) == {0: 9.0, 90: 7.0}
+    assert Peer(flight).world.autopilot.received.proximity is None
+
+
 def test_nonsense_from_the_companion_is_noticed(flight: Flight) -> None:
     peer = Peer(flight)
     sectors = [65535] * 72
