@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from companion.records import Health
 from companion.sim.flight import Flight
+from sitl_tests.faults import link_faults
+from sitl_tests.faults.link_faults import LinkOutcome
 from sitl_tests.faults.vehicle_faults import FAULTS, Outcome, build, strike, table, write
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
@@ -57,3 +60,15 @@ def test_the_table_is_put_between_its_marks_and_replaced(tmp_path: Path) -> None
     assert "| one |" not in text
     assert text.count("| two |") == 1
     assert table([second]) in text
+    write([second], page, [LinkOutcome("cable", "again", 1.25, 3, 0)])
+    assert "| cable | again | 1.25 s | 3 | 0 |" in page.read_text()
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [link_faults.SerialCable, link_faults.TcpCable, link_faults.UdpCable])
+def test_a_link_that_breaks_comes_back_with_true_samples(make: Any) -> None:
+    outcome = link_faults.broken("", "", make)
+    assert outcome.recovery_s < 5.0
+    assert outcome.wrong == 0
+    assert outcome.lost < 100, "what was sent before it broke had arrived"

@@ -17,6 +17,8 @@ from companion.params.files import load_airframe
 from companion.records import CorrectedRange, Health, Rejected, ServiceStatus, Tick
 from companion.sim.faults import Faults
 from companion.sim.flight import Flight, build_flight
+from sitl_tests.faults import link_faults
+from sitl_tests.faults.link_faults import LinkOutcome
 from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, SimulatedService
 
 BEGIN_S, END_S, OVER_S = 13.0, 15.0, 24.0
@@ -202,10 +204,11 @@ def table(outcomes: list[Outcome]) -> str:
     return head + "\n".join(rows) + "\n"
 
 
-def write(outcomes: list[Outcome], page: Path) -> None:
-    """Put the table into the page, between its marks (at the end, where it has none)."""
+def write(outcomes: list[Outcome], page: Path, links: list[LinkOutcome] | None = None) -> None:
+    """Put the tables into the page, between the marks (at the end, where it has none)."""
     text = page.read_text(encoding="utf-8")
-    block = f"{_BEGIN_MARK}\n{table(outcomes)}{_END_MARK}"
+    more = f"\nThe links' own faults, struck in real time:\n\n{link_faults.table(links)}" if links else ""
+    block = f"{_BEGIN_MARK}\n{table(outcomes)}{more}{_END_MARK}"
     if _BEGIN_MARK in text:
         before, _, rest = text.partition(_BEGIN_MARK)
         _, _, after = rest.partition(_END_MARK)
@@ -216,13 +219,17 @@ def write(outcomes: list[Outcome], page: Path) -> None:
 
 
 def main() -> None:
-    """Strike with every fault and write the table."""
+    """Strike with every fault and write the tables."""
+    links = []
+    for row in link_faults.outcomes():
+        links.append(row)
+        print(link_faults.table([row]).splitlines()[-1], flush=True)
     flight = build()
     outcomes = []
     for fault in FAULTS:
         outcomes.append(strike(flight, fault))
         print(table(outcomes[-1:]).splitlines()[-1], flush=True)
-    write(outcomes, Path(__file__).resolve().parents[1] / "README.md")
+    write(outcomes, Path(__file__).resolve().parents[1] / "README.md", links)
 
 
 if __name__ == "__main__":
