@@ -1,0 +1,226 @@
+"""A Kalman filter over many hypotheses at once: modes whose frequency and damping change from step to step.
+
+    u' = omega_0 v,    v' = -(omega^2 / omega_0) u - 2 zeta omega v + load
+
+with u = omega_0 q; omega and zeta are constant within a step, for which the transition is exact. An accelerometer feels
+load and spring alike, so a sample is the mean acceleration of its step, y = sum of (v_k - v_(k-1)) / step, plus noise:
+what drives the state is also in the sample, and the filter knows it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.compiled import COMPILED, compiled
+from companion.records import Floats
+
+_AT_REST = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """What a batch of b hypotheses says of k modes over t steps.
+
+    Attributes
+    ----------
+    omega_radps, zeta : (b, t, k)
+    load : (b, t, k)
+        Two-sided density of the white load on each mode, (m/s^2)^2 s.
+    noise : (b, t)
+        Variance of a sample's noise, (m/s^2)^2.
+    """
+
+    omega_radps: Floats
+    zeta: Floats
+    load: Floats
+    noise: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Filtered:
+    """Innovations and their variances (b, t); predictions a few steps ahead (b, t), stamped when they come true."""
+
+    innovation: Floats
+    variance: Floats
+    ahead: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """A batch in matrices: n states, u and v of each mode.
+
+    Attributes
+    ----------
+    transition, spread : (t, b, n, n)
+        Of the state over a step, and the covariance of what the load adds.
+    seen : (t, b, n)
+        How the state before a step shows in its sample.
+    along : (t, b, n)
+        Covariance of what the load adds to the state and to the sample.
+    variance : (t, b)
+        Of the sample given the state before.
+    """
+
+    transition: Floats
+    spread: Floats
+    seen: Floats
+    along: Floats
+    variance: Floats
+
+
+def run(modes: Modes, y: Floats, step_s: float, ahead: int = 0) -> Filtered:
+    """Filter ``y`` (b, t) under each hypothesis; with ``ahead`` > 0 also predict so many steps.
+
+    The predictions take frequency and damping as they are when the prediction is made.
+    """
+    steps = matrices(modes, step_s)
+    count, batch, states = steps.seen.shape
+    innovation, variance = np.empty((count, batch)), np.empty((count, batch))
+    kept = np.empty((count, batch, states))
+    sweep = one_by_one if COMPILED else together
+    shown = np.ascontiguousarray(y.T)
+    sweep(steps.transition, steps.spread, steps.seen, steps.along, steps.variance, shown, innovation, variance, kept)
+    return Filtered(innovation.T, variance.T, _ahead(steps, kept, ahead) if ahead else None)
+
+
+def together(
+    transition: Floats,
+    spread: Floats,
+    seen: Floats,
+    along: Floats,
+    noise: Floats,
+    y: Floats,
+    innovation: Floats,
+    variance: Floats,
+    kept: Floats,
+) -> None:
+    """Step by step, all hypotheses at once: numpy's way. Fills the last three, (t, b) and (t, b, n)."""
+    count, batch, states = seen.shape
+    x, p = np.zeros((batch, states, 1)), np.zeros((batch, states, states))
+    p[:, range(states), range(states)] = _AT_REST * noise[0][:, None]
+    rows, columns, own, turned = seen[:, :, None, :], seen[..., None], along[..., None], transition.swapaxes(2, 3)
+    for t in range(count):
+        shown = p @ columns[t]
+        s = (rows[t] @ shown) + noise[t][:, None, None]
+        e = y[t][:, None, None] - rows[t] @ x
+        gain = (transition[t] @ shown + own[t]) / s
+        x = transition[t] @ x + gain * e
+        p = transition[t] @ p @ turned[t] + spread[t] - (gain * s) * gain.swapaxes(1, 2)
+        innovation[t], variance[t], kept[t] = e[:, 0, 0], s[:, 0, 0], x[:, :, 0]
+
+
+@compiled
+def one_by_one(
+    transition: Floats,
+    spread: Floats,
+    seen: Floats,
+    along: Floats,
+    noise: Floats,
+    y: Floats,
+    innovation: Floats,
+    variance: Floats,
+    kept: Floats,
+) -> None:
+    """Hypothesis by hypothesis: the compiler's way, with the numbers of :func:`together`."""
+    count, batch, n = seen.shape
+    for b in range(batch):
+        x, moved, shown, gain = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        p, half = np.zeros((n, n)), np.zeros((n, n))
+        for i in range(n):
+            p[i, i] = _AT_REST * noise[0, b]
+        for t in range(count):
+            a = transition[t, b]
+            s, e = noise[t, b], y[t, b]
+            for i in range(n):
+                shown[i] = 0.0
+                for j in range(n):
+                    shown[i] += p[i, j] * seen[t, b, j]
+                s += shown[i] * seen[t, b, i]
+                e -= x[i] * seen[t, b, i]
+            for i in range(n):
+                gain[i], moved[i] = along[t, b, i], 0.0
+                for j in range(n):
+                    gain[i] += a[i, j] * shown[j]
+                    moved[i] += a[i, j] * x[j]
+                    half[i, j] = 0.0
+                    for k in range(n):
+                        half[i, j] += a[i, k] * p[k, j]
+                gain[i] /= s
+            for i in range(n):
+                x[i] = moved[i] + gain[i] * e
+                kept[t, b, i] = x[i]
+                for j in range(n):
+                    p[i, j] = spread[t, b, i, j] - gain[i] * gain[j] * s
+                    for k in range(n):
+                        p[i, j] += half[i, k] * a[j, k]
+            innovation[t, b], variance[t, b] = e, s
+
+
+def _ahead(steps: Steps, states: Floats, ahead: int) -> Floats:
+    """Sample ``ahead`` steps after each state, by that state's own transition; (b, t)."""
+    moved = states[:, :, :, None]
+    for _ in range(ahead - 1):
+        moved = steps.transition @ moved
+    predicted = np.einsum("tbi,tbi->bt", steps.seen, moved[..., 0])
+    found: Floats = np.zeros_like(predicted)
+    found[:, ahead:] = predicted[:, :-ahead]
+    return found
+
+
+def matrices(modes: Modes, step_s: float) -> Steps:
+    """Write a batch as matrices."""
+    omega, zeta, load = (
+        np.ascontiguousarray(part.swapaxes(0, 1)) for part in (modes.omega_radps, modes.zeta, modes.load)
+    )
+    reference = omega.mean(axis=0, keepdims=True)
+    count, batch, several = omega.shape
+    transition = np.zeros((count, batch, 2 * several, 2 * several))
+    spread = np.zeros_like(transition)
+    seen, along = np.empty((count, batch, 2 * several)), np.empty((count, batch, 2 * several))
+    variance = modes.noise.T.copy()
+    for k in range(several):
+        u, v = 2 * k, 2 * k + 1
+        (uu, uv, vu, vv), covariance = _step(omega[..., k], zeta[..., k], reference[..., k], step_s)
+        for row, column, value in ((u, u, uu), (u, v, uv), (v, u, vu), (v, v, vv)):
+            transition[:, :, row, column] = value
+        for row, column, value in zip((u, u, v, v), (u, v, u, v), np.array(covariance)[[0, 1, 1, 2]], strict=True):
+            spread[:, :, row, column] = load[..., k] * value
+        seen[:, :, u], seen[:, :, v] = vu / step_s, (vv - 1.0) / step_s
+        along[:, :, u], along[:, :, v] = spread[:, :, u, v] / step_s, spread[:, :, v, v] / step_s
+        variance += spread[:, :, v, v] / step_s**2
+    return Steps(transition, spread, seen, along, variance)
+
+
+def _step(
+    omega: Floats, zeta: Floats, reference: Floats, step_s: float
+) -> tuple[tuple[Floats, Floats, Floats, Floats], tuple[Floats, Floats, Floats]]:
+    """Transition (uu, uv, vu, vv) of a mode, and covariance (uu, uv, vv) that white load of unit density adds."""
+    damped = omega * np.sqrt(1.0 - zeta**2)
+    fade = np.exp(-zeta * omega * step_s)
+    cosine, sine = np.cos(damped * step_s), np.sin(damped * step_s)
+    lean, gain = zeta * omega / damped, reference / damped
+    moved = (
+        fade * (cosine + lean * sine),
+        fade * gain * sine,
+        -fade * omega**2 / (reference * damped) * sine,
+        fade * (cosine - lean * sine),
+    )
+    # load answers in u as gain e sin and in v as e (cos - lean sin)
+    sines, mixed, cosines = _squares(2.0 * zeta * omega, damped, fade, cosine, sine, step_s)
+    across = gain * (mixed - lean * sines)
+    return moved, (gain**2 * sines, across, cosines - 2.0 * lean * mixed + lean**2 * sines)
+
+
+def _squares(
+    rate: Floats, damped: Floats, fade: Floats, cosine: Floats, sine: Floats, step_s: float
+) -> tuple[Floats, Floats, Floats]:
+    """Integrals over a step of e^(-rate t) times sin^2, sin cos and cos^2 of damped t."""
+    both, left = 2.0 * damped, fade**2
+    twice_cosine, twice_sine = cosine**2 - sine**2, 2.0 * sine * cosine
+    level = -np.expm1(-rate * step_s) / rate
+    share = 1.0 / (rate**2 + both**2)
+    waved = share * (rate * (1.0 - left * twice_cosine) + both * left * twice_sine)
+    shifted = share * (both * (1.0 - left * twice_cosine) - rate * left * twice_sine)
+    return 0.5 * (level - waved), 0.5 * shifted, 0.5 * (level + waved)

@@ -1,0 +1,175 @@
+"""A ringing recording on a grid that carries the modes' band and no more, with how hard it was knocked.
+
+Nobody measured the knocks. They are broad: the acceleration's rms above the band, where no mode of interest is, tells
+when they came and how strong they were relative to each other. One factor per recording then makes a load of it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import hilbert
+
+from companion.errors import RecordingError
+from companion.records import Floats
+
+_ABOVE = (4.0, 15.0)  # times the band's top: where knocks are heard and modes of interest are not
+_LEAST_S = 2.0
+_GAP_RATIO = 2.5
+_ROOM = 1.3
+_VIBRATES = 0.3
+_ECHO = 20  # samples
+
+
+@dataclass(frozen=True, slots=True)
+class RawRinging:
+    """One accelerometer as recorded: ``t_s``, ``up_mps2`` (n,), and channels beside it (n,)."""
+
+    name: str
+    t_s: Floats
+    up_mps2: Floats
+    channels: Mapping[str, Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Ringing:
+    """One recording on its grid.
+
+    Attributes
+    ----------
+    rate_hz : float
+    t_s : (n,)
+        From the start of the recording.
+    up_mps2 : (n,)
+        In the band below half the rate, mean removed.
+    knock_mps2 : (n,)
+        Rms above the band, in each step.
+    echo_mps2 : (n,)
+        The same, with what the edge of the band spreads of a knock to samples before and after.
+    channels : dict of str to (n,)
+        About the mean of all recordings, in units of their rms.
+    amplitude : (n,)
+        Envelope of ``up_mps2`` over its rms.
+    notes : tuple of str
+    """
+
+    name: str
+    rate_hz: float
+    t_s: Floats
+    up_mps2: Floats
+    knock_mps2: Floats
+    echo_mps2: Floats
+    channels: dict[str, Floats]
+    amplitude: Floats
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """What a channel's unit is in its own: ``recorded = mean + rms * channel``."""
+
+    mean: float
+    rms: float
+
+
+def prepare(raws: Sequence[RawRinging], band_hz: tuple[float, float]) -> tuple[list[Ringing], dict[str, Scale]]:
+    """Put recordings on their grids; channels that all of them have are scaled alike.
+
+    Raises
+    ------
+    RecordingError
+        Sampled too slowly to hear knocks above the band, or shorter than 2 s without a gap.
+    """
+    cut = [_longest(raw) for raw in raws]
+    shared = sorted(set.intersection(*(set(raw.channels) for raw, _ in cut)))
+    vibrating = [name for name in shared if any(_vibrates(raw, name, band_hz) for raw, _ in cut)]
+    shared = [name for name in shared if name not in vibrating]
+    coarse = [_coarse(raw, band_hz, shared, note) for raw, note in cut]
+    scales = {}
+    for name in shared:
+        together = np.concatenate([one.channels[name] for one in coarse])
+        if float(together.std()) > 0.0:
+            scales[name] = Scale(float(together.mean()), float(together.std()))
+    told = [f"{name} vibrates with the structure: taken for a response, not for a cause" for name in vibrating]
+    found = [
+        Ringing(
+            one.name,
+            one.rate_hz,
+            one.t_s,
+            one.up_mps2,
+            one.knock_mps2,
+            one.echo_mps2,
+            {name: (one.channels[name] - scale.mean) / scale.rms for name, scale in scales.items()},
+            one.amplitude,
+            (*one.notes, *told) if one is coarse[0] else one.notes,
+        )
+        for one in coarse
+    ]
+    return found, scales
+
+
+def _vibrates(raw: RawRinging, name: str, band_hz: tuple[float, float]) -> bool:
+    """Whether most of what a channel does is in the band of the modes or above."""
+    values = raw.channels[name] - raw.channels[name].mean()
+    f_hz = np.fft.rfftfreq(len(values), float(np.median(np.diff(raw.t_s))))
+    power = np.abs(np.fft.rfft(values)) ** 2
+    return float(power[f_hz > band_hz[0]].sum()) > _VIBRATES * float(power.sum())
+
+
+def _longest(raw: RawRinging) -> tuple[RawRinging, tuple[str, ...]]:
+    """The longest stretch without a gap, and a note where that is not all."""
+    steps = np.diff(raw.t_s)
+    wide = np.flatnonzero(steps > _GAP_RATIO * np.median(steps))
+    edges = [0, *(wide + 1).tolist(), len(raw.t_s)]
+    first, last = max(itertools.pairwise(edges), key=lambda pair: pair[1] - pair[0])
+    length_s = float(raw.t_s[last - 1] - raw.t_s[first])
+    if length_s < _LEAST_S:
+        raise RecordingError(
+            f"{raw.name}: the longest stretch without a gap is {length_s:.1f} s; {_LEAST_S:g} s needed"
+        )
+    part = slice(first, last)
+    kept = RawRinging(raw.name, raw.t_s[part], raw.up_mps2[part], {k: v[part] for k, v in raw.channels.items()})
+    if not wide.size:
+        return kept, ()
+    note = f"{raw.name}: {wide.size} gaps; judged is the longest stretch without one, {length_s:.1f} s"
+    return kept, (note,)
+
+
+def _coarse(raw: RawRinging, band_hz: tuple[float, float], shared: Sequence[str], notes: tuple[str, ...]) -> Ringing:
+    count = len(raw.t_s)
+    fine_hz = (count - 1) / float(raw.t_s[-1] - raw.t_s[0])
+    if fine_hz < 2.5 * _ABOVE[0] * band_hz[1]:
+        raise RecordingError(
+            f"{raw.name}: sampled at {fine_hz:.0f} Hz; to hear knocks above a band up to {band_hz[1]:g} Hz it takes "
+            f"{2.5 * _ABOVE[0] * band_hz[1]:.0f} Hz"
+        )
+    even_t = raw.t_s[0] + np.arange(count) / fine_hz
+    up = np.interp(even_t, raw.t_s, raw.up_mps2 - raw.up_mps2.mean())
+    keep = 2 * math.ceil(count * _ROOM * band_hz[1] / fine_hz)
+    rate_hz = fine_hz * keep / count
+    f_hz = np.fft.rfftfreq(count, 1.0 / fine_hz)
+    spectrum = np.fft.rfft(up)
+    f_low = f_hz[: keep // 2 + 1]
+    # a sharp edge would ring like a mode of its own at every knock
+    edge = np.clip((f_low - band_hz[1]) / (0.5 * rate_hz - band_hz[1]), 0.0, 1.0)
+    passed = np.where(f_low < 0.5 * band_hz[0], 0.0, 0.5 + 0.5 * np.cos(np.pi * edge))
+    low = np.fft.irfft(passed * spectrum[: keep // 2 + 1], keep)
+    above = (f_hz > _ABOVE[0] * band_hz[1]) & (f_hz < min(_ABOVE[1] * band_hz[1], 0.45 * fine_hz))
+    loud = np.fft.irfft(np.where(above, spectrum, 0.0), count) ** 2
+    edges = np.linspace(0, count, keep + 1).astype(int)
+    knock = np.sqrt(np.add.reduceat(loud, edges[:-1]) / np.diff(edges))
+    thin = np.asarray(low * keep / count)
+    channels = {name: np.add.reduceat(raw.channels[name], edges[:-1]) / np.diff(edges) for name in shared}
+    envelope = np.abs(hilbert(thin))
+    t_s = np.arange(keep) / rate_hz
+    return Ringing(raw.name, rate_hz, t_s, thin, knock, echo_of(knock), channels, envelope / float(thin.std()), notes)
+
+
+def echo_of(knock: Floats) -> Floats:
+    """Rms that the edge of the band makes of knocks in the samples around them."""
+    lags = np.arange(-_ECHO, _ECHO + 1)
+    return np.asarray(np.sqrt(np.convolve(knock**2, 1.0 / (1.0 + np.abs(np.pi * lags) ** 4), mode="same")))

@@ -1,0 +1,124 @@
+"""Modes of each run of a vibration test whose force was measured, and what changed from run to run.
+
+Around each peak a run's responses are one mode and what lies beside it,
+
+    H_o(omega) = -omega^2 r_o / (omega_n^2 - omega^2 + 2 j zeta omega_n omega) + c_o + d_o (omega - omega_c),
+
+with omega_n and zeta of the run and r_o, c_o, d_o of each response: nuisances that are projected out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+from scipy.signal import find_peaks
+
+from companion.records import Floats
+
+Complexes = npt.NDArray[np.complex128]
+_WIDTH, _LEAST_WIDTH_HZ = 0.03, 0.3
+_REACH = 0.035  # how far a mode may wander from run to run
+_SMOOTHED = 7
+_PROMINENCE = 0.7  # of the logarithm
+_DAMPINGS = (0.003, 0.01, 0.03)
+
+
+@dataclass(frozen=True, slots=True)
+class VibrationRun:
+    """One run: ``response`` (m, k) of m points to the measured force, m/s^2/N, at ``frequency_hz`` (k,)."""
+
+    name: str
+    frequency_hz: Floats
+    response: Complexes
+    constants: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ModeOfRun:
+    """A mode as one run shows it; ``misfit`` is what the model leaves of the responses, as a share."""
+
+    frequency_hz: float
+    frequency_sigma_hz: float
+    damping: float
+    damping_sigma: float
+    misfit: float
+
+
+@dataclass(frozen=True, slots=True)
+class ModeOverRuns:
+    """One mode in all runs, in their order."""
+
+    runs: tuple[str, ...]
+    of_runs: tuple[ModeOfRun, ...]
+
+    @property
+    def frequency_hz(self) -> Floats:
+        """By run."""
+        return np.array([one.frequency_hz for one in self.of_runs])
+
+    @property
+    def sigma_hz(self) -> Floats:
+        """By run."""
+        return np.array([one.frequency_sigma_hz for one in self.of_runs])
+
+
+def responses(
+    force_n: Floats, answers_mps2: Floats, rate_hz: float, band_hz: tuple[float, float]
+) -> tuple[Floats, Complexes]:
+    """Lines and responses (m, k) of a whole record of answers (n, m): for sweeps that begin and end at rest."""
+    f_hz = np.fft.rfftfreq(len(force_n), 1.0 / rate_hz)
+    inside = (f_hz > band_hz[0]) & (f_hz < band_hz[1])
+    pushed = np.fft.rfft(force_n - force_n.mean())[inside]
+    answered = np.fft.rfft(answers_mps2 - answers_mps2.mean(0), axis=0)[inside]
+    return np.asarray(f_hz[inside]), np.asarray((answered / pushed[:, None]).T)
+
+
+def modes_of_runs(runs: Sequence[VibrationRun]) -> list[ModeOverRuns]:
+    """Every mode that stands out of the mean response of all runs, by frequency."""
+    f_hz = runs[0].frequency_hz
+    level = _smooth(np.mean([_level(run.response) for run in runs], axis=0))
+    peaks, _ = find_peaks(np.log(level), prominence=_PROMINENCE)
+    names = tuple(run.name for run in runs)
+    return [ModeOverRuns(names, tuple(mode_of(run, float(f_hz[k])) for run in runs)) for k in peaks]
+
+
+def mode_of(run: VibrationRun, near_hz: float) -> ModeOfRun:
+    """The mode of one run that peaks nearest to a frequency."""
+    level = np.where(np.abs(run.frequency_hz - near_hz) < _REACH * near_hz, _smooth(_level(run.response)), 0.0)
+    peak_hz = float(run.frequency_hz[int(np.argmax(level))])
+    inside = np.abs(run.frequency_hz - peak_hz) < max(_WIDTH * peak_hz, _LEAST_WIDTH_HZ)
+    omega, shown = 2.0 * np.pi * run.frequency_hz[inside], run.response[:, inside].T
+
+    def left(guess: Floats) -> Floats:
+        design = _design(omega, guess)
+        residual = design @ np.linalg.lstsq(design, shown, rcond=None)[0] - shown
+        return np.concatenate([residual.real.ravel(), residual.imag.ravel()])
+
+    tries = [least_squares(left, [peak_hz, np.log(zeta)], x_scale=[0.01 * peak_hz, 0.3]) for zeta in _DAMPINGS]
+    best = min(tries, key=lambda one: float(one.cost))
+    freedom = len(best.fun) - 2 - 6 * shown.shape[1]
+    variance = 2.0 * float(best.cost) / max(freedom, 1)
+    slope = np.asarray(best.jac, dtype=np.float64)
+    spread = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)) * variance)
+    zeta = float(np.exp(best.x[1]))
+    share = float(np.sqrt(2.0 * best.cost / np.sum(np.abs(shown) ** 2)))
+    return ModeOfRun(float(best.x[0]), float(spread[0]), zeta, zeta * float(spread[1]), share)
+
+
+def _design(omega: Floats, guess: Floats) -> Complexes:
+    natural, zeta = 2.0 * np.pi * guess[0], np.exp(guess[1])
+    mode = -(omega**2) / (natural**2 - omega**2 + 2j * zeta * natural * omega)
+    beside = (omega - omega.mean()) / (omega[-1] - omega[0])
+    return np.stack([mode, np.ones_like(mode), beside + 0j], axis=1)
+
+
+def _level(response: Complexes) -> Floats:
+    return np.asarray(np.sqrt(np.mean(np.abs(response) ** 2, axis=0)))
+
+
+def _smooth(level: Floats) -> Floats:
+    return np.convolve(level, np.ones(_SMOOTHED) / _SMOOTHED, mode="same")
