@@ -12,6 +12,7 @@ from companion.cli.audit.loop import fly
 from companion.cli.audit.rest_calibration import calibrate, settings_for
 from companion.cli.audit.shots import Flown
 from companion.cli.audit.trials import SEED, Pace, Trial, flight_plan
+from companion.core.stereo.geometry import Rig
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Bytes
@@ -29,13 +30,14 @@ _LAG_S = 0.8  # the smoother needs the samples after a shot
 class Outcome:
     """What an experiment gave: its shots, one pair of its images, and how far belief and truth are apart.
 
-    ``slope_factor_gap`` is the believed slope factor of the first symmetric mode over the true one, less 1: the part
-    of the correction that no tracker can mend.
+    ``baseline_m`` is the believed distance of the cameras. ``slope_factor_gap`` is the believed slope factor of the
+    first symmetric mode over the true one, less 1: the part of the correction that no tracker can mend.
     """
 
     trial: Trial
     flown: Flown
     images: tuple[Bytes, Bytes]
+    baseline_m: float
     slope_factor_gap: float
 
 
@@ -54,7 +56,8 @@ def run(trial: Trial, pace: Pace, seed: int = SEED) -> Outcome:
     pair = render_pair(renderer, Shutters(flight.real.actual, flight.seed), int(edges_ns[0]), 0)
     believed = flight.airframe.wing.symmetric.slope_factor_radpm.value
     gap = believed / flight.real.actual.wing.symmetric.slope_factor_radpm.value - 1.0
-    return Outcome(trial, flown, (pair.left.image, pair.right.image), gap)
+    baseline_m = Rig.from_airframe(flight.airframe).baseline_m
+    return Outcome(trial, flown, (pair.left.image, pair.right.image), baseline_m, gap)
 
 
 def _prepared(trial: Trial, pace: Pace, seed: int) -> tuple[Flight, Scene, Settings]:

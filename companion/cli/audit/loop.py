@@ -38,7 +38,9 @@ from companion.sim.scene import Scene
 
 _TICK_NS = 10_000_000
 _VISION_NS = 60_000_000
-_WARM_UP_NS = 2_000_000_000
+WARM_UP_S = 2.0
+"""Before shots count the planner fires already, so that the trigger's latency is learned."""
+
 _RANDOM_PLAN = -1
 _PAIR = "pair "
 
@@ -111,7 +113,7 @@ def fly(
 ) -> Flown:
     """Fly through; shots at the planner's instants and at random edges (boot ns), within ``counted_s``.
 
-    The planner's shots begin two seconds earlier, so that the trigger's latency is learned; those are not scored.
+    The planner's shots begin :data:`WARM_UP_S` earlier; those are not scored.
     """
     renderer = Renderer(flight.real.actual, flight.truth, scene, flight.seed)
     from_ns, until_ns = (HOST_EPOCH_NS + round(t_s * 1e9) for t_s in counted_s)
@@ -121,7 +123,7 @@ def fly(
         VisionState.create(flight.airframe, settings),
         renderer,
         Shutters(flight.real.actual, flight.seed),
-        from_ns - _WARM_UP_NS,
+        from_ns - round(WARM_UP_S * 1e9),
         until_ns,
     )
     edges = deque((HOST_EPOCH_NS + np.sort(random_edges_ns)).tolist())

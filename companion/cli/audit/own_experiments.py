@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -108,7 +109,9 @@ def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> Table:
         "Tables 3 and 4 again: metres at diverging peaks, median",
         ("object", "still", "vibrating: paper", "ours", "corrected: paper", "ours", "oracle", "left: paper / ours"),
         tuple(rows),
-        "The wing swings as wide at every object here; the paper's three objects imply three different angles.",
+        "The wing swings as wide at every object here, by the mean of the three angles that the paper's objects imply; "
+        "Table 4 takes the board's, the smallest. In the other table both signs of the peak count, and a converging "
+        "pair reads long by more than a diverging one reads short.",
     )
 
 
@@ -129,7 +132,7 @@ def _bars(results: Results) -> Picture:
                 marks = [trial.paper_before_percent, trial.paper_after_percent or np.nan]
                 axis.plot([i - 0.22, i], marks, "kD", ms=4, label="paper" if key == "wing_60m" else None)
         axis.set(yscale="log", ylabel="range error, %", title="rms at peaks; diamonds: the paper, before and after")
-        names = [results.outcomes[key].trial.title.replace(", ", "\n") for key in results.own]
+        names = [re.sub(", | (?=at |on )", "\n", results.outcomes[key].trial.title) for key in results.own]
         axis.set_xticks(at, names, fontsize=7)
         axis.legend(ncols=4, loc="upper left")
         axis.set_ylim(top=20 * max(peak["rigid"]["rms_percent"] for peak in peaks))

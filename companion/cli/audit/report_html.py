@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Sequence
 from html import escape
 
@@ -27,12 +28,32 @@ ul.findings li:first-child { font-weight: 600; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; vertical-align: top; padding: .32rem .8rem .32rem 0; border-bottom: 1px solid var(--line); }
+sup { line-height: 0; font-size: .72em; }
+th.n, td.n { text-align: right; }
 th { color: var(--soft); font-weight: 600; border-bottom: 1.5px solid var(--ink); vertical-align: bottom; }
 figure { margin: 1.6rem 0 0; } figure img { width: 100%; height: auto; display: block; }
 figcaption { font-size: .87rem; color: var(--soft); margin-top: .3rem; }
 @media (max-width: 44rem) { nav ol { columns: 1; } main { padding: 1.5rem 1rem; } }
 @media print { nav { display: none; } h2 { break-after: avoid; } table, figure { break-inside: avoid; } }
 """
+
+
+_SYMBOLS = (
+    (r"\bbeta\*l\b", "βl"),
+    (r"\bomega_([123])\b", lambda found: "ω" + "₁₂₃"[int(found[1]) - 1]),
+    (r"\bomega\b", "ω"),
+    (r"\btheta(?=_|\b)", "θ"),
+    (r"\bOmega(?=_|\b)", "Ω"),
+    (r"\bmu\b", "μ"),
+    (r"\brho\b", "ρ"),
+    (r"\bzeta\b", "ζ"),
+    (r"\^([234])", lambda found: "²³⁴"[int(found[1]) - 2]),
+    (r"\^T", "ᵀ"),
+    (r"->", "→"),
+    (r"(?<=\d)e([+-]?)0*(\d+)(?=\D|$)", lambda found: f"·10<sup>{'−' if found[1] == '-' else ''}{found[2]}</sup>"),
+    (r"(?<![\w.)])-(?=[\d.])", "−"),
+)
+_NUMERIC = re.compile(r"[−~>±·\d.,/%+\s()→a-z]*\d[−~>±·\d.,/%+\s()→]*(<sup>.*</sup>)?\s*(%|m|mm|mrad|px)?|-|")
 
 
 def html(sections: Sequence[Section]) -> str:
@@ -47,8 +68,16 @@ def html(sections: Sequence[Section]) -> str:
     )
 
 
+def _text(plain: str) -> str:
+    """Escaped, with the symbols that plain text spells out."""
+    text = escape(plain, quote=False)
+    for pattern, symbol in _SYMBOLS:
+        text = re.sub(pattern, symbol, text)
+    return text
+
+
 def _section(section: Section) -> str:
-    findings = "".join(f"<li>{escape(finding)}</li>" for finding in section.findings)
+    findings = "".join(f"<li>{_text(finding)}</li>" for finding in section.findings)
     parts = [
         f'<section id="{escape(section.key)}"><h2>{escape(section.title)}</h2><ul class="findings">{findings}</ul>'
     ]
@@ -58,12 +87,24 @@ def _section(section: Section) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in table.header)
-    rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
-    note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
+    columns = list(zip(*table.rows, strict=True))
+    numeric = [all(_NUMERIC.fullmatch(_text(cell)) for cell in column) for column in columns]
+    head = _row("th", table.header, numeric)
+    rows = "".join(_row("td", row, numeric) for row in table.rows)
+    note = f'<p class="note">{_text(table.note)}</p>' if table.note else ""
     return (
-        f'<h3>{escape(table.title)}</h3><div class="wide"><table><thead><tr>{head}</tr></thead>'
+        f'<h3>{_text(table.title)}</h3><div class="wide"><table><thead>{head}</thead>'
         f"<tbody>{rows}</tbody></table></div>{note}"
+    )
+
+
+def _row(tag: str, cells: Sequence[str], numeric: Sequence[bool]) -> str:
+    """Numbers stand at the right, so that they can be compared."""
+    marked = zip(cells, numeric, strict=True)
+    return (
+        "<tr>"
+        + "".join(f"<{tag}{' class=n' if right else ''}>{_text(cell)}</{tag}>" for cell, right in marked)
+        + "</tr>"
     )
 
 
@@ -71,5 +112,5 @@ def _picture(picture: Picture) -> str:
     data = base64.b64encode(picture.svg.encode()).decode()
     return (
         f'<figure><img alt="{escape(picture.title)}" src="data:image/svg+xml;base64,{data}">'
-        f"<figcaption>{escape(picture.title)}</figcaption></figure>"
+        f"<figcaption>{_text(picture.title)}</figcaption></figure>"
     )

@@ -84,7 +84,18 @@ def errors(readings: Iterable[Reading | None]) -> dict[str, Any]:
         "median_percent": _median(percent),
         "median_range_m": _median(1.0 / inverse[met]),
         "inverse_rms_pm": rms(inverse - true),
+        "inverse_mean_pm": float(np.mean(inverse - true)) if kept else float("nan"),
     }
+
+
+def toe_error_mrad(outcome: Outcome, found: Mapping[str, Any]) -> tuple[float, float]:
+    """Mean and spread of a way's error as relative toe, ``B (1/Z_read - 1/Z)``; ``found`` is that way's entry.
+
+    The mean over a few seconds is the slow part (trim, tilt bias, calibration), the spread is what moves.
+    """
+    factor = 1e3 * outcome.baseline_m
+    mean, total = factor * found["inverse_mean_pm"], factor * found["inverse_rms_pm"]
+    return mean, float(np.sqrt(max(total**2 - mean**2, 0.0)))
 
 
 def one_tip_toe_error_mrad(shots: Sequence[Scored]) -> float:

@@ -7,8 +7,9 @@ from typing import Any
 
 from companion.cli.audit import printed
 from companion.cli.audit.findings import Section, Table
+from companion.cli.audit.loop import WARM_UP_S
 from companion.cli.audit.scores import Results
-from companion.cli.audit.trials import SETTLE_S, wing_amplitude_m
+from companion.cli.audit.trials import BOOM_PEAK_M, SETTLE_S, wing_amplitude_m
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
 
@@ -19,9 +20,10 @@ def section(results: Results) -> Section:
     flown = [outcome.flown for outcome in results.outcomes.values()]
     scored, refused = sum(len(each.shots) for each in flown), sum(sum(each.refused.values()) for each in flown)
     findings = (
-        f"All {len(flown)} experiments that are defined were run and are shown. {scored} shots count; {refused} got no "
-        f"range, and are listed. No shot is taken in the first {SETTLE_S - 2:.0f} s of vibration; those of the "
-        "next 2 s only teach the trigger its latency.",
+        f"All {len(flown)} experiments that are defined were run and are shown. {scored} shots count; {refused} more "
+        "got no range and are listed below by reason. No shot is taken in the first "
+        f"{SETTLE_S - WARM_UP_S:.0f} s of vibration; those of the next {WARM_UP_S:.0f} s only teach the trigger its "
+        "latency.",
         "The paper prints neither the boom's target distances, damping, drive nor focal lengths, nor the wing's "
         "frequency and drive: these are chosen here, and stated. Shares of the error removed can be compared, "
         "absolute errors of the boom cannot.",
@@ -45,7 +47,8 @@ def _differences(boom: Airframe, wing: Airframe) -> tuple[tuple[str, ...], ...]:
         ("boom", "Table 1's strip; damping not printed", f"{_pm(boom.wing.symmetric.frequency_hz)} Hz, damping "
          f"{_pm(boom.wing.symmetric.damping)}, the truth drawn from that", "Table 2's first mode"),
         ("boom's drive", "steady shaker; frequency, amplitude not printed", "sine at the believed first frequency, "
-         "0.57 mm at the tip; the real mode lies elsewhere", "a user does not know the true frequency either"),
+         f"{1e3 * BOOM_PEAK_M:.2f} mm at the tip; the real mode lies elsewhere",
+         "a user does not know the true frequency either"),
         ("boom's targets", "distances not printed", "1 and 2 m; 1.5 m under random drive", "indoor distances"),
         ("boom's cameras", "Watec 660D G3.8", f"{boom.left_camera.focal_px.value:g} px focal length, "
          f"{1e3 * boom.left_camera.exposure_s:g} ms", "3.8 mm before a 1/4 inch sensor (inference)"),

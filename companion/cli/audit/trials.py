@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from companion.sim.aircraft import FlightPlan, Level, PullUp, Roll
 SEED = 5
 SETTLE_S = 15.0
 _BOOM_RMS_M = 0.0004
+BOOM_PEAK_M = math.sqrt(2.0) * _BOOM_RMS_M
 _WING_RMS_M = 0.0015
 _FLIGHT_RMS_M = 0.005
 _FLOWN_FROM_M = 60.0
@@ -79,7 +81,7 @@ def trials() -> tuple[Trial, ...]:
 
 
 def _booms() -> tuple[Trial, ...]:
-    boom, peak, near = "paper-beam", float(np.sqrt(2.0)) * _BOOM_RMS_M, (1.0, 2.0)
+    boom, peak, near = "paper-beam", BOOM_PEAK_M, (1.0, 2.0)
     return (
         Trial("boom_1m", "boom on the shaker, target at 1 m", boom, Drive.SHAKER_SINE, peak, 1.0, near),
         Trial("boom_2m", "boom on the shaker, target at 2 m", boom, Drive.SHAKER_SINE, peak, 2.0, near),
