@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import datetime
 from pathlib import Path
 
 import cv2
@@ -12,11 +11,9 @@ import pytest
 
 from companion.adapters.cameras.euroc import euroc_cameras
 from companion.adapters.cameras.folder import FolderPair
-from companion.adapters.cameras.oak import OakPair, OakSensor, OakTiming, camera_to_handler, frame_of, lens_from_handler
 from companion.adapters.cameras.video import CapturePair
 from companion.core.stereo.geometry import Rig
 from companion.errors import DeviceError
-from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
 from companion.records import ClockName, Side
 
@@ -89,42 +86,3 @@ def test_a_video_pair_plays_to_its_end(tmp_path: Path) -> None:
     assert stamps[0] >= 10**9
     with pytest.raises(DeviceError, match=r"none\.avi"):
         CapturePair(tmp_path / "none.avi", tmp_path / "left.avi")
-
-
-def test_a_depthai_frame_becomes_ours() -> None:
-    dai = pytest.importorskip("depthai")
-    image = dai.ImgFrame()
-    image.setCvFrame(np.arange(24, dtype=np.uint8).reshape(4, 6), dai.ImgFrame.Type.GRAY8)
-    image.setTimestamp(datetime.timedelta(seconds=12, microseconds=345678))
-    image.setSequenceNum(9)
-    frame = frame_of(image, Side.RIGHT, OakTiming(exposure_us=1500), dai)
-    assert (frame.side, frame.sequence, frame.clock) == (Side.RIGHT, 9, ClockName.HOST)
-    assert frame.mid_exposure_ns == 12_345_678_000
-    assert frame.exposure_ns == 1_500_000
-    assert np.array_equal(frame.image, np.arange(24).reshape(4, 6))
-
-
-def test_a_lens_survives_the_device_s_calibration_handler() -> None:
-    dai = pytest.importorskip("depthai")
-    camera = load_airframe("nadir-2m").left_camera
-    assert camera is not None
-    bent = dataclasses.replace(
-        camera, focal_px=Uncertain(801.5), focal_ratio=0.998, distortion=(-0.1, 0.02, 1e-4, -2e-4, 3e-3)
-    )
-    handler = dai.CalibrationHandler()
-    camera_to_handler(handler, "CAM_B", bent)
-    lens = lens_from_handler(handler, "CAM_B", (640, 480))
-    assert lens["focal"] == pytest.approx(801.5, rel=1e-6)
-    assert lens["focal_ratio"] == pytest.approx(0.998, rel=1e-6)
-    assert lens["distortion"] == pytest.approx(bent.distortion, rel=1e-5)
-    with pytest.raises(DeviceError, match="CAM_C"):
-        lens_from_handler(handler, "CAM_C", (640, 480))
-
-
-@pytest.mark.slow
-def test_without_a_device_the_pair_says_so() -> None:
-    dai = pytest.importorskip("depthai")
-    if dai.Device.getAllAvailableDevices():
-        pytest.skip("a DepthAI device is connected")
-    with pytest.raises(DeviceError, match="DepthAI"):
-        OakPair(OakSensor("", "CAM_B"), OakSensor("", "CAM_C"), (640, 480), OakTiming())

@@ -6,16 +6,17 @@ The library is imported when a device is opened: it takes 95 MB.
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import importlib
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from companion.errors import DeviceError
-from companion.params.airframe import Camera
 from companion.records import ClockName, Frame, Side
 
 PLAN_UNKNOWN = -1
@@ -48,36 +49,13 @@ class OakTiming:
     row_time_ns: int = 0
 
 
-class OakPair:
-    """Implements :class:`companion.ports.CameraPair`.
+class QueuePair:
+    """Implements :class:`companion.ports.CameraPair` over the output queues of DepthAI pipelines, left and right."""
 
-    Parameters
-    ----------
-    left, right : OakSensor
-        Equal ``device`` means one device with two sensors.
-    size_px : tuple
-        Width, height.
-    timing : OakTiming
-        Exposure and trigger.
-
-    Raises
-    ------
-    DeviceError
-        The library or a device is missing, or a socket has no camera.
-    """
-
-    def __init__(self, left: OakSensor, right: OakSensor, size_px: tuple[int, int], timing: OakTiming) -> None:
+    def __init__(self, timing: OakTiming) -> None:
         self._dai, self._timing = library(), timing
         self._pipelines: dict[str, Any] = {}
         self._queues: list[Any] = []
-        try:
-            for sensor in (left, right):
-                self._queues.append(self._open(sensor, size_px))
-            for pipeline in self._pipelines.values():
-                pipeline.start()
-        except RuntimeError as error:
-            self.close()
-            raise DeviceError(f"DepthAI camera: {error}") from error
 
     def poll(self, timeout_s: float) -> list[Frame]:
         """Frames that have arrived within the timeout; :class:`DeviceError` when a device is gone."""
@@ -100,18 +78,117 @@ class OakPair:
         for pipeline in self._pipelines.values():
             pipeline.stop()
 
+    def _start(self) -> None:
+        for pipeline in self._pipelines.values():
+            pipeline.start()
+
+
+class OakPair(QueuePair):
+    """One device with two sensors, or one device at each wingtip.
+
+    Parameters
+    ----------
+    left, right : OakSensor
+        Equal ``device`` means one device with two sensors.
+    size_px : tuple
+        Width, height.
+    timing : OakTiming
+        Exposure and trigger.
+
+    Raises
+    ------
+    DeviceError
+        The library or a device is missing, a socket has no camera, or the FSYNC line cannot be an input.
+    """
+
+    def __init__(self, left: OakSensor, right: OakSensor, size_px: tuple[int, int], timing: OakTiming) -> None:
+        super().__init__(timing)
+        try:
+            for sensor in (left, right):
+                self._queues.append(self._open(sensor, size_px))
+            self._start()
+        except RuntimeError as error:
+            self.close()
+            raise DeviceError(f"DepthAI camera: {error}") from error
+
     def _open(self, sensor: OakSensor, size_px: tuple[int, int]) -> Any:
         dai = self._dai
         if sensor.device not in self._pipelines:
             device = dai.Device(dai.DeviceInfo(sensor.device)) if sensor.device else dai.Device()
+            if self._timing.external:
+                listen_to_line(device, dai)
             self._pipelines[sensor.device] = dai.Pipeline(device)
-        socket = getattr(dai.CameraBoardSocket, sensor.socket, None)
-        if socket is None:
-            raise DeviceError(f"DepthAI has no camera socket '{sensor.socket}'; CAM_A, CAM_B, CAM_C ...")
-        node = self._pipelines[sensor.device].create(dai.node.Camera).build(socket)
-        configure(node.initialControl, self._timing, dai)
-        output = node.requestOutput(size_px, dai.ImgFrame.Type.GRAY8, fps=self._timing.rate_hz)
-        return output.createOutputQueue(maxSize=8, blocking=False)
+        node = self._pipelines[sensor.device].create(dai.node.Camera)
+        return camera_queue(node, sensor.socket, size_px, self._timing, dai)
+
+
+class OakReplayPair(QueuePair):
+    """Two video files through DepthAI's own replay nodes, on a pipeline without a device, at their own pace.
+
+    What comes after the queues is what comes after them with a device. The two nodes keep no common time; frames of
+    equal number get the left one's stamp.
+
+    Parameters
+    ----------
+    left, right : Path
+    timing : OakTiming
+        ``rate_hz`` is the pace.
+
+    Raises
+    ------
+    DeviceError
+        The library or a file is missing.
+    """
+
+    def __init__(self, left: Path, right: Path, timing: OakTiming) -> None:
+        super().__init__(timing)
+        dai = self._dai
+        pipeline = dai.Pipeline(createImplicitDevice=False)
+        self._pipelines["replay"] = pipeline
+        self._waiting: dict[int, Frame] = {}
+        for path in (left, right):
+            if not path.is_file():
+                raise DeviceError(f"{path}: no such video")
+            node = pipeline.create(dai.node.ReplayVideo)
+            node.setReplayVideoFile(path)
+            node.setOutFrameType(dai.ImgFrame.Type.GRAY8)
+            node.setFps(timing.rate_hz)
+            node.setLoop(False)
+            self._queues.append(node.out.createOutputQueue(maxSize=64, blocking=False))
+        try:
+            self._start()
+        except RuntimeError as error:
+            raise DeviceError(f"DepthAI replay: {error}") from error
+
+    def poll(self, timeout_s: float) -> list[Frame]:
+        """Pairs of which both frames have been played within the timeout."""
+        frames: list[Frame] = []
+        for frame in super().poll(timeout_s):
+            other = self._waiting.pop(frame.sequence, None)
+            if other is None:
+                self._waiting[frame.sequence] = frame
+                continue
+            left, right = sorted((frame, other), key=lambda one: one.side)
+            frames += [left, dataclasses.replace(right, mid_exposure_ns=left.mid_exposure_ns)]
+        return frames
+
+
+def camera_queue(node: Any, socket: str, size_px: tuple[int, int], timing: OakTiming, dai: Any) -> Any:
+    """Set up a camera node and give the queue of its grey images; :class:`DeviceError` for an unknown socket."""
+    place = getattr(dai.CameraBoardSocket, socket, None)
+    if place is None:
+        raise DeviceError(f"DepthAI has no camera socket '{socket}'; CAM_A, CAM_B, CAM_C ...")
+    built = node.build(place)
+    configure(built.initialControl, timing, dai)
+    output = built.requestOutput(size_px, dai.ImgFrame.Type.GRAY8, fps=timing.rate_hz)
+    return output.createOutputQueue(maxSize=8, blocking=False)
+
+
+def listen_to_line(device: Any, dai: Any) -> None:
+    """Make the device's FSYNC pin an input; :class:`DeviceError` where it refuses (no such pin, or none connected)."""
+    done, why = device.setExternalFrameSyncRole(dai.ExternalFrameSyncRole.SLAVE)
+    if not done:
+        raise DeviceError(f"DepthAI camera does not listen to the FSYNC line: {why}")
 
 
 def configure(control: Any, timing: OakTiming, dai: Any) -> None:
@@ -137,40 +214,6 @@ def frame_of(image: Any, side: Side, timing: OakTiming, dai: Any) -> Frame:
         plan_id=PLAN_UNKNOWN,
         image=np.ascontiguousarray(image.getCvFrame(), dtype=np.uint8),
     )
-
-
-def camera_to_handler(handler: Any, socket: str, camera: Camera) -> None:
-    """Write a calibrated lens into a ``dai.CalibrationHandler`` (then ``eepromToJsonFile`` or ``flashCalibration``)."""
-    place = getattr(library().CameraBoardSocket, socket)
-    focal, tall = camera.focal_px.value, camera.focal_px.value * camera.focal_ratio
-    across, down = camera.principal_px
-    matrix = [[focal, 0.0, across], [0.0, tall, down], [0.0, 0.0, 1.0]]
-    handler.setCameraIntrinsics(place, matrix, camera.width_px, camera.height_px)
-    handler.setDistortionCoefficients(place, [*camera.distortion, *([0.0] * (14 - len(camera.distortion)))])
-
-
-def lens_from_handler(handler: Any, socket: str, size_px: tuple[int, int]) -> dict[str, Any]:
-    """Read a lens as fields of :class:`companion.params.airframe.Camera`, for ``dataclasses.replace``.
-
-    Raises
-    ------
-    DeviceError
-        The device is not calibrated there, or its model has rational terms that ours does not.
-    """
-    place = getattr(library().CameraBoardSocket, socket)
-    try:
-        matrix = handler.getCameraIntrinsics(place, *size_px)
-        bent = list(handler.getDistortionCoefficients(place))
-    except RuntimeError as error:
-        raise DeviceError(f"no calibration for {socket}: {error}") from error
-    if any(abs(term) > 0.0 for term in bent[5:]):
-        raise DeviceError(f"{socket} has a rational lens model; run 'spanwise calibrate stereo' for five terms")
-    return {
-        "focal": float(matrix[0][0]),
-        "focal_ratio": float(matrix[1][1] / matrix[0][0]),
-        "principal_px": (float(matrix[0][2]), float(matrix[1][2])),
-        "distortion": tuple(float(term) for term in bent[:5]),
-    }
 
 
 def library() -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from companion.adapters.cameras.folder import FolderPair
-from companion.adapters.cameras.oak import OakPair, OakSensor, OakTiming
+from companion.adapters.cameras.oak import OakPair, OakReplayPair, OakSensor, OakTiming
 from companion.adapters.cameras.paced import PacedPair, RecordedPair
 from companion.adapters.cameras.video import CapturePair
 from companion.adapters.clocks import MonotonicClock
@@ -20,6 +20,7 @@ SPELLINGS = (
     "v4l2:/dev/video0,/dev/video2 (left, right; numbers do too)",
     "folder:DIR (EuRoC layout: cam0 left, cam1 right)",
     "video:LEFT.avi,RIGHT.avi",
+    "oak-replay:LEFT.avi,RIGHT.avi (through DepthAI's replay nodes)",
     "recording:FILE.mcap",
 )
 _FREE_RUN_HZ = 30.0
@@ -59,6 +60,9 @@ def camera_factory(spelling: str, airframe: Airframe, *, triggered: bool) -> Cal
     if kind == "video":
         files = [Path(word) for word in _two(where, spelling)]
         return functools.partial(_video, files[0], files[1], left)
+    if kind == "oak-replay":
+        files = [Path(word) for word in _two(where, spelling)]
+        return functools.partial(OakReplayPair, files[0], files[1], _oak_timing(left, triggered))
     if kind == "recording":
         return functools.partial(_recording, Path(where))
     raise ConfigError(_unknown(spelling))
