@@ -65,7 +65,9 @@ def model_of(table: Tables, airframe: Airframe) -> SuperModel:
     """A trial's tables as the diagnosis sees a recording."""
     tips = {side: RawStream(table.t_s, table.force_z_mps2[:, side]) for side in Side}
     ranges = RawRanges(table.range_t_s, table.range_m, table.reference_m)
-    raw = RawRecording(tips, None, ranges, {"roller_v": (table.t_s, table.roller)})
+    raw = RawRecording(
+        tips, None, ranges, {"roller_v": (table.t_s, table.roller), "airspeed_mps": (table.t_s, table.airspeed)}
+    )
     seen = observe(raw, airframe, _TOP_HZ)
     return SuperModel(believe(airframe, seen.sides, True, False), seen, _TOP_HZ)
 

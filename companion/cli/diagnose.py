@@ -8,25 +8,31 @@ import json
 import sys
 from pathlib import Path
 
-from companion.cli.evidence import airframe_of, load
+from companion.adapters.recordings.mapping import TestKind, load_mapping
+from companion.cli import flights, measured
+from companion.cli.diagnose_models import models_of
+from companion.cli.evidence import airframe_of
 from companion.cli.report_html import write_report
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.belief import believe
-from companion.diagnosis.observations import observe
 from companion.diagnosis.report import as_json, sentence
-from companion.diagnosis.search import Diagnosis, diagnose
-from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.search import diagnose
+from companion.diagnosis.verdict import Diagnosis
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe
-
-_LOAD_VARIES = 0.02
-_TOP = 8.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("recordings", nargs="+", metavar="RECORDING", help=".mcap, .tlog, .BIN, .ulg, or a CSV folder")
+    parser.add_argument(
+        "recordings",
+        nargs="+",
+        metavar="RECORDING",
+        help=".mcap, .tlog, .BIN, .ulg, a CSV folder, or with --mapping a table or a folder of tables",
+    )
     parser.add_argument("--airframe", metavar="NAME", help="what is believed; needed unless the recording brings it")
+    parser.add_argument(
+        "--mapping", metavar="NAME", help="how to read a table in another layout: a name, or the path of a .toml file"
+    )
     parser.add_argument("--json", metavar="FILE", help="write the findings as JSON ('-': to standard output)")
     parser.add_argument("--html", metavar="FILE", help="write the report, one self-contained page")
     parser.add_argument(
@@ -37,9 +43,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Diagnose; every verdict is exit code 0."""
+    progress = _Progress(options.json != "-")
+    mapping = load_mapping(options.mapping) if options.mapping is not None else None
+    if mapping is not None and mapping.test is not TestKind.FLIGHT:
+        return measured.execute(options, mapping, progress)
     airframe = airframe_of(options.airframe, options.recordings)
-    models = [_model(path, airframe) for path in options.recordings]
-    found = diagnose(models, list(catalogue().values()), options.max_causes, _Progress(options.json != "-"))
+    paths = flights.paths_of(options.recordings, mapping)
+    timings = [flights.timing(path, airframe, mapping) for path in paths]
+    if not all(one.can_be_judged for one in timings):
+        return flights.not_identifiable(timings, options, airframe.name)
+    models = models_of(paths, airframe, mapping)
+    found = diagnose(models, list(catalogue().values()), options.max_causes, progress)
     plain = as_json(found, models, options.recordings)
     if options.json == "-":
         print(json.dumps(plain, indent=2, allow_nan=False))
@@ -67,16 +81,6 @@ def extended(airframe: Airframe, found: Diagnosis) -> Airframe:
         for cause in found.causes
     ]
     return dataclasses.replace(airframe, effects=(*airframe.effects, *named))
-
-
-def _model(path: str, airframe: Airframe) -> SuperModel:
-    wing = airframe.wing
-    modes = [wing.symmetric, wing.antisymmetric, wing.second_symmetric, wing.second_antisymmetric]
-    present = [mode.frequency_hz.value for mode in modes if mode is not None]
-    top_hz = max(_TOP * present[0], 1.6 * max(present))
-    seen = observe(load(Path(path), airframe), airframe, top_hz)
-    varies = float(seen.load_factor.std()) > _LOAD_VARIES
-    return SuperModel(believe(airframe, seen.sides, seen.toe is not None, varies), seen, top_hz)
 
 
 def _tell(found: Diagnosis, plain: dict[str, object]) -> None:

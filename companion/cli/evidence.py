@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from companion.adapters.recordings.csv import CsvRecording
+from companion.adapters.recordings.mapped_recording import MappedRecording
+from companion.adapters.recordings.mapping import TableMapping
 from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.recording import Recording
 from companion.core.clock.bank import ClockBank
@@ -28,15 +30,15 @@ def airframe_of(name: str | None, recordings: list[str]) -> Airframe:
     return open_recording(Path(recordings[0])).airframe
 
 
-def load(path: Path, airframe: Airframe) -> RawRecording:
-    """Read one recording.
+def load(path: Path, airframe: Airframe, mapping: TableMapping | None = None) -> RawRecording:
+    """Read one recording; a table in another layout through its mapping.
 
     Raises
     ------
     RecordingError
         It cannot be read, or has no wing accelerometer.
     """
-    recording = open_recording(path, airframe)
+    recording = MappedRecording(path, mapping, airframe) if mapping else open_recording(path, airframe)
     streams = _streams(recording)
     tips = {side: streams[station] for station, side in _SIDES.items() if station in streams}
     if not tips:
@@ -45,7 +47,18 @@ def load(path: Path, airframe: Airframe) -> RawRecording:
     raw_tips = {side: _tip(stream, root, recording.airframe, side) for side, stream in tips.items()}
     covariates, ranges = _tables(recording)
     raw_root = RawStream(root[0], root[1][:, 2]) if root is not None else None
-    return RawRecording(raw_tips, raw_root, ranges, covariates)
+    return RawRecording(raw_tips, raw_root, ranges, covariates, _rigid(root) if root is not None else {})
+
+
+def _rigid(root: tuple[Floats, Floats]) -> dict[str, tuple[Floats, Floats]]:
+    """The root's further axes, where they were measured."""
+    t_s, values = root
+    columns = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
+    return {
+        name: (t_s, values[:, column])
+        for name, column in columns.items()
+        if np.all(np.isfinite(values[:, column])) and np.any(values[:, column])
+    }
 
 
 def _streams(recording: Recording) -> dict[Station, tuple[Floats, Floats]]:
@@ -87,14 +100,14 @@ def _tip(
 
 
 def _angular_acceleration(root: tuple[Floats, Floats], column: int) -> Floats:
-    t_s, rate = root[0], root[1][:, column]
+    t_s, rate = root[0], np.nan_to_num(root[1][:, column])
     width = max(round(_ROLL_SMOOTHED_S / float(np.median(np.diff(t_s)))), 1)
     smooth = np.convolve(np.pad(rate, width, mode="edge"), np.ones(width) / width, mode="same")[width:-width]
     return np.asarray(np.gradient(smooth, t_s))
 
 
 def _tables(recording: Recording) -> tuple[dict[str, tuple[Floats, Floats]], RawRanges | None]:
-    if not isinstance(recording, CsvRecording):
+    if not isinstance(recording, CsvRecording | MappedRecording):
         return {}, None
     covariates = {entry.name: (entry.t_s, entry.values) for entry in recording.covariates.values()}
     table = recording.ranges

@@ -8,20 +8,27 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from companion.core.wing.effects import make_effect
 from companion.core.wing.structure import SLOT_NAMES
+from companion.diagnosis.linear import ADDED
+from companion.diagnosis.part import Part
 from companion.params.airframe import Airframe, Mode, Uncertain, Wing
 from companion.records import Floats, Side
 
+_INPUT_MPS2 = 10.0  # what a measured input may do to the wing at most
 _UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells
 _CORNER_SIGMA = 0.15
+_COHERENCE = 1.5  # of atanh: nearly anything from -1 to 1
 _MATCH_SIGMA_PX = 0.3
 _OWN = "#"
+_GAIN = "gain:"
 _CHANGING = (".level", ".noise", ".bias_mps2", "match")
 _RANGE_ONLY = frozenset({"toe_rad", "focal", "match", "trim_bend_m", "bend_per_g_m"})
 
@@ -41,6 +48,8 @@ class Belief:
 
     airframe: Airframe
     nuisances: tuple[Nuisance, ...]
+    parts: tuple[Part, ...] = ()
+    """Effects that the airframe file has in force already."""
 
     @property
     def sigmas(self) -> Floats:
@@ -80,13 +89,21 @@ class Belief:
 
 
 def believe(
-    airframe: Airframe, sides: Sequence[Side], with_range: bool, load_varies: bool, recordings: int = 1
+    airframe: Airframe,
+    sides: Sequence[Side],
+    with_range: bool,
+    load_varies: bool,
+    recordings: int = 1,
+    inputs: Mapping[str, float] = MappingProxyType({}),
 ) -> Belief:
     """List the nuisances of an airframe that these recordings can have an opinion about.
 
-    What differs from flight to flight (gust, noise, bias, matching) is a nuisance of each recording.
+    What differs from flight to flight (gust, noise, bias, matching) is a nuisance of each recording. ``inputs`` are the
+    measured ones with their rms: what they do to the wing per unit is free.
     """
     found = [entry for name in SLOT_NAMES for entry in _of_mode(getattr(airframe.wing, name), name, with_range)]
+    seconds = [name for name in SLOT_NAMES[2:] if getattr(airframe.wing, name) is not None]
+    found += [Nuisance(f"{name}.coherence", _COHERENCE) for name in (*seconds, ADDED)]
     found += [Nuisance(f"corner{i}", _CORNER_SIGMA, True) for i, c in enumerate(airframe.wing.gust.corners_hz) if c]
     for side in sides:
         sensor = (airframe.left, airframe.right)[side]
@@ -97,15 +114,24 @@ def believe(
         found.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))
     if with_range:
         found += _of_cameras(airframe, load_varies)
+    found += [Nuisance(f"{_GAIN}{name}", _INPUT_MPS2 / rms) for name, rms in inputs.items() if rms > 0.0]
     known = [entry for entry in found if entry.sigma > 0.0]
     if recordings > 1:
         known = [one for entry in known for one in _for_each(entry, recordings)]
-    return Belief(airframe, tuple(known))
+    in_force = tuple(Part(make_effect(entry)) for entry in airframe.effects)
+    return Belief(airframe, tuple(known), in_force)
 
 
-def of_range(key: str) -> bool:
-    """Whether a nuisance concerns the ranges or the sensors at rest alone."""
+def of_range(key: str, load_moves: bool = False) -> bool:
+    """Whether a nuisance concerns the ranges or the sensors at rest alone, and not the motion of the wing."""
+    if key == "bend_per_g_m" and load_moves:
+        return False
     return key in _RANGE_ONLY or key.endswith((".slope", ".bias_mps2"))
+
+
+def input_gains(deviation: Mapping[str, float]) -> dict[str, float]:
+    """Modal acceleration per unit of each measured input."""
+    return {key.removeprefix(_GAIN): value for key, value in deviation.items() if key.startswith(_GAIN)}
 
 
 def _for_each(entry: Nuisance, recordings: int) -> list[Nuisance]:

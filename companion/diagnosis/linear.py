@@ -13,6 +13,8 @@ from companion.diagnosis.matrices import Complexes, adjoint, full, inverse, prod
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side, Station
 
+ADDED = "added"
+"""Stands for a mode that an effect has appended, in the names of nuisances."""
 STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
 
 
@@ -28,8 +30,8 @@ class Linear:
         Two-sided load density.
     seen : (c, n, f)
         Accelerometer channel per modal deflection.
-    noise : (c,)
-        Two-sided density.
+    noise : (c, c)
+        Two-sided density; what a root sensor adds is the same on both sides.
     """
 
     receptance: Complexes
@@ -41,10 +43,11 @@ class Linear:
 class Spectra:
     """Writes a wing with effects as spectra on one frequency axis, in the units of a belief."""
 
-    def __init__(self, airframe: Airframe, sides: Sequence[Side], f_hz: Floats) -> None:
+    def __init__(self, airframe: Airframe, sides: Sequence[Side], f_hz: Floats, has_root: bool = False) -> None:
         self.airframe, self.sides, self.f_hz = airframe, tuple(sides), f_hz
         self._omega: Floats = 2.0 * np.pi * f_hz
         self._filters = [_butterworth(f_hz, airframe.sensor(STATIONS[side]).lowpass_accel_hz) for side in self.sides]
+        self._root_noise = 0.5 * airframe.root.accel_noise_mps2_rthz**2 if has_root else 0.0
         self._level = self._reference_levels()
 
     def linear(
@@ -53,7 +56,7 @@ class Spectra:
         """Spectra of a structure under effects and nuisances; ``scale`` (c,) is on the accelerometers beside them."""
         inertia = -(self._omega**2) * structure.lift[list(self.sides)][..., None]
         gains: Complexes = np.stack([scale[i] * self._response(i, effects, deviation) for i in range(len(self.sides))])
-        noise = np.array([self._noise(side, deviation) for side in self.sides])
+        noise = np.diag([self._noise(side, deviation) for side in self.sides]) + self._root_noise
         load = self._load(structure, effects, deviation)
         seen: Complexes = gains[:, None] * inertia
         return Linear(receptance(structure, self._omega), load, seen, noise)
@@ -65,11 +68,26 @@ class Spectra:
             k, name = (i, SLOT_NAMES[slot]) if i < believed else (slot % 2 if believed > 1 else 0, SLOT_NAMES[slot % 2])
             level[i] = self._level[k] * np.exp(2.0 * deviation.get(f"{name}.level", 0.0))
         load = (level[:, None] * self._load_shape(deviation)).astype(np.complex128)
+        load = self._coherent(load, structure, deviation)
         for effect in effects:
             gain = effect.load_gain(self.f_hz, structure.count)
             if gain is not None:
                 turned = np.moveaxis(np.broadcast_to(gain, (len(self.f_hz), *gain.shape[1:])), 0, -1)
                 load = product(product(turned, full(load)), adjoint(turned))
+        return load
+
+    def _coherent(self, load: Complexes, structure: Structure, deviation: Mapping[str, float]) -> Complexes:
+        """Let modes of one symmetry share a gust: one that loads the first may load the next, in part or wholly."""
+        for i in range(1, structure.count):
+            slot = structure.slots[i]
+            first = slot % 2 if structure.count > 1 and slot % 2 < len(self._level) else 0
+            name = SLOT_NAMES[slot] if i < len(self._level) else ADDED
+            shared = float(np.tanh(deviation.get(f"{name}.coherence", 0.0)))
+            if i != first and shared:
+                load = full(load).copy()
+                both = shared * np.sqrt(load[first, first] * load[i, i])
+                load[first, i] += both
+                load[i, first] += both
         return load
 
     def _response(self, channel: int, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:

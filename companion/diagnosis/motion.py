@@ -33,19 +33,26 @@ class Grid:
 class Motion:
     """One model's view of the accelerations; what is dear is made when it is asked for, once.
 
-    ``key`` equals another's where the two models are the same here. Frequencies run from 0 to the top of the band,
-    which begins at index ``low``.
+    ``key`` equals another's where the two models are the same here; ``measured_mps2`` (n, m) are modal loads that were
+    recorded. Frequencies run from 0 to the top of the band, which begins at index ``low``.
     """
 
     def __init__(
-        self, key: object, wing: WingModel, parts: Sequence[Part], grid: Grid, linear_of: Callable[..., Linear]
+        self,
+        key: object,
+        wing: WingModel,
+        parts: Sequence[Part],
+        grid: Grid,
+        linear_of: Callable[..., Linear],
+        measured_mps2: Floats | None = None,
     ) -> None:
         self.key = key
         self._grid, self._transforms, self._low = grid, grid.transforms, grid.low
         effects = tuple(part.effect for part in parts)
         self._up_mps2, scale = grid.straightener.straight_mps2(effects)
         self._bent = self._up_mps2 is not grid.straightener.recorded_mps2
-        self._push: Complexes | None = None
+        self._measured = None if measured_mps2 is None else grid.transforms.spectrum(measured_mps2)
+        self._push: Complexes | None = self._measured
         self._take(linear_of(wing.structure, scale))
         if any(part.effect.forces_modes() for part in parts):
             self._linearise(wing, parts, lambda structure: linear_of(structure, scale))
@@ -58,21 +65,21 @@ class Motion:
         loaded = product(per_load, linear.load)
         self.cross = adjoint(product(loaded, adjoint(linear.receptance)))  # (n, c, f): q with what is seen
         self.spectrum = product(loaded[..., low:], adjoint(per_load[..., low:]))
-        self.spectrum[np.diag_indices(len(linear.noise))] += linear.noise[:, None]
+        self.spectrum += linear.noise[..., None]
         self.inverse = inverse(self.spectrum)
 
     def _linearise(self, wing: WingModel, parts: Sequence[Part], linear_of: Callable[[Structure], Linear]) -> None:
         """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data."""
         for _ in range(_PASSES):
-            smoother = self._smoother()
-            push = self._grid.straightener.push(wing, parts, *self._smoothed(apply(smoother, self._straight)))
+            push = self._grid.straightener.push(wing, parts, *self._smoothed(self._modal(self._smoother())))
             stiffness = wing.structure.stiffness_radps2 - push.per_q
             damping = wing.structure.damping_radps - push.per_qdot
             if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
                 raise ValueError("these forces make the wing unstable")
             self._take(linear_of(replace(wing.structure, stiffness_radps2=stiffness, damping_radps=damping)))
         if np.any(push.rest_mps2):
-            self._push = self._transforms.spectrum(push.rest_mps2)[:, : self._top]
+            rest = self._transforms.spectrum(push.rest_mps2)
+            self._push = rest if self._measured is None else rest + self._measured
 
     @cached_property
     def smoother(self) -> Complexes:
@@ -87,10 +94,7 @@ class Motion:
     @cached_property
     def modal(self) -> Complexes:
         """Spectrum of the smoothed modal deflection, (n, f)."""
-        if self._push is None:
-            return apply(self.smoother, self._straight)
-        left = self._straight - apply(self.linear.seen, self._forced)
-        return np.asarray(apply(self.smoother, left) + self._forced)
+        return self._modal(self.smoother)
 
     @cached_property
     def residual(self) -> Complexes:
@@ -99,7 +103,7 @@ class Motion:
             return self._grid.recorded[1]
         up = self._up_mps2
         if self._push is not None:
-            up = up - self._transforms.in_time(apply(self.linear.seen, self._forced))
+            up = up - self._transforms.in_time(apply(self.linear.seen, self._forced()))
         return self._transforms.tapered(up)[:, self._low : self._top]
 
     @cached_property
@@ -121,10 +125,15 @@ class Motion:
             return self._grid.recorded[0]
         return self._transforms.spectrum(self._up_mps2)[:, : self._top]
 
-    @cached_property
+    def _modal(self, smoother: Complexes) -> Complexes:
+        if self._push is None:
+            return apply(smoother, self._straight)
+        forced = self._forced()
+        return np.asarray(apply(smoother, self._straight - apply(self.linear.seen, forced)) + forced)
+
     def _forced(self) -> Complexes:
         assert self._push is not None
-        return apply(self.linear.receptance, self._push)
+        return apply(self.linear.receptance, self._push[:, : self._top])
 
     def _smoother(self) -> Complexes:
         found = np.zeros_like(self.cross)

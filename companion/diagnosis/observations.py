@@ -23,7 +23,9 @@ from companion.records import Floats, Side
 _SHORTEST_S = 8.0
 _LONGEST_GAP_S = 0.02
 _MARGIN_S = 1.0
+_INPUT = "input_"
 _CROWDED = 0.2
+_HARDLY = 0.02  # power share that a filter lets through, below which it is not undone
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +101,10 @@ class Observations:
     toe : ToeData or None
     rigid : dict of str to (m,)
         The root's further axes by letter (x, y, p, q, r), where they were recorded.
+    inputs : dict of str to (m,)
+        Measured forces (input_n) and base accelerations (input_mps2), their means removed.
+    share : float
+        How much of its recording this part is: what is known of the whole (the mean) counts for that much here.
     in_samples : tuple of SampleFinding
         What the tips' samples themselves show; cut peaks have been bridged.
     notes : tuple of str
@@ -115,7 +121,9 @@ class Observations:
     covariates: dict[str, Floats]
     toe: ToeData | None
     rigid: dict[str, Floats] = field(default_factory=dict)
+    inputs: dict[str, Floats] = field(default_factory=dict)
     in_samples: tuple[SampleFinding, ...] = ()
+    share: float = 1.0
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
     centre_s: float = 0.0
@@ -143,6 +151,8 @@ class Observations:
             load_factor=self.load_factor[first:last],
             covariates={name: values[first:last] for name, values in self.covariates.items()},
             rigid={name: values[first:last] for name, values in self.rigid.items()},
+            inputs={name: values[first:last] for name, values in self.inputs.items()},
+            share=self.share * (last - first) / len(self.up_mps2),
             toe=toe,
             start_s=self.start_s + first / self.rate_hz,
         )
@@ -170,10 +180,13 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     faults = {side: _faults(raw.tips[side], start_s, stop_s, airframe, side) for side in sides}
     mended = {side: _mended(raw.tips[side], faults[side]) for side in sides}
     tips = np.stack([_on_grid(mended[side], fine_t) for side in sides], 1)
-    root = _on_grid(raw.root, fine_t) if raw.root else np.full(len(fine_t), -GRAVITY_MPS2)
+    root = np.full(len(fine_t), -GRAVITY_MPS2)
+    if raw.root:
+        root = _unfiltered(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
     up = root[:, None] - tips
     load = -root / GRAVITY_MPS2
     grid_t = start_s + np.arange(keep) / rate_hz
+    channels = {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.covariates.items()}
     return Observations(
         rate_hz,
         sides,
@@ -181,11 +194,12 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         np.asarray(tips.mean(0) - root.mean()),
         raw.root is not None,
         _resample(load - load.mean(), keep) + load.mean(),
-        {name: _standard(np.interp(grid_t, t_s, values)) for name, (t_s, values) in raw.covariates.items()},
+        {name: _standard(values) for name, values in channels.items() if not name.startswith(_INPUT)},
         _toe(raw.ranges, airframe, start_s, stop_s),
         {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
+        {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
         together([entry for side in sides for entry in faults[side]]),
-        tuple(notes),
+        notes=tuple(notes),
         centre_s=0.5 * keep / rate_hz,
     )
 
@@ -238,6 +252,18 @@ def _on_grid(stream: RawStream, t_s: Floats) -> Floats:
     if float(step.min()) < _CROWDED * float(np.median(step)):  # a spline through crowded samples would swing
         return np.asarray(np.interp(t_s, stream.t_s, stream.force_z_mps2))
     return np.asarray(CubicSpline(stream.t_s, stream.force_z_mps2)(t_s))
+
+
+def _unfiltered(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
+    """Undo the root's low-pass (2nd-order Butterworth) where something came through it."""
+    if not corner_hz:
+        return values
+    # about the line between the ends, which keeps the transform from seeing a step there
+    line = np.linspace(values[0], values[-1], len(values))
+    f_hz = np.fft.rfftfreq(len(values), 1.0 / rate_hz) / corner_hz
+    passed = 1.0 / (1.0 + np.sqrt(2.0) * 1j * f_hz - f_hz**2)
+    back = passed.conj() * (1.0 + _HARDLY) / (np.abs(passed) ** 2 + _HARDLY)
+    return np.asarray(line + np.fft.irfft(back * np.fft.rfft(values - line), len(values)))
 
 
 def _coarse(count: int, fine_hz: float, top_hz: float) -> tuple[float, int]:

@@ -8,7 +8,7 @@ made so band by band.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,6 +72,17 @@ class Straightener:
                 scale = scale * (1.0 + share)
             up = up - change
         return up, scale
+
+    def measured_mps2(self, wing: WingModel, gains: Mapping[str, float]) -> Floats | None:
+        """Modal loads (n, m) that were recorded: what the load factor bends, inputs times their gain; None for none."""
+        seen, structure = self._seen, wing.structure
+        load = np.zeros((wing.count, len(seen.up_mps2)))
+        if seen.has_root:
+            bend = structure.stiffness_radps2 @ structure.static_per_g_m
+            load += np.outer(bend, seen.load_factor - np.mean(seen.load_factor))
+        for name, values in seen.inputs.items():
+            load[0] += gains.get(name, 0.0) * values
+        return load if np.any(load) else None
 
     def push(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Push:
         """Forces of state and time on a smoothed motion (n, m), split by statistical linearisation."""

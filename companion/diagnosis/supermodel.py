@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from companion.core.wing.effect import Effect, Group
 from companion.core.wing.model import WingModel
-from companion.diagnosis.belief import Belief, of_range
+from companion.diagnosis.belief import Belief, input_gains, of_range
 from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.linear import STATIONS, Spectra
 from companion.diagnosis.matrices import Complexes, log_determinant, weighed_square
@@ -46,7 +46,7 @@ class SuperModel:
         top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * seen.rate_hz), side="right"))
         self.band_hz: Floats = all_hz[self._low : top]
         self.weight = self._transforms.weight
-        self._spectra = Spectra(belief.airframe, seen.sides, all_hz[:top])
+        self._spectra = Spectra(belief.airframe, seen.sides, all_hz[:top], seen.has_root)
         straightener = Straightener(seen, self._transforms)
         up = straightener.recorded_mps2
         recorded = self._transforms.spectrum(up)[:, :top], self._transforms.tapered(up)[:, self._low : top]
@@ -68,6 +68,7 @@ class SuperModel:
             Of a neighbouring model, which lends its ``toe_posterior``, the dear part, and all that is the same.
         """
         deviation = self.belief.named(deviations, self.recording)
+        parts = (*self.belief.parts, *parts)
         effects = tuple(part.effect for part in parts)
         wing = WingModel(self.belief.wing(deviation), effects)
         motion = self._motion(wing, parts, deviation, near)
@@ -100,14 +101,14 @@ class SuperModel:
         return self._grid.recorded[1]
 
     def residual_force(self, found: Expectation) -> Floats:
-        """Score of the likelihood with respect to a force on each mode at each instant, (n, m)."""
-        return self._transforms.in_time(found.motion.force_score)
+        """Score of the likelihood with respect to a force on each believed mode at each instant, (n, m)."""
+        believed = WingModel(self.belief.airframe.wing).count
+        return self._transforms.in_time(found.motion.force_score[:believed])
 
     def spring_force(self, found: Expectation) -> Floats:
-        """Modal spring force of the smoothed motion, (n, m)."""
-        n = len(found.q_m)
+        """Spring force of the believed modes' smoothed motion, (n, m)."""
         stiffness = WingModel(self.belief.airframe.wing).structure.stiffness_radps2
-        return np.asarray(np.diag(stiffness)[: min(n, len(stiffness)), None] * found.q_m[: len(stiffness)])
+        return np.asarray(stiffness @ found.q_m[: len(stiffness)])
 
     @property
     def baseline_m(self) -> float:
@@ -130,12 +131,19 @@ class SuperModel:
     ) -> Motion:
         """What the accelerations have a say in; half of all parameters are of the cameras alone and leave it."""
         inner = tuple(part for part in parts if part.effect.group is not Group.CAMERA)
-        key = (inner, tuple(value for name, value in deviation.items() if not of_range(name)))
+        bends = self.seen.has_root  # then the bend per g moves the wing, and not the ranges alone
+        key = (inner, tuple(value for name, value in deviation.items() if not of_range(name, bends)))
         if near is not None and near.motion.key == key:
             return near.motion
         effects = tuple(part.effect for part in inner)
+        measured = self._grid.straightener.measured_mps2(wing, input_gains(deviation))
         return Motion(
-            key, wing, inner, self._grid, lambda shape, scale: self._spectra.linear(shape, scale, effects, deviation)
+            key,
+            wing,
+            inner,
+            self._grid,
+            lambda shape, scale: self._spectra.linear(shape, scale, effects, deviation),
+            measured,
         )
 
     def _rest(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> tuple[Floats, Floats]:
@@ -146,4 +154,4 @@ class SuperModel:
             shown[i] -= sum(effect.bias(STATIONS[side]) for effect in effects)
         # without a root sensor the mean load factor itself is in doubt, on both sides alike
         doubt = 1e-3 if self.seen.has_root else 3e-3 * GRAVITY_MPS2
-        return shown, np.full(len(shown), doubt**2)
+        return shown, np.full(len(shown), doubt**2 / self.seen.share)

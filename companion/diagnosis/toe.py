@@ -90,6 +90,7 @@ class ToeModel:
 
     def _static(self, wing: WingModel, side: Side, view: CameraView, at_s: Floats) -> Floats:
         structure = wing.structure
-        load = np.interp(at_s, self._seen.t_s, self._seen.load_factor) - 1.0
+        # what the load factor bends beyond its mean is in the motion: it drives the wing
+        load = np.full(len(at_s), float(np.mean(self._seen.load_factor)) - 1.0)
         bend = structure.static_trim_m[:, None] + structure.static_per_g_m[:, None] * load
         return np.asarray(view.slope_gain * (structure.slope_radpm[side] @ bend))

@@ -9,7 +9,7 @@ from companion.records import Floats
 
 _TAPER = 0.05  # share of the recording over which each end fades
 _FINER = 2
-_POINTS = np.arange(-2.0, 4.0)
+_POINTS = np.arange(-4.0, 5.0)
 
 
 class Transforms:
@@ -36,10 +36,13 @@ class Transforms:
         return np.asarray(np.fft.rfft(values * self.taper, axis=-1) * self._norm)
 
     def at(self, spectrum: Complexes, at_s: Floats) -> Floats:
-        """A band-limited signal (f,) at any instants: twice finer by zero padding, then six-point Lagrange."""
+        """A band-limited signal (f,) at any instants: twice finer by zero padding, then nine-point Lagrange.
+
+        The points lie evenly about the instant, so that what a small shift changes is the slope and nothing else.
+        """
         fine = np.fft.irfft(spectrum, _FINER * self.count) * _FINER
         place = (at_s - self.start_s) * (_FINER / self.dt_s)
-        whole = np.floor(place).astype(np.int64)
+        whole = np.rint(place).astype(np.int64)
         rows = (whole[:, None] + _POINTS.astype(np.int64)) % len(fine)
         return np.asarray(np.sum(fine[rows] * _lagrange(place - whole), axis=1))
 
@@ -58,7 +61,7 @@ def fast_length(count: int, up: bool) -> int:
 
 
 def _lagrange(u: Floats) -> Floats:
-    """Weights (k, 6) of the points at -2..3 for a place ``u`` between 0 and 1."""
+    """Weights (k, 9) of the points at -4..4 for a place ``u`` between -0.5 and 0.5."""
     weights = np.ones((len(u), len(_POINTS)))
     for j, own in enumerate(_POINTS):
         for other in _POINTS:

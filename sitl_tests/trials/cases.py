@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from sitl_tests.trials.wing import GRAVITY, Array, World, integrate, roller
+from sitl_tests.trials.wing import GRAVITY, Array, World, airspeed, integrate, roller
 
 BASELINE_M = 1.98
 FOCAL_PX = 800.0
@@ -34,34 +35,62 @@ BELIEF = {
 }
 SIGMA = {
     "frequency-shift": 0.0076,
-    "damping-shift": 0.125,
-    "left-right-frequency": 0.0026,
-    "left-right-damping": 0.085,
-    "left-right-forcing": 0.0070,
-    "cubic-stiffness": 90.0,
-    "quadratic-stiffness": 1.0,
-    "quadratic-damping": 1.7,
-    "coulomb-friction": 0.065,
-    "freeplay": 6.5e-5,
-    "frequency-drift": 0.010,
-    "covariate-frequency": 0.0029,
+    "frequency-drift": 0.0085,
+    "damping-shift": 0.115,
+    "left-right-frequency": 0.0027,
+    "left-right-damping": 0.089,
+    "left-right-forcing": 0.0071,
+    "cubic-stiffness": 61.0,
+    "quadratic-stiffness": 0.97,
+    "quadratic-damping": 0.71,
+    "coulomb-friction": 0.045,
+    "freeplay": 5.8e-5,
+    "hysteresis": 0.0174,
+    "second-mode": 3.1e-4,
+    "close-mode": 0.06,
+    "torsion-coupling": 2.0e-4,
+    "parametric-stiffness": 0.0080,
+    "airspeed-dependence": 0.0029,
+    "covariate-frequency": 0.0028,
     "accel-scale": 0.0059,
     "accel-bias": 0.053,
-    "stream-delay": 0.00024,
+    "accel-cubic": 1.6e-5,
+    "stream-delay": 0.00023,
     "clock-skew": 0.00031,
     "sensor-filter": 0.00018,
-    "accel-cubic": 2e-5,
+    "tone": 0.086,
     "exposure-delay": 0.00018,
+    "exposure-jitter": 3.2e5,
+    "rolling-shutter": 1.0e-4,
+    "baseline-error": 0.0087,
+    "focal-error": 0.0040,
+    "convergence-offset": 0.00059,
+    "camera-asymmetry": 0.0048,
     "mount-lag": 0.00018,
-    "baseline-error": 0.0080,
-    "focal-error": 0.0037,
-    "convergence-offset": 0.00057,
-    "camera-asymmetry": 0.0055,
-    "second-mode": 4e-4,
+    "mount-resonance": 1.1e-5,
+    "coloured-gust": 4.6e-7,
+    "periodic-forcing": 0.058,
+    "impulsive-forcing": 0.040,
 }
 """Profiled posterior sigma of each effect at 20 dB with this belief, from screening recordings that hide none."""
+SEEN = {"saturation": (5.0, 7.0), "quantisation": (6.0, 10.0), "dropout-jitter": (0.02, 0.05)}
+"""What shows in the samples themselves has no sigma: the range beyond 1 g, the step, m/s^2; the share lost."""
 ONE_WAY = frozenset(
-    {"damping-shift", "quadratic-damping", "coulomb-friction", "freeplay", "sensor-filter", "mount-lag", "second-mode"}
+    {
+        "quadratic-damping",
+        "coulomb-friction",
+        "freeplay",
+        "hysteresis",
+        "sensor-filter",
+        "mount-lag",
+        "mount-resonance",
+        "rolling-shutter",
+        "exposure-jitter",
+        "second-mode",
+        "close-mode",
+        "torsion-coupling",
+        "coloured-gust",
+    }
 )
 """Effects that nature has in one direction only."""
 
@@ -70,11 +99,25 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
     """Draw magnitude (in posterior sigmas), sign, side and whatever else an effect leaves open."""
     effects = {}
     for name in names:
+        if name in SEEN:
+            effects[name] = float(rng.uniform(*SEEN[name]))
+            continue
         sign = 1.0 if name in ONE_WAY else rng.choice((-1.0, 1.0))
         size = float(sign * SIGMA[name] * rng.uniform(*strength))
         # a damping ratio is told in its logarithm
         effects[name] = float(np.expm1(size)) if name == "damping-shift" else size
-    extra = {"second-mode.frequency_hz": float(rng.uniform(12.0, 35.0))}
+    extra = {
+        "second-mode.frequency_hz": rng.uniform(12.0, 35.0),
+        "torsion-coupling.frequency_hz": rng.uniform(10.0, 28.0),
+        "close-mode.ratio": rng.choice((-1.0, 1.0)) * rng.uniform(0.05, 0.1),
+        "parametric-stiffness.frequency_hz": rng.uniform(0.3, 3.0),
+        "periodic-forcing.frequency_hz": rng.uniform(3.0, 25.0),
+        "tone.frequency_hz": rng.uniform(8.0, 40.0),
+        "hysteresis.yield_m": rng.uniform(0.0015, 0.004),
+        "phase_rad": rng.uniform(0.0, 2.0 * np.pi),
+        **{f"impulsive-forcing.at{k}_s": rng.uniform(15.0 * k + 5.0, 15.0 * k + 15.0) for k in range(3)},
+    }
+    extra = {name: float(value) for name, value in extra.items()}
     return Hidden(effects, int(rng.integers(0, 2)), rng.bytes(8).hex(), extra)
 
 
@@ -103,6 +146,7 @@ class Tables:
     range_m: Array
     reference_m: Array
     roller: Array
+    airspeed: Array
 
 
 def fly(
@@ -113,8 +157,11 @@ def fly(
     n = len(hidden)
     names = {name for entry in hidden for name in entry.effects}
     magnitude = {name: np.array([entry.effects.get(name, 0.0) for entry in hidden]) for name in names}
-    for key in ("second-mode.frequency_hz",):
-        magnitude[key] = np.array([entry.extra.get(key, 0.0) for entry in hidden])
+    for key in {key for entry in hidden for key in entry.extra}:
+        of = key.partition(".")[0]
+        magnitude[key] = np.array(
+            [entry.extra.get(key, 0.0) if of in entry.effects or of == key else 0.0 for entry in hidden]
+        )
     draw = rng.standard_normal
     world = World(
         np.array(BELIEF["frequency_hz"])[:, None] * np.exp(BELIEF["frequency_sigma"] * draw((2, n))),
@@ -166,34 +213,82 @@ def _record(
         bias = BELIEF["bias_sigma_mps2"] * rng.standard_normal() + (
             effects.get("accel-bias", 0.0) if s == side else 0.0
         )
-        tone = effects.get("tone", 0.0) * np.sin(2 * np.pi * hidden.extra.get("tone.frequency_hz", 17.0) * t_s)
+        tone = (effects.get("tone", 0.0) if s == side else 0.0) * np.sin(
+            2 * np.pi * hidden.extra.get("tone.frequency_hz", 17.0) * t_s
+        )
         white = noise_density(snr_db) * np.sqrt(500.0) * rng.standard_normal(len(t_s))
         force[:, s] = -(GRAVITY + up) * scale + bias + tone + white
+        force[:, s] = _through_converter(force[:, s], effects, side == s)
+    stamps, kept = _stamped(t_s, effects, rng)
     at = np.arange(0.1, t_s[-1] - 0.1, 0.1) + rng.uniform(0, 0.04)
     reference = 45.0 + 25.0 * np.sin(2 * np.pi * at / 40.0) + 10.0 * np.sin(2 * np.pi * at / 13.0)
     toe = _toe(flight, world, effects, i, at, rng)
     baseline = BASELINE_M + effects.get("baseline-error", 0.0)
     focal = FOCAL_PX * (1.0 + BELIEF["focal_sigma"] * rng.standard_normal() + effects.get("focal-error", 0.0))
     disparity = focal * (baseline / reference + toe) + MATCH_PX * rng.standard_normal(len(at))
-    return Tables(t_s, force, at, FOCAL_PX * BASELINE_M / disparity, reference, np.array([roller(t) for t in t_s]))
+    return Tables(
+        stamps,
+        force[kept],
+        at,
+        FOCAL_PX * BASELINE_M / disparity,
+        reference,
+        np.array([roller(t) for t in stamps]),
+        17.0 + 2.0 * np.array([airspeed(t) for t in stamps]),
+    )
+
+
+def _through_converter(force: Array, effects: Mapping[str, float], here: bool) -> Array:
+    """A range too small on one side, steps too coarse on both."""
+    if here and "saturation" in effects:
+        limit = GRAVITY + effects["saturation"]
+        force = np.clip(force, -limit, limit)
+    step = effects.get("quantisation", 0.0)
+    return np.round(force / step) * step if step > 0 else np.round(force, 6)
+
+
+def _stamped(t_s: Array, effects: Mapping[str, float], rng: np.random.Generator) -> tuple[Array, np.ndarray]:
+    """Stamps wander a little (inside specification) or too much, with samples lost."""
+    lost = effects.get("dropout-jitter", 0.0)
+    kept = rng.uniform(size=len(t_s)) >= lost
+    return t_s[kept] + (2e-5 if not lost else 3e-4) * np.clip(rng.standard_normal(int(kept.sum())), -1.5, 1.5), kept
 
 
 def _toe(
     flight: dict[str, Array], world: World, effects: dict[str, float], i: int, at: Array, rng: np.random.Generator
 ) -> Array:
     t_s = flight["t_s"]
-    late = effects.get("exposure-delay", 0.0) + np.sqrt(
-        max(effects.get("exposure-jitter", 0.0), 0.0)
-    ) * 1e-6 * rng.standard_normal(len(at))
+    jitter_s = np.sqrt(max(effects.get("exposure-jitter", 0.0), 0.0)) * 1e-6
+    late = effects.get("exposure-delay", 0.0) + jitter_s * rng.standard_normal(len(at))
     toe = np.full(len(at), effects.get("convergence-offset", 0.0) + BELIEF["toe_sigma_rad"] * rng.standard_normal())
     for s in range(2):
         w = flight["w_m"][:, s, i]
         lag = effects.get("mount-lag", 0.0)
         if lag > 0:
             w = _one_pole(w, np.exp(-0.001 / lag))
+        w = _mounted(w, effects)
         gain = 1.0 + (effects.get("camera-asymmetry", 0.0) if s else -effects.get("camera-asymmetry", 0.0))
         toe += gain * world.slope_radpm[i] * (_cubic(t_s, w, at + late) + world.trim_m[i])
     return toe
+
+
+def _mounted(w: Array, effects: Mapping[str, float]) -> Array:
+    """Through a mount that rings, and a shutter that takes its time."""
+    softness, readout2 = effects.get("mount-resonance", 0.0), effects.get("rolling-shutter", 0.0)
+    if softness > 0:
+        k, d = softness * 1e6, 0.02 * np.sqrt(softness) * 1e3
+        from scipy.signal import lfilter
+
+        # trapezoidal rule (Tustin) of 1/(c s^2 + 2 z sqrt(c) s + 1), exact to the square of the step
+        a = np.array([4 * k + 4 * d + 1, 2 - 8 * k, 4 * k - 4 * d + 1])
+        w = np.asarray(lfilter(np.array([1.0, 2.0, 1.0]) / a[0], a / a[0], w))
+    if readout2 > 0:
+        width = max(round(np.sqrt(readout2) * 1000.0), 1)
+        shares = np.ones(width + 1)
+        shares[[0, -1]] = 0.5
+        if width % 2:  # an odd width is centred between samples: split it
+            shares = 0.5 * (np.append(shares, 0.0) + np.append(0.0, shares))
+        w = np.convolve(w, shares / shares.sum(), mode="same")
+    return w
 
 
 def _one_pole(values: Array, a: float) -> Array:

@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 STEP_HZ = 4000
 SAMPLE_HZ = 1000
 GRAVITY = 9.80665
+_AIR_DAMPING = 8.0  # airspeed moves the damping this much more than the frequency
 
 
 @dataclass(frozen=True)
@@ -63,14 +64,28 @@ def integrate(
     kappa, square_kappa = of("cubic-stiffness"), of("quadratic-stiffness")
     beta, dry, gap = of("quadratic-damping"), of("coulomb-friction"), of("freeplay")
     drift, follow = of("frequency-drift") / 60.0, of("covariate-frequency")
+    # one further oscillator stands for a second mode, a close one, or torsion that the first drags along
+    close, twist = of("close-mode") > 0, of("torsion-coupling") > 0
     omega2 = 2 * np.pi * np.where(of("second-mode.frequency_hz") > 0, of("second-mode.frequency_hz"), 20.0)
-    share2 = np.sqrt(of("second-mode"))
+    omega2 = np.where(close, omega[0] * (1.0 + of("close-mode.ratio")), omega2)
+    omega2 = np.where(twist, 2 * np.pi * np.maximum(of("torsion-coupling.frequency_hz"), 1.0), omega2)
+    zeta2 = np.where(close, world.damping[0], 0.02)
+    share2 = np.sqrt(of("second-mode") + of("close-mode") + of("torsion-coupling"))
+    drag_along = np.sqrt(of("torsion-coupling")) * omega[0] * omega2
+    swing, swing_hz = of("parametric-stiffness"), of("parametric-stiffness.frequency_hz")
+    faster = of("airspeed-dependence")
+    shake, shake_hz = of("periodic-forcing"), of("periodic-forcing.frequency_hz")
+    phase = of("phase_rad")
+    kick = of("impulsive-forcing")
+    kicks = np.stack([of(f"impulsive-forcing.at{k}_s") for k in range(3)])
+    slip, reach = of("hysteresis"), np.where(of("hysteresis") > 0, of("hysteresis.yield_m"), 1.0)
+    stretch = np.zeros((2, n))
 
     total = round((duration_s + 3.0) * STEP_HZ)
     keep = STEP_HZ // SAMPLE_HZ
     m = total // keep
     position, speed = np.zeros((m, 2, n)), np.zeros((m, 2, n))
-    up = np.zeros((m, 2, n))
+    up, further = np.zeros((m, 2, n)), np.zeros((m, n))
     q, v = np.zeros((2, n)), np.zeros((2, n))
     q2, v2 = np.zeros(n), np.zeros(n)
     load, load2 = np.zeros((2, n)), np.zeros((2, n))
@@ -89,35 +104,50 @@ def integrate(
         load = np.where(coloured, pole * load + (1.0 - pole) * raw, raw)
         load2 = np.where(lag > 0, second_pole * load2 + (1.0 - second_pole) * load, load)
         force = np.stack([load2[0] + mix * load2[1], load2[1] + mix * load2[0]])
-        stiff = (1.0 + drift * max(t, 0.0) + follow * roller(t)) ** 2 * square * spring
+        air = airspeed(t)
+        swung = 1.0 + swing * np.cos(2 * np.pi * swing_hz * t + phase)
+        stiff = (1.0 + drift * max(t, 0.0) + follow * roller(t) + faster * air) ** 2 * square * swung * spring
         force -= stiff * q
+        force[0] += shake * np.cos(2 * np.pi * shake_hz * t + phase) - drag_along * q2
+        struck = (kicks >= t) & (kicks < t + dt) & (kick != 0.0)
+        if struck.any():
+            force[0] += np.where(struck.any(0), kick / dt, 0.0)
         force -= coupling * q[::-1]
         left, right = q[0] - q[1], q[0] + q[1]
         v_left, v_right = v[0] - v[1], v[0] + v[1]
         law = []
-        for w, rate in ((left, v_left), (right, v_right)):
+        for s, (w, rate) in enumerate(((left, v_left), (right, v_right))):
+            # Bouc and Wen: the spring's stretch follows the deflection and yields smoothly
+            ratio = (stretch[s] / reach) ** 2
+            stretch[s] += dt * (rate - 0.5 * ratio * (rate + np.abs(rate) * np.sign(stretch[s])))
             law.append(
-                -spring[0] * (kappa * w**3 + square_kappa * w**2 - np.sign(gap) * np.clip(w, -abs(gap), abs(gap)))
+                spring[0] * slip * (w - stretch[s])
+                - spring[0] * (kappa * w**3 + square_kappa * w**2 - np.sign(gap) * np.clip(w, -abs(gap), abs(gap)))
                 - beta * np.abs(rate) * rate
                 - dry * np.tanh(rate / 0.005)
             )
         force[0] += 0.5 * (law[0] + law[1])
         force[1] += 0.5 * (law[1] - law[0])
         # the drag is implicit in the second half of the step
+        air_drag = drag * (1.0 + _AIR_DAMPING * faster * air)
         half = v + 0.5 * dt * (force - drag_coupling * v[::-1])
-        v = half / (1.0 + 0.5 * dt * drag)
-        acceleration = force - drag * v - drag_coupling * v[::-1]
-        force2 = strength[0] * noise[k % block, 2] - omega2**2 * q2
-        v2 = (v2 + 0.5 * dt * force2) / (1.0 + 0.5 * dt * 2 * 0.02 * omega2)
-        acceleration2 = force2 - 2 * 0.02 * omega2 * v2
+        v = half / (1.0 + 0.5 * dt * air_drag)
+        acceleration = force - air_drag * v - drag_coupling * v[::-1]
+        force2 = strength[0] * noise[k % block, 2] - omega2**2 * q2 - drag_along * q[0]
+        v2 = (v2 + 0.5 * dt * force2) / (1.0 + 0.5 * dt * 2 * zeta2 * omega2)
+        acceleration2 = force2 - 2 * zeta2 * omega2 * v2
         row, inside = divmod(k, keep)
         if inside == keep - 1:
             position[row, 0], position[row, 1] = q[0] - q[1], q[0] + q[1]
             speed[row, 0], speed[row, 1] = v[0] - v[1], v[0] + v[1]
+            further[row] = q2
         if row < m:
             # samples are means over a period, as an accelerometer's own filter makes them
             up[row, 0] += (acceleration[0] - acceleration[1] + share2 * acceleration2) / keep
             up[row, 1] += (acceleration[0] + acceleration[1] + share2 * acceleration2) / keep
+    # a close mode bends the wing like the first, a second one 3.4 times as steeply: their slopes move the cameras too
+    steep = np.where(close, 1.0, np.where(of("second-mode") > 0, 3.4, 0.0))
+    position += (steep * share2 * further)[:, None]
     start = 3 * SAMPLE_HZ
     t_s = np.arange(1, m - start + 1) / SAMPLE_HZ
     # a mean over four steps stands for their middle
@@ -128,3 +158,8 @@ def integrate(
 def roller(t: float) -> float:
     """A channel that wanders by itself: three incommensurate slow waves of unit rms together."""
     return float(np.sqrt(2.0 / 3.0) * (np.sin(0.31 * t) + np.sin(0.187 * t + 1.0) + np.sin(0.523 * t + 2.0)))
+
+
+def airspeed(t: float) -> float:
+    """Airspeed about its mean in units of its rms: a slow wander of its own."""
+    return float(np.sqrt(2.0 / 3.0) * (np.sin(0.23 * t + 0.4) + np.sin(0.41 * t + 2.2) + np.sin(0.147 * t)))

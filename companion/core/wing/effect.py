@@ -37,7 +37,7 @@ from companion.records import Floats, Side, Station
 
 Complexes = npt.NDArray[np.complex128]
 MOUNT_DAMPING = 0.02
-"""Damping ratio of a camera mount that rings."""
+"""Damping ratio of a camera mount that rings (half its loss factor)."""
 
 
 class Group(enum.StrEnum):
@@ -110,7 +110,7 @@ class CameraView:
         omega: Floats = np.asarray(omega_radps)
         lag = 1.0 / (1.0 + 1j * omega * self.lag_s)
         soft = self.softness_s2 * omega**2
-        resonance = 1.0 / (1.0 - soft + 2j * MOUNT_DAMPING * np.sqrt(np.abs(soft)))
+        resonance = 1.0 / (1.0 - soft * (1.0 - 2j * MOUNT_DAMPING))
         # a mean over T passes sinc(omega T / 2) = 1 - omega^2 T^2 / 24 + ...
         mean = np.sinc(np.sqrt(np.maximum(self.readout2_s2, 0.0)) * omega / (2.0 * np.pi))
         return np.asarray(self.slope_gain * lag * resonance * mean, dtype=np.complex128)
