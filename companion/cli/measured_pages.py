@@ -93,9 +93,9 @@ def _alone(plain: dict[str, Any]) -> str:
 
 
 def _left(plain: dict[str, Any]) -> list[str]:
-    before = {entry["test"]: entry["z"] for entry in plain["adequacy"]["before"]}
+    before = {_kind(entry): entry["z"] for entry in plain["adequacy"]["before"]}
     rows = [
-        [entry["test"], f"{before[entry['test']]:+.0f}" if entry["test"] in before else "–", f"{entry['z']:+.1f}",
+        [entry["test"], f"{before[_kind(entry)]:+.1f}", f"{entry['z']:+.1f}",
          "passed" if entry["passed"] else "failed"]
         for entry in plain["adequacy"]["after"]
     ]  # fmt: skip
@@ -103,6 +103,11 @@ def _left(plain: dict[str, Any]) -> list[str]:
     told = [page.advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
     heads = ["test (worst recording)", "constant frequency", "extended", ""]
     return [*told, page.table(heads, rows), *[page.paragraph(note) for note in plain["notes"]]]
+
+
+def _kind(entry: dict[str, Any]) -> str:
+    """A test's name without its recording."""
+    return str(entry["test"]).partition(" (")[0]
 
 
 def _figure(width: float, height: float) -> Any:
@@ -124,6 +129,8 @@ def _tracks(found: RingingDiagnosis) -> Any:
         for mode, colour in zip(modes.T, (page.AFTER, page.BEFORE), strict=False):
             axis.plot(one.t_s, mode, color=colour, lw=1.0)
         axis.set(title=one.name, xlabel="s", ylabel="Hz" if k % columns == 0 else "")
+    for axis in axes[len(recordings) :]:
+        axis.set_visible(False)
     return figure
 
 
@@ -158,6 +165,9 @@ def _backbones(found: RingingDiagnosis) -> Any:
         track = backbone(one)
         frequency.semilogx(track.amplitude_mps2, track.frequency_hz, ".", ms=4, label=one.name)
         damping.loglog(track.amplitude_mps2, np.maximum(track.damping, 1e-4), ".", ms=4)
+    for axis in (frequency, damping):
+        axis.minorticks_off()
+        axis.grid(alpha=0.3)
     frequency.set(xlabel="amplitude, m/s²", ylabel="frequency, Hz", title="Backbone")
     damping.set(xlabel="amplitude, m/s²", ylabel="damping ratio")
     frequency.legend(fontsize=7)

@@ -77,8 +77,8 @@ def _reason(found: RingingDiagnosis, named: list[int], after: list[Check]) -> st
         told.append(
             "explained so far: " + ", ".join(_with_channel(found.accepted[i].extension, found, i) for i in named)
         )
-    left = _descriptions(found)
-    failed = [f"{entry.name} {entry.z:+.1f} sigma" for entry in after if not entry.passed][:3]
+    left = [entry.extension.text for entry in found.accepted if not name_of(entry, found)]
+    failed = [f"{entry.name} {entry.z:+.1f} sigma" for entry in after if not entry.passed][:2]
     if left or failed:
         told.append("left over: " + "; ".join([*left, *failed]))
     return "; ".join(told) or "a mode of constant frequency and damping explains these recordings"
@@ -86,7 +86,12 @@ def _reason(found: RingingDiagnosis, named: list[int], after: list[Check]) -> st
 
 def _with_channel(extension: Extension, found: RingingDiagnosis, index: int) -> str:
     name = name_of(found.accepted[index], found)
-    return f"{name} ({extension.channel})" if isinstance(extension, Law) and extension.channel else name
+    if isinstance(extension, Law):
+        return f"{name} ({extension.channel})" if extension.channel else name
+    model, values = found.final.model, found.final.values[None, :]
+    at_end = [model.modes(values, k).omega_radps[0, -1] for k in range(len(model.recordings))]
+    first, second = np.mean(at_end, axis=0) / (2.0 * np.pi)
+    return f"{name} ({second:.1f} beside {first:.1f} Hz in the last decay)"
 
 
 def _descriptions(found: RingingDiagnosis) -> list[str]:
