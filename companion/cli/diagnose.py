@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import sys
 from pathlib import Path
 
 from companion.adapters.recordings.mapping import TestKind, load_mapping
 from companion.cli import flights, measured
+from companion.cli.diagnose_apply import extended
 from companion.cli.diagnose_models import models_of
 from companion.cli.evidence import airframe_of
 from companion.cli.report_html import write_report
@@ -17,7 +17,6 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.report import as_json, sentence
 from companion.diagnosis.search import diagnose
 from companion.diagnosis.verdict import Diagnosis
-from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe
 
 
@@ -65,22 +64,10 @@ def execute(options: argparse.Namespace) -> int:
         write_report(found, models, plain, Path(options.html))
     if options.apply is not None and found.causes:
         path = Path(options.apply or f"{airframe.name}-extended.toml")
-        path.write_text(dump_airframe(extended(airframe, found)), encoding="utf-8")
+        path.write_text(dump_airframe(extended(airframe, models[0].belief, found)), encoding="utf-8")
         if options.json != "-":
             print(f"wrote {path}: {airframe.name} with {', '.join(cause.part.effect.name for cause in found.causes)}")
     return 0
-
-
-def extended(airframe: Airframe, found: Diagnosis) -> Airframe:
-    """The airframe with the named effects in force."""
-    named = [
-        NamedEffect(
-            cause.part.effect.name,
-            dict(zip([entry.name for entry in cause.part.effect.parameters()], cause.values, strict=True)),
-        )
-        for cause in found.causes
-    ]
-    return dataclasses.replace(airframe, effects=(*airframe.effects, *named))
 
 
 def _tell(found: Diagnosis, plain: dict[str, object]) -> None:

@@ -1,0 +1,71 @@
+"""What a diagnosis found, written into the airframe: named effects, and the values that the fit gave the rest."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from companion.core.wing.structure import SLOT_NAMES
+from companion.diagnosis.belief import Belief
+from companion.diagnosis.verdict import Diagnosis
+from companion.params.airframe import Airframe, Camera, Mode, NamedEffect, Uncertain, Wing
+
+_MODE_KEYS = {"frequency": "frequency_hz", "damping": "damping", "slope": "slope_factor_radpm"}
+
+
+def extended(airframe: Airframe, belief: Belief, found: Diagnosis) -> Airframe:
+    """The airframe with the named effects in force, and modes, bend and cameras as the same fit has them.
+
+    Values and effects belong together: a frequency fitted beside a slipping spring is another one than without it.
+    """
+    named = [
+        NamedEffect(
+            cause.part.effect.name,
+            dict(zip([entry.name for entry in cause.part.effect.parameters()], cause.values, strict=True)),
+        )
+        for cause in found.causes
+    ]
+    deviation = belief.named(found.final.values[: len(belief.nuisances)])
+    spread = {entry.key: math.sqrt(float(found.final.covariance[i, i])) for i, entry in enumerate(belief.nuisances)}
+    return dataclasses.replace(
+        airframe,
+        wing=_wing(belief.wing(deviation), spread),
+        left_camera=_camera(airframe.left_camera, -1.0, deviation, spread),
+        right_camera=_camera(airframe.right_camera, 1.0, deviation, spread),
+        effects=(*airframe.effects, *named),
+    )
+
+
+def _wing(wing: Wing, spread: dict[str, float]) -> Wing:
+    """Posterior sigmas beside the posterior values; those of modes are relative."""
+    changes: dict[str, Any] = {}
+    for name in SLOT_NAMES:
+        mode: Mode | None = getattr(wing, name)
+        if mode is None:
+            continue
+        known = {
+            field: Uncertain(getattr(mode, field).value, getattr(mode, field).value * spread[f"{name}.{key}"])
+            for key, field in _MODE_KEYS.items()
+            if f"{name}.{key}" in spread
+        }
+        changes[name] = dataclasses.replace(mode, **known)
+    for field in ("trim_bend_m", "bend_per_g_m"):
+        if field in spread:
+            changes[field] = Uncertain(getattr(wing, field).value, spread[field])
+    return dataclasses.replace(wing, **changes)
+
+
+def _camera(camera: Camera | None, sign: float, deviation: dict[str, float], spread: dict[str, float]) -> Camera | None:
+    if camera is None or "toe_rad" not in spread:
+        return camera
+    x, y, z = camera.rotation_rad
+    focal_px = camera.focal_px.value
+    return dataclasses.replace(
+        camera,
+        rotation_rad=(x, y + 0.5 * sign * deviation["toe_rad"], z),
+        rotation_sigma_rad=spread["toe_rad"] / math.sqrt(2.0),
+        focal_px=Uncertain(
+            focal_px * (1.0 + deviation.get("focal", 0.0)), focal_px * spread.get("focal", 0.0) * math.sqrt(2.0)
+        ),
+    )
