@@ -11,6 +11,7 @@ from companion.records import Floats, Ints
 
 _LINK = 0.017  # relative gap between runs within one mode: roving accelerometers shift it as they travel
 _LEAST_RUNS = 0.5
+_RESOLVED = 4.0  # lines within the half-power bandwidth: with fewer, damping and residue are those of the record
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,12 @@ class IdentifiedMode:
         How far the points are from moving in phase, weighted by the shape: 0 for a real mode.
     runs : int
         In how many runs it was found.
+    bandwidth_lines : float
+        Half-power bandwidth ``2 zeta f`` in lines of the spectrum.
+    per_run : (runs, 3) float64
+        Index of the run, frequency in Hz and damping ratio in it.
+    halves : (2, points) complex128
+        Shapes from the even and the odd lines.
     """
 
     frequency_hz: float
@@ -68,6 +75,17 @@ class IdentifiedMode:
     assurance: float
     phase_scatter_rad: float
     runs: int
+    bandwidth_lines: float
+    per_run: Floats
+    halves: Complex
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the record is long enough to tell the mode's width from its own.
+
+        Cords of a soft suspension, hum and harmonics of a resonance make narrower lines; a wing's damping does not.
+        """
+        return self.bandwidth_lines >= _RESOLVED
 
 
 def identify_runs(runs: list[Run], points: int) -> list[IdentifiedMode]:
@@ -88,7 +106,9 @@ def identify_runs(runs: list[Run], points: int) -> list[IdentifiedMode]:
         [_of_half(run.lines(first, 2), poles) for run, poles in zip(runs, per_run, strict=True)] for first in (0, 1)
     )
     order = range(len(groups))
-    return [_describe(groups[k], *(_shape(runs, part, k, points) for part in (whole, even, odd))) for k in order]
+    spacing_hz = float(np.median([np.median(np.diff(run.frequency_hz)) for run in runs]))
+    shapes = [[_shape(runs, part, k, points) for part in (whole, even, odd)] for k in order]
+    return [_describe(groups[k], spacing_hz, *shapes[k]) for k in order]
 
 
 def assurance(first: Floats | Complex, second: Floats | Complex) -> float:
@@ -191,7 +211,7 @@ def _shape(runs: list[Run], parts: list[Complex], mode: int, points: int) -> Com
     return shape
 
 
-def _describe(group: _Found, whole: Complex, even: Complex, odd: Complex) -> IdentifiedMode:
+def _describe(group: _Found, spacing_hz: float, whole: Complex, even: Complex, odd: Complex) -> IdentifiedMode:
     frequencies = np.array([pole.frequency_hz for _, pole in group])
     dampings = np.array([pole.damping for _, pole in group])
     known = np.isfinite(whole)
@@ -214,4 +234,7 @@ def _describe(group: _Found, whole: Complex, even: Complex, odd: Complex) -> Ide
         assurance=assurance(even, odd),
         phase_scatter_rad=float(np.sqrt(np.sum(weight * off**2) / np.sum(weight))),
         runs=len(group),
+        bandwidth_lines=float(2.0 * dampings.mean() * frequencies.mean() / spacing_hz),
+        per_run=np.column_stack([[run for run, _ in group], frequencies, dampings]).astype(np.float64),
+        halves=np.stack([even * scale, odd * scale]),
     )

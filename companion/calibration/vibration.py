@@ -6,7 +6,6 @@ The layout is a TOML file::
     band_hz = [4.0, 35.5]
     force = { column = 1, newton_per_volt = 9.4967 }
     accelerometers = { columns = [2, 3], mps2_per_volt = 9.5396 }
-    semispan_m = 1.55
     [[points]]   # one per point; span_m > 0 right, edge is "leading" or "trailing"
     number = 1
     span_m = 0.454

@@ -31,12 +31,32 @@ class BendingMode:
         Polynomials of both edges, relative to the root section, per unit of the mode.
     factors : ModalFactors
         At the outermost station, per metre of its deflection.
+    chords : (2, k) float64
+        Span stations and the distance between the two lines of points there, m.
     """
 
     mode: IdentifiedMode
     sign: float
     shape: WingShape
     factors: ModalFactors
+    chords: Floats
+
+    @property
+    def span_m(self) -> tuple[float, float]:
+        """Where both edges were measured."""
+        inner = max(self.shape.leading.span_m[0], self.shape.trailing.span_m[0])
+        return inner, min(self.shape.leading.span_m[1], self.shape.trailing.span_m[1])
+
+    def between(self, place_m: float, reference_m: float) -> ModalFactors:
+        """Motion at one station, mid-chord, per metre of deflection at another one.
+
+        Raises
+        ------
+        ValueError
+            A station lies outside the measured span, or the reference stands still.
+        """
+        place, reference = ((span, 0.5, float(np.interp(span, *self.chords))) for span in (place_m, reference_m))
+        return self.shape.factors(place, reference)
 
 
 def symmetry(mode: IdentifiedMode, points: list[Point]) -> float:
@@ -50,48 +70,98 @@ def symmetry(mode: IdentifiedMode, points: list[Point]) -> float:
 
 
 def bending_modes(modes: list[IdentifiedMode], points: list[Point]) -> list[BendingMode]:
-    """Those modes that are clearly symmetric or antisymmetric and move their tips, by frequency."""
+    """Those modes that are resolved, clearly symmetric or antisymmetric, and move their tips, by frequency."""
     found = []
     for mode in modes:
         likeness = symmetry(mode, points)
-        if abs(likeness) < SYMMETRIC_LEAST:
+        if not mode.resolved or abs(likeness) < SYMMETRIC_LEAST:
             continue
         sign = 1.0 if likeness > 0.0 else -1.0
-        shape = half_shape(mode, points, sign)
+        shape, chords = half_shape(mode, points, sign), _chords(points)
+        tip = min(shape.leading.span_m[1], shape.trailing.span_m[1])
+        place = (tip, 0.5, float(np.interp(tip, *chords)))
         try:
-            factors = _tip_factors(shape, points)
+            factors = shape.factors(place, place)
         except ValueError:
             continue  # a node at the tip: nothing can be scaled by its deflection
-        found.append(BendingMode(mode, sign, shape, factors))
+        found.append(BendingMode(mode, sign, shape, factors, chords))
     return found
 
 
 def half_shape(mode: IdentifiedMode, points: list[Point], sign: float) -> WingShape:
     """Both edges as polynomials in the span station, halves averaged, rigid motion of the root taken out."""
     span = np.array([abs(point.span_m) for point in points])
-    folded = np.where(np.array([point.span_m > 0.0 for point in points]), 1.0, sign) * mode.shape
+    folded = relative_to_root(mode, points, sign)
     leading = np.array([point.leading for point in points])
-    folded = folded - _rigid(points, folded, sign)
     edges = [fit_polynomial(EdgePoints(span[some], folded[some]), _DEGREE) for some in (leading, ~leading)]
     return WingShape(edges[0], edges[1])
+
+
+def relative_to_root(mode: IdentifiedMode, points: list[Point], sign: float) -> Floats:
+    """(points,) the shape with both halves on the right, less the rigid motion of the root section."""
+    folded = np.where(np.array([point.span_m > 0.0 for point in points]), 1.0, sign) * mode.shape
+    return folded - _rigid(points, folded, sign)
+
+
+@dataclass(frozen=True, slots=True)
+class Stations:
+    """Span stations of an airframe's tip sensors and cameras, as far as a test has measured; ``notes`` say what not."""
+
+    sensor_m: float
+    camera_m: float
+    notes: tuple[str, ...]
+
+
+def stations(base: Airframe, found: list[BendingMode]) -> Stations:
+    """Where the modes have to be known for an airframe."""
+    sensor = 0.5 * (abs(base.left.position_m[1]) + abs(base.right.position_m[1]))
+    camera, notes = sensor, []
+    if base.left_camera is not None and base.right_camera is not None:
+        camera = 0.5 * (abs(base.left_camera.position_m[1]) + abs(base.right_camera.position_m[1]))
+    inner, outer = max(each.span_m[0] for each in found), min(each.span_m[1] for each in found)
+    for name, place in (("tip sensors", sensor), ("cameras", camera)):
+        if not inner <= place <= outer:
+            notes.append(
+                f"the {name} sit at {place:.2f} m, points were measured from {inner:.2f} to {outer:.2f} m: "
+                f"the modes are given at {min(max(place, inner), outer):.2f} m"
+            )
+    if outer > base.wing.semispan_m:
+        notes.append(f"points reach {outer:.2f} m, the base airframe's semispan is {base.wing.semispan_m:.2f} m")
+    return Stations(min(max(sensor, inner), outer), min(max(camera, inner), outer), tuple(notes))
 
 
 def airframe_with(base: Airframe, found: list[BendingMode]) -> Airframe:
     """The base airframe with the first symmetric and the first antisymmetric bending mode of a test.
 
+    Slope and twist are those at its tip sensors, per metre of deflection there; the cameras get the symmetric mode's
+    slope and deflection at their own station, relative to those.
+
     Raises
     ------
     ConfigError
-        One of the two was not found.
+        One of the two was not found, or it does not move at the tip sensors.
     """
+    first, other, place = _first(found, 1.0, "symmetric"), _first(found, -1.0, "antisymmetric"), stations(base, found)
+    try:
+        at_sensor, at_camera = (first.between(span, place.sensor_m) for span in (place.sensor_m, place.camera_m))
+        antisymmetric = other.between(place.sensor_m, place.sensor_m)
+    except ValueError as error:
+        raise ConfigError(f"at the tip sensors, {place.sensor_m:.2f} m from the root: {error}") from error
     wing = dataclasses.replace(
         base.wing,
-        symmetric=_record(_first(found, 1.0, "symmetric")),
-        antisymmetric=_record(_first(found, -1.0, "antisymmetric")),
+        symmetric=_record(first.mode, at_sensor),
+        antisymmetric=_record(other.mode, antisymmetric),
         second_symmetric=None,
         second_antisymmetric=None,
     )
-    return dataclasses.replace(base, wing=wing, description=f"{base.description}; modes from a ground vibration test")
+    slope_gain = round(at_camera.slope_factor_radpm / at_sensor.slope_factor_radpm, 4)
+    lift_gain = round(at_camera.lift_gain, 4)
+    left, right = (
+        camera if camera is None else dataclasses.replace(camera, slope_gain=slope_gain, lift_gain=lift_gain)
+        for camera in (base.left_camera, base.right_camera)
+    )
+    text = f"{base.description}; modes from a ground vibration test"
+    return dataclasses.replace(base, wing=wing, description=text, left_camera=left, right_camera=right)
 
 
 def _first(found: list[BendingMode], sign: float, name: str) -> BendingMode:
@@ -101,31 +171,24 @@ def _first(found: list[BendingMode], sign: float, name: str) -> BendingMode:
     raise ConfigError(f"no {name} bending mode was identified; test again with more points or a wider band")
 
 
-def _record(each: BendingMode) -> Mode:
-    sigma = np.sqrt(np.diag(each.factors.covariance))
-    mode = each.mode
+def _record(mode: IdentifiedMode, factors: ModalFactors) -> Mode:
+    sigma = np.sqrt(np.diag(factors.covariance))
     return Mode(
         Uncertain(round(mode.frequency_hz, 4), round(mode.frequency_sigma_hz, 4)),
         Uncertain(round(mode.damping, 6), round(mode.damping_sigma, 6)),
-        Uncertain(round(each.factors.slope_factor_radpm, 4), round(float(sigma[1]), 4)),
-        Uncertain(round(each.factors.twist_factor_radpm, 4), round(float(sigma[2]), 4)),
+        Uncertain(round(factors.slope_factor_radpm, 4), round(float(sigma[1]), 4)),
+        Uncertain(round(factors.twist_factor_radpm, 4), round(float(sigma[2]), 4)),
     )
 
 
-def _tip_factors(shape: WingShape, points: list[Point]) -> ModalFactors:
-    span_m = min(shape.leading.span_m[1], shape.trailing.span_m[1])
-    chord_m = _chord(points, span_m)
-    place = (span_m, 0.5, chord_m)
-    return shape.factors(place, place)
-
-
-def _chord(points: list[Point], span_m: float) -> float:
-    """Distance of the two measured lines of points at a span station, aft."""
-    lines = []
-    for leading in (True, False):
-        some = sorted((abs(p.span_m), p.aft_m) for p in points if p.leading is leading)
-        lines.append(float(np.interp(span_m, [s for s, _ in some], [a for _, a in some])))
-    return lines[1] - lines[0]
+def _chords(points: list[Point]) -> Floats:
+    """(2, k) span stations and the distance of the two measured lines of points there, aft."""
+    lines = [
+        np.array(sorted((abs(p.span_m), p.aft_m) for p in points if p.leading is leading)).T
+        for leading in (True, False)
+    ]
+    spans = np.unique(np.concatenate([line[0] for line in lines]))
+    return np.stack([spans, np.interp(spans, *lines[1]) - np.interp(spans, *lines[0])])
 
 
 def _rigid(points: list[Point], folded: Floats, sign: float) -> Floats:

@@ -7,12 +7,14 @@ import dataclasses
 import json
 from pathlib import Path
 
+import numpy as np
+
 from companion.adapters.recordings.opening import open_recording
 from companion.calibration.ambient import AmbientMode
 from companion.calibration.flight_modes import wing_motion
 from companion.calibration.modes import IdentifiedMode, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
-from companion.calibration.wing_modes import airframe_with, bending_modes, symmetry
+from companion.calibration.wing_modes import BendingMode, airframe_with, bending_modes, stations, symmetry
 from companion.cli.identify_picture import draw_flight, draw_test
 from companion.params.airframe import Airframe, Mode, Uncertain
 from companion.params.files import dump_airframe, load_airframe
@@ -52,10 +54,23 @@ def _from_test(options: argparse.Namespace, base: Airframe) -> int:
     _print_modes(modes, test)
     found = bending_modes(modes, test.points)
     draw_test(test, modes, found, options.out)
-    rows = [dataclasses.asdict(m) | {"shape": list(m.shape), "shape_sigma": list(m.shape_sigma)} for m in modes]
-    (options.out / "modes.json").write_text(json.dumps(rows, indent=2), encoding="utf-8")
-    _write(airframe_with(base, found), options.out)
+    (options.out / "modes.json").write_text(json.dumps([_plain(mode) for mode in modes], indent=2), encoding="utf-8")
+    airframe = airframe_with(base, found)
+    _print_factors(base, airframe, found)
+    _write(airframe, options.out)
     return 0
+
+
+def _plain(mode: IdentifiedMode) -> dict[str, object]:
+    """Everything but the halves, whose likeness is in ``assurance``; null where no run measured."""
+    plain: dict[str, object] = {"resolved": mode.resolved}
+    for field in dataclasses.fields(mode):
+        value = getattr(mode, field.name)
+        if field.name in ("shape", "shape_sigma"):
+            plain[field.name] = [float(entry) if np.isfinite(entry) else None for entry in value]
+        elif field.name != "halves":
+            plain[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
+    return plain
 
 
 def _print_modes(modes: list[IdentifiedMode], test: VibrationTest) -> None:
@@ -66,7 +81,25 @@ def _print_modes(modes: list[IdentifiedMode], test: VibrationTest) -> None:
             f"{mode.frequency_hz:8.3f} {mode.frequency_sigma_hz:8.3f} {100 * mode.damping:8.3f} "
             f"{100 * mode.damping_sigma:8.3f} {mode.assurance:6.3f} {symmetry(mode, test.points):9.3f} "
             f"{57.2958 * mode.phase_scatter_rad:11.1f} {mode.runs}/{len(test.runs)}"
+            + ("" if mode.resolved else f"  only {mode.bandwidth_lines:.1f} lines wide: not resolved, left out")
         )
+
+
+def _print_factors(base: Airframe, airframe: Airframe, found: list[BendingMode]) -> None:
+    place = stations(base, found)
+    for name, mode in (("symmetric", airframe.wing.symmetric), ("antisymmetric", airframe.wing.antisymmetric)):
+        print(
+            f"{name:13s} {mode.frequency_hz.value:.2f} Hz, at {place.sensor_m:.2f} m per metre there: slope "
+            f"{mode.slope_factor_radpm.value:.3f} +- {mode.slope_factor_radpm.sigma:.3f} rad, nose-up twist "
+            f"{mode.twist_factor_radpm.value:.3f} +- {mode.twist_factor_radpm.sigma:.3f} rad"
+        )
+    if airframe.left_camera is not None:
+        camera = airframe.left_camera
+        print(
+            f"cameras at {place.camera_m:.2f} m: slope x {camera.slope_gain:.3f}, deflection x {camera.lift_gain:.3f}"
+        )
+    for note in place.notes:
+        print(f"note: {note}")
 
 
 def _from_flight(options: argparse.Namespace, base: Airframe) -> int:

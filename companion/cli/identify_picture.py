@@ -1,4 +1,4 @@
-"""Figures of an identification: responses with the modes, edges of each bending mode, slopes (paper, Fig. 9, 10)."""
+"""Figures of an identification: responses, edges and slopes of the bending modes (paper, Fig. 9, 10), repeatability."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from companion.calibration.ambient import AmbientMode, half_spectrum
 from companion.calibration.flight_modes import WingMotion
-from companion.calibration.modes import IdentifiedMode
+from companion.calibration.modes import IdentifiedMode, assurance
 from companion.calibration.vibration import VibrationTest
-from companion.calibration.wing_modes import BendingMode
+from companion.calibration.wing_modes import BendingMode, relative_to_root
 
 _LEADING, _TRAILING = "#2166ac", "#b2182b"
 
 
 def draw_test(test: VibrationTest, modes: list[IdentifiedMode], found: list[BendingMode], folder: Path) -> None:
-    """Write ``responses.png`` and ``shapes.png``."""
+    """Write ``responses.png``, ``repeatability.png`` and ``shapes.png``."""
     from matplotlib.figure import Figure  # takes most of a second to import
 
     figure = Figure(figsize=(11, 5), layout="constrained")
@@ -25,30 +25,70 @@ def draw_test(test: VibrationTest, modes: list[IdentifiedMode], found: list[Bend
         for response in run.response:
             axis.semilogy(run.frequency_hz, np.abs(response), lw=0.4, color="#777777", alpha=0.6)
     for mode in modes:
-        axis.axvline(mode.frequency_hz, color=_TRAILING, lw=0.8)
+        axis.axvline(mode.frequency_hz, color=_TRAILING, lw=0.8, ls="-" if mode.resolved else ":")
         axis.text(mode.frequency_hz, axis.get_ylim()[1], f"{mode.frequency_hz:.1f}", rotation=90, va="top", fontsize=8)
-    axis.set(title="Acceleration per force, all points", xlabel="frequency, Hz", ylabel="m/s² per N")
+    axis.set(
+        title="Acceleration per force, all points; dotted: narrower than the record resolves",
+        xlabel="frequency, Hz",
+        ylabel="m/s² per N",
+    )
     figure.savefig(folder / "responses.png", dpi=110)
+    _draw_repeatability([mode for mode in modes if mode.resolved], folder)
     if found:
         _draw_shapes(test, found, folder)
+
+
+def _draw_repeatability(modes: list[IdentifiedMode], folder: Path) -> None:
+    """Frequency and damping run by run; assurance of each mode in one half of the data with all of the other."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    first, second, third = figure.subplots(1, 3, width_ratios=(1, 1, 0.9))
+    for mode in modes:
+        run, frequency, damping = mode.per_run.T
+        first.plot(
+            run + 1, 100.0 * (frequency / mode.frequency_hz - 1.0), "o-", ms=3, label=f"{mode.frequency_hz:.2f} Hz"
+        )
+        second.plot(run + 1, 100.0 * damping, "o-", ms=3)
+    first.set(title="frequency, run by run", xlabel="run", ylabel="off its mean, %")
+    second.set(title="damping ratio, run by run", xlabel="run", ylabel="%", ylim=(0.0, None))
+    first.legend(fontsize=7)
+    matrix = np.array([[assurance(a.halves[0], b.halves[1]) for b in modes] for a in modes])
+    third.imshow(matrix, vmin=0.0, vmax=1.0, cmap="Blues")
+    names = [f"{mode.frequency_hz:.1f}" for mode in modes]
+    third.set_xticks(range(len(modes)), names)
+    third.set_yticks(range(len(modes)), names)
+    for (row, column), value in np.ndenumerate(matrix):
+        third.text(column, row, f"{value:.2f}", ha="center", va="center", color="white" if value > 0.5 else "black")
+    third.set(title="assurance, even against odd lines", xlabel="Hz", ylabel="Hz")
+    figure.savefig(folder / "repeatability.png", dpi=110)
 
 
 def _draw_shapes(test: VibrationTest, found: list[BendingMode], folder: Path) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 3.2 * len(found)), layout="constrained")
-    for (left, right), each in zip(figure.subplots(len(found), 2, squeeze=False), found, strict=True):
+    figure = Figure(figsize=(14, 3.3 * len(found)), layout="constrained")
+    span = np.array([point.span_m for point in test.points])
+    for axes, each in zip(figure.subplots(len(found), 3, squeeze=False), found, strict=True):
         mode, kind = each.mode, "symmetric" if each.sign > 0 else "antisymmetric"
+        folded = relative_to_root(mode, test.points, each.sign)
         for leading, colour, name in ((True, _LEADING, "leading edge"), (False, _TRAILING, "trailing edge")):
             some = np.array([point.leading is leading for point in test.points])
-            span = np.array([point.span_m for point in test.points])[some]
-            left.errorbar(span, mode.shape[some], 2 * mode.shape_sigma[some], fmt="o", ms=4, color=colour, label=name)
+            two_sigma = 2.0 * mode.shape_sigma[some]
+            axes[0].errorbar(span[some], mode.shape[some], two_sigma, fmt="o", ms=4, color=colour, label=name)
+            axes[1].errorbar(np.abs(span[some]), folded[some], two_sigma, fmt="o", ms=3, color=colour)
             edge = each.shape.leading if leading else each.shape.trailing
             y = np.linspace(*edge.span_m, 60)
-            right.plot(y, edge.slope(y), color=colour, label=name)
-        left.set(title=f"{mode.frequency_hz:.2f} Hz, {kind}: shape ±2 sigma", xlabel="span, m")
-        right.set(title="slope of one half, polynomial fit", xlabel="span, m", ylabel="1/m")
-        left.legend(fontsize=8)
+            for axis, derivative in ((axes[1], 0), (axes[2], 1)):
+                rows = edge.rows(y, derivative)
+                curve = rows @ edge.coefficients
+                band = 2.0 * np.sqrt(np.einsum("ij,jk,ik->i", rows, edge.covariance, rows))
+                axis.plot(y, curve, color=colour)
+                axis.fill_between(y, curve - band, curve + band, color=colour, alpha=0.2, lw=0)
+        axes[0].set(title=f"{mode.frequency_hz:.2f} Hz, {kind}: as measured, ±2 sigma", xlabel="span, m")
+        axes[1].set(title="halves folded, relative to the root section; cubic ±2 sigma", xlabel="span, m")
+        axes[2].set(title="slope of the cubic, ±2 sigma", xlabel="span, m", ylabel="1/m")
+        axes[0].legend(fontsize=8)
     figure.savefig(folder / "shapes.png", dpi=110)
 
 

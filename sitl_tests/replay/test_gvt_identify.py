@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.calibration.modes import IdentifiedMode, identify_runs
+from companion.calibration.modes import IdentifiedMode, assurance, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import bending_modes, symmetry
 from companion.cli import identify
@@ -61,6 +61,27 @@ def test_independent_halves_of_the_data_give_the_same_shapes(modes: list[Identif
 
 @here
 @pytest.mark.long
+def test_halves_tell_bending_modes_apart(modes: list[IdentifiedMode]) -> None:
+    """Even lines of one mode against odd lines of the other: the first two share nothing."""
+    first, second = _near(modes, 9.3), _near(modes, 19.1)
+    assert assurance(first.halves[0], second.halves[1]) < 0.1
+    assert assurance(second.halves[0], first.halves[1]) < 0.1
+
+
+@here
+@pytest.mark.long
+def test_lines_narrower_than_the_record_resolves_are_named_and_left_out(
+    test: VibrationTest, modes: list[IdentifiedMode]
+) -> None:
+    """7.8, 15.9, 23.8 Hz: one or two lines wide, and they never shift as the accelerometers travel; wing modes do."""
+    narrow = [mode for mode in modes if not mode.resolved]
+    assert all(mode.frequency_sigma_hz < 0.002 * mode.frequency_hz for mode in narrow)
+    assert all(_near(modes, frequency).resolved for frequency in WELL_EXCITED_HZ)
+    assert all(each.mode.resolved for each in bending_modes(modes, test.points))
+
+
+@here
+@pytest.mark.long
 def test_first_symmetric_and_antisymmetric_bending_move_as_such(
     test: VibrationTest, modes: list[IdentifiedMode]
 ) -> None:
@@ -80,7 +101,9 @@ def test_the_command_writes_an_airframe_that_reads_back(tmp_path: Path) -> None:
     assert identify.execute(parser.parse_args(["gvt", str(GVT), "--layout", str(LAYOUT), "--out", str(tmp_path)])) == 0
     airframe = load_airframe(str(tmp_path / "airframe.toml"))
     assert airframe.wing.symmetric.frequency_hz.value == pytest.approx(9.27, abs=0.2)
-    assert all((tmp_path / name).stat().st_size > 10_000 for name in ("responses.png", "shapes.png"))
+    assert all(
+        (tmp_path / name).stat().st_size > 10_000 for name in ("responses.png", "repeatability.png", "shapes.png")
+    )
 
 
 @here

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -12,7 +13,7 @@ from companion.calibration.ambient import ambient_modes
 from companion.calibration.modes import IdentifiedMode, Run, assurance, identify_runs, residues
 from companion.calibration.poles import Pole, stable_poles
 from companion.calibration.vibration import Point, frequency_response
-from companion.calibration.wing_modes import airframe_with, bending_modes, symmetry
+from companion.calibration.wing_modes import airframe_with, bending_modes, stations, symmetry
 from companion.errors import ConfigError
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 
@@ -117,6 +118,35 @@ def test_slope_and_twist_at_the_tip_come_out_of_the_cubic() -> None:
     lift = 1.2**3 - 0.4**3
     assert first.factors.slope_factor_radpm == pytest.approx(3 * 1.2**2 / lift, rel=0.01)
     assert first.factors.twist_factor_radpm == pytest.approx(0.3 * (1.2 - 0.4) / lift, rel=0.01)
+
+
+def test_cameras_inside_of_the_sensors_get_their_own_slope_and_deflection() -> None:
+    """Relative to the section at 0.4 m, y^3 - 0.4^3 and its slope 3 y^2: sensors at 1.0 m, cameras at 0.8 m."""
+    base = load_airframe("nadir-2m")
+    left, right = (
+        dataclasses.replace(camera, position_m=(0.0, 0.8 * side, 0.0))
+        for side, camera in ((-1.0, base.left_camera), (1.0, base.right_camera))
+        if camera is not None
+    )
+    base = dataclasses.replace(base, left_camera=left, right_camera=right)
+    made = airframe_with(base, bending_modes(_clean(), _points()))
+    assert made.wing.symmetric.slope_factor_radpm.value == pytest.approx(3.0 / (1.0 - 0.4**3), rel=0.01)
+    for camera in (made.left_camera, made.right_camera):
+        assert camera is not None
+        assert camera.slope_gain == pytest.approx(0.8**2, rel=0.01)
+        assert camera.lift_gain == pytest.approx((0.8**3 - 0.4**3) / (1.0 - 0.4**3), rel=0.01)
+    assert stations(base, bending_modes(_clean(), _points())).notes == (
+        "points reach 1.20 m, the base airframe's semispan is 1.00 m",
+    )
+
+
+def test_a_line_narrower_than_the_record_resolves_is_no_bending_mode() -> None:
+    """At 20 s of record lines are 0.05 Hz apart; 6 Hz at 2 % is 4.8 lines wide, at 0.5 % 1.2."""
+    mode = _clean()[0]
+    assert mode.bandwidth_lines == pytest.approx(2 * 0.02 * 6.0 / 0.05, rel=0.01)
+    narrow = dataclasses.replace(mode, bandwidth_lines=mode.bandwidth_lines / 4.0)
+    assert [each.mode for each in bending_modes([mode], _points())] == [mode]
+    assert bending_modes([narrow], _points()) == []
 
 
 def test_what_is_written_reads_back_with_the_modes_in_it() -> None:
