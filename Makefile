@@ -48,7 +48,7 @@ bench: $(STAMP)  ## speed, memory and accuracy figures, side by side with the al
 	$(BIN)/python -m tools.bench
 
 lock: $(STAMP)   ## pin every dependency with its hashes (needs uv)
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header --extra dev -q pyproject.toml requirements-build.in -o requirements.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header --extra dev --extra fast -q pyproject.toml requirements-build.in -o requirements.lock
 
 clean:
 	rm -rf $(VENV) out build *.egg-info

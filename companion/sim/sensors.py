@@ -1,7 +1,7 @@
 """Inertial sensors with all their faults, for a whole flight at once.
 
 Order of the faults: station motion (averaged over the sample, as an anti-alias filter does), effects, misalignment,
-scale, bias (Ornstein-Uhlenbeck), white noise, low-pass, saturation, quantisation. A node samples on its own clock and
+scale, bias (Ornstein-Uhlenbeck), white noise, saturation, quantisation, low-pass, rounding on the wire. A node samples on its own clock and
 stamps the middle of its averaging window; the autopilot stamps what it sends at the instant of sending.
 """
 
@@ -103,15 +103,20 @@ def drifting(t_s: Floats, time_s: float, columns: int, rng: np.random.Generator)
 
 
 def limited(values: Floats, sensor: Sensor) -> Floats:
-    """Saturate, quantise to the message's resolution, and zero the axes that the sensor does not send."""
+    """Saturate and quantise as the sensor's converter does, and zero the axes that it does not send."""
     ranges = np.repeat([sensor.accel_range_mps2, sensor.gyro_range_radps], 3)
-    if sensor.source.message in _COARSE_MESSAGES:
-        lsb = np.repeat([MILLI_G_MPS2, MILLI_RADPS], 3)
-    else:
-        lsb = ranges / _WORD
+    lsb = ranges / _WORD
     counts = np.clip(np.round(np.clip(values, -ranges, ranges) / lsb), -_WORD, _WORD - 1)
     sends = np.array([axis in sensor.sends for axis in "xyzpqr"])
     return np.asarray(counts * lsb * sends)
+
+
+def on_wire(values: Floats, sensor: Sensor) -> Floats:
+    """Round to the message's resolution: whole mg and mrad/s in the old messages."""
+    if sensor.source.message not in _COARSE_MESSAGES:
+        return values
+    lsb = np.repeat([MILLI_G_MPS2, MILLI_RADPS], 3)
+    return np.asarray(np.clip(np.round(values / lsb), -_WORD, _WORD - 1) * lsb)
 
 
 def lowpassed(values: Floats, accel_hz: float, gyro_hz: float, rate_hz: float) -> Floats:
@@ -156,8 +161,10 @@ class RealSensor:
         return corrupted(felt, t_s, self.sensor, self.errors, 1e9 / period_ns, rng)
 
     def finish(self, raw: Floats, rate_hz: float) -> Floats:
-        """Low-pass as the airframe says, saturate and quantise."""
-        return limited(lowpassed(raw, self.sensor.lowpass_accel_hz, self.sensor.lowpass_gyro_hz, rate_hz), self.sensor)
+        """Saturate and quantise, low-pass as the airframe says, and round as the message does."""
+        own = self.sensor
+        calm = lowpassed(limited(raw, own), own.lowpass_accel_hz, own.lowpass_gyro_hz, rate_hz)
+        return on_wire(calm, own)
 
 
 def node_stream(real: RealSensor, clock: RemoteClock, duration_s: float, rng: np.random.Generator) -> SensorStream:
@@ -184,8 +191,8 @@ class BackendImu:
     raw: Floats
 
     def filtered(self, accel_hz: float, gyro_hz: float) -> Floats:
-        """All samples through INS_ACCEL_FILTER and INS_GYRO_FILTER, (n, 6), saturated and quantised."""
-        return limited(lowpassed(self.raw, accel_hz, gyro_hz, BACKEND_HZ), self.sensor)
+        """All samples, saturated and quantised, through INS_ACCEL_FILTER and INS_GYRO_FILTER, (n, 6), as on the wire."""
+        return on_wire(lowpassed(limited(self.raw, self.sensor), accel_hz, gyro_hz, BACKEND_HZ), self.sensor)
 
     def latest(self, tick_ns: Ints) -> Ints:
         """Index of the newest sample at each instant."""

@@ -18,6 +18,8 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.params": (frozenset({"params", "errors", "records"}), frozenset()),
     "companion.ports": (frozenset({"records", "errors"}), frozenset()),
     "companion.core": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy"})),
+    # the optional accelerator, in one file
+    "companion.core.compiled": (frozenset(), frozenset({"numba"})),
     "companion.core.stereo": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy", "cv2"})),
     "companion.adapters": (frozenset({"adapters", "ports", "records", "errors", "params"}), ANY),
     "companion.sim": (

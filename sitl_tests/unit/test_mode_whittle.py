@@ -53,7 +53,7 @@ def _stretch(seconds: float, seed: int) -> Stretch:
 def _prior(sigma: float = 2.0) -> Prior:
     spread = np.array([0.1, 0.7, 2.5, sigma, sigma, 0.1, 0.7, 3.0])
     mean = LOGS + np.array([0.07, 0.5, 1.0, 1.0, 1.0, -0.08, 0.5, -1.0])
-    return Prior(mean, spread, mean - 4 * spread, mean + 4 * spread, (8,), (5.0,))
+    return Prior(mean, spread, mean - 4 * spread, mean + 4 * spread, np.array([5.0]))
 
 
 def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -> None:

@@ -7,6 +7,7 @@ much; whoever filters should then start again from the beginning, or early error
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -25,7 +26,7 @@ from companion.core.mode.parameters import (
     ModeParameters,
 )
 from companion.core.mode.rigid import Cells
-from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan, seek_peak
+from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, moved_evidence, scan, seek_peak
 from companion.records import Bools, Floats
 
 _LONG_S = 20.0
@@ -34,7 +35,8 @@ _EARLY_S = 10.0
 _FIRST_S = 1.5
 _PERIOD_S = 1.0
 _SCAN_UNTIL_S = 6.0
-_DRIFT_EVIDENCE = 6.0
+_DRIFT_EVIDENCE = 3.0
+_DRIFT = np.array([0.1, 0.4, 0.7, 0.4, 0.4, 0.1, 0.3, 0.7])  # of the logarithms, within some ten seconds
 _PEAK_EVIDENCE = 8.0
 _SECOND_EVIDENCE = 3.0
 _IDLE = 1e-7  # of the first mode's load
@@ -140,19 +142,27 @@ class Adaptation:
         if elapsed_s <= _SCAN_UNTIL_S:
             best = self._search(long, prior, self._scanned(long, prior, start))
         else:
-            best = fit(long, prior, _with_second(long, prior, start), 3)
-            other = fit(long, prior, _recoloured(best.logs, _CORNERS_HZ[self.fits % len(_CORNERS_HZ)]), 3)
-            best = other if other.cost < best.cost - _CLEARLY else best
+            best = self._improved(long, prior, start)
         if elapsed_s > 2.0 * _SHORT_S:
             short = make_stretch(samples[-round(_SHORT_S / self._step_s) :], self._step_s, band, floor)
-            best = _prefer(best, fit(short, prior, start, 3), short, prior)
+            best = _drifted(short, prior, best)
         best = _without_idle_seconds(long, prior, best)
         out, at = [], 0
-        for k, size in zip(which, prior.sizes, strict=True):
-            piece = slice(at, at + size)
+        for k in which:
+            piece = slice(at, at + PARAMETERS)
             out.append(self._prior[k].with_logs(best.logs[piece], best.log_sigma[piece]))
-            at += size
+            at += PARAMETERS
         return out
+
+    def _improved(self, stretch: Stretch, prior: Prior, start: Floats) -> Fit:
+        """Go on from where the last fit ended; in turns try another colour of the gust, or a peak that it has not."""
+        best = fit(stretch, prior, start, 3)
+        turn = self.fits % (1 + len(_CORNERS_HZ))
+        tried = _recoloured(best.logs, _CORNERS_HZ[turn - 1]) if turn else _with_second(stretch, prior, best.logs)
+        if np.array_equal(tried, best.logs):
+            return best
+        other = fit(stretch, prior, tried, 2 * _ROUNDS)
+        return other if other.cost < best.cost - _CLEARLY else best
 
     def _search(self, stretch: Stretch, prior: Prior, start: Floats) -> Fit:
         """Fit from gusts of several colours: a wrong one holds on to its own local answer."""
@@ -197,14 +207,12 @@ class Adaptation:
         return _LOWEST_HZ, min(2.2 * max(frequencies), 0.8 * highest), highest
 
     def _scanned(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
-        at = 0
-        for size in prior.sizes:
+        for at in range(0, len(start), PARAMETERS):
             reach = min(3.0 * prior.sigma[at], 0.7)
             costs, starts = scan(stretch, prior, start, at, np.linspace(-reach, reach, 21))
             best = int(np.argmin(costs))
             start = starts[best]
             self.ambiguous |= _two_answers(costs)
-            at += size
         return start
 
 
@@ -233,8 +241,7 @@ def _join(families: list[ModeParameters]) -> Prior:
         sigma,
         lowest,
         np.minimum(high, mean + _REACH * sigma),
-        tuple(len(own) for own in logs),
-        tuple(family.reference_hz for family in families),
+        np.array([family.reference_hz for family in families]),
     )
 
 
@@ -260,13 +267,14 @@ def _without_idle_seconds(stretch: Stretch, prior: Prior, found: Fit) -> Fit:
         without = misfit(stretch, prior, tried)
         if without - value < _SECOND_EVIDENCE:
             logs, value = tried, without
-    return Fit(logs, found.log_sigma, found.cost)
+    return dataclasses.replace(found, logs=logs)
 
 
-def _prefer(long: Fit, short: Fit, stretch: Stretch, prior: Prior) -> Fit:
-    """Believe the short stretch's fit where the long one's has become unlikely for it."""
-    evidence = misfit(stretch, prior, long.logs) - misfit(stretch, prior, short.logs)
-    return short if evidence > _DRIFT_EVIDENCE else long
+def _drifted(short: Stretch, prior: Prior, long: Fit) -> Fit:
+    """Follow a drift: the newest seconds move the parameters where that much is more likely than staying."""
+    belief = prior._replace(mean=long.logs, sigma=np.minimum(np.tile(_DRIFT, len(prior.reference_hz)), prior.sigma))
+    found = fit(short, belief, long.logs, 3)
+    return found if moved_evidence(short, belief, found) > _DRIFT_EVIDENCE else long
 
 
 def _two_answers(costs: Floats) -> bool:

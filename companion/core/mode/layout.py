@@ -26,6 +26,8 @@ SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
 _ABSENT_MPS2 = 10.0  # sigma of the root's force along an axis that it does not send
 _SECOND_RATIO = 5.5  # of an unknown second mode's frequency: 6.3 for a bare cantilever, less with a tip mass
 _SECOND_SPREAD = 0.3
+_STAMP_JITTER_S = 3e-4  # of an autopilot that stamps at the instant of sending
+_USUAL_TURN_RADPS2 = 1.0  # roll acceleration
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +206,7 @@ def make_noise(airframe: Airframe, layout: Layout, step_s: float) -> Noise:
     accel = [sensor.accel_noise_mps2_rthz**2 * per_cell for sensor in tips]
     gyro = [sensor.gyro_noise_radps_rthz**2 * per_cell for sensor in (*tips, root)]
     root_accel = root.accel_noise_mps2_rthz**2 * per_cell
+    gyro[-1] += _undone_gain(root, step_s) * (_STAMP_JITTER_S * _USUAL_TURN_RADPS2) ** 2
     return Noise(
         own=np.array([*accel, accel[0] / 12.0, accel[1] / 12.0, *accel, *gyro]),
         root_z=root_accel if "z" in root.sends else _ABSENT_MPS2**2,
@@ -212,6 +215,18 @@ def make_noise(airframe: Airframe, layout: Layout, step_s: float) -> Noise:
         bias_time_s=max(min(sensor.bias_time_s for sensor in (root, *tips)), step_s),
         sample_s=1.0 / min(sensor.rate_hz for sensor in tips),
     )
+
+
+def _undone_gain(root: Sensor, step_s: float) -> float:
+    """By how much undoing the root's low-pass raises the variance of what is wrong with single samples.
+
+    That is ``|1/H|^2 = 1 + (f/cutoff)^4`` over what smoothing and averaging over the cells let through.
+    """
+    if root.lowpass_gyro_hz <= 0.0:
+        return 0.0
+    f = np.linspace(0.0, 0.5 * root.rate_hz, 200)
+    passed = np.cos(np.pi * f * step_s) ** 4 * np.sinc(f * step_s) ** 2
+    return float(np.mean((1.0 + (f / root.lowpass_gyro_hz) ** 4) * passed))
 
 
 def _bias_prior(airframe: Airframe, layout: Layout) -> Floats:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.mode.kalman import Kalman
+from companion.core.mode.kernel import adjoint
 from companion.records import Floats
 
 
@@ -41,25 +42,14 @@ def smooth_between(kalman: Kalman, step: int, share: float) -> Smoothed:
 
     ``step`` lies in ``[kalman.steps - history, kalman.steps - 1]``.
     """
-    n = kalman.layout.size
-    h = kalman.history
-    slots = np.arange(step, kalman.steps) % h.size
-    sense, weighted = h.sense[slots], h.weighted[slots]
-    pushes = np.matmul(weighted, h.innovation[slots])
-    gathers = np.matmul(weighted, sense)
-    transitions = np.stack([h.transition[slot][:, :n] for slot in slots])
-    closed = (transitions - np.matmul(h.gain[slots], sense)).transpose(0, 2, 1)
-    later, adjoint, weight = np.zeros_like(pushes[0]), pushes[-1], gathers[-1]
-    for k in range(len(slots) - 2, -1, -1):
-        turn = closed[k]
-        later = adjoint
-        adjoint = turn @ adjoint + pushes[k]
-        weight = turn @ weight @ turn.T + gathers[k]
-    at = int(slots[0])
+    n, h = kalman.layout.size, kalman.history
+    count = kalman.steps - step
+    push, later, weight = adjoint(h, step, count)
+    at = step % kalman.kept
     covariance = h.covariance[at]
-    here = h.state[at] + covariance @ adjoint
-    if len(slots) > 1:
-        after = int(slots[1])
+    here = h.state[at] + covariance @ push
+    if count > 1:
+        after = (step + 1) % kalman.kept
         there = h.state[after] + h.covariance[after] @ later
     else:
         there = kalman.columns[:n]
@@ -81,6 +71,6 @@ def _between(kalman: Kalman, at: int, s: float, here: Floats, there: Floats, spr
         added[q, q] = load * h * h * bump**3 / 3.0
         added[v, v] = load * bump * (1.0 - 3.0 * bump)
     columns = first @ here + second @ there
-    whole = first + second @ kalman.history.transition[at][:, :n]
+    whole = first + second @ kalman.history.transition[at]
     state = columns[:, 0] + columns[:, 1:] @ kalman.constants
     return Smoothed(state, whole @ spread @ whole.T + added, columns[:, 1:])

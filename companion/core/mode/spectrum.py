@@ -4,44 +4,51 @@ from __future__ import annotations
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.parameters import SECOND_CORNER
 from companion.records import Floats
 
 _COARSE = 24
 
 
-def load_density(logs: Floats, frequency_hz: Floats, reference_hz: float) -> Floats:
-    """Density of the gust load, (m/s^2)^2/Hz, for parameters in the order of :mod:`companion.core.mode.parameters`."""
-    load, corner_1, corner_2 = np.exp(logs[2:5])
+@compiled
+def load_density(values: Floats, square: Floats, reference_hz: float) -> Floats:
+    """Density of the gust load, (m/s^2)^2/Hz, at squared frequencies; ``values`` as in ``core.mode.parameters``."""
+    load, corner_1, corner_2 = values[2], values[3], values[4]
     shape_at = (1.0 + (reference_hz / corner_1) ** 2) * (1.0 + (reference_hz / corner_2) ** 2)
-    square = frequency_hz**2
     density: Floats = load * shape_at / ((1.0 + square / corner_1**2) * (1.0 + square / corner_2**2))
     return density
 
 
+@compiled
 def acceleration_density(logs: Floats, frequency_hz: Floats, reference_hz: float, step_s: float) -> Floats:
     """Density of the tip's acceleration as averaged over cells of ``step_s``, aliases included.
 
     ``|f^2 / (f0^2 - f^2 + 2 i zeta f0 f)|^2`` of each mode times its load, times the cell's ``sinc^2``. Far above the
     modes the tip is a free mass: that part comes back by aliasing, and is smooth, so it is worked out on few points.
     """
-    total = _folded(logs, frequency_hz, reference_hz, step_s, 0)
-    coarse = np.linspace(frequency_hz[0], frequency_hz[-1], _COARSE)
-    aliased = sum(_folded(logs, coarse, reference_hz, step_s, turns) for turns in (-2, -1, 1, 2))
-    return total + np.interp(frequency_hz, coarse, aliased)
-
-
-def _folded(logs: Floats, frequency_hz: Floats, reference_hz: float, step_s: float, turns: int) -> Floats:
-    at = frequency_hz + turns / step_s
-    square = at**2
     values = np.exp(logs)
-    own = _response(values[0], values[1], square) * load_density(logs, at, reference_hz)
+    total = _folded(values, frequency_hz, reference_hz, step_s)
+    coarse = np.linspace(frequency_hz[0], frequency_hz[-1], _COARSE)
+    aliased = np.zeros(_COARSE)
+    for turns in (-2, -1, 1, 2):
+        aliased += _folded(values, coarse + turns / step_s, reference_hz, step_s)
+    both: Floats = total + np.interp(frequency_hz, coarse, aliased)
+    return both
+
+
+@compiled
+def _folded(values: Floats, at: Floats, reference_hz: float, step_s: float) -> Floats:
+    square = at**2
+    own = _response(values[0], values[1], square) * load_density(values, square, reference_hz)
     corner = (SECOND_CORNER * values[5]) ** 2
     second = _response(values[5], values[6], square) * values[7] * (values[5] ** 2 + corner) / (square + corner)
-    density: Floats = (own + second) * (np.sin(np.pi * step_s * at) / (np.pi * step_s * at)) ** 2
+    turn = np.pi * step_s * at
+    density: Floats = (own + second) * (np.sin(turn) / turn) ** 2
     return density
 
 
+@compiled
 def _response(frequency_hz: float, damping: float, square: Floats) -> Floats:
     own = frequency_hz**2
     response: Floats = square**2 / ((own - square) ** 2 + 4.0 * damping**2 * own * square)

@@ -14,7 +14,24 @@ CHANNELS = 6
 _CLIPPED = 0.002  # so near to the range a value was clipped; one well beyond was not, whatever the range is said to be
 _GAP_PERIODS = 3.5
 _GAP_FLOOR_S = 0.012
+_CLOSE, _FAR = 0.4, 1.3  # periods
 _RESOLVED = 2.9  # samples per cell that make a moment
+
+
+def respaced(t_ns: Ints, period_ns: int) -> Ints:
+    """Put back what was stamped late: a sample close ahead of the next, and far behind the one before it.
+
+    A sender that stamps at the instant of sending and was held up sends two samples in one go. The first belongs in
+    the middle of the gap.
+    """
+    late = 1 + np.flatnonzero(
+        (t_ns[2:] - t_ns[1:-1] < _CLOSE * period_ns) & (t_ns[1:-1] - t_ns[:-2] > _FAR * period_ns)
+    )
+    if not len(late):
+        return t_ns
+    moved = t_ns.copy()
+    moved[late] = (t_ns[late - 1] + t_ns[late + 1]) // 2
+    return moved
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +127,7 @@ class Stream:
             group = np.cumsum(fresh) - 1  # equal stamps are averaged
             values = np.stack([np.bincount(group, column) for column in values.T], axis=1) / np.bincount(group)[:, None]
             t = t[fresh]
-        self.t_ns, self.values = t, values
+        self.t_ns, self.values = respaced(t, round(1e9 / self.sensor.rate_hz)), values
 
     def average(self, edges_ns: Ints) -> Averages:
         """Average over the cells between consecutive, equally spaced edges, (n + 1,)."""

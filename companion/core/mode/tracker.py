@@ -19,7 +19,7 @@ from companion.core.mode.parameters import prior_parameters
 from companion.core.mode.rigid import Cells, join, make_cells
 from companion.core.mode.smoother import smooth_between
 from companion.core.mode.stream import Stream
-from companion.core.mode.validity import Level, judge
+from companion.core.mode.validity import SURPRISED, Level, judge
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -36,6 +36,12 @@ from companion.records import (
 _WINDOW_S = 1.0
 _MOST_CELLS = 250  # averaged at once
 _SATURATED_NS = 200_000_000
+_PATIENCE_S = 5.0
+_DISTRUST = {
+    Validity.STALE: Reject.STALE,
+    Validity.SETTLING: Reject.NOT_SETTLED,
+    Validity.INCONSISTENT: Reject.CONTRADICTED,
+}
 
 
 class WingTracker:
@@ -55,26 +61,29 @@ class WingTracker:
         root_y = airframe.root.position_m[1]
         self._levers = (airframe.left.position_m[1] - root_y, airframe.right.position_m[1] - root_y)
         self._keep = int(_WINDOW_S / self._step_s) + 8
-        self._adaptation = Adaptation(
-            self._layout,
-            self._noise,
-            (
-                prior_parameters(self._layout.symmetric, wing.gust),
-                prior_parameters(self._layout.antisymmetric, wing.gust),
-            ),
-            self._levers,
-            self._step_s,
+        self._prior = (
+            prior_parameters(self._layout.symmetric, wing.gust),
+            prior_parameters(self._layout.antisymmetric, wing.gust),
         )
-        self._kalman = self._fresh(self._model(self._adaptation.parameters))
-        self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
         self._forecaster = Forecaster()
         self._rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each cell
-        self._early: list[Cells] = []
         self._start_ns: int | None = None
         self._next_ns = 0
-        self._level = Level(self._layout, np.zeros(2))
         self._rows = tip_rows(self._layout, slope_rows(self._layout))
         self._validity = Validity.SETTLING
+        self._restart()
+
+    def _restart(self) -> None:
+        """Begin anew, at the airframe's beliefs."""
+        self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
+        self._kalman = self._fresh(self._model(self._adaptation.parameters))
+        self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
+        self._early: list[Cells] = []
+        self._level = Level(self._layout)
+        self._surprised_s = 0.0
+        self._rates.clear()
+        if self._start_ns is not None:
+            self._start_ns = self._next_ns
 
     # ------------------------------------------------------------------------------------------ in
 
@@ -121,23 +130,35 @@ class WingTracker:
         self._next_ns = int(edges[-1])
         for part in self._adaptation.split(cells):
             self._kalman.run(part)
+            if self._lost(len(part)):
+                self._restart()
+                break
             self._level.update(self._kalman, len(part), self._step_s)
+            self._rates.extend(part.rate)
             if self._settings.adapt:
                 if self._adaptation.early:
                     self._early.append(part)
                 if self._adaptation.take(part):
                     self._readapt()
-        self._rates.extend(cells.rate)
         for stream in self._streams:
             stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
 
+    def _lost(self, steps: int) -> bool:
+        """Whether the filter has run away, or has contradicted its sensors for too long to find back."""
+        surprised = self._kalman.surprise > SURPRISED
+        self._surprised_s = self._surprised_s + steps * self._step_s if surprised else 0.0
+        return not self._kalman.finite or self._surprised_s > _PATIENCE_S
+
     def _readapt(self) -> None:
-        """Take new parameters; early on, run the whole history again with them."""
+        """Take new parameters; early on, run the whole history again with them, if that explains it at all."""
         model = self._model(self._adaptation.parameters)
         if self._adaptation.refilter:
             fresh = self._fresh(model)
             fresh.run(join(self._early))
-            self._kalman = fresh
+            if not fresh.finite or fresh.surprise > max(SURPRISED, self._kalman.surprise):
+                self._adaptation.parameters = self._kalman.model.parameters
+            else:
+                self._kalman = fresh
         else:
             self._kalman.use(model)
         self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
@@ -189,18 +210,26 @@ class WingTracker:
         return judge(
             stale=stale,
             saturated=any(self._next_ns - seen < _SATURATED_NS for seen in recent),
-            settled_s=self._level.settled_s,
+            settled=self._level.settled,
+            surprise=self._kalman.surprise,
             rms_m=self._level.rms_m(),
             calm_rms_m=self._settings.calm_rms_m,
             parameters=self._adaptation.parameters,
             ambiguous=self._adaptation.ambiguous,
         )
 
+    @property
+    def distrust(self) -> Reject | None:
+        """Why nothing should be published that rests on this estimate; None where it may be."""
+        return _DISTRUST.get(self._validity) if self._rates and self._level.learned else Reject.NOT_SETTLED
+
     def _refusal(self) -> Reject | None:
         """Why nothing can be said at all."""
         if not self._rates:
             return Reject.NOT_SETTLED
-        return {Validity.STALE: Reject.STALE, Validity.SATURATED: Reject.SATURATED}.get(self._validity)
+        if self._validity is Validity.SATURATED:
+            return Reject.SATURATED
+        return Reject.STALE if self._validity is Validity.STALE else None
 
     def forecast(self, horizon_ns: int, step_ns: int) -> Forecast | Reject:
         """Predict from the newest processed instant, in steps of ``step_ns`` up to ``horizon_ns``."""

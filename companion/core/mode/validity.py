@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
 
 import numpy as np
 
@@ -11,40 +11,57 @@ from companion.core.mode.layout import Layout
 from companion.core.mode.parameters import FREQUENCY, ModeParameters
 from companion.records import Floats, Validity
 
-_MEMORY_S = 4.0
+_BLOCK_S = 1.0
+_BLOCKS = 5
 _SETTLE_S = 2.0
+_LEARN_S = 10.0  # until then the parameters move by much, and the history is run again with them
 _VAGUE = 0.2  # relative sigma of the frequency beyond which it is not known which mode is followed
+SURPRISED = 3.0  # mean square of normalised innovations; with the right model it stays below 2
 
 
-@dataclass(slots=True)
 class Level:
-    """Mean square of both modal coordinates about the static bend, over the last seconds.
+    """Mean square of both modal coordinates about the static bend: the median of the last seconds' blocks.
+
+    A step of the static bend, as at take-off, fills one block or two and is not motion.
 
     Attributes
     ----------
-    mean_square : (2,) float64
     settled_s : float
         Time since the tracker began, or since it was last without sensors.
+    learned : bool
+        The parameters have been learned, once.
     """
 
-    layout: Layout
-    mean_square: Floats
-    settled_s: float = 0.0
+    def __init__(self, layout: Layout) -> None:
+        self._families = [family.q for family in layout.families]
+        self._blocks: deque[Floats] = deque(maxlen=_BLOCKS)
+        self._sum, self._count = np.zeros(2), 0
+        self.settled_s = 0.0
+        self.learned = False
 
     def update(self, kalman: Kalman, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
-        h = kalman.history
-        slots = np.arange(kalman.steps - min(count, h.size), kalman.steps) % h.size
+        slots = np.arange(kalman.steps - min(count, kalman.kept), kalman.steps) % kalman.kept
         weights = np.concatenate([[1.0], kalman.constants])
-        q = h.state[slots][:, [family.q for family in self.layout.families]] @ weights
-        q[:, 0] -= h.static_m[slots] @ weights
+        q = kalman.history.state[slots][:, self._families] @ weights
+        q[:, 0] -= kalman.history.static_m[slots] @ weights
+        self._sum = self._sum + (q**2).sum(axis=0)
+        self._count += len(slots)
         self.settled_s += count * step_s
-        share = 1.0 - np.exp(-count * step_s / min(_MEMORY_S, self.settled_s))
-        self.mean_square = self.mean_square + share * ((q**2).mean(axis=0) - self.mean_square)
+        self.learned |= self.settled_s >= _LEARN_S
+        if self._count * step_s >= _BLOCK_S:
+            self._blocks.append(self._sum / self._count)
+            self._sum, self._count = np.zeros(2), 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether it has followed the wing for long enough to be believed."""
+        return self.settled_s >= _SETTLE_S
 
     def rms_m(self) -> Floats:
         """Root mean square, symmetric and antisymmetric."""
-        rms: Floats = np.sqrt(self.mean_square)
+        blocks = list(self._blocks) or [self._sum / max(self._count, 1)]
+        rms: Floats = np.sqrt(np.median(blocks, axis=0))
         return rms
 
 
@@ -52,7 +69,8 @@ def judge(
     *,
     stale: bool,
     saturated: bool,
-    settled_s: float,
+    settled: bool,
+    surprise: float,
     rms_m: Floats,
     calm_rms_m: float,
     parameters: tuple[ModeParameters, ModeParameters],
@@ -63,7 +81,9 @@ def judge(
         return Validity.STALE
     if saturated:
         return Validity.SATURATED
-    if settled_s < _SETTLE_S:
+    if surprise > SURPRISED:
+        return Validity.INCONSISTENT
+    if not settled:
         return Validity.SETTLING
     if float(np.sqrt(np.sum(rms_m**2))) < calm_rms_m:
         return Validity.CALM

@@ -10,9 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from companion.core.compiled import compiled
+from companion.core.mode.parameters import PARAMETERS
 from companion.core.mode.spectrum import acceleration_density
 from companion.records import Floats, Ints
 
@@ -28,8 +31,7 @@ _GIVE_UP = 1e4
 _LEAST_EXPECTED = 1e-12
 
 
-@dataclass(frozen=True, slots=True)
-class Stretch:
+class Stretch(NamedTuple):
     """The periodogram of a stretch, ready to be compared with a model.
 
     The lower bins stand for themselves, and the model is smeared as the taper smears it; the upper ones, where no
@@ -59,12 +61,17 @@ class Stretch:
     low_bins: int
     low_grid: int
 
-    def smear(self, density: Floats) -> Floats:
-        """Expected periodogram of a signal of this density: (..., g) to (..., b)."""
-        low = density[..., : self.low_grid]
-        windows = np.lib.stride_tricks.sliding_window_view(low, len(self.kernel), axis=-1)[..., :: self.stride, :]
-        expected: Floats = windows[..., : self.low_bins, :] @ self.kernel
-        return np.concatenate([expected, density[..., self.low_grid :]], axis=-1)
+
+@compiled
+def _smear(stretch: Stretch, density: Floats) -> Floats:
+    """Expected periodogram of a signal of this density: (g,) to (b,)."""
+    low, span = stretch.low_bins, stretch.stride * stretch.low_bins
+    expected = np.empty(len(stretch.power))
+    expected[low:] = density[stretch.low_grid :]
+    expected[:low] = 0.0
+    for j in range(len(stretch.kernel)):
+        expected[:low] += stretch.kernel[j] * density[j : j + span : stretch.stride]
+    return expected
 
 
 def make_stretch(
@@ -122,8 +129,7 @@ def _tukey(n: int) -> Floats:
     return taper
 
 
-@dataclass(frozen=True, slots=True)
-class Prior:
+class Prior(NamedTuple):
     """Normal prior of the logarithms of one or two families' parameters.
 
     Attributes
@@ -131,9 +137,7 @@ class Prior:
     mean, sigma : (p,) float64
     low, high : (p,) float64
         Beyond these a parameter no longer means what it is called: a second mode that is all damping is no mode.
-    sizes : tuple of int
-        How many parameters belong to each family.
-    reference_hz : tuple of float
+    reference_hz : (families,) float64
         Where each family's load is told.
     """
 
@@ -141,8 +145,7 @@ class Prior:
     sigma: Floats
     low: Floats
     high: Floats
-    sizes: tuple[int, ...]
-    reference_hz: tuple[float, ...]
+    reference_hz: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,32 +157,34 @@ class Fit:
     logs, log_sigma : (p,) float64
     cost : float
         Negative log posterior, up to a constant.
+    log_volume : float
+        Half the log determinant of the information: how narrow the posterior is.
     """
 
     logs: Floats
     log_sigma: Floats
     cost: float
+    log_volume: float
 
 
+@compiled
 def expected_power(stretch: Stretch, prior: Prior, logs: Floats) -> Floats:
     """Expected periodogram at the parameters ``logs``."""
-    return np.asarray(stretch.smear(_density(stretch, prior, logs)))
+    density = stretch.floor.copy()
+    for family in range(len(prior.reference_hz)):
+        own = logs[family * PARAMETERS : (family + 1) * PARAMETERS]
+        density += acceleration_density(own, stretch.grid_hz, prior.reference_hz[family], stretch.step_s)
+    return np.maximum(_smear(stretch, density), _LEAST_EXPECTED)
 
 
-def _density(stretch: Stretch, prior: Prior, logs: Floats) -> Floats:
-    density, at = stretch.floor, 0
-    for size, reference in zip(prior.sizes, prior.reference_hz, strict=True):
-        density = density + acceleration_density(logs[at : at + size], stretch.grid_hz, reference, stretch.step_s)
-        at += size
-    return density
-
-
+@compiled
 def misfit(stretch: Stretch, prior: Prior, logs: Floats) -> float:
     """Negative log likelihood of the stretch."""
-    expected = np.maximum(expected_power(stretch, prior, logs), _LEAST_EXPECTED)
-    return float(stretch.weight @ (np.log(expected) + stretch.power / expected))
+    expected = expected_power(stretch, prior, logs)
+    return float(np.sum(stretch.weight * (np.log(expected) + stretch.power / expected)))
 
 
+@compiled
 def cost(stretch: Stretch, prior: Prior, logs: Floats) -> float:
     """Negative log posterior."""
     return misfit(stretch, prior, logs) + 0.5 * float(np.sum(((logs - prior.mean) / prior.sigma) ** 2))
@@ -203,7 +208,13 @@ def fit(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> Fit:
             if damping > _GIVE_UP:
                 break
     spread: Floats = np.sqrt(np.diag(np.asarray(np.linalg.inv(information), dtype=np.float64)))
-    return Fit(logs, spread, best)
+    return Fit(logs, spread, best, 0.5 * float(np.linalg.slogdet(information)[1]))
+
+
+def moved_evidence(stretch: Stretch, belief: Prior, found: Fit) -> float:
+    """Log Bayes factor of ``found``, fitted under ``belief``, over staying at the belief's mean (Laplace)."""
+    stayed = misfit(stretch, belief, belief.mean)
+    return stayed - found.cost - found.log_volume - float(np.sum(np.log(belief.sigma)))
 
 
 def _moved(prior: Prior, logs: Floats, gradient: Floats, information: Floats, damping: float) -> Floats:
@@ -216,20 +227,20 @@ def _moved(prior: Prior, logs: Floats, gradient: Floats, information: Floats, da
     return np.asarray(np.clip(logs + step, prior.low, prior.high), dtype=np.float64)
 
 
+@compiled
 def _slope(stretch: Stretch, prior: Prior, logs: Floats) -> tuple[Floats, Floats]:
     """Gradient and Fisher information of the cost."""
-    base = _density(stretch, prior, logs)
-    rows, at = np.empty((len(logs), len(base))), 0
-    for size, reference in zip(prior.sizes, prior.reference_hz, strict=True):
-        own = logs[at : at + size]
+    expected = expected_power(stretch, prior, logs)
+    jacobian = np.empty((len(logs), len(expected)))
+    for family in range(len(prior.reference_hz)):
+        own = logs[family * PARAMETERS : (family + 1) * PARAMETERS].copy()
+        reference = prior.reference_hz[family]
         centre = acceleration_density(own, stretch.grid_hz, reference, stretch.step_s)
-        for k in range(size):
-            moved = own.copy()
-            moved[k] += _DELTA
-            rows[at + k] = acceleration_density(moved, stretch.grid_hz, reference, stretch.step_s) - centre
-        at += size
-    expected = np.maximum(stretch.smear(base), _LEAST_EXPECTED)
-    jacobian = stretch.smear(rows) / (_DELTA * expected)
+        for k in range(PARAMETERS):
+            own[k] += _DELTA
+            moved = acceleration_density(own, stretch.grid_hz, reference, stretch.step_s) - centre
+            own[k] -= _DELTA
+            jacobian[family * PARAMETERS + k] = _smear(stretch, moved) / (_DELTA * expected)
     pull = (logs - prior.mean) / prior.sigma**2
     gradient = jacobian @ (stretch.weight * (1.0 - stretch.power / expected)) + pull
     information = (stretch.weight * jacobian) @ jacobian.T + np.diag(1.0 / prior.sigma**2)
@@ -244,7 +255,7 @@ def scan(stretch: Stretch, prior: Prior, start: Floats, which: int, offsets: Flo
     costs = np.empty(len(offsets))
     for k, logs in enumerate(starts):
         for _ in range(2):
-            expected = np.maximum(expected_power(stretch, prior, logs), _LEAST_EXPECTED)
+            expected = expected_power(stretch, prior, logs)
             logs[load] += np.log(max(float(stretch.weight @ (stretch.power / expected) / stretch.weight.sum()), 1e-9))
         costs[k] = cost(stretch, prior, logs)
     return costs, starts
@@ -255,7 +266,7 @@ def seek_peak(stretch: Stretch, prior: Prior, start: Floats, which: int) -> tupl
 
     ``which`` is the index of the frequency to move; its damping and load follow it.
     """
-    expected = np.maximum(expected_power(stretch, prior, start), _LEAST_EXPECTED)
+    expected = expected_power(stretch, prior, start)
     f, w = stretch.frequency_hz, stretch.weight
     middle, reach = prior.mean[which], 2.5 * prior.sigma[which]
     tried = np.exp(np.arange(middle - reach, middle + reach + 1e-9, _PEAK_WIDTH))

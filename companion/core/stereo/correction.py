@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -27,11 +28,14 @@ from companion.records import (
     Reject,
     Rejected,
     RelativeRotation,
+    VehicleState,
 )
 
 _QUEUE_DEPTH = 64
 _DOWN = 25
 _SLACK_MPS = 8.0
+_VEHICLES = 64
+_ATTITUDE_NS = 500_000_000
 
 
 @dataclass(slots=True)
@@ -44,6 +48,7 @@ class Correction:
     settings: Settings
     slow: SlowRotation
     pending: deque[MatchSet] = field(default_factory=deque)
+    vehicles: deque[VehicleState] = field(default_factory=lambda: deque(maxlen=_VEHICLES))
     last_trusted: CorrectedRange | None = None
 
     @classmethod
@@ -86,18 +91,42 @@ class Correction:
         turned = self._turned(matches, left, right, velocity_mps)
         yield turned
         answer: RangeAnswer = correct(
-            matches, left, right, self.rig, self.airframe, self.settings, velocity_mps=velocity_mps, turned=turned
+            matches,
+            left,
+            right,
+            self.rig,
+            self.airframe,
+            self.settings,
+            velocity_mps=velocity_mps,
+            turned=turned,
+            attitude_rad=self._attitude((left.t_host_ns + right.t_host_ns) // 2),
         )
         slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
-        judged = self.gate.judge(answer.range, climb_mps, slack_mps)
+        judged = self.gate.judge(_withheld(answer.range, tracker.distrust), climb_mps, slack_mps)
         if judged.trusted:
             self.last_trusted = judged
         yield judged
         if answer.sectors is not None:
             yield answer.sectors
 
+    def _attitude(self, t_host_ns: int) -> tuple[float, float] | None:
+        """Roll and pitch at an instant, between the states that the autopilot sent; None without one nearby."""
+        at_ns = [vehicle.received_host_ns for vehicle in self.vehicles]
+        if not at_ns or min(abs(t_ns - t_host_ns) for t_ns in at_ns) > _ATTITUDE_NS:
+            return None
+        since_s = [1e-9 * (t_ns - t_host_ns) for t_ns in at_ns]
+        roll = float(np.interp(0.0, since_s, [vehicle.roll_rad for vehicle in self.vehicles]))
+        return roll, float(np.interp(0.0, since_s, [vehicle.pitch_rad for vehicle in self.vehicles]))
+
     def _turned(self, matches: MatchSet, left: Deflection, right: Deflection, velocity_mps: Floats) -> RelativeRotation:
         moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), left, right, velocity_mps)
         rays = match_rays(self.rig, moving, matches)
         look = bool(self.settings.hold_slow)
         return self.slow.update(matches, rays, (left, right), moving, TIMING_SIGMA_S, look=look)
+
+
+def _withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:
+    """The range without trust where the wing's motion is not known well enough."""
+    if reason is None or not measured.trusted:
+        return measured
+    return dataclasses.replace(measured, trusted=False, reject=reason)

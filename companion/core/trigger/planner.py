@@ -240,6 +240,7 @@ class Planner:
 _WHY = {
     Validity.SETTLING: Reject.NOT_SETTLED,
     Validity.AMBIGUOUS: Reject.MODE_AMBIGUOUS,
+    Validity.INCONSISTENT: Reject.CONTRADICTED,
     Validity.STALE: Reject.STALE,
     Validity.SATURATED: Reject.SATURATED,
 }
