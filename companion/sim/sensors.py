@@ -1,8 +1,9 @@
 """Inertial sensors with all their faults, for a whole flight at once.
 
 Order of the faults: station motion (averaged over the sample, as an anti-alias filter does), effects, misalignment,
-scale, bias (Ornstein-Uhlenbeck), white noise, saturation, quantisation, low-pass, rounding on the wire. A node samples on its own clock and
-stamps the middle of its averaging window; the autopilot stamps what it sends at the instant of sending.
+scale, bias (Ornstein-Uhlenbeck), white noise, saturation, quantisation, low-pass, rounding on the wire. A node samples
+on its own clock and stamps the middle of its averaging window; the autopilot stamps what it sends at the instant of
+sending.
 """
 
 from __future__ import annotations
@@ -191,7 +192,7 @@ class BackendImu:
     raw: Floats
 
     def filtered(self, accel_hz: float, gyro_hz: float) -> Floats:
-        """All samples, saturated and quantised, through INS_ACCEL_FILTER and INS_GYRO_FILTER, (n, 6), as on the wire."""
+        """All samples, saturated and quantised, through INS_ACCEL_FILTER and INS_GYRO_FILTER, as sent, (n, 6)."""
         return on_wire(lowpassed(limited(self.raw, self.sensor), accel_hz, gyro_hz, BACKEND_HZ), self.sensor)
 
     def latest(self, tick_ns: Ints) -> Ints:
