@@ -8,17 +8,18 @@ state of the filter.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout
-from companion.core.mode.sensitivity import Motion, rate_of_change, sensitivities
+from companion.core.mode.sensitivity import Motion, columns_of, rate_of_change, sensitivities
 from companion.core.mode.stream import Stream
 from companion.records import Axis, Bools, Floats, Ints
 
 GRAVITY_MPS2 = 9.80665
 _LEAST_FORCE_MPS2 = 1.0  # in free fall the lateral axis does not see the slope
-_SIDE = np.array([1.0, -1.0])
 _BESIDE = 2  # cells at either end that time derivatives and smoothing lean on
 
 
@@ -88,74 +89,129 @@ def join(runs: list[Cells]) -> Cells:
 
 def make_cells(layout: Layout, streams: tuple[Stream, Stream, Stream], edges_ns: Ints) -> Cells:
     """Average the streams over the cells between ``edges_ns`` (equally spaced) and remove the rigid motion."""
-    step_ns = edges_ns[1] - edges_ns[0]
+    step_ns = int(edges_ns[1] - edges_ns[0])
     beside = step_ns * np.arange(1, _BESIDE + 1)
     wide_ns = np.concatenate([edges_ns[0] - beside[::-1], edges_ns, edges_ns[-1] + beside])
-    motion, there = _motion(streams, wide_ns, float(step_ns) * 1e-9)
-    gains = _lateral_gain(motion, there)
-    rows = np.empty((len(there), ROWS))
-    rows[:, Z_LEFT:M_LEFT] = motion.tip[:, :, 2] - motion.rigid[:, :, 2]
-    rows[:, M_LEFT:Y_LEFT] = motion.moment - motion.step_s / 12.0 * motion.d_rigid_z
-    rows[:, Y_LEFT:P_LEFT] = np.arctan((motion.tip[:, :, 1] - motion.rigid[:, :, 1]) * gains)
-    rows[:, P_LEFT:P_ROOT] = motion.tip[:, :, 3]
-    rows[:, P_ROOT] = motion.omega[:, 0]
-    rows[~there] = 0.0
-    lateral, vertical = there[:, Y_LEFT:P_LEFT], there[:, Z_LEFT:M_LEFT]
-    cells = Cells(
-        wide_ns[:-1],
-        rows,
-        there,
-        motion.tip[:, :, 2] * vertical,
-        motion.rigid[:, :, 1] * _SIDE * vertical,
-        np.where(lateral, -motion.moment * motion.step_s * np.abs(gains) * np.sign(motion.tip[:, :, 2]), 0.0),
-        np.where(lateral, gains, 0.0),
-        motion.load,
-        0.5 * (motion.omega + np.concatenate([motion.omega[1:], motion.omega[-1:]])),
-        sensitivities(layout, motion, gains, there),
+    root = streams[0]
+    root_mean, left, right = (stream.average(wide_ns) for stream in streams)
+    centre = np.array(root.sensor.position_m)
+    averaged = _Averaged(
+        step_s=step_ns * 1e-9,
+        root=root_mean.mean,
+        tip=np.stack((left.mean, right.mean), axis=1),
+        moment=np.stack((left.moment, right.moment), axis=1),
+        covered=np.stack((root_mean.covered, left.covered, right.covered)),
+        sends=np.array(
+            [
+                [_sends(stream, Axis.Y, "y"), _sends(stream, Axis.Z, "z"), _sends(stream, Axis.P, "p")]
+                for stream in streams
+            ]
+        ),
+        resolved=np.array([left.resolved, right.resolved]),
+        filtered=root.filtered,
+        levers_m=np.stack([np.array(stream.sensor.position_m) - centre for stream in streams[1:]]),
     )
+    rows, present, *rest = _cells(averaged, columns_of(layout), len(layout.constants))
+    vertical, lateral, tilted, gains, load, rate, known = rest
+    cells = Cells(wide_ns[:-1], rows, present, vertical, lateral, tilted, gains, load, rate, known)
     return cells.span(_BESIDE, len(cells) - _BESIDE)
 
 
-def _motion(streams: tuple[Stream, Stream, Stream], edges_ns: Ints, step_s: float) -> tuple[Motion, Bools]:
-    root, n = streams[0], len(edges_ns) - 1
-    averages = [stream.average(edges_ns) for stream in streams]
-    root_there = averages[0].covered
-    calm = _smoothed(averages[0].mean, root_there) if root.filtered else averages[0].mean
-    f_root, omega = calm[:, :3], calm[:, 3:]
+class _Averaged(NamedTuple):
+    """Averages of all streams over a run of cells; ``sends`` (3, 3): lateral, vertical, roll rate of each station."""
+
+    step_s: float
+    root: Floats
+    tip: Floats
+    moment: Floats
+    covered: Bools
+    sends: Bools
+    resolved: Bools
+    filtered: bool
+    levers_m: Floats
+
+
+def _sends(stream: Stream, axis: Axis, letter: str) -> bool:
+    return bool(stream.axes & axis) and letter in stream.sensor.sends
+
+
+@compiled
+def _cells(
+    averaged: _Averaged, where: Ints, constants: int
+) -> tuple[Floats, Bools, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:
+    """Everything that :class:`Cells` holds beside the stamps, in its order."""
+    motion, there = _motion(averaged), _there(averaged)
+    gains = _lateral_gain(motion, there)
+    n = len(there)
+    rows, vertical, lateral, tilted = np.zeros((n, ROWS)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2))
+    for k in range(n):
+        for side in range(2):
+            force = motion.tip[k, side, 2]
+            rows[k, Z_LEFT + side] = force - motion.rigid[k, side, 2]
+            rows[k, M_LEFT + side] = motion.moment[k, side] - motion.step_s / 12.0 * motion.d_rigid_z[k, side]
+            rows[k, Y_LEFT + side] = np.arctan((motion.tip[k, side, 1] - motion.rigid[k, side, 1]) * gains[k, side])
+            rows[k, P_LEFT + side] = motion.tip[k, side, 3]
+            if there[k, Z_LEFT + side]:
+                vertical[k, side] = force
+                lateral[k, side] = motion.rigid[k, side, 1] * (1.0 - 2.0 * side)
+            if there[k, Y_LEFT + side]:
+                tilted[k, side] = -motion.moment[k, side] * motion.step_s * np.abs(gains[k, side]) * np.sign(force)
+        rows[k, P_ROOT] = motion.omega[k, 0]
+        for row in range(ROWS):
+            if not there[k, row]:
+                rows[k, row] = 0.0
+    load = np.zeros(n)
+    if averaged.sends[0, 1]:
+        for k in range(n):
+            if averaged.covered[0, k]:
+                load[k] = -motion.f_root[k, 2] / GRAVITY_MPS2 - 1.0
+    rate = motion.omega.copy()
+    rate[:-1] = 0.5 * (motion.omega[:-1] + motion.omega[1:])
+    known = sensitivities(motion, gains, there, where, constants)
+    for k in range(n):
+        for side in range(2):
+            if not there[k, Y_LEFT + side]:
+                gains[k, side] = 0.0
+    return rows, there, vertical, lateral, tilted, gains, load, rate, known
+
+
+@compiled
+def _motion(averaged: _Averaged) -> Motion:
+    root_there, step_s = averaged.covered[0], averaged.step_s
+    calm = _smoothed(averaged.root, root_there) if averaged.filtered else averaged.root
+    f_root, omega = calm[:, :3].copy(), calm[:, 3:].copy()
     turn = rate_of_change(omega, step_s, root_there)
-    there = np.zeros((n, ROWS), dtype=bool)
-    there[:, P_ROOT] = root_there & _sends(root, Axis.P, "p")
-    rigid, levers = np.empty((n, 2, 3)), np.empty((2, 3))
-    centre = np.array(root.sensor.position_m)
-    for side in (0, 1):
-        stream, own = streams[1 + side], averages[1 + side]
-        levers[side] = arm = np.array(stream.sensor.position_m) - centre
-        rigid[:, side] = f_root + _cross(turn, arm) + _cross(omega, _cross(omega, arm))
-        rigid[:, side, 2] -= turn[:, 0] * arm[1]  # the filter's business
-        both = own.covered & root_there
-        there[:, Z_LEFT + side] = both & _sends(stream, Axis.Z, "z")
-        there[:, Y_LEFT + side] = both & _sends(stream, Axis.Y, "y")
-        there[:, P_LEFT + side] = own.covered & _sends(stream, Axis.P, "p")
-        if own.resolved:
-            there[:, M_LEFT + side] = there[:, Z_LEFT + side]
-    load = np.where(root_there & _sends(root, Axis.Z, "z"), -f_root[:, 2] / GRAVITY_MPS2 - 1.0, 0.0)
-    motion = Motion(
-        step_s=step_s,
-        tip=np.stack([averages[1].mean, averages[2].mean], axis=1),
-        moment=np.stack([averages[1].moment, averages[2].moment], axis=1),
-        d_tip=np.stack([rate_of_change(own.mean, step_s, own.covered) for own in averages[1:]], axis=1),
-        rigid=rigid,
-        d_rigid_z=rate_of_change(rigid[:, :, 2], step_s, root_there),
-        f_root=f_root,
-        d_root=rate_of_change(f_root, step_s, root_there),
-        omega=omega,
-        turn=turn,
-        load=load,
-        levers_m=levers,
+    n = len(calm)
+    rigid, d_rigid_z, d_tip = np.empty((n, 2, 3)), np.empty((n, 2)), np.empty((n, 2, 6))
+    for side in range(2):
+        arm = averaged.levers_m[side]
+        for k in range(n):
+            rigid[k, side] = f_root[k] + _cross(turn[k], arm) + _cross(omega[k], _cross(omega[k], arm))
+            rigid[k, side, 2] -= turn[k, 0] * arm[1]  # the filter's business
+        d_rigid_z[:, side] = rate_of_change(rigid[:, side, 2].copy(), step_s, root_there)
+        d_tip[:, side] = rate_of_change(averaged.tip[:, side].copy(), step_s, averaged.covered[1 + side])
+    d_root = rate_of_change(f_root, step_s, root_there)
+    return Motion(
+        step_s, averaged.tip, averaged.moment, d_tip, rigid, d_rigid_z, f_root, d_root, omega, turn, averaged.levers_m
     )
-    return motion, there
 
 
+@compiled
+def _there(averaged: _Averaged) -> Bools:
+    """Which rows were measured."""
+    root = averaged.covered[0]
+    there = np.zeros((len(root), ROWS), np.bool_)
+    there[:, P_ROOT] = root & averaged.sends[0, 2]
+    for side in range(2):
+        own, sends = averaged.covered[1 + side], averaged.sends[1 + side]
+        there[:, Y_LEFT + side] = own & root & sends[0]
+        there[:, Z_LEFT + side] = own & root & sends[1]
+        there[:, M_LEFT + side] = own & root & sends[1] & averaged.resolved[side]
+        there[:, P_LEFT + side] = own & sends[2]
+    return there
+
+
+@compiled
 def _smoothed(values: Floats, there: Bools) -> Floats:
     """Weights 1/4, 1/2, 1/4 over neighbouring cells.
 
@@ -163,28 +219,27 @@ def _smoothed(values: Floats, there: Bools) -> Floats:
     several times its sensor's; rigid motion is too slow to notice (2 % at a twentieth of the cell rate).
     """
     out = values.copy()
-    inner = there[2:] & there[1:-1] & there[:-2]
-    out[1:-1][inner] = (0.25 * (values[:-2] + values[2:]) + 0.5 * values[1:-1])[inner]
+    for k in range(1, len(values) - 1):
+        if there[k - 1] and there[k] and there[k + 1]:
+            out[k] = 0.25 * (values[k - 1] + values[k + 1]) + 0.5 * values[k]
     return out
 
 
-def _sends(stream: Stream, axis: Axis, letter: str) -> bool:
-    return bool(stream.axes & axis) and letter in stream.sensor.sends
-
-
+@compiled
 def _cross(a: Floats, b: Floats) -> Floats:
-    """``a x b`` along the last axis (numpy's own is ten times slower on short runs)."""
-    out = np.empty_like(a)
-    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
-    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
-    out[..., 0], out[..., 1], out[..., 2] = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    return out
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
+@compiled
 def _lateral_gain(motion: Motion, there: Bools) -> Floats:
-    # a tip without a vertical axis cannot say by what its lateral axis is to be divided: the rigid force stands in
-    force = np.where(there[:, Z_LEFT:M_LEFT], motion.tip[:, :, 2], motion.rigid[:, :, 2])
-    falls = np.abs(force) < _LEAST_FORCE_MPS2
-    there[:, Y_LEFT:P_LEFT] &= ~falls
-    gains: Floats = _SIDE / np.where(falls, -GRAVITY_MPS2, force)
+    """One over the vertical specific force, signed for the side; in free fall the slope rows are taken out."""
+    gains = np.empty((len(there), 2))
+    for k in range(len(there)):
+        for side in range(2):
+            # a tip without a vertical axis cannot say by what its lateral axis is to be divided: the rigid force does
+            force = motion.tip[k, side, 2] if there[k, Z_LEFT + side] else motion.rigid[k, side, 2]
+            if np.abs(force) < _LEAST_FORCE_MPS2:
+                there[k, Y_LEFT + side] = False
+                force = -GRAVITY_MPS2
+            gains[k, side] = (1.0 - 2.0 * side) / force
     return gains

@@ -10,18 +10,20 @@ wherever :func:`own_scales` says that it is in.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.layout import P_LEFT, P_ROOT, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT, Layout
-from companion.records import Bools, Floats
+from companion.records import Bools, Floats, Ints
 
-_Entries = dict[str, tuple[tuple[int, Floats], ...]]
+_PLACES = ("root", "left", "right")
+_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU = range(len(SENSOR_ERRORS))
+_Z, _Y, _P, _P0 = Z_LEFT, Y_LEFT, P_LEFT, P_ROOT
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(NamedTuple):
     """Cell averages of everything sensed, body axes; ``d_`` their time derivatives.
 
     Attributes
@@ -35,8 +37,6 @@ class Motion:
     d_rigid_z : (n, 2) float64
     f_root, d_root, omega, turn : (n, 3) float64
         Root specific force, body rate and its time derivative.
-    load : (n,) float64
-        Load factor less one.
     levers_m : (2, 3) float64
         From root to tips.
     """
@@ -51,30 +51,40 @@ class Motion:
     d_root: Floats
     omega: Floats
     turn: Floats
-    load: Floats
     levers_m: Floats
 
 
+@compiled
 def rate_of_change(values: Floats, step_s: float, there: Bools) -> Floats:
-    """Central difference; zero at the ends of the run and beside what is not there."""
+    """Central difference along the first axis; zero at the ends of the run and beside what is not there."""
     out = np.zeros_like(values)
-    out[1:-1] = (values[2:] - values[:-2]) / (2.0 * step_s)
-    if not there.all():
-        out[1:-1][~(there[2:] & there[:-2])] = 0.0
+    for k in range(1, len(values) - 1):
+        if there[k - 1] and there[k + 1]:
+            out[k] = (values[k + 1] - values[k - 1]) / (2.0 * step_s)
     return out
 
 
-def sensitivities(layout: Layout, motion: Motion, gains: Floats, there: Bools) -> Floats:
-    """Derivative of the rows by the constants, (n, 9, c); ``gains`` as :attr:`Cells.lateral_gain`."""
-    out = np.zeros((len(there), ROWS, len(layout.constants)))
-    if not any("." in name for name in layout.constants):
-        return out
+def columns_of(layout: Layout) -> Ints:
+    """Column of each error (order of ``SENSOR_ERRORS``) of root, left and right; -1 where its prior has no width."""
     index = {name: at for at, name in enumerate(layout.constants)}
-    for side, place in ((0, "left"), (1, "right")):
-        _fill(out, index, place, side, _tip_entries(motion, side, gains))
-        _fill(out, index, "root", side, _root_entries(motion, side, gains))
-    _fill(out, index, "root", 0, _roll_entries(motion))
-    out[~there] = 0.0
+    return np.array([[index.get(f"{place}.{error}", -1) for error in SENSOR_ERRORS] for place in _PLACES], np.int64)
+
+
+@compiled
+def sensitivities(motion: Motion, gains: Floats, there: Bools, where: Ints, count: int) -> Floats:
+    """Derivative of the rows by the ``count`` constants, (n, 9, count).
+
+    ``gains`` as ``Cells.lateral_gain``, ``where`` from :func:`columns_of`.
+    """
+    out = np.zeros((len(there), ROWS, count))
+    for side in range(2):
+        _tip_errors(out, motion, side, gains[:, side], where[1 + side])
+        _root_errors(out, motion, side, gains[:, side], where[0])
+    _roll_errors(out, motion, where[0])
+    for k in range(len(there)):
+        for row in range(ROWS):
+            if not there[k, row]:
+                out[k, row] = 0.0
     return out
 
 
@@ -90,53 +100,62 @@ def own_scales(layout: Layout) -> list[tuple[int, int, float]]:
     return [*found, (P_ROOT, column, 1.0)] if column is not None else found
 
 
-def _fill(out: Floats, index: dict[str, int], place: str, side: int, entries: _Entries) -> None:
-    for error in SENSOR_ERRORS:
-        at = index.get(f"{place}.{error}")
-        if at is not None:
-            for row, value in entries.get(error, ()):
-                out[:, row + side, at] = value
+@compiled
+def _put(out: Floats, row: int, column: int, values: Floats) -> None:
+    if column >= 0:
+        out[:, row, column] = values
 
 
-def _tip_entries(motion: Motion, side: int, gains: Floats) -> _Entries:
-    x, y, z, p, q, r = motion.tip[:, side].T
-    gain = gains[:, side]
-    _, dy, dz, dp, _, _ = motion.d_tip[:, side].T
-    return {
-        "kz": ((Z_LEFT, z), (Y_LEFT, -y * gain)),
-        "ky": ((Y_LEFT, y * gain),),
-        "kp": ((P_LEFT, p),),
-        "mx": ((Z_LEFT, -y), (Y_LEFT, z * gain)),
-        "my": ((Z_LEFT, x), (P_LEFT, -r)),
-        "mz": ((Y_LEFT, -x * gain), (P_LEFT, q)),
-        "tau": ((Z_LEFT, -dz), (Y_LEFT, -(dy - y * dz * np.abs(gain) * np.sign(z)) * gain), (P_LEFT, -dp)),
-    }
+@compiled
+def _tip_errors(out: Floats, motion: Motion, side: int, gain: Floats, where: Ints) -> None:
+    own, rate = motion.tip[:, side], motion.d_tip[:, side]
+    x, y, z, p, q, r = own[:, 0], own[:, 1], own[:, 2], own[:, 3], own[:, 4], own[:, 5]
+    dy, dz, dp = rate[:, 1], rate[:, 2], rate[:, 3]
+    vertical, lateral, roll = _Z + side, _Y + side, _P + side
+    _put(out, vertical, where[_KZ], z)
+    _put(out, lateral, where[_KZ], -y * gain)
+    _put(out, lateral, where[_KY], y * gain)
+    _put(out, roll, where[_KP], p)
+    _put(out, vertical, where[_MX], -y)
+    _put(out, lateral, where[_MX], z * gain)
+    _put(out, vertical, where[_MY], x)
+    _put(out, roll, where[_MY], -r)
+    _put(out, lateral, where[_MZ], -x * gain)
+    _put(out, roll, where[_MZ], q)
+    _put(out, vertical, where[_TAU], -dz)
+    _put(out, lateral, where[_TAU], -(dy - y * dz * np.abs(gain) * np.sign(z)) * gain)
+    _put(out, roll, where[_TAU], -dp)
 
 
-def _root_entries(motion: Motion, side: int, gains: Floats) -> _Entries:
-    x, y, z = _before(motion.f_root).T
-    p, gain, lever = motion.omega[:, 0], gains[:, side], motion.levers_m[side, 1]
-    return {
-        "kz": ((Z_LEFT, -z),),
-        "ky": ((Y_LEFT, -y * gain),),
-        "kp": ((Y_LEFT, 2.0 * lever * p**2 * gain),),
-        "mx": ((Z_LEFT, y), (Y_LEFT, -z * gain)),
-        "my": ((Z_LEFT, -x),),
-        "mz": ((Y_LEFT, x * gain),),
-        "tau": ((Z_LEFT, motion.d_root[:, 2]), (Y_LEFT, motion.d_root[:, 1] * gain)),
-    }
+@compiled
+def _root_errors(out: Floats, motion: Motion, side: int, gain: Floats, where: Ints) -> None:
+    force = _before(motion.f_root)
+    x, y, z = force[:, 0], force[:, 1], force[:, 2]
+    p, lever = motion.omega[:, 0], motion.levers_m[side, 1]
+    vertical, lateral = _Z + side, _Y + side
+    _put(out, vertical, where[_KZ], -z)
+    _put(out, lateral, where[_KY], -y * gain)
+    _put(out, lateral, where[_KP], 2.0 * lever * p**2 * gain)
+    _put(out, vertical, where[_MX], y)
+    _put(out, lateral, where[_MX], -z * gain)
+    _put(out, vertical, where[_MY], -x)
+    _put(out, lateral, where[_MZ], x * gain)
+    _put(out, vertical, where[_TAU], motion.d_root[:, 2])
+    _put(out, lateral, where[_TAU], motion.d_root[:, 1] * gain)
 
 
+@compiled
 def _before(values: Floats) -> Floats:
     """The same one cell earlier: noise of the root must not meet itself in the innovations that it is held against."""
-    return np.concatenate([values[:1], values[:-1]])
+    out = values.copy()
+    out[1:] = values[:-1]
+    return out
 
 
-def _roll_entries(motion: Motion) -> _Entries:
-    p, q, r = motion.omega.T
-    return {
-        "kp": ((P_ROOT, p),),
-        "my": ((P_ROOT, -r),),
-        "mz": ((P_ROOT, q),),
-        "tau": ((P_ROOT, -motion.turn[:, 0]),),
-    }
+@compiled
+def _roll_errors(out: Floats, motion: Motion, where: Ints) -> None:
+    p, q, r = motion.omega[:, 0], motion.omega[:, 1], motion.omega[:, 2]
+    _put(out, _P0, where[_KP], p)
+    _put(out, _P0, where[_MY], -r)
+    _put(out, _P0, where[_MZ], q)
+    _put(out, _P0, where[_TAU], -motion.turn[:, 0])

@@ -72,6 +72,13 @@ class Stream:
     newest_ns: int | None = None
     saturated_ns: int | None = None
     _waiting: list[tuple[Ints, Floats]] = field(default_factory=list)
+    _range: Floats = field(init=False)
+    _cutoff_hz: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        own = self.sensor
+        self._range = np.repeat([own.accel_range_mps2, own.gyro_range_radps], 3)
+        self._cutoff_hz = np.repeat([own.lowpass_accel_hz, own.lowpass_gyro_hz], 3)
 
     def add(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
         """Take a batch; samples at or before ``oldest_ns``, not finite or saturated are refused and counted."""
@@ -161,14 +168,6 @@ class Stream:
         return covered
 
     @property
-    def _range(self) -> Floats:
-        return np.array([self.sensor.accel_range_mps2] * 3 + [self.sensor.gyro_range_radps] * 3)
-
-    @property
     def filtered(self) -> bool:
         """Whether the source low-passes what it sends."""
         return self.sensor.lowpass_accel_hz > 0.0 or self.sensor.lowpass_gyro_hz > 0.0
-
-    @property
-    def _cutoff_hz(self) -> Floats:
-        return np.array([self.sensor.lowpass_accel_hz] * 3 + [self.sensor.lowpass_gyro_hz] * 3)
