@@ -14,19 +14,24 @@ import math
 import statistics
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.options import parser_for
 from mission_scripts.common.outcome import Aborted, Exit
+from mission_scripts.common.places import Place
 from mission_scripts.common.run import run
 from mission_scripts.common.vehicle import GUIDED
+from mission_scripts.common.watch import Watch
 
 _SEND_S = 0.04
 _SPEED_OFF_MPS = 1.0
-_SPEED_S = 40.0
-_LEVEL_S = 1.5
-_TRIM_S = 2.0
+_HEIGHT_OFF_M, _NEAR_M, _SETTLE_S = 8.0, 200.0, 120.0
+_FAR = 0.4
+_USUAL = -2.0  # the autopilot's own cruise speed
+_LEVEL_S, _TRIM_S = 1.5, 4.0
+_PITCH_PER_MPS, _MOST_SLOW_RAD, _SLOWEST = 0.02, 0.08, 0.75
 _FEW, _GROWN, _LEAST_MM = 5, 2.0, 10.0
 
 
@@ -52,66 +57,95 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def excite(flight: Flight) -> Exit:
     """The mission."""
     options, watch = flight.options, flight.watch
-    flight.await_service()
     flight.be_airborne()
     home, height_m = watch.place, options.height or watch.height_m
     wing = Wing(flight)
     flight.guard.more = wing.check
     for airspeed_mps in options.airspeeds:
-        where = (home.latitude_deg, home.longitude_deg)
-        flight.change_mode(GUIDED, lambda where=where: flight.vehicle.circle_at(where, height_m))  # type: ignore[misc]
-        flight.vehicle.airspeed(airspeed_mps)
-        flight.wait(f"airspeed {airspeed_mps:g} m/s", lambda v=airspeed_mps: _settled(flight, v, height_m), _SPEED_S)  # type: ignore[misc]
+        place = Working(home, height_m, airspeed_mps)
+        place.come_back(flight)
         flight.say(f"at {airspeed_mps:g} m/s: {options.doublets} pitch and {options.doublets} roll doublets")
-        _doublets(flight, wing, airspeed_mps)
-    flight.vehicle.airspeed(-2.0)
+        _doublets(flight, wing, place)
+    flight.vehicle.airspeed(_USUAL)
     flight.leave()
     flight.say(f"{wing.flown} doublets flown at {len(options.airspeeds)} airspeeds; {wing.told()}")
     return Exit.DONE
 
 
-def _settled(flight: Flight, airspeed_mps: float, height_m: float) -> bool:
-    watch = flight.watch
-    return abs(watch.airspeed_mps - airspeed_mps) < _SPEED_OFF_MPS and abs(watch.height_m - height_m) < 8.0
+@dataclass(frozen=True, slots=True)
+class Working:
+    """Where, how high and how fast the doublets are flown."""
+
+    home: Place
+    height_m: float
+    airspeed_mps: float
+
+    def come_back(self, flight: Flight) -> None:
+        """Circle at home until height and airspeed are right."""
+        where = (self.home.latitude_deg, self.home.longitude_deg)
+        flight.change_mode(GUIDED, lambda: flight.vehicle.circle_at(where, self.height_m))
+        flight.vehicle.airspeed(self.airspeed_mps)
+        flight.wait(f"circling for {self.airspeed_mps:g} m/s", lambda: self._settled(flight.watch), _SETTLE_S)
+
+    def _settled(self, watch: Watch) -> bool:
+        right = abs(watch.airspeed_mps - self.airspeed_mps) < _SPEED_OFF_MPS
+        return right and abs(watch.height_m - self.height_m) < _HEIGHT_OFF_M and self.away_m(watch) < _NEAR_M
+
+    def away_m(self, watch: Watch) -> float:
+        """Distance from home."""
+        return self.home.distance_m(watch.place)
 
 
-def _doublets(flight: Flight, wing: Wing, airspeed_mps: float) -> None:
+def _doublets(flight: Flight, wing: Wing, place: Working) -> None:
     options = flight.options
-    wing.begin()
-    trim = _trim(flight)
-    _hold(flight, 0.0, trim, _LEVEL_S)
-    wing.calm()
     pitch, roll = math.radians(options.pitch), math.radians(options.roll)
+    level: Level | None = None
     for number in range(2 * options.doublets):
+        if place.away_m(flight.watch) > _FAR * options.radius:
+            place.come_back(flight)
+            level = None
+        if level is None:
+            wing.begin()
+            level = Level(flight, place.airspeed_mps)
+            wing.calm()
         nod = number % 2 == 0
-        kick = (0.0, pitch) if nod else (roll, 0.0)
-        _hold(flight, 0.0, trim, _LEVEL_S)
-        _hold(flight, kick[0], trim + kick[1], options.half)
-        _hold(flight, -kick[0], trim - kick[1], options.half)
+        level.fly(_LEVEL_S)
+        for sign in (1.0, -1.0):
+            level.fly(options.half, 0.0 if nod else sign * roll, sign * pitch if nod else 0.0)
         wing.begin()
-        _hold(flight, 0.0, trim, options.rest)
+        level.fly(options.rest)
         wing.flown += 1
-        flight.say(f"  {'pitch' if nod else 'roll'} doublet {number // 2 + 1}: {wing.decayed(airspeed_mps)}")
+        flight.say(f"  {'pitch' if nod else 'roll'} doublet {number // 2 + 1}: {wing.decayed(place.airspeed_mps)}")
 
 
-def _trim(flight: Flight) -> float:
-    """Pitch of level flight at this airspeed, from a while of it."""
-    seen: list[float] = []
-    ends_s = time.monotonic() + _TRIM_S
-    while time.monotonic() < ends_s:
-        flight.guard.check()
-        seen.append(flight.watch.pitch_rad)
-        time.sleep(_SEND_S)
-    return statistics.fmean(seen)
+class Level:
+    """Level flight with forced attitude: the pitch that the autopilot flies at this airspeed, and kicks on top of it.
 
+    A forced pitch leaves height and airspeed to themselves; a slow correction by airspeed keeps them together.
+    """
 
-def _hold(flight: Flight, roll_rad: float, pitch_rad: float, seconds: float) -> None:
-    """Hold an attitude, under guard."""
-    ends_s = time.monotonic() + seconds
-    while time.monotonic() < ends_s:
-        flight.guard.check()
-        flight.vehicle.attitude(roll_rad, pitch_rad)
-        time.sleep(_SEND_S)
+    def __init__(self, flight: Flight, airspeed_mps: float) -> None:
+        self._flight, self._airspeed_mps = flight, airspeed_mps
+        seen: list[float] = []
+        self._send(_TRIM_S, lambda: flight.vehicle.attitude(0.0, None), lambda: seen.append(flight.watch.pitch_rad))
+        self._trim_rad = statistics.fmean(seen[len(seen) // 2 :])
+
+    def fly(self, seconds: float, roll_rad: float = 0.0, kick_rad: float = 0.0) -> None:
+        """Hold for so long, under guard."""
+        too_fast = self._flight.watch.airspeed_mps - self._airspeed_mps
+        slow = min(max(_PITCH_PER_MPS * too_fast, -_MOST_SLOW_RAD), _MOST_SLOW_RAD)
+        self._send(seconds, lambda: self._flight.vehicle.attitude(roll_rad, self._trim_rad + slow + kick_rad))
+
+    def _send(self, seconds: float, *each: Callable[[], object]) -> None:
+        ends_s = time.monotonic() + seconds
+        while time.monotonic() < ends_s:
+            self._flight.hear()
+            self._flight.guard.check()
+            if self._flight.watch.airspeed_mps < _SLOWEST * self._airspeed_mps:
+                raise Aborted(f"airspeed down to {self._flight.watch.airspeed_mps:.1f} m/s")
+            for act in each:
+                act()
+            time.sleep(_SEND_S)
 
 
 class Wing:

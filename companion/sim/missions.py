@@ -14,7 +14,6 @@ DEGREE_M = math.pi * 6378137.0 / 180.0
 _ASK_AGAIN_NS = 1_000_000_000
 _GIVE_UP_NS = 8_000_000_000
 _SEA_LEVEL = (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
-_NOT_OURS = "the mission types of fence and rally points"
 
 
 def to_wire(north_m: float, east_m: float) -> tuple[int, int]:
@@ -32,10 +31,14 @@ def from_wire(latitude: int, longitude: int) -> tuple[float, float]:
 
 
 class MissionServer:
-    """Keeps the mission of a pilot; :meth:`receive` and :meth:`advance` give the messages to answer with."""
+    """Keeps the mission of a pilot; :meth:`receive` and :meth:`advance` give the messages to answer with.
 
-    def __init__(self, pilot: Pilot) -> None:
+    ``speed`` is how many times faster than real the flight is: whoever uploads lives in real time, and is given that.
+    """
+
+    def __init__(self, pilot: Pilot, speed: float = 1.0) -> None:
         self._pilot = pilot
+        self._ask_again_ns, self._give_up_ns = round(_ASK_AGAIN_NS * speed), round(_GIVE_UP_NS * speed)
         self._raw: list[Any] = []
         self._coming: list[Any] = []
         self._expected = 0
@@ -55,9 +58,9 @@ class MissionServer:
 
     def advance(self, now_ns: int) -> list[Any]:
         """Ask again for an item that did not come, and give up after a while."""
-        if not self._expected or now_ns - self._asked_ns < _ASK_AGAIN_NS:
+        if not self._expected or now_ns - self._asked_ns < self._ask_again_ns:
             return []
-        if now_ns - self._began_ns > _GIVE_UP_NS:
+        if now_ns - self._began_ns > self._give_up_ns:
             self._expected = 0
             return [self._ack(mavlink.MAV_MISSION_OPERATION_CANCELLED)]
         return [self._ask(now_ns)]

@@ -28,9 +28,9 @@ _ACCEPTED, _DENIED, _FAILED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DE
 class Orders:
     """The flying side of the autopilot: a :class:`Pilot`, its mission, and the messages of both."""
 
-    def __init__(self, height_m: float) -> None:
+    def __init__(self, height_m: float, speed: float = 1.0) -> None:
         self.pilot = Pilot(height_m)
-        self.missions = MissionServer(self.pilot)
+        self.missions = MissionServer(self.pilot, speed)
         self.commands: list[tuple[int, int]] = []
         self._stepped_ns = 0
 
@@ -108,13 +108,12 @@ class Orders:
         return [_FAILED]
 
     def _attitude(self, message: Any) -> None:
-        """Roll and pitch from the quaternion: with the attitude bit, or with the roll and pitch rate bits alone."""
+        """Roll and pitch from the quaternion, where the attitude bit or those of their rates say so (as ArduPlane)."""
         used = ~message.type_mask & 0xFF
-        if used & 0b10000011:
-            w, x, y, z = message.q
-            roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-            pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
-            self.pilot.force(roll, pitch)
+        w, x, y, z = message.q
+        roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+        pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
+        self.pilot.force(roll if used & 0b10000001 else None, pitch if used & 0b10000010 else None)
 
     # ------------------------------------------------------------------------------------------ to the ground
 

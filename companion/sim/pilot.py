@@ -25,6 +25,7 @@ _MOST_BANK_RAD, _ROLL_RATE_RADPS = 0.75, 1.2
 _TRIM_PITCH_RAD = 0.05
 _PITCH_TIME_S, _SPEED_TIME_S = 0.35, 1.5
 _FORCED_FOR_S = 3.0
+_FREE = (0.0, -math.inf)
 _LANDED_M = 0.3
 _LINED_UP_RAD = 0.3
 
@@ -101,7 +102,7 @@ class Pilot:
         self.battery = 0.9
         self.wind_east_mps = 0.0
         self._t_s = 0.0
-        self._forced: tuple[float, float, float] | None = None
+        self._roll = self._pitch = _FREE
         self._goal = (0.0, 0.0, height_m)
         self._leg_from = (0.0, 0.0, height_m)
         self._since_s: float | None = None
@@ -124,7 +125,7 @@ class Pilot:
             return False
         self.mode = Mode(number)
         self._goal = (self.north_m, self.east_m, self.height_m)
-        self._forced = None
+        self._roll = self._pitch = _FREE
         if self.mode is Mode.AUTO:
             self.select(self.current if 0 < self.current < len(self.items) else 1)
         return True
@@ -133,10 +134,13 @@ class Pilot:
         """Circle about a place (DO_REPOSITION)."""
         self._goal = (north_m, east_m, height_m)
 
-    def force(self, roll_rad: float, pitch_rad: float) -> None:
-        """Hold an attitude for up to three seconds; taken in GUIDED alone (SET_ATTITUDE_TARGET)."""
-        if self.mode is Mode.GUIDED:
-            self._forced = (roll_rad, pitch_rad, self._t_s + _FORCED_FOR_S)
+    def force(self, roll_rad: float | None, pitch_rad: float | None) -> None:
+        """Hold roll, pitch or both for up to three seconds; taken in GUIDED alone (SET_ATTITUDE_TARGET)."""
+        if self.mode is not Mode.GUIDED:
+            return
+        until_s = self._t_s + _FORCED_FOR_S
+        self._roll = self._roll if roll_rad is None else (roll_rad, until_s)
+        self._pitch = self._pitch if pitch_rad is None else (pitch_rad, until_s)
 
     def select(self, number: int) -> bool:
         """Fly this item next; False if there is none."""
@@ -277,9 +281,14 @@ class Pilot:
     # ------------------------------------------------------------------------------------------ motion
 
     def _attitude(self) -> tuple[float, float]:
-        """Roll and pitch that are wanted now."""
-        if self._forced is not None and self._t_s < self._forced[2]:
-            return self._forced[:2]
+        """Roll and pitch that are wanted now: the mode's own, or what is forced."""
+        roll, pitch = self._guided()
+        return (
+            self._roll[0] if self._t_s < self._roll[1] else roll,
+            self._pitch[0] if self._t_s < self._pitch[1] else pitch,
+        )
+
+    def _guided(self) -> tuple[float, float]:
         course, height = self._aim()
         off = (course - self.course_rad + math.pi) % (2 * math.pi) - math.pi
         roll = min(max(1.8 * off, -_MOST_BANK_RAD), _MOST_BANK_RAD)

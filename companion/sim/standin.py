@@ -114,7 +114,9 @@ class RangeStandIn:
         return out
 
     def _range(self, boot_ms: int) -> bytes:
-        true_m, (least, most) = self._distance_m(), self._limits_m
+        (least, most), true_m = self._limits_m, self._distance_m()
+        if true_m is not None and true_m <= 0.0:
+            true_m = None
         sigma_m = self._sigma_factor * (true_m or most) ** 2
         range_m = math.nan if true_m is None else self._measured(true_m, sigma_m)
         good = least <= range_m <= most and not self.faults.untrusted and sigma_m <= 0.03 * range_m

@@ -135,7 +135,7 @@ class World:
     def __init__(self, flight: Flight, options: WorldOptions, link: Port, on_trigger: Trigger | None = None) -> None:
         faults = options.faults
         self.flight = flight
-        orders = None if options.pilot_height_m is None else Orders(options.pilot_height_m)
+        orders = None if options.pilot_height_m is None else Orders(options.pilot_height_m, options.speed)
         self.autopilot = SimAutopilot(flight, faults, options.parameters, on_trigger, orders)
         self.nodes = [
             WingNode(stream, flight.real.clocks[stream.clock], faults) for _, stream in sorted(flight.nodes.items())

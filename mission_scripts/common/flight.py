@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TextIO
 
 from companion.params.airframe import Airframe
 from mission_scripts.common.guard import Guard
-from mission_scripts.common.outcome import Aborted, Refused
+from mission_scripts.common.outcome import Aborted, Exit, Refused
 from mission_scripts.common.places import LOITER, TAKEOFF, Route
 from mission_scripts.common.recording import Tap, tap_is_enough
 from mission_scripts.common.vehicle import AUTO, NotAccepted, Vehicle
@@ -23,9 +23,11 @@ _LINE_S = 5.0
 _MODE_S = 5.0
 _SERVICE_S = 60.0
 _RANGES_S = 5.0
+_STREAM_S, _HOME_S = 6.0, 90.0
 _ONTO_S = 15.0
 _IDS = {"SCALED_IMU": 26, "RAW_IMU": 27, "HIGHRES_IMU": 105, "SCALED_IMU2": 116, "SCALED_IMU3": 129}
-_STREAMS = {30: 0.1, 33: 0.1, 74: 0.2, 1: 1.0, 42: 0.5}  # ATTITUDE, position, VFR_HUD, SYS_STATUS, MISSION_CURRENT
+# ATTITUDE, GLOBAL_POSITION_INT, VFR_HUD, SYS_STATUS, MISSION_CURRENT, HOME_POSITION
+_STREAMS = {30: 0.1, 33: 0.1, 74: 0.2, 1: 1.0, 42: 0.5, 242: 1.0}
 _SLOWER = (1.0, 1.34, 1.67, 3.4, 6.7)
 
 
@@ -91,6 +93,9 @@ class Flight:
     def say(self, sentence: str) -> None:
         """One progress line."""
         self._log.say(sentence)
+
+    def hear(self) -> None:
+        """Show what the vehicle has said meanwhile."""
         while self.watch.texts:
             self._log.say(f"  vehicle: {self.watch.texts.popleft()}")
 
@@ -114,6 +119,7 @@ class Flight:
         began_s = time.monotonic()
         told_s = began_s
         while not until():
+            self.hear()
             self.guard.check()
             now_s = time.monotonic()
             if now_s - began_s > timeout_s:
@@ -146,19 +152,28 @@ class Flight:
         """
         for number, period_s in _STREAMS.items():
             self.vehicle.ask_rate(number, period_s)
-        ends_s = time.monotonic() + 6.0
         watch = self.watch
-        missing = ["GLOBAL_POSITION_INT", "ATTITUDE", "VFR_HUD"]
-        while missing and time.monotonic() < ends_s:
-            missing = [name for name in missing if watch.age_s(name) > 2.0]
-            time.sleep(_LOOK_S)
-        if missing:
-            raise Refused(f"the autopilot does not send {', '.join(missing)}")
+        self._await_heard(("GLOBAL_POSITION_INT", "ATTITUDE", "VFR_HUD"), _STREAM_S)
+        if watch.age_s("HOME_POSITION") == math.inf:
+            self.say("waiting for the autopilot to know where it is (HOME_POSITION)")
+        self._await_heard(("HOME_POSITION",), _HOME_S)
         if watch.battery is not None and watch.battery < self.guard.limits.battery:
             raise Refused(f"battery at {watch.battery:.0%}, limit {self.guard.limits.battery:.0%}")
         self.guard.centre = watch.place
         state = "airborne" if self.airborne else "on the ground"
         self.say(f"vehicle is {state}, {'armed' if watch.armed else 'disarmed'}, mode {watch.mode}, {self.where()}")
+
+    def _await_heard(self, names: Sequence[str], within_s: float) -> None:
+        """Refuse to go on without these messages of the autopilot."""
+        ends_s = time.monotonic() + within_s
+        missing = list(names)
+        while missing:
+            missing = [name for name in missing if self.watch.age_s(name) > _STREAM_S]
+            if missing and time.monotonic() > ends_s:
+                raise Refused(f"the autopilot does not send {', '.join(missing)}")
+            if self.guard.interrupted.is_set():
+                raise Aborted("Ctrl-C", code=Exit.INTERRUPTED)
+            time.sleep(_LOOK_S)
 
     @property
     def airborne(self) -> bool:
@@ -184,17 +199,20 @@ class Flight:
             )
 
     def await_service(self) -> None:
-        """Give a service that was started with the mission the time to find its clocks and its wing."""
-        if self.options.service is not None:
-            self.guard.floor_m, floor_m = -math.inf, self.guard.floor_m
-            self.wait(
-                "the service to become active", lambda: self.watch.companion_active, _SERVICE_S, lambda: "not yet"
-            )
-            self.guard.floor_m = floor_m
+        """Give a service that was started with the mission the time to find its clocks; refuse to fly without it."""
+        if self.options.service is None:
+            return
+        self.guard.floor_m, floor_m = -math.inf, self.guard.floor_m
+        try:
+            self.wait("the service's clocks", lambda: self.watch.companion_ready, _SERVICE_S, lambda: "not yet")
+        except Aborted as error:
+            if error.code is Exit.INTERRUPTED:
+                raise
+            raise Refused(str(error)) from error
+        self.guard.floor_m = floor_m
 
     def need_ranges(self) -> None:
         """Refuse to begin without a companion that sends ranges (trusted or not)."""
-        self.await_service()
         ends_s = time.monotonic() + _RANGES_S
         while time.monotonic() < ends_s:
             newest = self.watch.newest_range()
@@ -217,6 +235,7 @@ class Flight:
         if height_m is None:
             raise Refused("the vehicle is not flying: take off first, or give --take-off HEIGHT")
         floor_m, self.guard.floor_m = self.guard.floor_m, -10.0
+        self.wait("pre-arm checks", lambda: self.watch.may_arm, _HOME_S, lambda: "not passed yet")
         here = self.watch.place
         route = Route()
         route.add(TAKEOFF, here, height_m, 10.0)

@@ -22,7 +22,7 @@ class Tolerance:
     blind_s
         Since the last trusted range.
     jump_m
-        Between two trusted ranges, beyond what the climb explains; grows with their sigma.
+        Between two trusted ranges, beyond what the climb explains; grows with their sigma. Counts for ``blind_s``.
     apart_m, apart_share
         Between range and expected distance: a fixed part (barometer, terrain) and one that grows with the distance.
     """
@@ -48,6 +48,7 @@ class RangeMonitor:
         self._newest_s = self._trusted_s = -math.inf
         self._last: tuple[Range, float] | None = None
         self._jump = self._apart = ""
+        self._jumped_s = -math.inf
         self.apart_m: list[float] = []
 
     def take(self, entry: Range) -> None:
@@ -57,7 +58,9 @@ class RangeMonitor:
             return
         self._trusted_s = entry.at_s
         expected_m = self._expected_m(entry)
-        self._jump = self._compare(entry, expected_m)
+        jump = self._compare(entry, expected_m)
+        if jump:
+            self._jump, self._jumped_s = jump, entry.at_s
         apart_m = entry.distance_m - expected_m
         self.apart_m.append(apart_m)
         allowed_m = self._tolerance.apart_m + self._tolerance.apart_share * expected_m
@@ -71,7 +74,8 @@ class RangeMonitor:
             return f"range stale ({_seconds(now_s - self._newest_s)})"
         if now_s - self._trusted_s > self._tolerance.blind_s:
             return f"no trusted range ({_seconds(now_s - self._trusted_s)})"
-        return self._jump or self._apart
+        jumped = now_s - self._jumped_s < self._tolerance.blind_s
+        return self._jump if jumped else self._apart
 
     def _compare(self, entry: Range, expected_m: float) -> str:
         """A jump is a change of the range that the change of the expected distance does not explain."""

@@ -84,6 +84,7 @@ def _connected(
         flight = Flight(options, airframe, watch, vehicle, guard, log)
         flight.prepare()
         flight.ask_inertial(tap)
+        flight.await_service()
         return _fly(flight, mission)
     finally:
         vehicle.close()
@@ -134,6 +135,7 @@ def make_safe(flight: Flight, response: Response, code: Exit) -> Exit:
             flight.say(f"  {trouble}; trying again")
         tried_s = time.monotonic()
         while time.monotonic() - tried_s < _TRY_S and not guard.interrupted.is_set():
+            flight.hear()
             if watch.mode == wanted and watch.age_s("HEARTBEAT") < 2.0:
                 flight.say(f"the vehicle confirms {response.value.upper()} ({flight.where()})")
                 return code

@@ -23,7 +23,8 @@ from mission_scripts.common.watch import AUTOPILOT, KINDS, Watch
 GUIDED, AUTO, RTL, LOITER = 15, 10, 11, 12  # ArduPlane
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
 _SET_MESSAGE_INTERVAL, _DO_CHANGE_SPEED, _DO_REPOSITION, _DO_SET_MODE = 511, 178, 192, 176
-_ROLL_AND_PITCH = 0b11111100  # ArduPlane takes these two from the quaternion, and leaves yaw and throttle alone
+# ArduPlane takes these from the quaternion, and leaves yaw and throttle alone
+_ROLL, _ROLL_AND_PITCH = 0b11111110, 0b11111100
 _FIXED_WING, _ARDUPILOT = 1, 3
 _RELATIVE_FRAME = 6
 _TRIES = 2
@@ -132,12 +133,17 @@ class Vehicle:
         }  # fmt: skip
         self._acknowledged("reposition", "COMMAND_INT", fields)
 
-    def attitude(self, roll_rad: float, pitch_rad: float) -> None:
-        """Ask for roll and pitch in GUIDED; held for three seconds at most, so a lost link ends it by itself."""
+    def attitude(self, roll_rad: float, pitch_rad: float | None) -> None:
+        """Ask for roll and pitch in GUIDED; held for three seconds at most, so a lost link ends it by itself.
+
+        Without a pitch the autopilot keeps its own (height and airspeed).
+        """
+        mask = _ROLL if pitch_rad is None else _ROLL_AND_PITCH
+        pitch_rad = pitch_rad or 0.0
         cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
         cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
         fields = {
-            "time_boot_ms": 0, "type_mask": _ROLL_AND_PITCH, "q": [cr * cp, sr * cp, cr * sp, -sr * sp],
+            "time_boot_ms": 0, "type_mask": mask, "q": [cr * cp, sr * cp, cr * sp, -sr * sp],
             "body_roll_rate": 0.0, "body_pitch_rate": 0.0, "body_yaw_rate": 0.0, "thrust": 0.0,
             "thrust_body": [0.0, 0.0, 0.0],
         }  # fmt: skip

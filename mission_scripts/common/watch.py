@@ -24,11 +24,13 @@ KINDS = (
     "DISTANCE_SENSOR",
     "NAMED_VALUE_FLOAT",
     "TERRAIN_REPORT",
+    "HOME_POSITION",
     "STATUSTEXT",
 )
 _NO_RANGE_QUALITY = 1
-_ACTIVE = 4
+_READY = (3, 4)  # MAV_STATE standby and active
 _ARMED = 128
+_PREARM_CHECK = 1 << 28
 _UNKNOWN_COVARIANCE = 255
 _KEPT_RANGES = 20_000
 _LONGEST_CARRY_S = 2.0
@@ -129,9 +131,9 @@ class Watch:
         return time.monotonic() - self._companion_beat[0]
 
     @property
-    def companion_active(self) -> bool:
-        """Whether the companion says that it publishes ranges."""
-        return self._companion_beat[1] == _ACTIVE and self.companion_age_s() < 3.0
+    def companion_ready(self) -> bool:
+        """Whether the companion lives and has its clocks: its state is past BOOT, and not CRITICAL."""
+        return self._companion_beat[1] in _READY and self.companion_age_s() < 3.0
 
     def _fields(self, name: str) -> dict[str, Any]:
         return self._newest.get(name, (0.0, {}))[1]
@@ -199,6 +201,13 @@ class Watch:
         """What is left of it, 0 to 1; None where the autopilot does not know."""
         left = int(self._fields("SYS_STATUS").get("battery_remaining", -1))
         return left * 0.01 if left >= 0 else None
+
+    @property
+    def may_arm(self) -> bool:
+        """Whether the autopilot's pre-arm checks pass; True where it does not tell."""
+        fields = self._fields("SYS_STATUS")
+        told = int(fields.get("onboard_control_sensors_present", 0)) & _PREARM_CHECK
+        return not told or bool(int(fields.get("onboard_control_sensors_health", 0)) & _PREARM_CHECK)
 
     @property
     def item(self) -> int:

@@ -25,7 +25,7 @@ _COMPANION = 191
 _NEEDED = {30: 50_000, 33: 50_000}
 # the model's own tuning (Tools/autotest/models/plane.parm of the ArduPilot tree), and what is needed to fly by script
 _PARAMETERS = {
-    "EK2_ENABLE": 1, "BATT_MONITOR": 4, "AIRSPEED_CRUISE": 22, "AIRSPEED_MIN": 10, "AIRSPEED_MAX": 30,
+    "BATT_MONITOR": 4, "AIRSPEED_CRUISE": 22, "AIRSPEED_MIN": 10, "AIRSPEED_MAX": 30,
     "TRIM_THROTTLE": 50, "PTCH_LIM_MIN_DEG": -20, "PTCH_LIM_MAX_DEG": 25, "ROLL_LIMIT_DEG": 65, "ARSPD_USE": 1,
     "KFF_RDDRMIX": 0.5,
     "LAND_PITCH_DEG": 1, "LAND_FLARE_SEC": 3, "FLTMODE_CH": 0, "WP_LOITER_RAD": 80, "WP_RADIUS": 50, "NAVL1_PERIOD": 15,
@@ -39,7 +39,7 @@ _PARAMETERS = {
     "INS_ACC2OFFS_X": 0.001, "INS_ACC2OFFS_Y": 0.001, "INS_ACC2OFFS_Z": 0.001,
     "INS_ACC2SCAL_X": 1.001, "INS_ACC2SCAL_Y": 1.001, "INS_ACC2SCAL_Z": 1.001, "INS_GYR_CAL": 0,
     "SCHED_LOOP_RATE": 200, "RNGFND1_TYPE": 10, "RNGFND1_ORIENT": 25, "RNGFND1_MIN": 4, "RNGFND1_MAX": 200,
-    "ARMING_SKIPCHK": -1,
+    "AHRS_EKF_TYPE": 3,
 }  # fmt: skip
 
 
@@ -103,7 +103,7 @@ class Flyer:
             f"--airframe={self.airframe_path}",
             f"--out={self._folder}",
         ]
-        return script([*common, "--wait=60", "--take-off=60", *options])
+        return script([*common, "--wait=60", "--link-loss=10", "--take-off=60", *options])
 
     def log(self) -> str:
         """Every line of the mission."""

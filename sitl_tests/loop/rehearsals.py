@@ -61,17 +61,20 @@ class Stage:
         obstacle_m: tuple[float, float] | None = None,
         seconds: float = 3.0,
         parameters: dict[str, float] | None = None,
+        second_link: bool = False,
     ) -> None:
         self.folder = folder
-        self._port = free_port()
+        self._port, self.second_port = free_port(), free_port()
+        ports = [self._port, self.second_port] if second_link else [self._port]
+        self.flight = flight(orientation, seconds)
         self.airframe_path = folder / "airframe.toml"
         self.airframe_path.write_text(dump_airframe(airframe(orientation)), encoding="utf-8")
         self.vehicle = Rehearsal(
-            flight(orientation, seconds),
-            [f"udpout:127.0.0.1:{self._port}"],
+            self.flight,
+            [f"udpout:127.0.0.1:{port}" for port in ports],
             height_m=height_m,
             speed=speed,
-            ranges=True,
+            ranges=not second_link,  # one companion at a time
             obstacle_m=obstacle_m,
             faults=faults,
             parameters=SLOW_LOOP if parameters is None else parameters,
