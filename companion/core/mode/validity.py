@@ -36,6 +36,7 @@ class Level:
         self._families = [family.q for family in layout.families]
         self._blocks: deque[Floats] = deque(maxlen=_BLOCKS)
         self._sum, self._count = np.zeros(2), 0
+        self._rms: Floats = np.zeros(2)
         self.settled_s = 0.0
         self.learned = False
 
@@ -49,9 +50,12 @@ class Level:
         self._count += len(slots)
         self.settled_s += count * step_s
         self.learned |= self.settled_s >= _LEARN_S
+        if not self._blocks:
+            self._rms = np.sqrt(self._sum / self._count)
         if self._count * step_s >= _BLOCK_S:
             self._blocks.append(self._sum / self._count)
             self._sum, self._count = np.zeros(2), 0
+            self._rms = np.sqrt(np.median(self._blocks, axis=0))
 
     @property
     def settled(self) -> bool:
@@ -60,9 +64,7 @@ class Level:
 
     def rms_m(self) -> Floats:
         """Root mean square, symmetric and antisymmetric."""
-        blocks = list(self._blocks) or [self._sum / max(self._count, 1)]
-        rms: Floats = np.sqrt(np.median(blocks, axis=0))
-        return rms
+        return self._rms
 
 
 def judge(
