@@ -167,7 +167,8 @@ def _emit(record: Any, where: str) -> list[str]:
 
 def _literal(value: Any) -> str:
     if isinstance(value, Uncertain):
-        return f"{{ value = {value.value!r}, sigma = {value.sigma!r} }}" if value.sigma else repr(value.value)
+        number, sigma = float(value.value), float(value.sigma)  # numpy's own floats do not print as numbers
+        return f"{{ value = {number!r}, sigma = {sigma!r} }}" if sigma else repr(number)
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {_literal(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, tuple):

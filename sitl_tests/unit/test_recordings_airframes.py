@@ -132,3 +132,11 @@ def test_the_readmes_csv_example_and_its_error_are_true(tmp_path: Path) -> None:
     with pytest.raises(TableError) as caught:
         CsvRecording(tmp_path, load_airframe("nadir-2m"))
     assert str(caught.value).replace(str(tmp_path), "lab") in text
+
+
+def test_an_airframe_with_numpy_s_floats_is_written_as_numbers() -> None:
+    """As an identification leaves them."""
+    base = load_airframe("nadir-2m")
+    found = dataclasses.replace(base.wing, trim_bend_m=Uncertain(np.float64(0.5), np.float64(0.1)))
+    written = dump_airframe(dataclasses.replace(base, wing=found))
+    assert parse_airframe(written, "here").wing.trim_bend_m == Uncertain(0.5, 0.1)
