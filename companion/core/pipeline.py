@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.core.clock.alignment import SIGMAS, Alignment, lowpass_delay_s
 from companion.core.clock.bank import ClockBank
 from companion.core.delivery import Delivery
 from companion.core.mode.tracker import WingTracker
@@ -28,6 +29,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
     AutopilotParameter,
+    Axis,
     ClockName,
     ClockRestart,
     Deflection,
@@ -54,6 +56,7 @@ __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000
 _TRACK_PERIOD_NS = 20_000_000
+_PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered
 
 
 @dataclass(slots=True)
@@ -69,6 +72,8 @@ class PipelineState:
     publishing: Publishing
     delivery: Delivery = field(default_factory=Delivery)
     filters: VehicleFilters = field(default_factory=VehicleFilters)
+    alignments: dict[ClockName, Alignment] = field(default_factory=dict)
+    unanswered_ns: dict[ClockName, int] = field(default_factory=dict)
     mode: ModeState | None = None
     vehicle: VehicleState | None = None
     counters: Counter[str] = field(default_factory=Counter)
@@ -142,13 +147,54 @@ def _adapt_to_delivery(state: PipelineState, now_ns: int) -> list[OutputRecord]:
 
 def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
     batch = state.filters.undone(batch)
+    _note_silent(state, batch)
     if batch.clock is not ClockName.HOST:
         converted = state.clocks.to_host(batch.clock, batch.t_ns, batch.received_host_ns)
         if isinstance(converted, Reject):
             what = f"{batch.station.name.lower()} samples"
             return [Rejected(converted, what, batch.received_host_ns, len(batch.t_ns))]
         batch = dataclasses.replace(batch, clock=ClockName.HOST, t_ns=converted[0])
+    if batch.station is Station.ROOT:
+        for alignment in state.alignments.values():
+            alignment.add_root(batch.t_ns, batch.values[:, 3:])
     return state.tracker.add(batch)
+
+
+def _note_silent(state: PipelineState, batch: ImuBatch) -> None:
+    """A node with gyros that does not answer TIMESYNC is aligned by the motion that it shares with the root."""
+    clock = batch.clock
+    if clock not in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT) or not batch.axes & Axis.GYRO:
+        return
+    since_ns = state.unanswered_ns.setdefault(clock, batch.received_host_ns)
+    if batch.received_host_ns - since_ns >= _PATIENCE_NS:
+        alignment = state.alignments.setdefault(clock, Alignment(clock))
+        own, root = state.airframe.sensor(batch.station), state.airframe.root
+        alignment.filter_delay_s = lowpass_delay_s(root.lowpass_gyro_hz) - lowpass_delay_s(own.lowpass_gyro_hz)
+        alignment.add_node(batch)
+
+
+def _align(state: PipelineState, now_ns: int) -> list[OutputRecord]:
+    """Let what the motion tells of silent nodes' clocks count as exchanges."""
+    said: list[OutputRecord] = []
+    for clock, alignment in state.alignments.items():
+        for exchange in alignment.exchanges(now_ns):
+            before = state.clocks.state(clock).synced
+            after = state.clocks.exchange(exchange)
+            if after.synced and not before:
+                said += [after, *_adopt_alignment(state, clock, now_ns)]
+    return said
+
+
+def _adopt_alignment(state: PipelineState, clock: ClockName, now_ns: int) -> list[OutputRecord]:
+    """The tracker learns how well the node's time is known; the node joins only now."""
+    sigma_s = state.clocks.state(clock).bound_ns * 1e-9 / SIGMAS
+    for name in ("left", "right"):
+        sensor = getattr(state.airframe, name)
+        if sensor.source.clock is clock and sensor.time_offset_sigma_s < sigma_s:
+            changed: dict[str, Any] = {name: dataclasses.replace(sensor, time_offset_sigma_s=sigma_s)}
+            state.airframe = dataclasses.replace(state.airframe, **changed)
+            state.tracker = WingTracker(state.airframe, state.settings)
+    return [Notice(4, f"{clock} answers no TIMESYNC: aligned by motion, sigma {1e3 * sigma_s:.1f} ms", now_ns)]
 
 
 def joined(batches: list[ImuBatch]) -> list[ImuBatch]:
@@ -166,6 +212,8 @@ def joined(batches: list[ImuBatch]) -> list[ImuBatch]:
 
 
 def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecord]:
+    state.alignments.pop(reply.clock, None)
+    state.unanswered_ns[reply.clock] = reply.received_host_ns
     before = state.clocks.state(reply.clock).synced
     after = state.clocks.exchange(reply)
     return [after] if after.synced != before else []
@@ -173,11 +221,14 @@ def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecor
 
 def _on_restart(state: PipelineState, restart: ClockRestart) -> list[OutputRecord]:
     state.clocks.restart(restart)
+    state.alignments.pop(restart.clock, None)
     return [Notice(4, f"{restart.clock} clock restarted; waiting for sync", restart.seen_host_ns)]
 
 
 def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecord]:
     state.vehicle = vehicle
+    if state.correction is not None:
+        state.correction.vehicles.append(vehicle)
     return []
 
 
@@ -239,7 +290,7 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     if now_ns >= state.next_track_ns:
         state.next_track_ns = now_ns + _TRACK_PERIOD_NS
         outputs += _take_samples(state)
-        outputs += _adapt_to_delivery(state, now_ns)
+        outputs += [*_adapt_to_delivery(state, now_ns), *_align(state, now_ns)]
         state.mode = state.tracker.advance(now_ns) or state.mode
     if state.scheduling is not None:
         outputs += state.scheduling.tick(state.tracker, state.mode, _motion(state), now_ns)

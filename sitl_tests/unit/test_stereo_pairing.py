@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.stereo.pairing import FramePairer
@@ -16,6 +16,7 @@ def _frame(side: Side, shot: int, skew_ns: int = 0) -> Frame:
     return Frame(side, shot, ClockName.HOST, shot * 100_000_000 + skew_ns, 2_000_000, 0, -1, IMAGE)
 
 
+@settings(deadline=None)
 @given(
     lost=st.sets(st.tuples(st.integers(0, 19), st.sampled_from(list(Side)))),
     lag=st.integers(0, 3),
@@ -83,6 +84,7 @@ def _timed(side: Side, sequence: int, at_ms: int, plan_id: int) -> Frame:
     return Frame(side, sequence, ClockName.HOST, at_ms * 1_000_000, 2_000_000, 0, plan_id, IMAGE)
 
 
+@settings(deadline=None)
 @given(_streams())
 def test_stale_missing_and_extra_frames_never_shift_the_pairing(
     streams: tuple[list[tuple[int, Frame]], set[int]],
@@ -103,6 +105,7 @@ def test_stale_missing_and_extra_frames_never_shift_the_pairing(
         assert len(set(used)) == len(used)
 
 
+@settings(deadline=None)
 @given(st.integers(0, 7), st.integers(0, 7))
 def test_frames_that_name_different_plans_are_no_pair_however_near(left_ms: int, right_ms: int) -> None:
     pairer = FramePairer()

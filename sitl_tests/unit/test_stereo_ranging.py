@@ -212,6 +212,29 @@ def test_products_differ_where_the_scene_does() -> None:
         assert answer.range.range_m == pytest.approx(expected, rel=0.01), product
 
 
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.15, -0.1)])
+@pytest.mark.parametrize("product", [0, 1, 2])
+def test_the_sigma_of_every_product_is_honest(product: int, tilt: tuple[float, float]) -> None:
+    """Against the range on the axis; the nearest thing is the nearest that four matches show, and errs to be near."""
+    airframe = nadir(rotation_sigma_rad=2e-5, focal_px=Uncertain(800.0, 0.04))
+    random, scores = np.random.default_rng(10), []
+    for draw in range(80):
+        slopes = 0.02 + 1.5e-5 * random.normal(size=2)
+        points = ground_below(60.0, 80, draw, tilt=tilt)
+        left, right = seen(Rig.from_airframe(_perturbed(airframe, random)), points, (slopes[0], slopes[1]))
+        matches = match_set(left, right + 0.1 * random.normal(size=right.shape), 0.1)
+        tunables = dataclasses.replace(SETTINGS, product=product)
+        answer = _range(airframe, matches, bend((0.02, 0.02), slope_sigma_rad=1.5e-5), tunables).range
+        true_m = float(np.sort(points[:, 2])[3]) if product == 1 else 60.0
+        scores.append((answer.range_m - true_m) / answer.sigma_m)
+    if product == 1:
+        assert np.mean(scores) < 0.2
+        assert np.sqrt(np.mean(np.square(scores))) < 2.0
+        assert np.percentile(scores, 95) < 3.0
+    else:
+        assert 0.6 < np.mean(np.square(scores)) < 1.5  # 80 draws: 0.84 to 1.16 one sigma
+
+
 @pytest.mark.parametrize("count", [0, 1, 2, 11])
 def test_too_few_matches_are_refused_with_finite_numbers(count: int) -> None:
     airframe = nadir()

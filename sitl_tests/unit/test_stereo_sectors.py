@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.stereo.geometry import Rig
@@ -29,6 +29,7 @@ def _at(bearing_deg: float, distance_m: float, down_m: float = 0.0, count: int =
     return np.tile([distance_m * np.cos(bearing), distance_m * np.sin(bearing), down_m], (count, 1))
 
 
+@settings(deadline=None)
 @given(st.integers(0, SECTORS - 1), st.floats(-2.4, 2.4), st.floats(5.0, 190.0))
 def test_a_sector_is_centred_on_its_multiple_of_five_degrees_clockwise(
     index: int, off_deg: float, distance_m: float
@@ -107,3 +108,31 @@ def test_a_forward_pair_gives_sectors_with_its_range() -> None:
     assert sectors.distance_m[2] == pytest.approx(40.0, abs=4.0 * sectors.sigma_m[2])
     assert sectors.clear[[70, 71, 0, 1]].all()
     assert not sectors.clear[5:67].any()
+
+
+@pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(0.0, 0.0), (30.0, 0.0), (-25.0, 8.0), (0.0, -12.0)])
+def test_in_a_bank_posts_stay_at_their_bearing_and_the_ground_stays_below(roll_deg: float, pitch_deg: float) -> None:
+    """Posts at the aircraft's own height in the world, and the ground 30 m below, seen from a banked aircraft."""
+    airframe = forward(rotation_sigma_rad=2e-5)
+    rig, random = Rig.from_airframe(airframe), np.random.default_rng(5)
+    roll, pitch = np.radians(roll_deg), np.radians(pitch_deg)
+    bearing = np.radians(10.0 + random.uniform(-1.0, 1.0, 40))
+    post = np.column_stack([40.0 * np.cos(bearing), 40.0 * np.sin(bearing), random.uniform(-3, 3, 40)])
+    ahead = random.uniform(60.0, 150.0, 300)
+    ground = np.column_stack([ahead, ahead * random.uniform(-0.3, 0.3, 300), np.full(300, 30.0)])
+    # world to body: pitch about y, then roll about x, written out again from the definition of the angles
+    about_y = np.array([[np.cos(pitch), 0, -np.sin(pitch)], [0, 1, 0], [np.sin(pitch), 0, np.cos(pitch)]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(roll), np.sin(roll)], [0, -np.sin(roll), np.cos(roll)]])
+    points = np.vstack([post, ground]) @ (about_x @ about_y).T
+    left, right = seen(rig, points, (0.02, 0.024))
+    inside = np.all((left > 0) & (left < (640, 480)) & (right > 0) & (right < (640, 480)), axis=1)
+    matches = match_set(left[inside], right[inside] + 0.02 * random.normal(size=right[inside].shape), 0.02)
+    deflection = bend((0.02, 0.024), slope_sigma_rad=2e-5)
+    levelled = correct(matches, deflection, deflection, rig, airframe, SETTINGS, attitude_rad=(roll, pitch)).sectors
+    assert levelled is not None
+    assert np.flatnonzero(levelled.known).tolist() == [2]
+    assert levelled.distance_m[2] == pytest.approx(40.0, abs=4.0 * levelled.sigma_m[2])
+    if abs(pitch_deg) > 10.0:
+        by_body = correct(matches, deflection, deflection, rig, airframe, SETTINGS).sectors
+        assert by_body is not None
+        assert not np.array_equal(by_body.known, levelled.known), "without the attitude the picture is another one"

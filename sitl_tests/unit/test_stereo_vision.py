@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.stereo.geometry import Rig
@@ -72,6 +72,7 @@ def _pair(number: int, t_ns: int) -> FramePair:
     return FramePair(number, left, right)
 
 
+@settings(deadline=None)
 @given(
     period_ms=st.integers(10, 50),
     wanted=st.lists(st.integers(200, 2800), min_size=1, max_size=12, unique=True),

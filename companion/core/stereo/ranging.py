@@ -71,6 +71,7 @@ def correct(
     timing_sigma_s: float = TIMING_SIGMA_S,
     velocity_mps: Floats | None = None,
     turned: RelativeRotation | None = None,
+    attitude_rad: tuple[float, float] | None = None,
 ) -> RangeAnswer:
     """Range along the airframe's orientation from one matched pair.
 
@@ -92,6 +93,8 @@ def correct(
         The aircraft's velocity in body axes, which moves it between unequal exposures.
     turned : RelativeRotation, optional
         What the matches say about the relative rotation beyond the bend; without, the bend is taken as it is.
+    attitude_rad : tuple, optional
+        Roll and pitch at exposure, by which sectors are levelled.
 
     Returns
     -------
@@ -131,7 +134,7 @@ def correct(
     in_metres = Budget(causes.modal * square, causes.calibration * square, causes.timing * square)
     sectors = None
     if airframe.orientation == _FORWARD:
-        sectors = matched_sectors(depths, sight, causes.total, t_host_ns, settings)
+        sectors = matched_sectors(depths, sight, causes.total, t_host_ns, settings, attitude_rad)
     return RangeAnswer(answer, sectors, depths, match_pm * square, in_metres)
 
 

@@ -29,7 +29,12 @@ _BELOW_M = 5.0
 
 
 def matched_sectors(
-    depths: Depths, sight: Sight, common_sigma_pm: float, t_host_ns: int, settings: Settings
+    depths: Depths,
+    sight: Sight,
+    common_sigma_pm: float,
+    t_host_ns: int,
+    settings: Settings,
+    attitude_rad: tuple[float, float] | None = None,
 ) -> ObstacleSectors:
     """Sectors from the matches of one pair.
 
@@ -43,11 +48,21 @@ def matched_sectors(
         Time of the pair.
     settings : Settings
         Range limits and trust ratio.
+    attitude_rad : tuple, optional
+        Roll and pitch: bearing and height then count from the horizon, so that a bank does not put the ground into
+        the flight's level; without them from the body's own axes.
     """
     kept = consistent(depths)
     inverse, sigma = depths.inverse_pm[kept], np.hypot(depths.sigma_pm[kept], common_sigma_pm)
     along = sight.axis + depths.tangent[kept] @ sight.across
-    return sectors_of(along, inverse, sigma, sight.origin_m, t_host_ns, settings)
+    level = np.eye(3) if attitude_rad is None else level_from_body(*attitude_rad)
+    return sectors_of(along @ level.T, inverse, sigma, level @ sight.origin_m, t_host_ns, settings)
+
+
+def level_from_body(roll_rad: float, pitch_rad: float) -> Floats:
+    """Rotation (3, 3) to axes of the same heading whose z points down: aerospace sequence, without the yaw."""
+    cr, sr, cp, sp = np.cos(roll_rad), np.sin(roll_rad), np.cos(pitch_rad), np.sin(pitch_rad)
+    return np.array([[cp, sr * sp, cr * sp], [0.0, cr, -sr], [-sp, sr * cp, cr * cp]])
 
 
 def sectors_of(
@@ -64,11 +79,12 @@ def sectors_of(
     Parameters
     ----------
     direction : (n, 3) float64
-        From the origin toward each point, scaled so that the point is ``origin + direction / inverse``; body axes.
+        From the origin toward each point, scaled so that the point is ``origin + direction / inverse``; body axes,
+        level ones where the attitude is known.
     inverse_pm, sigma_pm : (n,) float64
         Inverse depth and its one-sigma; may be zero or negative for what is very far.
     origin_m : (3,) float64
-        Where depth counts from, body axes.
+        Where depth counts from, in the same axes.
     t_host_ns : int
         Time of the pair.
     settings : Settings

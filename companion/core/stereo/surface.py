@@ -34,7 +34,7 @@ class Product(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """A linear estimate: ``inverse_pm = influence @ depths.inverse_pm``.
+    """A linear estimate: ``inverse_pm = influence @ depths.inverse_pm + edge_pm``.
 
     Attributes
     ----------
@@ -44,12 +44,15 @@ class Reading:
         Weight of each match; sums to one. Any change of the geometry moves the estimate by the weighted change.
     used : int
         Matches that count.
+    edge_pm : float
+        How much nearer than the middle of its matches a nearest thing begins; 0 for the other products.
     """
 
     inverse_pm: float
     sigma_pm: float
     influence: Floats
     used: int
+    edge_pm: float = 0.0
 
 
 def read(depths: Depths, product: Product, least: int) -> Reading | None:
@@ -58,14 +61,15 @@ def read(depths: Depths, product: Product, least: int) -> Reading | None:
     ``MEDIAN`` and ``CENTRE`` fit a plane, whose inverse depth is linear in the tangents, with an M-estimator that
     starts from least absolute deviations, and take its value on the axis: the range of a beam along the axis, free of
     the scatter that sloping ground under a field of view of 40 degrees would bring. ``CENTRE`` uses only the matches
-    nearest to the axis. ``NEAREST`` is the mean of the nearest group of matches that agree among themselves.
+    nearest to the axis. ``NEAREST`` is where the nearest group of matches that agree among themselves begins.
     """
     kept = consistent(depths)
     if kept.size < least:
         return None
     if product is Product.NEAREST:
-        kept = _nearest_group(depths, kept, max(4, least // 3))
-        return _solve(depths, kept, np.ones((kept.size, 1))) if kept.size else None
+        size = max(4, least // 3)
+        kept = _nearest_group(depths, kept, size)
+        return _edge(depths, kept, _solve(depths, kept, np.ones((kept.size, 1))), size) if kept.size else None
     if product is Product.CENTRE:
         count = max(least, round(_CENTRE_SHARE * kept.size))
         kept = kept[np.argsort(np.linalg.norm(depths.tangent[kept], axis=1), kind="stable")[:count]]
@@ -100,6 +104,18 @@ def _nearest_group(depths: Depths, kept: Ints, size: int) -> Ints:
             middle = float(np.median(inverse[group]))
             return order[np.abs(inverse - middle) <= _CLUSTER_SIGMAS * sigma]
     return order[:0]
+
+
+def _edge(depths: Depths, kept: Ints, middle: Reading, size: int) -> Reading:
+    """Where a group begins: midway from its middle to its nearest ``size`` members, known to as much.
+
+    Of a flat thing the nearest members are near by noise alone, of sloping ground they are really nearer than the
+    middle; which it is, the matches cannot tell.
+    """
+    nearest_pm = float(np.mean(np.sort(depths.inverse_pm[kept])[-size:]))
+    edge_pm = 0.5 * max(nearest_pm - middle.inverse_pm, 0.0)
+    sigma_pm = float(np.hypot(middle.sigma_pm, edge_pm))
+    return Reading(middle.inverse_pm + edge_pm, sigma_pm, middle.influence, middle.used, edge_pm)
 
 
 def _solve(depths: Depths, kept: Ints, design: Floats) -> Reading:
