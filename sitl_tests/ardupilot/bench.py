@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from companion.params.airframe import Airframe
-from companion.sim.camera_server import CameraServerConfig, start_camera_server
+from companion.sim.camera_server import CameraServerConfig
 from companion.sim.flight import Flight, build_flight
 from companion.sim.scene import ground_scene, obstacle_scene
+from sitl_tests.ardupilot.eyes import NOT_YET_NS, open_eyes
 from sitl_tests.ardupilot.physics import PhysicsOptions, start_physics
 from sitl_tests.ardupilot.station import Station
-from sitl_tests.ardupilot.vehicle import Ports, Vehicle
+from sitl_tests.ardupilot.vehicle import Ports, Vehicle, keep_pace
 
 ROOT = Path(__file__).resolve().parents[2]
 _SPANWISE = str(Path(sys.executable).with_name("spanwise"))
@@ -33,7 +34,8 @@ _END_S = 15.0
 class Run:
     """What is being flown. Use as a context manager.
 
-    ``start_ns`` and ``flight_ns`` are host times: of the autopilot's first frame, and of the flight's boot time 0.
+    ``start_ns`` is the host time at which the autopilot's boot clock was 0, ``flight_ns`` that of the flight's first
+    instant, which :meth:`launch` sets.
     """
 
     executable: Path
@@ -42,7 +44,6 @@ class Run:
     airframe_name: str
     parameters: Mapping[str, float]
     seed: int = 1
-    hold_s: float = 150.0
     duration_s: float = 5.0
     eyes: bool = False
     ports: Ports = field(default_factory=Ports.free)
@@ -56,11 +57,11 @@ class Run:
         self._services: list[subprocess.Popen[bytes]] = []
         line = self.folder / "line" if self.eyes else None
         nodes = f"udpout:127.0.0.1:{self.ports.nodes}"
-        options = PhysicsOptions(
-            self.airframe, self.seed, self.duration_s, self.hold_s, self.ports.physics, nodes, line
-        )
+        options = PhysicsOptions(self.airframe, self.seed, self.duration_s, self.ports.physics, nodes, line)
         physics, self._control = start_physics(options)
         self._processes.append(physics)
+        if physics.pid is not None:
+            keep_pace(physics.pid)
         self.station = Station(self.ports.station)
         self.vehicle = Vehicle(self.executable, self.folder, self.ports, self.parameters)
         try:
@@ -77,7 +78,7 @@ class Run:
         while not self._control.poll(0.1):
             self.vehicle.check()
             assert time.monotonic() < ends, "ArduPilot does not keep pace with the physics: is the machine busy?"
-        kind, (self.start_ns, self.flight_ns) = self._control.recv()
+        kind, self.start_ns = self._control.recv()
         assert kind == "started"
         heartbeat = self.station.wait("HEARTBEAT", component=1, seconds=_START_S)
         self.vehicle.check()
@@ -87,14 +88,20 @@ class Run:
         self.flight: Flight = build_flight(self.airframe, self.seed, self.duration_s)
         down = self.airframe.orientation == _DOWN
         scene = ground_scene(self.seed) if down else obstacle_scene(self.flight.truth, self.seed)
-        self._processes.append(
-            start_camera_server(
-                CameraServerConfig(
-                    self.flight.real.actual, self.flight.truth, scene, self.seed, self.flight_ns,
-                    self.folder / "line", self.folder / "frames",
-                )
-            )
-        )  # fmt: skip
+        truth, actual = self.flight.truth, self.flight.real.actual
+        line, frames = self.folder / "line", self.folder / "frames"
+        config = CameraServerConfig(actual, truth, scene, self.seed, NOT_YET_NS, line, frames)
+        process, self._eyes = open_eyes(config, _START_S)
+        self._processes.append(process)
+
+    def launch(self) -> None:
+        """Begin the run-up; the flight itself begins a few seconds later, at ``flight_ns``."""
+        self._control.send("launch")
+        assert self._control.poll(_END_S), "the physics does not answer"
+        kind, self.flight_ns = self._control.recv()
+        assert kind == "flying"
+        if self.eyes:
+            self._eyes.send(self.flight_ns)
 
     # ------------------------------------------------------------------------------------------ the service
 

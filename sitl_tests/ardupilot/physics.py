@@ -9,6 +9,7 @@ rising edge on a camera's servo is passed on to the simulated cameras' trigger l
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import multiprocessing
 import socket
 import struct
@@ -28,6 +29,8 @@ from companion.sim.cameras import PLAN_UNKNOWN, SimTriggerLine
 from companion.sim.faults import Faults
 from companion.sim.flight import Flight, build_flight
 from companion.sim.nodes import WingNode
+from companion.sim.perturb import RemoteClock
+from companion.sim.sensors import SensorStream
 from companion.sim.world import Link
 from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, flight_motion, launch_motion, lines
 
@@ -49,8 +52,6 @@ class PhysicsOptions:
 
     Attributes
     ----------
-    hold_s : float
-        How long the aircraft hangs still before its run-up.
     nodes : str
         Where the wing nodes speak, ``udpout:host:port``; empty for an aircraft whose nodes are off.
     trigger_line : Path, optional
@@ -60,60 +61,77 @@ class PhysicsOptions:
     airframe: Airframe
     seed: int
     duration_s: float
-    hold_s: float
     port: int
     nodes: str = ""
     trigger_line: Path | None = None
 
-    @property
-    def flight_frame(self) -> int:
-        """The frame at which the flight begins."""
-        return round((self.hold_s + LAUNCH_S) * RATE_HZ)
-
 
 class Frames:
-    """The JSON line of every frame, from power-on to the end of the flight (which then stands still)."""
+    """The JSON line of every frame: hanging still until the launch, then the flight; at its end it stands still.
 
-    def __init__(self, flight: Flight, options: PhysicsOptions) -> None:
-        launch = lines(launch_motion(flight.truth))
-        self._moving = launch + lines(flight_motion(flight.truth, options.duration_s))
-        self._still = round(options.hold_s * RATE_HZ)
+    SIM_JSON adds the difference of two stamps to a clock of whole microseconds and cuts the rest off. The stamps run
+    a quarter of a microsecond a frame too fast, so that what is cut off is that quarter and never a whole one.
+    """
+
+    def __init__(self, flight: Flight, duration_s: float) -> None:
+        self._moving = lines(launch_motion(flight.truth)) + lines(flight_motion(flight.truth, duration_s))
+        self.launch_frame = 1 << 62
 
     def line(self, frame: int) -> bytes:
         """Sensors of one frame."""
-        row = min(max(frame - self._still, 0), len(self._moving) - 1)
-        return b'\n{"timestamp":%.6f,' % ((frame + 1) / RATE_HZ) + self._moving[row]
+        row = min(max(frame - self.launch_frame, 0), len(self._moving) - 1)
+        clock_us = (frame + 1) * 1_000_000 // RATE_HZ
+        return b'\n{"timestamp":%.8f,' % (1e-6 * (clock_us + 0.25 * (frame + 1))) + self._moving[row]
 
 
 class Nodes:
-    """The wing nodes on a link of their own."""
+    """The wing nodes on a link of their own: until the flight they beat and keep time, then they stream.
 
-    def __init__(self, flight: Flight, connection: str, before_s: float) -> None:
-        clocks = flight.real.clocks
-        self._nodes = [WingNode(s, clocks[s.clock], Faults()) for _, s in sorted(flight.nodes.items())]
-        self._turned_ns = self._greeted_ns = -round(before_s * 1e9) - _LISTEN_NS
-        if any(node.node_ns(self._turned_ns) < 0 for node in self._nodes):
-            raise ValueError("a node's clock would be negative while the aircraft hangs: take another seed")
+    A node's clock shows ``clock.from_boot(now - start)``, ``start`` being the instant at which the physics began.
+    """
+
+    def __init__(self, flight: Flight, connection: str, start_ns: int) -> None:
+        self._clocks = flight.real.clocks
+        self._streams = [stream for _, stream in sorted(flight.nodes.items())]
+        self._nodes = [WingNode(_silent(s), self._clocks[s.clock], Faults()) for s in self._streams]
         self._link = Link(connection)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
+        self._zero_ns = start_ns
+        self._turned_ns = 0
 
-    def turn(self, flight_ns: int) -> None:
-        """Answer and send what is due; before the flight (negative times) nodes only beat and keep time."""
-        if flight_ns - self._turned_ns < _NODE_TURN_NS:
+    def fly(self, flight_ns: int) -> None:
+        """Stream from a host instant on; clocks and sequence numbers go on as they were."""
+        old, self._nodes = self._nodes, []
+        for before, stream in zip(old, self._streams, strict=True):
+            clock = self._clocks[stream.clock]
+            begun = RemoteClock(clock.from_boot(flight_ns - self._zero_ns), clock.skew_ppm)
+            stamps = stream.stamp_ns + (begun.epoch_ns - clock.epoch_ns)
+            node = WingNode(dataclasses.replace(stream, stamp_ns=stamps), begun, Faults())
+            node.sender = before.sender
+            self._nodes.append(node)
+        self._zero_ns = flight_ns
+
+    def turn(self, now_ns: int) -> None:
+        """Answer and send what is due."""
+        if now_ns - self._turned_ns < _NODE_TURN_NS:
             return
-        self._turned_ns = flight_ns
+        self._turned_ns = now_ns
         data = self._link.drain()
         for message in (self._parser.parse_buffer(data) or []) if data else []:
             for node in self._nodes:
-                node.receive(message, flight_ns)
+                node.receive(message, now_ns - self._zero_ns)
         frames: list[bytes] = []
-        if flight_ns < 0 and flight_ns - self._greeted_ns >= 1_000_000_000:
-            self._greeted_ns = flight_ns
-            frames += [node.greeting() for node in self._nodes]
         for node in self._nodes:
-            frames += node.advance(flight_ns)
+            frames += node.advance(now_ns - self._zero_ns)
         self._link.send(frames)
+
+
+def _silent(stream: SensorStream) -> SensorStream:
+    """The stream of a sensor that has not said anything yet."""
+    return dataclasses.replace(
+        stream, sent_boot_ns=stream.sent_boot_ns[:0], stamp_ns=stream.stamp_ns[:0], values=stream.values[:0]
+    )
 
 
 @dataclass(slots=True)
@@ -153,23 +171,26 @@ class Physics:
     def __init__(self, options: PhysicsOptions) -> None:
         self.flight = build_flight(options.airframe, options.seed, options.duration_s)
         self._options = options
-        self._frames = Frames(self.flight, options)
-        before_s = options.hold_s + LAUNCH_S
-        self._nodes = Nodes(self.flight, options.nodes, before_s) if options.nodes else None
+        self._frames = Frames(self.flight, options.duration_s)
+        self._nodes: Nodes | None = None
         line = None if options.trigger_line is None else SimTriggerLine(options.trigger_line)
         self._shutter = Shutter(line, [], {})
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", options.port))
         self._socket.settimeout(_PATIENCE_S)
         self.start_ns = 0
+        self.flight_ns = 0
         self.pinned = False
         self._late_host_ns = 0
+        self._waiting = False
         self.sent_ns = array("q")
 
-    @property
-    def flight_start_ns(self) -> int:
-        """Host time at which the flight begins."""
-        return self.start_ns + self._options.flight_frame * 1_000_000_000 // RATE_HZ
+    def launch(self) -> None:
+        """Begin the run-up with the next frame, and let the nodes stream from the flight's first instant on."""
+        self._frames.launch_frame = len(self.sent_ns)
+        first = self._frames.launch_frame + round(LAUNCH_S * RATE_HZ)
+        self.flight_ns = self.start_ns + first * 1_000_000_000 // RATE_HZ
+        self._waiting = True
 
     def turn(self) -> None:
         """Take the servos of one frame and give the sensors of the next when they are due."""
@@ -181,8 +202,11 @@ class Physics:
         if servos is not None:
             self._shutter.watch(servos, now_ns)
             self._pin(now_ns)
-        if self._nodes is not None and self.pinned:
-            self._nodes.turn(now_ns - self.flight_start_ns)
+        if self._nodes is not None:
+            if self._waiting and now_ns >= self.flight_ns:
+                self._waiting = False
+                self._nodes.fly(self.flight_ns)
+            self._nodes.turn(now_ns)
         if servos is not None:
             self._answer(peer)
 
@@ -195,6 +219,8 @@ class Physics:
             self.start_ns += behind_ns
             self._late_host_ns = now_ns
         self.pinned = now_ns - self._late_host_ns > _STEADY_NS
+        if self.pinned and self._options.nodes:
+            self._nodes = Nodes(self.flight, self._options.nodes, self.start_ns)
 
     def _answer(self, peer: tuple[str, int]) -> None:
         frame = len(self.sent_ns)
@@ -211,14 +237,14 @@ class Physics:
         """What happened, as plain values."""
         return {
             "start_ns": self.start_ns,
-            "flight_start_ns": self.flight_start_ns,
+            "flight_ns": self.flight_ns,
             "sent_ns": self.sent_ns.tobytes(),
             "edges": self._shutter.edges,
         }
 
 
 def serve(options: PhysicsOptions, control: Connection) -> None:
-    """Entry of the process: run until told to stop, then report."""
+    """Entry of the process: launch when told to, run until told to stop, then report."""
     physics = Physics(options)
     control.send(("ready", None))
     started, listened_ns = False, 0
@@ -227,11 +253,14 @@ def serve(options: PhysicsOptions, control: Connection) -> None:
         if now_ns - listened_ns > _LISTEN_NS:
             listened_ns = now_ns
             if control.poll(0):
-                break
+                if control.recv() != "launch":
+                    break
+                physics.launch()
+                control.send(("flying", physics.flight_ns))
         physics.turn()
         if physics.pinned and not started:
             started = True
-            control.send(("started", (physics.start_ns, physics.flight_start_ns)))
+            control.send(("started", physics.start_ns))
     control.send(("report", physics.report()))
 
 

