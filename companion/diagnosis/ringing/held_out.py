@@ -92,7 +92,7 @@ def held_out_error(whole: RingingFit, parts: Sequence[Fold], ahead: int) -> Held
         vectors = [again.values[None, :]] * len(recordings)
         for one, filtered, mask in zip(recordings, filter_all(whole.model, vectors, ahead), part.scored, strict=True):
             assert filtered.ahead is not None
-            still = mask & _quiet(one, ahead)
+            still = mask & quiet_samples(one, ahead)
             e, s = filtered.innovation[0], filtered.variance[0]
             terms = -0.5 * (e**2 / s + np.log(s))
             block = (one.t_s // _BLOCK_S).astype(int)
@@ -102,7 +102,9 @@ def held_out_error(whole: RingingFit, parts: Sequence[Fold], ahead: int) -> Held
                 squares.append(float(np.sum(error**2)))
                 powers.append(float(np.sum(one.up_mps2[mine & still] ** 2)))
                 scores.append(float(np.sum(terms[mine & mask])))
-    count = sum(int((m & _quiet(one, ahead)).sum()) for p in parts for one, m in zip(recordings, p.scored, strict=True))
+    count = sum(
+        int((m & quiet_samples(one, ahead)).sum()) for p in parts for one, m in zip(recordings, p.scored, strict=True)
+    )
     error, power = np.array(squares), np.array(powers)
     return HeldOutError(
         float(np.sqrt(error.sum() / max(count, 1))),
@@ -115,7 +117,8 @@ def held_out_error(whole: RingingFit, parts: Sequence[Fold], ahead: int) -> Held
     )
 
 
-def _quiet(one: Ringing, ahead: int) -> Mask:
+def quiet_samples(one: Ringing, ahead: int) -> Mask:
+    """Samples before which no knock came within ``ahead`` steps."""
     loud = one.knock_mps2**2 > _QUIET * float(np.mean(one.knock_mps2**2))
     near = np.convolve(loud, np.ones(ahead + 2))[: len(loud)] > 0.5
     return np.asarray(~near)
