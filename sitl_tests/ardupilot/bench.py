@@ -20,13 +20,13 @@ from companion.sim.flight import Flight, build_flight
 from companion.sim.scene import ground_scene, obstacle_scene
 from sitl_tests.ardupilot.eyes import NOT_YET_NS, open_eyes
 from sitl_tests.ardupilot.physics import PhysicsOptions, start_physics
-from sitl_tests.ardupilot.station import Station
+from sitl_tests.ardupilot.station import COMPANION, Station
 from sitl_tests.ardupilot.vehicle import Ports, Vehicle, keep_pace
 
 ROOT = Path(__file__).resolve().parents[2]
 _SPANWISE = str(Path(sys.executable).with_name("spanwise"))
 _DOWN = 25
-_START_S = 60.0
+_START_S, _SERVICE_S = 60.0, 180.0
 _END_S = 15.0
 
 
@@ -126,6 +126,13 @@ class Run:
             )
         self._services.append(process)
         return process
+
+    def await_service(self, ready_s: float = 0.0) -> None:
+        """Wait until the ground station hears the service, and so much longer; a busy machine is slow to start it."""
+        heard = self.station.wait("HEARTBEAT", component=COMPANION, seconds=_SERVICE_S)
+        self.vehicle.check()
+        assert heard is not None, f"the service is not heard: {(self.folder / 'service.txt').read_text()[-2000:]}"
+        self.sleep_until(time.monotonic_ns() + round(ready_s * 1e9))
 
     @property
     def links(self) -> list[str]:

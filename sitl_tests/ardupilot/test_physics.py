@@ -28,7 +28,7 @@ from sitl_tests.ardupilot.physics import (
     servo_outputs,
 )
 from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, Motion, flight_motion, launch_motion
-from sitl_tests.ardupilot.vehicle import Ports
+from sitl_tests.ardupilot.vehicle import Ports, keep_pace
 
 GRAVITY = np.array([0.0, 0.0, 9.80665])
 FLOWN_S = 3.0
@@ -118,6 +118,7 @@ def test_frames_come_at_1200_hz_of_the_hosts_clock() -> None:
     try:
         assert ours.poll(60), "the physics does not come up"
         assert ours.recv()[0] == "ready"
+        keep_pace(process.pid or 0)
         link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         link.settimeout(5.0)
         stamps, began_ns = array("d"), 0

@@ -18,7 +18,7 @@ from sitl_tests.ardupilot.evidence import RANGE_GOOD, RANGE_TOO_FAR, BootClock, 
 from sitl_tests.ardupilot.physics import CAMERA_CHANNELS
 from sitl_tests.ardupilot.station import COMPANION
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
 
 SECOND_NS = 1_000_000_000
 CAPTURES = 5
@@ -65,7 +65,7 @@ def ground(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Ground:
             station.stream(kind, 10)
         seen.refused = prearm_texts(run)
         run.service()
-        assert station.wait("HEARTBEAT", component=COMPANION, seconds=90) is not None, "the service is not heard"
+        run.await_service()
         seen.service_ns = time.monotonic_ns()
         run.sleep_until(seen.service_ns + round(SETTLE_S * SECOND_NS))
         seen.announced = len(station.heard("PARAM_VALUE", COMPANION))
