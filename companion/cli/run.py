@@ -10,7 +10,7 @@ from pathlib import Path
 
 from companion.adapters.cameras import opening as cameras
 from companion.adapters.triggers import opening as triggers
-from companion.adapters.triggers.mavlink import MavlinkTrigger
+from companion.adapters.triggers.mavlink import link_firing
 from companion.cli.flying import fly
 from companion.cli.options import add_settings, read_settings, state_file
 from companion.cli.view import View
@@ -129,7 +129,7 @@ def try_devices(config: ServiceConfig) -> None:
     DeviceError
         A device or its library is absent.
     """
-    for factory in (config.cameras, None if config.trigger is MavlinkTrigger else config.trigger):
+    for factory in (config.cameras, None if link_firing(config.trigger) else config.trigger):
         if factory is not None:
             factory().close()
 

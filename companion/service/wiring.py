@@ -19,7 +19,7 @@ from companion.adapters.mavlink.signing import Signing, load_signing
 from companion.adapters.recordings.inlet import Inlet, recorder_channel
 from companion.adapters.recordings.recorder import run_recorder
 from companion.adapters.recordings.writer import About
-from companion.adapters.triggers.mavlink import MavlinkTrigger
+from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
 from companion.errors import SpanwiseError
@@ -154,7 +154,15 @@ def _inertial_process(
     clock: Clock = MonotonicClock()
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
-    autopilot = MavlinkAutopilot(links, config.airframe, config.settings, clock, component=_component(config, signing))
+    firing = link_firing(config.trigger)
+    autopilot = MavlinkAutopilot(
+        links,
+        config.airframe,
+        config.settings,
+        clock,
+        component=_component(config, signing),
+        firing=firing or CAMERAS,
+    )
     loop = inertial.InertialLoop(
         state=start(config.airframe, config.settings),
         autopilot=autopilot,
@@ -163,7 +171,7 @@ def _inertial_process(
         inbox=matches.receive,
         show=shown.send,
         recorder=_recorder(tape),
-        fires_by_link=config.trigger is MavlinkTrigger,
+        fires_by_link=firing is not None,
         tell_vision=_unheard if vision_ear is None else vision_ear.send,
     )
     inertial.run(loop, stop)

@@ -19,7 +19,7 @@ from companion.adapters.cameras.paced import PacedPair, RecordedPair
 from companion.adapters.clocks import ManualClock
 from companion.adapters.recordings.writer import About, McapWriter
 from companion.adapters.triggers import opening as triggers
-from companion.adapters.triggers.mavlink import MavlinkTrigger
+from companion.adapters.triggers.mavlink import LinkFiring, MavlinkTrigger, link_firing
 from companion.adapters.triggers.serial_board import SerialBoardTrigger
 from companion.cli import run
 from companion.errors import ConfigError, DeviceError
@@ -150,11 +150,26 @@ def test_what_is_not_there_is_named(spelling: str, error: str, airframe: Airfram
 def test_triggers_by_name() -> None:
     assert triggers.trigger_factory("none") is None
     assert triggers.trigger_factory("mavlink") is MavlinkTrigger
+    relay = triggers.trigger_factory("mavlink:relay,2")
+    assert link_firing(relay) == LinkFiring("relay", 2)
+    assert link_firing(triggers.trigger_factory("mavlink:servo,9,1750")) == LinkFiring("servo", 9, 1750)
+    assert link_firing(MavlinkTrigger) == LinkFiring()
     board: Any = triggers.trigger_factory("serial:/dev/ttyUSB0,57600")
     assert (board.func, board.args) == (SerialBoardTrigger, ("/dev/ttyUSB0", 57600))
+    assert link_firing(board) is None
     line: Any = triggers.trigger_factory("gpio:/dev/gpiochip0,17,low")
     assert (line.args, line.keywords) == (("/dev/gpiochip0", 17), {"active_low": True})
-    for spelling in ("", "relay", "serial", "serial:", "serial:/dev/x,fast", "gpio:/dev/gpiochip0", "gpio:a,1,high"):
+    for spelling in (
+        "",
+        "relay",
+        "serial",
+        "serial:",
+        "serial:/dev/x,fast",
+        "gpio:/dev/gpiochip0",
+        "gpio:a,1,high",
+        "mavlink:servo,9",
+        "mavlink:x",
+    ):
         with pytest.raises(ConfigError, match="known are none"):
             triggers.trigger_factory(spelling)
 

@@ -14,6 +14,7 @@ from companion.adapters.mavlink.autopilot import MavlinkAutopilot
 from companion.adapters.mavlink.decode import OUTGOING, Decoder
 from companion.adapters.mavlink.link import Link
 from companion.adapters.mavlink.translate import Heard
+from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -130,7 +131,7 @@ class Vehicle:
 
 
 class Bench:
-    def __init__(self, loop_hz: float = 400) -> None:
+    def __init__(self, loop_hz: float = 400, firing: LinkFiring = CAMERAS) -> None:
         self.clock, self.wire = TurnedClock(), Wire()
         self.vehicle = Vehicle(self.clock, self.wire, loop_hz=loop_hz)
         self.listened: list[Heard] = []
@@ -140,6 +141,7 @@ class Bench:
             Settings(),
             self.clock,
             listener=self.listened.append,
+            firing=firing,
         )
 
     def fly(self, seconds: float, heartbeats: bool = True) -> list[Record]:
@@ -314,6 +316,35 @@ def test_a_shot_by_the_autopilots_cameras_is_commanded() -> None:
     bench.vehicle.run()
     (command,) = [message for message in bench.vehicle.of("COMMAND_LONG") if message.command == 2000]
     assert (command.target_system, command.target_component, command.param1, command.param3) == (3, 1, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(("firing", "expected"), [
+    (LinkFiring("relay", 2), (182, 2.0, 1.0)), (LinkFiring("servo", 9, 1750), (184, 9.0, 1750.0)),
+])  # fmt: skip
+def test_a_shot_by_relay_or_servo_pulses_it_once(firing: LinkFiring, expected: tuple[int, float, float]) -> None:
+    bench = Bench(firing=firing)
+    bench.fly(0.1)
+    bench.pilot.publish(Shot(7, bench.clock.now, bench.clock.now))
+    bench.vehicle.run()
+    (command,) = [message for message in bench.vehicle.of("COMMAND_LONG") if message.command == expected[0]]
+    assert (command.command, command.param1, command.param2) == expected
+    count = command.param2 if firing.kind == "relay" else command.param3
+    assert count == 1.0
+
+
+def test_a_shot_that_the_autopilot_refuses_is_told_as_a_failed_device() -> None:
+    bench = Bench()
+    bench.fly(0.1)
+    bench.vehicle.say(mavlink.MAVLink_command_ack_message(2000, 4, target_component=191))
+    assert not [record for record in bench.fly(0.1) if isinstance(record, Rejected)], "nothing had been asked for"
+    bench.pilot.publish(Shot(7, bench.clock.now, bench.clock.now))
+    bench.vehicle.say(mavlink.MAVLink_command_ack_message(2000, mavlink.MAV_RESULT_ACCEPTED, target_component=191))
+    bench.vehicle.say(mavlink.MAVLink_command_ack_message(2000, 4, target_component=191), component=200)
+    assert not [record for record in bench.fly(0.1) if isinstance(record, Rejected)]
+    bench.vehicle.say(mavlink.MAVLink_command_ack_message(2000, mavlink.MAV_RESULT_FAILED, target_component=191))
+    (refused,) = [record for record in bench.fly(0.1) if isinstance(record, Rejected)]
+    assert refused.reason is Reject.DEVICE_FAILED
+    assert "2000" in refused.what
 
 
 def test_alive_without_range_says_so() -> None:

@@ -19,7 +19,7 @@ from companion.adapters.mavlink.parameter_server import ParameterServer
 from companion.adapters.mavlink.questions import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.rates import RateKeeper
 from companion.adapters.mavlink.translate import Heard
-from companion.adapters.triggers.mavlink import capture_command
+from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.ports import Clock
@@ -37,6 +37,8 @@ from companion.records import (
     ParameterChange,
     RawChunk,
     Record,
+    Reject,
+    Rejected,
     ServiceStatus,
     Shot,
     TimesyncReply,
@@ -82,11 +84,15 @@ class MavlinkAutopilot:
         listener: Callable[[Heard], None] | None = None,
         component: OwnComponent | None = None,
         needed: tuple[str, ...] = NEEDED_PARAMETERS,
+        firing: LinkFiring = CAMERAS,
     ) -> None:
         self.decoder = Decoder(airframe, settings.component_id)
         self.health = Health.BOOT
         self.refused = 0
         self.requests_answered = 0
+        self._firing = firing
+        self._fired: int | None = None
+        self._unfired: list[Rejected] = []
         self._links = list(links)
         self._settings = settings
         self._clock = clock
@@ -133,6 +139,8 @@ class MavlinkAutopilot:
                     self._attend(decoded, chunk.received_host_ns)
                     yield from decoded.records
             self._read_host_ns = self._clock.now_ns()
+        yield from self._unfired
+        self._unfired.clear()
         yield from self.rates.notices()
         for event in self.component.events():
             if isinstance(event, ParameterChange):
@@ -170,6 +178,8 @@ class MavlinkAutopilot:
                 self.requests_answered += 1
             elif heard.name == "COMMAND_ACK" and self._is_ours(heard):
                 self.rates.acknowledged(heard.message.result, now_host_ns)
+            elif heard.name == "COMMAND_ACK" and heard.message.command == self._fired:
+                self._acknowledge_shot(heard, now_host_ns)
             elif heard.name == "PARAM_VALUE" and heard.component == AUTOPILOT_COMPONENT:
                 self._parameters.arrived(heard.message.param_id)
             if self.decoder.system_id is not None:
@@ -187,6 +197,14 @@ class MavlinkAutopilot:
                 if record.clock == ClockName.BOOT:
                     self.rates.restart(now_host_ns)
                     self._parameters.restart()
+
+    def _acknowledge_shot(self, heard: Heard, now_host_ns: int) -> None:
+        """A shot that the autopilot refuses is a device that failed: counted and told, not mistaken for a late one."""
+        from_autopilot = (heard.system, heard.component) == (self.decoder.system_id, AUTOPILOT_COMPONENT)
+        result = heard.message.result
+        if from_autopilot and result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS):
+            what = f"autopilot refused to fire (command {heard.message.command}, result {result})"
+            self._unfired.append(Rejected(Reject.DEVICE_FAILED, what, now_host_ns))
 
     def _is_ours(self, heard: Heard) -> bool:
         message = heard.message
@@ -246,7 +264,8 @@ class MavlinkAutopilot:
             for message in self._ranges.messages(record, self._boot_offset_ns, self._clock.now_ns()):
                 self._send(message)
         elif isinstance(record, Shot):
-            request = capture_command(record)
+            request = self._firing.command(record)
+            self._fired = request.command
             self.command(request.command, *request.parameters)
         elif isinstance(record, Notice):
             if self.decoder.system_id is None:

@@ -1,30 +1,25 @@
 """Firing through the autopilot: the trigger process keeps the time, the inertial process owns the link and sends.
 
 The shot that comes back over the pipe is the request: at once when it arrives, the inertial process sends the command
-of :func:`capture_command`. Pipe, link and autopilot are then part of the latency, which is learned like any other.
+of :class:`LinkFiring`. Pipe, link and autopilot are then part of the latency, which is learned like any other.
 """
 
 from __future__ import annotations
 
+import functools
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from companion.ports import Trigger
 from companion.records import Shot, TriggerPlan
 
 MAV_CMD_IMAGE_START_CAPTURE = 2000
+MAV_CMD_DO_REPEAT_RELAY = 182
+MAV_CMD_DO_REPEAT_SERVO = 184
 _ALL_CAMERAS = 0.0
 _LARGEST_EXACT_FLOAT32 = 1 << 24
-
-
-class MavlinkTrigger:
-    """Implements :class:`companion.ports.Trigger`: the returned shot asks the inertial process to send the command."""
-
-    def fire(self, plan: TriggerPlan) -> Shot:
-        """Stamp the request."""
-        return Shot(plan.plan_id, plan.command_host_ns, time.monotonic_ns())
-
-    def close(self) -> None:
-        """Nothing to release; the link is the inertial process's."""
+_PULSE_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +30,65 @@ class CaptureCommand:
     parameters: tuple[float, float, float, float, float, float, float]
 
 
-def capture_command(shot: Shot) -> CaptureCommand:
-    """IMAGE_START_CAPTURE of one picture by every camera.
+@dataclass(frozen=True, slots=True)
+class LinkFiring:
+    """What the autopilot is told to do for a shot.
 
-    ``param1`` 0 fires all cameras in ArduPilot, where DO_DIGICAM_CONTROL would fire the first only. ``param4`` is the
-    sequence number (plan id, within what a float32 holds exactly), which tells a repeated command from a new one.
+    Attributes
+    ----------
+    kind : str
+        ``camera``: every camera of its own takes one picture. ``relay``: relay ``channel`` goes on and off once.
+        ``servo``: output ``channel`` goes to ``pulse_us`` and back once. Not a channel that the autopilot's own camera
+        driver holds: it refuses those.
     """
-    sequence = float(shot.plan_id % _LARGEST_EXACT_FLOAT32)
-    return CaptureCommand(MAV_CMD_IMAGE_START_CAPTURE, (_ALL_CAMERAS, 0.0, 1.0, sequence, 0.0, 0.0, 0.0))
+
+    kind: str = "camera"
+    channel: int = 0
+    pulse_us: int = 1900
+
+    def command(self, shot: Shot) -> CaptureCommand:
+        """The command of one shot.
+
+        IMAGE_START_CAPTURE's ``param1`` 0 fires all cameras in ArduPilot, where DO_DIGICAM_CONTROL would fire the
+        first only; its ``param4`` is the sequence number (plan id, within what a float32 holds exactly), which tells a
+        repeated command from a new one. DO_REPEAT_RELAY and DO_REPEAT_SERVO come back by themselves.
+        """
+        if self.kind == "relay":
+            return CaptureCommand(MAV_CMD_DO_REPEAT_RELAY, (float(self.channel), 1.0, _PULSE_S, 0.0, 0.0, 0.0, 0.0))
+        if self.kind == "servo":
+            pulse = (float(self.channel), float(self.pulse_us), 1.0, _PULSE_S, 0.0, 0.0, 0.0)
+            return CaptureCommand(MAV_CMD_DO_REPEAT_SERVO, pulse)
+        sequence = float(shot.plan_id % _LARGEST_EXACT_FLOAT32)
+        return CaptureCommand(MAV_CMD_IMAGE_START_CAPTURE, (_ALL_CAMERAS, 0.0, 1.0, sequence, 0.0, 0.0, 0.0))
+
+
+CAMERAS = LinkFiring()
+
+
+class MavlinkTrigger:
+    """Implements :class:`companion.ports.Trigger`: the returned shot asks the inertial process to send the command."""
+
+    def __init__(self, firing: LinkFiring = CAMERAS) -> None:
+        self.firing = firing
+
+    def fire(self, plan: TriggerPlan) -> Shot:
+        """Stamp the request."""
+        return Shot(plan.plan_id, plan.command_host_ns, time.monotonic_ns())
+
+    def close(self) -> None:
+        """Nothing to release; the link is the inertial process's."""
+
+
+def link_firing(factory: Callable[[], Trigger] | None) -> LinkFiring | None:
+    """What the autopilot is told by this trigger; None where it is another kind of trigger, or none."""
+    if factory is MavlinkTrigger:
+        return CAMERAS
+    if isinstance(factory, functools.partial) and factory.func is MavlinkTrigger:
+        firing: LinkFiring = factory.args[0]
+        return firing
+    return None
+
+
+def capture_command(shot: Shot) -> CaptureCommand:
+    """IMAGE_START_CAPTURE of one picture by every camera."""
+    return CAMERAS.command(shot)

@@ -6,14 +6,14 @@ import functools
 from collections.abc import Callable
 
 from companion.adapters.triggers.gpio import GpioTrigger
-from companion.adapters.triggers.mavlink import MavlinkTrigger
+from companion.adapters.triggers.mavlink import LinkFiring, MavlinkTrigger
 from companion.adapters.triggers.serial_board import SerialBoardTrigger
 from companion.errors import ConfigError
 from companion.ports import Trigger
 
 SPELLINGS = (
     "none (the cameras run free; the frame nearest the plan is taken)",
-    "mavlink (the autopilot's own cameras, IMAGE_START_CAPTURE)",
+    "mavlink (the autopilot's own cameras, IMAGE_START_CAPTURE), mavlink:relay,0 or mavlink:servo,9,1900",
     "serial:/dev/ttyACM0 or serial:/dev/ttyUSB0,115200 (the trigger board)",
     "gpio:/dev/gpiochip0,17 or gpio:/dev/gpiochip0,17,low (libgpiod; low is active low)",
 )
@@ -33,8 +33,11 @@ def trigger_factory(spelling: str) -> Callable[[], Trigger] | None:
         return None
     if spelling == "mavlink":
         return MavlinkTrigger
-    if kind == "serial" and (len(words) == 1 or (len(words) == 2 and words[1].isdigit())):
-        return functools.partial(SerialBoardTrigger, words[0], *(int(word) for word in words[1:]))
+    numbers = [int(word) for word in words[1:] if word.isdigit()]
+    if kind == "mavlink" and (words[:1], len(words), len(numbers)) in ((["relay"], 2, 1), (["servo"], 3, 2)):
+        return functools.partial(MavlinkTrigger, LinkFiring(words[0], *numbers))
+    if kind == "serial" and len(words) in (1, 2) and len(numbers) == len(words) - 1:
+        return functools.partial(SerialBoardTrigger, words[0], *numbers)
     if kind == "gpio" and len(words) in (2, 3) and words[1].isdigit() and words[2:] in ([], ["low"]):
         return functools.partial(GpioTrigger, words[0], int(words[1]), active_low=words[2:] == ["low"])
     raise ConfigError(f"--trigger {spelling}: not a trigger; known are " + "; ".join(SPELLINGS))
