@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.compiled import compiled
-from companion.core.mode.layout import P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
+from companion.core.mode.layout import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.mode.model import Parameters
 from companion.core.mode.parameters import (
     CORNER_1,
@@ -27,6 +27,7 @@ from companion.core.mode.parameters import (
     ModeParameters,
 )
 from companion.core.mode.rigid import Cells
+from companion.core.mode.spectrum import load_density
 from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, moved_evidence, scan, seek_peak
 from companion.records import Bools, Floats
 
@@ -182,15 +183,43 @@ class Adaptation:
         roll = self._noise.own[P_ROOT] * 2.0 * self._step_s
         lever = 0.5 * (self._levers_m[1] - self._levers_m[0])
         known = self._answer(rows[:, _STATIC])
+        cut = self._cut_density()
         if which == (0,):
-            return 0.5 * (rows[:, 0] + rows[:, 1]) - known, _Floor(float(tip.sum() / 4.0 + root), 0.0, self._step_s)
+            white = float(tip.sum() / 4.0 + root)
+            floor = _Floor(white, 0.0, 0.5 * cut, self._drift((1.0, 1.0)), self._step_s)
+            return 0.5 * (rows[:, 0] + rows[:, 1]) - known, floor
         lift = lever * np.convolve(rows[:, _ROLL], _DERIVATIVE / self._step_s, mode="same")  # of the rigid roll
         lift[:_EDGE], lift[-_EDGE:] = 0.0, 0.0
         if len(which) == 2:
             samples = rows[:, self._only] - known - (2 * self._only - 1) * lift
-            return samples, _Floor(float(tip[self._only] + root), roll * lever**2, self._step_s)
+            return samples, _Floor(
+                float(tip[self._only] + root), roll * lever**2, cut, self._drift(self._alone), self._step_s
+            )
         white = float(tip.sum() / 4.0)
-        return 0.5 * (rows[:, 1] - rows[:, 0]) - lift, _Floor(white, roll * lever**2, self._step_s)
+        floor = _Floor(white, roll * lever**2, 0.5 * cut, self._drift((-1.0, 1.0)), self._step_s)
+        return 0.5 * (rows[:, 1] - rows[:, 0]) - lift, floor
+
+    @property
+    def _alone(self) -> tuple[float, float]:
+        return (2.0, 0.0) if self._only == 0 else (0.0, 2.0)
+
+    def _drift(self, signs: tuple[float, float]) -> float:
+        """Density at 1 Hz of the drifting biases in half the signed sum of both vertical rows; it falls with f^2."""
+        at = [index for index, (row, _) in enumerate(self._layout.bias) if row < M_LEFT]
+        if len(at) < len(signs):
+            return 0.0
+        half = 0.5 * np.array(signs)
+        variance = float(half @ self._noise.bias_prior[np.ix_(at, at)] @ half)
+        return variance / (np.pi**2 * self._noise.bias_time_s)
+
+    def _cut_density(self) -> float:
+        """Density that cells' edges, cutting samples, add to one tip: the load's inside a sample is not known.
+
+        ``S T / (3 h) (1 - cos(2 pi f h))`` for samples of ``T`` in cells of ``h``.
+        """
+        highest = np.array([(0.5 / self._step_s) ** 2])
+        load = sum(float(load_density(np.exp(p.logs()), highest, p.reference_hz)[0]) for p in self.parameters)
+        return load * self._noise.sample_s / (3.0 * self._step_s)
 
     def _answer(self, static_m: Floats) -> Floats:
         """Vertical reading that the load factor's known bend brings about: ``omega^2 H(omega)`` of it."""
@@ -219,14 +248,18 @@ class Adaptation:
 
 @dataclass(frozen=True, slots=True)
 class _Floor:
-    """Sensor noise density: white, plus the root gyro's through the lever arm, which grows with frequency."""
+    """Noise density: white, the root gyro's through the lever arm (it grows with frequency), cut samples', drift's."""
 
     white: float
     roll: float
+    cut: float
+    drift: float
     step_s: float
 
     def __call__(self, frequency_hz: Floats) -> Floats:
         density: Floats = self.white + self.roll * _differentiated(frequency_hz, self.step_s)
+        density += self.drift / frequency_hz**2
+        density += self.cut * (1.0 - np.cos(2.0 * np.pi * self.step_s * frequency_hz))
         return density
 
 

@@ -74,6 +74,15 @@ class Kalman:
         self._fixed = _fixed(layout, noise, model.step_s, trim_m, bend_per_g_m)
         self.use(model)
 
+    def fork(self, model: StepModel, keep: int = 1) -> Kalman:
+        """Another filter that knows what this one knows and goes on with ``model``; it remembers ``keep`` steps."""
+        other = Kalman(self.layout, self.noise, model, self._fixed.trim_m, self._bend_per_g_m, keep)
+        other.columns[:], other.covariance[:] = self.columns, self.covariance
+        other.constants[:], other.constants_covariance[:] = self.constants, self.constants_covariance
+        other._memory.information[:], other._weights[:] = self._memory.information, self._weights
+        other._unsolved = self._unsolved
+        return other
+
     @property
     def kept(self) -> int:
         """How many steps the history holds at most."""

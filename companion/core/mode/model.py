@@ -101,9 +101,12 @@ def build_model(
     sense = after @ transition
     sense[:, :n] += before
     measured = after @ q @ after.T
-    for family in layout.families:  # the path between two samples is not in the moment that is made of samples
-        lost = q[family.v, family.v] * noise.sample_s**2 / (12.0 * step_s**4)
+    for family in layout.families:  # the path between two samples is not in what is made of samples
+        load = q[family.v, family.v]
+        lost = load * noise.sample_s**2 / (12.0 * step_s**4)
         measured[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += lost * np.outer(family.sign, family.sign)
+        # a cell's edge cuts a sample, each tip's at another place: a bridge of variance density * sample / 6 at each
+        measured[Z_LEFT:M_LEFT, Z_LEFT:M_LEFT] += load * noise.sample_s / (3.0 * step_s**3) * np.eye(2)
     slopes = slope_rows(layout)
     path = sum(q[family.v, family.v] * slopes[1, family.q] ** 2 for family in layout.families) / 12.0
     rough = bool(path > _ROUGH * noise.own[P_LEFT:P_ROOT].min())

@@ -79,7 +79,8 @@ class WingTracker:
         self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
         self._kalman = self._fresh(self._model(self._adaptation.parameters))
         self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
-        self._early: list[Cells] = []
+        self._recent: list[Cells] = []
+        self._begun = self._kalman.fork(self._kalman.model)
         self._level = Level(self._layout)
         self._surprised_s = 0.0
         self._rates.clear()
@@ -140,8 +141,7 @@ class WingTracker:
             self._level.update(self._kalman, len(part), self._step_s)
             self._rates.extend(part.rate)
             if self._settings.adapt:
-                if self._adaptation.early:
-                    self._early.append(part)
+                self._recent.append(part)
                 if self._adaptation.take(part):
                     self._readapt()
         for stream in self._streams:
@@ -154,20 +154,25 @@ class WingTracker:
         return not self._kalman.finite or self._surprised_s > _PATIENCE_S
 
     def _readapt(self) -> None:
-        """Take new parameters; early on, run the whole history again with them, if that explains it at all."""
+        """Take new parameters, unless they make the measurements a surprise; early on, run the whole history again.
+
+        They are tried on what was measured since the filter stood at ``_begun``: everything in the first seconds,
+        later the cells since the last fit.
+        """
         model = self._model(self._adaptation.parameters)
-        if self._adaptation.refilter:
-            fresh = self._fresh(model)
-            fresh.run(join(self._early))
-            if not fresh.finite or fresh.surprise > max(SURPRISED, self._kalman.surprise):
-                self._adaptation.parameters = self._kalman.model.parameters
-            else:
-                self._kalman = fresh
+        early = self._adaptation.refilter
+        tried = self._fresh(model) if early else self._begun.fork(model)
+        tried.run(join(self._recent))
+        if not tried.finite or tried.surprise > max(SURPRISED, self._kalman.surprise):
+            self._adaptation.parameters = self._kalman.model.parameters
+        elif early:
+            self._kalman = tried
         else:
             self._kalman.use(model)
         self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
         if not self._adaptation.early:
-            self._early.clear()
+            self._recent.clear()
+            self._begun = self._kalman.fork(self._kalman.model)
 
     def _model(self, parameters: Parameters) -> StepModel:
         return build_model(self._layout, self._noise, parameters, self._levers, self._step_s)
