@@ -7,6 +7,7 @@ import dataclasses
 import pickle
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -22,11 +23,13 @@ from companion.adapters.triggers import opening as triggers
 from companion.adapters.triggers.mavlink import LinkFiring, MavlinkTrigger, link_firing
 from companion.adapters.triggers.serial_board import SerialBoardTrigger
 from companion.cli import run
+from companion.core.pipeline import VisionState
 from companion.errors import ConfigError, DeviceError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Side
+from companion.service import vision
 
 MS = 1_000_000
 
@@ -98,6 +101,14 @@ def test_a_recording_without_images_is_named(tmp_path: Path, airframe: Airframe)
     McapWriter(path, About.of(airframe, Settings())).close()
     with pytest.raises(DeviceError, match=r"blind\.mcap has no images"):
         RecordedPair(path)
+
+
+def test_images_of_another_size_than_the_airframe_s_end_vision_with_a_sentence(airframe: Airframe) -> None:
+    source: Any = Scripted([50 * MS])
+    running: Any = SimpleNamespace(is_set=lambda: False)
+    with pytest.raises(DeviceError, match="left camera gives 2x2 images; the airframe's calibration is for 640x480"):
+        vision.run(VisionState.create(airframe, Settings()), source, ManualClock(), print, None, running)
+    assert source.closed
 
 
 # ------------------------------------------------------------------------------------------------ spelling
