@@ -23,6 +23,7 @@ from companion.records import Axis, Floats, ImuBatch, Ints, Station
 
 _SHORTEST_S = 8.0
 _GAP_RATIO = 2.5
+_FEWEST = 10  # samples: of fewer there is no usual step
 _NEEDED = "an accelerometer at each wing tip (left_z, right_z) for at least 8 s without a gap"
 
 
@@ -87,6 +88,8 @@ def timing(path: Path, airframe: Airframe, mapping: TableMapping | None = None) 
 
 
 def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
+    if len(np.unique(t_ns)) < _FEWEST:
+        return StreamTiming(station.name.lower(), len(t_ns), 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
     steps_ms: Floats = np.diff(np.unique(t_ns)).astype(np.float64) * 1e-6
     usual = float(np.median(steps_ms))
     wide = np.flatnonzero(steps_ms > _GAP_RATIO * usual)

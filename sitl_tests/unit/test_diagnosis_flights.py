@@ -1,0 +1,111 @@
+"""What `spanwise diagnose` says of recordings that cannot tell, and of tables on the bench, by the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from scipy.signal import lfilter
+
+from companion.adapters.recordings.mapping import load_mapping
+from companion.cli.diagnose_models import models_of
+from companion.cli.main import main
+from companion.params.files import load_airframe
+from companion.records import Side
+
+
+def found(tmp_path: Path, *arguments: str) -> dict[str, Any]:
+    path = tmp_path / "found.json"
+    assert main(["diagnose", *arguments, "--json", str(path), "--html", str(tmp_path / "page.html")]) == 0
+    assert (tmp_path / "page.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+    plain: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return plain
+
+
+def accel(tmp_path: Path, place: str, t_s: np.ndarray) -> str:  # type: ignore[type-arg]
+    rows = "".join(f"{t:.4f},-9.8\n" for t in t_s)
+    (tmp_path / "accel.csv").write_text(f"t_s,{place}_z_mps2\n{rows}")
+    return str(tmp_path)
+
+
+def test_a_fuselage_alone_gets_its_gaps_told_and_no_cause(tmp_path: Path) -> None:
+    t_s = np.arange(0.0, 12.0, 0.01)
+    t_s = t_s[(t_s < 3.0) | (t_s > 3.2)]
+    plain = found(tmp_path, accel(tmp_path, "root", t_s), "--airframe", "nadir-2m")
+    assert plain["verdict"] == "not-identifiable"
+    assert "no accelerometer on a wing" in plain["reason"]
+    assert plain["causes"] == []
+    (stream,) = plain["timing"]
+    assert (stream["station"], stream["gaps"]) == ("root", 1)
+    assert stream["longest_gap_ms"] == pytest.approx(220.0, abs=11.0)
+    assert stream["longest_stretch_s"] == pytest.approx(8.8, abs=0.05)
+    assert "left_z" in plain["advice"][0]
+
+
+def test_a_wing_without_eight_unbroken_seconds_gets_that_told(tmp_path: Path) -> None:
+    t_s = np.arange(0.0, 12.0, 0.01)
+    t_s = t_s[(t_s < 5.0) | (t_s > 5.5)]
+    plain = found(tmp_path, accel(tmp_path, "left", t_s), "--airframe", "nadir-2m")
+    assert plain["verdict"] == "not-identifiable"
+    assert "the longest stretch without a gap is 6.5 s" in plain["reason"]
+
+
+def test_a_vibration_test_is_judged_from_its_matlab_files(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    names = np.array(["Force", "Tip"], dtype=object)
+    for k, natural_hz in enumerate((9.0, 9.0, 9.4), start=1):
+        # a damped swing of one degree of freedom, by its impulse response
+        t_s = np.arange(6000) / 200.0
+        omega, zeta = 2.0 * np.pi * natural_hz, 0.01
+        impulse = np.exp(-zeta * omega * t_s) * np.sin(omega * t_s) / omega / 200.0
+        force = rng.standard_normal(6000) * np.hanning(6000)
+        force[-1500:] = 0.0
+        swing = lfilter(impulse, 1.0, force)
+        tip = np.gradient(np.gradient(swing, t_s), t_s) + 1e-3 * rng.standard_normal(6000)
+        savemat(tmp_path / f"run{k}.mat", {"data": np.stack([force, tip], 1), "channels": names})
+    (tmp_path / "bench.toml").write_text(
+        'test = "vibration"\nfiles = "run*.mat"\nrate_hz = 200.0\nband_hz = [4.0, 20.0]\n'
+        '[matlab]\narray = "data"\nnames = "channels"\n'
+        '[columns]\n"Force" = { channel = "input_n", unit = "N" }\n'
+        '"Tip" = { channel = "response_tip_mps2", unit = "mps2" }\n'
+        + "".join(
+            f'[[recordings]]\nfile = "run{k}.mat"\nvalues = {{ run_order = {k}, place_m = {0.1 * k} }}\n'
+            for k in (1, 2, 3)
+        )
+    )
+    plain = found(tmp_path, str(tmp_path), "--mapping", str(tmp_path / "bench.toml"))
+    assert plain["verdict"] == "not-identifiable"
+    assert "changed between runs 2 and 3 (9.00 -> 9.4" in plain["reason"]
+    assert plain["confounded"] == ["run_order", "place_m"]
+
+
+def test_a_table_without_what_its_test_needs_is_refused_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "one.csv").write_text("t,a\n0,1\n0.001,2\n")
+    mapping = tmp_path / "ring.toml"
+    columns = '[columns]\n"t" = { channel = "t_s" }\n"a" = { channel = "strain_v" }\n'
+    mapping.write_text(f'test = "ringing"\n{columns}')
+    assert main(["diagnose", str(tmp_path / "one.csv"), "--mapping", str(mapping)]) == 1
+    assert "'band_hz' is missing" in capsys.readouterr().err
+    mapping.write_text(f'test = "ringing"\nband_hz = [4.0, 20.0]\n{columns}')
+    assert main(["diagnose", str(tmp_path / "one.csv"), "--mapping", str(mapping)]) == 1
+    assert "the mapping gives no left_z_mps2 or right_z_mps2" in capsys.readouterr().err
+
+
+def test_a_laboratory_s_own_table_reaches_the_model_in_si(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    t_ms = np.arange(0.0, 10_000.0, 4.0)
+    left, right = -1.0 + 0.01 * rng.standard_normal((2, t_ms.size))
+    rows = [f"{t:.1f},{a:.6f},{b:.6f},{20 + 1e-4 * t:.3f}" for t, a, b in zip(t_ms, left, right, strict=True)]
+    (tmp_path / "wing.csv").write_text("time_ms,left_g,right_g,airspeed_kt\n" + "\n".join(rows) + "\n")
+    (model,) = models_of([tmp_path / "wing.csv"], load_airframe("nadir-2m"), load_mapping("two-accelerometers"))
+    assert model.seen.sides == (Side.LEFT, Side.RIGHT)
+    assert "airspeed_mps" in model.seen.covariates
+    # 0.01 g rms of white noise over 125 Hz, of which the model's band keeps its share
+    kept = 0.01 * 9.80665 * np.sqrt(0.5 * model.seen.rate_hz / 125.0)
+    np.testing.assert_allclose(model.seen.up_mps2.std(0), kept, rtol=0.1)
