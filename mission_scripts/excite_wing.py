@@ -82,8 +82,7 @@ class Working:
 
     def come_back(self, flight: Flight) -> None:
         """Circle at home until height and airspeed are right."""
-        where = (self.home.latitude_deg, self.home.longitude_deg)
-        flight.change_mode(GUIDED, lambda: flight.vehicle.circle_at(where, self.height_m))
+        flight.change_mode(GUIDED, lambda: flight.vehicle.circle_at(self.home, self.height_m))
         flight.vehicle.airspeed(self.airspeed_mps)
         flight.wait(f"circling for {self.airspeed_mps:g} m/s", lambda: self._settled(flight.watch), _SETTLE_S)
 

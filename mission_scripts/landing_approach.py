@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.monitor import RangeMonitor, Tolerance
 from mission_scripts.common.options import parser_for
-from mission_scripts.common.outcome import Aborted, Exit, Refused, Response
+from mission_scripts.common.outcome import Aborted, Exit, HandsOff, Refused, Response
 from mission_scripts.common.places import CLIMB_TO, LAND, LOITER, WAYPOINT, Route, parse_place
 from mission_scripts.common.run import run
 from mission_scripts.common.vehicle import NotAccepted
@@ -70,6 +70,8 @@ def approach(flight: Flight) -> Exit:
     try:
         return lander.fly()
     except Aborted as error:
+        if lander.committed:
+            raise HandsOff(f"{error}; below {_ON_GROUND_M:g} m the landing is the autopilot's") from error
         if error.response is None and lander.descending:
             lander.go_around(str(error))
             raise Aborted(f"went around: {error}", Response.HOLD, error.code) from error
@@ -77,7 +79,7 @@ def approach(flight: Flight) -> Exit:
 
 
 class Lander:
-    """The approach: its route, its monitor, and the way out."""
+    """The approach: its route, its monitor, and the way out; ``committed`` once it is on the ground or just above."""
 
     def __init__(self, flight: Flight) -> None:
         options = flight.options
@@ -96,6 +98,7 @@ class Lander:
         self._monitor = RangeMonitor(self._expected_m, tolerance)
         self._from_s = time.monotonic()
         self._decided = False
+        self.committed = False
 
     @property
     def descending(self) -> bool:
@@ -120,13 +123,12 @@ class Lander:
 
         def down() -> bool:
             self._look(watch.item)
-            landed = self.descending and not watch.armed and watch.height_m - flight.options.ground < _ON_GROUND_M
-            if landed or watch.height_m - flight.options.ground < _ON_GROUND_M:
+            if self.descending and watch.height_m - flight.options.ground < _ON_GROUND_M:
+                self.committed = True  # no order from here on: it would start the motor on the ground
                 flight.guard.mode = None  # the autopilot disarms by itself
-            return landed
+            return self.committed and not watch.armed
 
         flight.wait("landing", down, 400.0)
-        flight.engaged = False
 
     def _look(self, item: int) -> None:
         """Feed the monitor, and act on it below the gate; at the decision height say how it stands."""

@@ -16,7 +16,7 @@ from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkM
 from mavsdk.plugins.mission_raw.mission_raw import MissionRaw
 
 from mission_scripts.common.outcome import Aborted, Exit, MissionError, Refused
-from mission_scripts.common.places import Route
+from mission_scripts.common.places import Place, Route
 from mission_scripts.common.recording import Tap
 from mission_scripts.common.watch import AUTOPILOT, KINDS, Watch
 
@@ -27,7 +27,7 @@ _SET_MESSAGE_INTERVAL, _DO_CHANGE_SPEED, _DO_REPOSITION, _DO_SET_MODE = 511, 178
 _ROLL, _ROLL_AND_PITCH = 0b11111110, 0b11111100
 _FIXED_WING, _ARDUPILOT = 1, 3
 _RELATIVE_FRAME = 6
-_TRIES = 2
+_TRIES = 3
 _LOOK_S = 0.5
 
 
@@ -124,12 +124,12 @@ class Vehicle:
         """Change the airspeed in AUTO and GUIDED; refused outside the autopilot's own limits."""
         self.command(f"airspeed {airspeed_mps:g} m/s", _DO_CHANGE_SPEED, 0.0, airspeed_mps, -1.0)
 
-    def circle_at(self, route_place: tuple[float, float], height_m: float) -> None:
-        """GUIDED about a place (latitude, longitude in degrees), at a height above home."""
+    def circle_at(self, place: Place, height_m: float) -> None:
+        """GUIDED about a place, at a height above home."""
         fields = {
             "command": _DO_REPOSITION, "frame": _RELATIVE_FRAME, "current": 0, "autocontinue": 0, "param1": -1.0,
-            "param2": 1.0, "param3": 0.0, "param4": 0.0, "x": round(route_place[0] * 1e7),
-            "y": round(route_place[1] * 1e7), "z": height_m,
+            "param2": 1.0, "param3": 0.0, "param4": 0.0, "x": round(place.latitude_deg * 1e7),
+            "y": round(place.longitude_deg * 1e7), "z": height_m,
         }  # fmt: skip
         self._acknowledged("reposition", "COMMAND_INT", fields)
 

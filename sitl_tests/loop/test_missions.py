@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from companion.adapters.recordings.opening import open_recording
+from companion.cli.main import main as spanwise
 from companion.params.files import load_airframe
 from companion.records import ImuBatch, Station
 from companion.sim.faults import Faults
@@ -218,6 +219,15 @@ def test_an_approach_goes_around_when_the_range_fails(tmp_path: Path, wrong: dic
     assert stage.pilot.mode is Mode.LOITER
 
 
+def test_on_the_ground_nothing_is_ordered_any_more(tmp_path: Path) -> None:
+    """A go-around or RTL would start the motor there."""
+    stage = Stage(tmp_path)
+    stage.on_item(3, interrupt, below_m=0.5)
+    assert stage.fly(landing_approach.main, "--bearing=0", "--slope=8", "--land") == Exit.HANDS_OFF
+    assert stage.pilot.mode is Mode.AUTO
+    assert "GO AROUND" not in stage.log()
+
+
 def test_an_obstacle_too_near_ahead_breaks_the_pass_off(tmp_path: Path) -> None:
     # a second pole, on the leg itself
     stage = Stage(tmp_path, orientation=0, height_m=40.0, obstacle_m=(400.0, -30.0))
@@ -271,3 +281,36 @@ def test_an_airframe_that_does_not_exist_is_one_sentence(tmp_path: Path, capsys:
     code = climb_sweep.main(["--connect=udpin://127.0.0.1:1", f"--out={tmp_path}", "--airframe=no-such-plane"])
     assert code == Exit.REFUSED
     assert "no-such-plane" in capsys.readouterr().out
+
+
+# ------------------------------------------------------------------------------------------ ready to go on with
+
+
+@pytest.mark.slow
+def test_the_recording_of_a_sweep_identifies_the_wing(tmp_path: Path) -> None:
+    """The truth is drawn from priors half a hertz wide; the recording of a minute knows it to half a percent."""
+    stage = Stage(tmp_path, seconds=70.0, speed=3.0, parameters={"SCHED_LOOP_RATE": 400.0})
+    options = ("--heights", "60", "75", "--length=450", "--bearing=0", "--no-ranges")
+    assert stage.fly(climb_sweep.main, *options) == Exit.DONE
+    found = tmp_path / "found"
+    recording = str(tmp_path / "flight.tlog")
+    assert spanwise(["identify", "flight", recording, f"--airframe={stage.airframe_path}", f"--out={found}"]) == 0
+    wing, truth = load_airframe(str(found / "airframe.toml")).wing, stage.flight.real.actual.wing
+    for mode, true in ((wing.symmetric, truth.symmetric), (wing.antisymmetric, truth.antisymmetric)):
+        assert mode.frequency_hz.value == pytest.approx(true.frequency_hz.value, rel=0.005)
+
+
+@pytest.mark.slow
+def test_a_service_that_is_started_with_the_mission_records_it(tmp_path: Path) -> None:
+    """The real service on a second link, in real time; Ctrl-C in between, and both files are whole."""
+    stage = Stage(tmp_path, speed=1.0, seconds=40.0, parameters={}, second_link=True)
+    stage.on_item(1, interrupt)
+    options = ("--service", f"udpin:127.0.0.1:{stage.second_port}", "--no-ranges", *SWEEP)
+    assert stage.fly(climb_sweep.main, *options) == Exit.INTERRUPTED
+    recording = open_recording(tmp_path / "flight.mcap")
+    kinds = Counter(type(record).__name__ for record in recording.records())
+    assert recording.replayable
+    assert not [notice.text for notice in recording.notices]
+    assert kinds["ImuBatch"] > 100
+    assert kinds["ServiceStatus"] > 1
+    assert min(samples(stage).values()) > 0
