@@ -25,6 +25,7 @@ from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.trigger.blur import Motion
 from companion.core.trigger.scheduling import Scheduling
 from companion.core.vehicle_filters import VehicleFilters
+from companion.core.wing.folding import folded
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -84,6 +85,7 @@ class PipelineState:
 
 def start(airframe: Airframe, settings: Settings, hub: ClockName | None = None) -> PipelineState:
     """Begin with the airframe's beliefs; ``hub`` names the only clock of a log that has just one."""
+    airframe = folded(airframe)
     clocks = ClockBank()
     if hub is not None:
         clocks.identity(hub)

@@ -22,6 +22,7 @@ from companion.adapters.recordings.writer import About
 from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
+from companion.core.warming import warm_up
 from companion.errors import SpanwiseError
 from companion.params.persist import Keeper, load_stored
 from companion.params.settings import Settings, tunables
@@ -152,6 +153,7 @@ def _inertial_process(
     _ignore_interrupt()
     config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     clock: Clock = MonotonicClock()
+    warm_up(config.airframe, config.settings)
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
     firing = link_firing(config.trigger)

@@ -41,7 +41,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"numpy"}),
     ),
     "companion.service.wiring": (
-        frozenset({"service", "core.pipeline", "ports", "params", "records", "errors", "adapters"}),
+        frozenset({"service", "core.pipeline", "core.warming", "ports", "params", "records", "errors", "adapters"}),
         frozenset({"numpy"}),
     ),
     "companion.cli": (ANY, ANY),

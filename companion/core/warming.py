@@ -1,0 +1,44 @@
+"""Everything compiled before the first real sample: a made-up wing flown through a throw-away estimation.
+
+The compiler may take a minute where no machine code is kept from an earlier start; the inertial process must spend it
+before its link opens, never in flight.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.core.compiled import COMPILED
+from companion.core.mode.rigid import GRAVITY_MPS2
+from companion.core.pipeline import smoothed, start, step
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick
+
+_EPOCH_NS = 1_000_000_000_000
+_LENGTH_S = 2.4  # the first fit comes after 1.5 s
+_TICK_NS = 20_000_000
+
+
+def warm_up(airframe: Airframe, settings: Settings) -> None:
+    """Run all that is compiled once with this airframe's sizes."""
+    if not COMPILED:
+        return
+    state = start(airframe, settings)
+    for now_ns in range(_EPOCH_NS + _TICK_NS, _EPOCH_NS + round(_LENGTH_S * 1e9), _TICK_NS):
+        for station in Station:
+            rate_hz = airframe.sensor(station).rate_hz
+            first, last = (round((at - _EPOCH_NS) * 1e-9 * rate_hz) for at in (now_ns - _TICK_NS, now_ns))
+            t_ns = _EPOCH_NS + (np.arange(first, last) / rate_hz * 1e9).astype(np.int64)
+            batch = ImuBatch(station, ClockName.HOST, t_ns, _readings(t_ns, station), Axis.ALL, now_ns)
+            state, _ = step(state, batch)
+        state, _ = step(state, Tick(now_ns))
+    smoothed(state, _EPOCH_NS + round((_LENGTH_S - 0.5) * 1e9))
+
+
+def _readings(t_ns: np.ndarray[tuple[int], np.dtype[np.int64]], station: Station) -> Floats:
+    """A level aircraft whose tips swing; sines of many periods stand in for noise."""
+    t = (t_ns - _EPOCH_NS)[:, None] * 1e-9
+    values: Floats = 0.01 * np.sin(t * np.arange(100.0, 700.0, 100.0) + station)
+    values[:, 2] -= GRAVITY_MPS2 + (0.0 if station is Station.ROOT else 1.0) * np.sin(30.0 * t[:, 0])
+    return values
