@@ -82,7 +82,8 @@ def _exchanges(flight: Flight) -> Iterator[TimesyncReply]:
     loop_ns = round(1e9 / LOOP_HZ)
     for clock in sorted(clocks):
         rng = flight.generator(f"timesync {clock}")
-        for sent in range(_TIMESYNC_NS, round(flight.duration_s * 1e9), _TIMESYNC_NS):
+        for due in range(_TIMESYNC_NS, round(flight.duration_s * 1e9), _TIMESYNC_NS):
+            sent = due + int(rng.integers(_TIMESYNC_NS // 5))  # as the adapter does: at every phase of that loop
             there, back = (100_000 + rng.exponential(150_000.0, 2)).astype(np.int64).tolist()
             handled = sent + there
             if clock is ClockName.BOOT:
