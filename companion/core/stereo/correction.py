@@ -81,14 +81,15 @@ class Correction:
     ) -> Iterator[OutputRecord]:
         left, right = (tracker.smooth(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         if isinstance(left, Reject) or isinstance(right, Reject):
-            reason = left if isinstance(left, Reject) else right
-            assert isinstance(reason, Reject)
-            yield Rejected(reason, f"pair {matches.pair_id}", now_host_ns)
+            refused = left if isinstance(left, Reject) else right
+            assert isinstance(refused, Reject)
+            yield Rejected(refused, f"pair {matches.pair_id}", now_host_ns)
             return
         yield left
         yield right
         velocity_mps = np.array([airspeed_mps, 0.0, -climb_mps])
-        turned = self._turned(matches, left, right, velocity_mps)
+        reason = tracker.distrust
+        turned = self._turned(matches, (left, right), velocity_mps, look=reason is None)
         yield turned
         answer: RangeAnswer = correct(
             matches,
@@ -102,11 +103,11 @@ class Correction:
             attitude_rad=self._attitude((left.t_host_ns + right.t_host_ns) // 2),
         )
         slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
-        judged = self.gate.judge(_withheld(answer.range, tracker.distrust), climb_mps, slack_mps)
+        judged = self.gate.judge(_withheld(answer.range, reason), climb_mps, slack_mps)
         if judged.trusted:
             self.last_trusted = judged
         yield judged
-        if answer.sectors is not None:
+        if answer.sectors is not None and reason is None:
             yield answer.sectors
 
     def _attitude(self, t_host_ns: int) -> tuple[float, float] | None:
@@ -118,11 +119,14 @@ class Correction:
         roll = float(np.interp(0.0, since_s, [vehicle.roll_rad for vehicle in self.vehicles]))
         return roll, float(np.interp(0.0, since_s, [vehicle.pitch_rad for vehicle in self.vehicles]))
 
-    def _turned(self, matches: MatchSet, left: Deflection, right: Deflection, velocity_mps: Floats) -> RelativeRotation:
-        moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), left, right, velocity_mps)
+    def _turned(
+        self, matches: MatchSet, bend: tuple[Deflection, Deflection], velocity_mps: Floats, *, look: bool
+    ) -> RelativeRotation:
+        """What the matches tell, unless the tracked bend, on which they build, is not to be trusted."""
+        moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, velocity_mps)
         rays = match_rays(self.rig, moving, matches)
-        look = bool(self.settings.hold_slow)
-        return self.slow.update(matches, rays, (left, right), moving, TIMING_SIGMA_S, look=look)
+        look = look and bool(self.settings.hold_slow)
+        return self.slow.update(matches, rays, bend, moving, TIMING_SIGMA_S, look=look)
 
 
 def _withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:

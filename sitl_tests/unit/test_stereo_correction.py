@@ -1,0 +1,112 @@
+"""The correction's own business: attitude at exposure, what an untrusted wing withholds, and the same answer twice."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.adapters.recordings.codec import dumps
+from companion.core.stereo.correction import Correction
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.sectors import level_from_body
+from companion.params.settings import Settings
+from companion.records import (
+    CorrectedRange,
+    Deflection,
+    MatchSet,
+    ObstacleSectors,
+    OutputRecord,
+    Reject,
+    RelativeRotation,
+    VehicleState,
+)
+from sitl_tests.unit.stereo_cases import bend, forward, match_set, seen
+
+MS = 1_000_000
+SLOPES = (0.02, 0.024)
+EXPOSED_NS = 1000 * MS
+ROLL_RATE_RADPS = 0.8
+
+
+class Still:
+    """A tracker of a wing that does not move."""
+
+    def __init__(self, distrust: Reject | None = None) -> None:
+        self.distrust = distrust
+
+    def smooth(self, t_host_ns: int) -> Deflection:
+        return bend(SLOPES, t_ns=t_host_ns, slope_sigma_rad=2e-5)
+
+
+def _vehicle(t_ns: int) -> VehicleState:
+    """Rolling steadily, level one second before the exposure."""
+    return VehicleState(
+        0, t_ns, ROLL_RATE_RADPS * (t_ns - EXPOSED_NS + 500 * MS) * 1e-9, 0.0, 0.0, 20.0, 0.0, 0.5, True
+    )
+
+
+def _matches(number: int = 0) -> MatchSet:
+    """A post ahead to the right, and ground 30 m below, from the bank that there is at exposure."""
+    rig, random = Rig.from_airframe(forward(rotation_sigma_rad=2e-5)), np.random.default_rng(5 + number)
+    bearing = np.radians(10.0 + random.uniform(-1.0, 1.0, 40))
+    post = np.column_stack([40.0 * np.cos(bearing), 40.0 * np.sin(bearing), random.uniform(-3, 3, 40)])
+    ahead = random.uniform(60.0, 150.0, 300)
+    ground = np.column_stack([ahead, ahead * random.uniform(-0.3, 0.3, 300), np.full(300, 30.0)])
+    points = np.vstack([post, ground]) @ level_from_body(ROLL_RATE_RADPS * 0.5, 0.0)
+    left, right = seen(rig, points, SLOPES)
+    inside = np.all((left > 0) & (left < (640, 480)) & (right > 0) & (right < (640, 480)), axis=1)
+    pixels = right[inside] + 0.02 * random.normal(size=right[inside].shape)
+    exposed_ns = EXPOSED_NS + 100 * MS * number
+    return match_set(left[inside], pixels, 0.02, mid_exposure_ns=(exposed_ns, exposed_ns))
+
+
+def _corrected(tracker: Any, settings: Settings, pairs: int = 1, *, vehicles: bool = True) -> list[OutputRecord]:
+    correction = Correction.create(forward(rotation_sigma_rad=2e-5), settings)
+    for t_ns in range(0, 1600 * MS, 100 * MS) if vehicles else ():
+        correction.vehicles.append(_vehicle(t_ns))
+    outputs: list[OutputRecord] = []
+    for number in range(pairs):
+        outputs += correction.add(_matches(number))
+        outputs += correction.due(tracker, EXPOSED_NS + (600 + 100 * number) * MS, 0.0, 20.0)
+    return outputs
+
+
+def _of(kind: type[Any], outputs: list[OutputRecord]) -> list[Any]:
+    return [output for output in outputs if isinstance(output, kind)]
+
+
+def test_sectors_are_levelled_by_the_attitude_at_exposure_and_not_by_the_newest() -> None:
+    (sectors,) = _of(ObstacleSectors, _corrected(Still(), Settings()))
+    assert np.flatnonzero(sectors.known).tolist() == [2]
+    assert sectors.distance_m[2] == pytest.approx(40.0, abs=4.0 * sectors.sigma_m[2])
+    (bodily,) = _of(ObstacleSectors, _corrected(Still(), Settings(), vehicles=False))
+    assert bodily.known.any()
+
+
+def test_an_untrusted_wing_withholds_range_and_sectors_and_teaches_nothing() -> None:
+    outputs = _corrected(Still(Reject.NOT_SETTLED), Settings(), pairs=4)
+    ranges = _of(CorrectedRange, outputs)
+    assert len(ranges) == 4
+    assert not any(one.trusted for one in ranges)
+    assert Reject.NOT_SETTLED in {one.reject for one in ranges}
+    assert not _of(ObstacleSectors, outputs)
+    assert {one.matches for one in _of(RelativeRotation, outputs)} == {0}
+
+
+def test_matches_are_left_aside_where_the_parameter_says_so() -> None:
+    on = _of(RelativeRotation, _corrected(Still(), Settings()))
+    off = _of(RelativeRotation, _corrected(Still(), dataclasses.replace(Settings(), hold_slow=0)))
+    assert on[0].matches > 30
+    assert off[0].matches == 0
+    assert np.all(off[0].slow_rad == 0.0)
+
+
+def test_the_same_inputs_give_the_same_bytes() -> None:
+    one, other = (
+        [dumps(type(output), output) for output in _corrected(Still(), Settings(), pairs=5)] for _ in range(2)
+    )
+    assert one == other
+    assert len(_of(RelativeRotation, _corrected(Still(), Settings(), pairs=5))) == 5
