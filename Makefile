@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.stamp
 
-.PHONY: demo test long check fast lint types architecture generated bench lock clean help
+.PHONY: demo test long check fast lint types architecture generated bench trials lock clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -46,6 +46,9 @@ fast: $(STAMP)
 
 bench: $(STAMP)  ## speed, memory and accuracy figures, side by side with the alternatives
 	$(BIN)/python -m tools.bench
+
+trials: $(STAMP) ## blind trials of the diagnosis: table and confusion matrix in out/trials
+	$(BIN)/python -m tools.trials
 
 lock: $(STAMP)   ## pin every dependency with its hashes (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header --extra dev --extra fast -q pyproject.toml requirements-build.in -o requirements.lock

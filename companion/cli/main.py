@@ -1,4 +1,4 @@
-"""``spanwise``: run, demo, simulate, replay, params.
+"""``spanwise``: every command behind one name.
 
 Exit codes: 0 done; 1 bad input or a dead device (the message says what to do); 2 wrong usage; 3 done, but there was
 nothing to estimate (no mode, no ranges); 4 the doctor found something to fix; 130 stopped by Ctrl-C before the end.
@@ -23,25 +23,27 @@ _COMMANDS = {
     "diagnose": "what the simulation gets wrong on a recording, why, and what it is worth",
     "calibrate": "the stereo rig from images of a board, the trigger latency from a recording",
     "identify": "wing modes from a ground vibration test or a flight, written as an airframe",
-    "params": "the settings table: list, check or write config/PARAMETERS.md",
+    "params": "the settings table: show, check or write config/PARAMETERS.md",
 }
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The whole command line."""
+def build_parser(only: str | None = None) -> argparse.ArgumentParser:
+    """The whole command line; with ``only``, that command's options alone: the other rooms take seconds to load."""
     parser = argparse.ArgumentParser(
         prog="spanwise", description="Stereo ranges that stay true while the wing bends.", allow_abbrev=False
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
     for name, text in _COMMANDS.items():
-        module = importlib.import_module(f"companion.cli.{name}")
-        module.add_arguments(commands.add_parser(name, help=text, description=text, allow_abbrev=False))
+        command = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
+        if only in (None, name):
+            importlib.import_module(f"companion.cli.{name}").add_arguments(command)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; never a traceback for a bad input."""
-    options = build_parser().parse_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    options = build_parser(given[0] if given else "").parse_args(given)
     module = importlib.import_module(f"companion.cli.{options.command}")
     try:
         code: int = module.execute(options)
