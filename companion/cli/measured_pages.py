@@ -39,7 +39,7 @@ def ringing_page(found: RingingDiagnosis, scales: Mapping[str, Scale], plain: di
         *_left(plain),
     ]
     seconds = sum(float(one.t_s[-1]) for one in found.null.model.recordings)
-    return page.page(plain["verdict"], _headline(plain), f"{what}: {len(plain['recordings'])} recordings, "
+    return page.page(plain["verdict"], _headline(plain), f"{what}: recordings: {len(plain['recordings'])}, "
                      f"{seconds:.0f} s, fitted jointly", body)  # fmt: skip
 
 
@@ -188,7 +188,7 @@ def _innovations(found: RingingDiagnosis) -> Any:
     bound = 2.0 / np.sqrt(sum(len(one.t_s) for one in recordings))
     lags.axhspan(-bound, bound, color="#00000022", lw=0)
     whole.set(title=f"Innovations of {recordings[0].name}, in their sigma", xlabel="s", ylim=(-12, 12))
-    lags.set(title="Autocorrelation between knocks, all recordings", xlabel="lag, samples")
+    lags.set(title="Autocorrelation between knocks", xlabel="lag, samples")
     whole.legend(fontsize=8, loc="upper right")
     return figure
 
