@@ -38,6 +38,7 @@ _MOST_CELLS = 250  # averaged at once
 _SATURATED_NS = 200_000_000
 _PATIENCE_S = 5.0
 _TELL_NS = 40_000_000
+_SMALL = np.array([0.02, 0.5, 0.7, 1.0, 1.0, 0.05, 0.7, 1.0])  # of the parameters' logarithms
 _DISTRUST = {
     Validity.STALE: Reject.STALE,
     Validity.SETTLING: Reject.NOT_SETTLED,
@@ -161,13 +162,15 @@ class WingTracker:
         """
         model = self._model(self._adaptation.parameters)
         early = self._adaptation.refilter
-        tried = self._fresh(model) if early else self._begun.fork(model)
-        tried.run(join(self._recent))
-        if not tried.finite or tried.surprise > max(SURPRISED, self._kalman.surprise):
-            self._adaptation.parameters = self._kalman.model.parameters
-        elif early:
-            self._kalman = tried
-        else:
+        if early or not _alike(model.parameters, self._kalman.model.parameters):
+            tried = self._fresh(model) if early else self._begun.fork(model)
+            tried.run(join(self._recent))
+            if not tried.finite or tried.surprise > max(SURPRISED, self._kalman.surprise):
+                model = self._kalman.model
+                self._adaptation.parameters = model.parameters
+            elif early:
+                self._kalman = tried
+        if model is not self._kalman.model:
             self._kalman.use(model)
         self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
         if not self._adaptation.early:
@@ -288,3 +291,8 @@ class WingTracker:
         end, before = self._rates[at], self._rates[max(at - 1, -len(self._rates))]
         rate: Floats = before + share * (end - before)
         return rate
+
+
+def _alike(new: Parameters, old: Parameters) -> bool:
+    """Whether a change is too small to be worth a trial."""
+    return all(bool((np.abs(one.logs() - other.logs()) < _SMALL).all()) for one, other in zip(new, old, strict=True))
