@@ -17,7 +17,7 @@ from companion.adapters.mavlink.link import open_link
 from companion.adapters.mavlink.signing import load_signing
 from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
 from companion.cli.checks.examine import Examination, read_log
-from companion.cli.checks.link import check_link
+from companion.cli.checks.link import check_computer, check_link
 from companion.cli.checks.ranging import check_ranging
 from companion.cli.checks.timing import check_clocks, check_filters, check_rates
 from companion.cli.checks.wing import check_cameras, check_nodes
@@ -28,7 +28,16 @@ from companion.ports import Clock
 _TO_FIX = 4
 _TRIES = 3
 _ANSWER_NS = 1_000_000_000
-_CHECKS = (check_link, check_rates, check_filters, check_clocks, check_nodes, check_ranging, check_cameras)
+_CHECKS = (
+    check_link,
+    check_rates,
+    check_filters,
+    check_clocks,
+    check_nodes,
+    check_ranging,
+    check_cameras,
+    check_computer,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

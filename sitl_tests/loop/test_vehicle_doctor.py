@@ -243,6 +243,45 @@ def test_a_serial_line_too_slow_for_a_node_is_named_with_what_it_needs() -> None
     assert "750000" in said
 
 
+def test_a_serial_line_is_held_against_a_nodes_stream_before_it_is_slow() -> None:
+    full, rates = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL), {Station.LEFT: 1000.0, Station.RIGHT: 1000.0}
+    for baud, level in ((921_600, "ok"), (57_600, "FIX")):
+        said = texts(seen(axes=full, rate_hz=rates, serial_baud={"/dev/ttyS1": baud}), doctor.check_nodes)
+        assert f"{level} /dev/ttyS1: a node's stream needs 750000 baud of {baud}" in said
+
+
+def test_what_a_node_says_that_it_lost_is_told_with_the_cause() -> None:
+    full, rates = dict.fromkeys((Station.LEFT, Station.RIGHT), Axis.ALL), {Station.LEFT: 1000.0, Station.RIGHT: 1000.0}
+    losses = {(200, "loop_lost"): 12, (201, "line_lost"): 7, (201, "line_bad"): 0, (158, "other"): 5}
+    said = texts(seen(axes=full, rate_hz=rates, node_losses=losses), doctor.check_nodes)
+    assert "FIX node 200: 12 readings lost because its loop came too late" in said
+    assert "FIX node 201: 7 readings lost because its line is too slow" in said
+    assert "damaged" not in said
+    assert "158" not in said
+
+
+def test_zero_one_and_two_nodes_each_have_a_stated_behaviour() -> None:
+    said = [
+        texts(seen(axes=dict.fromkeys(alive, Axis.ALL), rate_hz=dict.fromkeys(alive, 1000.0)), doctor.check_nodes)
+        for alive in ([], [Station.LEFT], [Station.LEFT, Station.RIGHT])
+    ]
+    assert "only 'alive, no range' goes out" in said[0]
+    assert "larger sigma" in said[1]
+    assert "both tips send xyzpqr" in said[2]
+
+
+def test_a_deaf_node_with_gyros_will_be_aligned_and_one_without_cannot_be_used() -> None:
+    said = texts(seen(axes={Station.LEFT: Axis.ALL}), doctor.check_clocks)
+    assert "note node_left: TIMESYNC is not answered; it will be aligned by its gyro" in said
+    assert "FIX node_right: TIMESYNC is not answered; its samples cannot be used" in said
+
+
+def test_a_computer_that_grants_no_priority_is_told_what_to_set() -> None:
+    assert "LimitRTPRIO" in texts(seen(realtime=False), doctor.check_computer)
+    assert "ok" in texts(seen(realtime=True), doctor.check_computer)
+    assert texts(seen(), doctor.check_computer) == ""
+
+
 def test_copters_need_proximity_and_planes_have_none() -> None:
     forward = load_airframe("forward-2m")
     good = {"RNGFND1_TYPE": 10.0, "RNGFND1_ORIENT": 0.0, "PRX1_TYPE": 0.0}

@@ -68,6 +68,10 @@ class Evidence:
         DISTANCE_SENSOR messages that others sent.
     serial_baud : mapping
         Baud rate by link, for the links that have one.
+    node_losses : mapping of component, name
+        Counters that wing nodes tell (NAMED_VALUE_INT).
+    realtime : bool or None
+        Whether this user may take a real-time priority; None where that is not known.
     """
 
     airframe: Airframe
@@ -89,6 +93,8 @@ class Evidence:
     crc_errors: int = 0
     skipped_bytes: int = 0
     serial_baud: dict[str, int] = field(default_factory=dict)
+    node_losses: dict[tuple[int, str], int] = field(default_factory=dict)
+    realtime: bool | None = None
 
     @property
     def pilot(self) -> Beat | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -76,6 +77,7 @@ class Examination:
         seen.seconds = (now - self._began_host_ns) / 1e9
         counted_s = (now - self._counting_host_ns) / 1e9
         seen.system = decoder.system_id
+        seen.realtime = _may_be_realtime()
         seen.twice = self.pilot.component.identity.foreign
         if counted_s > 0:
             seen.rate_hz = {station: count / counted_s for station, count in self._counts.items() if count}
@@ -112,6 +114,14 @@ class Examination:
         note(self._evidence, heard, self.pilot.decoder.system_id)
 
 
+def _may_be_realtime() -> bool:
+    """Whether the trigger process would be granted SCHED_FIFO."""
+    import resource  # not everywhere
+
+    limit: int = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    return os.geteuid() == 0 or limit > 0 or limit == resource.RLIM_INFINITY
+
+
 def note(seen: Evidence, heard: Heard, system: int | None) -> None:
     """Keep what one rare message tells."""
     message, sender = heard.message, (heard.system, heard.component)
@@ -120,6 +130,8 @@ def note(seen: Evidence, heard: Heard, system: int | None) -> None:
         seen.beats[sender] = Beat(message.type, message.autopilot, count + 1)
     elif heard.system != system:
         return
+    elif heard.name == "NAMED_VALUE_INT":
+        seen.node_losses[heard.component, message.name] = message.value
     elif heard.name == "DISTANCE_SENSOR":
         seen.range_senders[(*sender, message.orientation)] += 1
     elif heard.component != mavlink.MAV_COMP_ID_AUTOPILOT1:

@@ -65,6 +65,19 @@ def _routing(seen: Evidence) -> Iterator[Finding]:
     yield Finding("routing", Level.OK if stations else Level.NOTE, text)
 
 
+def check_computer(seen: Evidence) -> Iterator[Finding]:
+    """Whether this computer lets the trigger be punctual."""
+    if seen.realtime is None or seen.airframe.left_camera is None:
+        return
+    if seen.realtime:
+        yield Finding("computer", Level.OK, "the trigger may take a real-time priority")
+    else:
+        text = (
+            "no real-time priority for this user: shots may be late by milliseconds; LimitRTPRIO=60 in the service unit"
+        )
+        yield Finding("computer", Level.NOTE, text)
+
+
 def _ids(seen: Evidence) -> Iterator[Finding]:
     ours = seen.settings.component_id
     if seen.twice:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.rates import SAMPLES_PER_PERIOD, needed_loop_rate_hz
 from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
-from companion.records import ClockName, Station
+from companion.records import Axis, ClockName, Station
 
 _FILTER_RATIO = 2.5
 _GOOD_BOUND_NS = 2_000_000
@@ -95,7 +95,14 @@ def check_clocks(seen: Evidence) -> Iterator[Finding]:
     sensors = [seen.airframe.sensor(station) for station in Station]
     for clock in sorted({sensor.source.clock for sensor in sensors} - {ClockName.HOST}):
         state = seen.clocks.get(clock)
-        if state is None:
+        turning = [station for station in Station if seen.airframe.sensor(station).source.clock is clock]
+        if state is None and clock is not ClockName.BOOT and seen.axes.get(turning[0], Axis.NONE) & Axis.GYRO:
+            text = (
+                f"{clock}: TIMESYNC is not answered; it will be aligned by its gyro in the first manoeuvres, "
+                "to some 0.4 ms (tools/wing_node has a firmware that answers: 0.1 ms)"
+            )
+            yield Finding("clock", Level.NOTE, text)
+        elif state is None:
             text = f"{clock}: TIMESYNC is not answered; its samples cannot be used"
             yield Finding(
                 "clock", Level.FIX, text + ("" if clock is ClockName.BOOT else ": node firmware without TIMESYNC?")

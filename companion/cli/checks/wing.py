@@ -7,8 +7,15 @@ from collections.abc import Iterator
 from companion.adapters.mavlink.dialect import ID_OF, payload_size
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
 from companion.cli.checks.evidence import Evidence, Finding, Level
+from companion.params.airframe import Sensor
 from companion.records import Axis, Station
 
+_NONE = "no wingtip is measured: there is nothing to correct ranges with; only 'alive, no range' goes out"
+_LOSSES = {
+    "loop_lost": "readings lost because its loop came too late: its firmware is too slow for this rate",
+    "line_lost": "readings lost because its line is too slow: raise the baud rate or lower the rate",
+    "line_bad": "damaged TIMESYNC requests: mend the cable",
+}
 _ENOUGH = 0.75
 _OVERHEAD_BYTES = 12
 _BITS_PER_BYTE = 10
@@ -30,10 +37,15 @@ def check_nodes(seen: Evidence) -> Iterator[Finding]:
     if len(alive) == 2:
         yield Finding("wing", Level.OK, _accuracy(seen))
     elif alive:
-        text = f"only the {alive[0].name.lower()} tip is measured: antisymmetric bending cannot be told from symmetric"
+        text = (
+            f"only the {alive[0].name.lower()} tip is measured: antisymmetric bending cannot be told from symmetric; "
+            "ranges go out with the larger sigma that this leaves, and are trusted where it is small enough"
+        )
         yield Finding("wing", Level.FIX, text)
     else:
-        yield Finding("wing", Level.FIX, "no wingtip is measured: there is nothing to correct ranges with")
+        yield Finding("wing", Level.FIX, _NONE)
+    yield from _lines(seen)
+    yield from _losses(seen)
 
 
 def _node(seen: Evidence, side: Station) -> Iterator[Finding]:
@@ -64,11 +76,36 @@ def _node(seen: Evidence, side: Station) -> Iterator[Finding]:
         yield Finding("wing", Level.FIX if slow else Level.OK, text + (_bandwidth(seen, side) if slow else ""))
 
 
+def _lines(seen: Evidence) -> Iterator[Finding]:
+    """Serial lines against what one node's stream needs."""
+    streams = [seen.airframe.sensor(side) for side in (Station.LEFT, Station.RIGHT)]
+    needed = max(
+        (_needed_baud(sensor) for sensor in streams if sensor.source.component != AUTOPILOT_COMPONENT), default=0
+    )
+    for link, baud in seen.serial_baud.items() if needed else ():
+        text = f"{link}: a node's stream needs {needed:.0f} baud of {baud}"
+        if baud < needed:
+            yield Finding("wing", Level.FIX, text + ": raise the baud rate, or lower the node's rate")
+        else:
+            yield Finding("wing", Level.OK, text)
+
+
+def _losses(seen: Evidence) -> Iterator[Finding]:
+    """What the nodes themselves say that they lost (tools/wing_node)."""
+    for (component, name), count in sorted(seen.node_losses.items()):
+        if count and name in _LOSSES:
+            yield Finding("wing", Level.FIX, f"node {component}: {count} {_LOSSES[name]}")
+
+
+def _needed_baud(sensor: Sensor) -> float:
+    frame_bytes = payload_size(ID_OF[sensor.source.message]) + _OVERHEAD_BYTES
+    return sensor.rate_hz * frame_bytes * _BITS_PER_BYTE
+
+
 def _bandwidth(seen: Evidence, side: Station) -> str:
     """What the stream needs of a serial line (1 kHz of HIGHRES_IMU is 750 kbaud), where one is in use."""
     sensor = seen.airframe.sensor(side)
-    frame_bytes = payload_size(ID_OF[sensor.source.message]) + _OVERHEAD_BYTES
-    needed = sensor.rate_hz * frame_bytes * _BITS_PER_BYTE
+    needed = _needed_baud(sensor)
     small = {link: baud for link, baud in seen.serial_baud.items() if baud < needed}
     if not small:
         return ""
