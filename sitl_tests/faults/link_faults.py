@@ -212,7 +212,7 @@ def killed(name: str) -> LinkOutcome:
     config = dataclasses.replace(config, connections=(cable.spelling,))
     with Service(config) as service:
         vehicle = Vehicle(int(cable.spelling.rpartition(":")[2]))
-        vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 30.0, lambda: vehicle.read("TRG_RATE"))
+        vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 120.0, lambda: vehicle.read("TRG_RATE"))
         (worker,) = [worker for worker in service._workers if worker.name == "inertial"]
         assert worker.process is not None
         worker.process.kill()
@@ -221,7 +221,7 @@ def killed(name: str) -> LinkOutcome:
         service.tend()
         while vehicle.link.recv_match(blocking=False) is not None:
             pass
-        vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 30.0, lambda: vehicle.read("TRG_RATE"))
+        vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 120.0, lambda: vehicle.read("TRG_RATE"))
         return LinkOutcome(name, "started again", time.monotonic() - killed_s, None, 0)
 
 

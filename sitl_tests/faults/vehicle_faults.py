@@ -114,6 +114,10 @@ def _foreign_time(frames: list[bytes], rng: np.random.Generator) -> list[bytes]:
 
 FAULTS = (
     Fault("none"),
+    Fault("autopilot reboots, 2 s", Faults(reboots=((1, BEGIN_S, END_S - BEGIN_S),))),
+    Fault("right node sends NaN", Faults(nans=((201, BEGIN_S, END_S),))),
+    Fault("left node reboots, 2 s", Faults(reboots=((200, BEGIN_S, END_S - BEGIN_S),))),
+    Fault("both nodes silent", Faults(silences=((200, BEGIN_S, END_S), (201, BEGIN_S, END_S)))),
     Fault("link silent both ways", meddle=_lost, deaf=True),
     Fault("a fifth of all frames lost", meddle=_thinned),
     Fault("garbage, truncated frames", meddle=_garbage),
@@ -122,11 +126,7 @@ FAULTS = (
     Fault("IMU spoofed by wrong components", meddle=_spoofed),
     Fault("MAVLink 1 frames among ours", meddle=_version_1),
     Fault("foreign TIMESYNC answers", meddle=_foreign_time),
-    Fault("autopilot reboots, 2 s", Faults(reboots=((1, BEGIN_S, END_S - BEGIN_S),))),
-    Fault("left node reboots, 2 s", Faults(reboots=((200, BEGIN_S, END_S - BEGIN_S),))),
     Fault("left node's stream stops", Faults(stops=((200, BEGIN_S, END_S),))),
-    Fault("both nodes silent", Faults(silences=((200, BEGIN_S, END_S), (201, BEGIN_S, END_S)))),
-    Fault("right node sends NaN", Faults(nans=((201, BEGIN_S, END_S),))),
 )
 
 
@@ -229,7 +229,7 @@ def main() -> None:
     for fault in FAULTS:
         outcomes.append(strike(flight, fault))
         print(table(outcomes[-1:]).splitlines()[-1], flush=True)
-    write(outcomes, Path(__file__).resolve().parents[1] / "README.md", links)
+        write(outcomes, Path(__file__).resolve().parents[1] / "README.md", links)
 
 
 if __name__ == "__main__":
