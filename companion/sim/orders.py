@@ -34,6 +34,11 @@ class Orders:
         self.commands: list[tuple[int, int]] = []
         self._stepped_ns = 0
 
+    @property
+    def flown_ns(self) -> int:
+        """Boot time up to which the pilot has flown."""
+        return self._stepped_ns
+
     # ------------------------------------------------------------------------------------------ from the ground
 
     def receive(self, message: Any, now_ns: int) -> list[Any] | None:

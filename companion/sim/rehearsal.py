@@ -15,6 +15,7 @@ from companion.sim.standin import RangeStandIn
 from companion.sim.world import Link, World, WorldOptions
 
 _WAKE_S = 0.002
+_LONGEST_STEP_S = 0.02
 _FORWARD = 0
 _FIELD_OF_VIEW_RAD = 0.37
 
@@ -53,7 +54,9 @@ class Rehearsal:
         self._obstacle_m = obstacle_m
         orientation = flight.airframe.orientation
         self.standin = RangeStandIn(
-            self._ahead_m if orientation == _FORWARD else self._below_m, lambda: self.boot_ns, orientation=orientation
+            self._ahead_m if orientation == _FORWARD else self._below_m,
+            lambda: self.orders.flown_ns,  # the instant that the distance is of
+            orientation=orientation,
         )
         ports: list[Port] = [Link(connection) for connection in connections]
         self._router = Router([*ports, self.standin] if ranges else ports)
@@ -74,11 +77,17 @@ class Rehearsal:
         return self.orders.pilot
 
     def run(self, ended: Callable[[], bool]) -> None:
-        """Fly in (multiplied) real time until ``ended`` says so, then close the links."""
-        began = time.monotonic()
+        """Fly in (multiplied) real time until ``ended`` says so, then close the links.
+
+        Faster than real, a machine that stalls makes the flight slower instead of making it jump.
+        """
+        most_s = math.inf if self.speed == 1.0 else _LONGEST_STEP_S
+        before_s = time.monotonic()
         try:
             while not ended():
-                self.boot_ns = round((time.monotonic() - began) * self.speed * 1e9)
+                now_s = time.monotonic()
+                self.boot_ns += round(min(now_s - before_s, most_s) * self.speed * 1e9)
+                before_s = now_s
                 self.world.turn(self.boot_ns, time.monotonic_ns())
                 time.sleep(_WAKE_S)
         finally:
