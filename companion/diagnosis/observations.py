@@ -101,6 +101,8 @@ class Observations:
     toe : ToeData or None
     rigid : dict of str to (m,)
         The root's further axes by letter (x, y, p, q, r), where they were recorded.
+    fine_mps2 : (M, c) or None
+        ``up_mps2`` at the sensors' own rate ``fine_hz``, over the same time: what is crooked bends the whole band.
     inputs : dict of str to (m,)
         Measured forces (input_n) and base accelerations (input_mps2), their means removed.
     share : float
@@ -122,6 +124,8 @@ class Observations:
     toe: ToeData | None
     rigid: dict[str, Floats] = field(default_factory=dict)
     inputs: dict[str, Floats] = field(default_factory=dict)
+    fine_mps2: Floats | None = None
+    fine_hz: float = 0.0
     in_samples: tuple[SampleFinding, ...] = ()
     share: float = 1.0
     notes: tuple[str, ...] = ()
@@ -152,10 +156,18 @@ class Observations:
             covariates={name: values[first:last] for name, values in self.covariates.items()},
             rigid={name: values[first:last] for name, values in self.rigid.items()},
             inputs={name: values[first:last] for name, values in self.inputs.items()},
+            fine_mps2=self._fine(first, last),
             share=self.share * (last - first) / len(self.up_mps2),
             toe=toe,
             start_s=self.start_s + first / self.rate_hz,
         )
+
+    def _fine(self, first: int, last: int) -> Floats | None:
+        if self.fine_mps2 is None:
+            return None
+        ratio = self.fine_hz / self.rate_hz
+        part = self.fine_mps2[round(first * ratio) : round(last * ratio)]
+        return np.asarray(part - part.mean(0))
 
 
 def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observations:
@@ -198,6 +210,8 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         _toe(raw.ranges, airframe, start_s, stop_s),
         {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
         {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
+        up - up.mean(0),
+        fine_hz,
         together([entry for side in sides for entry in faults[side]]),
         notes=tuple(notes),
         centre_s=0.5 * keep / rate_hz,

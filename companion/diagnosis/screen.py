@@ -105,9 +105,12 @@ def screen(
         declared = part.effect.parameters()
         sigmas = np.array([entry.sigma for entry in declared])
         values = np.concatenate([null.values, [getattr(part.effect, entry.name) for entry in declared]])
-        only = range(len(null.values), len(values))
+        # a mode's frequency means nothing while its participation is 0: what is scanned for has one column
+        count = 1 if part.effect.scan else len(declared)
+        only = range(len(null.values), len(null.values) + count)
         wide = np.concatenate([null.sigmas, sigmas])
         own = derivatives(models, values, (*null.parts, part), null.found, wide, only)
+        own = [[*mine, *[Column()] * (len(declared) - count)] for mine in own]
         columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
         tested.append((part, sigmas))
         progress((done + 1) / len(parts))

@@ -43,10 +43,7 @@ class Straightener:
         self._seen, self._transforms = seen, transforms
         self._weight: Floats = transforms.taper**2  # the likelihood sees tapered data
         self._up: Floats = np.ascontiguousarray(seen.up_mps2.T)
-        self._rigid = np.zeros((len(seen.up_mps2), 6))
-        for name, column in _RIGID_COLUMNS.items():
-            if name in seen.rigid:
-                self._rigid[:, column] = seen.rigid[name]
+        self._fine = _Fine(seen)
 
     @property
     def recorded_mps2(self) -> Floats:
@@ -65,7 +62,7 @@ class Straightener:
         for effect in effects:
             if type(effect).response is not Effect.response or not _acts_on_samples(effect):
                 continue
-            change = np.stack([self._change(effect, side, up[i]) for i, side in enumerate(self._seen.sides)])
+            change = np.stack([self._change(effect, side, i) for i, side in enumerate(self._seen.sides)])
             if type(effect).sample_time is Effect.sample_time:
                 share = np.sum(self._weight * change * up, axis=1) / np.sum(self._weight * up**2, axis=1)
                 change = change - share[:, None] * up
@@ -125,25 +122,46 @@ class Straightener:
         follows = np.zeros(len(self._seen.up_mps2)) if channel is None else channel
         return part.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
 
-    def _change(self, effect: Effect, side: Side, up: Floats) -> Floats:
-        """What an effect has added to what a station shows of ``up``."""
-        station, t_s = STATIONS[side], self._seen.t_s
-        shown = up
+    def _change(self, effect: Effect, side: Side, channel: int) -> Floats:
+        """What an effect has added to what a station shows, (m,)."""
+        station, t_s, up = STATIONS[side], self._seen.t_s, self._up[channel]
         if type(effect).sample_time is not Effect.sample_time:
             # what is shown at t is taken back to where it belongs: up - (shown - up) is up at the mirrored instant
             mirrored = 2.0 * t_s - effect.sample_time(station, t_s)
-            shown = 2.0 * up - self._transforms.at(np.fft.rfft(up), mirrored)
-        added = self._sensed(effect, station, -GRAVITY_MPS2 - shown)
+            return np.asarray(up - self._transforms.at(np.fft.rfft(up), mirrored))
+        fine = self._fine
+        added = fine.sensed(effect, station, -GRAVITY_MPS2 * fine.load_factor - fine.up_mps2[channel])
         if self._seen.has_root:
-            heave = -GRAVITY_MPS2 * self._seen.load_factor
-            added = added - self._sensed(effect, Station.ROOT, heave)
-        return np.asarray(shown - added - up)
+            added = added - fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor)
+        return fine.thinned(-added, len(up))
 
-    def _sensed(self, effect: Effect, station: Station, force_z: Floats) -> Floats:
+
+class _Fine:
+    """The same recording at its sensors' own rate, where what is crooked bends the whole band."""
+
+    def __init__(self, seen: Observations) -> None:
+        up = seen.up_mps2 if seen.fine_mps2 is None else seen.fine_mps2
+        rate_hz = seen.rate_hz if seen.fine_mps2 is None else seen.fine_hz
+        self.up_mps2: Floats = np.ascontiguousarray(up.T)
+        self._t_s: Floats = seen.start_s + np.arange(len(up)) / rate_hz
+        self.load_factor: Floats = np.interp(self._t_s, seen.t_s, seen.load_factor)
+        self._rigid = np.zeros((len(up), 6))
+        for name, column in _RIGID_COLUMNS.items():
+            if name in seen.rigid:
+                self._rigid[:, column] = np.interp(self._t_s, seen.t_s, seen.rigid[name])
+
+    def sensed(self, effect: Effect, station: Station, force_z: Floats) -> Floats:
         """What an effect adds to a station's vertical specific force."""
         values = self._rigid.copy()
         values[:, 2] = force_z
-        return np.asarray(effect.sense(station, self._seen.t_s, values)[:, 2] - force_z)
+        return np.asarray(effect.sense(station, self._t_s, values)[:, 2] - force_z)
+
+    def thinned(self, values: Floats, count: int) -> Floats:
+        """The lower part of the spectrum, on the coarse grid."""
+        if len(values) == count:
+            return values
+        spectrum = np.fft.rfft(values)[: count // 2 + 1]
+        return np.asarray(np.fft.irfft(spectrum, count) * (count / len(values)))
 
 
 def _acts_on_samples(effect: Effect) -> bool:

@@ -21,7 +21,7 @@ class SecondMode(Effect):
     group: ClassVar[Group] = Group.STRUCTURE
     one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "add it to the airframe as wing.second_symmetric; a ground vibration test gives its slope"
-    scan: ClassVar = MappingProxyType({"frequency_hz": tuple(7.5 * 1.06**k for k in range(30))})
+    scan: ClassVar = MappingProxyType({"frequency_hz": tuple(7.5 * 1.045**k for k in range(40))})
 
     participation: float = parameter("", 0.3, "power of its acceleration at the tip")
     frequency_hz: float = parameter("Hz", 10.0, "natural frequency", default=20.0)

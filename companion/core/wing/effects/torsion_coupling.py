@@ -25,7 +25,7 @@ class TorsionCoupling(Effect):
     group: ClassVar[Group] = Group.STRUCTURE
     one_way: ClassVar[bool] = True
     advice: ClassVar[str] = "put a second accelerometer on the other edge of the tip: torsion moves the edges apart"
-    scan: ClassVar = MappingProxyType({"frequency_hz": tuple(8.0 * 1.09**k for k in range(18))})
+    scan: ClassVar = MappingProxyType({"frequency_hz": tuple(8.0 * 1.05**k for k in range(28))})
 
     coupling: float = parameter("", 0.05, "square of the relative coupling stiffness, and of the offset")
     frequency_hz: float = parameter("Hz", 10.0, "natural frequency of the torsion", default=20.0)
