@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.compiled import compiled
+from companion.core.mode.floor import DERIVATIVE, EDGE, Floor
 from companion.core.mode.layout import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.mode.model import Parameters
 from companion.core.mode.parameters import (
@@ -47,10 +46,6 @@ _ROUNDS = 6
 _CLEARLY = 1.0
 _LOWEST_HZ = 0.25
 _KEPT, _ROLL, _STATIC = 4, 2, 3  # columns: both vertical rows, root roll rate, bend by the load factor
-_EDGE = 8
-# rigid roll lies below some 10 Hz; above, the gyro's noise would be differentiated
-_SMOOTH = np.hanning(2 * _EDGE + 1)[1:-1]
-_DERIVATIVE = np.convolve(_SMOOTH / _SMOOTH.sum(), [0.5, 0.0, -0.5])
 _REACH = 4.0
 _LEAST_PRESENT = 0.98
 
@@ -177,7 +172,7 @@ class Adaptation:
         assert best is not None
         return fit(stretch, prior, best.logs, _ROUNDS)
 
-    def _channel(self, rows: Floats, which: tuple[int, ...]) -> tuple[Floats, _Floor]:
+    def _channel(self, rows: Floats, which: tuple[int, ...]) -> tuple[Floats, Floor]:
         tip = self._noise.own[[Z_LEFT, Z_RIGHT]] * 2.0 * self._step_s
         root = self._noise.root_z * 2.0 * self._step_s
         roll = self._noise.own[P_ROOT] * 2.0 * self._step_s
@@ -186,17 +181,17 @@ class Adaptation:
         cut = self._cut_density()
         if which == (0,):
             white = float(tip.sum() / 4.0 + root)
-            floor = _Floor(white, 0.0, 0.5 * cut, self._drift((1.0, 1.0)), self._step_s)
+            floor = Floor(white, 0.0, 0.5 * cut, self._drift((1.0, 1.0)), self._step_s)
             return 0.5 * (rows[:, 0] + rows[:, 1]) - known, floor
-        lift = lever * np.convolve(rows[:, _ROLL], _DERIVATIVE / self._step_s, mode="same")  # of the rigid roll
-        lift[:_EDGE], lift[-_EDGE:] = 0.0, 0.0
+        lift = lever * np.convolve(rows[:, _ROLL], DERIVATIVE / self._step_s, mode="same")  # of the rigid roll
+        lift[:EDGE], lift[-EDGE:] = 0.0, 0.0
         if len(which) == 2:
             samples = rows[:, self._only] - known - (2 * self._only - 1) * lift
-            return samples, _Floor(
+            return samples, Floor(
                 float(tip[self._only] + root), roll * lever**2, cut, self._drift(self._alone), self._step_s
             )
         white = float(tip.sum() / 4.0)
-        floor = _Floor(white, roll * lever**2, 0.5 * cut, self._drift((-1.0, 1.0)), self._step_s)
+        floor = Floor(white, roll * lever**2, 0.5 * cut, self._drift((-1.0, 1.0)), self._step_s)
         return 0.5 * (rows[:, 1] - rows[:, 0]) - lift, floor
 
     @property
@@ -244,32 +239,6 @@ class Adaptation:
             start = starts[best]
             self.ambiguous |= _two_answers(costs)
         return start
-
-
-@dataclass(frozen=True, slots=True)
-class _Floor:
-    """Noise density: white, the root gyro's through the lever arm (it grows with frequency), cut samples', drift's."""
-
-    white: float
-    roll: float
-    cut: float
-    drift: float
-    step_s: float
-
-    def __call__(self, frequency_hz: Floats) -> Floats:
-        density: Floats = self.white + self.roll * _differentiated(frequency_hz, self.step_s)
-        density += self.drift / frequency_hz**2
-        density += self.cut * (1.0 - np.cos(2.0 * np.pi * self.step_s * frequency_hz))
-        return density
-
-
-@compiled
-def _differentiated(frequency_hz: Floats, step_s: float) -> Floats:
-    """Squared gain of the smooth derivative, 1/s^2: it is odd, so sines are all there is."""
-    turn = np.zeros(len(frequency_hz))
-    for k in range(1, _EDGE + 1):
-        turn += 2.0 * _DERIVATIVE[_EDGE + k] * np.sin(2.0 * np.pi * step_s * k * frequency_hz)
-    return (turn / step_s) ** 2
 
 
 def _join(families: list[ModeParameters]) -> Prior:
