@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from mission_scripts.common.watch import Range
 
 _SIGMAS = 4.0
+_BANKED_RAD = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +53,14 @@ class RangeMonitor:
         self.apart_m: list[float] = []
 
     def take(self, entry: Range) -> None:
-        """One range, in the order of arrival."""
+        """One range, in the order of arrival; in a steep turn it is not compared with anything."""
         self._newest_s = entry.at_s
         if not entry.trusted:
             return
         self._trusted_s = entry.at_s
+        if entry.tilt_rad > _BANKED_RAD:
+            self._last = None
+            return  # in a turn a slightly late attitude is worth metres
         expected_m = self._expected_m(entry)
         jump = self._compare(entry, expected_m)
         if jump:

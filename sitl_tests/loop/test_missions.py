@@ -221,9 +221,10 @@ def test_an_approach_goes_around_when_the_range_fails(tmp_path: Path, wrong: dic
 
 def test_on_the_ground_nothing_is_ordered_any_more(tmp_path: Path) -> None:
     """A go-around or RTL would start the motor there."""
-    stage = Stage(tmp_path)
+    stage = Stage(tmp_path, speed=3.0, height_m=40.0)
     stage.on_item(3, interrupt, below_m=0.5)
-    assert stage.fly(landing_approach.main, "--bearing=0", "--slope=8", "--land") == Exit.HANDS_OFF
+    options = ("--bearing=0", "--slope=10", "--height=40", "--gate=30", "--decision=12", "--land")
+    assert stage.fly(landing_approach.main, *options) == Exit.HANDS_OFF
     assert stage.pilot.mode is Mode.AUTO
     assert "GO AROUND" not in stage.log()
 

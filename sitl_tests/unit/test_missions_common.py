@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import types
@@ -71,6 +72,15 @@ def test_a_fast_descent_is_no_jump(sink_mps: float, period_s: float) -> None:
         height_m = 80.0 - sink_mps * period_s * step
         watched.take(a_range(period_s * step, height_m, height_m))
     assert watched.trouble(4 * period_s) == ""
+
+
+def test_a_turn_is_not_compared() -> None:
+    """40 m below a bank of 40 degrees are 52 m along the axis; an attitude that comes late makes a jump of it."""
+    watched = monitor()
+    watched.take(a_range(0.0, 40.0, 40.0))
+    watched.take(dataclasses.replace(a_range(0.1, 52.0, 40.0), tilt_rad=0.6))
+    watched.take(a_range(0.2, 40.0, 40.0))
+    assert watched.trouble(0.2) == ""
 
 
 def test_an_uncertain_range_is_given_its_own_sigma() -> None:
