@@ -235,6 +235,11 @@ class WingTracker:
         """Why nothing should be published that rests on this estimate; None where it may be."""
         return _DISTRUST.get(self._validity) if self._rates and self._level.learned else Reject.NOT_SETTLED
 
+    @property
+    def surprise(self) -> float:
+        """Mean square of the last second's normalised innovations: one where the model is right."""
+        return self._kalman.surprise
+
     def _refusal(self) -> Reject | None:
         """Why nothing can be said at all."""
         if not self._rates:

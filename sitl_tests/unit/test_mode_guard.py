@@ -1,0 +1,91 @@
+"""What keeps a wrong model from being believed: surprise, trial of parameters, stamps of held-up sends, warming up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.core.mode.stream import respaced
+from companion.core.mode.tracker import WingTracker
+from companion.core.pipeline import start, step
+from companion.core.warming import warm_up
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ImuBatch, Reject, Station, Tick, Validity
+from companion.sim.flight import Flight, build_flight
+from companion.sim.offline import HOST_EPOCH_NS, flight_records
+
+PERIOD_NS = 3_000_000
+BROKEN_S, MENDED_S, END_S = 12.0, 14.0, 32.0
+
+
+@given(st.integers(2, 37), st.integers(0, 60_000))
+def test_a_sample_that_was_held_up_goes_back_to_its_place(late: int, early_ns: int) -> None:
+    regular = np.arange(40, dtype=np.int64) * PERIOD_NS
+    stamped = regular.copy()
+    stamped[late] = regular[late + 1] - early_ns  # sent in one go with the next
+    assert np.abs(respaced(stamped, PERIOD_NS) - regular).max() <= 1
+
+
+@given(st.lists(st.integers(1_700_000, 4_300_000), min_size=5, max_size=40))
+def test_what_is_only_uneven_stays_where_it_is(gaps_ns: list[int]) -> None:
+    stamps = np.cumsum(np.array(gaps_ns, dtype=np.int64))
+    np.testing.assert_array_equal(respaced(stamps, PERIOD_NS), stamps)
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return build_flight(load_airframe("nadir-2m"), 21, END_S)
+
+
+def _flown(flight: Flight, spoil: bool) -> list[tuple[float, Validity, Reject | None, float]]:
+    """Time, validity, distrust and surprise; with ``spoil`` the left tip's lateral axis shows the vertical one's."""
+    state = start(flight.airframe, Settings())
+    state.scheduling = state.correction = None
+    seen, now_ns = [], HOST_EPOCH_NS
+    for record in flight_records(flight):
+        while now_ns <= getattr(record, "received_host_ns", 0):
+            state, _ = step(state, Tick(now_ns))
+            now_ns += 20_000_000
+            if state.mode is not None:
+                tracker = state.tracker
+                t_s = (now_ns - HOST_EPOCH_NS) * 1e-9
+                seen.append((t_s, state.mode.validity, tracker.distrust, tracker.surprise))
+        if isinstance(record, ImuBatch) and record.station is Station.LEFT and spoil:
+            t_s = (record.received_host_ns - HOST_EPOCH_NS) * 1e-9
+            if BROKEN_S <= t_s < MENDED_S:
+                record.values[:, 1] = 0.2 * record.values[:, 2]
+        state, _ = step(state, record)
+    return seen
+
+
+@pytest.mark.slow
+def test_the_right_model_is_not_surprised_and_is_trusted_once_it_has_learned(flight: Flight) -> None:
+    seen = _flown(flight, spoil=False)
+    late = [entry for entry in seen if entry[0] > 12.0]
+    assert all(distrust is None for _, _, distrust, _ in late)
+    assert 0.7 < float(np.median([surprise for *_, surprise in late])) < 1.4
+    early = [entry for entry in seen if entry[0] < 9.0]
+    assert {distrust for _, _, distrust, _ in early} == {Reject.NOT_SETTLED}
+
+
+@pytest.mark.slow
+def test_sensors_that_contradict_the_model_cost_the_trust_and_give_it_back(flight: Flight) -> None:
+    seen = _flown(flight, spoil=True)
+    during = [entry for entry in seen if BROKEN_S + 0.3 < entry[0] < MENDED_S]
+    assert all(distrust is Reject.CONTRADICTED for _, _, distrust, _ in during)
+    assert all(validity is Validity.INCONSISTENT for _, validity, _, _ in during)
+    assert seen[-1][2] is None
+    assert all(np.isfinite(surprise) for *_, surprise in seen)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nadir-2m", "forward-2m", "paper-flying-wing", "sitl-plane"])
+def test_warming_up_runs_through_for_every_airframe(name: str) -> None:
+    warm_up(load_airframe(name), Settings())
+
+
+def test_a_tracker_that_has_seen_nothing_is_not_trusted() -> None:
+    assert WingTracker(load_airframe("nadir-2m"), Settings()).distrust is Reject.NOT_SETTLED
