@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from companion.cli.audit import edge_fits, fig_4, modal_peaks, shaken_boom, vibration_test
+from companion.cli.audit import edge_fits, fig_4, modal_peaks, shaken_boom, vibration_test, wing_shapes
 from companion.core.wing.beam import BeamMode
 from companion.params.files import load_airframe
 
@@ -110,3 +111,11 @@ def base_participation(mode: BeamMode) -> float:
     per_length, tip = 2700 * 0.0507 * 0.001, 0.0365
     moved = per_length * np.trapezoid(shape, station) + tip
     return float(moved / (per_length * np.trapezoid(shape**2, station) + tip))
+
+
+def test_without_the_measured_wing_the_figures_say_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("SPANWISE_DATA", str(tmp_path))
+    section = wing_shapes.section()
+    assert section.data["measured"] is None
+    assert any("skipped" in finding for finding in section.findings)
+    assert len(section.pictures) == 1

@@ -42,13 +42,15 @@ def section(results: Results) -> Section:
 
 
 def _largest_blur(results: Results) -> float:
-    return max(float(found["blur_median_px"]) for found in results.randoms.values())
+    return float(np.nanmax([found["blur_median_px"] for found in results.randoms.values()]))
 
 
 def _largest_oracle(results: Results) -> float:
     """Largest rms error of relative toe that is left with the true extrinsics."""
     scored = [(key, found) for both in (results.peaks, results.randoms) for key, found in both.items()]
-    return max(math.hypot(*toe_error_mrad(results.outcomes[key], found["oracle"])) for key, found in scored)
+    return float(
+        np.nanmax([math.hypot(*toe_error_mrad(results.outcomes[key], found["oracle"])) for key, found in scored])
+    )
 
 
 def _table(results: Results) -> Table:

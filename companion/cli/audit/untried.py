@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -93,7 +94,7 @@ def _table(results: Results) -> Table:
     for key in results.untried:
         found = results.randoms[key]
         outcome = results.outcomes[key]
-        errors = ("{:+.2f} ± {:.2f}".format(*toe_error_mrad(outcome, found[way])) for way in _WAYS)
+        errors = (_spread(*toe_error_mrad(outcome, found[way])) for way in _WAYS)
         median = percent(found["published"]["median_percent"] / 100)
         counts = f"{found['shots']} / {found['trusted']}"
         rows.append((outcome.trial.title, number(found["toe_rms_mrad"], 3), *errors, median, counts))
@@ -107,6 +108,10 @@ def _table(results: Results) -> Table:
         "service, which also asks the matched features. All but the first carry six-axis wing nodes and the "
         "calibration errors that their airframe files state.",
     )  # fmt: skip
+
+
+def _spread(mean: float, spread: float) -> str:
+    return f"{mean:+.2f} ± {spread:.2f}" if math.isfinite(mean) else "-"
 
 
 def trim_toe_mrad() -> float:

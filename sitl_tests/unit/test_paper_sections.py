@@ -1,0 +1,121 @@
+"""The experiments' sections from made-up shots whose scores are known: no simulation, no images."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.cli.audit import digest, own_experiments, report, setups, triggering, untried
+from companion.cli.audit.experiments import Outcome
+from companion.cli.audit.findings import Section
+from companion.cli.audit.scores import Results, one_tip_toe_error_mrad, toe_error_mrad
+from companion.cli.audit.shots import Flown, Readings, Scored
+from companion.cli.audit.trials import Trial, trials
+from companion.cli.judge import Reading
+from companion.records import Reject
+
+LEFT = 0.05  # share of the toe that the correction leaves
+EMPTY = "antisymmetric"  # the planner finds nothing there
+TOES_MRAD = (4.0, -4.0, 3.0, -3.0)
+
+
+def shot(trial: Trial, baseline_m: float, toe_mrad: float, planned: bool) -> Scored:
+    """Symmetric bending by ``toe_mrad``, read by every way with its own share of the error."""
+    true = 1.0 / trial.distance_m
+    error = 1e-3 * toe_mrad / baseline_m
+
+    def reading(share: float) -> Reading:
+        return Reading(true + share * error, true)
+
+    whole: Readings = {
+        "rigid": reading(1.0),
+        "in_trim": reading(1.0),
+        "corrected": reading(LEFT),
+        "published": reading(LEFT / 2),
+        "oracle": reading(0.0),
+    }
+    upper = whole if trial.airframe == "forward-2m" else {}
+    half = 0.5e-3 * toe_mrad
+    reject = None if planned else Reject.SIGMA_TOO_LARGE
+    return Scored(planned, whole, upper, reject, (half, half), 0.05 if planned else 0.2, 2.0 if planned else 45.0)
+
+
+def outcome(trial: Trial) -> Outcome:
+    baseline_m = 0.254 if trial.airframe == "paper-beam" else 1.98
+    ways = (False,) if trial.key == EMPTY else (True, False)
+    shots = tuple(shot(trial, baseline_m, toe, planned) for planned in ways for toe in TOES_MRAD)
+    grey = np.full((48, 64), 120, np.uint8)
+    flown = Flown(shots, 6, {"tracker not settled": 2} if trial.key == EMPTY else {})
+    return Outcome(trial, flown, (grey, grey), baseline_m, 0.02)
+
+
+@pytest.fixture(scope="module")
+def results() -> Results:
+    return Results.of([outcome(trial) for trial in trials()], 5)
+
+
+@pytest.fixture(scope="module")
+def sections(results: Results) -> list[Section]:
+    return [
+        digest.section(results, {"share_of_slope_variance": 0.9999}),
+        setups.section(results),
+        own_experiments.section(results),
+        triggering.section(results),
+        untried.section(results),
+    ]
+
+
+def test_what_is_removed_is_what_the_correction_takes_out(results: Results) -> None:
+    for key in results.outcomes:
+        found = results.randoms[key]
+        assert found["removed"] == pytest.approx(1 - LEFT)
+        mean, spread = toe_error_mrad(results.outcomes[key], found["rigid"])
+        assert mean == pytest.approx(0.0, abs=1e-9)
+        assert spread == pytest.approx(np.sqrt((16 + 9) / 2))
+
+
+def test_diverging_shots_read_short_by_the_closed_form(sections: list[Section]) -> None:
+    found = next(section for section in sections if section.key == "experiments").data["diverging_ranges_m"]
+    inverse = 1 / 60 + np.median([4e-3, 3e-3]) / 1.98
+    assert found["wing_60m"]["rigid"] == pytest.approx(1 / inverse)
+    assert found["wing_60m"]["oracle"] == pytest.approx(60.0)
+
+
+def test_one_tip_sees_symmetric_bending_rightly_and_antisymmetric_doubly(results: Results) -> None:
+    trial = results.outcomes["lift"].trial
+    symmetric = [shot(trial, 1.98, toe, True) for toe in TOES_MRAD]
+    assert one_tip_toe_error_mrad(symmetric) == pytest.approx(0.0, abs=1e-12)
+    twisted = [Scored(True, {}, {}, None, (-0.001, 0.001), 0.0, 0.0)]
+    assert one_tip_toe_error_mrad(twisted) == pytest.approx(2.0)
+
+
+def test_every_experiment_is_shown_and_every_shot_accounted_for(results: Results, sections: list[Section]) -> None:
+    shown = {cell for section in sections for table in section.tables for row in table.rows for cell in row}
+    assert {trial.title for trial in trials()} <= shown
+    counts = next(section for section in sections if section.key == "setups").tables[1]
+    refused = next(row for row in counts.rows if row[0] == results.outcomes[EMPTY].trial.title)
+    assert "2 tracker not settled" in refused
+    assert "0 + 4" in refused
+    assert any("4 sigma too large" in cell for cell in counts.rows[0])
+
+
+def test_an_experiment_without_a_single_peak_shot_is_still_printed(sections: list[Section], tmp_path: Path) -> None:
+    pages = report.write(sections, tmp_path)
+    html, markdown, numbers = (page.read_text(encoding="utf-8") for page in pages)
+    for text in (re.sub(r'base64,[^"]*', "", html), markdown):
+        assert not re.search(r"\bnan\b", text)
+    json.loads(numbers, parse_constant=lambda name: pytest.fail(f"{name} in the JSON"))
+
+
+def test_the_first_page_claims_only_what_the_run_gives(results: Results) -> None:
+    dominance = {"share_of_slope_variance": 0.9999}
+    good = digest.section(results, dominance)
+    assert good.data["more_than_the_paper_claims"] is True
+    worse = {**results.peaks, "boom_1m": {**results.peaks["boom_1m"], "removed": 0.52}}
+    bad = digest.section(Results(5, results.outcomes, worse, results.randoms), dominance)
+    assert bad.data["more_than_the_paper_claims"] is False
+    assert good.findings[0] != bad.findings[0]
