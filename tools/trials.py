@@ -1,8 +1,13 @@
 """Blind trials of the diagnosis: effects hidden by an independent simulator, found by ``companion.diagnosis``.
 
-    python -m tools.trials --each 1 --nothing 4 --seed 1
+    python -m tools.trials                          one recording for every effect, a few with nothing hidden
+    python -m tools.trials --leave-out              what is hidden is taken from the catalogue
+    python -m tools.trials --pairs 20 --each 0      two effects at once
+    python -m tools.trials --curve 2 4 6 8          how strong an effect must be to be found
+    python -m tools.trials --snr 10 --seed 5 --add  more of them, at 10 dB, beside those of earlier runs
+    python -m tools.trials --show                   tabulate what earlier runs have left in the folder
 
-Labels are sealed by hash before the first diagnosis. A table, a JSON file and a confusion matrix go to out/trials.
+Labels are sealed by hash before the first diagnosis. Rows, a summary and a confusion matrix go to out/trials.
 """
 
 from __future__ import annotations
@@ -17,8 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from companion.cli.diagnose_models import belief_for
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.belief import believe
+from companion.diagnosis.fit import fit
+from companion.diagnosis.gain import held_out
 from companion.diagnosis.observations import RawRanges, RawRecording, RawStream, observe
 from companion.diagnosis.search import diagnose
 from companion.diagnosis.supermodel import SuperModel
@@ -27,9 +34,11 @@ from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
 from companion.records import Side
 from sitl_tests.trials.belief import airframe_text
-from sitl_tests.trials.cases import SIGMA, Hidden, Tables, fly, hide, noise_density
+from sitl_tests.trials.cases import SEEN, SIGMA, Hidden, Tables, fly, hide, noise_density
+from tools.trial_report import draw, summary, table
 
 _TOP_HZ = 51.2
+_BATCH = 40
 
 
 def run(
@@ -37,39 +46,51 @@ def run(
     snr_db: float,
     seed: int,
     leave_out: bool = False,
+    oracle: bool = False,
     kept: Path | None = None,
     duration_s: float = 60.0,
 ) -> list[dict[str, Any]]:
     """Fly and diagnose every label; one row each. ``leave_out`` takes the hidden effects from the catalogue.
 
-    What is known so far is written to ``kept`` after each.
+    ``oracle`` also measures the held-out gain of the true effect. What is known so far is added to ``kept`` each time.
     """
     airframe = parse_airframe(airframe_text(noise_density(snr_db)), "trial")
-    _show(f"flying {len(labels)} recordings of {duration_s:g} s")
-    tables = fly(list(labels), snr_db, seed, duration_s)
     rows: list[dict[str, Any]] = []
-    for i, (label, table) in enumerate(zip(labels, tables, strict=True)):
-        begun = time.process_time()
-        kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in label.effects)]
-        found = diagnose([model_of(table, airframe)], kinds)
-        rows.append(judge(label, found, time.process_time() - begun))
-        if kept is not None:
-            kept.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-        right = sum(row["right"] for row in rows)
-        _show(f"[{'#' * round(20 * (i + 1) / len(labels)):20s}] {i + 1}/{len(labels)}, right {right}")
+    before = json.loads(kept.read_text()) if kept is not None and kept.is_file() else []
+    begun = time.monotonic()
+    for first in range(0, len(labels), _BATCH):
+        batch = list(labels[first : first + _BATCH])
+        _show(f"flying {len(batch)} recordings of {duration_s:g} s")
+        for label, tables in zip(batch, fly(batch, snr_db, seed + first, duration_s), strict=True):
+            row = judged(label, tables, airframe, leave_out, oracle)
+            rows.append({**row, "snr_db": snr_db, "seed": seed, "left_out": leave_out})
+            if kept is not None:
+                kept.write_text(json.dumps(before + rows, indent=1) + "\n", encoding="utf-8")
+            _show(_bar(rows, len(labels), time.monotonic() - begun))
     print(file=sys.stderr)
-    return rows
+    return before + rows
 
 
-def model_of(table: Tables, airframe: Airframe) -> SuperModel:
+def judged(label: Hidden, tables: Tables, airframe: Airframe, leave_out: bool, oracle: bool) -> dict[str, Any]:
+    """Diagnose one recording, then open its label."""
+    begun = time.process_time()
+    kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in label.effects)]
+    model = model_of(tables, airframe)
+    found = diagnose([model], kinds)
+    row = judge(label, found, time.process_time() - begun)
+    if oracle and row["exact"] and found.gain is not None:
+        true = fit([model], found.final.parts, found.final.values)
+        row["oracle_gain"] = held_out([model], found.null, true).log_score["total"][0]
+    return row
+
+
+def model_of(tables: Tables, airframe: Airframe) -> SuperModel:
     """A trial's tables as the diagnosis sees a recording."""
-    tips = {side: RawStream(table.t_s, table.force_z_mps2[:, side]) for side in Side}
-    ranges = RawRanges(table.range_t_s, table.range_m, table.reference_m)
-    raw = RawRecording(
-        tips, None, ranges, {"roller_v": (table.t_s, table.roller), "airspeed_mps": (table.t_s, table.airspeed)}
-    )
-    seen = observe(raw, airframe, _TOP_HZ)
-    return SuperModel(believe(airframe, seen.sides, True, False), seen, _TOP_HZ)
+    tips = {side: RawStream(tables.t_s, tables.force_z_mps2[:, side]) for side in Side}
+    ranges = RawRanges(tables.range_t_s, tables.range_m, tables.reference_m)
+    channels = {"roller_v": (tables.t_s, tables.roller), "airspeed_mps": (tables.t_s, tables.airspeed)}
+    seen = observe(RawRecording(tips, None, ranges, channels), airframe, _TOP_HZ)
+    return SuperModel(belief_for(airframe, [seen]), seen, _TOP_HZ)
 
 
 def judge(label: Hidden, found: Diagnosis, seconds: float) -> dict[str, Any]:
@@ -82,94 +103,90 @@ def judge(label: Hidden, found: Diagnosis, seconds: float) -> dict[str, Any]:
     else:
         right = len(named) == len(hidden) and all(any(name in group for group in groups) for name in hidden)
         exact = sorted(named) == hidden
-    inside = None
-    if exact and len(hidden) == 1:
-        cause, truth = found.causes[0], label.effects[hidden[0]]
-        inside = any(abs(value - truth) < 1.96 * sigma for value, sigma in zip(cause.values, cause.sigmas, strict=True))
-    explained = found.verdict in ("explained", "adequate")
     return {
         "hidden": label.effects,
+        "sigmas": {name: abs(value) / SIGMA[name] for name, value in label.effects.items() if name in SIGMA},
         "seal": label.seal,
         "verdict": str(found.verdict),
         "named": named,
         "groups": [sorted(group) for group in groups],
         "nearest": found.nearest,
+        "nearest_causes": [cause.part.effect.name for cause in found.nearest_causes],
         "z": [cause.z for cause in found.causes],
-        "right": bool(right and explained),
-        "exact": bool(exact and explained),
-        "inside_95": inside,
-        "worst_check": [found.after[0].name, found.after[0].z] if found.after else None,
+        "right": bool(right and found.verdict in ("explained", "adequate")),
+        "exact": bool(exact and found.verdict in ("explained", "adequate")),
+        "inside_95": _inside(label, found) if exact and len(hidden) == 1 else None,
+        "gain": found.gain.log_score["total"][0] if found.gain is not None else None,
+        "worst_checks": [[entry.name, entry.z] for entry in found.after[:3]],
         "cpu_s": seconds,
     }
 
 
-def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Draw the confusion matrix."""
-    from matplotlib.figure import Figure  # takes most of a second to import
+def _inside(label: Hidden, found: Diagnosis) -> bool | None:
+    """Whether the hidden magnitude lies in the interval of the parameter that it is."""
+    ((name, truth),) = label.effects.items()
+    cause = found.causes[0]
+    if name in SEEN or name in ("tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"):
+        return None  # told by amplitude and phase, or seen without a fit
+    which = label.side if name in ("accel-scale", "accel-bias") else 0
+    return abs(cause.values[which] - truth) < 1.96 * cause.sigmas[which]
 
-    truths = sorted({name for row in rows for name in row["hidden"]} | {"nothing"})
-    answers = sorted({*truths, *(name for row in rows for name in row["named"]), "unexplained"})
-    counts = np.zeros((len(truths), len(answers)))
-    for row in rows:
-        answer = "unexplained" if row["verdict"] == "unexplained" else (row["named"] or ["nothing"])[0]
-        for name in row["hidden"] or ["nothing"]:
-            counts[truths.index(name), answers.index(answer)] += 1
-    figure = Figure(figsize=(9, 8), layout="constrained")
-    axis = figure.subplots()
-    axis.imshow(counts, cmap="Blues")
-    for (i, j), count in np.ndenumerate(counts):
-        if count:
-            axis.text(j, i, f"{count:g}", ha="center", va="center", fontsize=7)
-    axis.set_xticks(range(len(answers)), answers, rotation=90, fontsize=7)
-    axis.set_yticks(range(len(truths)), truths, fontsize=7)
-    axis.set(xlabel="named", ylabel="hidden", title="Blind trials")
-    figure.savefig(path, dpi=130)
+
+def _labels(options: argparse.Namespace) -> list[Hidden]:
+    rng = np.random.default_rng(options.seed)
+    strengths = [(s, s) for s in options.curve] or [(options.strength[0], options.strength[1])]
+    names = [name for name in options.only if name in SIGMA or not options.curve]
+    labels = [hide([name], strength, rng) for strength in strengths for name in names for _ in range(options.each)]
+    fitted = [name for name in names if name in SIGMA]
+    for count, wanted in ((2, options.pairs), (3, options.triples)):
+        labels += [hide(rng.choice(fitted, count, replace=False).tolist(), strengths[0], rng) for _ in range(wanted)]
+    if not (options.leave_out or options.curve):
+        labels += [hide([], strengths[0], rng) for _ in range(options.nothing)]
+    return [labels[i] for i in rng.permutation(len(labels))]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the trials that were asked for and write what came out."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--each", type=int, default=1, help="recordings for every effect")
-    parser.add_argument("--nothing", type=int, default=4, help="recordings with nothing hidden")
+    parser.add_argument("--nothing", type=int, default=8, help="recordings with nothing hidden")
     parser.add_argument("--pairs", type=int, default=0, help="recordings with two effects")
-    parser.add_argument("--only", nargs="*", default=sorted(SIGMA), help="effects to hide")
+    parser.add_argument("--triples", type=int, default=0, help="recordings with three effects")
+    parser.add_argument("--only", nargs="*", default=sorted({*SIGMA, *SEEN}), help="effects to hide")
     parser.add_argument("--strength", type=float, nargs=2, default=(8.0, 14.0), help="in posterior sigmas")
+    parser.add_argument("--curve", type=float, nargs="*", default=[], help="exact strengths instead, in sigmas")
     parser.add_argument("--snr", type=float, default=20.0, help="dB")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--duration", type=float, default=60.0, help="seconds of each recording")
     parser.add_argument("--leave-out", action="store_true", help="take what is hidden from the catalogue")
+    parser.add_argument("--oracle", action="store_true", help="also measure the gain of the true effect")
+    parser.add_argument("--add", action="store_true", help="beside the rows that are in the folder")
+    parser.add_argument("--show", action="store_true", help="fly nothing: tabulate the rows that are in the folder")
     parser.add_argument("--out", type=Path, default=Path("out/trials"))
     options = parser.parse_args(arguments)
-    rng = np.random.default_rng(options.seed)
-    strength = (options.strength[0], options.strength[1])
-    labels = [hide([name], strength, rng) for name in options.only for _ in range(options.each)]
-    labels += [hide(rng.choice(options.only, 2, replace=False).tolist(), strength, rng) for _ in range(options.pairs)]
-    labels += [hide([], strength, rng) for _ in range(options.nothing)]
-    order = rng.permutation(len(labels))
-    labels = [labels[i] for i in order]
+    kept = options.out / "trials.json"
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "seals.txt").write_text("\n".join(label.seal for label in labels) + "\n", encoding="utf-8")
-    rows = run(labels, options.snr, options.seed, options.leave_out, options.out / "trials.json")
+    if options.show:
+        rows = json.loads(kept.read_text(encoding="utf-8"))
+    else:
+        labels = _labels(options)
+        with (options.out / "seals.txt").open("a" if options.add else "w", encoding="utf-8") as seals:
+            seals.write("\n".join(label.seal for label in labels) + "\n")
+        if not options.add:
+            kept.unlink(missing_ok=True)
+        rows = run(labels, options.snr, options.seed, options.leave_out, options.oracle, kept, options.duration)
+    found = summary(rows)
+    (options.out / "summary.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     draw(rows, options.out / "confusion.png")
-    _print(rows)
+    print(table(rows, found))
     return 0
 
 
-def _print(rows: Sequence[dict[str, Any]]) -> None:
-    for row in sorted(rows, key=lambda row: sorted(row["hidden"])):
-        hidden = ", ".join(f"{name} {value:.3g}" for name, value in row["hidden"].items()) or "nothing"
-        named = ", ".join("/".join(group) for group in row["groups"]) or "-"
-        mark = "exact" if row["exact"] else "group" if row["right"] else "WRONG"
-        print(f"{mark:6s} {hidden:40s} {row['verdict']:12s} {named}  ({row['cpu_s']:.0f} s)")
-    hidden_rows = [row for row in rows if row["hidden"]]
-    empty = [row for row in rows if not row["hidden"]]
-    insides = [row["inside_95"] for row in rows if row["inside_95"] is not None]
-    if hidden_rows:
-        right, exact = (sum(row[key] for row in hidden_rows) for key in ("right", "exact"))
-        print(f"right up to groups {right}/{len(hidden_rows)}, exact {exact}/{len(hidden_rows)}")
-    if empty:
-        print(f"false alarms {sum(not row['right'] for row in empty)}/{len(empty)}")
-    if insides:
-        print(f"truth inside the 95 % interval {sum(insides)}/{len(insides)}")
+def _bar(rows: Sequence[dict[str, Any]], count: int, seconds: float) -> str:
+    done = len(rows)
+    left = seconds / done * (count - done)
+    good = sum(row["verdict"] == "unexplained" if row["left_out"] else row["right"] for row in rows)
+    return f"[{'#' * round(24 * done / count):24s}] {done}/{count}, right {good}, {left / 60.0:.0f} min left"
 
 
 def _show(text: str) -> None:
