@@ -42,9 +42,9 @@ class Fault:
 class Outcome:
     """One row of the table.
 
-    ``recovery_s`` is from the end of the fault to the next trusted range; 0 where ranges never stopped for longer than
-    the half second after which an autopilot forgets them. ``gap_s`` is the longest time without a trusted range from
-    the fault on.
+    ``recovery_s`` is from the end of the fault to the range that ends the last pause; 0 where ranges never stopped for
+    longer than the half second after which an autopilot forgets them. ``gap_s`` is the longest time without a trusted
+    range from the fault on.
     """
 
     name: str
@@ -179,9 +179,11 @@ def _judge(fault: Fault, service: SimulatedService, sent: int) -> Outcome:
             isinstance(record, ServiceStatus) and now_s >= BEGIN_S and (not healths or healths[-1] is not record.health)
         ):
             healths.append(record.health)
-    gap_s = float(np.max(np.diff([*trusted_s, OVER_S])))
-    after = [at_s for at_s in trusted_s if at_s >= END_S]
-    recovery_s = 0.0 if gap_s <= 0.5 else (after[0] - END_S if after else float("inf"))
+    gaps_s = np.diff([*trusted_s, OVER_S])
+    gap_s = float(np.max(gaps_s))
+    stopped = np.flatnonzero(gaps_s > 0.5)
+    ended_s = [*trusted_s, np.inf][int(stopped[-1]) + 1] if len(stopped) else END_S
+    recovery_s = float(max(ended_s - END_S, 0.0))
     counters = service.autopilot.decoder.counters(0)
     lost = sent - counters.frames if fault.meddle in (_lost, _thinned, _garbage) else 0
     return Outcome(fault.name, recovery_s, gap_s, sent, lost, refused, wrong, len(trusted_s) - 1, tuple(healths))
