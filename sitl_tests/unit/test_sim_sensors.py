@@ -22,7 +22,7 @@ from companion.sim.aircraft import still_plan
 from companion.sim.flight import Flight, GustKind, build_flight
 from companion.sim.offline import HOST_EPOCH_NS, flight_records
 from companion.sim.perturb import RemoteClock, SensorErrors, draw_truth
-from companion.sim.sensors import corrupted, drifting, limited, lowpassed, send_times
+from companion.sim.sensors import corrupted, drifting, limited, lowpassed, on_wire, send_times
 from companion.sim.tables import write_csv
 from companion.sim.wire import Sender, inertial_format, payloads, stamped
 
@@ -145,7 +145,7 @@ def test_saturation_and_quantisation(airframe: Airframe) -> None:
     assert fine[3] == pytest.approx(34.9, abs=0.01)
     assert abs(fine[2] - 1.0) <= 157.0 / 32768 / 2
     coarse = dataclasses.replace(airframe.left, source=dataclasses.replace(airframe.left.source, message="RAW_IMU"))
-    steps = limited(np.array([[0.4 * 9.80665e-3, 0.0, 1.6 * 9.80665e-3, 0.0, 0.0, 0.0016]]), coarse)[0]
+    steps = on_wire(np.array([[0.4 * 9.80665e-3, 0.0, 1.6 * 9.80665e-3, 0.0, 0.0, 0.0016]]), coarse)[0]
     np.testing.assert_allclose(steps, [0, 0, 2 * 9.80665e-3, 0, 0, 0.002], atol=1e-12)
 
 
