@@ -17,12 +17,12 @@ def rows() -> list[dict[str, object]]:
     return run(LABELS, 20.0, 3, duration_s=30.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nothing_hidden_is_nothing_named(rows: list[dict[str, object]]) -> None:
     assert rows[0]["verdict"] == "adequate"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("index", [1, 2])
 def test_what_is_hidden_is_named(rows: list[dict[str, object]], index: int) -> None:
     (name,) = LABELS[index].effects
@@ -30,7 +30,7 @@ def test_what_is_hidden_is_named(rows: list[dict[str, object]], index: int) -> N
     assert any(name in group for group in rows[index]["groups"])  # type: ignore[attr-defined]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_trials_wing_has_the_variance_of_theory() -> None:
     """A white load of the right intensity gives the rms asked for, and halves swing at the frequencies asked for."""
     n = 6
