@@ -47,6 +47,7 @@ _CLEARLY = 1.0
 _LOWEST_HZ = 0.25
 _KEPT, _ROLL, _STATIC = 4, 2, 3  # columns: both vertical rows, root roll rate, bend by the load factor
 _REACH = 4.0
+_CUT_MEMORY_S = 5.0
 _LEAST_PRESENT = 0.98
 
 
@@ -76,6 +77,7 @@ class Adaptation:
         self._count = 0
         self._next = round(_FIRST_S / step_s)
         self.fits = 0
+        self._cut = 0.0  # how much the edges of the last cells cut samples
         self._only = 0  # the tip that is there, where one is missing
 
     @property
@@ -102,6 +104,7 @@ class Adaptation:
         self._rows[slots, :2] = cells.rows[:, :2] - cells.sensitivity[:, :2] @ self._constants
         self._rows[slots, _ROLL], self._rows[slots, _STATIC] = cells.rows[:, P_ROOT], self._bend_per_g_m * cells.load
         self._seen[slots] = cells.present[:, :2]
+        self._cut += min(1.0, len(cells) * self._step_s / _CUT_MEMORY_S) * (float(cells.cut.mean()) - self._cut)
         self.refilter = self.early
         self._count += len(cells)
         if self._count < self._next:
@@ -214,7 +217,7 @@ class Adaptation:
         """
         highest = np.array([(0.5 / self._step_s) ** 2])
         load = sum(float(load_density(np.exp(p.logs()), highest, p.reference_hz)[0]) for p in self.parameters)
-        return load * self._noise.sample_s / (3.0 * self._step_s)
+        return self._cut * load * self._noise.sample_s / (3.0 * self._step_s)
 
     def _answer(self, static_m: Floats) -> Floats:
         """Vertical reading that the load factor's known bend brings about: ``omega^2 H(omega)`` of it."""

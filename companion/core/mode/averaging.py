@@ -69,6 +69,20 @@ def cell_means(t: Floats, y: Floats, edges: Floats) -> tuple[Floats, Floats]:
 
 
 @compiled
+def cut_shares(t: Floats, edges: Floats) -> Floats:
+    """How much each cell suffers from edges that cut samples: 0 where they fall between two, 1 on average, (n,).
+
+    Inside a sample the path of what it averages is a bridge, whose variance is ``u (1 - u)`` of the way through.
+    """
+    knots = 0.5 * (t[1:] + t[:-1])
+    at = np.minimum(np.maximum(np.searchsorted(knots, edges, side="right") - 1, 0), len(knots) - 2)
+    u = (edges - knots[at]) / (knots[at + 1] - knots[at])
+    bridge = np.maximum(6.0 * u * (1.0 - u), 0.0)
+    shares: Floats = 0.5 * (bridge[1:] + bridge[:-1])
+    return shares
+
+
+@compiled
 def cell_means_unfiltered(t: Floats, y: Floats, edges: Floats, cutoff_hz: Floats) -> Floats:
     """Mean of every channel ahead of its low-pass (``cutoff_hz`` 0: none): see :func:`cell_means`."""
     samples, channels = y.shape

@@ -128,6 +128,7 @@ class Kalman:
             cells.lateral_gain,
             cells.load,
             cells.sensitivity,
+            cells.cut,
         )
         first = 0
         while first < len(cells) and self.finite:
@@ -157,6 +158,7 @@ class Kalman:
             cross=np.ascontiguousarray(model.cross),
             measured=np.ascontiguousarray(model.measured),
             watch=np.ascontiguousarray(np.concatenate(watch)),
+            cut=model.cut,
             rough=model.rough,
         )
 

@@ -66,6 +66,7 @@ class Step(NamedTuple):
     cross: Floats
     measured: Floats
     watch: Floats
+    cut: float
     rough: bool
 
 
@@ -80,6 +81,7 @@ class Data(NamedTuple):
     lateral_gain: Floats
     load: Floats
     sensitivity: Floats
+    cut: Floats
 
 
 class Memory(NamedTuple):
@@ -165,7 +167,7 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
     g = np.ascontiguousarray(sense[:, :n])
     spread = g @ covariance
     c = step.motion @ np.ascontiguousarray(spread.T) + cross
-    s = spread @ np.ascontiguousarray(g.T) + _sensor(fixed, step, data.lateral_gain[k])
+    s = spread @ np.ascontiguousarray(g.T) + _sensor(fixed, step, data.lateral_gain[k], data.cut[k])
     for row in range(ROWS):
         if not use[row]:
             s[row, :] = 0.0
@@ -241,12 +243,13 @@ def _used(present: Bools, rough: bool) -> Bools:
 
 
 @compiled
-def _sensor(fixed: Fixed, step: Step, gain: Floats) -> Floats:
+def _sensor(fixed: Fixed, step: Step, gain: Floats, cut: Floats) -> Floats:
     """Covariance of the rows by process noise in the step and by the sensors."""
     out = step.measured.copy()
     for row in range(ROWS):
         out[row, row] += fixed.own[row] * (gain[row - _LATERAL] ** 2 if _LATERAL <= row < _ROLL else 1.0)
     for i in range(2):
+        out[_VERTICAL + i, _VERTICAL + i] += step.cut * cut[i]
         for j in range(2):
             out[_VERTICAL + i, _VERTICAL + j] += fixed.root_z
             out[_LATERAL + i, _LATERAL + j] += fixed.root_y * gain[i] * gain[j]

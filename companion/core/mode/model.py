@@ -65,6 +65,8 @@ class StepModel:
         Left and right tip slope of a state.
     stationary : (n, n) float64
         Covariance of a wing that has been in this gust for ever (biases: their prior).
+    cut : float
+        Variance that a vertical mean has on average by edges that cut samples.
     rough : bool
         The load is so white that the path inside a step matters beside a gyro's noise: the moments tell it.
     """
@@ -78,6 +80,7 @@ class StepModel:
     measured: Floats
     slope: Floats
     stationary: Floats
+    cut: float
     rough: bool
 
 
@@ -101,16 +104,17 @@ def build_model(
     sense = after @ transition
     sense[:, :n] += before
     measured = after @ q @ after.T
+    cut = 0.0
     for family in layout.families:  # the path between two samples is not in what is made of samples
         load = q[family.v, family.v]
         lost = load * noise.sample_s**2 / (12.0 * step_s**4)
         measured[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += lost * np.outer(family.sign, family.sign)
         # a cell's edge cuts a sample, each tip's at another place: a bridge of variance density * sample / 6 at each
-        measured[Z_LEFT:M_LEFT, Z_LEFT:M_LEFT] += load * noise.sample_s / (3.0 * step_s**3) * np.eye(2)
+        cut += load * noise.sample_s / (3.0 * step_s**3)
     slopes = slope_rows(layout)
     path = sum(q[family.v, family.v] * slopes[1, family.q] ** 2 for family in layout.families) / 12.0
     rough = bool(path > _ROUGH * noise.own[P_LEFT:P_ROOT].min())
-    return StepModel(step_s, parameters, transition, sense, q, q @ after.T, measured, slopes, static, rough)
+    return StepModel(step_s, parameters, transition, sense, q, q @ after.T, measured, slopes, static, float(cut), rough)
 
 
 def propagation(layout: Layout, noise: Noise, parameters: Parameters, step_s: float) -> tuple[Floats, Floats]:

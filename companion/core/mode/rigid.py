@@ -47,6 +47,8 @@ class Cells:
         Body rate at the end of the cell.
     sensitivity : (n, 9, c) float64
         Of each row to each constant, as far as data alone give it.
+    cut : (n, 2) float64
+        How much the tips' cells suffer from edges that cut samples.
     """
 
     start_ns: Ints
@@ -59,6 +61,7 @@ class Cells:
     load: Floats
     rate: Floats
     sensitivity: Floats
+    cut: Floats
 
     def __len__(self) -> int:
         return len(self.start_ns)
@@ -79,6 +82,7 @@ _COLUMNS = (
     "load",
     "rate",
     "sensitivity",
+    "cut",
 )
 
 
@@ -113,7 +117,8 @@ def make_cells(layout: Layout, streams: tuple[Stream, Stream, Stream], edges_ns:
     )
     rows, present, *rest = _cells(averaged, columns_of(layout), len(layout.constants))
     vertical, lateral, tilted, gains, load, rate, known = rest
-    cells = Cells(wide_ns[:-1], rows, present, vertical, lateral, tilted, gains, load, rate, known)
+    cut = np.stack((left.cut, right.cut), axis=1)
+    cells = Cells(wide_ns[:-1], rows, present, vertical, lateral, tilted, gains, load, rate, known, cut)
     return cells.span(_BESIDE, len(cells) - _BESIDE)
 
 

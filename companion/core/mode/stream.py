@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.core.mode.averaging import cell_means, cell_means_unfiltered
+from companion.core.mode.averaging import cell_means, cell_means_unfiltered, cut_shares
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
@@ -43,12 +43,15 @@ class Averages:
     mean : (n, 6) float64
     moment : (n,) float64
         First moment of the vertical axis, ``integral (t - middle) z dt / h^2``.
+    cut : (n,) float64
+        See :func:`companion.core.mode.averaging.cut_shares`.
     covered, resolved : (n,) bool
         There are samples; there are enough for a moment.
     """
 
     mean: Floats
     moment: Floats
+    cut: Floats
     covered: Bools
     resolved: bool
 
@@ -144,18 +147,21 @@ class Stream:
         high = int(self.t_ns.searchsorted(edges_ns[-1])) + 4
         t_ns, y = self.t_ns[low:high], self.values[low:high]
         if len(t_ns) < 4:
-            return Averages(np.zeros((cells, CHANNELS)), np.zeros(cells), np.zeros(cells, dtype=bool), False)
+            nothing = np.zeros(cells)
+            return Averages(np.zeros((cells, CHANNELS)), nothing, nothing, np.zeros(cells, dtype=bool), False)
         t = (t_ns - edges_ns[0]) * 1e-9
         edges = (edges_ns - edges_ns[0]) * 1e-9
         covered = self._covered(t, edges)
         if self.filtered:
             mean, moment = cell_means_unfiltered(t, y, edges, self._cutoff_hz), np.zeros(cells)
+            cut = np.zeros(cells)
         else:
             mean, moment = cell_means(t, y, edges)
+            cut = cut_shares(t, edges)
         if not covered.all():
             mean[~covered], moment[~covered] = 0.0, 0.0
         resolved = not self.filtered and (edges[1] - edges[0]) * self.sensor.rate_hz >= _RESOLVED
-        return Averages(mean, moment, covered, bool(resolved))
+        return Averages(mean, moment, cut, covered, bool(resolved))
 
     def _covered(self, t: Floats, edges: Floats) -> Bools:
         limit = max(_GAP_PERIODS / self.sensor.rate_hz, _GAP_FLOOR_S)

@@ -37,7 +37,6 @@ _WINDOW_S = 1.0
 _MOST_CELLS = 250  # averaged at once
 _SATURATED_NS = 200_000_000
 _PATIENCE_S = 5.0
-_TELL_NS = 40_000_000
 _SMALL = np.array([0.02, 0.5, 0.7, 1.0, 1.0, 0.05, 0.7, 1.0])  # of the parameters' logarithms
 _DISTRUST = {
     Validity.STALE: Reject.STALE,
@@ -70,7 +69,7 @@ class WingTracker:
         self._forecaster = Forecaster()
         self._rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each cell
         self._start_ns: int | None = None
-        self._next_ns = self._told_ns = 0
+        self._next_ns = 0
         self._rows = tip_rows(self._layout, slope_rows(self._layout))
         self._validity = Validity.SETTLING
         self._restart()
@@ -108,16 +107,13 @@ class WingTracker:
         self._settings = settings
 
     def advance(self, now_host_ns: int) -> ModeState | None:
-        """Process every cell that ended before ``now`` less the reorder window; give a state now and then."""
+        """Process every cell that ended before ``now`` less the reorder window; None until there is a first one."""
         until_ns = now_host_ns - round(self._settings.reorder_window_s * 1e9)
         if self._start_ns is None and not self._begin(until_ns):
             return None
         while (count := min((until_ns - self._next_ns) // self._step_ns, _MOST_CELLS)) > 0:
             self._process(int(count))
-        if not self._rates or now_host_ns - self._told_ns < _TELL_NS:
-            return None
-        self._told_ns = now_host_ns
-        return self._describe(now_host_ns)
+        return self._describe(now_host_ns) if self._rates else None
 
     def _begin(self, until_ns: int) -> bool:
         root, *others = (stream.first_ns() for stream in self._streams)
