@@ -176,6 +176,9 @@ class _TimedScheduling:
     spent_s: float = 0.0
     plans: int = 0
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.inner, name)
+
     def tick(self, *arguments: Any) -> list[OutputRecord]:
         begin = time.process_time()
         outputs = list(self.inner.tick(*arguments))
