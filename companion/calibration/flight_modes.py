@@ -49,7 +49,7 @@ def wing_motion(records: Iterable[Record], airframe: Airframe, hub: ClockName) -
     RecordingError
         A station sent nothing, or there is no stretch of 20 s that all three share.
     """
-    streams = _collect(records, hub)
+    streams = station_samples(records, hub)
     for station in Station:
         if not len(streams[station][0]):
             raise RecordingError(f"the recording has no samples of the {station.name.lower()} station")
@@ -66,7 +66,8 @@ def wing_motion(records: Iterable[Record], airframe: Airframe, hub: ClockName) -
     return WingMotion(_RATE_HZ, symmetric, 0.5 * (up_right - up_left) + roll_accel * span)
 
 
-def _collect(records: Iterable[Record], hub: ClockName) -> dict[Station, tuple[Ints, Floats]]:
+def station_samples(records: Iterable[Record], hub: ClockName) -> dict[Station, tuple[Ints, Floats]]:
+    """Samples of every station on the host's clock: stamps (n,), ns, values (n, 6); what is not synced is left out."""
     bank = ClockBank()
     bank.identity(hub)
     found: dict[Station, list[tuple[Ints, Floats]]] = {station: [] for station in Station}

@@ -1,4 +1,4 @@
-"""``spanwise calibrate``: the stereo rig from images of a board, the trigger latency from a recording."""
+"""``spanwise calibrate``: the stereo rig from a board, the cameras' mounting by gravity, the latency of the trigger."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+import numpy as np
+
 from companion.adapters.cameras import opening as cameras
 from companion.adapters.cameras.folder import list_images, read_grey
 from companion.adapters.recordings.opening import open_recording
+from companion.calibration.attitudes import find_attitudes
 from companion.calibration.boards import Board
 from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
+from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
 from companion.calibration.stereo_rig import airframe_with_rig, calibrate_rig, find_views
 from companion.cli.calibrate_live import take_views
 from companion.cli.calibrate_report import Pairs, report, rows
@@ -23,7 +27,7 @@ from companion.records import Side
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    kinds = parser.add_subparsers(dest="kind", required=True, metavar="stereo|latency")
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="stereo|mounting|latency")
     stereo = kinds.add_parser("stereo", help="lenses and relative pose from images of a board")
     stereo.add_argument(
         "folder", type=Path, nargs="?", help="cam0 (left) and cam1 (right), images of equal stamp are a pair"
@@ -31,14 +35,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     stereo.add_argument("--cameras", metavar="PAIR", help="take the views now: " + "; ".join(cameras.SPELLINGS))
     stereo.add_argument("--views", type=int, default=20, metavar="N", help="with --cameras: how many views to take")
     stereo.add_argument("--for", type=float, default=600.0, dest="seconds", metavar="SECONDS", help="and how long")
-    stereo.add_argument(
-        "--board", choices=("chessboard", "charuco"), default="charuco", help="charuco: 4x4_250 markers"
+    mounting = kinds.add_parser("mounting", help="how the cameras sit on their wing sections, by gravity")
+    mounting.add_argument(
+        "recording",
+        type=Path,
+        help="made with --record-images: the aircraft held still in several attitudes at a board",
     )
-    stereo.add_argument("--squares", type=int, nargs=2, default=(10, 7), metavar="N", help="across and down")
-    stereo.add_argument("--square-m", type=float, required=True, metavar="M", help="side of a square, metres")
+    for kind in (stereo, mounting):
+        kind.add_argument(
+            "--board", choices=("chessboard", "charuco"), default="charuco", help="charuco: 4x4_250 markers"
+        )
+        kind.add_argument("--squares", type=int, nargs=2, default=(10, 7), metavar="N", help="across and down")
+        kind.add_argument("--square-m", type=float, required=True, metavar="M", help="side of a square, metres")
     latency = kinds.add_parser("latency", help="from the fired instant to the start of the exposure")
     latency.add_argument("recording", type=Path, help="a recording of ours, with shots and matches")
-    for kind in (stereo, latency):
+    for kind in (stereo, mounting, latency):
         kind.add_argument("--airframe", required=True, metavar="NAME", help="what the result is written into")
         kind.add_argument("--out", type=Path, default=Path("out/calibrate"), metavar="FOLDER", help="where to write")
 
@@ -47,7 +58,7 @@ def execute(options: argparse.Namespace) -> int:
     """Calibrate, print the result, write the airframe (and a report)."""
     base = load_airframe(options.airframe)
     options.out.mkdir(parents=True, exist_ok=True)
-    airframe = _stereo(options, base) if options.kind == "stereo" else _latency(options, base)
+    airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
     path = options.out / "airframe.toml"
     path.write_text(dump_airframe(airframe), encoding="utf-8")
     print(f"wrote {path}")
@@ -88,6 +99,27 @@ def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
     if not both:
         raise ConfigError(f"{folder}: no stamp has an image of both cameras")
     return [(left[t].name, read_grey(left[t]), read_grey(right[t])) for t in both], lonely
+
+
+def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:
+    board = Board(options.board, tuple(options.squares), options.square_m)
+    recording = open_recording(options.recording, base)
+    found = []
+    for side in Side:
+        attitudes, refused = find_attitudes(recording, base, board, side)
+        for name, why in refused.items():
+            print(f"{side.name.lower():5s} refused {name}: {why}")
+        mounting = mount(attitudes)
+        sigma = ", ".join(f"{1e3 * value:.2f}" for value in mounting.sigma_rad)
+        worst = int(np.argmax(mounting.errors_rad))
+        print(
+            f"{side.name.lower():5s} {len(attitudes)} attitudes, sigma {sigma} mrad (x, y, z of the camera); "
+            f"worst {1e3 * mounting.errors_rad[worst]:.2f} mrad at {attitudes[worst].name}"
+        )
+        found.append(mounting)
+    apart = disagreement_rad(base, *found)
+    print(f"both mountings against the stereo calibration, which is kept between the cameras: {1e3 * apart:.2f} mrad")
+    return airframe_with_mounting(base, *found)
 
 
 def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:
