@@ -21,7 +21,7 @@ _COMMANDS = {
     "paper": "reproduce and audit the paper, table by table and figure by figure",
     "doctor": "look at a live vehicle or a log: what is wrong, and the exact fix",
     "diagnose": "what the simulation gets wrong on a recording, why, and what it is worth",
-    "calibrate": "the stereo rig from images of a board, the trigger latency from a recording",
+    "calibrate": "the stereo rig from images of a board, the cameras' mounting, the trigger latency",
     "identify": "wing modes from a ground vibration test or a flight, written as an airframe",
     "params": "the settings table: show, check or write config/PARAMETERS.md",
 }
