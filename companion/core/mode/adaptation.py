@@ -232,7 +232,8 @@ class Adaptation:
     def _band(self, which: tuple[int, ...]) -> tuple[float, float, float]:
         frequencies = [self._prior[k].frequency_hz for k in which]
         highest = 0.48 / self._step_s
-        return _LOWEST_HZ, min(2.2 * max(frequencies), 0.8 * highest), highest
+        # below a tenth of the mode the tip feels a ten-thousandth of its load: what is there is the sensors' own
+        return max(_LOWEST_HZ, 0.1 * min(frequencies)), min(2.2 * max(frequencies), 0.8 * highest), highest
 
     def _scanned(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
         for at in range(0, len(start), PARAMETERS):
