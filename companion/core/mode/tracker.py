@@ -37,6 +37,7 @@ _WINDOW_S = 1.0
 _MOST_CELLS = 250  # averaged at once
 _SATURATED_NS = 200_000_000
 _PATIENCE_S = 5.0
+_TRIAL_S = 1.5  # fits come once a second
 _SMALL = np.array([0.02, 0.5, 0.7, 1.0, 1.0, 0.05, 0.7, 1.0])  # of the parameters' logarithms
 _DISTRUST = {
     Validity.STALE: Reject.STALE,
@@ -141,6 +142,8 @@ class WingTracker:
                 self._recent.append(part)
                 if self._adaptation.take(part):
                     self._readapt()
+                elif not self._adaptation.early and sum(map(len, self._recent)) * self._step_s > _TRIAL_S:
+                    self._mark()  # without enough samples there was no fit, and the cells must not pile up
         for stream in self._streams:
             stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
 
@@ -170,8 +173,12 @@ class WingTracker:
             self._kalman.use(model)
         self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
         if not self._adaptation.early:
-            self._recent.clear()
-            self._begun = self._kalman.fork(self._kalman.model)
+            self._mark()
+
+    def _mark(self) -> None:
+        """From here on new parameters are tried."""
+        self._recent.clear()
+        self._begun = self._kalman.fork(self._kalman.model)
 
     def _model(self, parameters: Parameters) -> StepModel:
         return build_model(self._layout, self._noise, parameters, self._levers, self._step_s)
