@@ -224,7 +224,16 @@ def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecor
 def _on_restart(state: PipelineState, restart: ClockRestart) -> list[OutputRecord]:
     state.clocks.restart(restart)
     state.alignments.pop(restart.clock, None)
+    state.tracker.restarted(_kept_by(state.airframe, restart.clock))
     return [Notice(4, f"{restart.clock} clock restarted; waiting for sync", restart.seen_host_ns)]
+
+
+def _kept_by(airframe: Airframe, clock: ClockName) -> list[Station]:
+    """The tips whose stamps, relative to the fuselage's, hang on this clock."""
+    root = airframe.root.source.clock
+    tips = [station for station in Station if station is not Station.ROOT]
+    clocks = {station: airframe.sensor(station).source.clock for station in tips}
+    return [station for station in tips if clocks[station] is not root and clock in (clocks[station], root)]
 
 
 def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecord]:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.core.mode.kalman import Kalman
 from companion.core.mode.stream import respaced
 from companion.core.mode.tracker import WingTracker
 from companion.core.pipeline import start, step
@@ -85,6 +86,43 @@ def test_sensors_that_contradict_the_model_cost_the_trust_and_give_it_back(fligh
 @pytest.mark.parametrize("name", ["nadir-2m", "forward-2m", "paper-flying-wing", "sitl-plane"])
 def test_warming_up_runs_through_for_every_airframe(name: str) -> None:
     warm_up(load_airframe(name), Settings())
+
+
+def _known(kalman: Kalman, keep: list[int]) -> tuple[np.ndarray, ...]:
+    """State, its covariance, and of the constants to keep their means and covariance."""
+    return (
+        kalman.state,
+        kalman.total_covariance,
+        kalman.constants[keep],
+        kalman.constants_covariance[np.ix_(keep, keep)],
+    )
+
+
+@pytest.mark.slow
+def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight: Flight) -> None:
+    state = start(flight.airframe, Settings())
+    state.scheduling = state.correction = None
+    now_ns = HOST_EPOCH_NS
+    for record in flight_records(flight):
+        while now_ns <= getattr(record, "received_host_ns", 0):
+            state, _ = step(state, Tick(now_ns))
+            now_ns += 20_000_000
+        if now_ns > HOST_EPOCH_NS + 3_000_000_000:
+            break
+        state, _ = step(state, record)
+    kalman = state.tracker._kalman
+    kalman.reopen([])  # solves, so that all that was gathered is in the answer
+    names = kalman.layout.constants
+    at = names.index("left.tau")
+    keep = [k for k in range(len(names)) if k != at]
+    before, sigma = _known(kalman, keep), kalman.layout.constant_sigma[at]
+    assert kalman.constants_covariance[at, at] < 0.9 * sigma**2  # something had been learned
+    kalman.reopen(["left.tau"])
+    for old, new in zip(before, _known(kalman, keep), strict=True):
+        np.testing.assert_allclose(new, old, rtol=1e-6, atol=1e-9 * np.abs(old).max())
+    assert kalman.constants[at] == 0.0
+    np.testing.assert_allclose(kalman.constants_covariance[at, keep], 0.0, atol=1e-12 * sigma)
+    assert kalman.constants_covariance[at, at] == pytest.approx(sigma**2)
 
 
 def test_a_tracker_that_has_seen_nothing_is_not_trusted() -> None:

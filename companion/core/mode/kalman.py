@@ -9,6 +9,8 @@ constants were zero, the others are its derivative by each constant: the same li
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from scipy.linalg import lapack
 
@@ -82,6 +84,30 @@ class Kalman:
         other._memory.information[:], other._weights[:] = self._memory.information, self._weights
         other._unsolved = self._unsolved
         return other
+
+    def reopen(self, names: Collection[str]) -> None:
+        """Forget what is known of some constants: from here on they are others, as uncertain as in the beginning.
+
+        What the state owes to the old ones stays in it, with their uncertainty: they are integrated out.
+        """
+        self._solve()
+        for name in names:
+            column = self.layout.column(name)
+            if column is not None and not name.startswith(_CONSIDERED):
+                self._integrate_out(column)
+        self._solve()
+
+    def _integrate_out(self, column: int) -> None:
+        gathered = self._memory.information
+        rest = np.flatnonzero(np.arange(len(gathered)) != column)
+        strength = gathered[column, column] + self._prior[column - 1, column - 1]
+        shares = gathered[column, rest] / strength  # with minus sign: how the constant follows from the rest
+        gathered[np.ix_(rest, rest)] -= strength * np.outer(shares, shares)
+        gathered[column, :], gathered[:, column] = 0.0, 0.0
+        owed = self.columns[:-1, column].copy()
+        self.columns[:-1, rest] -= np.outer(owed, shares)
+        self.covariance += np.outer(owed, owed) / strength
+        self.columns[:, column] = 0.0
 
     @property
     def kept(self) -> int:

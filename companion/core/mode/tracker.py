@@ -6,6 +6,7 @@ It owns the time grid, the streams and the filter, and does nothing itself but k
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Collection
 
 import numpy as np
 
@@ -70,6 +71,7 @@ class WingTracker:
         self._forecaster = Forecaster()
         self._rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each cell
         self._start_ns: int | None = None
+        self._reopened_ns = 0
         self._next_ns = 0
         self._rows = tip_rows(self._layout, slope_rows(self._layout))
         self._validity = Validity.SETTLING
@@ -102,6 +104,16 @@ class WingTracker:
             raise ValueError(f"values of an ImuBatch are (n, 6), not {batch.values.shape}")
         done_ns = self._next_ns if self._start_ns is not None else -(2**62)
         return self._streams[batch.station].add(batch, done_ns)
+
+    def restarted(self, stations: Collection[Station]) -> None:
+        """Know that the clocks of these stations, relative to the root's, began anew: so does their stamps' error."""
+        if self._adaptation.early:
+            self._restart()
+            return
+        self._kalman.reopen([f"{station.name.lower()}.tau" for station in stations])
+        self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
+        self._mark()
+        self._reopened_ns = self._next_ns
 
     def adopt(self, settings: Settings) -> None:
         """Use changed live settings from now on."""
@@ -266,7 +278,7 @@ class WingTracker:
             return Reject.NOT_SETTLED
         if self._validity is Validity.STALE:
             return Reject.STALE
-        oldest_ns = max(self._start_ns, self._next_ns - round(_WINDOW_S * 1e9))
+        oldest_ns = max(self._start_ns, self._reopened_ns, self._next_ns - round(_WINDOW_S * 1e9))
         if not oldest_ns <= t_host_ns <= self._next_ns:
             return Reject.OUT_OF_WINDOW
         step, into_ns = divmod(t_host_ns - self._start_ns, self._step_ns)
