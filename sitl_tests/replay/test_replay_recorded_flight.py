@@ -28,8 +28,7 @@ DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] 
 RECORDINGS = DATA / "recordings"
 WINDOW_S = 4.0
 INJECTED_MPS2 = {Station.LEFT: 4.0, Station.RIGHT: 3.6}
-CATAPULT = "the take-off's jump of the static bend keeps the level above TRK_CALM for 20 s: validity says tracking"
-QUIET = ("ground.tlog", pytest.param("flight_clean.tlog", marks=pytest.mark.xfail(reason=CATAPULT, strict=True)))
+QUIET = ("ground.tlog", "flight_clean.tlog")
 NOTHING_FOUND = 3
 
 pytestmark = [
@@ -105,7 +104,7 @@ def test_where_no_mode_is_none_is_named(name: str, capsys: pytest.CaptureFixture
     assert result["ranges"]["trusted"] == 0
 
 
-@pytest.mark.parametrize("name", ["ground.tlog", "flight_clean.tlog"])
+@pytest.mark.parametrize("name", QUIET)
 def test_no_station_of_a_quiet_recording_has_a_tone(name: str) -> None:
     result = analysed(name).result()
     assert len(result) == 3

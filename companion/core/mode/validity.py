@@ -20,9 +20,10 @@ SURPRISED = 3.0  # mean square of normalised innovations; with the right model i
 
 
 class Level:
-    """Mean square of both modal coordinates about the static bend: the median of the last seconds' blocks.
+    """Mean square of both modes' swing: the median of the last seconds' blocks.
 
-    A step of the static bend, as at take-off, fills one block or two and is not motion.
+    The swing is told by the rate of the deflection over the mode's circular frequency, which is the deflection itself
+    where a mode swings. A jump of the static bend, as at take-off, moves the deflection far and slowly: that is no swing.
 
     Attributes
     ----------
@@ -33,7 +34,7 @@ class Level:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self._families = [family.q for family in layout.families]
+        self._rates = [family.v for family in layout.families]
         self._blocks: deque[Floats] = deque(maxlen=_BLOCKS)
         self._sum, self._count = np.zeros(2), 0
         self._rms: Floats = np.zeros(2)
@@ -44,9 +45,9 @@ class Level:
         """Take the newest ``count`` steps."""
         slots = np.arange(kalman.steps - min(count, kalman.kept), kalman.steps) % kalman.kept
         weights = np.concatenate([[1.0], kalman.constants])
-        q = kalman.history.state[slots][:, self._families] @ weights
-        q[:, 0] -= kalman.history.static_m[slots] @ weights
-        self._sum = self._sum + (q**2).sum(axis=0)
+        omega = 2.0 * np.pi * np.array([mode.frequency_hz for mode in kalman.model.parameters])
+        swing = kalman.history.state[slots][:, self._rates] @ weights / omega
+        self._sum = self._sum + (swing**2).sum(axis=0)
         self._count += len(slots)
         self.settled_s += count * step_s
         self.learned |= self.settled_s >= _LEARN_S
