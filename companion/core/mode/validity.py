@@ -23,7 +23,7 @@ class Level:
     """Mean square of both modes' swing: the median of the last seconds' blocks.
 
     The swing is told by the rate of the deflection over the mode's circular frequency, which is the deflection itself
-    where a mode swings. A jump of the static bend, as at take-off, moves the deflection far and slowly: that is no swing.
+    where a mode swings. A jump of the static bend, as at take-off, moves the deflection far, but slowly: no swing.
 
     Attributes
     ----------
