@@ -45,6 +45,12 @@ class Link:
         stamp = self.remote(read_ns) // 1000 * 1000  # ArduPilot counts microseconds
         return TimesyncReply(NODE, sent_ns, stamp, read_ns + int(back))
 
+    def later(self, after_ns: int) -> Link:
+        """The same link and clock, flown from so much later on."""
+        other = Link(self.seed + 1000, self.skew_ppm, self.jitter_ns, self.fixed_ns, self.loss)
+        other.start_ns, other.epoch_ns = self.start_ns + after_ns, self.remote(self.start_ns + after_ns)
+        return other
+
     def stamps(self, host_ns: Ints) -> Ints:
         return np.array([self.remote(int(t)) for t in host_ns], dtype=np.int64)
 
@@ -57,6 +63,7 @@ class Flight:
     bound_ns: list[int] = field(default_factory=list)
     excess_ns: list[float] = field(default_factory=list)
     stamps: list[Ints] = field(default_factory=list)
+    true: list[Ints] = field(default_factory=list)
     locked_after_s: float = np.inf
 
 
@@ -77,4 +84,5 @@ def fly(bank: ClockBank, link: Link, duration_s: int) -> Flight:
             flight.bound_ns.append(answer[1])
             flight.excess_ns.append(answer[1] - least_round_trip / 2)
             flight.stamps.append(answer[0])
+            flight.true.append(true)
     return flight

@@ -90,6 +90,40 @@ def test_a_restart_never_stamps_wrongly_and_relocks_within_three_seconds(seed: i
     assert bank.counters()["clock_restarts"] == 1
 
 
+def _swing_ns(bank: ClockBank, link: Link) -> int:
+    """By how much the error of the stamps moves in the ten seconds from the first on."""
+    flight = fly(bank, link, duration_s=12)
+    error = np.concatenate(flight.stamps) - np.concatenate(flight.true)
+    return int(np.ptp(error))
+
+
+def test_a_clock_that_was_known_well_does_not_drift_after_its_restart() -> None:
+    """Who has learned the constant error of its stamps meets one: less than half the swing of a first start."""
+    first, again = [], []
+    for seed in range(8):
+        bank, link = ClockBank(), Link(seed, jitter_ns=1e6, loss=0.0)
+        first.append(_swing_ns(bank, link))
+        fly(bank, link.later(12 * S), duration_s=20)
+        bank.restart(ClockRestart(NODE, link.start_ns + 33 * S))
+        after = link.later(34 * S)
+        after.epoch_ns = 0
+        again.append(_swing_ns(bank, after))
+        assert bank.restarts(NODE) == 1
+    assert np.median(again) < 0.5 * np.median(first)
+
+
+def test_a_restart_with_another_crystal_is_understood() -> None:
+    bank, link = ClockBank(), Link(9, skew_ppm=150, jitter_ns=1e6)
+    fly(bank, link, duration_s=20)
+    other = Link(10, skew_ppm=-150, jitter_ns=1e6)
+    other.start_ns, other.epoch_ns = link.start_ns + 22 * S, 0
+    flight = fly(bank, other, duration_s=30)
+    assert flight.locked_after_s < 3.0
+    assert bank.state(NODE).skew_ppm == pytest.approx(-150, abs=15)
+    late = len(flight.error_ns) // 3
+    assert np.all(np.array(flight.error_ns[late:]) <= np.array(flight.bound_ns[late:]))
+
+
 def test_one_wrong_reply_suspends_and_is_then_discarded() -> None:
     bank, link = ClockBank(), Link(5, loss=0.0)
     fly(bank, link, duration_s=10)

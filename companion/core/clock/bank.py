@@ -10,7 +10,8 @@ class ClockBank:
     """One estimator per remote clock (the autopilot, every wing node, every camera).
 
     Ask each remote for TIMESYNC about ten times a second: the bound shrinks with the luckiest round trip of a minute,
-    and a restarted clock is locked again after eight answers or 1.5 s.
+    and a restarted clock is locked again after eight answers or 1.5 s. One that was known well is taken back when it is
+    known about as well again, or after 1.5 s.
     """
 
     def __init__(self) -> None:
@@ -62,6 +63,10 @@ class ClockBank:
         if clock in self._identities:
             return ClockState(clock, now_host_ns or 0, 0, 0.0, 0, True)
         return self._remote(clock).state(now_host_ns)
+
+    def restarts(self, clock: ClockName) -> int:
+        """How often a clock was seen to begin anew, announced or found from exchanges that contradict all older."""
+        return self._remote(clock).restarts
 
     def counters(self) -> dict[str, int]:
         """Count restarts seen and exchanges discarded, over all clocks."""

@@ -28,9 +28,10 @@ class FeasibleLines:
     corners: tuple[Corner, ...]
 
     @classmethod
-    def box(cls, least_ns: float, most_ns: float, most_skew: float) -> FeasibleLines:
+    def box(cls, least_ns: float, most_ns: float, skews: tuple[float, float]) -> FeasibleLines:
         """Give all lines between two offsets and two skews."""
-        return cls(((least_ns, -most_skew), (most_ns, -most_skew), (most_ns, most_skew), (least_ns, most_skew)))
+        slow, fast = skews
+        return cls(((least_ns, slow), (most_ns, slow), (most_ns, fast), (least_ns, fast)))
 
     def centre(self) -> tuple[float, float, float, float]:
         """Give offset [ns], skew, and the half-widths of both, at the reference time.

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from companion.core.clock.mapping import Mapping
-from companion.core.clock.window import ClockFit, ExchangeWindow
+from companion.core.clock.mapping import Knot, Mapping
+from companion.core.clock.window import ANY_SKEW, ClockFit, ExchangeWindow
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
 STALE_NS = 5_000_000_000
@@ -20,6 +22,18 @@ _SETTLED_EXCHANGES = 8
 _SETTLED_SPAN_NS = 1_500_000_000
 _GOOD_BOUND_NS = 2_000_000
 _BEFORE_FIRST_NS = 2_000_000_000
+_WARMING_SKEW = 20e-6
+"""By how much a restart may have changed a crystal: half a minute's cooling of a cheap one."""
+_AS_GOOD = 3.0
+_LEAST_GOAL_NS = 50e3
+
+
+@dataclass(frozen=True, slots=True)
+class _Before:
+    """What was known of the clock before it restarted: the limits of its skew, and how good a bound is as good."""
+
+    skews: tuple[float, float] = ANY_SKEW
+    goal_ns: float = _GOOD_BOUND_NS
 
 
 class RemoteClock:
@@ -27,6 +41,9 @@ class RemoteClock:
 
     An exchange that contradicts all others suspends the clock at once. The next one decides: if it agrees with the old
     ones the odd one was wrong, if it agrees with the odd one the clock has restarted and everything older is void.
+    Only the crystal is still the same: a restarted clock keeps about the skew it had. And it is taken back when it is
+    known about as well as before, or after 1.5 s: whoever has learned something of its stamps' error meets no slow
+    drift, which the steering of a hasty first guess would be.
     """
 
     def __init__(self, clock: ClockName) -> None:
@@ -38,6 +55,7 @@ class RemoteClock:
         self._suspect: TimesyncReply | None = None
         self._skew = 0.0
         self._last_host_ns = 0
+        self._before = _Before()
 
     def restart(self, seen_host_ns: int) -> ClockState:
         """Forget everything: the clock's owner has restarted."""
@@ -53,7 +71,7 @@ class RemoteClock:
             return self.state()
         self._last_host_ns = max(self._last_host_ns, reply.received_host_ns)
         if self._window is None:
-            self._window = ExchangeWindow(reply)
+            self._window = ExchangeWindow(reply, self._before.skews)
             return self.state()
         fit = self._window.add(reply)
         if fit is None:
@@ -98,6 +116,8 @@ class RemoteClock:
         return self._mapping.newest().bound_at_ns(host_ns)
 
     def _forget(self) -> None:
+        if self._mapping:
+            self._before = _remembered(self._skew, self._mapping.newest())
         self._window = None
         self._mapping = Mapping()
         self._suspect = None
@@ -118,12 +138,19 @@ class RemoteClock:
 
     def _steer(self, window: ExchangeWindow, fit: ClockFit, now_host_ns: int) -> None:
         self._skew = fit.skew
-        if self._mapping or _good_enough(window, fit, now_host_ns):
+        if self._mapping or _good_enough(window, fit, now_host_ns, self._before.goal_ns):
             self._mapping.steer(now_host_ns, fit.offset_ns, window.base_ns, fit.skew, fit.bound_ns, fit.skew_bound)
 
 
-def _good_enough(window: ExchangeWindow, fit: ClockFit, now_host_ns: int) -> bool:
+def _remembered(skew: float, knot: Knot) -> _Before:
+    margin = knot.bound_rate + _WARMING_SKEW
+    goal_ns = min(max(_AS_GOOD * knot.bound_ns, _LEAST_GOAL_NS), _GOOD_BOUND_NS)
+    return _Before((skew - margin, skew + margin), goal_ns)
+
+
+def _good_enough(window: ExchangeWindow, fit: ClockFit, now_host_ns: int, goal_ns: float) -> bool:
     if window.count < _FEWEST_EXCHANGES or fit.bound_ns > MOST_BOUND_NS:
         return False
     settled = now_host_ns - window.first_host_ns >= _SETTLED_SPAN_NS
-    return settled or window.count >= _SETTLED_EXCHANGES or fit.bound_ns <= _GOOD_BOUND_NS
+    known_before = goal_ns < _GOOD_BOUND_NS
+    return settled or fit.bound_ns <= goal_ns or (window.count >= _SETTLED_EXCHANGES and not known_before)

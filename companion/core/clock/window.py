@@ -10,6 +10,7 @@ from companion.records import TimesyncReply
 
 WINDOW_NS = 60_000_000_000
 MOST_SKEW = 500e-6
+ANY_SKEW = (-MOST_SKEW, MOST_SKEW)
 SKEW_DRIFT_PER_S = 5e-8
 """How fast a skew may change: a crystal of 1 ppm/K that warms by 0.05 K/s."""
 _BUCKET_NS = 1_000_000_000
@@ -42,9 +43,12 @@ class _Bucket:
 
 
 class ExchangeWindow:
-    """Bounds from the exchanges of the last minute; dropping the looser ones of a second only widens the answer."""
+    """Bounds from the exchanges of the last minute; dropping the looser ones of a second only widens the answer.
 
-    def __init__(self, first: TimesyncReply) -> None:
+    ``skews`` limits the skew where something is known of it: until the exchanges contradict that, or fill the window.
+    """
+
+    def __init__(self, first: TimesyncReply, skews: tuple[float, float] = ANY_SKEW) -> None:
         self.count = 0
         self.first_host_ns = first.sent_host_ns
         self.base_ns = first.remote_ns - first.received_host_ns
@@ -53,6 +57,7 @@ class ExchangeWindow:
         self._at_ns = first.received_host_ns
         self._tolerance_ns = _TOLERANCES_NS[0]
         self._skew = 0.0
+        self._skews = skews
         self.add(first)
 
     def add(self, reply: TimesyncReply) -> ClockFit | None:
@@ -89,13 +94,15 @@ class ExchangeWindow:
         """Intersect all bounds, with as little tolerance as they allow."""
         while self._buckets and self._buckets[0].upper.at_ns < now_ns - WINDOW_NS:
             self._buckets.popleft()
+            self._skews = ANY_SKEW
         uppers = [_relative(bucket.upper, now_ns) for bucket in self._buckets] + [_relative(upper, now_ns)]
         lowers = [_relative(bucket.lower, now_ns) for bucket in self._buckets] + [_relative(lower, now_ns)]
         for tolerance in _TOLERANCES_NS:
-            found = _intersected(uppers, lowers, tolerance)
-            if found is not None:
-                self._tolerance_ns = tolerance
-                return found
+            for skews in dict.fromkeys((self._skews, ANY_SKEW)):
+                found = _intersected(uppers, lowers, tolerance, skews)
+                if found is not None:
+                    self._tolerance_ns, self._skews = tolerance, skews
+                    return found
         return None
 
     def _keep(self, upper: _Bound, lower: _Bound, number: int) -> None:
@@ -114,12 +121,15 @@ def _relative(bound: _Bound, now_ns: int) -> tuple[float, float, float]:
 
 
 def _intersected(
-    uppers: list[tuple[float, float, float]], lowers: list[tuple[float, float, float]], tolerance_ns: float
+    uppers: list[tuple[float, float, float]],
+    lowers: list[tuple[float, float, float]],
+    tolerance_ns: float,
+    skews: tuple[float, float],
 ) -> FeasibleLines | None:
     far = MOST_SKEW * max(-at for at, _, _ in uppers + lowers)
     least, most = max(low for _, low, _ in lowers) - 2 * far, min(high for _, high, _ in uppers) + 2 * far
     margin = tolerance_ns + WINDOW_NS * WINDOW_NS * SKEW_DRIFT_PER_S * 1e-9
-    lines: FeasibleLines | None = FeasibleLines.box(least - margin, most + margin, MOST_SKEW)
+    lines: FeasibleLines | None = FeasibleLines.box(least - margin, most + margin, skews)
     if most + margin <= least - margin:
         return None
     for at, high, drift in reversed(uppers):
