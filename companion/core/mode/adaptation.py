@@ -74,6 +74,7 @@ class Adaptation:
         self.refilter = False
         size = round(_LONG_S / step_s)
         self._rows, self._seen = np.zeros((size, _KEPT)), np.zeros((size, 2), dtype=bool)
+        self._sensitivity = np.zeros((size, 2, len(layout.constants)))
         self._count = 0
         self._next = round(_FIRST_S / step_s)
         self.fits = 0
@@ -94,15 +95,15 @@ class Adaptation:
             at = end
 
     def learn(self, constants: Floats, bend_per_g_m: float) -> None:
-        """Take over the sensor errors and the bend per g as they are known by now."""
-        self._constants, self._bend_per_g_m = constants, bend_per_g_m
+        """Take over the sensor errors and the bend per g as they are known by now; all that is kept is seen by them."""
+        self._constants, self._bend_per_g_m = constants.copy(), bend_per_g_m
 
     def take(self, cells: Cells) -> bool:
         """Take cells; say whether there are new parameters."""
         size = len(self._rows)
         slots = (self._count + np.arange(len(cells))) % size
-        self._rows[slots, :2] = cells.rows[:, :2] - cells.sensitivity[:, :2] @ self._constants
-        self._rows[slots, _ROLL], self._rows[slots, _STATIC] = cells.rows[:, P_ROOT], self._bend_per_g_m * cells.load
+        self._rows[slots, :2], self._sensitivity[slots] = cells.rows[:, :2], cells.sensitivity[:, :2]
+        self._rows[slots, _ROLL], self._rows[slots, _STATIC] = cells.rows[:, P_ROOT], cells.load
         self._seen[slots] = cells.present[:, :2]
         self._cut += min(1.0, len(cells) * self._step_s / _CUT_MEMORY_S) * (float(cells.cut.mean()) - self._cut)
         self.refilter = self.early
@@ -131,7 +132,10 @@ class Adaptation:
     def _newest(self, span_s: float) -> tuple[Floats, Bools]:
         count = min(self._count, round(span_s / self._step_s))
         slots = (self._count - count + np.arange(count)) % len(self._rows)
-        return self._rows[slots], self._seen[slots]
+        rows = self._rows[slots]
+        rows[:, :2] -= self._sensitivity[slots] @ self._constants
+        rows[:, _STATIC] *= self._bend_per_g_m
+        return rows, self._seen[slots]
 
     def _fit_family(self, rows: Floats, which: tuple[int, ...], elapsed_s: float) -> list[ModeParameters]:
         samples, floor = self._channel(rows, which)

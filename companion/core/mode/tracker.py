@@ -116,8 +116,11 @@ class WingTracker:
         self._reopened_ns = self._next_ns
 
     def adopt(self, settings: Settings) -> None:
-        """Use changed live settings from now on."""
+        """Use changed live settings from now on; who begins to adapt in flight begins anew, for nothing was kept."""
+        begins = bool(settings.adapt and not self._settings.adapt)
         self._settings = settings
+        if begins:
+            self._restart()
 
     def advance(self, now_host_ns: int) -> ModeState | None:
         """Process every cell that ended before ``now`` less the reorder window; None until there is a first one."""
