@@ -230,14 +230,18 @@ def _undone_gain(root: Sensor, step_s: float) -> float:
 
 
 def _bias_prior(airframe: Airframe, layout: Layout) -> Floats:
-    """Vertical and lateral rows are differences to the root and share its bias."""
+    """Vertical and lateral rows are differences to the root and share its bias.
+
+    So do the roll rates: the rigid roll rate of the state is the one that the root's gyro shows, bias included.
+    """
     prior = np.zeros((len(layout.bias), len(layout.bias)))
-    tips = (airframe.left, airframe.right)
+    root, tips = airframe.root, (airframe.left, airframe.right)
     for i, (row, _) in enumerate(layout.bias):
         gyro = row >= P_LEFT
         sensor = tips[row % 2]
         prior[i, i] = (sensor.gyro_bias_sigma_radps if gyro else sensor.accel_bias_sigma_mps2) ** 2
+        shared = root.gyro_bias_sigma_radps if gyro else root.accel_bias_sigma_mps2
         for j, (other, _) in enumerate(layout.bias):
-            if other // 2 == row // 2 and not gyro:
-                prior[i, j] += airframe.root.accel_bias_sigma_mps2**2
+            if other // 2 == row // 2:
+                prior[i, j] += shared**2
     return prior
