@@ -11,6 +11,7 @@ from pathlib import Path
 from companion.adapters.cameras import opening as cameras
 from companion.adapters.triggers import opening as triggers
 from companion.adapters.triggers.mavlink import link_firing
+from companion.adapters.triggers.oak import soft_line
 from companion.cli.flying import fly
 from companion.cli.options import add_settings, read_settings, state_file
 from companion.cli.view import View
@@ -67,7 +68,8 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
     airframe = _with_kept_latency(load_airframe(options.airframe), options)
     eyes = None
     if options.cameras is not None:
-        eyes = cameras.camera_factory(options.cameras, airframe, triggered=trigger is not None)
+        soft = soft_line(trigger)
+        eyes = cameras.camera_factory(options.cameras, airframe, triggered=trigger is not None, soft=soft)
     return ServiceConfig(
         airframe=airframe,
         settings=read_settings(options),

@@ -21,6 +21,7 @@ from companion.adapters.clocks import ManualClock
 from companion.adapters.recordings.writer import About, McapWriter
 from companion.adapters.triggers import opening as triggers
 from companion.adapters.triggers.mavlink import LinkFiring, MavlinkTrigger, link_firing
+from companion.adapters.triggers.oak import SoftLine, soft_line
 from companion.adapters.triggers.serial_board import SerialBoardTrigger
 from companion.cli import run
 from companion.core.pipeline import VisionState
@@ -143,9 +144,19 @@ def test_oak_devices_are_told_apart_and_follow_the_trigger_line(airframe: Airfra
         for triggered in (True, False):
             factory: Any = cameras.camera_factory(spelling, airframe, triggered=triggered)
             assert factory.func is OakPair
-            left, right, size, timing = factory.args
+            left, right, size, timing, soft = factory.args
+            assert soft is None
             assert (left, right, size) == (*expected, (640, 480))
             assert (timing.external, timing.exposure_us) == (triggered, 2000)
+
+
+def test_the_software_trigger_reaches_the_cameras_that_have_one(airframe: Airframe) -> None:
+    soft = SoftLine(pins=(41, 38))
+    factory: Any = cameras.camera_factory("oak:CAM_B,CAM_C", airframe, triggered=True, soft=soft)
+    assert factory.args[-1] == soft
+    assert factory.args[-2].external
+    with pytest.raises(ConfigError, match="--trigger oak fires DepthAI cameras only, not --cameras v4l2:0,1"):
+        cameras.camera_factory("v4l2:0,1", airframe, triggered=True, soft=soft)
 
 
 @pytest.mark.parametrize(
@@ -170,6 +181,9 @@ def test_triggers_by_name() -> None:
     assert link_firing(board) is None
     line: Any = triggers.trigger_factory("gpio:/dev/gpiochip0,17,low")
     assert (line.args, line.keywords) == (("/dev/gpiochip0", 17), {"active_low": True})
+    assert soft_line(triggers.trigger_factory("oak")) == SoftLine()
+    assert soft_line(triggers.trigger_factory("oak:40, 38")) == SoftLine(pins=(40, 38))
+    assert soft_line(line) is None
     for spelling in (
         "",
         "relay",
@@ -180,6 +194,8 @@ def test_triggers_by_name() -> None:
         "gpio:a,1,high",
         "mavlink:servo,9",
         "mavlink:x",
+        "oak:",
+        "oak:pin",
     ):
         with pytest.raises(ConfigError, match="known are none"):
             triggers.trigger_factory(spelling)

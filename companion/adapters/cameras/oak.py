@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from companion.adapters.cameras.oak_soft import SoftEar, fire_queue
+from companion.adapters.triggers.oak import SoftLine
 from companion.errors import DeviceError
 from companion.records import ClockName, Frame, Side
 
@@ -94,6 +96,8 @@ class OakPair(QueuePair):
         Width, height.
     timing : OakTiming
         Exposure and trigger.
+    soft : SoftLine, optional
+        The devices pull their FSYNC line themselves when they are told to; with ``timing.external``.
 
     Raises
     ------
@@ -101,23 +105,46 @@ class OakPair(QueuePair):
         The library or a device is missing, a socket has no camera, or the FSYNC line cannot be an input.
     """
 
-    def __init__(self, left: OakSensor, right: OakSensor, size_px: tuple[int, int], timing: OakTiming) -> None:
+    def __init__(
+        self,
+        left: OakSensor,
+        right: OakSensor,
+        size_px: tuple[int, int],
+        timing: OakTiming,
+        soft: SoftLine | None = None,
+    ) -> None:
         super().__init__(timing)
+        self._soft = soft
+        self._fire: list[Any] = []
+        self._ear: SoftEar | None = None
         try:
             for sensor in (left, right):
                 self._queues.append(self._open(sensor, size_px))
             self._start()
+            if soft is not None:
+                self._ear = SoftEar(soft, self._fire, self._dai)
+        except DeviceError:
+            self.close()
+            raise
         except RuntimeError as error:
             self.close()
             raise DeviceError(f"DepthAI camera: {error}") from error
+
+    def close(self) -> None:
+        """Fall silent, stop the pipelines, release the devices."""
+        if self._ear is not None:
+            self._ear.close()
+        super().close()
 
     def _open(self, sensor: OakSensor, size_px: tuple[int, int]) -> Any:
         dai = self._dai
         if sensor.device not in self._pipelines:
             device = dai.Device(dai.DeviceInfo(sensor.device)) if sensor.device else dai.Device()
-            if self._timing.external:
+            if self._timing.external and self._soft is None:
                 listen_to_line(device, dai)
             self._pipelines[sensor.device] = dai.Pipeline(device)
+            if self._soft is not None:
+                self._fire.append(fire_queue(self._pipelines[sensor.device], self._soft, dai))
         node = self._pipelines[sensor.device].create(dai.node.Camera)
         return camera_queue(node, sensor.socket, size_px, self._timing, dai)
 

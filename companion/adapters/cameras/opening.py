@@ -11,6 +11,7 @@ from companion.adapters.cameras.oak import OakPair, OakReplayPair, OakSensor, Oa
 from companion.adapters.cameras.paced import PacedPair, RecordedPair
 from companion.adapters.cameras.video import CapturePair
 from companion.adapters.clocks import MonotonicClock
+from companion.adapters.triggers.oak import SoftLine
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera
 from companion.ports import CameraPair
@@ -26,7 +27,9 @@ SPELLINGS = (
 _FREE_RUN_HZ = 30.0
 
 
-def camera_factory(spelling: str, airframe: Airframe, *, triggered: bool) -> Callable[[], CameraPair]:
+def camera_factory(
+    spelling: str, airframe: Airframe, *, triggered: bool, soft: SoftLine | None = None
+) -> Callable[[], CameraPair]:
     """Give what opens the pair, in whichever process uses it; files play at their own pace from then on.
 
     Parameters
@@ -37,11 +40,14 @@ def camera_factory(spelling: str, airframe: Airframe, *, triggered: bool) -> Cal
         Size, exposure and row time of its cameras.
     triggered : bool
         Exposures follow a trigger line; otherwise the cameras run free.
+    soft : SoftLine, optional
+        The trigger is the DepthAI cameras' own.
 
     Raises
     ------
     ConfigError
-        The spelling is none of these, or the airframe has no cameras. What opening raises, the factory raises.
+        The spelling is none of these, the airframe has no cameras, or the software trigger is asked of other cameras
+        than DepthAI's. What opening raises, the factory raises.
     """
     left, right = airframe.left_camera, airframe.right_camera
     if left is None or right is None:
@@ -51,7 +57,10 @@ def camera_factory(spelling: str, airframe: Airframe, *, triggered: bool) -> Cal
         raise ConfigError(_unknown(spelling))
     if kind == "oak":
         one, other = (_oak_sensor(word) for word in _two(where, spelling))
-        return functools.partial(OakPair, one, other, (left.width_px, left.height_px), _oak_timing(left, triggered))
+        size_px = left.width_px, left.height_px
+        return functools.partial(OakPair, one, other, size_px, _oak_timing(left, triggered), soft)
+    if soft is not None:
+        raise ConfigError(f"--trigger oak fires DepthAI cameras only, not --cameras {spelling}")
     if kind == "v4l2":
         first, second = (int(word) if word.isdigit() else word for word in _two(where, spelling))
         return functools.partial(_v4l2, first, second, left)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from companion.adapters.triggers.gpio import GpioTrigger
 from companion.adapters.triggers.mavlink import LinkFiring, MavlinkTrigger
+from companion.adapters.triggers.oak import OakTrigger, SoftLine
 from companion.adapters.triggers.serial_board import SerialBoardTrigger
 from companion.errors import ConfigError
 from companion.ports import Trigger
@@ -16,6 +17,7 @@ SPELLINGS = (
     "mavlink (the autopilot's own cameras, IMAGE_START_CAPTURE), mavlink:relay,0 or mavlink:servo,9,1900",
     "serial:/dev/ttyACM0 or serial:/dev/ttyUSB0,115200 (the trigger board)",
     "gpio:/dev/gpiochip0,17 or gpio:/dev/gpiochip0,17,low (libgpiod; low is active low)",
+    "oak or oak:41,38 (DepthAI cameras pull their own FSYNC pin, 41; further pins are held high)",
 )
 
 
@@ -33,6 +35,10 @@ def trigger_factory(spelling: str) -> Callable[[], Trigger] | None:
         return None
     if spelling == "mavlink":
         return MavlinkTrigger
+    if spelling == "oak":
+        return functools.partial(OakTrigger, SoftLine())
+    if kind == "oak" and words and all(word.isdigit() for word in words):
+        return functools.partial(OakTrigger, SoftLine(tuple(int(word) for word in words)))
     numbers = [int(word) for word in words[1:] if word.isdigit()]
     if kind == "mavlink" and (words[:1], len(words), len(numbers)) in ((["relay"], 2, 1), (["servo"], 3, 2)):
         return functools.partial(MavlinkTrigger, LinkFiring(words[0], *numbers))
