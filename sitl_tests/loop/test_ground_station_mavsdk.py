@@ -64,7 +64,6 @@ def in_real_time(air: Air) -> Iterator[None]:
         thread.join()
 
 
-@pytest.mark.long
 @pytest.mark.realtime
 def test_mavsdk_lists_reads_and_sets_under_loss() -> None:
     station = Sdk()
