@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.recording import LoggedRecording, Stream, join, merge, timed
+from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, timed
+from companion.adapters.recordings.stamps import without_rounding
 from companion.adapters.recordings.tables import read_table
 from companion.adapters.recordings.units import ACCELERATION, ANGULAR_RATE, has_known_unit, input_in_si
 from companion.errors import RecordingError, TableError
@@ -92,7 +93,9 @@ class CsvRecording(LoggedRecording):
     def _accel(self, file: Path) -> Iterator[Stream]:
         table = read_table(file)
         place = file.stem.removeprefix("accel").lstrip("_")
-        t_s = table.columns["t_s"]
+        t_s, rounded = without_rounding(table.columns["t_s"])
+        if rounded:
+            self.notes.add(f"{file}: {rounded}", severity=INFO)
         found: dict[Station, list[tuple[int, Floats]]] = {}
         for name, values in table.columns.items():
             column = inertial_column(file, name, place)

@@ -19,7 +19,8 @@ from companion.adapters.recordings.csv import (
 )
 from companion.adapters.recordings.mapped import MAY_BE_MISSING, MappedTable, read_mapped
 from companion.adapters.recordings.mapping import TableMapping
-from companion.adapters.recordings.recording import LoggedRecording, Stream, merge, timed
+from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, merge, timed
+from companion.adapters.recordings.stamps import without_rounding
 from companion.errors import TableError
 from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, ImuBatch, Station
@@ -37,8 +38,12 @@ class MappedRecording(LoggedRecording):
     def __init__(self, path: Path, mapping: TableMapping, airframe: Airframe) -> None:
         super().__init__(path, airframe, ClockName.HOST)
         table = read_mapped(path, mapping)
+        t_s, rounded = without_rounding(table.t_s)
+        table = dataclasses.replace(table, t_s=t_s)
         for note in table.notes:
             self.notes.add(note)
+        if rounded:
+            self.notes.add(f"{path}: {rounded}", severity=INFO)
         self.covariates: dict[str, Covariate] = {}
         self.streams = tuple(self._streams(table, mapping))
         self.ranges = _ranges(table)
