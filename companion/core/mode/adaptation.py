@@ -146,7 +146,7 @@ class Adaptation:
         if elapsed_s <= _SCAN_UNTIL_S:
             best = self._search(long, prior, self._scanned(long, prior, start))
         else:
-            best = self._improved(long, prior, start)
+            best = self._improved(long, prior, start, which[0])
         if elapsed_s > 2.0 * _SHORT_S:
             short = make_stretch(samples[-round(_SHORT_S / self._step_s) :], self._step_s, band, floor)
             best = _drifted(short, prior, best)
@@ -158,10 +158,15 @@ class Adaptation:
             at += PARAMETERS
         return out
 
-    def _improved(self, stretch: Stretch, prior: Prior, start: Floats) -> Fit:
-        """Go on from where the last fit ended; in turns try another colour of the gust, or a peak that it has not."""
+    def _improved(self, stretch: Stretch, prior: Prior, start: Floats, family: int) -> Fit:
+        """Go on from where the last fit ended; in turns try another colour of the gust, or a peak that it has not.
+
+        Such a try costs more than all the rest: the families have it by turns.
+        """
         best = fit(stretch, prior, start, 3)
-        turn = self.fits % (1 + len(_CORNERS_HZ))
+        if self.fits % 2 != family:
+            return best
+        turn = self.fits // 2 % (1 + len(_CORNERS_HZ))
         tried = _recoloured(best.logs, _CORNERS_HZ[turn - 1]) if turn else _with_second(stretch, prior, best.logs)
         if np.array_equal(tried, best.logs):
             return best

@@ -8,6 +8,7 @@ tip, both are fitted to it at once.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,7 +17,7 @@ import numpy as np
 
 from companion.core.compiled import compiled
 from companion.core.mode.parameters import PARAMETERS
-from companion.core.mode.spectrum import acceleration_density
+from companion.core.mode.spectrum import acceleration_density, acceleration_slopes
 from companion.records import Floats, Ints
 
 _TAPER = 0.4  # share of the stretch that is tapered (Tukey)
@@ -24,7 +25,6 @@ _REACH = 5  # bins that the taper smears over
 _FINE_HZ = 0.06  # a lightly damped peak is narrower than a short stretch's bins
 _GROUP = 0.008
 _PEAK_WIDTH = 0.03
-_DELTA = 1e-4
 _LARGEST_STEP = 1.0
 _CONVERGED = 0.02
 _GIVE_UP = 1e4
@@ -65,12 +65,13 @@ class Stretch(NamedTuple):
 @compiled
 def _smear(stretch: Stretch, density: Floats) -> Floats:
     """Expected periodogram of a signal of this density: (g,) to (b,)."""
-    low, span = stretch.low_bins, stretch.stride * stretch.low_bins
-    expected = np.empty(len(stretch.power))
+    low, stride = stretch.low_bins, stretch.stride
+    expected = np.zeros(len(stretch.power))
     expected[low:] = density[stretch.low_grid :]
-    expected[:low] = 0.0
-    for j in range(len(stretch.kernel)):
-        expected[:low] += stretch.kernel[j] * density[j : j + span : stretch.stride]
+    for phase in range(stride):
+        fine = density[phase : stretch.low_grid : stride].copy()
+        for j in range(phase, len(stretch.kernel), stride):
+            expected[:low] += stretch.kernel[j] * fine[j // stride : j // stride + low]
     return expected
 
 
@@ -79,10 +80,9 @@ def make_stretch(
 ) -> Stretch:
     """Taper and transform ``samples`` (n,); use the bins inside the band (lowest, first grouped, highest)."""
     n = len(samples)
-    taper = _tukey(n)
-    energy = float(taper @ taper)
     bin_hz = 1.0 / (n * step_s)
     stride = max(2, int(np.ceil(bin_hz / _FINE_HZ)))
+    taper, energy, independent, kernel = _window(n, stride)
     spectrum = np.fft.rfft(taper * (samples - samples.mean()))
     periodogram: Floats = 2.0 * step_s / energy * (spectrum.real**2 + spectrum.imag**2)
     first = max(int(np.ceil(band_hz[0] / bin_hz)), _REACH + 1)
@@ -92,12 +92,8 @@ def make_stretch(
     counts = np.diff(edges).astype(np.float64)
     groups = np.add.reduceat(periodogram[: edges[-1]], edges[:-1]) / counts
     centres = 0.5 * (edges[1:] + edges[:-1] - 1) * bin_hz
-    window = np.fft.rfft(taper, n * stride)[: _REACH * stride + 1]
-    half = window.real**2 + window.imag**2
-    kernel: Floats = np.concatenate([half[:0:-1], half])
     reach = _REACH * stride
     fine = bin_hz / stride * np.arange(first * stride - reach, (split - 1) * stride + reach + 1)
-    independent = energy**2 / (n * float(np.sum(taper**4)))
     grid: Floats = np.concatenate([fine, centres])
     return Stretch(
         step_s=step_s,
@@ -106,13 +102,25 @@ def make_stretch(
         weight=independent * np.concatenate([np.ones(split - first), counts]),
         grid_hz=grid,
         floor=floor(grid),
-        kernel=kernel / float(kernel.sum()),
+        kernel=kernel,
         stride=stride,
         low_bins=split - first,
         low_grid=len(fine),
     )
 
 
+@functools.lru_cache(maxsize=8)
+def _window(n: int, stride: int) -> tuple[Floats, float, float, Floats]:
+    """Taper, its energy, independent bins per bin, and how it smears a line over bins split in ``stride``."""
+    taper = _tukey(n)
+    energy = float(taper @ taper)
+    transform = np.fft.rfft(taper, n * stride)[: _REACH * stride + 1]
+    half = transform.real**2 + transform.imag**2
+    kernel: Floats = np.concatenate([half[:0:-1], half])
+    return taper, energy, energy**2 / (n * float(np.sum(taper**4))), kernel / float(kernel.sum())
+
+
+@functools.lru_cache(maxsize=8)
 def _group_edges(first: int, last: int) -> Ints:
     """Bin numbers at which groups begin; each group is a small share of its frequency wide."""
     edges = [first]
@@ -192,6 +200,14 @@ def cost(stretch: Stretch, prior: Prior, logs: Floats) -> float:
 
 def fit(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> Fit:
     """Improve ``start`` by at most ``rounds`` of Fisher scoring, damped as Levenberg and Marquardt do."""
+    logs, best, information = _improve(stretch, prior, start, rounds)
+    spread: Floats = np.sqrt(np.diag(np.asarray(np.linalg.inv(information), dtype=np.float64)))
+    return Fit(logs, spread, float(best), 0.5 * float(np.linalg.slogdet(information)[1]))
+
+
+@compiled
+def _improve(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> tuple[Floats, float, Floats]:
+    """Where the rounds end, its cost and the information there."""
     logs, best, damping = start.copy(), cost(stretch, prior, start), 1e-3
     gradient, information = _slope(stretch, prior, logs)
     for _ in range(rounds):
@@ -207,8 +223,7 @@ def fit(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> Fit:
             damping = max(8.0 * damping, 1e-2)
             if damping > _GIVE_UP:
                 break
-    spread: Floats = np.sqrt(np.diag(np.asarray(np.linalg.inv(information), dtype=np.float64)))
-    return Fit(logs, spread, best, 0.5 * float(np.linalg.slogdet(information)[1]))
+    return logs, best, information
 
 
 def moved_evidence(stretch: Stretch, belief: Prior, found: Fit) -> float:
@@ -217,30 +232,38 @@ def moved_evidence(stretch: Stretch, belief: Prior, found: Fit) -> float:
     return stayed - found.cost - found.log_volume - float(np.sum(np.log(belief.sigma)))
 
 
+@compiled
 def _moved(prior: Prior, logs: Floats, gradient: Floats, information: Floats, damping: float) -> Floats:
     """One step, parameters at their limits held where the step would push them out."""
-    free = ~(((logs <= prior.low) & (gradient > 0.0)) | ((logs >= prior.high) & (gradient < 0.0)))
-    reduced = information[np.ix_(free, free)]
-    step = np.zeros_like(logs)
-    step[free] = -np.linalg.solve(reduced + damping * np.diag(np.diag(reduced)), gradient[free])
-    step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-    return np.asarray(np.clip(logs + step, prior.low, prior.high), dtype=np.float64)
+    held = ((logs <= prior.low) & (gradient > 0.0)) | ((logs >= prior.high) & (gradient < 0.0))
+    pushed, reduced = -gradient, information.copy()
+    for k in range(len(logs)):
+        reduced[k, k] *= 1.0 + damping
+    for k in range(len(logs)):
+        if held[k]:
+            pushed[k] = 0.0
+            reduced[k, :] = 0.0
+            reduced[:, k] = 0.0
+            reduced[k, k] = 1.0
+    step = np.minimum(np.maximum(np.linalg.solve(reduced, pushed), -_LARGEST_STEP), _LARGEST_STEP)
+    moved: Floats = np.minimum(np.maximum(logs + step, prior.low), prior.high)
+    return moved
 
 
 @compiled
 def _slope(stretch: Stretch, prior: Prior, logs: Floats) -> tuple[Floats, Floats]:
     """Gradient and Fisher information of the cost."""
-    expected = expected_power(stretch, prior, logs)
-    jacobian = np.empty((len(logs), len(expected)))
+    jacobian = np.empty((len(logs), len(stretch.power)))
+    density = stretch.floor.copy()
     for family in range(len(prior.reference_hz)):
-        own = logs[family * PARAMETERS : (family + 1) * PARAMETERS].copy()
-        reference = prior.reference_hz[family]
-        centre = acceleration_density(own, stretch.grid_hz, reference, stretch.step_s)
+        first = family * PARAMETERS
+        own = logs[first : first + PARAMETERS]
+        slopes = acceleration_slopes(own, stretch.grid_hz, prior.reference_hz[family], stretch.step_s)
+        density += slopes[0]
         for k in range(PARAMETERS):
-            own[k] += _DELTA
-            moved = acceleration_density(own, stretch.grid_hz, reference, stretch.step_s) - centre
-            own[k] -= _DELTA
-            jacobian[family * PARAMETERS + k] = _smear(stretch, moved) / (_DELTA * expected)
+            jacobian[first + k] = _smear(stretch, slopes[1 + k])
+    expected = np.maximum(_smear(stretch, density), _LEAST_EXPECTED)
+    jacobian /= expected
     pull = (logs - prior.mean) / prior.sigma**2
     gradient = jacobian @ (stretch.weight * (1.0 - stretch.power / expected)) + pull
     information = (stretch.weight * jacobian) @ jacobian.T + np.diag(1.0 / prior.sigma**2)
