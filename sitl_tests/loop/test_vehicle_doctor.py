@@ -6,7 +6,6 @@ import argparse
 import dataclasses
 import json
 import os
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.link import Link
+from companion.adapters.mavlink.translate import Heard
 from companion.cli import doctor
 from companion.cli.checks.evidence import Beat, Evidence, Finding, Fix, Level
-from companion.cli.checks.examine import Examination
+from companion.cli.checks.examine import Examination, note, read_log
 from companion.cli.doctor import apply, diagnose
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -25,6 +25,7 @@ from companion.sim.faults import Faults
 from companion.sim.flight import Flight, build_flight
 from companion.sim.world import World, WorldOptions
 from sitl_tests.loop.ground_stations import TurnedClock
+from sitl_tests.loop.simulated_service import SimulatedService
 
 MS = 1_000_000
 SECONDS = 5.0
@@ -293,13 +294,59 @@ def test_copters_need_proximity_and_planes_have_none() -> None:
     assert "no proximity library" in said
 
 
+def pictures(left: int, right: int = 0) -> dict[int, set[int]]:
+    return {1: set(range(left)), **({2: set(range(right))} if right else {})}
+
+
 def test_cameras_that_do_not_pair() -> None:
-    assert "one camera only" in texts(seen(feedback=Counter({1: 10})), doctor.check_cameras)
-    assert "does not pair" in texts(seen(feedback=Counter({1: 10, 2: 7})), doctor.check_cameras)
-    assert "ok" in texts(seen(feedback=Counter({1: 10, 2: 10})), doctor.check_cameras)
+    assert "one camera only" in texts(seen(feedback=pictures(10)), doctor.check_cameras)
+    assert "does not pair" in texts(seen(feedback=pictures(10, 7)), doctor.check_cameras)
+    assert "ok" in texts(seen(feedback=pictures(10, 10)), doctor.check_cameras)
 
 
-# ------------------------------------------------------------------------------------------ a real log
+def test_feedback_that_comes_twice_is_one_picture() -> None:
+    """With two cameras ArduPilot repeats the first one's last feedback."""
+    evidence = seen()
+    for camera, image in ((1, 1), (1, 1), (2, 1), (1, 2), (1, 2), (2, 2)):
+        message = mavlink.MAVLink_camera_feedback_message(0, 0, camera, image, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+        note(evidence, Heard(0, 1, 1, message, 0), 1)
+    assert "pairs: 2 and 2" in texts(evidence, doctor.check_cameras)
+
+
+def test_a_camera_that_is_busy_longer_than_the_shots_are_apart() -> None:
+    busy = seen(feedback=pictures(9, 9), parameters={"CAM1_DURATION": 0.1, "CAM2_DURATION": 0.02})
+    said = texts(busy, doctor.check_cameras)
+    assert busy.settings.trigger_rate_hz == 10.0
+    assert "set CAM1_DURATION 0.05" in said
+    assert "CAM2" not in said
+
+
+@pytest.mark.parametrize(
+    ("shots", "pairs", "unpaired", "expected"),
+    [(100, 98, 2, "ok"), (100, 0, 0, "check the trigger line"), (100, 60, 40, "misses shots"), (0, 0, 0, "")],
+)
+def test_a_recording_tells_what_became_of_its_shots(shots: int, pairs: int, unpaired: int, expected: str) -> None:
+    said = texts(seen(live=False, shots=shots, pairs=pairs, unpaired=unpaired), doctor.check_cameras)
+    assert expected in said
+    assert bool(said) is bool(expected)
+
+
+# ------------------------------------------------------------------------------------------ logs
+
+
+@pytest.mark.slow
+def test_a_recording_of_ours_tells_rates_clocks_and_pairs(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    service = SimulatedService(build_flight(AIRFRAME, 4, 8.0), recording=path)
+    service.fly(6.0)
+    service.close()
+    evidence = read_log(path, AIRFRAME, Settings())
+    said = texts(evidence, doctor.check_clocks) + texts(evidence, doctor.check_cameras)
+    assert said.count("known to") == 3
+    assert evidence.shots >= evidence.pairs > 10
+    assert evidence.shots == service.cameras.made
+    assert "FIX" not in said
+    assert evidence.rate_hz[Station.LEFT] == pytest.approx(1000.0, rel=0.02)
 
 
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[2].parent / "shared"))

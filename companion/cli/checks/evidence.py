@@ -68,6 +68,10 @@ class Evidence:
         DISTANCE_SENSOR messages that others sent.
     serial_baud : mapping
         Baud rate by link, for the links that have one.
+    feedback : mapping of camera number
+        The numbers of the pictures that CAMERA_FEEDBACK told of; with two cameras ArduPilot tells each more than once.
+    shots, pairs, unpaired : int
+        In a recording of ours: shots fired, image pairs matched, images without a partner.
     node_losses : mapping of component, name
         Counters that wing nodes tell (NAMED_VALUE_INT).
     realtime : bool or None
@@ -86,7 +90,10 @@ class Evidence:
     foreign_imu: Counter[str] = field(default_factory=Counter)
     clocks: dict[ClockName, ClockState] = field(default_factory=dict)
     range_senders: Counter[tuple[int, int, int]] = field(default_factory=Counter)
-    feedback: Counter[int] = field(default_factory=Counter)
+    feedback: dict[int, set[int]] = field(default_factory=dict)
+    shots: int = 0
+    pairs: int = 0
+    unpaired: int = 0
     acknowledged: int = 0
     twice: int = 0
     frames: int = 0

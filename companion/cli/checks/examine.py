@@ -24,10 +24,12 @@ from companion.records import (
     ClockName,
     ClockRestart,
     ImuBatch,
+    MatchSet,
     RawChunk,
     Record,
     Reject,
     Rejected,
+    Shot,
     Station,
     TimesyncReply,
 )
@@ -37,7 +39,7 @@ WANTED = (
     *NEEDED_PARAMETERS,
     "RNGFND1_MAX_CM", "RNGFND1_MIN_CM", "PRX1_TYPE", "PRX_TYPE",
     "RNGFND2_TYPE", "RNGFND2_ORIENT", "RNGFND3_TYPE", "RNGFND3_ORIENT",
-    "IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF",
+    "IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF", "CAM1_DURATION", "CAM2_DURATION",
 )  # fmt: skip
 
 
@@ -141,7 +143,7 @@ def note(seen: Evidence, heard: Heard, system: int | None) -> None:
         bytewise = pilot is not None and pilot.autopilot == mavlink.MAV_AUTOPILOT_PX4
         seen.parameters[message.param_id] = parameter_value(message, bytewise=bytewise)
     elif heard.name == "CAMERA_FEEDBACK":
-        seen.feedback[message.cam_idx] += 1
+        seen.feedback.setdefault(message.cam_idx, set()).add(message.img_idx)
 
 
 def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
@@ -159,6 +161,7 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
     raw = isinstance(recording, TlogRecording)
     records = recording.chunks() if isinstance(recording, TlogRecording) else recording.records()
     first_ns = last_ns = None
+    clocks = ClockBank()
     for record in records:
         found: list[Record] = [record]
         if isinstance(record, RawChunk):
@@ -167,10 +170,11 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
             for heard in decoded.heard:
                 note(seen, heard, decoder.system_id)
             raw, found = True, list(decoded.records)
-        elif raw and isinstance(record, ImuBatch):
+        elif raw and isinstance(record, ImuBatch | TimesyncReply | ClockRestart):
             continue  # decoded from the chunks already
         for entry in found:
             _count(seen, spans, entry)
+            _follow_time(seen, clocks, entry)
     seen.system = decoder.system_id
     seen.seconds = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
     for station, (count, start_ns, end_ns) in spans.items():
@@ -187,3 +191,16 @@ def _count(seen: Evidence, spans: dict[Station, list[int]], record: Record) -> N
         span[2] = int(record.t_ns[-1])
     elif isinstance(record, AutopilotParameter):
         seen.parameters[record.name] = record.value
+    elif isinstance(record, Shot):
+        seen.shots += 1
+    elif isinstance(record, MatchSet):
+        seen.pairs += 1
+    elif isinstance(record, Rejected) and record.reason is Reject.UNPAIRED:
+        seen.unpaired += record.count
+
+
+def _follow_time(seen: Evidence, clocks: ClockBank, record: Record) -> None:
+    if isinstance(record, TimesyncReply):
+        seen.clocks[record.clock] = clocks.exchange(record)
+    elif isinstance(record, ClockRestart):
+        clocks.restart(record)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from companion.adapters.mavlink.dialect import ID_OF, payload_size
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
-from companion.cli.checks.evidence import Evidence, Finding, Level
+from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
 from companion.params.airframe import Sensor
 from companion.records import Axis, Station
 
@@ -17,6 +17,7 @@ _LOSSES = {
     "line_bad": "damaged TIMESYNC requests: mend the cable",
 }
 _ENOUGH = 0.75
+_UNPAIRED = 0.05
 _OVERHEAD_BYTES = 12
 _BITS_PER_BYTE = 10
 _LETTERS = "xyzpqr"
@@ -122,10 +123,17 @@ def _accuracy(seen: Evidence) -> str:
 
 
 def check_cameras(seen: Evidence) -> Iterator[Finding]:
-    """Whether the autopilot's cameras, where they are used, come in pairs."""
-    if not seen.feedback or seen.airframe.left_camera is None:
+    """Whether pictures come in pairs: of the autopilot's cameras, where they are used, and of a recording's shots."""
+    if seen.airframe.left_camera is None:
         return
-    counts = [seen.feedback.get(number, 0) for number in (1, 2)]
+    if seen.feedback:
+        yield from _feedback(seen)
+    if seen.shots or seen.pairs or seen.unpaired:
+        yield _pairing(seen)
+
+
+def _feedback(seen: Evidence) -> Iterator[Finding]:
+    counts = [len(seen.feedback.get(number, ())) for number in (1, 2)]
     if min(counts) == 0:
         text = f"CAMERA_FEEDBACK comes of one camera only ({counts[0]} and {counts[1]}): set CAM2_TYPE like CAM1_TYPE"
         yield Finding("camera", Level.FIX, text)
@@ -133,3 +141,19 @@ def check_cameras(seen: Evidence) -> Iterator[Finding]:
         yield Finding("camera", Level.FIX, f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
     else:
         yield Finding("camera", Level.OK, f"CAMERA_FEEDBACK pairs: {counts[0]} and {counts[1]}")
+    shots_hz = seen.settings.trigger_rate_hz
+    for name in ("CAM1_DURATION", "CAM2_DURATION"):
+        told = seen.parameter(name)
+        if told is not None and told[1] * shots_hz >= 1.0:
+            text = f"{name} {told[1]:g} s refuses shots that come faster, and TRG_RATE is {shots_hz:g} Hz"
+            yield Finding("camera", Level.FIX, text, (Fix(name, round(0.5 / shots_hz, 3)),))
+
+
+def _pairing(seen: Evidence) -> Finding:
+    """Of a recording: what became of the shots."""
+    text = f"{seen.shots} shots, {seen.pairs} matched pairs, {seen.unpaired} images without a partner"
+    if seen.shots and not seen.pairs:
+        return Finding("camera", Level.FIX, text + ": check the trigger line, and that both cameras obey it")
+    if seen.unpaired > _UNPAIRED * 2 * max(seen.pairs, 1):
+        return Finding("camera", Level.FIX, text + ": one camera misses shots, or the exposures are too far apart")
+    return Finding("camera", Level.OK, text)
