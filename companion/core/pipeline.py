@@ -216,8 +216,10 @@ def joined(batches: list[ImuBatch]) -> list[ImuBatch]:
 def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecord]:
     state.alignments.pop(reply.clock, None)
     state.unanswered_ns[reply.clock] = reply.received_host_ns
-    before = state.clocks.state(reply.clock).synced
+    before, restarts = state.clocks.state(reply.clock).synced, state.clocks.restarts(reply.clock)
     after = state.clocks.exchange(reply)
+    if state.clocks.restarts(reply.clock) != restarts:  # nothing announced it: the exchanges show it
+        state.tracker.restarted(_kept_by(state.airframe, reply.clock))
     return [after] if after.synced != before else []
 
 
