@@ -49,6 +49,7 @@ _KEPT, _ROLL, _STATIC = 4, 2, 3  # columns: both vertical rows, root roll rate, 
 _REACH = 4.0
 _CUT_MEMORY_S = 5.0
 _LEAST_PRESENT = 0.98
+_HOLE_CELLS = 11
 
 
 class Adaptation:
@@ -72,7 +73,7 @@ class Adaptation:
         self._constants, self._bend_per_g_m = np.zeros(len(layout.constants)), 0.0
         self.ambiguous = False
         self.refilter = False
-        size = round(_LONG_S / step_s)
+        size, self._short = round(_LONG_S / step_s), round(_SHORT_S / step_s)
         self._rows, self._seen = np.zeros((size, _KEPT)), np.zeros((size, 2), dtype=bool)
         self._sensitivity = np.zeros((size, 2, len(layout.constants)))
         self._count = 0
@@ -116,6 +117,10 @@ class Adaptation:
 
     def _fit_all(self, elapsed_s: float) -> bool:
         rows, seen = self._newest(_LONG_S)
+        since = self._last_hole(seen)
+        if since and len(rows) - since < self._short:
+            return False
+        rows, seen = rows[since:], seen[since:]
         tips = seen.mean(axis=0) >= _LEAST_PRESENT
         if not tips.any():
             return False
@@ -128,6 +133,18 @@ class Adaptation:
             families = self._fit_family(rows, (0, 1), elapsed_s)
         self.parameters = (families[0], families[1])
         return True
+
+    def _last_hole(self, seen: Bools) -> int:
+        """Where the newest stretch with both tips begins, if one of them was away for a while; 0 where it always was.
+
+        What only one tip says of both families is not worth leaving what both have said.
+        """
+        both = seen.all(axis=1)
+        if both.mean() >= _LEAST_PRESENT or not both.any():
+            return 0
+        present = np.convolve(both, np.ones(_HOLE_CELLS), mode="same") > 0.5
+        missing = np.flatnonzero(~present)
+        return int(missing[-1]) + 1 + _HOLE_CELLS // 2 if len(missing) else 0
 
     def _newest(self, span_s: float) -> tuple[Floats, Bools]:
         count = min(self._count, round(span_s / self._step_s))
@@ -147,8 +164,8 @@ class Adaptation:
             best = self._search(long, prior, self._scanned(long, prior, start))
         else:
             best = self._improved(long, prior, start, which[0])
-        if elapsed_s > 2.0 * _SHORT_S:
-            short = make_stretch(samples[-round(_SHORT_S / self._step_s) :], self._step_s, band, floor)
+        if len(samples) > 2 * self._short:
+            short = make_stretch(samples[-self._short :], self._step_s, band, floor)
             best = _drifted(short, prior, best)
         best = _without_idle_seconds(long, prior, best)
         out, at = [], 0
