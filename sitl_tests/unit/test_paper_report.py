@@ -16,7 +16,7 @@ from companion.cli.audit import beam_tables, equations, fig_4, misprints, printe
 from companion.cli.audit.findings import Section, number, percent
 from companion.cli.audit.scores import errors, rms
 from companion.cli.audit.shots import Usual
-from companion.cli.audit.trials import FULL, QUICK, SETTLE_S, flight_plan, trials
+from companion.cli.audit.trials import FULL, QUICK, REPEATED, SETTLE_S, flight_plan, trials
 from companion.cli.judge import Reading
 from companion.params.files import load_airframe
 
@@ -188,6 +188,12 @@ def test_shots_begin_when_a_user_would_trust_them_and_manoeuvres_fall_among_them
         plan = flight_plan(next(trial for trial in trials() if trial.manoeuvres), pace)
         assert all(pace.from_s - 2 < roll.from_s < pace.duration_s - 2 for roll in plan.rolls)
         assert all(pace.from_s < pull.from_s < pace.duration_s - 2 for pull in plan.pull_ups)
+
+
+def test_what_is_repeated_is_of_the_paper_and_exists() -> None:
+    own = {trial.key for trial in trials() if trial.own}
+    assert set(REPEATED) <= own
+    assert FULL.more_draws >= 2
 
 
 def test_keys_are_unique_and_no_experiment_is_left_out_of_a_section() -> None:

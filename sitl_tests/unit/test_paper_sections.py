@@ -119,3 +119,30 @@ def test_the_first_page_claims_only_what_the_run_gives(results: Results) -> None
     bad = digest.section(Results(5, results.outcomes, worse, results.randoms), dominance)
     assert bad.data["more_than_the_paper_claims"] is False
     assert good.findings[0] != bad.findings[0]
+
+
+def test_the_first_page_says_what_is_worse(results: Results) -> None:
+    """The cone's ~0 is worse than any residual; 60 m is not; a correction that harms and a mute draw are told."""
+    found = digest.weak_points(results)
+    assert "wing_cone" in found["than_printed"]
+    assert "wing_60m" not in found["than_printed"]
+    assert found["than_rigid"] == found["not_served"] == []
+    lift = results.randoms["lift"]
+    harmed = {**results.randoms, "lift": {**lift, "corrected": {**lift["rigid"], "inverse_rms_pm": 1.0}}}
+    draws = {key: {6: results.peaks[key], 7: results.peaks[EMPTY]} for key in ("boom_1m", "wing_60m")}
+    worse = Results(5, results.outcomes, results.peaks, harmed, draws)
+    found = digest.weak_points(worse)
+    assert found["than_rigid"] == ["lift"]
+    assert found["not_served"] == ["boom_1m, seed 7", "wing_60m, seed 7"]
+    page = digest.section(worse, {"share_of_slope_variance": 0.9999})
+    assert "over 3 booms" in page.findings[0]
+    assert any("boom_1m, seed 7" in finding for finding in page.findings)
+
+
+def test_every_draw_stands_in_the_table(results: Results) -> None:
+    draws = {"boom_1m": {6: results.peaks["boom_1m"], 7: results.peaks[EMPTY]}}
+    section = own_experiments.section(Results(5, results.outcomes, results.peaks, results.randoms, draws))
+    table = section.tables[-1]
+    assert [row[1] for row in table.rows] == ["5", "6", "7"]
+    assert table.rows[2][-1] == "0 / 0"
+    assert section.data["draws"] == draws

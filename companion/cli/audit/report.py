@@ -28,8 +28,8 @@ from companion.cli.audit.experiments import Outcome, run
 from companion.cli.audit.findings import Section
 from companion.cli.audit.report_html import html
 from companion.cli.audit.report_markdown import markdown
-from companion.cli.audit.scores import Results
-from companion.cli.audit.trials import SEED, Pace, trials
+from companion.cli.audit.scores import Results, summary
+from companion.cli.audit.trials import REPEATED, SEED, Pace, Trial, trials
 
 
 def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seed: int = SEED) -> list[Section]:
@@ -37,6 +37,12 @@ def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seed: int 
     # spawned, for a fork would copy the threads' locks of whatever was imported
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         running = [pool.submit(run, trial, pace, seed) for trial in trials()]
+        again = {
+            (trial.key, other): pool.submit(at_peaks, trial, pace, other)
+            for other in range(seed + 1, seed + 1 + pace.more_draws)
+            for trial in trials()
+            if trial.key in REPEATED
+        }
         random = random_drive.section()
         closed = [
             beam_tables.section(),
@@ -51,7 +57,11 @@ def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seed: int 
         for future in running:
             outcomes.append(future.result())
             told(f"experiment {len(outcomes)} of {len(running)}: {outcomes[-1].trial.title}")
-    results = Results.of(outcomes, seed)
+        draws: dict[str, dict[int, dict[str, Any]]] = {}
+        for (key, other), found in again.items():
+            draws.setdefault(key, {})[other] = found.result()
+            told(f"again with seed {other}: {key}")
+    results = Results.of(outcomes, seed, draws)
     return [
         digest.section(results, random.data),
         misprints.section(),
@@ -61,6 +71,11 @@ def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seed: int 
         triggering.section(results),
         untried.section(results),
     ]
+
+
+def at_peaks(trial: Trial, pace: Pace, seed: int) -> dict[str, Any]:
+    """Run an experiment with another seed; give its scores at peaks alone."""
+    return summary(run(trial, pace, seed), True)
 
 
 def plain(sections: Sequence[Section]) -> dict[str, Any]:

@@ -49,7 +49,9 @@ _SYMBOLS = (
     (r"\bzeta\b", "ζ"),
     (r"\^([234])", lambda found: "²³⁴"[int(found[1]) - 2]),
     (r"\^T", "ᵀ"),
-    (r"->", "→"),
+    (r"-&gt;", "→"),
+    (r"(?<=\d) (?=(?:%|m|mm|Hz|mrad|kg|px|s|±)(?:\W|$))", "\u00a0"),
+    (r"± (?=\d)", "±\u00a0"),
     (r"(?<=\d)e([+-]?)0*(\d+)(?=\D|$)", lambda found: f"·10<sup>{'−' if found[1] == '-' else ''}{found[2]}</sup>"),
     (r"(?<![\w.)])-(?=[\d.])", "−"),
 )
@@ -89,6 +91,7 @@ def _section(section: Section) -> str:
 def _table(table: Table) -> str:
     columns = list(zip(*table.rows, strict=True))
     numeric = [all(_NUMERIC.fullmatch(_text(cell)) for cell in column) for column in columns]
+    numeric[0] &= not any(re.search("[A-Za-z]{2}", cell) for cell in columns[0])  # names, though they end in numbers
     head = _row("th", table.header, numeric)
     rows = "".join(_row("td", row, numeric) for row in table.rows)
     note = f'<p class="note">{_text(table.note)}</p>' if table.note else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,21 +17,31 @@ from companion.records import Floats, Side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """All experiments by key, in the order of the report, and their scores at peaks and at random instants."""
+    """All experiments by key, in the order of the report, and their scores at peaks and at random instants.
+
+    ``draws`` holds, of the experiments that were repeated, the scores at peaks of the further draws by their seed.
+    """
 
     seed: int
     outcomes: Mapping[str, Outcome]
     peaks: Mapping[str, dict[str, Any]]
     randoms: Mapping[str, dict[str, Any]]
+    draws: Mapping[str, Mapping[int, dict[str, Any]]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, outcomes: Sequence[Outcome], seed: int) -> Results:
+    def of(
+        cls,
+        outcomes: Sequence[Outcome],
+        seed: int,
+        draws: Mapping[str, Mapping[int, dict[str, Any]]] | None = None,
+    ) -> Results:
         """Score everything."""
         return cls(
             seed,
             {outcome.trial.key: outcome for outcome in outcomes},
             {outcome.trial.key: summary(outcome, True) for outcome in outcomes},
             {outcome.trial.key: summary(outcome, False) for outcome in outcomes},
+            draws or {},
         )
 
     @property

@@ -24,13 +24,19 @@ _FLOWN_FROM_M = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How long each experiment runs; shots count from ``from_s`` on, when the wing has been moving that long."""
+    """How long each experiment runs; shots count from ``from_s`` on, when the wing has been moving that long.
+
+    The ``REPEATED`` ones run once more with each of ``more_draws`` further seeds.
+    """
 
     duration_s: float
     from_s: float = SETTLE_S
+    more_draws: int = 0
 
 
-FULL, QUICK = Pace(23.0), Pace(19.0)
+FULL, QUICK = Pace(23.0, more_draws=2), Pace(19.0)
+REPEATED = ("boom_1m", "boom_random", "wing_60m", "wing_random")
+"""One of each kind that the paper did: for the spread over booms and wings."""
 
 
 @dataclass(frozen=True, slots=True)
