@@ -14,13 +14,16 @@ from collections.abc import Collection
 import numpy as np
 from scipy.linalg import lapack
 
-from companion.core.mode.kernel import Data, Fixed, History, Memory, Step, run_cells
-from companion.core.mode.layout import P_LEFT, Y_LEFT, Layout, Noise
+from companion.core.compiled import COMPILED
+from companion.core.mode import kernel_loops, kernel_numpy
+from companion.core.mode.kernel import Data, Fixed, Memory, Step, make_history
+from companion.core.mode.layout import P_LEFT, ROWS, Y_LEFT, Layout, Noise
 from companion.core.mode.model import StepModel
 from companion.core.mode.rigid import Cells
 from companion.core.mode.sensitivity import own_scales
 from companion.records import Floats
 
+kernel = kernel_loops if COMPILED else kernel_numpy
 _SOLVE_EVERY = 25
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
 # that is not white, and what that would teach about its scale is wrong.
@@ -64,15 +67,7 @@ class Kalman:
         self._unsolved = self.steps = 0
         self.finite = True
         self._memory = Memory(self.columns, self.covariance, np.zeros((1 + c, 1 + c)), self._weights, np.zeros(2))
-        self.history = History(
-            state=np.zeros((keep, n, 1 + c)),
-            covariance=np.zeros((keep, n, n)),
-            transition=np.zeros((keep, n, n)),
-            closed=np.zeros((keep, n, n)),
-            push=np.zeros((keep, n, 1 + c)),
-            gather=np.zeros((keep, n, n)),
-            static_m=np.zeros((keep, 1 + c)),
-        )
+        self.history = make_history(keep, n, c, ROWS)
         self._fixed = _fixed(layout, noise, model.step_s, trim_m, bend_per_g_m)
         self.use(model)
 
@@ -159,7 +154,9 @@ class Kalman:
         first = 0
         while first < len(cells) and self.finite:
             last = min(len(cells), first + _SOLVE_EVERY - self._unsolved)
-            self.finite = run_cells(self._fixed, self._step, data, self._memory, self.history, first, last, self.steps)
+            self.finite = kernel.run_cells(
+                self._fixed, self._step, data, self._memory, self.history, first, last, self.steps
+            )
             self.steps += last - first
             self._unsolved += last - first
             if self._unsolved >= _SOLVE_EVERY:
@@ -181,7 +178,7 @@ class Kalman:
             motion=np.ascontiguousarray(model.transition[:, :n]),
             sense=np.ascontiguousarray(model.sense),
             noise=np.ascontiguousarray(model.noise),
-            cross=np.ascontiguousarray(model.cross),
+            cross=np.ascontiguousarray(model.cross.T),
             measured=np.ascontiguousarray(model.measured),
             watch=np.ascontiguousarray(np.concatenate(watch)),
             cut=model.cut,

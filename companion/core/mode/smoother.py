@@ -2,7 +2,8 @@
 
 With ``L = A - K G``: ``l_k = G^T S^-1 e_k + L^T l_{k+1}`` and ``W_k = G^T S^-1 G + L^T W_{k+1} L`` run backwards from
 the newest step (where both are zero); then ``x_k + P_k l_k`` has covariance ``P_k - P_k W_k P_k`` (Bierman,
-Automatica 9, 1973). All sensitivity columns go along, so the constants found later than ``k`` correct ``k`` too.
+Automatica 9, 1973). The history holds ``G``, ``e`` and ``C^T`` whitened by ``S``. All sensitivity columns go along, so
+the constants found later than ``k`` correct ``k`` too.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.kalman import Kalman
-from companion.core.mode.kernel import adjoint
+from companion.core.mode.kernel import History
 from companion.records import Floats
 
 
@@ -74,3 +76,31 @@ def _between(kalman: Kalman, at: int, s: float, here: Floats, there: Floats, spr
     whole = first + second @ kalman.history.transition[at]
     state = columns[:, 0] + columns[:, 1:] @ kalman.constants
     return Smoothed(state, whole @ spread @ whole.T + added, columns[:, 1:])
+
+
+@compiled
+def adjoint(history: History, first: int, count: int) -> tuple[Floats, Floats, Floats]:
+    """Run the recursion back over ``count`` steps to ``first``.
+
+    Returns
+    -------
+    push, later : (n, 1 + c) float64
+        ``l`` at ``first`` and at the step after it.
+    weight : (n, n) float64
+        ``W`` at ``first``.
+    """
+    size, n, columns = history.state.shape
+    push, weight = np.zeros((n, columns)), np.zeros((n, n))
+    later = push
+    for back in range(1, count + 1):
+        at = (first + count - back) % size
+        used = history.used[at]
+        g = history.seen[at, :used]
+        g_t = np.ascontiguousarray(g.T)
+        drawn_t = np.ascontiguousarray(history.drawn[at, :used].T)
+        closed = history.transition[at] - drawn_t @ g
+        closed_t = np.ascontiguousarray(closed.T)
+        later = push
+        push = closed_t @ push + g_t @ history.innovation[at, :used]
+        weight = closed_t @ (weight @ closed) + g_t @ g
+    return push, later, weight

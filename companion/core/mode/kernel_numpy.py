@@ -1,0 +1,105 @@
+"""The filter's inner loop by numpy's own products, for where nothing can be compiled; see its compiled twin."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import lapack
+
+from companion.core.mode.kernel import LOAD_TIME_S, Data, Fixed, History, Memory, Step
+from companion.core.mode.layout import M_LEFT, P_LEFT, ROWS, Y_LEFT, Z_LEFT
+from companion.records import Floats, Ints
+
+
+def run_cells(
+    fixed: Fixed, step: Step, data: Data, memory: Memory, history: History, first: int, last: int, steps: int
+) -> bool:
+    """See :func:`companion.core.mode.kernel_loops.run_cells`."""
+    size = len(history.state)
+    with np.errstate(over="ignore", invalid="ignore"):  # what has run away is found, and said
+        return all(_one(fixed, step, data, memory, history, k, (steps + k - first) % size) for k in range(first, last))
+
+
+def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History, k: int, at: int) -> bool:
+    columns, covariance, weights = memory.columns, memory.covariance, memory.weights
+    n = len(covariance)
+    _static_bend(fixed, columns[n], data.load[k])
+    history.state[at], history.covariance[at] = columns[:n], covariance
+    history.transition[at], history.static_m[at] = step.motion, columns[n]
+    measured = np.concatenate([data.rows[k][:, None], -data.sensitivity[k]], axis=1)
+    sense = step.sense.copy()
+    _turn(fixed, step, data, k, columns @ weights, measured, sense)
+    use = _used(step, data, k)
+    g = sense[use, :n]
+    spread = g @ covariance
+    drawn = spread @ step.motion.T + step.cross[use]
+    variance = spread @ g.T + _sensor(fixed, step, data.lateral_gain[k], data.cut[k])[np.ix_(use, use)]
+    if not np.isfinite(variance.sum()):
+        return False
+    root, failed = lapack.dpotrf(variance, lower=1)
+    if failed:
+        return False
+    innovation = measured[use] - sense[use] @ columns
+    _at_prediction(fixed, use, innovation, innovation @ weights)
+    whitened, _ = lapack.dtrtrs(root, np.hstack([g, innovation, drawn]), lower=1)
+    g, innovation, drawn = whitened[:, :n], whitened[:, n:-n], whitened[:, -n:]
+    _remember(history, at, g, innovation, drawn)
+    fade = 1.0 - fixed.step_s
+    memory.surprise[0] = fade * memory.surprise[0] + np.sum((innovation @ weights) ** 2)
+    memory.surprise[1] = fade * memory.surprise[1] + len(use)
+    memory.information[:] += innovation.T @ innovation
+    columns[:n] = step.transition @ columns + drawn.T @ innovation
+    grown = step.motion @ covariance @ step.motion.T + step.noise - drawn.T @ drawn
+    covariance[:] = 0.5 * (grown + grown.T)
+    return True
+
+
+def _remember(history: History, at: int, g: Floats, innovation: Floats, drawn: Floats) -> None:
+    count = len(g)
+    history.used[at] = count
+    history.seen[at, :count], history.innovation[at, :count], history.drawn[at, :count] = g, innovation, drawn
+
+
+def _static_bend(fixed: Fixed, last: Floats, load: float) -> None:
+    last[0] = fixed.trim_m + fixed.bend_per_g_m * load
+    if fixed.trim:
+        last[fixed.trim] = 1.0
+    if fixed.bend:
+        last[fixed.bend] += fixed.step_s / LOAD_TIME_S * (load - last[fixed.bend])
+
+
+def _turn(fixed: Fixed, step: Step, data: Data, k: int, state: Floats, measured: Floats, sense: Floats) -> None:
+    seen = step.watch @ state
+    vertical, slope, rate = data.vertical[k], seen[:2], seen[2:4]
+    up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
+    measured[up, 0] -= 0.5 * vertical * slope**2
+    measured[across, 0] += data.tilted[k] * rate
+    sense[up] -= (vertical * slope + data.lateral[k])[:, None] * step.watch[:2]
+    for side, bias in enumerate(fixed.lateral_bias.tolist()):
+        if bias >= 0:
+            sense[Y_LEFT + side, bias] = data.lateral_gain[k, side]
+    measured[fixed.factor_rows, fixed.factor_columns] = seen[4:]
+
+
+def _used(step: Step, data: Data, k: int) -> Ints:
+    use = data.present[k].copy()
+    if not step.rough:
+        use[M_LEFT:Y_LEFT] &= ~use[P_LEFT : P_LEFT + 2]
+    return np.flatnonzero(use)
+
+
+def _sensor(fixed: Fixed, step: Step, gain: Floats, cut: Floats) -> Floats:
+    out = step.measured.copy()
+    own = fixed.own.copy()
+    own[Y_LEFT:P_LEFT] *= gain**2
+    own[Z_LEFT:M_LEFT] += step.cut * cut
+    out[range(ROWS), range(ROWS)] += own
+    out[Z_LEFT:M_LEFT, Z_LEFT:M_LEFT] += fixed.root_z
+    out[Y_LEFT:P_LEFT, Y_LEFT:P_LEFT] += fixed.root_y * np.outer(gain, gain)
+    return out
+
+
+def _at_prediction(fixed: Fixed, use: Ints, innovation: Floats, plain: Floats) -> None:
+    place = {row: at for at, row in enumerate(use.tolist())}
+    for row, column, sign in zip(fixed.own_rows.tolist(), fixed.own_columns.tolist(), fixed.own_signs, strict=True):
+        if row in place:
+            innovation[place[row], column] += sign * plain[place[row]]

@@ -1,0 +1,75 @@
+"""The filter's inner loop: the compiled one and numpy's say the same, whatever rows are missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.mode import kernel_loops, kernel_numpy
+from companion.core.mode.kalman import Kalman
+from companion.core.mode.kernel import Data, Fixed, History, Memory, Step
+from companion.core.mode.layout import ROWS, make_layout, make_noise
+from companion.core.mode.model import build_model
+from companion.core.mode.parameters import prior_parameters
+from companion.params.files import load_airframe
+
+AIRFRAME = load_airframe("nadir-2m")
+STEP_S = 0.004
+STEPS = 60
+
+
+def _filter() -> Kalman:
+    layout, wing = make_layout(AIRFRAME), AIRFRAME.wing
+    noise = make_noise(AIRFRAME, layout, STEP_S)
+    parameters = (prior_parameters(layout.symmetric, wing.gust), prior_parameters(layout.antisymmetric, wing.gust))
+    model = build_model(layout, noise, parameters, (-0.99, 0.99), STEP_S)
+    return Kalman(layout, noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, STEPS)
+
+
+def _cells(constants: int, missing: float) -> Data:
+    """Rows as large as in flight, a share of them missing, at every step others."""
+    rng = np.random.default_rng(7)
+    size = np.array([3.0, 3.0, 0.1, 0.1, 0.05, 0.05, 0.5, 0.5, 0.5])
+    present = rng.random((STEPS, ROWS)) >= missing
+    return Data(
+        rows=np.where(present, size * rng.standard_normal((STEPS, ROWS)), 0.0),
+        present=present,
+        vertical=-9.8 + rng.standard_normal((STEPS, 2)),
+        lateral=0.3 * rng.standard_normal((STEPS, 2)),
+        tilted=1e-3 * rng.standard_normal((STEPS, 2)),
+        lateral_gain=np.array([-0.1, 0.1]) * (1.0 + 0.1 * rng.standard_normal((STEPS, 2))),
+        load=0.2 * rng.standard_normal(STEPS),
+        sensitivity=present[:, :, None] * rng.standard_normal((STEPS, ROWS, constants)),
+        cut=rng.random((STEPS, 2)),
+    )
+
+
+def _parts(kalman: Kalman) -> tuple[Fixed, Step, Memory, History]:
+    return kalman._fixed, kalman._step, kalman._memory, kalman.history
+
+
+@pytest.mark.parametrize("rough", [False, True])
+@pytest.mark.parametrize("missing", [0.0, 0.3, 1.0])
+def test_compiled_loops_and_numpy_agree(missing: float, rough: bool) -> None:
+    one, other = _filter(), _filter()
+    data = _cells(len(one.constants), missing)
+    for kalman, kernel in ((one, kernel_loops), (other, kernel_numpy)):
+        fixed, step, memory, history = _parts(kalman)
+        assert kernel.run_cells(fixed, step._replace(rough=rough), data, memory, history, 0, STEPS, 0)
+    for name in Memory._fields:
+        found, wanted = getattr(one._memory, name), getattr(other._memory, name)
+        np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10 * np.abs(wanted).max(), err_msg=name)
+    np.testing.assert_array_equal(one.history.used, other.history.used)
+    for at, used in enumerate(one.history.used):
+        for name in ("seen", "innovation", "drawn"):
+            found, wanted = getattr(one.history, name)[at, :used], getattr(other.history, name)[at, :used]
+            np.testing.assert_allclose(found, wanted, atol=1e-9 * max(np.abs(wanted).max(initial=0.0), 1e-6))
+
+
+@pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])
+def test_numbers_that_have_run_away_stop_the_filter(kernel: object) -> None:
+    kalman = _filter()
+    data = _cells(len(kalman.constants), 0.0)
+    kalman.covariance[0, 0] = np.inf
+    fixed, step, memory, history = _parts(kalman)
+    assert not kernel.run_cells(fixed, step, data, memory, history, 0, STEPS, 0)  # type: ignore[attr-defined]
