@@ -148,11 +148,13 @@ class Adaptation:
 
     def _newest(self, span_s: float) -> tuple[Floats, Bools]:
         count = min(self._count, round(span_s / self._step_s))
-        slots = (self._count - count + np.arange(count)) % len(self._rows)
-        rows = self._rows[slots]
-        rows[:, :2] -= self._sensitivity[slots] @ self._constants
+        first = (self._count - count) % len(self._rows)
+        rows, seen, known = (
+            np.concatenate([ring[first:], ring[:first]])[:count] for ring in (self._rows, self._seen, self._sensitivity)
+        )
+        rows[:, :2] -= (known.reshape(2 * count, -1) @ self._constants).reshape(count, 2)
         rows[:, _STATIC] *= self._bend_per_g_m
-        return rows, self._seen[slots]
+        return rows, seen
 
     def _fit_family(self, rows: Floats, which: tuple[int, ...], elapsed_s: float) -> list[ModeParameters]:
         samples, floor = self._channel(rows, which)
