@@ -1,4 +1,9 @@
-"""Start the processes of the service, restart the one that dies, stop them all cleanly."""
+"""Start the processes of the service, restart the one that dies, stop them all cleanly.
+
+A process that never ran for a minute is set up wrongly: after a few tries the service gives up, with its message on the
+screen. One that has run (a camera that came loose in flight) is tried again for as long as the service lives, in
+growing pauses, while the others go on and the heartbeat tells.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +13,33 @@ from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from typing import Any
 
+from companion.ports import Clock
+
 _STOP_S = 5.0
 _MOST_RESTARTS = 5
+_SECOND_NS = 1_000_000_000
+_STEADY_NS = 60 * _SECOND_NS
+_LONGEST_PAUSE_NS = 30 * _SECOND_NS
 
 SPAWN = multiprocessing.get_context("spawn")
 
 
 @dataclass(slots=True)
 class Worker:
-    """One process: how to start it, and how often it had to be started again."""
+    """One process: how to start it, and how often it had to be started again since it last ran for a minute."""
 
     name: str
     target: Callable[..., None]
     arguments: tuple[Any, ...]
     process: SpawnProcess | None = None
     restarts: int = 0
+    proven: bool = False
+    started_ns: int = 0
+    again_ns: int | None = None
 
-    def start(self) -> None:
+    def start(self, now_ns: int) -> None:
         """Start a fresh process."""
+        self.started_ns, self.again_ns = now_ns, None
         self.process = SPAWN.Process(
             target=self.target, args=self.arguments, name=f"spanwise-{self.name}", daemon=False
         )
@@ -35,12 +49,22 @@ class Worker:
         """Whether the process runs."""
         return self.process is not None and self.process.is_alive()
 
+    @property
+    def given_up(self) -> bool:
+        """Whether it is not tried again."""
+        return not self.proven and self.restarts >= _MOST_RESTARTS
+
+    def pause_ns(self) -> int:
+        """How long to wait for the next try: the first comes at once, then 1, 2, 4 ... 30 s."""
+        return min(_SECOND_NS << min(self.restarts - 1, 5), _LONGEST_PAUSE_NS) if self.restarts else 0
+
 
 class Supervisor:
     """Owns the workers and the stop flag. Use as a context manager."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
         self.stop_flag = SPAWN.Event()
+        self._clock = clock
         self._workers: list[Worker] = []
 
     def add(self, name: str, target: Callable[..., None], *arguments: Any) -> None:
@@ -49,7 +73,7 @@ class Supervisor:
 
     def __enter__(self) -> Supervisor:
         for worker in self._workers:
-            worker.start()
+            worker.start(self._clock.now_ns())
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -57,19 +81,19 @@ class Supervisor:
 
     def tend(self) -> list[str]:
         """Restart what has died; give a sentence for each. Call it about once a second."""
+        now_ns = self._clock.now_ns()
         sentences = []
         for worker in self._workers:
-            if worker.alive() or worker.restarts >= _MOST_RESTARTS:
-                continue
-            code = worker.process.exitcode if worker.process else None
-            worker.restarts += 1
-            sentences.append(f"process {worker.name} ended ({code}); restart {worker.restarts} of {_MOST_RESTARTS}")
-            worker.start()
+            if worker.alive():
+                if now_ns - worker.started_ns >= _STEADY_NS:
+                    worker.proven, worker.restarts = True, 0
+            elif not worker.given_up:
+                sentences += _revived(worker, now_ns)
         return sentences
 
     def failed(self) -> list[str]:
         """Workers that died for good."""
-        return [worker.name for worker in self._workers if not worker.alive() and worker.restarts >= _MOST_RESTARTS]
+        return [worker.name for worker in self._workers if worker.given_up and not worker.alive()]
 
     def stop(self) -> None:
         """Ask all to end, wait, and end those that do not."""
@@ -80,3 +104,18 @@ class Supervisor:
                 if worker.process.is_alive():
                     worker.process.terminate()
                     worker.process.join(1.0)
+
+
+def _revived(worker: Worker, now_ns: int) -> list[str]:
+    """Start a dead worker when its pause is over; a sentence when it is found dead."""
+    said = []
+    if worker.again_ns is None:
+        pause_ns = worker.pause_ns()
+        worker.again_ns = now_ns + pause_ns
+        worker.restarts += 1
+        code = worker.process.exitcode if worker.process else None
+        when = f"again in {pause_ns // _SECOND_NS} s" if pause_ns else "started again"
+        said.append(f"process {worker.name} ended ({code}); {when} (try {worker.restarts})")
+    if now_ns >= worker.again_ns:
+        worker.start(now_ns)
+    return said

@@ -44,7 +44,7 @@ class Service(Supervisor):
     """
 
     def __init__(self, config: ServiceConfig) -> None:
-        super().__init__()
+        super().__init__(MonotonicClock())
         _try_links(config)
         self._scratch = tempfile.TemporaryDirectory(prefix="spanwise-")
         if config.parameters is None:  # what is set must outlive a restart of the process, if not of the service
