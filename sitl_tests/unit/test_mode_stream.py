@@ -83,3 +83,18 @@ def test_a_slow_stream_makes_no_moment() -> None:
     slow = Stream(dataclasses.replace(LEFT, rate_hz=333.0))
     slow.add(_batch(np.arange(0.0, 200.0, 3.0)), 0)
     assert not slow.average(_edges()).resolved
+
+
+def test_views_and_read_only_arrays_are_taken_like_any_other() -> None:
+    plain, strided, frozen = Stream(LEFT), Stream(LEFT), Stream(LEFT)
+    t = np.arange(0.5, 200.0)
+    batch = _batch(t)
+    table = np.zeros((len(t), 8))
+    table[:, 1:7] = batch.values
+    values = batch.values.copy()
+    values.flags.writeable = False
+    plain.add(batch, 0)
+    strided.add(dataclasses.replace(batch, t_ns=np.repeat(batch.t_ns, 2)[::2], values=table[:, 1:7]), 0)
+    frozen.add(dataclasses.replace(batch, values=values), 0)
+    for other in (strided, frozen):
+        np.testing.assert_array_equal(other.average(_edges()).mean, plain.average(_edges()).mean)

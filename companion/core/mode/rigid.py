@@ -15,7 +15,7 @@ import numpy as np
 from companion.core.compiled import compiled
 from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout
 from companion.core.mode.sensitivity import Motion, columns_of, rate_of_change, sensitivities
-from companion.core.mode.stream import Stream
+from companion.core.mode.stream import Samples, Stream, averages
 from companion.records import Axis, Bools, Floats, Ints
 
 GRAVITY_MPS2 = 9.80665
@@ -68,6 +68,8 @@ class Cells:
 
     def span(self, first: int, last: int) -> Cells:
         """The cells ``first:last``."""
+        if first == 0 and last == len(self):
+            return self
         return Cells(*(getattr(self, name)[first:last] for name in _COLUMNS))
 
 
@@ -91,35 +93,26 @@ def join(runs: list[Cells]) -> Cells:
     return Cells(*(np.concatenate([getattr(run, name) for run in runs]) for name in _COLUMNS))
 
 
-def make_cells(layout: Layout, streams: tuple[Stream, Stream, Stream], edges_ns: Ints) -> Cells:
-    """Average the streams over the cells between ``edges_ns`` (equally spaced) and remove the rigid motion."""
-    step_ns = int(edges_ns[1] - edges_ns[0])
-    beside = step_ns * np.arange(1, _BESIDE + 1)
-    wide_ns = np.concatenate([edges_ns[0] - beside[::-1], edges_ns, edges_ns[-1] + beside])
-    root = streams[0]
-    root_mean, left, right = (stream.average(wide_ns) for stream in streams)
-    centre = np.array(root.sensor.position_m)
-    averaged = _Averaged(
-        step_s=step_ns * 1e-9,
-        root=root_mean.mean,
-        tip=np.stack((left.mean, right.mean), axis=1),
-        moment=np.stack((left.moment, right.moment), axis=1),
-        covered=np.stack((root_mean.covered, left.covered, right.covered)),
-        sends=np.array(
-            [
-                [_sends(stream, Axis.Y, "y"), _sends(stream, Axis.Z, "z"), _sends(stream, Axis.P, "p")]
-                for stream in streams
-            ]
-        ),
-        resolved=np.array([left.resolved, right.resolved]),
-        filtered=root.filtered,
-        levers_m=np.stack([np.array(stream.sensor.position_m) - centre for stream in streams[1:]]),
-    )
-    rows, present, *rest = _cells(averaged, columns_of(layout), len(layout.constants))
-    vertical, lateral, tilted, gains, load, rate, known = rest
-    cut = np.stack((left.cut, right.cut), axis=1)
-    cells = Cells(wide_ns[:-1], rows, present, vertical, lateral, tilted, gains, load, rate, known, cut)
-    return cells.span(_BESIDE, len(cells) - _BESIDE)
+class FrontEnd:
+    """Makes cells of the three streams: averages them, and removes the rigid motion."""
+
+    def __init__(self, layout: Layout, streams: tuple[Stream, Stream, Stream]) -> None:
+        self._streams = streams
+        root, left, right = (np.array(stream.sensor.position_m) for stream in streams)
+        self._levers_m = np.stack([left - root, right - root])
+        self._where, self._constants = columns_of(layout), len(layout.constants)
+        self._axes: tuple[Axis, ...] = ()
+        self._sends = np.zeros((3, 3), dtype=np.bool_)
+
+    def cells(self, first_ns: int, step_ns: int, count: int) -> Cells:
+        """Give ``count`` consecutive cells from ``first_ns`` on."""
+        axes = tuple(stream.axes for stream in self._streams)
+        if axes != self._axes:
+            self._axes = axes
+            self._sends = np.array([[_sends(stream, letter) for letter in "yzp"] for stream in self._streams])
+        root, left, right = (stream.plain() for stream in self._streams)
+        fixed = (self._sends, self._levers_m, self._where, self._constants)
+        return Cells(*_cells_between(root, left, right, first_ns, step_ns, count, *fixed))
 
 
 class _Averaged(NamedTuple):
@@ -136,8 +129,57 @@ class _Averaged(NamedTuple):
     levers_m: Floats
 
 
-def _sends(stream: Stream, axis: Axis, letter: str) -> bool:
-    return bool(stream.axes & axis) and letter in stream.sensor.sends
+def _sends(stream: Stream, letter: str) -> bool:
+    return bool(stream.axes & Axis[letter.upper()]) and letter in stream.sensor.sends
+
+
+_CellColumns = tuple[Ints, Floats, Bools, Floats, Floats, Floats, Floats, Floats, Floats, Floats, Floats]
+
+
+@compiled
+def _cells_between(
+    root: Samples,
+    left: Samples,
+    right: Samples,
+    first_ns: int,
+    step_ns: int,
+    count: int,
+    sends: Bools,
+    levers_m: Floats,
+    where: Ints,
+    constants: int,
+) -> _CellColumns:
+    """Everything that :class:`Cells` holds, in its order."""
+    edges_ns = first_ns + step_ns * np.arange(-_BESIDE, count + _BESIDE + 1)
+    at_root, at_left, at_right = averages(root, edges_ns), averages(left, edges_ns), averages(right, edges_ns)
+    averaged = _Averaged(
+        step_ns * 1e-9,
+        at_root.mean,
+        np.stack((at_left.mean, at_right.mean), axis=1),
+        np.stack((at_left.moment, at_right.moment), axis=1),
+        np.stack((at_root.covered, at_left.covered, at_right.covered)),
+        sends,
+        np.array([at_left.resolved, at_right.resolved]),
+        root.filtered,
+        levers_m,
+    )
+    rows, there, vertical, lateral, tilted, gains, load, rate, known = _cells(averaged, where, constants)
+    cut = np.stack((at_left.cut, at_right.cut), axis=1)
+    i, j = _BESIDE, _BESIDE + count
+    starts_ns = edges_ns[i:j].copy()
+    return (
+        starts_ns,
+        rows[i:j],
+        there[i:j],
+        vertical[i:j],
+        lateral[i:j],
+        tilted[i:j],
+        gains[i:j],
+        load[i:j],
+        rate[i:j],
+        known[i:j],
+        cut[i:j],
+    )
 
 
 @compiled

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.averaging import cell_means, cell_means_unfiltered, cut_shares
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
@@ -18,15 +20,15 @@ _CLOSE, _FAR = 0.4, 1.3  # periods
 _RESOLVED = 2.9  # samples per cell that make a moment
 
 
+@compiled
 def respaced(t_ns: Ints, period_ns: int) -> Ints:
     """Put back what was stamped late: a sample close ahead of the next, and far behind the one before it.
 
     A sender that stamps at the instant of sending and was held up sends two samples in one go. The first belongs in
     the middle of the gap.
     """
-    late = 1 + np.flatnonzero(
-        (t_ns[2:] - t_ns[1:-1] < _CLOSE * period_ns) & (t_ns[1:-1] - t_ns[:-2] > _FAR * period_ns)
-    )
+    close = t_ns[2:] - t_ns[1:-1] < _CLOSE * period_ns
+    late = 1 + np.flatnonzero(close & (t_ns[1:-1] - t_ns[:-2] > _FAR * period_ns))
     if not len(late):
         return t_ns
     moved = t_ns.copy()
@@ -34,8 +36,47 @@ def respaced(t_ns: Ints, period_ns: int) -> Ints:
     return moved
 
 
-@dataclass(frozen=True, slots=True)
-class Averages:
+_Array = TypeVar("_Array", Ints, Floats)
+
+
+def _own(array: _Array) -> _Array:
+    """The array, or a copy of one that is a view with gaps or may not be written.
+
+    What is compiled would be compiled anew for such an array, which takes seconds, in flight.
+    """
+    return array if array.flags.carray else array.copy()
+
+
+@compiled
+def _flawless(t_ns: Ints, values: Floats, limits: Floats, oldest_ns: int) -> bool:
+    """Whether every sample is new, finite and inside the sensor's range."""
+    if not (t_ns > oldest_ns).all() or not np.isfinite(values).all():
+        return False
+    return not (np.abs(np.abs(values) / limits - 1.0) < _CLIPPED).any()
+
+
+@compiled
+def _appended(t_ns: Ints, values: Floats, more_ns: Ints, more: Floats, period_ns: int) -> tuple[Ints, Floats, bool]:
+    """Put samples behind those at hand, respaced; False where they are not in order of time."""
+    together = np.concatenate((t_ns, more_ns))
+    ordered = bool((together[1:] > together[:-1]).all())
+    return respaced(together, period_ns) if ordered else together, np.concatenate((values, more)), ordered
+
+
+class Samples(NamedTuple):
+    """A stream as plain values: stamps (s,) in order, values (s, 6), its usual rate, the low-pass that it went through.
+
+    ``cutoff_hz`` is (6,), 0 where there is none.
+    """
+
+    t_ns: Ints
+    values: Floats
+    rate_hz: float
+    cutoff_hz: Floats
+    filtered: bool
+
+
+class Averages(NamedTuple):
     """A stream over consecutive cells; zero where not covered.
 
     Attributes
@@ -45,8 +86,10 @@ class Averages:
         First moment of the vertical axis, ``integral (t - middle) z dt / h^2``.
     cut : (n,) float64
         See :func:`companion.core.mode.averaging.cut_shares`.
-    covered, resolved : (n,) bool
-        There are samples; there are enough for a moment.
+    covered : (n,) bool
+        There are samples.
+    resolved : bool
+        There are enough for a moment.
     """
 
     mean: Floats
@@ -85,26 +128,32 @@ class Stream:
 
     def add(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
         """Take a batch; samples at or before ``oldest_ns``, not finite or saturated are refused and counted."""
-        t, values = batch.t_ns, batch.values
+        t, values = _own(batch.t_ns), _own(batch.values)
+        if batch.axes is not self.axes:
+            self.axes |= batch.axes
+        if len(t) and _flawless(t, values, self._range, oldest_ns):
+            self._take(t, values)
+            return []
         late = t <= oldest_ns
         infinite = ~np.isfinite(values).all(axis=1)
         with np.errstate(invalid="ignore"):
             full = (np.abs(np.abs(values) / self._range - 1.0) < _CLIPPED).any(axis=1)
         full &= ~infinite
         bad = late | infinite | full
-        self.axes |= batch.axes
         if full.any():
             self.saturated_ns = max(int(t[full].max()), self.saturated_ns or 0)
         if bad.any():
             t, values = t[~bad], values[~bad]
         if len(t):
-            self._waiting.append((t, values))
-            self.newest_ns = max(int(t.max()), self.newest_ns) if self.newest_ns is not None else int(t.max())
-        if not bad.any():
-            return []
+            self._take(t, values)
         causes = ((Reject.NOT_FINITE, infinite), (Reject.SATURATED, full), (Reject.TOO_LATE, late & ~infinite & ~full))
         what = f"{batch.station.name.lower()} inertial sample"
         return [Rejected(why, what, batch.received_host_ns, int(hit.sum())) for why, hit in causes if hit.any()]
+
+    def _take(self, t_ns: Ints, values: Floats) -> None:
+        self._waiting.append((t_ns, values))
+        newest_ns = int(t_ns.max())
+        self.newest_ns = newest_ns if self.newest_ns is None else max(newest_ns, self.newest_ns)
 
     def first_ns(self) -> int | None:
         """Stamp of the oldest sample at hand."""
@@ -126,54 +175,75 @@ class Stream:
     def _settle(self) -> None:
         if not self._waiting:
             return
-        t = np.concatenate([self.t_ns, *(part[0] for part in self._waiting)])
-        values = np.concatenate([self.values, *(part[1] for part in self._waiting)])
+        t, values = self._waiting[0]
+        if len(self._waiting) > 1:
+            t = np.concatenate([part[0] for part in self._waiting])
+            values = np.concatenate([part[1] for part in self._waiting])
         self._waiting.clear()
-        steps = np.diff(t)
-        if (steps <= 0).any():
-            order = np.argsort(t, kind="stable")
-            t, values = t[order], values[order]
-            fresh = np.concatenate([[True], np.diff(t) > 0])
-            group = np.cumsum(fresh) - 1  # equal stamps are averaged
-            values = np.stack([np.bincount(group, column) for column in values.T], axis=1) / np.bincount(group)[:, None]
-            t = t[fresh]
-        self.t_ns, self.values = respaced(t, round(1e9 / self.sensor.rate_hz)), values
+        period_ns = round(1e9 / self.sensor.rate_hz)
+        t, values, ordered = _appended(self.t_ns, self.values, t, values, period_ns)
+        if not ordered:
+            t, values = _sorted(t, values)
+            t = respaced(t, period_ns)
+        self.t_ns, self.values = t, values
 
     def average(self, edges_ns: Ints) -> Averages:
         """Average over the cells between consecutive, equally spaced edges, (n + 1,)."""
-        self._settle()
-        cells = len(edges_ns) - 1
-        low = max(int(self.t_ns.searchsorted(edges_ns[0])) - 4, 0)
-        high = int(self.t_ns.searchsorted(edges_ns[-1])) + 4
-        t_ns, y = self.t_ns[low:high], self.values[low:high]
-        if len(t_ns) < 4:
-            nothing = np.zeros(cells)
-            return Averages(np.zeros((cells, CHANNELS)), nothing, nothing, np.zeros(cells, dtype=bool), False)
-        t = (t_ns - edges_ns[0]) * 1e-9
-        edges = (edges_ns - edges_ns[0]) * 1e-9
-        covered = self._covered(t, edges)
-        if self.filtered:
-            mean, moment = cell_means_unfiltered(t, y, edges, self._cutoff_hz), np.zeros(cells)
-            cut = np.zeros(cells)
-        else:
-            mean, moment = cell_means(t, y, edges)
-            cut = cut_shares(t, edges)
-        if not covered.all():
-            mean[~covered], moment[~covered] = 0.0, 0.0
-        resolved = not self.filtered and (edges[1] - edges[0]) * self.sensor.rate_hz >= _RESOLVED
-        return Averages(mean, moment, cut, covered, bool(resolved))
+        return averages(self.plain(), edges_ns)
 
-    def _covered(self, t: Floats, edges: Floats) -> Bools:
-        limit = max(_GAP_PERIODS / self.sensor.rate_hz, _GAP_FLOOR_S)
-        gaps = np.zeros(len(t), dtype=np.int64)
-        np.cumsum(t[1:] - t[:-1] > limit, out=gaps[1:])
-        after = t.searchsorted(edges[:-1], side="right")
-        until = t.searchsorted(edges[1:], side="left")
-        inside = (after > 0) & (until < len(t))
-        covered: Bools = inside & (gaps[np.minimum(until, len(t) - 1)] == gaps[np.maximum(after, 1) - 1])
-        return covered
+    def plain(self) -> Samples:
+        """Everything at hand, for what is compiled."""
+        self._settle()
+        return Samples(self.t_ns, self.values, self.sensor.rate_hz, self._cutoff_hz, self.filtered)
 
     @property
     def filtered(self) -> bool:
         """Whether the source low-passes what it sends."""
         return self.sensor.lowpass_accel_hz > 0.0 or self.sensor.lowpass_gyro_hz > 0.0
+
+
+def _sorted(t_ns: Ints, values: Floats) -> tuple[Ints, Floats]:
+    """In order of the stamps; equal ones are averaged."""
+    order = np.argsort(t_ns, kind="stable")
+    t_ns, values = t_ns[order], values[order]
+    fresh = np.concatenate([[True], np.diff(t_ns) > 0])
+    group = np.cumsum(fresh) - 1
+    summed = np.stack([np.bincount(group, column) for column in values.T], axis=1)
+    return t_ns[fresh], summed / np.bincount(group)[:, None]
+
+
+@compiled
+def averages(samples: Samples, edges_ns: Ints) -> Averages:
+    """Average over the cells between consecutive, equally spaced edges, (n + 1,)."""
+    cells = len(edges_ns) - 1
+    low = max(int(np.searchsorted(samples.t_ns, edges_ns[0])) - 4, 0)
+    high = int(np.searchsorted(samples.t_ns, edges_ns[-1])) + 4
+    t_ns, y = samples.t_ns[low:high], samples.values[low:high]
+    if len(t_ns) < 4:
+        return Averages(np.zeros((cells, CHANNELS)), np.zeros(cells), np.zeros(cells), np.zeros(cells, np.bool_), False)
+    t = (t_ns - edges_ns[0]) * 1e-9
+    edges = (edges_ns - edges_ns[0]) * 1e-9
+    if samples.filtered:
+        mean, moment = cell_means_unfiltered(t, y, edges, samples.cutoff_hz), np.zeros(cells)
+        cut = np.zeros(cells)
+    else:
+        mean, moment = cell_means(t, y, edges)
+        cut = cut_shares(t, edges)
+    covered = _covered(t, edges, samples.rate_hz)
+    for k in range(cells):
+        if not covered[k]:
+            mean[k], moment[k] = 0.0, 0.0
+    resolved = not samples.filtered and (edges[1] - edges[0]) * samples.rate_hz >= _RESOLVED
+    return Averages(mean, moment, cut, covered, resolved)
+
+
+@compiled
+def _covered(t: Floats, edges: Floats, rate_hz: float) -> Bools:
+    limit = max(_GAP_PERIODS / rate_hz, _GAP_FLOOR_S)
+    gaps = np.zeros(len(t), dtype=np.int64)
+    gaps[1:] = np.cumsum((t[1:] - t[:-1] > limit).astype(np.int64))
+    after = np.searchsorted(t, edges[:-1], side="right")
+    until = np.searchsorted(t, edges[1:], side="left")
+    covered: Bools = (after > 0) & (until < len(t))
+    covered &= gaps[np.minimum(until, len(t) - 1)] == gaps[np.maximum(after, 1) - 1]
+    return covered

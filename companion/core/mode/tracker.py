@@ -17,7 +17,7 @@ from companion.core.mode.kalman import Kalman
 from companion.core.mode.layout import make_layout, make_noise
 from companion.core.mode.model import Parameters, StepModel, build_model, slope_rows
 from companion.core.mode.parameters import prior_parameters
-from companion.core.mode.rigid import Cells, join, make_cells
+from companion.core.mode.rigid import Cells, FrontEnd, join
 from companion.core.mode.smoother import smooth_between
 from companion.core.mode.stream import Stream
 from companion.core.mode.validity import SURPRISED, Level, judge
@@ -59,6 +59,8 @@ class WingTracker:
         self._step_s = self._step_ns * 1e-9
         self._streams = tuple(Stream(airframe.sensor(station)) for station in Station)
         self._layout = make_layout(airframe)
+        root, left, right = self._streams
+        self._front_end = FrontEnd(self._layout, (root, left, right))
         self._noise = make_noise(airframe, self._layout, self._step_s)
         wing = airframe.wing
         root_y = airframe.root.position_m[1]
@@ -142,10 +144,8 @@ class WingTracker:
         return self._next_ns < until_ns
 
     def _process(self, count: int) -> None:
-        edges = self._next_ns + self._step_ns * np.arange(count + 1, dtype=np.int64)
-        root, left, right = self._streams
-        cells = make_cells(self._layout, (root, left, right), edges)
-        self._next_ns = int(edges[-1])
+        cells = self._front_end.cells(self._next_ns, self._step_ns, count)
+        self._next_ns += count * self._step_ns
         for part in self._adaptation.split(cells):
             self._kalman.run(part)
             if self._lost(len(part)):
