@@ -233,3 +233,43 @@ def test_batches_are_joined_to_streams_in_order_of_time() -> None:
     assert [entry.station for entry in streams] == [Station.ROOT, Station.LEFT]
     assert streams[1].t_ns.tolist() == [1, 2, 3, 4]
     assert streams[1].values[:, 0].tolist() == [1, 2, 3, 4]
+
+
+def level(tmp_path: Path, header: str, z: float) -> CsvRecording:
+    return read(tmp_path, accel=header + "\n" + "".join(f"{0.001 * k:.3f},{z + 0.01 * (k % 3)}\n" for k in range(300)))
+
+
+def test_a_vertical_axis_that_points_up_is_refused_with_what_it_should_read(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"'left_z' reads \+1\.00 g .*turn its sign"):
+        level(tmp_path, "t_s,left_z_mps2", 9.80665)
+
+
+def test_metres_labelled_as_g_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"'right_z' reads -9\.\d+ g .*unit"):
+        level(tmp_path, "t_s,right_z_g", -9.80665)
+
+
+def test_missing_gravity_is_told(tmp_path: Path) -> None:
+    texts = [notice.text for notice in level(tmp_path, "t_s,left_z_mps2", 0.0).notices]
+    assert any("'left_z' reads +0.00 g" in text and "gravity was taken out" in text for text in texts)
+    assert not any("gravity was" in notice.text for notice in level(tmp_path, "t_s,left_z_g", -1.0).notices)
+
+
+def test_a_header_in_quotes_is_read(tmp_path: Path) -> None:
+    assert [entry.station for entry in level(tmp_path, '"t_s","left_z_mps2"', -9.8).streams] == [Station.LEFT]
+
+
+@pytest.mark.parametrize("name", ["left_z_m_s2", "Left_Z_mps2", "left_z_m/s²"])
+def test_a_column_that_is_nearly_right_is_named_with_the_units(tmp_path: Path, name: str) -> None:
+    with pytest.raises(TableError, match=f"column '{name}'.*mps2, g, mg"):
+        read(tmp_path, accel=f"t_s,{name}\n0,-9.8\n0.001,-9.8\n")
+
+
+def test_other_separators_are_pointed_to_the_mapping_file(tmp_path: Path) -> None:
+    with pytest.raises(TableError, match="mapping"):
+        read(tmp_path, accel="t_s;left_z_mps2\n0;-9,8\n")
+
+
+def test_unrecognised_columns_are_listed(tmp_path: Path) -> None:
+    with pytest.raises(TableError, match="the columns are z_left_mps2"):
+        read(tmp_path, accel="t_s,z_left_mps2\n0,-9.8\n0.001,-9.8\n")

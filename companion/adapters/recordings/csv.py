@@ -26,7 +26,10 @@ _PLACES = {station.name.lower(): station for station in Station}
 _LETTERS = "xyzpqr"
 _UNITS = {letter: ACCELERATION if letter in "xyz" else ANGULAR_RATE for letter in _LETTERS}
 _INERTIAL = re.compile(r"([a-z]+)_([a-z])_([a-z0-9/^]+)")
+_NEAR = re.compile(r"(?i)(root|left|right)_([xyzpqr])_(.+)")
 _BARE = re.compile(rf"[{_LETTERS}]_[a-z0-9]+")
+_MOST_G = 3.0  # on average
+_FEWEST = 100
 _RANGE_OPTIONAL = ("reference_m", "disparity_px", "t_command_s")
 
 
@@ -79,11 +82,15 @@ class CsvRecording(LoggedRecording):
         self.covariates: dict[str, Covariate] = {}
         parts = [stream for file in accel_files(path) for stream in self._accel(file)]
         if not parts:
-            raise TableError(path / "accel.csv", 1, "no column <place>_<axis>_<unit>, such as left_z_mps2")
+            there = ", ".join(self.covariates) or "t_s alone"
+            problem = f"no column <place>_<axis>_<unit>, such as left_z_mps2; the columns are {there}"
+            raise TableError(accel_files(path)[0], 1, problem)
         self.streams = tuple(self._one_per_station(parts))
         self.airframe = self._fitting(airframe)
         self.ranges = self._ranges(path / "range.csv")
         for stream in self.streams:
+            for note in gravity(path, stream):
+                self.notes.add(note)
             self.notes.gaps(f"{path.name}: {stream.station.name.lower()}", stream.t_ns)
 
     def records(self) -> Iterator[ImuBatch]:
@@ -166,6 +173,11 @@ def inertial_column(file: Path, name: str, place: str) -> tuple[Station, int, fl
         name = f"{place}_{name}"
     parts = _INERTIAL.fullmatch(name)
     if parts is None:
+        near = _NEAR.fullmatch(name)
+        if near is not None:
+            units = ", ".join(_UNITS[near[2].lower()])
+            problem = f"column '{name}': small letters and one unit of {units} are expected, such as left_z_mps2"
+            raise TableError(file, 1, problem)
         if name.split("_")[0] in _PLACES and "_" in name and len(name.split("_")) < 3:
             raise TableError(file, 1, f"column '{name}' must be <place>_<axis>_<unit>, such as left_z_mps2")
         return None
@@ -192,6 +204,26 @@ def stream_of(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -
         values[:, index] = column
         axes |= Axis(1 << index)
     return Stream(station, ClockName.HOST, axes, t_ns, values)
+
+
+def gravity(path: Path, stream: Stream) -> Iterator[str]:
+    """Look for gravity in the vertical axis: a sentence where it is missing.
+
+    Raises
+    ------
+    RecordingError
+        It has the wrong sign, or is more than any wing bears: the unit must be another one.
+    """
+    if not stream.axes & Axis.Z or stream.t_ns.size < _FEWEST:
+        return
+    mean_g = float(np.mean(stream.values[:, 2])) / ACCELERATION["g"]
+    reads = f"'{stream.station.name.lower()}_z' reads {mean_g:+.2f} g on average"
+    if mean_g > 0.5:
+        raise RecordingError(f"{path}: {reads}; body z points down, so at rest it must read -1 g: turn its sign")
+    if mean_g < -_MOST_G:
+        raise RecordingError(f"{path}: {reads}, where about -1 g is expected: is its unit right?")
+    if mean_g > -0.5:
+        yield f"{reads}, where about -1 g is expected: gravity was taken out, or its unit is another"
 
 
 def sensor_as_recorded(sensor: Sensor, stream: Stream) -> Sensor:

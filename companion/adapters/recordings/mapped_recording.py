@@ -12,6 +12,7 @@ import numpy as np
 from companion.adapters.recordings.csv import (
     Covariate,
     RangeTable,
+    gravity,
     inertial_column,
     nanoseconds,
     sensor_as_recorded,
@@ -52,6 +53,8 @@ class MappedRecording(LoggedRecording):
             for stream in self.streams
         }
         self.airframe = dataclasses.replace(airframe, **sensors)
+        for note in (note for stream in self.streams for note in gravity(path, stream)):
+            self.notes.add(note)
         for stream in self.streams[:1]:  # all have the same stamps
             self.notes.gaps(path.name, stream.t_ns)
 

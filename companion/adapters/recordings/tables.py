@@ -65,9 +65,13 @@ def _header(path: Path) -> list[str]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path}: is not a text file") from error
-    header = [name.strip() for name in line.split(",")]
+    header = [name.strip().strip('"') for name in line.split(",")]
     if len(header) < 2:
-        raise TableError(path, 1, f"a header of columns separated by commas is expected, not '{line.strip()[:60]}'")
+        other = any(mark in line for mark in ";\t")
+        advice = "; other separators are read through a mapping file (--mapping)" if other else ""
+        raise TableError(
+            path, 1, f"a header of columns separated by commas is expected, not '{line.strip()[:60]}'{advice}"
+        )
     for i, name in enumerate(header):
         if not name:
             raise TableError(path, 1, f"column {i + 1} has no name")
