@@ -54,6 +54,7 @@ def execute(options: argparse.Namespace) -> int:
     models = models_of(paths, airframe, mapping)
     found = diagnose(models, list(catalogue().values()), options.max_causes, progress)
     plain = as_json(found, models, options.recordings)
+    plain["notes"] = [*dict.fromkeys([note for one in timings for note in one.notes] + plain["notes"])]
     if options.json == "-":
         print(json.dumps(plain, indent=2, allow_nan=False))
     else:
