@@ -2,48 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from companion.core.mode.tracker import WingTracker
-from companion.params.airframe import Airframe
-from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Deflection, ImuBatch, ModeState, Reject, Station, Validity
-
-G = 9.80665
-EPOCH_NS = 7_000_000_000
-MS = 1_000_000
-
-
-def _airframe() -> Airframe:
-    airframe = load_airframe("nadir-2m")
-    root = dataclasses.replace(airframe.root, rate_hz=1000.0, lowpass_accel_hz=0.0, lowpass_gyro_hz=0.0)
-    return dataclasses.replace(airframe, root=root)
-
-
-def _samples(seconds: float, amplitude_m: float) -> tuple[np.ndarray, dict[Station, np.ndarray]]:
-    """A symmetric 5 Hz bending that is seen by the vertical axes and, by its slope, by the other two."""
-    t = np.arange(round(seconds * 1000)) * 1e-3
-    w, rng = 2 * np.pi * 5.0, np.random.default_rng(2)
-    bend = amplitude_m * np.cos(w * t)
-    values = {}
-    for station in Station:
-        v = rng.normal(size=(len(t), 6)) * np.repeat([0.016, 0.0011], 3)
-        v[:, 2] -= G
-        if station is not Station.ROOT:
-            side = 1.0 if station is Station.LEFT else -1.0
-            v[:, 2] += w**2 * bend
-            v[:, 1] += side * 1.39 * (bend + 0.0149) * (-G + w**2 * bend)
-            v[:, 3] -= side * 1.39 * w * amplitude_m * np.sin(w * t)
-        values[station] = v
-    return EPOCH_NS + np.round(t * 1e9).astype(np.int64), values
-
-
-def _batch(station: Station, t: np.ndarray, values: np.ndarray) -> ImuBatch:
-    return ImuBatch(station, ClockName.HOST, t, values, Axis.ALL, int(t[-1]))
+from sitl_tests.unit.mode_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 
 def _run(
@@ -53,12 +18,12 @@ def _run(
     until_ms: dict[Station, int] | None = None,
     adapt: int = 1,
 ) -> tuple[WingTracker, list[ModeState]]:
-    tracker, states = WingTracker(_airframe(), Settings(adapt=adapt)), []
+    tracker, states = WingTracker(plain_airframe(), Settings(adapt=adapt)), []
     for first in range(0, len(t), every_ms):
         for station, v in values.items():
             part = slice(first, min(first + every_ms, (until_ms or {}).get(station, len(t))))
             if part.stop > part.start:
-                tracker.add(_batch(station, t[part], v[part]))
+                tracker.add(batch(station, t[part], v[part]))
         state = tracker.advance(EPOCH_NS + (first + every_ms) * MS)
         if state is not None:
             states.append(state)
@@ -67,15 +32,15 @@ def _run(
 
 @pytest.fixture(scope="module")
 def moving() -> tuple[np.ndarray, dict[Station, np.ndarray]]:
-    return _samples(4.0, 0.005)
+    return swinging(4.0, 0.005)
 
 
 def test_there_is_no_state_before_root_and_a_tip_are_heard() -> None:
-    t, values = _samples(0.4, 0.005)
+    t, values = swinging(0.4, 0.005)
     for missing in (Station.ROOT, None):
-        tracker = WingTracker(_airframe(), Settings())
+        tracker = WingTracker(plain_airframe(), Settings())
         for station in (Station.LEFT, Station.RIGHT) if missing is Station.ROOT else (Station.ROOT,):
-            tracker.add(_batch(station, t, values[station]))
+            tracker.add(batch(station, t, values[station]))
         assert tracker.advance(int(t[-1])) is None
         assert tracker.smooth(int(t[200])) is Reject.NOT_SETTLED
         assert tracker.forecast(100 * MS, MS) is Reject.NOT_SETTLED
@@ -99,12 +64,12 @@ def test_late_samples_inside_the_window_are_as_good_as_punctual_ones(
 ) -> None:
     t, values = (moving[0][:2000], {s: v[:2000] for s, v in moving[1].items()})
     _, punctual = _run(t, values)
-    tracker, states = WingTracker(_airframe(), Settings()), []
+    tracker, states = WingTracker(plain_airframe(), Settings()), []
     for first in range(0, 2000, 40):
         for station, v in values.items():
             parts = [slice(first, first + 20), slice(first + 20, first + 40)]
             for part in parts[::-1]:
-                assert tracker.add(_batch(station, t[part], v[part])) == []
+                assert tracker.add(batch(station, t[part], v[part])) == []
         states.append(tracker.advance(EPOCH_NS + (first + 40) * MS))
     assert states[-1] is not None
     np.testing.assert_array_equal(states[-1].q_m, punctual[-1].q_m)
@@ -115,7 +80,7 @@ def test_a_sample_older_than_the_window_is_refused_and_told(
 ) -> None:
     t, values = (moving[0][:1000], {s: v[:1000] for s, v in moving[1].items()})
     tracker, _ = _run(t, values)
-    (refused,) = tracker.add(_batch(Station.LEFT, t[100:110], values[Station.LEFT][100:110]))
+    (refused,) = tracker.add(batch(Station.LEFT, t[100:110], values[Station.LEFT][100:110]))
     assert (refused.reason, refused.count) == (Reject.TOO_LATE, 10)
 
 
@@ -135,7 +100,7 @@ def test_smoothing_and_its_window(moving: tuple[np.ndarray, dict[Station, np.nda
 
 
 def test_a_quiet_wing_is_calm() -> None:
-    _, states = _run(*_samples(4.0, 0.0))
+    _, states = _run(*swinging(4.0, 0.0))
     assert states[-1].validity is Validity.CALM
     assert states[10].validity is Validity.SETTLING
 
@@ -168,6 +133,6 @@ def test_a_saturated_sensor_is_told_and_forgotten(moving: tuple[np.ndarray, dict
 
 
 def test_a_batch_of_the_wrong_shape_is_a_defect_of_the_caller() -> None:
-    tracker = WingTracker(_airframe(), Settings())
+    tracker = WingTracker(plain_airframe(), Settings())
     with pytest.raises(ValueError, match="ImuBatch"):
         tracker.add(ImuBatch(Station.LEFT, ClockName.HOST, np.arange(3), np.zeros((3, 3)), Axis.ALL, 0))

@@ -1,0 +1,45 @@
+"""Samples of a wing that swings in one pure mode, as the three stations of nadir-2m would send them at 1 kHz."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from companion.params.airframe import Airframe
+from companion.params.files import load_airframe
+from companion.records import Axis, ClockName, ImuBatch, Station
+
+G = 9.80665
+EPOCH_NS = 7_000_000_000
+MS = 1_000_000
+
+
+def plain_airframe() -> Airframe:
+    """The demo's aircraft with an unfiltered 1 kHz root."""
+    airframe = load_airframe("nadir-2m")
+    root = dataclasses.replace(airframe.root, rate_hz=1000.0, lowpass_accel_hz=0.0, lowpass_gyro_hz=0.0)
+    return dataclasses.replace(airframe, root=root)
+
+
+def swinging(seconds: float, amplitude_m: float) -> tuple[np.ndarray, dict[Station, np.ndarray]]:
+    """A symmetric 5 Hz bending that is seen by the vertical axes and, by its slope, by the other two."""
+    t = np.arange(round(seconds * 1000)) * 1e-3
+    w, rng = 2 * np.pi * 5.0, np.random.default_rng(2)
+    bend = amplitude_m * np.cos(w * t)
+    values = {}
+    for station in Station:
+        v = rng.normal(size=(len(t), 6)) * np.repeat([0.016, 0.0011], 3)
+        v[:, 2] -= G
+        if station is not Station.ROOT:
+            side = 1.0 if station is Station.LEFT else -1.0
+            v[:, 2] += w**2 * bend
+            v[:, 1] += side * 1.39 * (bend + 0.0149) * (-G + w**2 * bend)
+            v[:, 3] -= side * 1.39 * w * amplitude_m * np.sin(w * t)
+        values[station] = v
+    return EPOCH_NS + np.round(t * 1e9).astype(np.int64), values
+
+
+def batch(station: Station, t_ns: np.ndarray, values: np.ndarray) -> ImuBatch:
+    """Host-stamped samples of all six axes, received with the last."""
+    return ImuBatch(station, ClockName.HOST, t_ns, values, Axis.ALL, int(t_ns[-1]))

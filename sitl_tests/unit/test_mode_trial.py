@@ -1,0 +1,73 @@
+"""What the tracker keeps for trying new parameters: a filter, and the cells since; as many as a trial needs."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from companion.core.mode.rigid import join
+from companion.core.mode.tracker import WingTracker
+from companion.params.settings import Settings
+from companion.records import Deflection, Station
+from sitl_tests.unit.mode_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
+
+EVERY_MS = 100
+LOST = np.arange(EVERY_MS) < 20  # of each 100 ms both tips lose the first 20: more than the fiftieth that a fit allows
+
+
+def _flown(tracker: WingTracker, seconds: float, holes: bool, from_s: float = 0.0) -> Iterator[float]:
+    """Feed a tracker with tips that lose samples where ``holes``; give the time after each call."""
+    t, values = swinging(seconds, 0.005)
+    for first in range(round(from_s * 1000), len(t), EVERY_MS):
+        part = slice(first, first + EVERY_MS)
+        for station, v in values.items():
+            there = ~LOST if holes and station is not Station.ROOT else slice(None)
+            tracker.add(batch(station, t[part][there], v[part][there]))
+        tracker.advance(EPOCH_NS + (first + EVERY_MS) * MS)
+        yield 1e-3 * (first + EVERY_MS)
+
+
+def _kept_s(tracker: WingTracker) -> float:
+    return sum(map(len, tracker._recent)) / Settings().track_rate_hz
+
+
+def test_cells_for_a_trial_do_not_pile_up_where_no_fit_can_be_made() -> None:
+    tracker = WingTracker(plain_airframe(), Settings())
+    kept_s = [(at_s, _kept_s(tracker)) for at_s in _flown(tracker, 15.0, holes=True)]
+    assert tracker._adaptation.fits == 0
+    assert max(s for at_s, s in kept_s if at_s > 10.5) <= 1.5 + 1e-3 * EVERY_MS
+    assert max(s for at_s, s in kept_s if at_s <= 10.0) > 9.0, "early on the whole history is wanted"
+
+
+@pytest.mark.parametrize("holes", [True, False], ids=["no fits", "fits"])
+def test_the_filter_that_is_kept_comes_to_where_the_tracker_stands_by_the_cells_that_are_kept(holes: bool) -> None:
+    """A trial judges new parameters on these cells; if they did not belong together, it would judge a jump."""
+    tracker = WingTracker(plain_airframe(), Settings())
+    compared = 0
+    for at_s in _flown(tracker, 12.8, holes):
+        if at_s < 10.5 or not tracker._recent:
+            continue
+        again = tracker._begun.fork(tracker._kalman.model)
+        again.run(join(tracker._recent))
+        sigma = np.sqrt(np.diag(tracker._kalman.total_covariance))
+        np.testing.assert_allclose(again.state / sigma, tracker._kalman.state / sigma, atol=1e-6)
+        compared += 1
+    assert compared > 15
+
+
+def test_adaptation_that_is_switched_on_in_flight_leaves_time_where_it_is() -> None:
+    tracker = WingTracker(plain_airframe(), Settings(adapt=0))
+    for _ in _flown(tracker, 3.0, holes=False):
+        pass
+    tracker.adopt(dataclasses.replace(Settings(), adapt=1))
+    for _ in _flown(tracker, 7.0, holes=False, from_s=3.0):
+        pass
+    assert tracker._adaptation.fits > 0
+    middle_ns = tracker._next_ns - 500 * MS
+    found = tracker.smooth(middle_ns)
+    assert isinstance(found, Deflection)
+    truth_m = 0.005 * np.cos(2 * np.pi * 5.0 * (middle_ns - EPOCH_NS) * 1e-9)
+    assert abs(found.q_m[0] - 0.0149 - truth_m) < 4 * np.sqrt(found.covariance[0, 0])
