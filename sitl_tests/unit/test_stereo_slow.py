@@ -133,6 +133,30 @@ def test_what_the_tracker_learns_is_taken_over_and_what_the_matches_told_is_not_
     assert later.slow_covariance[YAW, YAW] / 4.0 == pytest.approx(expected, rel=1e-3)
 
 
+def _last_yaw_sigma(sigmas_rad: list[float], look: bool) -> float:
+    """Of a slow bend whose stated sigma goes through a list, pair by pair; ``look`` is for the last pair."""
+    airframe = _lasting(nadir(rotation_sigma_rad=1e-7))
+    slow = SlowRotation(Rig.from_airframe(airframe), airframe)
+    for k, sigma_rad in enumerate(sigmas_rad):
+        wing = _believed(TRUE_SLOPE, sigma_rad, 0.0, k * PERIOD_NS)
+        matches = _matches(airframe, ground_below(60.0, 60, k), airframe, k)
+        told = _told(slow, airframe, matches, wing, look=look or k + 1 < len(sigmas_rad))
+    return float(np.sqrt(told.slow_covariance[YAW, YAW]))
+
+
+def test_a_stated_sigma_that_ripples_with_the_load_makes_nobody_forget() -> None:
+    """Two percent up and down, twenty times: what the matches have told of a lasting error stays told."""
+    steady = _last_yaw_sigma([0.002] * 20, look=True)
+    rippling = _last_yaw_sigma([0.002, 0.00204] * 10, look=True)
+    assert steady < 0.1 * 2.0 * 0.002
+    assert rippling == pytest.approx(steady, rel=0.02)
+
+
+def test_a_tracker_that_has_lost_the_bend_is_believed_at_once() -> None:
+    sigma = _last_yaw_sigma([0.0005] * 5 + [0.005], look=False)
+    assert 0.75 * 2.0 * 0.005 < sigma <= 2.0 * 0.005
+
+
 def test_matches_on_the_axes_say_nothing_about_yaw_and_the_filter_knows() -> None:
     """The parallax of yaw is x y: features on the cross x = 0 or y = 0 of the right image are blind to it."""
     airframe = nadir(rotation_sigma_rad=1e-7)

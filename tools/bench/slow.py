@@ -2,8 +2,11 @@
 
 Truth: the demo's flight with trim bend, bend per g and camera mounting drawn from wide priors, and a thermal set that
 wanders during the flight. Matches are projections of ground points with noise and blunders, through the true cameras;
-everything else goes through the whole pipeline. Scored is the relative toe below 0.5 Hz, from the tenth second on,
-and that error over the sigma that the pipeline stated for it.
+everything else goes through the whole pipeline, from the tenth second on.
+
+"error" is that of the relative toe below 0.5 Hz. The sigma that the pipeline states is that of its estimate of the slow
+part at each shot, jitter above 0.5 Hz included; so the error that is held against it is that estimate's own, without a
+filter over it: the truth's slow part (toe beyond the tracked bend, below 0.5 Hz) less what was told of it.
 """
 
 from __future__ import annotations
@@ -55,15 +58,18 @@ _MATCHES, _MATCH_PX, _BLUNDERS = 150, 0.1, 0.05
 _ROLLING_M = 2.0  # rms height of the ground
 _THERMAL = 0xE1
 _NO_SHOTS = 2
+_YAW = 1  # of a rotation in the epipolar frame: the toe
+_HONEST = {"tilt only": (0.0, 2.0), "epipolar only": (0.7, 1.3), "both": (0.7, 1.3)}  # tilt: a flight is one draw
 
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One seed, one way: slow toe error and the stated sigma at each shot, rad, and the true slow toe's own rms."""
+    """One seed, one way, shot by shot, rad: toe error below 0.5 Hz; the slow estimate's own error and stated sigma."""
 
     way: str
     seed: int
     error_rad: Floats
+    estimate_rad: Floats
     sigma_rad: Floats
     range_sigmas: Floats
 
@@ -79,8 +85,8 @@ class Scored:
 
     @property
     def over_sigma(self) -> float:
-        """Root mean square of error over sigma: 1 is honest."""
-        return float(np.sqrt(np.mean((self.error_rad / self.sigma_rad) ** 2)))
+        """Root mean square of the slow estimate's error over its sigma: 1 is honest."""
+        return float(np.sqrt(np.mean((self.estimate_rad / self.sigma_rad) ** 2)))
 
 
 def wide_airframe() -> Airframe:
@@ -237,17 +243,33 @@ def _in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:
 
 def _scored(way: str, flight: Flight, eyes: TrueEyes, outputs: list[Record]) -> Scored:
     told = {record.pair_id: record for record in outputs if isinstance(record, RelativeRotation)}
-    t_s, error, sigma, over = [], [], [], []
+    rows = []
     for record in outputs:
         if isinstance(record, CorrectedRange) and record.sigma_m < Settings().max_range_m:
-            boot_ns = record.t_host_ns - HOST_EPOCH_NS
-            t_s.append(boot_ns / _S)
-            error.append(record.toe_rad - eyes.toe_rad(boot_ns))
-            sigma.append(float(np.sqrt(told[record.pair_id].slow_covariance[1, 1])))
-            over.append(error[-1] / record.toe_sigma_rad)
-    late = np.array(t_s) >= SETTLED_S
-    slow = slow_part(np.array(t_s), np.array(error), _SLOW_HZ)
-    return Scored(way, flight.seed, slow[late], np.array(sigma)[late], np.array(over)[late])
+            boot_ns, turned = record.t_host_ns - HOST_EPOCH_NS, told[record.pair_id]
+            error = record.toe_rad - eyes.toe_rad(boot_ns)
+            sigma = float(np.sqrt(turned.slow_covariance[_YAW, _YAW]))
+            rows.append(
+                (
+                    boot_ns / _S,
+                    error,
+                    turned.rotation_rad[_YAW],
+                    turned.slow_rad[_YAW],
+                    sigma,
+                    error / record.toe_sigma_rad,
+                )
+            )
+    t_s, error_rad, total_rad, slow_rad, sigma_rad, over = np.array(rows).T
+    late = t_s >= SETTLED_S
+    beyond_bend = slow_part(t_s, total_rad - error_rad, _SLOW_HZ)
+    return Scored(
+        way,
+        flight.seed,
+        error_rad=slow_part(t_s, error_rad, _SLOW_HZ)[late],
+        estimate_rad=(slow_rad - beyond_bend)[late],
+        sigma_rad=sigma_rad[late],
+        range_sigmas=over[late],
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -257,7 +279,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--duration", type=float, default=60.0)
     options, _ = parser.parse_known_args(arguments)
     rows = run(range(1, options.seeds + 1), options.duration)
-    print("toe below 0.5 Hz     seed    error mrad    stated mrad    error/sigma    all of the toe error/sigma")
+    print("slow part of the toe seed    error mrad    stated mrad    error/sigma    all of the toe error/sigma")
     for row in rows:
         whole = float(np.sqrt(np.mean(row.range_sigmas**2)))
         print(
@@ -271,7 +293,7 @@ def main(arguments: list[str] | None = None) -> int:
             float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in mine]))) for name in ("rms_mrad", "over_sigma")
         )
         print(f"{way:20s}  all {rms:13.3f} {'':14s} {over:14.2f}")
-        missed |= over > 2.0
+        missed |= not _HONEST[way][0] <= over <= _HONEST[way][1]
     return int(missed)
 
 

@@ -21,6 +21,7 @@ from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Si
 _LEAST_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is found again, slowly
 _BASELINE_M = 0.0005  # how well a camera's place across the baseline is known
 _RADIAL = 0.002
+_RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone
 
 
 class SlowRotation:
@@ -30,6 +31,8 @@ class SlowRotation:
         self._rig = rig
         self._filter = EpipolarFilter(rig, slow_prior(rig, airframe))
         self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
+        self._bend_variance = math.inf
+        self._bend_ns = 0
         self._per_slope = np.stack(
             [-rig.left.turn_rad(1.0), rig.right.turn_rad(1.0)], axis=1
         )  # relative rotation, body axes, per radian of left and right tip slope
@@ -63,7 +66,7 @@ class SlowRotation:
             False leaves the matches aside: the tracker's own uncertainty alone.
         """
         t_host_ns = (bend[0].t_host_ns + bend[1].t_host_ns) // 2
-        belief, fast = self._belief(bend), self._fast(bend, exposures, timing_sigma_s)
+        belief, fast = self._belief(bend, t_host_ns), self._fast(bend, exposures, timing_sigma_s)
         sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
         seen = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief) if look else None
         if isinstance(seen, EpipolarUpdate):
@@ -80,10 +83,21 @@ class SlowRotation:
         slow, covariance = self._filter.predict(t_host_ns, belief)
         return RelativeRotation(matches.pair_id, t_host_ns, slow, covariance + fast, slow, covariance, 0, 0.0)
 
-    def _belief(self, bend: tuple[Deflection, Deflection]) -> BendBelief:
+    def _belief(self, bend: tuple[Deflection, Deflection], t_host_ns: int) -> BendBelief:
+        """What the tracker knows of its slow error, without the ripple of what it says.
+
+        Constants (misalignment, trim) and the load factor make the stated sigma rise and fall by a percent or so in
+        every manoeuvre. Nothing is forgotten by that: were every rise taken for fresh error, it would cost the filter
+        what the matches have told. So the least that was stated counts, ageing as the biases drift; a rise beyond any
+        ripple is a tracker that has lost what it knew.
+        """
         direction = self._filter.epipolar_from_body @ self._per_slope.sum(axis=1)
-        sigma_rad = 0.5 * (bend[0].slow_slope_sigma_rad + bend[1].slow_slope_sigma_rad)
-        return BendBelief(direction, sigma_rad, self._time_s)
+        stated = (0.5 * (bend[0].slow_slope_sigma_rad + bend[1].slow_slope_sigma_rad)) ** 2
+        aged = -math.expm1(-2e-9 * max(t_host_ns - self._bend_ns, 0) / self._time_s)
+        least = min(self._bend_variance, stated)
+        least += aged * (stated - least)
+        self._bend_variance, self._bend_ns = max(least, stated / _RIPPLE**2), t_host_ns
+        return BendBelief(direction, math.sqrt(self._bend_variance), self._time_s)
 
     def _fast(
         self, bend: tuple[Deflection, Deflection], exposures: tuple[Exposure, Exposure], timing_sigma_s: float
