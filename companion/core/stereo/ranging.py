@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from companion.core.stereo.epipolar import epipolar_frame
 from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
 from companion.core.stereo.geometry import Rig, axes_from_body
 from companion.core.stereo.sectors import matched_sectors
-from companion.core.stereo.sigma import Budget, budget, gradient_of, toe_gradient
+from companion.core.stereo.sigma import Budget, Gradient, budget, gradient_of, toe_gradient
 from companion.core.stereo.surface import Product, Reading, read
 from companion.core.stereo.triangulation import Depths, Rays, Sight, match_rays, sight_along, triangulate
 from companion.errors import ConfigError
@@ -101,40 +100,23 @@ def correct(
     RangeAnswer
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
-    moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, velocity_mps)
-    apart_rad2 = None
-    if turned is not None:
-        body_from_epipolar = epipolar_frame(rig).T
-        moving = turned_apart(moving, body_from_epipolar @ turned.rotation_rad)
-        apart_rad2 = body_from_epipolar @ turned.covariance @ body_from_epipolar.T
-    sight = sight_along(rig, range_axis(airframe.orientation))
-    rays = match_rays(rig, moving, matches)
-    sigma_rad = matches.sigma_px / rig.left.lens.focal_px
-    depths = triangulate(rays, sight, sigma_rad)
+    scene = _Scene.exposed(matches, left, right, rig, airframe, timing_sigma_s, velocity_mps, turned)
+    depths = triangulate(scene.rays, scene.sight, matches.sigma_px / rig.left.lens.focal_px)
     reading = read(depths, Product(settings.product), settings.min_matches)
-    toe = _Toe(
-        toe_between(rig, moving),
-        budget(toe_gradient(_epipolar_y(moving)), rig, airframe, left, moving, timing_sigma_s, apart_rad2).total,
-    )
-    t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
+    toe = scene.toe()
     if reading is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
         reason = Reject.NO_MATCHES if reading is None else Reject.NOT_FINITE
-        refused = _refused(matches, t_host_ns, airframe.orientation, settings, reason)
+        refused = _refused(matches, scene.t_host_ns, airframe.orientation, settings, reason)
         return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
 
-    inverse_depths = partial(_inverse_depths, sight)
-    gradient = gradient_of(inverse_depths, reading.influence, rays, moving)
-    causes = budget(gradient, rig, airframe, left, moving, timing_sigma_s, apart_rad2)
+    causes = scene.budget(gradient_of(scene.inverse_depths, reading.influence, scene.rays, scene.moving))
     match_pm = float(np.hypot(reading.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
-    rigid = np.nan_to_num(inverse_depths(match_rays(rig, rest_exposures(rig), matches)))
-    answer = _answer(
-        matches, t_host_ns, airframe, settings, toe, reading, float(np.hypot(match_pm, causes.total)), rigid
-    )
+    answer = _answer(scene, settings, toe, reading, float(np.hypot(match_pm, causes.total)))
     square = answer.range_m**2
     in_metres = Budget(causes.modal * square, causes.calibration * square, causes.timing * square)
     sectors = None
     if airframe.orientation == _FORWARD:
-        sectors = matched_sectors(depths, sight, causes.total, t_host_ns, settings, attitude_rad)
+        sectors = matched_sectors(depths, scene.sight, causes.total, scene.t_host_ns, settings, attitude_rad)
     return RangeAnswer(answer, sectors, depths, match_pm * square, in_metres)
 
 
@@ -144,33 +126,81 @@ class _Toe:
     sigma_rad: float
 
 
-def _inverse_depths(sight: Sight, rays: Rays) -> Floats:
-    return triangulate(rays, sight, np.ones(len(rays.left))).inverse_pm
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """One pair as it was exposed: where the cameras were, how well that is known, and the rays of its matches.
+
+    ``apart_rad2`` (3, 3), body axes, is the covariance of the relative rotation where matches have told it.
+    """
+
+    matches: MatchSet
+    rig: Rig
+    airframe: Airframe
+    bend: Deflection
+    t_host_ns: int
+    moving: tuple[Exposure, Exposure]
+    timing_sigma_s: float
+    apart_rad2: Floats | None
+    sight: Sight
+    rays: Rays
+
+    @classmethod
+    def exposed(
+        cls,
+        matches: MatchSet,
+        left: Deflection,
+        right: Deflection,
+        rig: Rig,
+        airframe: Airframe,
+        timing_sigma_s: float,
+        velocity_mps: Floats | None,
+        turned: RelativeRotation | None,
+    ) -> _Scene:
+        """Each camera at its own exposure, turned by what the matches have told."""
+        moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, velocity_mps)
+        apart_rad2 = None
+        if turned is not None:
+            body_from_epipolar = epipolar_frame(rig).T
+            moving = turned_apart(moving, body_from_epipolar @ turned.rotation_rad)
+            apart_rad2 = body_from_epipolar @ turned.covariance @ body_from_epipolar.T
+        t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
+        sight = sight_along(rig, range_axis(airframe.orientation))
+        rays = match_rays(rig, moving, matches)
+        return cls(matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, apart_rad2, sight, rays)
+
+    def budget(self, gradient: Gradient) -> Budget:
+        """Sigma of a result by cause."""
+        known = (self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.apart_rad2)
+        return budget(gradient, *known)
+
+    def toe(self) -> _Toe:
+        """How far the optical axes part."""
+        sigma_rad = self.budget(toe_gradient(_epipolar_y(self.moving))).total
+        return _Toe(toe_between(self.rig, self.moving), sigma_rad)
+
+    def inverse_depths(self, rays: Rays) -> Floats:
+        """Of any rays, along the range axis."""
+        return triangulate(rays, self.sight, np.ones(len(rays.left))).inverse_pm
+
+    def rigid_pm(self) -> Floats:
+        """Inverse depths (n,) of the matches as the ground calibration alone would have them."""
+        return np.nan_to_num(self.inverse_depths(match_rays(self.rig, rest_exposures(self.rig), self.matches)))
 
 
-def _answer(
-    matches: MatchSet,
-    t_host_ns: int,
-    airframe: Airframe,
-    settings: Settings,
-    toe: _Toe,
-    reading: Reading,
-    sigma_pm: float,
-    rigid_pm: Floats,
-) -> CorrectedRange:
+def _answer(scene: _Scene, settings: Settings, toe: _Toe, reading: Reading, sigma_pm: float) -> CorrectedRange:
     range_m = _metres(reading.inverse_pm)
     sigma_m = min(sigma_pm * range_m**2, settings.max_range_m) if range_m > 0.0 else settings.max_range_m
     reject = _judge(reading, range_m, sigma_m, settings)
     return CorrectedRange(
-        pair_id=matches.pair_id,
-        plan_id=matches.plan_id,
-        t_host_ns=t_host_ns,
-        orientation=airframe.orientation,
+        pair_id=scene.matches.pair_id,
+        plan_id=scene.matches.plan_id,
+        t_host_ns=scene.t_host_ns,
+        orientation=scene.airframe.orientation,
         range_m=range_m,
         sigma_m=sigma_m,
         toe_rad=toe.angle_rad,
         toe_sigma_rad=toe.sigma_rad,
-        rigid_range_m=_metres(float(rigid_pm @ reading.influence)),
+        rigid_range_m=_metres(float(scene.rigid_pm() @ reading.influence)),
         matches=reading.used,
         trusted=reject is None,
         reject=reject,
