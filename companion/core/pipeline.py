@@ -57,6 +57,8 @@ __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000
 _TRACK_PERIOD_NS = 20_000_000
+_WARNING = 4
+_BLIND = "shots bring no image pairs: trigger, cameras?"
 _PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered
 
 
@@ -327,12 +329,13 @@ def _motion(state: PipelineState) -> Motion:
 
 
 def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
-    health, reason = _health(state)
+    health, reason = _health(state, now_ns)
     clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
     latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
     return [
         *clocks,
         *([] if latency is None else [latency]),
+        *([Notice(_WARNING, reason, now_ns)] if reason == _BLIND else []),
         ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items()))),
     ]
 
@@ -342,12 +345,14 @@ def _clocks_in_use(airframe: Airframe) -> list[ClockName]:
     return sorted(names - {ClockName.HOST})
 
 
-def _health(state: PipelineState) -> tuple[Health, str]:
+def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
     unsynced = [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name).synced]
     if state.mode is None:
         return Health.BOOT, "waiting for " + (", ".join(unsynced) + " clock" if unsynced else "inertial samples")
     if unsynced:
         return Health.CRITICAL, f"lost sync with {', '.join(unsynced)}"
+    if state.scheduling is not None and state.scheduling.blind(now_ns):
+        return Health.CRITICAL, _BLIND
     if state.mode.validity in (Validity.TRACKING, Validity.CALM):
         return Health.ACTIVE, str(state.mode.validity)
     if state.mode.validity is Validity.SETTLING:

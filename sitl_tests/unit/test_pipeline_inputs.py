@@ -20,6 +20,7 @@ from companion.records import (
     Firing,
     Health,
     ImuBatch,
+    MatchSet,
     ModeState,
     NoRange,
     Notice,
@@ -28,6 +29,7 @@ from companion.records import (
     Reject,
     Rejected,
     ServiceStatus,
+    Shot,
     Station,
     Tick,
     TimesyncReply,
@@ -188,6 +190,26 @@ def test_one_tip_alone_goes_on_and_says_so() -> None:
 
 
 @pytest.mark.slow
+def test_shots_that_bring_no_images_are_told_until_one_comes() -> None:
+    """A camera's process died or its trigger line came off: critical, and a sentence for the operator."""
+    fired_ns = HOST_EPOCH_NS - 9 * S  # ten seconds of patience are over soon after the start
+
+    def unseen() -> Iterator[Record]:
+        yield from (Shot(-number, fired_ns, fired_ns) for number in range(1, 6))
+        for record in inputs():
+            if not (isinstance(record, MatchSet) and at_s(record) < 4.0):
+                yield record
+
+    driven = run(unseen())
+    told = "shots bring no image pairs"
+    blind = driven.of(ServiceStatus, 2.0, 4.0)
+    assert blind
+    assert all(status.health is Health.CRITICAL and told in status.reason for status in blind)
+    assert any(told in notice.text for notice in driven.of(Notice, 2.0, 4.0))
+    assert not any(told in status.reason for status in driven.of(ServiceStatus, 4.2))
+    assert not any(told in notice.text for notice in driven.of(Notice, 4.2))
+
+
 def test_a_changed_parameter_is_in_force_from_that_instant() -> None:
     def changed() -> Iterator[Record]:
         told = False

@@ -14,6 +14,7 @@ from companion.params.settings import Settings
 from companion.records import ClockName, MatchSet, ModeState, OutputRecord, Shot, Side
 
 _PLAN_PERIOD_NS = 40_000_000
+_BLIND_SHOTS, _BLIND_NS = 5, 10_000_000_000
 
 
 @dataclass(slots=True)
@@ -23,6 +24,8 @@ class Scheduling:
     planner: Planner
     latency: LatencyModel
     next_plan_ns: int = 0
+    unseen: int = 0  # shots since the last pair of images
+    unseen_since_ns: int = 0
 
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> Scheduling:
@@ -49,10 +52,18 @@ class Scheduling:
 
     def fired(self, shot: Shot) -> None:
         """Remember a shot."""
+        if not self.unseen:
+            self.unseen_since_ns = shot.fired_host_ns
+        self.unseen += 1
         self.latency.shot(shot)
+
+    def blind(self, now_host_ns: int) -> bool:
+        """Whether shots have brought no pair of images for a while: a loose line, a camera or its process gone."""
+        return self.unseen >= _BLIND_SHOTS and now_host_ns - self.unseen_since_ns >= _BLIND_NS
 
     def exposed(self, matches: MatchSet) -> None:
         """Learn from measured exposures on the host's clock; others would be converted by a guess."""
+        self.unseen = 0
         for side, clock, t_ns in zip(Side, matches.clocks, matches.mid_exposure_ns, strict=True):
             if clock is ClockName.HOST:
                 self.latency.exposure(side, matches.plan_id, int(t_ns))
