@@ -17,7 +17,8 @@ def summary(rows: Rows) -> dict[str, Any]:
     for snr in sorted({row["snr_db"] for row in rows}):
         mine = [row for row in rows if row["snr_db"] == snr]
         kinds = {
-            "one effect": [row for row in mine if len(row["hidden"]) == 1 and not row["left_out"]],
+            "one effect": [row for row in mine if row["kind"] == "single" and not row["left_out"]],
+            "one effect by strength": [row for row in mine if row["kind"] == "curve" and not row["left_out"]],
             "two effects": [row for row in mine if len(row["hidden"]) == 2 and not row["left_out"]],
             "three effects": [row for row in mine if len(row["hidden"]) == 3 and not row["left_out"]],
             "nothing hidden": [row for row in mine if not row["hidden"]],
@@ -50,7 +51,7 @@ def _figures(name: str, rows: Rows) -> dict[str, Any]:
     if inside:
         figures["truth inside the 95 % interval"] = of(sum(inside), len(inside))
     strengths = sorted({round(max(row["sigmas"].values())) for row in rows if row["sigmas"]})
-    if name == "one effect":
+    if name == "one effect by strength":
         figures["found by strength in sigma"] = {
             str(strength): of(
                 sum(row["right"] for row in rows if _strength(row) == strength),
@@ -103,7 +104,7 @@ def draw(rows: Rows, path: Path) -> None:
     """Draw the confusion matrix of single effects: hidden down, named across; a group counts for its first member."""
     from matplotlib.figure import Figure  # takes most of a second to import
 
-    single = [row for row in rows if len(row["hidden"]) < 2 and not row["left_out"]]
+    single = [row for row in rows if row["kind"] in ("single", "nothing") and not row["left_out"]]
     if not single:
         return
     truths = ["nothing", *sorted({name for row in single for name in row["hidden"]})]

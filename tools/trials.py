@@ -1,19 +1,22 @@
 """Blind trials of the diagnosis: effects hidden by an independent simulator, found by ``companion.diagnosis``.
 
     python -m tools.trials                          one recording for every effect, a few with nothing hidden
+    python -m tools.trials --acceptance             all that is promised, some hours; the same again goes on
     python -m tools.trials --leave-out              what is hidden is taken from the catalogue
     python -m tools.trials --pairs 20 --each 0      two effects at once
     python -m tools.trials --curve 2 4 6 8          how strong an effect must be to be found
     python -m tools.trials --snr 10 --seed 5 --add  more of them, at 10 dB, beside those of earlier runs
     python -m tools.trials --show                   tabulate what earlier runs have left in the folder
 
-Labels are sealed by hash before the first diagnosis. Rows, a summary and a confusion matrix go to out/trials.
+Labels are sealed by hash before the first diagnosis. Rows, a summary, a table (RESULTS.md) and a confusion matrix go to
+out/trials; ``--publish`` also writes the last two into sitl_tests/trials.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -24,8 +27,6 @@ import numpy as np
 
 from companion.cli.diagnose_models import belief_for
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.fit import fit
-from companion.diagnosis.gain import held_out
 from companion.diagnosis.observations import RawRanges, RawRecording, RawStream, observe
 from companion.diagnosis.search import diagnose
 from companion.diagnosis.supermodel import SuperModel
@@ -34,54 +35,62 @@ from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
 from companion.records import Side
 from sitl_tests.trials.belief import airframe_text
-from sitl_tests.trials.cases import SEEN, SIGMA, Hidden, Tables, fly, hide, noise_density
+from sitl_tests.trials.cases import SEEN, SIGMA, Hidden, Tables, fly, noise_density
+from tools.trial_oracle import oracle_gain
+from tools.trial_plan import STRONG, Trial, acceptance, nothing, several, singles
 from tools.trial_report import draw, summary, table
+from tools.trial_results import results
 
 _TOP_HZ = 51.2
-_BATCH = 40
+_BATCH = 60
+_PUBLISHED = Path(__file__).resolve().parents[1] / "sitl_tests" / "trials"
+Rows = list[dict[str, Any]]
 
 
-def run(
-    labels: Sequence[Hidden],
-    snr_db: float,
-    seed: int,
-    leave_out: bool = False,
-    oracle: bool = False,
-    kept: Path | None = None,
-    duration_s: float = 60.0,
-) -> list[dict[str, Any]]:
-    """Fly and diagnose every label; one row each. ``leave_out`` takes the hidden effects from the catalogue.
+def run(batches: Sequence[Sequence[Trial]], seed: int, kept: Path | None = None, duration_s: float = 60.0) -> Rows:
+    """Fly and diagnose every batch; a row for each judgement, in the plan's order.
 
-    ``oracle`` also measures the held-out gain of the true effect. What is known so far is added to ``kept`` each time.
+    What is known so far is in ``kept`` after each row; trials that have their rows there are not judged again.
     """
-    airframe = parse_airframe(airframe_text(noise_density(snr_db)), "trial")
-    rows: list[dict[str, Any]] = []
-    before = json.loads(kept.read_text()) if kept is not None and kept.is_file() else []
-    begun = time.monotonic()
-    for first in range(0, len(labels), _BATCH):
-        batch = list(labels[first : first + _BATCH])
+    rows: Rows = json.loads(kept.read_text(encoding="utf-8")) if kept is not None and kept.is_file() else []
+    done = {(row["seal"], row["left_out"]) for row in rows}
+    total, begun = sum(len(trial.judged) for batch in batches for trial in batch), time.monotonic()
+    judged = 0
+    for number, batch in enumerate(batches):
+        open_ = [trial for trial in batch if any((trial.label.seal, out) not in done for out in trial.judged)]
+        judged += sum(len(trial.judged) for trial in batch if trial not in open_)
+        if not open_:
+            continue
         _show(f"flying {len(batch)} recordings of {duration_s:g} s")
-        for label, tables in zip(batch, fly(batch, snr_db, seed + first, duration_s), strict=True):
-            row = judged(label, tables, airframe, leave_out, oracle)
-            rows.append({**row, "snr_db": snr_db, "seed": seed, "left_out": leave_out})
-            if kept is not None:
-                kept.write_text(json.dumps(before + rows, indent=1) + "\n", encoding="utf-8")
-            _show(_bar(rows, len(labels), time.monotonic() - begun))
+        flown = fly(
+            [trial.label for trial in batch],
+            [trial.snr_db for trial in batch],
+            seed + number,
+            duration_s,
+            [trial.corner_hz for trial in batch],
+        )
+        for trial, tables in zip(batch, flown, strict=True):
+            for out in trial.judged if trial in open_ else ():
+                rows.append({**judge_trial(trial, tables, out), "seed": seed})
+                judged += 1
+                if kept is not None:
+                    kept.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+                _show(_bar(rows, judged, total, time.monotonic() - begun))
     print(file=sys.stderr)
-    return before + rows
+    return rows
 
 
-def judged(label: Hidden, tables: Tables, airframe: Airframe, leave_out: bool, oracle: bool) -> dict[str, Any]:
+def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]:
     """Diagnose one recording, then open its label."""
     begun = time.process_time()
-    kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in label.effects)]
+    airframe = parse_airframe(airframe_text(noise_density(trial.snr_db), trial.corner_hz), "trial")
+    kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in trial.label.effects)]
     model = model_of(tables, airframe)
     found = diagnose([model], kinds)
-    row = judge(label, found, time.process_time() - begun)
-    if oracle and row["exact"] and found.gain is not None:
-        true = fit([model], found.final.parts, found.final.values)
-        row["oracle_gain"] = held_out([model], found.null, true).log_score["total"][0]
-    return row
+    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db)
+    if trial.oracle and not leave_out and found.gain is not None:
+        row["oracle_gain"] = oracle_gain(model, found.null, trial.label)
+    return {**row, "kind": trial.kind, "snr_db": trial.snr_db, "corner_hz": trial.corner_hz, "left_out": leave_out}
 
 
 def model_of(tables: Tables, airframe: Airframe) -> SuperModel:
@@ -93,7 +102,7 @@ def model_of(tables: Tables, airframe: Airframe) -> SuperModel:
     return SuperModel(belief_for(airframe, [seen]), seen, _TOP_HZ)
 
 
-def judge(label: Hidden, found: Diagnosis, seconds: float) -> dict[str, Any]:
+def judge(label: Hidden, found: Diagnosis, seconds: float, snr_db: float = 20.0) -> dict[str, Any]:
     """Open the label and compare."""
     named = [cause.part.effect.name for cause in found.causes]
     groups = [{cause.part.effect.name, *cause.group} for cause in found.causes]
@@ -105,7 +114,7 @@ def judge(label: Hidden, found: Diagnosis, seconds: float) -> dict[str, Any]:
         exact = sorted(named) == hidden
     return {
         "hidden": label.effects,
-        "sigmas": {name: abs(value) / SIGMA[name] for name, value in label.effects.items() if name in SIGMA},
+        "sigmas": {name: label.strength(name, snr_db) for name in label.effects if name in SIGMA},
         "seal": label.seal,
         "verdict": str(found.verdict),
         "named": named,
@@ -132,28 +141,60 @@ def _inside(label: Hidden, found: Diagnosis) -> bool | None:
     return abs(cause.values[which] - truth) < 1.96 * cause.sigmas[which]
 
 
-def _labels(options: argparse.Namespace) -> list[Hidden]:
+def _plan(options: argparse.Namespace) -> list[list[Trial]]:
+    if options.acceptance:
+        return acceptance(options.seed)
     rng = np.random.default_rng(options.seed)
-    strengths = [(s, s) for s in options.curve] or [(options.strength[0], options.strength[1])]
-    names = [name for name in options.only if name in SIGMA or not options.curve]
-    labels = [hide([name], strength, rng) for strength in strengths for name in names for _ in range(options.each)]
-    fitted = [name for name in names if name in SIGMA]
-    for count, wanted in ((2, options.pairs), (3, options.triples)):
-        labels += [hide(rng.choice(fitted, count, replace=False).tolist(), strengths[0], rng) for _ in range(wanted)]
+    judged = (options.leave_out,)
+    trials: list[Trial] = []
+    for _ in range(options.each):
+        names = [name for name in options.only if name in SIGMA or not options.curve]
+        for size in options.curve or [None]:
+            strength = (size, size) if size else tuple(options.strength)
+            kind = "curve" if size else "single"
+            trials += singles(rng, options.snr, names, strength, judged, options.oracle, kind)
+    trials += [*several(rng, 2, options.pairs), *several(rng, 3, options.triples)]
     if not (options.leave_out or options.curve):
-        labels += [hide([], strengths[0], rng) for _ in range(options.nothing)]
-    return [labels[i] for i in rng.permutation(len(labels))]
+        trials += nothing(rng, options.nothing, options.snr)
+    trials = [trials[i] for i in rng.permutation(len(trials))]
+    return [trials[first : first + _BATCH] for first in range(0, len(trials), _BATCH)]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the trials that were asked for and write what came out."""
+    options = _parser().parse_args(arguments)
+    kept = options.out / "trials.json"
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.show:
+        rows = json.loads(kept.read_text(encoding="utf-8"))
+    else:
+        goes_on = options.add or options.acceptance
+        batches = _plan(options)
+        with (options.out / "seals.txt").open("a" if goes_on else "w", encoding="utf-8") as seals:
+            seals.write("\n".join(trial.label.seal for batch in batches for trial in batch) + "\n")
+        if not goes_on:
+            kept.unlink(missing_ok=True)
+        rows = run(batches, options.seed, kept, options.duration)
+    found = summary(rows)
+    (options.out / "summary.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    (options.out / "RESULTS.md").write_text(results(rows), encoding="utf-8")
+    draw(rows, options.out / "confusion.png")
+    if options.publish:
+        for name in ("RESULTS.md", "confusion.png"):
+            shutil.copyfile(options.out / name, _PUBLISHED / name)
+    print(table(rows, found))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--acceptance", action="store_true", help="all that is promised; goes on where it was left")
     parser.add_argument("--each", type=int, default=1, help="recordings for every effect")
     parser.add_argument("--nothing", type=int, default=8, help="recordings with nothing hidden")
     parser.add_argument("--pairs", type=int, default=0, help="recordings with two effects")
     parser.add_argument("--triples", type=int, default=0, help="recordings with three effects")
     parser.add_argument("--only", nargs="*", default=sorted({*SIGMA, *SEEN}), help="effects to hide")
-    parser.add_argument("--strength", type=float, nargs=2, default=(8.0, 14.0), help="in posterior sigmas")
+    parser.add_argument("--strength", type=float, nargs=2, default=STRONG, help="in posterior sigmas")
     parser.add_argument("--curve", type=float, nargs="*", default=[], help="exact strengths instead, in sigmas")
     parser.add_argument("--snr", type=float, default=20.0, help="dB")
     parser.add_argument("--seed", type=int, default=1)
@@ -162,31 +203,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--oracle", action="store_true", help="also measure the gain of the true effect")
     parser.add_argument("--add", action="store_true", help="beside the rows that are in the folder")
     parser.add_argument("--show", action="store_true", help="fly nothing: tabulate the rows that are in the folder")
+    parser.add_argument("--publish", action="store_true", help="write RESULTS.md and confusion.png beside the trials")
     parser.add_argument("--out", type=Path, default=Path("out/trials"))
-    options = parser.parse_args(arguments)
-    kept = options.out / "trials.json"
-    options.out.mkdir(parents=True, exist_ok=True)
-    if options.show:
-        rows = json.loads(kept.read_text(encoding="utf-8"))
-    else:
-        labels = _labels(options)
-        with (options.out / "seals.txt").open("a" if options.add else "w", encoding="utf-8") as seals:
-            seals.write("\n".join(label.seal for label in labels) + "\n")
-        if not options.add:
-            kept.unlink(missing_ok=True)
-        rows = run(labels, options.snr, options.seed, options.leave_out, options.oracle, kept, options.duration)
-    found = summary(rows)
-    (options.out / "summary.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    draw(rows, options.out / "confusion.png")
-    print(table(rows, found))
-    return 0
+    return parser
 
 
-def _bar(rows: Sequence[dict[str, Any]], count: int, seconds: float) -> str:
-    done = len(rows)
-    left = seconds / done * (count - done)
+def _bar(rows: Rows, judged: int, total: int, seconds: float) -> str:
     good = sum(row["verdict"] == "unexplained" if row["left_out"] else row["right"] for row in rows)
-    return f"[{'#' * round(24 * done / count):24s}] {done}/{count}, right {good}, {left / 60.0:.0f} min left"
+    spent = f"{seconds / 60.0:.0f} min"
+    return f"[{'#' * round(24 * judged / total):24s}] {judged}/{total}, right {good} of {len(rows)}, {spent}"
 
 
 def _show(text: str) -> None:

@@ -24,7 +24,8 @@ from companion.records import Floats, Side
 
 _INPUT_MPS2 = 10.0  # what a measured input may do to the wing at most
 _UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells
-_CORNER_SIGMA = 0.15
+_UNKNOWN_NOISE = 3.0  # of a sensor's noise: data sheets say nothing of how it is mounted
+_CORNER_SIGMA = 1.0  # of its logarithm: what colour a day's gusts have is nobody's error
 _COHERENCE = 1.5  # of atanh: nearly anything from -1 to 1
 _MATCH_SIGMA_PX = 0.3
 _OWN = "#"
@@ -108,7 +109,7 @@ def believe(
     for side in sides:
         sensor = (airframe.left, airframe.right)[side]
         name = side.name.lower()
-        found.append(Nuisance(f"{name}.noise", _UNKNOWN_LEVEL, True))
+        found.append(Nuisance(f"{name}.noise", _UNKNOWN_NOISE, True))
         found.append(Nuisance(f"{name}.scale", sensor.accel_scale_sigma))
         found.append(Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s))
         found.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))

@@ -7,6 +7,7 @@ the model's own and not a textbook's; each family also as a whole, which sees wh
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 
@@ -19,6 +20,7 @@ from companion.diagnosis.latent import laws
 from companion.diagnosis.part import Part
 from companion.diagnosis.scores import Column
 from companion.diagnosis.screen import efficient, normal_of
+from companion.diagnosis.simulated import bends_samples, scatter
 from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
@@ -43,6 +45,11 @@ def judge_directions(models: Sequence[SuperModel], fitted: Fit) -> dict[str, flo
     names += [name for name, _ in known]
     families["all laws together"] = len(names)
     score, left = efficient(models, fitted, found)
+    bent = [i for i, (_, effect) in enumerate(known) if bends_samples(effect)]
+    wider = np.ones(len(score))
+    unit = [dataclasses.replace(known[i][1], strength=1e-3) for i in bent]  # type: ignore[call-arg]
+    wider[[len(score) - len(known) + i for i in bent]] = scatter(models, fitted.found, unit)
+    left = left * np.outer(wider, wider)
     return _strengths(names, families, score, left)
 
 

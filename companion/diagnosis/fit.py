@@ -58,7 +58,7 @@ class Fit:
     converged: bool
 
 
-def fit(models: Sequence[SuperModel], parts: Sequence[Part], start: Floats | None = None, rounds: int = 12) -> Fit:
+def fit(models: Sequence[SuperModel], parts: Sequence[Part], start: Floats | None = None, rounds: int = 24) -> Fit:
     """Find the most probable parameters in at most ``rounds`` scoring steps.
 
     Effects begin at the values of ``parts``, nuisances at those of ``start`` or at the belief.
@@ -193,7 +193,7 @@ def derivatives(
                 mine.append(Column())
                 continue
             other = model.expect(there[: len(keys)], moved, one)
-            shift = model.time_shift(owner) if owner is not None else None
+            shift = model.time_shift(owner) if owner is not None else model.delay_shift(keys[i])
             mine.append(column(one, other, _STEP * float(sigmas[i]), alone, shift))
     return columns
 

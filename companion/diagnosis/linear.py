@@ -121,6 +121,13 @@ class Spectra:
         return np.asarray(level[first])  # second modes are thought to be loaded as densely as the first
 
 
+def spectrum_of(linear: Linear, low: int) -> Complexes:
+    """Two-sided density of what is seen from frequency ``low`` on, (c, c, b)."""
+    part = Linear(linear.receptance[..., low:], linear.load[..., low:], linear.seen[..., low:], linear.noise)
+    per_load = product(part.seen, part.receptance)
+    return np.asarray(product(product(per_load, part.load), adjoint(per_load)) + linear.noise[..., None])
+
+
 def receptance(structure: Structure, omega: Floats) -> Complexes:
     """Modal deflection per load, (n, n, f); (n, f) where stiffness and damping couple nothing."""
     stiffness, damping = structure.stiffness_radps2, structure.damping_radps

@@ -53,25 +53,26 @@ def together(found: Sequence[SampleFinding]) -> tuple[SampleFinding, ...]:
 
 def saturated(values: Floats) -> SampleFinding | None:
     """Samples that pile up at the largest or smallest value, more than the values next to it."""
-    step = _step(values)
-    best: SampleFinding | None = None
-    for sign in (1.0, -1.0):
-        turned = sign * values
-        top = float(turned.max())
-        width = max(step, 1e-6 * max(abs(top), 1.0))
-        piled = int(np.sum(turned > top - 0.5 * width))
-        beside = int(np.sum((turned > top - 1.5 * width) & (turned <= top - 0.5 * width)))
-        # a finer look needs more neighbours: what a smooth tail would have there
-        spread = float(np.sum(turned > top - 0.02 * float(turned.std()))) - piled
-        expected = max(beside, spread * min(width / (0.02 * float(turned.std())), 1.0), 1.0)
-        if piled < _FEWEST or piled < _PILE * expected:
-            continue
-        factor = piled * math.log(piled / expected) - (piled - expected)
-        if best is None or factor > best.log_bayes_factor:
-            values_at = {"inverse_s2pm": 1.0 / abs(top)}
-            text = f"{piled} samples of {len(values)} at exactly {sign * top:.3f} m/s^2"
-            best = SampleFinding("saturation", values_at, {"inverse_s2pm": width / top**2}, text, factor)
-    return best
+    piles = [(sign, pile) for sign in (1.0, -1.0) if (pile := _pile(sign * values)) is not None]
+    if not piles:
+        return None
+    sign, (top, piled, expected, width) = max(piles, key=lambda entry: abs(entry[1][0]))
+    factor = piled * math.log(piled / expected) - (piled - expected)
+    text = f"{piled} samples of {len(values)} at exactly {sign * top:.3f} m/s^2"
+    inverse = {"inverse_s2pm": 1.0 / abs(top)}
+    return SampleFinding("saturation", inverse, {"inverse_s2pm": width / top**2}, text, factor)
+
+
+def _pile(values: Floats) -> tuple[float, int, float, float] | None:
+    """The largest value, how many samples are at it, how many a smooth tail would have there, and within what width."""
+    top, spread = float(values.max()), 0.02 * float(values.std())
+    width = max(_step(values), 1e-6 * max(abs(top), 1.0))
+    piled = int(np.sum(values > top - 0.5 * width))
+    beside = int(np.sum((values > top - 1.5 * width) & (values <= top - 0.5 * width)))
+    # a finer look needs more neighbours
+    near = float(np.sum(values > top - spread)) - piled
+    expected = max(beside, near * min(width / max(spread, 1e-300), 1.0), 1.0)
+    return (top, piled, expected, width) if piled >= max(_FEWEST, _PILE * expected) else None
 
 
 def coarse(t_s: Floats, values: Floats, sensor: Sensor) -> SampleFinding | None:
@@ -107,16 +108,18 @@ def unsteady(t_s: Floats) -> SampleFinding | None:
 
 def bridged(t_s: Floats, values: Floats, findings: Sequence[SampleFinding]) -> Floats:
     """Where samples were cut, a spline through the others, never inside the range."""
-    for finding in findings:
-        if finding.name == "saturation":
-            limit = 1.0 / finding.values["inverse_s2pm"]
-            cut = np.abs(values) > limit * (1.0 - 1e-6)
-            if cut.any() and not cut.all():
-                spline = CubicSpline(t_s[~cut], values[~cut])(t_s[cut])
-                mended = values.copy()
-                mended[cut] = np.sign(values[cut]) * np.maximum(np.abs(spline), limit)
-                return mended
-    return values
+    if not any(finding.name == "saturation" for finding in findings):
+        return values
+    # a range may be cut on one side only, and need not lie evenly about 0
+    nothing = np.zeros(len(values), dtype=bool)
+    high = values > values.max() - 1e-6 * abs(values.max()) if _pile(values) else nothing
+    low = values < values.min() + 1e-6 * abs(values.min()) if _pile(-values) else nothing
+    cut = high | low
+    if cut.all():
+        return values
+    spline = CubicSpline(t_s[~cut], values[~cut])(t_s)
+    mended = np.where(high, np.maximum(spline, values), np.where(low, np.minimum(spline, values), values))
+    return np.asarray(mended)
 
 
 def _step(values: Floats) -> float:

@@ -33,7 +33,7 @@ class Column:
     toe_variance: Floats | None = None
     rest: Floats | None = None
     shift_s: Floats | None = None
-    """How the parameter shifts time, (c, m), for warps."""
+    """How a unit of the parameter shifts the time that the channels show, (c, m); with a mean it warps the samples."""
 
 
 def column(found: Expectation, there: Expectation, step: float, alone: bool, shift_s: Floats | None) -> Column:
@@ -64,7 +64,7 @@ def scores(model: SuperModel, found: Expectation, columns: Sequence[Column]) -> 
     _add(columns, lambda one: one.power, weight * (outer - chance), weight, gradient, information)
     straight = np.concatenate([white.real.ravel(), white.imag.ravel()])
     _add(columns, lambda one: one.mean, -2.0 * weight * straight, 2.0 * weight, gradient, information)
-    _add_warps(model, columns, information)
+    _add_warps(model, found, columns, information)
     _add_toe(found, columns, gradient, information)
     rest = 1.0 / np.sqrt(found.rest_variance)
     _add(
@@ -96,16 +96,34 @@ def _add(
     information[np.ix_(index, index)] += weight * (table @ table.T)
 
 
-def _add_warps(model: SuperModel, columns: Sequence[Column], information: Floats) -> None:
-    """A shift in time can only be seen where both sides agree: take out what the naive product counts too much."""
-    warped = [i for i, one in enumerate(columns) if one.shift_s is not None]
-    power = 2.0 * model.weight * float(np.sum((2.0 * np.pi * model.band_hz) ** 2))
-    for i in warped:
-        for j in warped:
-            first, second = columns[i].shift_s, columns[j].shift_s
-            assert first is not None
-            assert second is not None
-            information[i, j] -= power * float(np.sum(np.mean(first * second, axis=1)))
+def _add_warps(model: SuperModel, found: Expectation, columns: Sequence[Column], information: Floats) -> None:
+    """Put the expected information of shifts in time where the products of their columns stand for it badly.
+
+    With S the spectral matrix, shifts of channels c and d by a and b are worth
+    2 weight omega^2 (S^-1_cd S_dc - [c = d]) times the mean of a b: only what both sides agree on shows a shift. A warp
+    of the samples is a change of the mean, a constant delay one of the spectrum; their columns have no product, but a
+    warp's constant part is a delay.
+    """
+    shifts = [(i, one.shift_s, one.mean is not None) for i, one in enumerate(columns) if one.shift_s is not None]
+    if not any(warps for _, _, warps in shifts):
+        return
+    agreed = 2.0 * model.weight * np.sum((2.0 * np.pi * model.band_hz) ** 2 * _agreement(found), axis=2)
+    for i, first, warps_i in shifts:
+        for j, second, warps_j in shifts:
+            if warps_i or warps_j:
+                expected = float(np.sum(agreed * (first @ second.T))) / first.shape[1]
+                information[i, j] += expected - 2.0 * model.weight * _product(columns[i].mean, columns[j].mean)
+
+
+def _agreement(found: Expectation) -> Floats:
+    agreement = (found.inverse * found.spectrum.swapaxes(0, 1)).real
+    own = np.arange(len(agreement))
+    agreement[own, own] -= 1.0
+    return agreement
+
+
+def _product(first: Floats | None, second: Floats | None) -> float:
+    return 0.0 if first is None or second is None else float(first @ second)
 
 
 def _add_toe(found: Expectation, columns: Sequence[Column], gradient: Floats, information: Floats) -> None:

@@ -21,10 +21,13 @@ from companion.diagnosis.leads import LED, NO_LEADS, Leads
 from companion.diagnosis.part import Part
 from companion.diagnosis.samples import SEEN_IN_SAMPLES
 from companion.diagnosis.scores import Column
+from companion.diagnosis.simulated import bends_samples, scatter
 from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
 _BARELY = 1e-9
+_UNIT = 1e-3  # prior sigmas
+_SMALLEST = -500_000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +118,8 @@ def screen(
         tested.append((part, sigmas))
         progress((done + 1) / len(parts))
     score, left = efficient(models, null, columns)
+    wider = _scatter(models, null, tested)
+    left = left * np.outer(wider, wider)
     return _ranked(tested, score, left)
 
 
@@ -129,6 +134,18 @@ def efficient(models: Sequence[SuperModel], null: Fit, columns: Sequence[Sequenc
     pull = gradient[:p] - (null.values - null.centres) / null.sigmas**2
     share = np.linalg.solve(nuisance, information[:p, p:])
     return gradient[p:] - share.T @ pull, information[p:, p:] - information[p:, :p] @ share
+
+
+def _scatter(models: Sequence[SuperModel], null: Fit, tested: Sequence[tuple[Part, Floats]]) -> Floats:
+    """How much more each parameter's score scatters than its column says: 1 but for crooked sensors."""
+    wider, at = np.ones(sum(len(sigmas) for _, sigmas in tested)), 0
+    for part, sigmas in tested:
+        names = [entry.name for entry in part.effect.parameters()]
+        if bends_samples(part.effect) and len(names) == 1:
+            unit = part.with_values({names[0]: _UNIT * float(sigmas[0])})
+            wider[at] = scatter(models, null.found, [unit.effect])[0]
+        at += len(sigmas)
+    return wider
 
 
 def _ranked(tested: Sequence[tuple[Part, Floats]], score: Floats, left: Floats) -> Screening:
@@ -175,7 +192,7 @@ def _candidate(part: Part, sigmas: Floats, score: Floats, information: Floats) -
 
 def normal_of(log_tail: float) -> float:
     """|z| whose two-sided tail has this log probability."""
-    half = log_tail - math.log(2.0)
+    half = max(log_tail, _SMALLEST) - math.log(2.0)
     if half > -600.0:
         return max(float(norm.isf(math.exp(half))), 0.0)
     return math.sqrt(-2.0 * half)

@@ -17,8 +17,8 @@ from companion.core.wing.effect import Effect, Group
 from companion.core.wing.model import WingModel
 from companion.diagnosis.belief import Belief, input_gains, of_range
 from companion.diagnosis.expectation import Expectation
-from companion.diagnosis.linear import STATIONS, Spectra
-from companion.diagnosis.matrices import Complexes, log_determinant, weighed_square
+from companion.diagnosis.linear import STATIONS, Spectra, spectrum_of
+from companion.diagnosis.matrices import Complexes, adjoint, apply, inverse, log_determinant, weighed_square
 from companion.diagnosis.motion import Grid, Motion
 from companion.diagnosis.observations import Observations
 from companion.diagnosis.part import Part
@@ -39,21 +39,21 @@ class SuperModel:
 
     def __init__(self, belief: Belief, seen: Observations, top_hz: float, recording: int = 0) -> None:
         self.belief, self.seen, self.top_hz, self.recording = belief, seen, top_hz, recording
-        self._transforms = Transforms(len(seen.up_mps2), 1.0 / seen.rate_hz, seen.start_s)
-        all_hz = self._transforms.f_hz
+        self.transforms = Transforms(len(seen.up_mps2), 1.0 / seen.rate_hz, seen.start_s)
+        all_hz = self.transforms.f_hz
         low_hz = _LOW * belief.airframe.wing.symmetric.frequency_hz.value
         self._low = int(np.searchsorted(all_hz, low_hz))
         top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * seen.rate_hz), side="right"))
         self.band_hz: Floats = all_hz[self._low : top]
-        self.weight = self._transforms.weight
+        self.weight = self.transforms.weight
         self._spectra = Spectra(belief.airframe, seen.sides, all_hz[:top], seen.has_root)
-        straightener = Straightener(seen, self._transforms)
+        straightener = Straightener(seen, self.transforms)
         up = straightener.recorded_mps2
-        recorded = self._transforms.spectrum(up)[:, :top], self._transforms.tapered(up)[:, self._low : top]
-        self._grid = Grid(straightener, self._transforms, self._low, recorded)
+        recorded = self.transforms.spectrum(up)[:, :top], self.transforms.tapered(up)[:, self._low : top]
+        self._grid = Grid(straightener, self.transforms, self._low, recorded)
         self._toe: ToeModel | None = None
         if seen.toe is not None:
-            self._toe = ToeModel(belief, seen, seen.toe, self._transforms, all_hz[:top])
+            self._toe = ToeModel(belief, seen, seen.toe, self.transforms, all_hz[:top])
 
     def expect(self, deviations: Floats, parts: Sequence[Part] = (), near: Expectation | None = None) -> Expectation:
         """Hold a model against the recording.
@@ -79,6 +79,14 @@ class SuperModel:
             posterior = self._toe.posterior(wing, effects, motion) if near is None else posterior
         return Expectation(motion, toe, posterior, variance, *self._rest(effects, deviation))
 
+    def acceleration_spectrum(self, deviations: Floats) -> Complexes:
+        """Two-sided density of the accelerations in the band without any effect beyond the belief's, (c, c, b)."""
+        deviation = self.belief.named(deviations, self.recording)
+        effects = tuple(part.effect for part in self.belief.parts if part.effect.group is not Group.CAMERA)
+        structure = WingModel(self.belief.wing(deviation), effects).structure
+        scale = np.ones(len(self.seen.sides))
+        return spectrum_of(self._spectra.linear(structure, scale, effects, deviation), self._low)
+
     def log_likelihood(self, found: Expectation) -> float:
         """Log likelihood of the recording under an expectation, up to a constant."""
         return float(sum(self.log_scores(found).values()))
@@ -100,10 +108,23 @@ class SuperModel:
         """The recorded accelerations' tapered spectrum, (c, b); its squared size estimates the two-sided density."""
         return self._grid.recorded[1]
 
+    def in_band(self, values: Floats) -> Complexes:
+        """Accelerations (c, m) as tapered spectrum in the band, (c, b)."""
+        return self.transforms.tapered(values)[:, self._low : self._low + len(self.band_hz)]
+
+    def draw(self, found: Expectation, rng: np.random.Generator) -> Floats:
+        """Accelerations as a fitted model makes them by chance, (c, m)."""
+        shape = found.residual.shape
+        white = np.sqrt(0.5) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+        spectrum = np.zeros((shape[0], len(self.transforms.f_hz)), dtype=np.complex128)
+        coloured = apply(inverse(adjoint(found.motion.whitener)), white)
+        spectrum[:, self._low : self._low + shape[1]] = coloured * np.sqrt(self.transforms.count / self.transforms.dt_s)
+        return self.transforms.in_time(spectrum)
+
     def residual_force(self, found: Expectation) -> Floats:
         """Score of the likelihood with respect to a force on each believed mode at each instant, (n, m)."""
         believed = WingModel(self.belief.airframe.wing).count
-        return self._transforms.in_time(found.motion.force_score[:believed])
+        return self.transforms.in_time(found.motion.force_score[:believed])
 
     def spring_force(self, found: Expectation) -> Floats:
         """Spring force of the believed modes' smoothed motion, (n, m)."""
@@ -119,12 +140,17 @@ class SuperModel:
     def time_shift(self, effect: Effect) -> Floats | None:
         """How a unit of the effect's first parameter shifts the channels' time, (c, m) seconds; None if not at all."""
         kind = type(effect)
-        if kind.sample_time is Effect.sample_time or kind.response is not Effect.response:
+        if kind.sample_time is Effect.sample_time:
             return None
         declared = effect.parameters()[0]
         unit = kind.from_values({declared.name: declared.sigma})
         t_s = self.seen.t_s
         return np.stack([unit.sample_time(STATIONS[side], t_s) - t_s for side in self.seen.sides]) / declared.sigma
+
+    def delay_shift(self, key: str) -> Floats | None:
+        """The same for a nuisance: (c, m) if it is a delay."""
+        late = [-1.0 if key.partition("#")[0] == f"{side.name.lower()}.delay_s" else 0.0 for side in self.seen.sides]
+        return np.outer(late, np.ones(len(self.seen.t_s))) if any(late) else None
 
     def _motion(
         self, wing: WingModel, parts: Sequence[Part], deviation: Mapping[str, float], near: Expectation | None

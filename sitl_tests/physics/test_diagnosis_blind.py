@@ -7,6 +7,7 @@ import pytest
 
 from sitl_tests.trials.cases import Hidden, noise_density
 from sitl_tests.trials.wing import World, integrate
+from tools.trial_plan import Trial
 from tools.trials import run
 
 LABELS = [Hidden({}), Hidden({"stream-delay": -0.003}), Hidden({"exposure-delay": 0.0025})]
@@ -14,7 +15,7 @@ LABELS = [Hidden({}), Hidden({"stream-delay": -0.003}), Hidden({"exposure-delay"
 
 @pytest.fixture(scope="module")
 def rows() -> list[dict[str, object]]:
-    return run(LABELS, 20.0, 3, duration_s=30.0)
+    return run([[Trial("single", label) for label in LABELS]], 3, duration_s=30.0)
 
 
 @pytest.mark.long

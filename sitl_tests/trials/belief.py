@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 
-def airframe_text(noise_mps2_rthz: float) -> str:
-    """TOML of the believed airframe; the accelerometers' noise is known."""
-    return _TEXT.replace("NOISE", repr(noise_mps2_rthz))
+def airframe_text(noise_mps2_rthz: float, corner_hz: float = 0.0) -> str:
+    """TOML of the believed airframe; the accelerometers' noise is known, the gust's corner (0: white) nearly."""
+    return _TEXT.replace("NOISE", repr(noise_mps2_rthz)).replace("CORNER", repr(corner_hz))
 
 
 _TEXT = """
@@ -25,7 +25,7 @@ damping={value=0.03,sigma=0.003}
 slope_factor_radpm={value=1.39,sigma=0.0139}
 [wing.gust]
 deflection_rms_m={value=0.005,sigma=0.004}
-corners_hz=[0.0,0.0]
+corners_hz=[CORNER,0.0]
 [root]
 position_m=[0.0,0.0,0.0]
 rate_hz=1000.0

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from sitl_tests.trials.wing import GRAVITY, Array, World, airspeed, integrate, r
 BASELINE_M = 1.98
 FOCAL_PX = 800.0
 MATCH_PX = 0.3
-BELIEF = {
+BELIEF: dict[str, Any] = {
     "frequency_hz": (5.0, 6.4),
     "frequency_sigma": 0.01,
     "damping": 0.03,
@@ -32,6 +33,8 @@ BELIEF = {
     "delay_sigma_s": 0.0002,
     "bias_sigma_mps2": 0.02,
     "rms_m": (0.005, 0.003),
+    "rms_sigma": 0.2,
+    "corner_sigma": 0.15,
 }
 SIGMA = {
     "frequency-shift": 0.0076,
@@ -75,6 +78,20 @@ SIGMA = {
 """Profiled posterior sigma of each effect at 20 dB with this belief, from screening recordings that hide none."""
 SEEN = {"saturation": (5.0, 7.0), "quantisation": (6.0, 10.0), "dropout-jitter": (0.02, 0.05)}
 """What shows in the samples themselves has no sigma: the range beyond 1 g, the step, m/s^2; the share lost."""
+NOISIER: dict[str, float] = {}
+"""How much larger the sigma is at 10 dB, where it is."""
+LOUDER = {
+    "cubic-stiffness": -2,
+    "quadratic-stiffness": -1,
+    "quadratic-damping": -1,
+    "accel-cubic": -2,
+    "coulomb-friction": 1,
+    "freeplay": 1,
+    "periodic-forcing": 1,
+    "impulsive-forcing": 1,
+    "tone": 1,
+}
+"""With which power of the wing's motion the sigma of an effect goes."""
 ONE_WAY = frozenset(
     {
         "quadratic-damping",
@@ -95,15 +112,22 @@ ONE_WAY = frozenset(
 """Effects that nature has in one direction only."""
 
 
-def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generator) -> Hidden:
-    """Draw magnitude (in posterior sigmas), sign, side and whatever else an effect leaves open."""
+def sigma_of(name: str, snr_db: float = 20.0, loudness: float = 1.0) -> float:
+    """Posterior sigma of an effect; louder sensors than 20 dB widen it, quieter ones count as 20 dB."""
+    share = min(max((20.0 - snr_db) / 10.0, 0.0), 1.0)
+    return float(SIGMA[name] * NOISIER.get(name, 1.0) ** share * loudness ** LOUDER.get(name, 0))
+
+
+def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generator, snr_db: float = 20.0) -> Hidden:
+    """Draw magnitude (in posterior sigmas at this SNR), sign, side and whatever else an effect leaves open."""
     effects = {}
+    loudness = float(np.exp(BELIEF["rms_sigma"] * rng.standard_normal()))
     for name in names:
         if name in SEEN:
             effects[name] = float(rng.uniform(*SEEN[name]))
             continue
         sign = 1.0 if name in ONE_WAY else rng.choice((-1.0, 1.0))
-        size = float(sign * SIGMA[name] * rng.uniform(*strength))
+        size = float(sign * sigma_of(name, snr_db, loudness) * rng.uniform(*strength))
         # a damping ratio is told in its logarithm
         effects[name] = float(np.expm1(size)) if name == "damping-shift" else size
     extra = {
@@ -113,11 +137,11 @@ def hide(names: list[str], strength: tuple[float, float], rng: np.random.Generat
         "parametric-stiffness.frequency_hz": rng.uniform(0.3, 3.0),
         "periodic-forcing.frequency_hz": rng.uniform(3.0, 25.0),
         "tone.frequency_hz": rng.uniform(8.0, 40.0),
-        "hysteresis.yield_m": rng.uniform(0.0015, 0.004),
+        "hysteresis.yield_m": loudness * rng.uniform(0.0015, 0.004),
         "phase_rad": rng.uniform(0.0, 2.0 * np.pi),
         **{f"impulsive-forcing.at{k}_s": rng.uniform(15.0 * k + 5.0, 15.0 * k + 15.0) for k in range(3)},
     }
-    extra = {name: float(value) for name, value in extra.items()}
+    extra = {name: float(value) for name, value in extra.items()} | {"loudness": loudness}
     return Hidden(effects, int(rng.integers(0, 2)), rng.bytes(8).hex(), extra)
 
 
@@ -129,6 +153,10 @@ class Hidden:
     side: int = 1
     salt: str = ""
     extra: dict[str, float] = field(default_factory=dict)
+
+    def strength(self, name: str, snr_db: float) -> float:
+        """Magnitude in posterior sigmas."""
+        return abs(self.effects[name]) / sigma_of(name, snr_db, self.extra.get("loudness", 1.0))
 
     @property
     def seal(self) -> str:
@@ -150,11 +178,20 @@ class Tables:
 
 
 def fly(
-    hidden: list[Hidden], snr_db: float, seed: int, duration_s: float = 60.0, colour_hz: float = 0.0
+    hidden: list[Hidden],
+    snr_db: float | Sequence[float],
+    seed: int,
+    duration_s: float = 60.0,
+    colour_hz: float | Sequence[float] = 0.0,
 ) -> list[Tables]:
-    """Record every trial: truth drawn from the belief's priors, the hidden effect on top."""
+    """Record every trial: truth drawn from the belief's priors, the hidden effect on top.
+
+    ``snr_db`` and the gust's believed corner ``colour_hz`` (0: white) may differ from trial to trial.
+    """
     rng = np.random.default_rng(seed)
     n = len(hidden)
+    snr = np.broadcast_to(np.asarray(snr_db, dtype=np.float64), n)
+    corner = np.broadcast_to(np.asarray(colour_hz, dtype=np.float64), n)
     names = {name for entry in hidden for name in entry.effects}
     magnitude = {name: np.array([entry.effects.get(name, 0.0) for entry in hidden]) for name in names}
     for key in {key for entry in hidden for key in entry.extra}:
@@ -166,13 +203,13 @@ def fly(
     world = World(
         np.array(BELIEF["frequency_hz"])[:, None] * np.exp(BELIEF["frequency_sigma"] * draw((2, n))),
         BELIEF["damping"] * np.exp(BELIEF["damping_sigma"] * draw((2, n))),
-        np.array(BELIEF["rms_m"])[:, None] * np.exp(0.2 * draw((2, n))),
+        np.array(BELIEF["rms_m"])[:, None] * [entry.extra.get("loudness", 1.0) for entry in hidden],
         BELIEF["slope_radpm"] * (1.0 + BELIEF["slope_sigma"] * draw(n)),
         BELIEF["trim_m"] + BELIEF["trim_sigma_m"] * draw(n),
-        np.full(n, colour_hz),
+        corner * np.exp(BELIEF["corner_sigma"] * draw(n)),
     )
     flight = integrate(world, magnitude, duration_s, rng)
-    return [_record(flight, world, hidden[i], i, snr_db, rng) for i in range(n)]
+    return [_record(flight, world, hidden[i], i, float(snr[i]), rng) for i in range(n)]
 
 
 def noise_density(snr_db: float) -> float:

@@ -1,0 +1,121 @@
+"""Statistics of a diagnosis are what they say: standard normal where nothing is wrong, from wherever the fit begins."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from companion.core.wing.effects import catalogue
+from companion.diagnosis.begin import begin
+from companion.diagnosis.belief import believe
+from companion.diagnosis.fit import fit
+from companion.diagnosis.latent import laws
+from companion.diagnosis.observations import Observations
+from companion.diagnosis.part import Part
+from companion.diagnosis.samples import bridged, find_in_samples
+from companion.diagnosis.screen import screen
+from companion.diagnosis.simulated import bends_samples, scatter
+from companion.diagnosis.supermodel import SuperModel
+from companion.params.files import load_airframe, parse_airframe
+from companion.records import Floats, Side
+from sitl_tests.trials.belief import airframe_text
+
+TOP_HZ, RATE_HZ, COUNT = 40.0, 100.0, 3000
+SIDES = (Side.LEFT, Side.RIGHT)
+AIRFRAME = parse_airframe(airframe_text(0.15), "trial")
+
+
+def model_of(up_mps2: Floats, airframe: object = AIRFRAME) -> SuperModel:
+    count = len(up_mps2)
+    seen = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
+    return SuperModel(believe(airframe, SIDES, False, False), seen, TOP_HZ)  # type: ignore[arg-type]
+
+
+def drawn(seed: int, times: Floats | float = 1.0) -> SuperModel:
+    """A recording as the belief makes it by chance, each sample ``times`` as large."""
+    rng = np.random.default_rng(seed)
+    empty = model_of(rng.standard_normal((COUNT, 2)))
+    believed = empty.expect(np.zeros(len(empty.belief.nuisances)))
+    return model_of(np.ascontiguousarray((empty.draw(believed, rng) * times).T))
+
+
+def test_a_draw_has_the_power_of_the_spectrum() -> None:
+    model = drawn(1)
+    found = model.expect(np.zeros(len(model.belief.nuisances)))
+    misfit = np.einsum("if,ijf,jf->f", found.residual.conj(), found.inverse, found.residual).real
+    assert np.mean(misfit) == pytest.approx(2.0, abs=0.15)  # two channels; 1100 bins of exponentials
+
+
+@pytest.mark.parametrize("name", ["drifting in time", "bowed in time"])
+def test_a_swelling_reading_scatters_by_the_root_of_two(name: str) -> None:
+    """Score sum d |x|^2: of variance sum d^2, and the product of its column says half of that."""
+    model = drawn(2)
+    found = fit([model], ())
+    law = next(effect for title, effect in laws() if title == f"sensors with acceleration, {name}")
+    unit = dataclasses.replace(law, strength=1e-3)  # type: ignore[call-arg]
+    # 40 draws tell a standard deviation to 11 %
+    assert scatter([model], found.found, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
+
+
+def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chance() -> None:
+    names = ("accel-cubic", "clock-skew")
+    strengths = {name: [] for name in names}  # type: ignore[var-annotated]
+    for seed in range(8):
+        model = drawn(10 + seed)
+        found = screen([model], fit([model], ()), [Part(catalogue()[name]()) for name in names])
+        for one in found.candidates:
+            strengths[one.name].append(one.z)
+    for name, z in strengths.items():
+        # |z| of 8: a mean square of 1 with standard deviation 0.5
+        assert np.mean(np.square(z)) < 3.0, name
+        assert np.isfinite(z).all()
+
+
+def test_a_clock_that_runs_away_is_told_with_its_sigma() -> None:
+    """Skew of the right stream, at a signal ten times the noise only."""
+    skew, rng = 0.006, np.random.default_rng(3)
+    plain = drawn(30)
+    t_s = np.arange(COUNT) / RATE_HZ
+    up = plain.seen.up_mps2.copy()
+    fine = np.fft.irfft(np.fft.rfft(up[:, 1]), 32 * COUNT) * 32.0
+    up[:, 1] = np.interp(t_s - skew / 60.0 * t_s, np.arange(32 * COUNT) / (32 * RATE_HZ), fine)
+    up += 0.5 * rng.standard_normal(up.shape)
+    model = model_of(up)
+    kind = catalogue()["clock-skew"]
+    found = fit([model], [Part(kind())], fit([model], ()).values)
+    value, sigma = float(found.values[-1]), float(np.sqrt(found.covariance[-1, -1]))
+    assert value > 3.0 * sigma
+    assert abs(value - skew) < 3.0 * sigma
+
+
+def test_a_fit_begins_anywhere() -> None:
+    """Sensors two hundred times noisier than the file says, a gust ten times as strong: the same answer."""
+    quiet = parse_airframe(airframe_text(0.15 / 200.0), "quiet")
+    near, far = drawn(4, 3.0), model_of(drawn(4, 3.0).seen.up_mps2, quiet)
+    right = fit([near], (), begin([near], np.zeros(len(near.belief.nuisances))))
+    from_far = fit([far], (), begin([far], np.zeros(len(far.belief.nuisances))))
+    names = [entry.key for entry in near.belief.nuisances]
+    shift = np.zeros(len(names))
+    shift[[names.index("left.noise"), names.index("right.noise")]] = np.log(200.0)
+    sigma = np.sqrt(np.diag(right.covariance))
+    # the prior on the noise pulls a little: log 200 is 1.8 prior sigmas
+    assert from_far.converged
+    assert (np.abs(from_far.values - right.values - shift) < 0.3 * sigma + 0.01).all()
+
+
+@pytest.mark.parametrize("low", [-np.inf, -14.0])
+def test_a_range_that_is_cut_on_one_side_of_gravity_is_bridged_there(low: float) -> None:
+    t_s = np.arange(4000) / 1000.0
+    whole = -9.8 + 12.0 * np.sin(2 * np.pi * 5.0 * t_s) + 1e-3 * np.sin(2 * np.pi * 0.61 * t_s)
+    cut = np.clip(whole, low, 1.7)
+    sensor = load_airframe("nadir-2m").left
+    mended = bridged(t_s, cut, find_in_samples(t_s, cut, sensor))
+    assert np.abs(mended - whole).max() < 0.2 * np.abs(cut - whole).max()
+
+
+def test_only_effects_of_the_samples_are_simulated() -> None:
+    assert bends_samples(catalogue()["accel-cubic"]())
+    assert not bends_samples(catalogue()["accel-scale"]())
+    assert not bends_samples(catalogue()["cubic-stiffness"]())

@@ -1,0 +1,91 @@
+"""Which blind trials are flown: what is hidden, how strong, at which noise, and how each recording is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl_tests.trials.cases import SEEN, SIGMA, Hidden, hide
+
+STRONG = (8.0, 14.0)
+CURVE = (2.0, 4.0, 5.0, 6.0, 8.0)
+_CORNERS_HZ = (0.0, 0.0, 12.0, 30.0)
+"""Of the gust that is believed where nothing is hidden: white twice, coloured twice; the truth is drawn about it."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One recording and how it is judged.
+
+    Attributes
+    ----------
+    kind : str
+        single, pair, triple, curve or nothing.
+    label : Hidden
+    snr_db : float
+    corner_hz : float
+        Of the believed gust; 0 is white.
+    judged : tuple of bool
+        With the whole catalogue (False), and with what is hidden taken from it (True).
+    oracle : bool
+        Whether the gain of the true effect is measured too.
+    """
+
+    kind: str
+    label: Hidden
+    snr_db: float = 20.0
+    corner_hz: float = 0.0
+    judged: tuple[bool, ...] = (False,)
+    oracle: bool = False
+
+
+def singles(
+    rng: np.random.Generator,
+    snr_db: float = 20.0,
+    names: Sequence[str] = (*SIGMA, *SEEN),
+    strength: tuple[float, float] = STRONG,
+    judged: tuple[bool, ...] = (False,),
+    oracle: bool = False,
+    kind: str = "single",
+) -> list[Trial]:
+    """One trial for every name."""
+    return [Trial(kind, hide([name], strength, rng, snr_db), snr_db, 0.0, judged, oracle) for name in names]
+
+
+def several(rng: np.random.Generator, count: int, how_many: int, strength: tuple[float, float] = STRONG) -> list[Trial]:
+    """``how_many`` trials with ``count`` effects each, which no sample gives away."""
+    kind = {2: "pair", 3: "triple"}[count]
+    names = list(SIGMA)
+    return [Trial(kind, hide(rng.choice(names, count, replace=False).tolist(), strength, rng)) for _ in range(how_many)]
+
+
+def nothing(rng: np.random.Generator, how_many: int, snr_db: float = 20.0, first: int = 0) -> list[Trial]:
+    """Recordings in which nothing is hidden; gusts white and coloured inside their specification."""
+    corners = [_CORNERS_HZ[(first + k) % len(_CORNERS_HZ)] for k in range(how_many)]
+    return [Trial("nothing", hide([], STRONG, rng), snr_db, corner) for corner in corners]
+
+
+def acceptance(seed: int) -> list[list[Trial]]:
+    """Everything that the project promises, in batches that are flown together; what teaches most comes first."""
+    rng = np.random.default_rng(seed)
+    fitted = list(SIGMA)
+
+    def some(count: int) -> list[str]:
+        return list(rng.choice(fitted, count, replace=False).tolist())
+
+    batches = [
+        [*singles(rng, judged=(False, True), oracle=True), *several(rng, 2, 15), *nothing(rng, 30)],
+        [*singles(rng, 10.0), *nothing(rng, 30), *_curve(rng, some(8))],
+        [*singles(rng, 30.0, some(20), judged=(True,)), *several(rng, 2, 10), *_curve(rng, some(4)), *nothing(rng, 30)],
+        [*singles(rng, judged=(False, True), oracle=True), *several(rng, 3, 10), *nothing(rng, 30)],
+    ]
+    batches += [nothing(rng, 90) for _ in range(2)]
+    return [[batch[i] for i in rng.permutation(len(batch))] for batch in batches]
+
+
+def _curve(rng: np.random.Generator, names: Sequence[str]) -> list[Trial]:
+    return [
+        trial for strength in CURVE for trial in singles(rng, names=names, strength=(strength, strength), kind="curve")
+    ]
