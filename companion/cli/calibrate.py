@@ -18,10 +18,12 @@ from companion.calibration.latency import trigger_latency
 from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
 from companion.calibration.stereo_rig import airframe_with_rig, calibrate_rig, find_views
 from companion.cli.calibrate_live import take_views
+from companion.cli.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.calibrate_report import Pairs, report, rows
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import dump_airframe, load_airframe
+from companion.ports import CameraPair
 from companion.records import Side
 
 
@@ -32,7 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     stereo.add_argument(
         "folder", type=Path, nargs="?", help="cam0 (left) and cam1 (right), images of equal stamp are a pair"
     )
-    stereo.add_argument("--cameras", metavar="PAIR", help="take the views now: " + "; ".join(cameras.SPELLINGS))
+    stereo.add_argument(
+        "--cameras", metavar="PAIR",
+        help="take the views now: sim (rehearse with simulated cameras and board); " + "; ".join(cameras.SPELLINGS),
+    )  # fmt: skip
+    stereo.add_argument("--seed", type=int, default=1, metavar="N", help="with --cameras sim: another board holder")
     stereo.add_argument("--views", type=int, default=20, metavar="N", help="with --cameras: how many views to take")
     stereo.add_argument("--for", type=float, default=600.0, dest="seconds", metavar="SECONDS", help="and how long")
     mounting = kinds.add_parser("mounting", help="how the cameras sit on their wing sections, by gravity")
@@ -69,9 +75,13 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     board = Board(options.board, tuple(options.squares), options.square_m)
     if (options.folder is None) == (options.cameras is None):
         raise ConfigError("give a folder of images, or --cameras to take them now")
-    folder = options.folder
+    folder, rehearsal = options.folder, None
     if folder is None:
-        pair = cameras.camera_factory(options.cameras, base, triggered=False)()
+        pair: CameraPair
+        if options.cameras == "sim":
+            pair = rehearsal = Rehearsal(base, board, options.seed)
+        else:
+            pair = cameras.camera_factory(options.cameras, base, triggered=False)()
         folder = take_views(pair, board, options.views, options.out, options.seconds)
     pairs, lonely = _read_pairs(folder)
     views, rejected = find_views(pairs, board)
@@ -89,6 +99,10 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     (options.out / "report.html").write_text(page, encoding="utf-8")
     (options.out / "report.png").write_bytes(picture)
     print(f"wrote {options.out / 'report.html'} and report.png")
+    if rehearsal is not None:
+        off = np.abs(errors_in_sigmas(fit, rehearsal.airframe))
+        rms, worst = float(np.sqrt(np.mean(off**2))), float(off.max())
+        print(f"against the simulated truth: error over sigma {rms:.2f} rms over 24 parameters, {worst:.2f} at most")
     return airframe_with_rig(base, fit)
 
 
