@@ -1,6 +1,12 @@
 """Rotation of real image pairs (EuRoC) flexed by +-5 mrad: modal, epipolar and both, beside the Cramer-Rao bound.
 
 What is tuned is tuned on the first 15 of the 40 pairs; the others, under other rotations, are judged.
+
+The bound is that of Cramer and Rao for these very matches (their scatter about each pair's own fit, blunders left out)
+with the priors that any estimator may use: slow part followed from pair to pair, fast part known to 0.3 mrad, focal
+lengths, radial terms and baseline known to their sigmas. It bounds the mean over all noise; one seed is one draw of
+some ten independent errors, so that its rms lies within about a quarter of the bound of a perfect estimator, above
+or below.
 """
 
 from __future__ import annotations
@@ -9,6 +15,7 @@ import argparse
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,12 +49,13 @@ def run(folder: Path = _DATA / "measured" / "euroc-stereo", seeds: tuple[int, ..
         for way in WAYS:
             verdict = estimate(rig, pairs, used, way, prior)
             rms = 1e3 * np.sqrt(np.mean((verdict.error_rad - off)[_SETTLED:] ** 2, axis=0))
-            row: dict[str, object] = {"way": way, "seed": seed}
+            row: dict[str, Any] = {"way": way, "seed": seed}
             row |= {"pitch_mrad": rms[0], "roll_mrad": rms[2], "yaw_mrad": rms[1]}
             row["stated_yaw_mrad"] = 1e3 * float(np.sqrt(np.mean(verdict.sigma_rad[_SETTLED:, 1] ** 2)))
             if way != "modal":
                 bound = cramer_rao(rig, pairs, used, FAST_SIGMA_RAD if way == "both" else None, prior)
                 row["bound_yaw_mrad"] = 1e3 * float(np.sqrt(np.mean(bound[_SETTLED:, 1] ** 2)))
+                row["yaw_over_bound"] = rms[1] / row["bound_yaw_mrad"]
             rows.append(row)
     return rows
 
@@ -61,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
     if not folder.exists():
         print(f"no data: {folder} (set SPANWISE_DATA)")
         return 0
-    missed = 0
+    missed, ratios = 0, []
     for row in run(folder, tuple(range(1, options.seeds + 1))):
         cells = (
             f"{key} {value:.3f}" if isinstance(value, float) else f"{key} {value!s:8s}" for key, value in row.items()
@@ -72,6 +80,9 @@ def main(arguments: list[str] | None = None) -> int:
                 float(str(row[key])) for key in ("pitch_mrad", "roll_mrad", "yaw_mrad", "bound_yaw_mrad")
             )
             missed |= max(pitch, roll) > _LIMIT_MRAD or yaw > _OVER_BOUND * bound
+            ratios.append(yaw / bound)
+    pooled = float(np.sqrt(np.mean(np.square(ratios))))
+    print(f"both, yaw over its bound: {pooled:.2f} rms over {len(ratios)} seeds, {max(ratios):.2f} at most")
     print(f"target, both: pitch and roll <= {_LIMIT_MRAD} mrad, yaw <= {_OVER_BOUND} x its bound")
     return int(missed)
 
