@@ -53,7 +53,7 @@ def execute(options: argparse.Namespace) -> int:
         return flights.not_identifiable(timings, options, airframe.name)
     models = models_of(paths, airframe, mapping)
     found = diagnose(models, list(catalogue().values()), options.max_causes, progress)
-    plain = as_json(found, models, options.recordings)
+    plain = as_json(found, models, options.recordings, bool(options.json or options.html))
     plain["notes"] = [*dict.fromkeys([note for one in timings for note in one.notes] + plain["notes"])]
     if options.json == "-":
         print(json.dumps(plain, indent=2, allow_nan=False))
@@ -65,7 +65,9 @@ def execute(options: argparse.Namespace) -> int:
         write_report(found, models, plain, Path(options.html))
     if options.apply is not None and found.causes:
         path = Path(options.apply or f"{airframe.name}-extended.toml")
-        path.write_text(dump_airframe(extended(airframe, models[0].belief, found)), encoding="utf-8")
+        path.write_text(
+            dump_airframe(extended(airframe, models[0].belief, found, models[0].seen.units)), encoding="utf-8"
+        )
         if options.json != "-":
             print(f"wrote {path}: {airframe.name} with {', '.join(cause.part.effect.name for cause in found.causes)}")
     return 0

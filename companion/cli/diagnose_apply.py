@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from companion.core.wing.structure import SLOT_NAMES
@@ -14,15 +16,23 @@ from companion.params.airframe import Airframe, Camera, Mode, NamedEffect, Uncer
 _MODE_KEYS = {"frequency": "frequency_hz", "damping": "damping", "slope": "slope_factor_radpm"}
 
 
-def extended(airframe: Airframe, belief: Belief, found: Diagnosis) -> Airframe:
+def extended(
+    airframe: Airframe,
+    belief: Belief,
+    found: Diagnosis,
+    units: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+) -> Airframe:
     """The airframe with the named effects in force, and modes, bend and cameras as the same fit has them.
 
     Values and effects belong together: a frequency fitted beside a slipping spring is another one than without it.
+    ``units`` are the mean and rms of each recorded channel.
     """
     named = [
         NamedEffect(
             cause.part.effect.name,
             dict(zip([entry.name for entry in cause.part.effect.parameters()], cause.values, strict=True)),
+            cause.part.channel,
+            *units.get(cause.part.channel, (0.0, 0.0)),
         )
         for cause in found.causes
     ]

@@ -119,7 +119,7 @@ def believe(
     known = [entry for entry in found if entry.sigma > 0.0]
     if recordings > 1:
         known = [one for entry in known for one in _for_each(entry, recordings)]
-    in_force = tuple(Part(make_effect(entry)) for entry in airframe.effects)
+    in_force = tuple(Part(make_effect(entry), entry.channel) for entry in airframe.effects)
     return Belief(airframe, tuple(known), in_force)
 
 

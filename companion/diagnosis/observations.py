@@ -97,7 +97,7 @@ class Observations:
     load_factor : (m,)
         1 everywhere without a root sensor.
     covariates : dict of str to (m,)
-        About their means, in units of their rms over the whole recording.
+        About their means, in units of their rms over the whole recording; ``units`` has both.
     toe : ToeData or None
     rigid : dict of str to (m,)
         The root's further axes by letter (x, y, p, q, r), where they were recorded.
@@ -131,6 +131,7 @@ class Observations:
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
     centre_s: float = 0.0
+    units: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def duration_s(self) -> float:
@@ -199,6 +200,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     load = -root / GRAVITY_MPS2
     grid_t = start_s + np.arange(keep) / rate_hz
     channels = {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.covariates.items()}
+    units = _units(channels, airframe)
     return Observations(
         rate_hz,
         sides,
@@ -206,7 +208,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         np.asarray(tips.mean(0) - root.mean()),
         raw.root is not None,
         _resample(load - load.mean(), keep) + load.mean(),
-        {name: _standard(values) for name, values in channels.items() if not name.startswith(_INPUT)},
+        {name: (values - units[name][0]) / units[name][1] for name, values in channels.items() if name in units},
         _toe(raw.ranges, airframe, start_s, stop_s),
         {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
         {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
@@ -215,6 +217,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         together([entry for side in sides for entry in faults[side]]),
         notes=tuple(notes),
         centre_s=0.5 * keep / rate_hz,
+        units=units,
     )
 
 
@@ -300,9 +303,17 @@ def _resample(values: Floats, count: int) -> Floats:
     return np.asarray(thin + np.multiply.outer(np.linspace(0.0, 1.0, count, endpoint=False), across))
 
 
-def _standard(values: Floats) -> Floats:
-    spread = float(values.std())
-    return np.asarray((values - values.mean()) / spread if spread > 0 else np.zeros_like(values))
+def _units(channels: Mapping[str, Floats], airframe: Airframe) -> dict[str, tuple[float, float]]:
+    """Mean and rms that each covariate is counted in: those of an effect in force that follows it, or its own."""
+    units = {
+        name: (float(values.mean()), float(values.std()) or 1.0)
+        for name, values in channels.items()
+        if not name.startswith(_INPUT)
+    }
+    for effect in airframe.effects:
+        if effect.channel in units and effect.channel_rms > 0.0:
+            units[effect.channel] = (effect.channel_mean, effect.channel_rms)
+    return units
 
 
 def _toe(ranges: RawRanges | None, airframe: Airframe, start_s: float, stop_s: float) -> ToeData | None:

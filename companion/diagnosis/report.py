@@ -9,14 +9,20 @@ from typing import Any
 from companion.diagnosis.gain import HeldOut
 from companion.diagnosis.supermodel import SuperModel
 from companion.diagnosis.verdict import Cause, Diagnosis, Verdict
+from companion.diagnosis.views import strengths
 
 FORMAT = 1
 _SIGMAS_95 = 1.959964
 _SHOWN_CHECKS = 12
 
 
-def as_json(found: Diagnosis, models: Sequence[SuperModel], recordings: Sequence[str]) -> dict[str, Any]:
-    """Everything that a program would read; numbers in SI, None where there is nothing to say."""
+def as_json(
+    found: Diagnosis, models: Sequence[SuperModel], recordings: Sequence[str], with_views: bool = False
+) -> dict[str, Any]:
+    """Everything that a program would read; numbers in SI, None where there is nothing to say.
+
+    ``with_views`` also simulates what the views of the page are worth, which takes some seconds.
+    """
     gain = _gain(found.gain)
     return {
         "format": FORMAT,
@@ -33,6 +39,7 @@ def as_json(found: Diagnosis, models: Sequence[SuperModel], recordings: Sequence
             "after": [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in found.after],
         },
         "residual": _residual(found),
+        "views": _views(found, models[0]) if with_views else [],
         "screening": [
             {"name": entry.name, "channel": entry.part.channel or None, "z": entry.z, "log_odds": entry.log_odds}
             for entry in found.screening.candidates
@@ -40,6 +47,19 @@ def as_json(found: Diagnosis, models: Sequence[SuperModel], recordings: Sequence
         "airframe_parameters": _nuisances(found, models[0]),
         "notes": [note for model in models for note in model.seen.notes],
     }
+
+
+def _views(found: Diagnosis, model: SuperModel) -> list[dict[str, Any]]:
+    """Statistics of the views of the first recording: those simulated, and those of its ranges from the adequacy."""
+    count = len(model.belief.nuisances)
+    before = strengths(model, found.null.found[0], found.null.values[:count], found.null.parts)
+    after: dict[str, float] = {}
+    if found.final is not found.null:
+        after = strengths(model, found.final.found[0], found.final.values[:count], found.final.parts)
+    told = ("all spectra", "range residual")
+    before |= {entry.name: entry.z for entry in found.before if entry.name.startswith(told)}
+    after |= {entry.name: entry.z for entry in found.after if entry.name.startswith(told) and found.causes}
+    return [{"view": name, "before": z, "after": after.get(name)} for name, z in before.items()]
 
 
 def sentence(found: Diagnosis) -> str:

@@ -141,10 +141,17 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class NamedEffect:
-    """A model extension in force (see the catalogue), as diagnosis or the builder wrote it."""
+    """A model extension in force (see the catalogue), as diagnosis or the builder wrote it.
+
+    An effect that follows a recorded ``channel`` counts it from ``channel_mean`` in units of ``channel_rms`` (0: each
+    recording's own mean and rms).
+    """
 
     name: str
     parameters: dict[str, float] = field(default_factory=dict)
+    channel: str = ""
+    channel_mean: float = 0.0
+    channel_rms: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from companion.core.stereo.geometry import Rig
+from companion.core.wing.effects import catalogue, make_effect
 from companion.core.wing.folding import folded
 from companion.core.wing.model import WingModel
+from companion.diagnosis.belief import believe
+from companion.diagnosis.observations import RawRecording, RawStream, observe
+from companion.diagnosis.part import Part
+from companion.diagnosis.supermodel import SuperModel
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
-from companion.records import Station
+from companion.records import Side, Station
 
 AIRFRAME = load_airframe("nadir-2m")
 
@@ -60,3 +65,46 @@ def test_an_extended_airframe_survives_its_file() -> None:
     assert again == extended
     coupled = WingModel.from_airframe(again).structure.stiffness_radps2
     assert np.count_nonzero(coupled - np.diag(np.diag(coupled))) == 2
+
+
+def named(name: str) -> NamedEffect:
+    """An effect at a hundredth of its priors, following a channel where it needs one."""
+    kind = catalogue()[name]
+    values = {entry.name: entry.default + 0.01 * entry.sigma for entry in kind.parameters()}
+    return NamedEffect(name, values, *(("airspeed_mps", 17.0, 2.0) if kind.follows_channel else ()))
+
+
+@pytest.mark.parametrize("name", sorted(catalogue()))
+def test_every_effect_survives_its_file_and_is_in_force_for_all(name: str) -> None:
+    """Simulator (as it is), tracker and replay (folded into values, or kept), and the next diagnosis."""
+    entry = named(name)
+    extended = dataclasses.replace(AIRFRAME, effects=(entry,))
+    again = parse_airframe(dump_airframe(extended), "again.toml")
+    assert again == extended
+    assert WingModel.from_airframe(again).effects == (make_effect(entry),)
+    believed = believe(again, (Side.LEFT, Side.RIGHT), False, False)
+    assert believed.parts == (Part(make_effect(entry), entry.channel),)
+    value = folded(again)
+    assert value.effects == again.effects or (not value.effects and value != AIRFRAME)
+
+
+def test_an_effect_in_force_follows_its_channel_in_the_units_it_was_found_in() -> None:
+    """Known from the airframe file, or given beside it: the same likelihood; without its channel another one."""
+    rng = np.random.default_rng(3)
+    t_s = np.arange(12000) / 1000.0
+    airspeed = 15.0 + 3.0 * np.sin(0.9 * t_s)
+    tips = {side: RawStream(t_s, -9.80665 + rng.standard_normal(len(t_s))) for side in Side}
+    raw = RawRecording(tips, None, None, {"airspeed_mps": (t_s, airspeed)})
+    entry = NamedEffect("airspeed-dependence", {"frequency_per_rms": 0.05}, "airspeed_mps", 17.0, 2.0)
+
+    def likelihood(effect: NamedEffect | None) -> float:
+        airframe = dataclasses.replace(AIRFRAME, effects=(effect,) if effect else ())
+        seen = observe(raw, airframe, 40.0)
+        model = SuperModel(believe(airframe, seen.sides, False, False), seen, 40.0)
+        if effect and effect.channel:
+            assert model.seen.covariates["airspeed_mps"].mean() == pytest.approx(-1.0, abs=0.2)
+        return model.log_likelihood(model.expect(np.zeros(len(model.belief.nuisances))))
+
+    plain, lost = likelihood(None), likelihood(dataclasses.replace(entry, channel=""))
+    assert lost == pytest.approx(plain)
+    assert abs(likelihood(entry) - plain) > 1e-3 * abs(plain)

@@ -1,0 +1,149 @@
+"""What an engineer looks at before any name is given: innovations, backbone, restoring force, left against right.
+
+Each view has a statistic, and :func:`strengths` says how far it lies from what the fitted model itself shows by chance,
+in recordings simulated from it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.diagnosis.expectation import Expectation
+from companion.diagnosis.matrices import adjoint, apply
+from companion.diagnosis.part import Part
+from companion.diagnosis.supermodel import SuperModel
+from companion.records import Floats
+
+_LAGS_S = 1.0
+_CELLS = 13
+_REACH = 2.2  # rms
+_FEWEST = 12
+_DRAWS = 40
+_SEED = 20250103
+_PARTS = 12
+AUTOCORRELATION = "autocorrelation of the innovations"
+BACKBONE = "frequency by amplitude"
+WORK = "damping by amplitude"
+FORCE = "force over deflection and speed"
+SIDES = "left against right"
+
+
+@dataclass(frozen=True, slots=True)
+class Autocorrelation:
+    """Of the whitened residual: lags (l,), values (c, l), and the bound that 95 % of chance stays within."""
+
+    lag_s: Floats
+    values: Floats
+    bound: float
+
+
+@dataclass(frozen=True, slots=True)
+class ForceMap:
+    """Mean residual force on the symmetric mode over deflection and speed in units of their rms; NaN where too few."""
+
+    edges: Floats
+    force: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Backbone:
+    """The symmetric mode by amplitude: its frequency, and the work that a missing force takes out, with their errors.
+
+    The work is force times speed in units of their rms: above 0 the wing is damped more than the model is.
+    """
+
+    amplitude_m: Floats
+    frequency_hz: Floats
+    frequency_sigma_hz: Floats
+    work: Floats
+    work_sigma: Floats
+
+
+def autocorrelation(model: SuperModel, found: Expectation) -> Autocorrelation:
+    """Of what the model leaves of each accelerometer; white where nothing is left."""
+    white = apply(adjoint(found.motion.whitener), found.residual)
+    lag_s = np.linspace(0.0, _LAGS_S, 201)[1:]
+    turn = np.exp(2j * np.pi * np.outer(model.band_hz, lag_s))
+    values = (np.abs(white) ** 2 @ turn).real / np.sum(np.abs(white) ** 2, axis=1, keepdims=True)
+    # a mean of b exponentials turned by phases has variance 1/2b; the band's own ringing is taken off
+    window = np.mean(turn, axis=0).real
+    bound = 1.96 * float(np.sqrt(0.5 / (len(model.band_hz) * model.weight)))
+    return Autocorrelation(lag_s, np.asarray(values - window), bound)
+
+
+def force_map(model: SuperModel, found: Expectation) -> ForceMap:
+    """Where in deflection and speed a force is missing."""
+    force = _force(model, found)
+    q, v = found.q_m[0] / np.std(found.q_m[0]), found.qdot_mps[0] / np.std(found.qdot_mps[0])
+    edges = np.linspace(-_REACH, _REACH, _CELLS + 1)
+    total = np.histogram2d(v, q, (edges, edges), weights=force)[0]
+    count = np.histogram2d(v, q, (edges, edges))[0]
+    return ForceMap(edges, np.where(count >= _FEWEST, total / np.maximum(count, 1), np.nan))
+
+
+def backbone(model: SuperModel, found: Expectation, bins: int = 8) -> Backbone:
+    """How the symmetric mode's frequency and damping go with its amplitude."""
+    wing = model.belief.airframe.wing.symmetric
+    omega = 2.0 * np.pi * wing.frequency_hz.value
+    spectrum = np.fft.rfft(found.q_m[0])
+    f_hz = np.fft.rfftfreq(len(found.q_m[0]), 1.0 / model.seen.rate_hz)
+    near = (f_hz > 0.6 * wing.frequency_hz.value) & (f_hz < 1.5 * wing.frequency_hz.value)
+    analytic = np.fft.ifft(np.where(near, 2.0 * spectrum, 0.0), len(found.q_m[0]))
+    amplitude = np.abs(analytic)
+    turn = np.diff(np.unwrap(np.angle(analytic)), append=np.nan) * model.seen.rate_hz / (2.0 * np.pi)
+    turn[-1] = turn[-2]
+    force, speed = _force(model, found), found.qdot_mps[0]
+    rows = []
+    for part in np.array_split(np.argsort(amplitude), bins):
+        weight = amplitude[part] ** 2
+        mean = float(np.sum(weight * turn[part]) / np.sum(weight))
+        # neighbours swing together for about 1/(zeta omega)
+        alone = max(len(part) / (model.seen.rate_hz / (wing.damping.value * omega)), 2.0)
+        spread = float(np.sqrt(np.sum(weight * (turn[part] - mean) ** 2) / np.sum(weight) / alone))
+        work = -force[part] * speed[part] / np.sqrt(np.mean(speed[part] ** 2))
+        rows.append([float(np.median(amplitude[part])), mean, spread, np.mean(work), np.std(work) / np.sqrt(alone)])
+    return Backbone(*np.array(rows).T)
+
+
+def strengths(model: SuperModel, found: Expectation, values: Floats, parts: Sequence[Part]) -> dict[str, float]:
+    """By view: standard deviations of its statistic from the mean of simulated recordings of the same model.
+
+    ``values`` and ``parts`` are the fit's own, of which ``found`` is what it makes of the recording.
+    """
+    rng = np.random.default_rng(_SEED)
+    count = len(model.belief.nuisances)
+    drawn: list[dict[str, float]] = []
+    for _ in range(_DRAWS):
+        up = np.ascontiguousarray(model.draw(found, rng).T)
+        seen = dataclasses.replace(model.seen, up_mps2=up, fine_mps2=None, toe=None, inputs={})
+        twin = SuperModel(model.belief, seen, model.top_hz, model.recording)
+        drawn.append(_statistics(twin, twin.expect(values[:count], parts)))
+    real = _statistics(model, found)
+    table = {name: np.array([one[name] for one in drawn]) for name in real}
+    return {name: float((real[name] - table[name].mean()) / max(table[name].std(), 1e-300)) for name in real}
+
+
+def _statistics(model: SuperModel, found: Expectation) -> dict[str, float]:
+    """One number for each view, larger the less it looks as it should; logarithms, which scatter more evenly."""
+    spine, force = backbone(model, found), force_map(model, found).force
+    known = {
+        AUTOCORRELATION: float(np.max(np.abs(autocorrelation(model, found).values))),
+        BACKBONE: float(np.std(spine.frequency_hz)),
+        WORK: float(np.mean(spine.work**2)),
+        FORCE: float(np.nanmean(force**2)),
+    }
+    white = apply(adjoint(found.motion.whitener), found.residual)
+    if len(white) > 1:
+        parts = np.array_split(white[0] * white[1].conj(), _PARTS)
+        known[SIDES] = max(abs(complex(np.sum(part))) / float(np.sqrt(len(part))) for part in parts)
+    return {name: float(np.log(max(value, 1e-300))) for name, value in known.items()}
+
+
+def _force(model: SuperModel, found: Expectation) -> Floats:
+    """Residual force on the symmetric mode in units of its own rms."""
+    score = model.residual_force(found)[0]
+    return np.asarray(score / max(float(np.std(score)), 1e-300))
