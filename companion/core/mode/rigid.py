@@ -13,13 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.compiled import compiled
+from companion.core.mode.averaging import VERTICAL
 from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout
 from companion.core.mode.sensitivity import Motion, columns_of, rate_of_change, sensitivities
-from companion.core.mode.stream import Samples, Stream, averages
+from companion.core.mode.stream import Averages, Samples, Stream, averages
 from companion.records import Axis, Bools, Floats, Ints
 
 GRAVITY_MPS2 = 9.80665
 _LEAST_FORCE_MPS2 = 1.0  # in free fall the lateral axis does not see the slope
+_SHAKEN = 5.0  # sigmas of the root's own first moment
 _BESIDE = 2  # cells at either end that time derivatives and smoothing lean on
 
 
@@ -100,6 +102,7 @@ class FrontEnd:
         self._streams = streams
         root, left, right = (np.array(stream.sensor.position_m) for stream in streams)
         self._levers_m = np.stack([left - root, right - root])
+        self._root_noise_mps2_rthz = streams[0].sensor.accel_noise_mps2_rthz
         self._where, self._constants = columns_of(layout), len(layout.constants)
         self._axes: tuple[Axis, ...] = ()
         self._sends = np.zeros((3, 3), dtype=np.bool_)
@@ -111,12 +114,16 @@ class FrontEnd:
             self._axes = axes
             self._sends = np.array([[_sends(stream, letter) for letter in "yzp"] for stream in self._streams])
         root, left, right = (stream.plain() for stream in self._streams)
-        fixed = (self._sends, self._levers_m, self._where, self._constants)
+        fixed = (self._sends, self._levers_m, self._root_noise_mps2_rthz, self._where, self._constants)
         return Cells(*_cells_between(root, left, right, first_ns, step_ns, count, *fixed))
 
 
 class _Averaged(NamedTuple):
-    """Averages of all streams over a run of cells; ``sends`` (3, 3): lateral, vertical, roll rate of each station."""
+    """Averages of all streams over a run of cells.
+
+    ``sends`` (3, 3): lateral, vertical, roll rate of each station; ``resolved`` (2, n): cells whose moments tell
+    something.
+    """
 
     step_s: float
     root: Floats
@@ -146,12 +153,14 @@ def _cells_between(
     count: int,
     sends: Bools,
     levers_m: Floats,
+    root_noise_mps2_rthz: float,
     where: Ints,
     constants: int,
 ) -> _CellColumns:
     """Everything that :class:`Cells` holds, in its order."""
     edges_ns = first_ns + step_ns * np.arange(-_BESIDE, count + _BESIDE + 1)
     at_root, at_left, at_right = averages(root, edges_ns), averages(left, edges_ns), averages(right, edges_ns)
+    steady = _steady(at_root, root_noise_mps2_rthz, step_ns * 1e-9)
     averaged = _Averaged(
         step_ns * 1e-9,
         at_root.mean,
@@ -159,7 +168,7 @@ def _cells_between(
         np.stack((at_left.moment, at_right.moment), axis=1),
         np.stack((at_root.covered, at_left.covered, at_right.covered)),
         sends,
-        np.array([at_left.resolved, at_right.resolved]),
+        np.stack((steady & at_left.resolved, steady & at_right.resolved)),
         root.filtered,
         levers_m,
     )
@@ -241,6 +250,19 @@ def _motion(averaged: _Averaged) -> Motion:
     return Motion(
         step_s, averaged.tip, averaged.moment, d_tip, rigid, d_rigid_z, f_root, d_root, omega, turn, averaged.levers_m
     )
+
+
+@compiled
+def _steady(root: Averages, noise_mps2_rthz: float, step_s: float) -> Bools:
+    """Cells in which the root moves as its means say.
+
+    A shaken support moves otherwise inside a cell, and so does the wing on it: a tip's first moment then says nothing.
+    """
+    steady = np.ones(len(root.moment), np.bool_)
+    if root.resolved:
+        slope = rate_of_change(root.mean[:, VERTICAL].copy(), step_s, root.covered)
+        steady &= np.abs(root.moment - step_s / 12.0 * slope) < _SHAKEN * noise_mps2_rthz / np.sqrt(24.0 * step_s)
+    return steady
 
 
 @compiled
