@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
+from companion.core.mode.adaptation import Adaptation
+from companion.core.mode.parameters import FREQUENCY, LOAD
 from companion.core.mode.rigid import join
 from companion.core.mode.tracker import WingTracker
 from companion.params.settings import Settings
-from companion.records import Deflection, Station
+from companion.records import Deflection, Station, Validity
 from sitl_tests.unit.mode_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 EVERY_MS = 100
@@ -71,3 +74,51 @@ def test_adaptation_that_is_switched_on_in_flight_leaves_time_where_it_is() -> N
     assert isinstance(found, Deflection)
     truth_m = 0.005 * np.cos(2 * np.pi * 5.0 * (middle_ns - EPOCH_NS) * 1e-9)
     assert abs(found.q_m[0] - 0.0149 - truth_m) < 4 * np.sqrt(found.covariance[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "taken"),
+    [({LOAD: math.log(1.5)}, True), ({LOAD: math.log(1e-4), FREQUENCY: math.log(1.5)}, False)],
+    ids=["as good", "a surprise"],
+)
+def test_new_parameters_are_taken_unless_they_make_the_measurements_a_surprise(
+    changes: dict[int, float], taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracker = WingTracker(plain_airframe(), Settings())
+    for _ in _flown(tracker, 1.4, holes=False):
+        pass
+    before = tracker._kalman.model.parameters
+    logs = [family.logs() for family in before]
+    for index, change in changes.items():
+        for family in logs:
+            family[index] += change
+    offered = tuple(old.with_logs(new, old.log_sigma) for old, new in zip(before, logs, strict=True))
+
+    def fitted(adaptation: Adaptation, elapsed_s: float) -> bool:
+        adaptation.parameters = offered
+        return True
+
+    monkeypatch.setattr(Adaptation, "_fit_all", fitted)
+    for _ in _flown(tracker, 1.6, holes=False, from_s=1.4):
+        pass
+    assert tracker._kalman.model.parameters == (offered if taken else before)
+    assert tracker._adaptation.parameters == tracker._kalman.model.parameters
+
+
+def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None:
+    """From a state that it cannot leave by itself it would never find back."""
+    tracker = WingTracker(plain_airframe(), Settings(adapt=0))
+    t, values = swinging(9.0, 0.005)
+    values[Station.LEFT][2500:, 1] = 0.2 * values[Station.LEFT][2500:, 2]
+    told = {}
+    for first in range(0, len(t), EVERY_MS):
+        part = slice(first, first + EVERY_MS)
+        for station, v in values.items():
+            tracker.add(batch(station, t[part], v[part]))
+        state = tracker.advance(EPOCH_NS + (first + EVERY_MS) * MS)
+        if state is not None:
+            told[1e-3 * (first + EVERY_MS)] = state.validity
+    assert told[2.5] is Validity.TRACKING
+    assert {told[at_s] for at_s in told if 3.0 < at_s < 7.0} == {Validity.INCONSISTENT}
+    assert Validity.SETTLING in {told[at_s] for at_s in told if at_s > 7.4}
+    assert tracker._kalman.steps < 2.0 * Settings().track_rate_hz
