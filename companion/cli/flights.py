@@ -158,7 +158,8 @@ def _rows(plain: dict[str, Any]) -> list[list[str]]:
 def _tell(plain: dict[str, Any]) -> None:
     print(f"verdict: not identifiable from this recording: {plain['reason']}")
     for name, station, rate, steps, gaps, longest, stretch in _rows(plain):
-        print(f"  {name}, {station}: {rate}, steps {steps}, {gaps} gaps, the longest {longest}; unbroken {stretch}")
+        count = f"{gaps} gap" if gaps == "1" else f"{gaps} gaps"
+        print(f"  {name}, {station}: {rate}, steps {steps}, {count}, the longest {longest}; unbroken {stretch}")
     for line in plain["advice"]:
         print(f"  record: {line.removeprefix('record ')}")
     for note in plain["notes"]:

@@ -1,0 +1,57 @@
+"""``spanwise diagnose`` on folders that another hand simulated: nadir-2m, with noise that its file does not know."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.adapters.recordings.tables import read_table
+from companion.cli.main import main
+from sitl_tests.trials.stranger import GRAVITY, Flight, write
+
+AIRFRAME = Path(__file__).parents[2] / "config" / "airframes" / "nadir-2m.toml"
+
+
+def diagnosed(folder: Path, flight: Flight) -> dict[str, Any]:
+    write(folder, AIRFRAME, flight)
+    assert main(["diagnose", str(folder), "--airframe", "nadir-2m", "--json", str(folder / "found.json")]) == 0
+    text = (folder / "found.json").read_text(encoding="utf-8")
+
+    def never(constant: str) -> float:
+        raise AssertionError(f"{constant} is no JSON")
+
+    found: dict[str, Any] = json.loads(text, parse_constant=never)
+    return found
+
+
+def names(found: dict[str, Any]) -> set[str]:
+    return {name for cause in found["causes"] for name in (cause["name"], *cause["group"])}
+
+
+def test_the_stranger_writes_gravity_down_and_ranges_that_read_short(tmp_path: Path) -> None:
+    write(tmp_path, AIRFRAME, Flight(1, duration_s=8.0, rate_hz=400.0, decimals=4))
+    tip = read_table(tmp_path / "accel.csv").columns["left_z_mps2"]
+    assert abs(np.mean(tip) + GRAVITY) < 0.2
+    # 14.9 mm of trim bend diverge the axes by 41 mrad: 1/Z' = 1/40 + 0.041/1.98
+    inverse = np.mean(1.0 / read_table(tmp_path / "range.csv").columns["range_m"])
+    assert inverse == pytest.approx(1.0 / 40.0 + 0.0414 / 1.98, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flight", [Flight(62), Flight(63, rate_hz=800.0, decimals=3)], ids=["1 kHz", "whole ms"])
+def test_a_noisier_sensor_than_believed_is_no_fault(tmp_path: Path, flight: Flight) -> None:
+    assert diagnosed(tmp_path, flight)["verdict"] == "adequate"
+
+
+@pytest.mark.slow
+def test_a_late_stream_is_named_with_its_delay(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, Flight(12, right_late_s=0.004, rate_hz=400.0))
+    assert found["verdict"] == "explained"
+    assert "stream-delay" in names(found)
+    low, high = found["causes"][0]["parameters"]["delay_s"]["interval"]
+    # each stream's own offset is drawn with 0.2 ms
+    assert low - 0.0006 < 0.004 < high + 0.0006
