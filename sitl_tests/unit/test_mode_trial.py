@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from companion.core.mode.adaptation import Adaptation
+from companion.core.mode.forecast import Forecast
 from companion.core.mode.parameters import FREQUENCY, LOAD
 from companion.core.mode.rigid import join
 from companion.core.mode.tracker import WingTracker
 from companion.params.settings import Settings
-from companion.records import Deflection, Station, Validity
+from companion.records import Deflection, Reject, Station, Validity
 from sitl_tests.unit.mode_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 EVERY_MS = 100
@@ -122,3 +123,39 @@ def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None
     assert {told[at_s] for at_s in told if 3.0 < at_s < 7.0} == {Validity.INCONSISTENT}
     assert Validity.SETTLING in {told[at_s] for at_s in told if at_s > 7.4}
     assert tracker._kalman.steps < 2.0 * Settings().track_rate_hz
+
+
+def test_behind_the_restart_of_a_tip_s_clock_nothing_is_smoothed() -> None:
+    """What it sent before has another delay than what it sends now."""
+    tracker = WingTracker(plain_airframe(), Settings())
+    for _ in _flown(tracker, 10.5, holes=True):
+        pass
+    restarted_ns = tracker._next_ns
+    before_ns, after_ns = restarted_ns - 20 * MS, restarted_ns + 20 * MS
+    assert isinstance(tracker.smooth(before_ns), Deflection)
+    tracker.restarted([Station.LEFT])
+    for _ in _flown(tracker, 10.8, holes=True, from_s=10.5):
+        pass
+    assert tracker.smooth(before_ns) is Reject.OUT_OF_WINDOW
+    assert isinstance(tracker.smooth(after_ns), Deflection)
+
+
+def test_an_uncertain_slope_factor_makes_the_forecast_of_the_slope_rate_uncertain() -> None:
+    """A factor's variance counts with the square of the modal rate; what else it does to the state comes on top."""
+    tracker = WingTracker(plain_airframe(), Settings(adapt=0))
+    for _ in _flown(tracker, 2.5, holes=False):
+        pass
+    kalman = tracker._kalman
+    sure = tracker.forecast(200 * MS, 5 * MS)
+    column = kalman.layout.column("slope.symmetric")
+    assert column is not None
+    more = 0.05**2
+    kalman.constants_covariance[column - 1, column - 1] += more
+    unsure = tracker.forecast(200 * MS, 5 * MS)
+    assert isinstance(sure, Forecast)
+    assert isinstance(unsure, Forecast)
+    slope_rate, added = sure.slope_rate_radps.mean(axis=1), unsure.slope_rate_covariance - sure.slope_rate_covariance
+    modal_rate = slope_rate / (1.39 + kalman.constants[column - 1])
+    assert np.abs(modal_rate).max() > 0.1, "5 mm at 5 Hz: 0.16 m/s"
+    for side in (0, 1):
+        assert np.all(added[:, side, side] >= 0.99 * more * modal_rate**2 - 1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import struct
 import typing
@@ -44,6 +45,7 @@ KINDS = typing.get_args(Record)
 SECOND = 1_000_000_000
 
 
+@functools.cache
 def about(image_format: ImageFormat = ImageFormat.PNG) -> About:
     return About.of(load_airframe("nadir-2m"), Settings(), image_format=image_format)
 
