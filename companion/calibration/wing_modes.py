@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,11 +12,12 @@ from companion.calibration.modes import IdentifiedMode
 from companion.calibration.vibration import Point
 from companion.core.wing.shapes import EdgePoints, ModalFactors, WingShape, fit_polynomial
 from companion.errors import ConfigError
-from companion.params.airframe import Airframe, Mode, Uncertain
+from companion.params.airframe import Airframe, Mode, Uncertain, Wing
 from companion.records import Floats, Ints
 
 SYMMETRIC_LEAST = 0.9
 _DEGREE = 3
+_UNSEEN = 0.33  # relative sigma of what a test on the ground does not show
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +136,8 @@ def airframe_with(base: Airframe, found: list[BendingMode]) -> Airframe:
     """The base airframe with the first symmetric and the first antisymmetric bending mode of a test.
 
     Slope and twist are those at its tip sensors, per metre of deflection there; the cameras get the symmetric mode's
-    slope and deflection at their own station, relative to those.
+    slope and deflection at their own station, relative to those. What a test on the ground does not show, bend in
+    flight and gusts, is the base's, as a wing of this frequency would have it, and known to a third.
 
     Raises
     ------
@@ -153,6 +156,7 @@ def airframe_with(base: Airframe, found: list[BendingMode]) -> Airframe:
         antisymmetric=_record(other.mode, antisymmetric),
         second_symmetric=None,
         second_antisymmetric=None,
+        **_in_flight(base.wing, first.mode.frequency_hz),
     )
     slope_gain = round(at_camera.slope_factor_radpm / at_sensor.slope_factor_radpm, 4)
     lift_gain = round(at_camera.lift_gain, 4)
@@ -162,6 +166,24 @@ def airframe_with(base: Airframe, found: list[BendingMode]) -> Airframe:
     )
     text = f"{base.description}; modes from a ground vibration test"
     return dataclasses.replace(base, wing=wing, description=text, left_camera=left, right_camera=right)
+
+
+def _in_flight(wing: Wing, frequency_hz: float) -> dict[str, Any]:
+    """Bend and gust deflection of a wing, brought to another frequency of its first mode.
+
+    Static bend goes with the inverse square; under a gust load that is white about the mode, with the power -3/2.
+    """
+    slower = wing.symmetric.frequency_hz.value / frequency_hz
+
+    def scaled(known: Uncertain, power: float) -> Uncertain:
+        value = known.value * slower**power
+        return Uncertain(round(value, 6), round(max(known.sigma * slower**power, abs(value) * _UNSEEN), 6))
+
+    return {
+        "trim_bend_m": scaled(wing.trim_bend_m, 2.0),
+        "bend_per_g_m": scaled(wing.bend_per_g_m, 2.0),
+        "gust": dataclasses.replace(wing.gust, deflection_rms_m=scaled(wing.gust.deflection_rms_m, 1.5)),
+    }
 
 
 def _first(found: list[BendingMode], sign: float, name: str) -> BendingMode:

@@ -100,6 +100,11 @@ def _print_factors(base: Airframe, airframe: Airframe, found: list[BendingMode])
         )
     for note in place.notes:
         print(f"note: {note}")
+    wing = airframe.wing
+    static = (wing.trim_bend_m, wing.bend_per_g_m, wing.gust.deflection_rms_m)
+    trim, per_g, gusts = (f"{1e3 * known.value:.1f} mm" for known in static)
+    print(f"note: trim bend {trim}, {per_g} per g, gusts of {gusts}: the base airframe's, brought to this frequency")
+    print("note: air adds to the damping; `spanwise identify flight` measures it")
 
 
 def _from_flight(options: argparse.Namespace, base: Airframe) -> int:

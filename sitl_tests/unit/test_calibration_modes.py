@@ -140,6 +140,19 @@ def test_cameras_inside_of_the_sensors_get_their_own_slope_and_deflection() -> N
     )
 
 
+def test_bend_and_gusts_are_brought_to_the_frequency_that_was_found() -> None:
+    """Deflection = load / (mass omega^2); under white load its variance goes with omega^-3. A third is not known."""
+    base = load_airframe("nadir-2m")
+    wing = airframe_with(base, bending_modes(_clean(), _points())).wing
+    slower = base.wing.symmetric.frequency_hz.value / wing.symmetric.frequency_hz.value
+    assert wing.trim_bend_m.value == pytest.approx(base.wing.trim_bend_m.value * slower**2, rel=1e-3)
+    assert wing.bend_per_g_m.value == pytest.approx(base.wing.bend_per_g_m.value * slower**2, rel=1e-3)
+    rms_m = base.wing.gust.deflection_rms_m
+    assert wing.gust.deflection_rms_m.value == pytest.approx(rms_m.value * slower**1.5, rel=1e-3)
+    for known in (wing.trim_bend_m, wing.bend_per_g_m, wing.gust.deflection_rms_m):
+        assert known.sigma > 0.3 * known.value
+
+
 def test_a_line_narrower_than_the_record_resolves_is_no_bending_mode() -> None:
     """At 20 s of record lines are 0.05 Hz apart; 6 Hz at 2 % is 4.8 lines wide, at 0.5 % 1.2."""
     mode = _clean()[0]
