@@ -126,7 +126,7 @@ def screening(found: Diagnosis) -> Any:
 
 def gains(before_after: dict[float, tuple[float, float]], toe: tuple[float, float]) -> Any:
     """Range error on blocks that were not fitted, before and after."""
-    figure, (axis,) = _figure(2.6, 1, width=6.5)
+    figure, (axis,) = _figure(2.8, 1)
     distances = np.linspace(5.0, 1.05 * max(before_after), 100)
     scale = next(rms / distance**2 for distance, (rms, _) in before_after.items()) / toe[0]
     for rms, colour, label in ((toe[0], BEFORE, "believed model"), (toe[1], AFTER, "extended model")):

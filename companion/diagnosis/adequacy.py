@@ -12,19 +12,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from companion.diagnosis.directions import judge_directions
 from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.fit import Fit
 from companion.diagnosis.leads import strongest_line, strongest_swing
-from companion.diagnosis.matrices import adjoint, apply
+from companion.diagnosis.matrices import Complexes, adjoint, apply
 from companion.diagnosis.screen import normal_of
 from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
+Indices = npt.NDArray[np.int64]
+
 _SIMULATED = 400
 _BLOCKS = 12
+_NARROW = 50
+_FEWEST = 10
+_MANY = 24
+_SWINGS = 3
 LIMIT = 5.0
 """Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights."""
 
@@ -47,7 +54,8 @@ def check(models: Sequence[SuperModel], fitted: Fit, seed: int = 20250101) -> li
     rng = np.random.default_rng(seed)
     checks = judge_directions(models, fitted)
     for model, found in zip(models, fitted.found, strict=True):
-        for name, z in {**_unsteady(model, found, rng), **_lines(model, found), **_toe(model, found, rng)}.items():
+        tests = {**_unsteady(model, found, rng), **_changing(model, found, rng), **_lines(model, found)}
+        for name, z in {**tests, **_toe(model, found, rng)}.items():
             if abs(z) > abs(checks.get(name, 0.0)) or name not in checks:
                 checks[name] = z
     return sorted((Check(name, z) for name, z in checks.items()), key=lambda entry: -abs(entry.z))
@@ -71,6 +79,51 @@ def _unsteady(model: SuperModel, found: Expectation, rng: np.random.Generator) -
     real = _of_envelope(np.abs(middle) ** 2)
     drawn = np.stack([_of_envelope(rng.standard_exponential(middle.shape)) for _ in range(_SIMULATED)])
     return dict(zip(names, ((real - drawn.mean(0)) / drawn.std(0)).tolist(), strict=True))
+
+
+def _changing(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+    """Whether the spectrum changes in time, by narrow bands, against as much tapered white noise.
+
+    How the power in a band swings with a period of T/m is the sum over the band of one bin times the m-th after it; two
+    lines that were never there together are no two modes.
+    """
+    white = apply(adjoint(found.motion.whitener), found.residual)
+    count = white.shape[1]
+    edges = np.unique(
+        np.searchsorted(model.band_hz, np.geomspace(model.band_hz[0], model.band_hz[-1], _NARROW + 1)[:-1])
+    )
+    edges = edges[np.append(np.diff(edges) >= _FEWEST, True)]
+    if count - edges[-1] < _FEWEST + _SWINGS:
+        edges = edges[:-1]
+    taper = np.interp(
+        np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, len(model.transforms.taper)), model.transforms.taper
+    )
+    taper = taper / np.sqrt(np.mean(taper**2))
+    drawn = []
+    for _ in range(_SIMULATED // 2):
+        noise = rng.standard_normal(white.shape) + 1j * rng.standard_normal(white.shape)
+        drawn.append(_swings(np.fft.fft(np.sqrt(0.5) * taper * noise, axis=1, norm="ortho"), edges))
+    table, real = np.stack(drawn), _swings(white, edges)
+    whole = np.sum(table, axis=(1, 2, 3))
+    mean = np.mean(table, axis=(0, 1))
+    # the tail of a single band is exponential only where many bins are in it
+    worst = (real / mean).max(axis=(0, 1)) * (np.diff(np.append(edges, count)) >= _MANY)
+    best, looks = int(np.argmax(worst)), math.log(real.size)
+    centre = float(model.band_hz[min(int(edges[best]) + _MANY // 2, count - 1)])
+    return {
+        "spectra changing in time": float((np.sum(real) - whole.mean()) / whole.std()),
+        f"power changing in time near {centre:.1f} Hz": normal_of(min(looks - float(worst[best]), 0.0)),
+    }
+
+
+def _swings(white: Complexes, edges: Indices) -> Floats:
+    """Strength of the m-th swing of the power in each band, (c, swings, bands); of chance about 1."""
+    found = []
+    for m in range(1, _SWINGS + 1):
+        products = white[:, :-m] * white[:, m:].conj()
+        counts = np.diff(np.append(edges, products.shape[1]))
+        found.append(np.abs(np.add.reduceat(products, edges, axis=1)) ** 2 / counts)
+    return np.stack(found, 1)
 
 
 def _of_envelope(power: Floats) -> Floats:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.core.wing.effects import catalogue
+from companion.diagnosis.adequacy import check
 from companion.diagnosis.begin import begin
 from companion.diagnosis.belief import believe
 from companion.diagnosis.fit import fit
@@ -103,6 +104,20 @@ def test_a_fit_begins_anywhere() -> None:
     # the prior on the noise pulls a little: log 200 is 1.8 prior sigmas
     assert from_far.converged
     assert (np.abs(from_far.values - right.values - shift) < 0.3 * sigma + 0.01).all()
+
+
+def test_two_lines_that_were_never_there_together_are_no_two_modes() -> None:
+    """The lower part of the spectrum in the first half, the upper in the second: on average as the model says."""
+    plain = drawn(5)
+    still = {one.name: one.z for one in check([plain], fit([plain], ()))}
+    assert max(abs(still[name]) for name in still if "changing in time" in name) < 4.0
+    spectrum = np.fft.rfft(plain.seen.up_mps2, axis=0)
+    below = np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ) < 5.6
+    low, high = (np.fft.irfft(spectrum * part[:, None], COUNT, axis=0) for part in (below, ~below))
+    first = np.sqrt(1.0 + 0.95 * np.sin(2.0 * np.pi * np.arange(COUNT) / COUNT))[:, None]
+    jumped = model_of(low * first + high * np.sqrt(2.0 - first**2))
+    changed = {one.name: one.z for one in check([jumped], fit([jumped], ()))}
+    assert changed["spectra changing in time"] > 5.0
 
 
 @pytest.mark.parametrize("low", [-np.inf, -14.0])
