@@ -16,7 +16,7 @@ from companion.calibration.boards import Board
 from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
 from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
-from companion.calibration.stereo_rig import airframe_with_rig, calibrate_rig, find_views
+from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate_rig, find_views
 from companion.cli.calibrate_live import take_views
 from companion.cli.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.calibrate_report import Pairs, report, rows
@@ -95,6 +95,9 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     missing = advice([view for view in views if view.name in fit.views], board, size_px)
     for text in missing:
         print(f"for a better result: {text}")
+    for side, parts in fit.unseen.items():
+        if parts:
+            print(f"no corner in {len(parts)} of {CELLS**2} parts of the {side} image: the lens is extrapolated there")
     page, picture = report(fit, views, pairs, board, missing)
     (options.out / "report.html").write_text(page, encoding="utf-8")
     (options.out / "report.png").write_bytes(picture)
