@@ -4,9 +4,9 @@ What is tuned is tuned on the first 15 of the 40 pairs; the others, under other 
 
 The bound is that of Cramer and Rao for these very matches (their scatter about each pair's own fit, blunders left out)
 with the priors that any estimator may use: slow part followed from pair to pair, fast part known to 0.3 mrad, focal
-lengths, radial terms and baseline known to their sigmas. It bounds the mean over all noise; one seed is one draw of
-some ten independent errors, so that its rms lies within about a quarter of the bound of a perfect estimator, above
-or below.
+lengths, radial terms and baseline known to their sigmas. It bounds the mean over all noise. The estimate remembers for
+about 0.17 s and the judged pairs span one second, so that one seed holds some three independent errors of the yaw: of
+a perfect estimator's rms one in twelve would exceed 1.5 times the bound. So the yaw is judged by all seeds together.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def run(folder: Path = _DATA / "measured" / "euroc-stereo", seeds: tuple[int, ..
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; 1 when pitch, roll or yaw of both together miss their targets, 0 where the data are not here."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--seeds", type=int, default=6)
     options, _ = parser.parse_known_args(arguments)
     folder = _DATA / "measured" / "euroc-stereo"
     if not folder.exists():
@@ -79,11 +79,12 @@ def main(arguments: list[str] | None = None) -> int:
             pitch, roll, yaw, bound = (
                 float(str(row[key])) for key in ("pitch_mrad", "roll_mrad", "yaw_mrad", "bound_yaw_mrad")
             )
-            missed |= max(pitch, roll) > _LIMIT_MRAD or yaw > _OVER_BOUND * bound
+            missed |= max(pitch, roll) > _LIMIT_MRAD
             ratios.append(yaw / bound)
     pooled = float(np.sqrt(np.mean(np.square(ratios))))
+    missed |= pooled > _OVER_BOUND
     print(f"both, yaw over its bound: {pooled:.2f} rms over {len(ratios)} seeds, {max(ratios):.2f} at most")
-    print(f"target, both: pitch and roll <= {_LIMIT_MRAD} mrad, yaw <= {_OVER_BOUND} x its bound")
+    print(f"target, both: pitch and roll <= {_LIMIT_MRAD} mrad, yaw <= {_OVER_BOUND} x its bound over all seeds")
     return int(missed)
 
 
