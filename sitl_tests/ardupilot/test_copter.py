@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.params.files import load_airframe
+from companion.records import CorrectedRange, ObstacleSectors
 from sitl_tests.ardupilot.bench import Run
+from sitl_tests.ardupilot.evidence import Tape
 from sitl_tests.ardupilot.station import COMPANION, Heard
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
@@ -20,9 +21,8 @@ SEED, FLOWN_S = 1, 50.0
 READY_S = 8.0
 PROXIMITY_ID = 10
 # AP_Proximity forgets a face 1 s after its last update and looks every 0.75 s; a DISTANCE_SENSOR counts only when the
-# next one comes, which alive without range takes half a second at most
-HELD_NS = 2_250_000_000
-LINK_NS = 50_000_000
+# next one comes, which alive without range takes half a second at most; and ours go out after the smoother's lag
+HELD_NS, OUT_NS = 2_250_000_000, 500_000_000
 PARAMETERS = {"FRAME_CLASS": 1, "PRX1_TYPE": 2, "RNGFND1_ORIENT": 0, "AVOID_ENABLE": 0}
 
 
@@ -32,6 +32,7 @@ class Flown:
     sectors: list[Heard]
     ahead: list[Heard]
     proximity: list[Heard]
+    tape: Tape
 
 
 @pytest.fixture(scope="module")
@@ -51,14 +52,22 @@ def flown(arducopter: Path, tmp_path_factory: pytest.TempPathFactory) -> Flown:
         run.station.heard("OBSTACLE_DISTANCE", COMPANION),
         run.station.heard("DISTANCE_SENSOR", COMPANION),
         [entry for entry in from_autopilot if entry.message.id >= PROXIMITY_ID],
+        Tape(run.recording),
     )
 
 
-def nearest_ahead_cm(message: Any) -> int | None:
+def nearest_ahead_m(sectors: ObstacleSectors) -> float | None:
     """The nearest obstacle within 22.5 degrees of straight ahead, the autopilot's sector 0."""
-    inside = [message.distances[i % 72] for i in range(-4, 5)]
-    known = [d for d in inside if 0 < d <= message.max_distance]
-    return min(known) if known else None
+    ahead = [i % 72 for i in range(-4, 5)]
+    known = [float(sectors.distance_m[i]) for i in ahead if sectors.known[i] and not sectors.clear[i]]
+    return min(known, default=None)
+
+
+def sent_ahead(flown: Flown) -> list[tuple[int, float]]:
+    """What the service's own recording shows as sent: instants of exposure, and distances ahead in metres."""
+    sent = [(s.t_host_ns, nearest_ahead_m(s)) for s in flown.tape.of(ObstacleSectors)]
+    sent += [(r.t_host_ns, r.range_m) for r in flown.tape.of(CorrectedRange) if r.trusted]
+    return [(at_ns, distance_m) for at_ns, distance_m in sent if distance_m is not None]
 
 
 def test_obstacle_sectors_go_out_as_the_full_circle(flown: Flown) -> None:
@@ -70,19 +79,18 @@ def test_obstacle_sectors_go_out_as_the_full_circle(flown: Flown) -> None:
 
 def test_the_copters_proximity_is_what_we_sent(flown: Flown) -> None:
     """Its sector ahead shows a distance that we sent as shortly before as it forgets, to the centimetre."""
-    sent = [(e.at_ns, nearest_ahead_cm(e.message)) for e in flown.sectors]
-    sent += [(e.at_ns, e.message.current_distance) for e in flown.ahead if e.message.signal_quality > 1]
+    sent = sent_ahead(flown)
     ahead = [e for e in flown.proximity if e.message.orientation == 0]
     told = [e for e in ahead if e.message.current_distance < e.message.max_distance]
     assert len(told) > 20, "proximity ahead was never reported"
     strange = []
     for entry in told:
-        near = {d for at, d in sent if d is not None and entry.at_ns - HELD_NS < at < entry.at_ns + LINK_NS}
-        if not any(abs(entry.message.current_distance - d) <= 1 for d in near):
+        near = [d for at_ns, d in sent if 0.8 * OUT_NS < entry.at_ns - at_ns < OUT_NS + HELD_NS]
+        if not any(abs(0.01 * entry.message.current_distance - d) <= 0.015 for d in near):
             strange.append((entry.message.current_distance, sorted(near)))
     assert not strange, strange[:5]
-    used = {nearest_ahead_cm(e.message) for e in flown.sectors} - {None}
-    assert any(min(abs(e.message.current_distance - d) for d in used if d) <= 1 for e in told)
+    used = {distance_m for sectors in flown.tape.of(ObstacleSectors) if (distance_m := nearest_ahead_m(sectors))}
+    assert any(min(abs(0.01 * e.message.current_distance - d) for d in used) <= 0.015 for e in told)
 
 
 def test_it_sees_nothing_where_nothing_was_looked_at(flown: Flown) -> None:

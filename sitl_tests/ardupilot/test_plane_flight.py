@@ -22,8 +22,8 @@ SECOND_NS = 1_000_000_000
 SEED, FLOWN_S = 1, 40.0
 READY_S = 8.0
 SHOTS_HZ = 3
-# a range stands for half a second at most; the two links may bring a message to us later than to the other end
-HELD_S, LINK_S = 0.7, 0.2
+# a range goes out when the smoother's lag has passed, stands for half a second at most, and is told 20 times a second
+OUT_S, HELD_S = 0.5, 1.5
 # from the request leaving our process to the servo's edge: link, a turn of a 400 Hz loop, a turn of the 50 Hz camera
 SLOWEST_SHOT_NS = 60_000_000
 
@@ -121,27 +121,31 @@ def test_no_wrong_range_is_published(flown: Flown) -> None:
     assert np.median(np.abs([e[0] for e in error])) < 0.2 * np.median(np.abs(rigid - true))
 
 
+def sent_just_before(flown: Flown, at_ns: int) -> list[float]:
+    """Ranges [m] that the service's own recording shows as sent so lately that the autopilot may go by them."""
+    return [
+        measured.range_m
+        for measured in flown.tape.of(CorrectedRange)
+        if measured.trusted and OUT_S - 0.1 < (at_ns - measured.t_host_ns) * 1e-9 < OUT_S + HELD_S
+    ]
+
+
 def test_the_autopilot_repeats_our_range_as_its_rangefinder(flown: Flown) -> None:
-    """What it echoes is what we sent within the half second before, to the centimetre."""
-    sent = [(e.at_ns, e.message.current_distance) for e in flown.service if e.message.signal_quality > 1]
-    assert len(sent) > 20
-    times = np.array([at for at, _ in sent])
-    used = [e for e in flown.echo if e.message.signal_quality > 1 and e.at_ns > sent[0][0] + SECOND_NS // 10]
+    """What it echoes is what we sent just before, to the centimetre."""
+    assert len([e for e in flown.service if e.message.signal_quality > 1]) > 20, "the ground station sees ours too"
+    used = [e for e in flown.echo if e.message.signal_quality > 1]
     assert len(used) > 20
     for entry in used:
-        near = np.flatnonzero((times > entry.at_ns - HELD_S * 1e9) & (times < entry.at_ns + LINK_S * 1e9))
-        # to the centimetre: it keeps metres as a float, and cuts where it sends centimetres again
+        # it keeps metres as a float, and cuts where it sends centimetres again
         told = entry.message.current_distance
-        assert any(sent[i][1] - told in (0, 1) for i in near), f"{told} cm: a number that we did not send"
+        sent = [round(distance_m * 100) for distance_m in sent_just_before(flown, entry.at_ns)]
+        assert any(cm - told in (0, 1) for cm in sent), f"{told} cm: a number that we did not send ({sent})"
 
 
 def test_the_autopilot_flies_on_it(flown: Flown) -> None:
     """Its own log calls the rangefinder good, and only with distances that we had just sent."""
-    sent = [(e.at_ns, e.message.current_distance * 0.01) for e in flown.service if e.message.signal_quality > 1]
-    times = np.array([(at - flown.run.start_ns) * 1e-9 for at, _ in sent])
-    distances = np.array([distance for _, distance in sent])
     good = [(t, d) for t, d, status in rangefinder_log(flown.run.folder) if status == RANGE_GOOD]
     assert len(good) > 50
     for at_s, distance_m in good:
-        near = (times > at_s - HELD_S) & (times < at_s + LINK_S)
-        assert np.any(np.abs(distances[near] - distance_m) < 0.006), f"{distance_m:.2f} m at {at_s:.2f} s"
+        sent = sent_just_before(flown, flown.run.start_ns + round(at_s * SECOND_NS))
+        assert any(abs(one - distance_m) < 0.006 for one in sent), f"{distance_m:.2f} m at {at_s:.2f} s ({sent})"

@@ -95,6 +95,12 @@ def sectors(
     return ObstacleSectors(time_ns, distance, np.ones(len(distance)), *flags, min_m, max_m)
 
 
+def by_bearing(message: Any) -> list[int]:
+    """The distances from straight ahead on, clockwise, wherever the message begins."""
+    begins = round(message.angle_offset / message.increment_f)
+    return [message.distances[(index - begins) % 72] for index in range(72)]
+
+
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.one_of(ANY, NEAR), st.booleans(), st.booleans()), max_size=6), ANY, ANY, TIMES)
 def test_no_sector_lies(rows: list[tuple[float, bool, bool]], min_m: float, max_m: float, time_us: int) -> None:
@@ -103,7 +109,7 @@ def test_no_sector_lies(rows: list[tuple[float, bool, bool]], min_m: float, max_
     message = sent(encode.obstacle_distance(sectors(distance, known, clear, min_m, max_m), time_us % 2**63))
     assert all(math.isfinite(number) for number in every_number(message))
     assert len(message.distances) == 72
-    for sent_cm, metres, is_known, is_clear in zip(message.distances, distance, known, clear, strict=True):
+    for sent_cm, metres, is_known, is_clear in zip(by_bearing(message), distance, known, clear, strict=True):
         if is_clear:
             assert sent_cm == message.max_distance + 1
         elif is_known and math.isfinite(metres) and metres >= 0:
@@ -119,8 +125,42 @@ def test_the_circle_is_full_in_body_axes_and_tells_unknown_from_clear() -> None:
     known[2], distance[2] = True, 150.0
     clear[3] = True
     message = sent(encode.obstacle_distance(sectors(distance, known, clear), 5))
-    assert message.distances[:5] == [1234, 400, 10_001, 10_001, 65535]
-    assert (message.frame, message.increment, message.increment_f, message.angle_offset) == (12, 5, 5.0, 0.0)
+    assert by_bearing(message)[:5] == [1234, 400, 10_001, 10_001, 65535]
+    assert (message.frame, message.increment, message.increment_f) == (12, 5, 5.0)
+
+
+def ardupilots_faces_m(message: Any) -> list[float | None]:
+    """What AP_Proximity_MAV::handle_obstacle_distance_msg leaves of a message: the nearest in each 45 degrees.
+
+    Written after its loop: a face is stored when the next one begins, and stored again if it comes a second time.
+    """
+    faces: list[float | None] = [None] * 8
+    face, nearest = None, None
+    for index, entry in enumerate(message.distances):
+        if entry in (0, 65535) or not message.min_distance <= entry <= message.max_distance:
+            continue
+        bearing = (index * message.increment_f + message.angle_offset) % 360.0
+        latest = int(((bearing + 22.5) % 360.0) / 45.0)
+        if latest != face:
+            if face is not None:
+                faces[face] = nearest
+            face, nearest = latest, None
+        nearest = entry * 0.01 if nearest is None else min(nearest, entry * 0.01)
+    if face is not None:
+        faces[face] = nearest
+    return faces
+
+
+@settings(deadline=None)
+@given(st.lists(st.one_of(st.none(), st.floats(5.0, 90.0)), min_size=72, max_size=72))
+def test_ardupilot_sees_the_nearest_obstacle_in_every_direction(distances: list[float | None]) -> None:
+    known = [distance is not None for distance in distances]
+    metres = [distance or 0.0 for distance in distances]
+    message = sent(encode.obstacle_distance(sectors(metres, known, [False] * 72), 5))
+    for face, seen_m in enumerate(ardupilots_faces_m(message)):
+        inside = [distances[(9 * face + step) % 72] for step in range(-4, 5)]
+        nearest_m = min((distance for distance in inside if distance is not None), default=None)
+        assert seen_m == (None if nearest_m is None else pytest.approx(nearest_m, abs=0.006))
 
 
 @given(st.text(), ANY, TIMES)

@@ -16,6 +16,7 @@ from companion.records import CorrectedRange, Health, ModeState, ObstacleSectors
 
 SECTORS = 72
 _SECTOR_DEG = 5
+_FIRST = 4  # so many sectors left of straight ahead the circle begins: where ArduPilot's face ahead does
 _CM = 100.0
 _LARGEST_CM = 65_533
 _UNKNOWN_CM = 65_535
@@ -82,7 +83,11 @@ def _distance(
 
 
 def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
-    """OBSTACLE_DISTANCE, the full circle of 72 sectors of 5 degrees in body FRD (frame 12).
+    """OBSTACLE_DISTANCE, the full circle of 72 sectors of 5 degrees in body FRD (frame 12), from 20 degrees left on.
+
+    ArduPilot gathers the elements into faces of 45 degrees in their order, and what it reads of a face later takes the
+    place of what it read before (AP_Proximity_MAV.cpp): in a circle that began ahead, the left half of the face ahead
+    would hide a nearer obstacle in its right half.
 
     A known obstacle is clamped to the limits from below (never 0, which autopilots read as no data); beyond the largest
     distance, or clear, is largest + 1; everything else is unknown, 65535.
@@ -97,6 +102,7 @@ def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
     sectors[known & ~record.clear] = near[known & ~record.clear]
     circle = np.full(SECTORS, _UNKNOWN_CM, dtype=np.int64)
     circle[: len(sectors)] = sectors[:SECTORS]
+    circle = np.roll(circle, _FIRST)
     return mavlink.MAVLink_obstacle_distance_message(
         max(time_usec, 0),
         mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
@@ -105,7 +111,7 @@ def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
         least,
         most,
         float(_SECTOR_DEG),
-        0.0,
+        float(-_FIRST * _SECTOR_DEG),
         mavlink.MAV_FRAME_BODY_FRD,
     )
 

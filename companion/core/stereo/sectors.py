@@ -2,7 +2,7 @@
 
 Sector i is centred on 5 i degrees, clockwise from forward: sector 0 spans -2.5 to +2.5 degrees. ArduPilot
 (AP_Proximity_MAV) takes ``i * increment + angle_offset`` for the bearing of element i, PX4 (ObstacleMath) half an
-increment either side of it; so the message goes out with angle_offset 0.
+increment either side of it; so the message begins a whole number of sectors from straight ahead.
 """
 
 from __future__ import annotations
