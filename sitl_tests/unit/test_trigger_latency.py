@@ -66,6 +66,17 @@ def test_the_sigma_of_the_bias_is_honest(airframe: Airframe) -> None:
     assert 0.4 < np.std(errors) < 1.3
 
 
+def test_no_more_is_known_than_a_median_of_the_last_64_tells(airframe: Airframe) -> None:
+    """The median of n normal values scatters by sqrt(pi / 2n) of their spread, which is itself known to a seventh."""
+    told_ns, spread_ns = [], 0.4e6
+    for seed in range(20):
+        model = LatencyModel(airframe)
+        teach(model, 100, (9e6, 9e6), spread_ns, seed)
+        told_ns += [model.estimate(side).bias_sigma_ns for side in Side]
+    least_ns = np.sqrt(np.pi / 2 / 64) * spread_ns
+    assert 0.95 * least_ns < np.mean(told_ns) < 1.4 * least_ns
+
+
 def test_outliers_are_counted_and_do_not_move_the_bias(airframe: Airframe) -> None:
     model = LatencyModel(airframe)
     teach(model, 50, (9e6, 9e6), 0.1e6)

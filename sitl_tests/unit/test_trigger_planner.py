@@ -235,6 +235,16 @@ def test_peaks_rarer_than_asked_are_filled_up_by_the_timer(airframe: Airframe) -
     assert kinds.count(Firing.TIMER) >= 30
 
 
+def test_the_timer_stands_in_only_where_the_image_is_sharp_enough(airframe: Airframe) -> None:
+    """Between its peaks a swing of 5 mm at 1.5 Hz smears by up to 0.105 px: past two thirds of it nothing is fired."""
+    most_px = FOCAL_PX * EXPOSURE_S * FACTOR_RADPM * 0.005 * 2 * np.pi * 1.5
+    fired, plans = fly(planner_for(airframe, trigger_rate_hz=20.0, trigger_blur_px=0.67 * most_px), 5 * S, hz=1.5)
+    smeared_px = [most_px * abs(np.sin(2 * np.pi * 1.5 * plan.exposure_host_ns * 1e-9)) for plan in fired]
+    assert {Firing.TIMER, Firing.PEAK} == {plan.firing for plan in fired}
+    assert max(smeared_px) < 0.7 * most_px
+    assert Reject.BLUR_TOO_LARGE in {plan.reject for plan in plans if plan.firing is Firing.SKIP}
+
+
 def test_an_uncertain_peak_is_skipped_aloud(airframe: Airframe) -> None:
     fired, plans = fly(planner_for(airframe), 3 * S, rate_sigma_radps=0.2)
     assert fired == []
