@@ -27,6 +27,7 @@ SAME = 0.95
 _BEAM = 2
 _WITHIN = 25.0  # nats behind the best path: a further effect will not make up for more
 _REFITTED = 5
+_AT_FIRST, _TO_THE_END = 5, 10  # scoring steps: of every refit, and of those that are not far behind
 _WORTH_A_REFIT_Z = 3.5
 _TOO_CLOSE = 2.0
 _CONCEIVABLE = 6.0
@@ -67,7 +68,9 @@ class Extension:
         """The path of at most ``most`` effects with the largest evidence, without effects that it can do without."""
         beam, best = [Path(null)], Path(null)
         screenings = [first]
-        for _ in range(most):
+        for step in range(most):
+            if step:
+                screenings = [self.screen(path.fitted) for path in beam]
             grown = [
                 child for path, screening in zip(beam, screenings, strict=True) for child in self._grow(path, screening)
             ]
@@ -76,7 +79,6 @@ class Extension:
                 break
             if beam[0].fitted.log_evidence > best.fitted.log_evidence:
                 best = beam[0]
-            screenings = [self.screen(path.fitted) for path in beam]
         return self._pruned(best, null)
 
     def _grow(self, path: Path, screening: Screening) -> list[Path]:
@@ -92,12 +94,17 @@ class Extension:
             return []
         enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z)
         leading = [entry for entry in fresh if entry.z > enough][:_REFITTED]
-        tried = []
+        begun: list[tuple[Candidate, Fit]] = []
         for i, candidate in enumerate(leading):
             self._progress(f"refit {candidate.name}", i / len(leading))
             fitted = self._fitted(path, candidate)
-            if fitted is None:
-                continue
+            if fitted is not None:
+                begun.append((candidate, fitted))
+        tried = []
+        most = max((fitted.log_evidence for _, fitted in begun), default=0.0)
+        for candidate, fitted in begun:
+            if not fitted.converged and most - fitted.log_evidence < _WITHIN:
+                fitted = fit(self._models, fitted.parts, fitted.values, _TO_THE_END)
             if candidate.part.effect.one_way and fitted.values[len(path.fitted.values)] <= 0.0:
                 continue
             factor = fitted.log_evidence - path.fitted.log_evidence - candidate.part.looks
@@ -108,7 +115,7 @@ class Extension:
         """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
         for step in _FIRST_STEPS:
             try:
-                return fit(self._models, (*path.fitted.parts, _begun(candidate, step)), path.fitted.values)
+                return fit(self._models, (*path.fitted.parts, _begun(candidate, step)), path.fitted.values, _AT_FIRST)
             except (ValueError, FloatingPointError, np.linalg.LinAlgError):
                 continue
         return None
