@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.layout import Family, Layout
 from companion.core.mode.parameters import DAMPING, FREQUENCY, ModeParameters
 from companion.records import Floats, ModeEstimate
@@ -85,38 +86,74 @@ def mode_estimate(
 
     The instantaneous frequency is the phase's rate by the modal equation, gust load included.
     """
-    omega = 2.0 * np.pi * parameters.frequency_hz
-    index = [family.q, family.v, family.gust_2]
-    q, v, load = state[index] - np.array([static_m, 0.0, 0.0])
-    spread = covariance[np.ix_(index, index)]
-    s = v / omega
-    square = q * q + s * s
-    amplitude = float(np.sqrt(square))
-    floor = max(square, 1e-18)
-    phase = float(np.arctan2(-s, q))
-    pull = -2.0 * parameters.damping * omega * v - omega**2 * q + load
-    rate = (v * s - q * pull / omega) / floor
-    by_state = np.array([q, s / omega, 0.0]) / np.sqrt(floor)
-    by_phase = np.array([s, -q / omega, 0.0]) / floor
-    by_rate = _rate_gradient(q, v, omega, parameters.damping, pull, rate, floor)
     relative = parameters.log_sigma
     frequency_sigma = parameters.frequency_hz * float(relative[FREQUENCY])
-    rate_sigma = np.sqrt(by_rate @ spread @ by_rate + (2.0 * np.pi * frequency_sigma) ** 2)
+    amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = _swing(
+        state,
+        covariance,
+        (family.q, family.v, family.gust_2),
+        static_m,
+        parameters.frequency_hz,
+        parameters.damping,
+        frequency_sigma,
+    )
     return ModeEstimate(
         frequency_hz=parameters.frequency_hz,
         frequency_sigma_hz=frequency_sigma,
         damping=parameters.damping,
         damping_sigma=parameters.damping * float(relative[DAMPING]),
         amplitude_m=amplitude,
-        amplitude_sigma_m=float(np.sqrt(max(by_state @ spread @ by_state, 0.0))),
+        amplitude_sigma_m=amplitude_sigma,
         phase_rad=phase,
-        phase_sigma_rad=float(np.sqrt(max(by_phase @ spread @ by_phase, 0.0))),
-        instantaneous_hz=float(rate / (2.0 * np.pi)),
-        instantaneous_sigma_hz=float(rate_sigma / (2.0 * np.pi)),
+        phase_sigma_rad=phase_sigma,
+        instantaneous_hz=instantaneous,
+        instantaneous_sigma_hz=instantaneous_sigma,
         rms_m=rms_m,
     )
 
 
+@compiled
+def _swing(
+    state: Floats,
+    covariance: Floats,
+    index: tuple[int, int, int],
+    static_m: float,
+    frequency_hz: float,
+    damping: float,
+    frequency_sigma_hz: float,
+) -> tuple[float, float, float, float, float, float]:
+    """Amplitude, phase and instantaneous frequency of one mode, each with its sigma."""
+    q, v, load = state[index[0]] - static_m, state[index[1]], state[index[2]]
+    omega = 2.0 * np.pi * frequency_hz
+    s = v / omega
+    square = q * q + s * s
+    floor = max(square, 1e-18)
+    pull = -2.0 * damping * omega * v - omega**2 * q + load
+    rate = (v * s - q * pull / omega) / floor
+    by_state = np.array([q, s / omega, 0.0]) / np.sqrt(floor)
+    by_phase = np.array([s, -q / omega, 0.0]) / floor
+    by_rate = _rate_gradient(q, v, omega, damping, pull, rate, floor)
+    turns = 2.0 * np.pi
+    return (
+        np.sqrt(square),
+        np.sqrt(max(_variance(by_state, covariance, index), 0.0)),
+        np.arctan2(-s, q),
+        np.sqrt(max(_variance(by_phase, covariance, index), 0.0)),
+        rate / turns,
+        np.sqrt(_variance(by_rate, covariance, index) + (turns * frequency_sigma_hz) ** 2) / turns,
+    )
+
+
+@compiled
+def _variance(by: Floats, covariance: Floats, index: tuple[int, int, int]) -> float:
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += by[i] * by[j] * covariance[index[i], index[j]]
+    return total
+
+
+@compiled
 def _rate_gradient(q: float, v: float, omega: float, damping: float, pull: float, rate: float, square: float) -> Floats:
     by_q = (-pull / omega + q * omega - 2.0 * q * rate) / square
     by_v = (2.0 * v / omega + 2.0 * damping * q - 2.0 * v / omega**2 * rate) / square

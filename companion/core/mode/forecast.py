@@ -41,14 +41,18 @@ class Forecaster:
     """Runs the modes ahead through matrices that are kept for as long as the model stays the same.
 
     With ``E`` the rows of the modal coordinates and rates, ``E A^k`` and ``E W_k E^T`` depend on the model alone; a
-    forecast is then one product with the state and one with its covariance.
+    forecast is then one product with the state and one with its covariance, for all instants together.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._kept = [index for pair in layout.pairs for index in pair]
+        self._q = [self._kept.index(family.q) for family in layout.families]
+        self._factors = _factors(layout, self._kept)
         self._model: StepModel | None = None
         self._step_ns = 0
-        self._ahead = np.empty((0, 0, 0))
-        self._noise = np.empty((0, 0, 0))
+        self._ahead = np.empty((len(self._kept), 0, layout.size))
+        self._noise = np.empty((0, len(self._kept), len(self._kept)))
 
     def run(
         self, kalman: Kalman, newest_ns: int, static_m: float, body_rate: Floats, horizon_ns: int, step_ns: int
@@ -56,65 +60,62 @@ class Forecaster:
         """Predict from the newest state in steps of ``step_ns`` up to ``horizon_ns``."""
         count = max(int(horizon_ns // step_ns), 1)
         self._prepare(kalman, step_ns, count)
-        layout, x = kalman.layout, kalman.state
-        rest = np.zeros(layout.size)
-        rest[layout.symmetric.q] = static_m
-        ahead, kept = self._ahead[:count], _kept(layout)
-        modes = rest[kept] + ahead @ (x - rest)
-        spread = ahead @ kalman.total_covariance @ ahead.transpose(0, 2, 1) + self._noise[:count]
-        rows = _rate_rows(kalman)[:, kept]
-        rate = modes @ rows.T
-        rate_cov = rows @ spread @ rows.T
-        rate_cov += _factor_variance(kalman, modes)[:, :, None] * np.eye(2)
-        q_at = [kept.index(family.q) for family in layout.families]
+        rest = np.zeros(self._layout.size)
+        rest[self._layout.symmetric.q] = static_m
+        modes = (self._ahead @ (kalman.state - rest)).T + rest[self._kept]
+        rows = self._rate_rows(kalman)
+        spread = self._spread(np.concatenate([np.eye(len(self._kept))[self._q], rows]), kalman.total_covariance)
+        rate_cov = spread[:, 2:, 2:]
+        for column, at, _ in self._factors:
+            loose = kalman.constants_covariance[column, column] * modes[:, at] ** 2
+            rate_cov[:, 0, 0] += loose
+            rate_cov[:, 1, 1] += loose
         stamps = newest_ns + step_ns * np.arange(1, count + 1, dtype=np.int64)
-        return Forecast(stamps, modes[:, q_at], spread[:, q_at][:, :, q_at], rate, rate_cov, body_rate)
+        q, rate = modes[:count, self._q], modes[:count] @ rows.T
+        q_cov, rate_cov = spread[:count, :2, :2], rate_cov[:count]
+        return Forecast(stamps, q, np.ascontiguousarray(q_cov), rate, np.ascontiguousarray(rate_cov), body_rate)
+
+    def _spread(self, outputs: Floats, covariance: Floats) -> Floats:
+        """Covariance of these outputs (o, m) of the modal coordinates and rates at every instant, (k, o, o)."""
+        m, count, n = self._ahead.shape
+        o = len(outputs)
+        rows = outputs @ self._ahead.reshape(m, count * n)
+        turned = (rows.reshape(o * count, n) @ covariance).reshape(o, count, n)
+        by_load = self._noise.reshape(count, m * m) @ np.kron(outputs, outputs).T
+        spread: Floats = turned.transpose(1, 0, 2) @ rows.reshape(o, count, n).transpose(1, 2, 0)
+        return spread + by_load.reshape(count, o, o)
 
     def _prepare(self, kalman: Kalman, step_ns: int, count: int) -> None:
-        layout, model = kalman.layout, kalman.model
-        if model is self._model and step_ns == self._step_ns and count <= len(self._ahead):
+        model, kept = kalman.model, self._kept
+        if model is self._model and step_ns == self._step_ns and count <= len(self._noise):
             return
-        transition, noise = propagation(layout, kalman.noise, model.parameters, step_ns * 1e-9)
-        rows = np.eye(layout.size)[_kept(layout)]
-        self._ahead = np.empty((count, *rows.shape))
-        self._noise = np.empty((count, len(rows), len(rows)))
+        transition, noise = propagation(self._layout, kalman.noise, model.parameters, step_ns * 1e-9)
+        rows = np.eye(self._layout.size)[kept]
+        self._ahead = np.empty((len(kept), count, self._layout.size))
+        self._noise = np.empty((count, len(kept), len(kept)))
         covariance = np.zeros_like(noise)
         for k in range(count):
             rows = rows @ transition
             covariance = transition @ covariance @ transition.T + noise
-            self._ahead[k], self._noise[k] = rows, covariance[np.ix_(_kept(layout), _kept(layout))]
+            self._ahead[:, k], self._noise[k] = rows, covariance[np.ix_(kept, kept)]
         self._model, self._step_ns = model, step_ns
 
+    def _rate_rows(self, kalman: Kalman) -> Floats:
+        """Tip slope rates of the modal coordinates and rates, (2, m), slope factors as estimated."""
+        rows = np.zeros((2, len(self._kept)))
+        for at, (q, _) in enumerate(self._layout.pairs):
+            rows[:, 2 * at + 1] = kalman.model.slope[:, q]
+        for column, at, sign in self._factors:
+            rows[:, at] += sign * kalman.constants[column]
+        return rows
 
-def _kept(layout: Layout) -> list[int]:
-    """The states that a forecast is about: deflection and rate of every mode."""
-    return [index for pair in layout.pairs for index in pair]
 
-
-def _factor_variance(kalman: Kalman, modes: Floats) -> Floats:
-    """What the slope factors' uncertainty adds to the variance of the tip slope rates, (n, 2)."""
-    layout = kalman.layout
-    added = np.zeros((len(modes), 2))
-    kept = _kept(layout)
+def _factors(layout: Layout, kept: list[int]) -> list[tuple[int, int, Floats]]:
+    """Of each uncertain slope factor: its constant, the place of its mode's rate, and the sides' signs."""
+    found = []
     for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
-        for key, at in ((f"slope.{name}", family.v), (f"slope.second_{name}", family.v2)):
+        for key, rate in ((f"slope.{name}", family.v), (f"slope.second_{name}", family.v2)):
             column = layout.column(key)
             if column is not None:
-                variance = kalman.constants_covariance[column - 1, column - 1]
-                added += (variance * modes[:, kept.index(at)] ** 2)[:, None]
-    return added
-
-
-def _rate_rows(kalman: Kalman) -> Floats:
-    """Tip slope rates of a state, slope factors as estimated."""
-    layout, n = kalman.layout, kalman.layout.size
-    rows = np.zeros((2, n))
-    for family in layout.families:
-        for q, v in ((family.q, family.v), (family.q2, family.v2)):
-            rows[:, v] = kalman.model.slope[:, q]
-    for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
-        for key, at in ((f"slope.{name}", family.v), (f"slope.second_{name}", family.v2)):
-            column = layout.column(key)
-            if column is not None:
-                rows[:, at] += np.array(family.sign) * kalman.constants[column - 1]
-    return rows
+                found.append((column - 1, kept.index(rate), np.array(family.sign)))
+    return found

@@ -12,16 +12,15 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from scipy.linalg import lapack
 
-from companion.core.compiled import COMPILED
+from companion.core.compiled import COMPILED, compiled
 from companion.core.mode import kernel_loops, kernel_numpy
 from companion.core.mode.kernel import Data, Fixed, Memory, Step, make_history
 from companion.core.mode.layout import P_LEFT, ROWS, Y_LEFT, Layout, Noise
 from companion.core.mode.model import StepModel
 from companion.core.mode.rigid import Cells
 from companion.core.mode.sensitivity import own_scales
-from companion.records import Floats
+from companion.records import Floats, Ints
 
 kernel = kernel_loops if COMPILED else kernel_numpy
 _SOLVE_EVERY = 25
@@ -189,17 +188,35 @@ class Kalman:
         self._unsolved = 0
         if not len(self.constants):
             return
-        known, left = self._estimated, self._considered
-        gathered = self._memory.information
-        information = self._prior[np.ix_(known, known)] + gathered[np.ix_(known + 1, known + 1)]
-        _, covariance, _ = lapack.dposv(information, np.eye(len(known)))
-        self.constants[known] = -covariance @ gathered[known + 1, 0]
-        prior = self.layout.constant_sigma[left] ** 2
-        turned = -covariance @ gathered[np.ix_(known + 1, left + 1)]
-        self.constants_covariance[np.ix_(known, known)] = covariance + (turned * prior) @ turned.T
-        self.constants_covariance[np.ix_(known, left)] = turned * prior
-        self.constants_covariance[np.ix_(left, known)] = (turned * prior).T
+        _solve_constants(
+            self._memory.information,
+            self.layout.constant_sigma,
+            self._estimated,
+            self._considered,
+            self.constants,
+            self.constants_covariance,
+        )
         self._weights[1:] = self.constants
+
+
+@compiled
+def _solve_constants(
+    gathered: Floats, sigma: Floats, known: Ints, left: Ints, constants: Floats, covariance: Floats
+) -> None:
+    """The constants and their covariance from what was gathered, in place; ``left`` are those that stay as they are."""
+    information = gathered[known + 1][:, known + 1] + np.diag(1.0 / sigma[known] ** 2)
+    inner = np.linalg.inv(information)
+    inner = 0.5 * (inner + inner.T)
+    turned = -inner @ gathered[known + 1][:, left + 1]
+    loose = turned * sigma[left] ** 2
+    outer = inner + loose @ turned.T
+    constants[known] = -inner @ np.ascontiguousarray(gathered[known + 1, 0])
+    for i in range(len(known)):
+        for j in range(len(known)):
+            covariance[known[i], known[j]] = outer[i, j]
+        for j in range(len(left)):
+            covariance[known[i], left[j]] = loose[i, j]
+            covariance[left[j], known[i]] = loose[i, j]
 
 
 def _fixed(layout: Layout, noise: Noise, step_s: float, trim_m: float, bend_per_g_m: float) -> Fixed:

@@ -70,7 +70,7 @@ class WingTracker:
             prior_parameters(self._layout.symmetric, wing.gust),
             prior_parameters(self._layout.antisymmetric, wing.gust),
         )
-        self._forecaster = Forecaster()
+        self._forecaster = Forecaster(self._layout)
         self._rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each cell
         self._start_ns: int | None = None
         self._reopened_ns = 0

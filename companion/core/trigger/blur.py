@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.forecast import Forecast
 from companion.core.stereo.geometry import Rig
 from companion.core.trigger.latency import LatencyModel
@@ -78,24 +79,22 @@ class BlurModel:
 
     def predict(self, forecast: Forecast, latency: LatencyModel, motion: Motion) -> BlurForecast:
         """Predict the blur at every instant of the forecast."""
-        acceleration = _derivative(forecast)
-        rate = forecast.slope_rate_radps + acceleration * (np.array(latency.shifts_ns()) * 1e-9)
+        step_s = float(forecast.t_host_ns[1] - forecast.t_host_ns[0]) * 1e-9
         rigid, per_rate, exposure_s = self._linear(forecast.body_rate_radps, motion)
-        image = rigid + per_rate * rate[:, :, None]
-        variance = forecast.slope_rate_covariance[:, (0, 1), (0, 1)]
-        timing = (np.array(latency.sigmas_ns()) * 1e-9) ** 2 + exposure_s**2 / 12
-        spread = (variance + acceleration**2 * timing) * np.sum(per_rate**2, axis=1)
-        rms = np.sqrt(np.sum(image**2, axis=2) + spread)
-        shown = rms if self._eyes else np.zeros_like(rms)
+        shifts_s, sigmas_s = np.array(latency.shifts_ns()) * 1e-9, np.array(latency.sigmas_ns()) * 1e-9
+        rates, covariance = forecast.slope_rate_radps, forecast.slope_rate_covariance
+        image, rate, acceleration, rms = _smeared(
+            rates, covariance, step_s, shifts_s, sigmas_s, rigid, per_rate, exposure_s
+        )
         return BlurForecast(
             t_host_ns=forecast.t_host_ns,
             motion=image,
             motion_per_rate=per_rate,
             rate_radps=rate,
             acceleration_radps2=acceleration,
-            rate_covariance=forecast.slope_rate_covariance,
-            acceleration_covariance=self._spring @ forecast.q_covariance @ self._spring.T,
-            rms_px=shown,
+            rate_covariance=covariance,
+            acceleration_covariance=_turned(self._spring, forecast.q_covariance),
+            rms_px=rms if self._eyes else np.zeros_like(rms),
         )
 
     def _linear(self, body_rate_radps: Floats, motion: Motion) -> tuple[Floats, Floats, Floats]:
@@ -157,11 +156,47 @@ def _cross(vector: Floats) -> Floats:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _derivative(forecast: Forecast) -> Floats:
+@compiled
+def _smeared(
+    rates: Floats,
+    covariance: Floats,
+    step_s: float,
+    shifts_s: Floats,
+    sigmas_s: Floats,
+    rigid: Floats,
+    per_rate: Floats,
+    exposure_s: Floats,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Image motion, slope rates at the exposures, slope accelerations and expected rms blur over the instants."""
+    acceleration = _derivative(rates, step_s)
+    rate = rates + acceleration * shifts_s
+    timing = sigmas_s**2 + exposure_s**2 / 12.0
+    image, rms = np.empty((len(rates), 2, 3)), np.empty((len(rates), 2))
+    for side in range(2):
+        square = (covariance[:, side, side] + acceleration[:, side] ** 2 * timing[side]) * np.sum(per_rate[side] ** 2)
+        for axis in range(3):
+            image[:, side, axis] = rigid[side, axis] + per_rate[side, axis] * rate[:, side]
+            square += image[:, side, axis] ** 2
+        rms[:, side] = np.sqrt(square)
+    return image, rate, acceleration, rms
+
+
+@compiled
+def _turned(turn: Floats, covariance: Floats) -> Floats:
+    """``turn C turn^T`` of every instant, (n, 2, 2)."""
+    out = np.zeros_like(covariance)
+    for i in range(2):
+        for j in range(2):
+            for k in range(2):
+                for m in range(2):
+                    out[:, i, j] += turn[i, k] * turn[j, m] * covariance[:, k, m]
+    return out
+
+
+@compiled
+def _derivative(rates: Floats, step_s: float) -> Floats:
     """Slope acceleration (n, 2) of equally spaced instants, by central differences."""
-    rate = forecast.slope_rate_radps
-    step_s = float(forecast.t_host_ns[1] - forecast.t_host_ns[0]) * 1e-9
-    derivative = np.empty_like(rate)
-    derivative[1:-1] = (rate[2:] - rate[:-2]) / (2 * step_s)
-    derivative[0], derivative[-1] = (rate[1] - rate[0]) / step_s, (rate[-1] - rate[-2]) / step_s
+    derivative = np.empty_like(rates)
+    derivative[1:-1] = (rates[2:] - rates[:-2]) / (2 * step_s)
+    derivative[0], derivative[-1] = (rates[1] - rates[0]) / step_s, (rates[-1] - rates[-2]) / step_s
     return derivative

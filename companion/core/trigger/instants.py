@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.trigger.blur import BlurForecast
-from companion.records import Floats
+from companion.records import Floats, Ints
 
 _WORST_SIGMA_NS = 1e9
 
@@ -29,10 +30,18 @@ class StillInstant:
 
 def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[StillInstant]:
     """Find the local minima of the predicted blur, in order of time, those before ``from_host_ns`` left out."""
-    energy = np.sum(blur.motion**2, axis=(1, 2))
-    inner = (energy[1:-1] <= energy[:-2]) & (energy[1:-1] < energy[2:])
-    found = np.flatnonzero(inner & (blur.t_host_ns[1:-1] >= from_host_ns)) + 1
-    return [_refine(blur, energy, i) for i in found.tolist()]
+    found = _minima(
+        blur.t_host_ns - blur.t_host_ns[0],
+        from_host_ns - int(blur.t_host_ns[0]),
+        blur.motion,
+        blur.motion_per_rate,
+        blur.acceleration_radps2,
+        blur.rate_covariance,
+        blur.acceleration_covariance,
+        blur.rms_px,
+    )
+    first_ns = int(blur.t_host_ns[0])
+    return [StillInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in found.tolist()]
 
 
 def blur_at_px(blur: BlurForecast, t_host_ns: int) -> float:
@@ -42,24 +51,57 @@ def blur_at_px(blur: BlurForecast, t_host_ns: int) -> float:
     return float(np.interp(at, elapsed, blur.rms_px.max(axis=1)))
 
 
-def _refine(blur: BlurForecast, energy: Floats, i: int) -> StillInstant:
-    """Put the minimum between the instants by a parabola, and bound its time."""
-    step_ns = int(blur.t_host_ns[i + 1] - blur.t_host_ns[i])
-    bend = float(energy[i - 1] - 2 * energy[i] + energy[i + 1])
-    share = 0.5 * float(energy[i - 1] - energy[i + 1]) / bend
-    t_ns = int(blur.t_host_ns[i]) + round(share * step_ns)
-    curvature = bend / (step_ns * 1e-9) ** 2
-    sigma_ns = min(np.sqrt(_slope_variance(blur, i, share)) / curvature * 1e9, _WORST_SIGMA_NS)
-    square = blur.rms_px[i - 1 : i + 2] ** 2
-    rms2 = square[1] + share * (square[2] - square[0]) / 2 + share**2 * (square[2] - 2 * square[1] + square[0]) / 2
-    return StillInstant(t_ns, round(sigma_ns), float(np.sqrt(max(rms2.max(), 0.0))))
+@compiled
+def _minima(
+    t_ns: Ints,
+    from_ns: int,
+    motion: Floats,
+    per_rate: Floats,
+    acceleration: Floats,
+    rate_covariance: Floats,
+    acceleration_covariance: Floats,
+    rms_px: Floats,
+) -> Floats:
+    """Time and its sigma, in ns, and rms blur of each minimum, (m, 3); times count from the first instant."""
+    energy = np.zeros(len(t_ns))
+    for side in range(2):
+        for axis in range(3):
+            energy += motion[:, side, axis] ** 2
+    found, count = np.empty((len(t_ns), 3)), 0
+    for i in range(1, len(t_ns) - 1):
+        if energy[i] <= energy[i - 1] and energy[i] < energy[i + 1] and t_ns[i] >= from_ns:
+            step_ns = t_ns[i + 1] - t_ns[i]
+            bend = energy[i - 1] - 2.0 * energy[i] + energy[i + 1]
+            share = 0.5 * (energy[i - 1] - energy[i + 1]) / bend
+            middle = motion[i] + share * (motion[i + 1] - motion[i - 1]) / 2.0
+            variance = _slope_variance(
+                middle, per_rate, acceleration[i], rate_covariance[i], acceleration_covariance[i]
+            )
+            sigma_ns = np.sqrt(variance) / (bend / (step_ns * 1e-9) ** 2) * 1e9
+            found[count, 0] = t_ns[i] + share * step_ns
+            found[count, 1] = min(sigma_ns, _WORST_SIGMA_NS)
+            found[count, 2] = _between(rms_px[i - 1] ** 2, rms_px[i] ** 2, rms_px[i + 1] ** 2, share)
+            count += 1
+    return found[:count]
 
 
-def _slope_variance(blur: BlurForecast, i: int, share: float) -> float:
+@compiled
+def _between(before: Floats, at: Floats, after: Floats, share: float) -> float:
+    """The larger of two roots whose squares are known at three instants, by parabolas."""
+    square = at + share * (after - before) / 2.0 + share**2 * (after - 2.0 * at + before) / 2.0
+    return float(np.sqrt(max(square.max(), 0.0)))
+
+
+@compiled
+def _slope_variance(
+    motion: Floats, per_rate: Floats, acceleration: Floats, rate_covariance: Floats, acceleration_covariance: Floats
+) -> float:
     """Variance of dJ/dt = sum of 2 (motion . per_rate) x' at the minimum, from those of x and x'."""
-    per_rate = blur.motion_per_rate
-    motion = blur.motion[i] + share * (blur.motion[i + 1] - blur.motion[i - 1]) / 2
-    by_rate = 2.0 * np.sum(per_rate**2, axis=1) * blur.acceleration_radps2[i]
+    by_rate = 2.0 * np.sum(per_rate**2, axis=1) * acceleration
     by_acceleration = 2.0 * np.sum(motion * per_rate, axis=1)
-    variance = by_rate @ blur.rate_covariance[i] @ by_rate
-    return float(variance + by_acceleration @ blur.acceleration_covariance[i] @ by_acceleration)
+    variance = 0.0
+    for i in range(2):
+        for j in range(2):
+            variance += by_rate[i] * by_rate[j] * rate_covariance[i, j]
+            variance += by_acceleration[i] * by_acceleration[j] * acceleration_covariance[i, j]
+    return variance
