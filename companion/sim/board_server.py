@@ -26,7 +26,7 @@ from companion.sim.cameras import HEADER, MAGIC
 
 _PERIOD_NS = 200_000_000
 _EXPOSURE_NS = 2_000_000
-_START_S, _POLL_S = 30.0, 0.02
+_START_S, _POLL_S = 120.0, 0.02  # a busy machine imports slowly
 # what a pair of cameras is like before anybody has calibrated it
 _FOCAL, _MIDDLE_PX, _TURN_RAD, _SHIFT_M = 0.01, 4.0, 0.01, 0.003
 _BENT = (-0.12, 0.05, 0.0004, -0.0003, 0.0)
@@ -97,7 +97,7 @@ def start_board_server(config: BoardServerConfig) -> BaseProcess:
     Raises
     ------
     DeviceError
-        When it ends, or has not opened it after half a minute.
+        When it ends, or has not opened it in time.
     """
     process = multiprocessing.get_context("spawn").Process(target=serve, args=(config,), name="sim-board", daemon=True)
     process.start()
