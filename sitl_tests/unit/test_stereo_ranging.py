@@ -19,7 +19,16 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.settings import Settings
 from companion.records import Deflection, MatchSet, Reject, Side
-from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
+from sitl_tests.unit.stereo_cases import (
+    bend,
+    forward,
+    ground_below,
+    match_set,
+    nadir,
+    perfect_calibration,
+    seen,
+    wall_ahead,
+)
 from sitl_tests.unit.stereo_scene import TexturedPlane, photograph
 
 SETTINGS = Settings()
@@ -58,6 +67,15 @@ def test_points_come_back_where_they_are(range_m: float, left: float, right: flo
     points = wall_ahead(range_m, 40, 2)
     answer = _range(airframe, match_set(*seen(rig, points, (left, right))), bend((left, right)))
     np.testing.assert_allclose(points_of(answer.depths, sight_along(rig, range_axis(0))), points, rtol=1e-6, atol=1e-6)
+
+
+def test_however_many_matches_there_are_what_they_share_stays_in_the_sigma() -> None:
+    """A fiftieth of a pixel is common to all: Z^2 / (f B) of it, 45 mm at 60 m, where chance alone would leave 2 mm."""
+    airframe = nadir(**perfect_calibration())
+    matches = match_set(*seen(Rig.from_airframe(airframe), ground_below(60.0, 3000, 7), (0.02, 0.02)), sigma_px=0.05)
+    answer = _range(airframe, matches, bend((0.02, 0.02)))
+    assert answer.match_sigma_m == pytest.approx(60.0**2 / (800.0 * 1.98) * 0.02, rel=0.02)
+    assert answer.range.sigma_m == pytest.approx(answer.match_sigma_m, rel=1e-6)
 
 
 def test_twist_is_taken_from_the_modal_coordinates() -> None:
