@@ -44,11 +44,15 @@ class TexturedPlane:
         return np.stack([first, np.cross(self.normal, first)])
 
     def shade(self, points_m: np.ndarray) -> np.ndarray:
-        """Brightness, mean 0 and standard deviation 1, of points (n, 3) on the plane."""
+        """Brightness, mean 0 and standard deviation 1, of points (n, 3) on the plane.
+
+        The cosines are taken in single precision, many times faster: a phase of a thousand radians, at an image's far
+        edge, is rounded by 6e-5, which is 3e-5 px of the shortest wave.
+        """
         local = (points_m @ self.axes().T).astype(np.float64)
         total = np.zeros(len(points_m))
         for wave, phase, weight in zip(self.wave_radpm, self.phase_rad, self.weight, strict=True):
-            total += weight * np.cos(local @ wave + phase)
+            total += weight * np.cos((local @ wave + phase).astype(np.float32))
         return total / np.sqrt(0.5 * np.sum(self.weight**2))
 
 
