@@ -25,12 +25,14 @@ from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
 Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 _SIMULATED = 400
 _BLOCKS = 12
 _NARROW = 50
 _FEWEST = 10
 _MANY = 24
+_AROUND = 1.35
 _SWINGS = 3
 LIMIT = 5.0
 """Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights."""
@@ -104,16 +106,25 @@ def _changing(model: SuperModel, found: Expectation, rng: np.random.Generator) -
         noise = rng.standard_normal(white.shape) + 1j * rng.standard_normal(white.shape)
         drawn.append(_swings(np.fft.fft(np.sqrt(0.5) * taper * noise, axis=1, norm="ortho"), edges))
     table, real = np.stack(drawn), _swings(white, edges)
-    whole = np.sum(table, axis=(1, 2, 3))
+    centre_hz = model.band_hz[edges + np.diff(np.append(edges, count)) // 2]
     mean = np.mean(table, axis=(0, 1))
     # the tail of a single band is exponential only where many bins are in it
     worst = (real / mean).max(axis=(0, 1)) * (np.diff(np.append(edges, count)) >= _MANY)
     best, looks = int(np.argmax(worst)), math.log(real.size)
-    centre = float(model.band_hz[min(int(edges[best]) + _MANY // 2, count - 1)])
-    return {
-        "spectra changing in time": float((np.sum(real) - whole.mean()) / whole.std()),
-        f"power changing in time near {centre:.1f} Hz": normal_of(min(looks - float(worst[best]), 0.0)),
+    found_in = {
+        f"power changing in time near {centre_hz[best]:.1f} Hz": normal_of(min(looks - float(worst[best]), 0.0))
     }
+    for name, inside in (("spectra", centre_hz > 0.0), ("first modes", _near_modes(model, centre_hz))):
+        if inside.any():
+            whole = np.sum(table[..., inside], axis=(1, 2, 3))
+            found_in[f"{name} changing in time"] = float((np.sum(real[..., inside]) - whole.mean()) / whole.std())
+    return found_in
+
+
+def _near_modes(model: SuperModel, f_hz: Floats) -> Mask:
+    wing = model.belief.airframe.wing
+    first_hz = [mode.frequency_hz.value for mode in (wing.symmetric, wing.antisymmetric) if mode is not None]
+    return np.asarray((f_hz > min(first_hz) / _AROUND) & (f_hz < max(first_hz) * _AROUND))
 
 
 def _swings(white: Complexes, edges: Indices) -> Floats:

@@ -25,6 +25,12 @@ _ENOUGH = 1e-3
 _MOST = 2.0  # prior sigmas in one step
 
 
+def starts(models: Sequence[SuperModel]) -> list[Floats]:
+    """Nuisances from which to fit without effects; either may end in a bad optimum, hardly both."""
+    believed = np.zeros(len(models[0].belief.nuisances))
+    return [begin(models, believed), on_floor(models, believed)]
+
+
 def begin(models: Sequence[SuperModel], start: Floats) -> Floats:
     """Nuisances from which a fit without effects should start, (p,)."""
     belief = models[0].belief
@@ -41,7 +47,7 @@ def begin(models: Sequence[SuperModel], start: Floats) -> Floats:
     if not len(left) or np.mean(left**2) < _CLOSE:
         return values
     values, left = min(
-        ((there, residual(there)) for there in (values, _on_floor(models, values))),
+        ((there, residual(there)) for there in (values, on_floor(models, values))),
         key=lambda one: _worth(one[1], one[0], sigmas),
     )
     for _ in range(_ROUNDS):
@@ -56,7 +62,7 @@ def begin(models: Sequence[SuperModel], start: Floats) -> Floats:
     return values
 
 
-def _on_floor(models: Sequence[SuperModel], start: Floats) -> Floats:
+def on_floor(models: Sequence[SuperModel], start: Floats) -> Floats:
     """The same with each sensor's noise at the lowest part of its spectrum."""
     belief, values = models[0].belief, start.copy()
     for model in models:

@@ -10,7 +10,7 @@ import numpy as np
 from companion.core.wing.effect import Effect
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.adequacy import Check, check
-from companion.diagnosis.begin import begin
+from companion.diagnosis.begin import starts
 from companion.diagnosis.extend import Extension, Path, Progress
 from companion.diagnosis.fit import Fit, fit
 from companion.diagnosis.gain import HeldOut, held_out
@@ -34,7 +34,7 @@ def diagnose(
     ``progress`` is told what is being done and the share that is done.
     """
     progress("fit the believed model", 0.0)
-    null = fit(models, (), begin(models, np.zeros(len(models[0].belief.nuisances))))
+    null = max((fit(models, (), start) for start in starts(models)), key=lambda one: one.log_evidence)
     extension = Extension(models, kinds, progress)
     first = extension.screen(null)
     if not _excited(models, null):

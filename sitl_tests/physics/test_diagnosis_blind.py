@@ -14,6 +14,20 @@ LABELS = [Hidden({}), Hidden({"stream-delay": -0.003}), Hidden({"exposure-delay"
 
 
 @pytest.fixture(scope="module")
+def quick() -> list[dict[str, object]]:
+    """Nothing, and cameras 5 ms late, in 20 s each: what CI can afford."""
+    labels = [Hidden({}), Hidden({"exposure-delay": 0.005})]
+    return run([[Trial("single", label) for label in labels]], 5, duration_s=20.0)
+
+
+@pytest.mark.slow
+def test_twenty_seconds_are_enough_for_late_cameras_and_for_nothing(quick: list[dict[str, object]]) -> None:
+    assert quick[0]["verdict"] == "adequate"
+    assert quick[1]["verdict"] == "explained"
+    assert any("exposure-delay" in group for group in quick[1]["groups"])  # type: ignore[attr-defined]
+
+
+@pytest.fixture(scope="module")
 def rows() -> list[dict[str, object]]:
     return run([[Trial("single", label) for label in LABELS]], 3, duration_s=30.0)
 

@@ -118,6 +118,7 @@ def test_two_lines_that_were_never_there_together_are_no_two_modes() -> None:
     jumped = model_of(low * first + high * np.sqrt(2.0 - first**2))
     changed = {one.name: one.z for one in check([jumped], fit([jumped], ()))}
     assert changed["spectra changing in time"] > 5.0
+    assert changed["first modes changing in time"] > 5.0
 
 
 @pytest.mark.parametrize("low", [-np.inf, -14.0])
