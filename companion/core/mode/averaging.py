@@ -69,6 +69,37 @@ def cell_means(t: Floats, y: Floats, edges: Floats) -> tuple[Floats, Floats]:
 
 
 @compiled
+def bridged(t: Floats, y: Floats, period_s: float, limit_s: float) -> tuple[Floats, Floats]:
+    """Put cubics where single samples were lost, for :func:`cell_means` takes each for the average up to the next.
+
+    Gaps beyond ``limit_s`` stay. Samples are (s,) and (s, channels), at least four.
+    """
+    gap = t[1:] - t[:-1]
+    lost = np.where(gap < limit_s, np.round(gap / period_s), 1.0).astype(np.int64) - 1
+    lost[0], lost[-1] = 0, 0  # no slope on one side
+    lost = np.maximum(lost, 0)
+    if not lost.any():
+        return t, y
+    at = np.arange(len(t))
+    at[1:] += np.cumsum(lost)
+    full_t, full_y = np.empty(len(t) + lost.sum()), np.empty((len(t) + lost.sum(), y.shape[1]))
+    full_t[at] = t
+    for channel in range(y.shape[1]):
+        full_y[at, channel] = y[:, channel]
+    for i in np.flatnonzero(lost):
+        left, own, right = gap[i - 1], gap[i], gap[i + 1]
+        step = y[i + 1] - y[i]
+        first = ((y[i] - y[i - 1]) / left * own**2 + step * left) / (left + own)
+        last = ((y[i + 2] - y[i + 1]) / right * own**2 + step * right) / (right + own)
+        for j in range(1, lost[i] + 1):
+            u = j / (lost[i] + 1.0)
+            full_t[at[i] + j] = t[i] + u * own
+            bend = 3.0 * step - 2.0 * first - last + u * (first + last - 2.0 * step)
+            full_y[at[i] + j] = y[i] + u * (first + u * bend)
+    return full_t, full_y
+
+
+@compiled
 def cut_shares(t: Floats, edges: Floats) -> Floats:
     """How much each cell suffers from edges that cut samples: 0 where they fall between two, 1 on average, (n,).
 

@@ -258,10 +258,9 @@ def _steady(root: Averages, noise_mps2_rthz: float, step_s: float) -> Bools:
 
     A shaken support moves otherwise inside a cell, and so does the wing on it: a tip's first moment then says nothing.
     """
-    steady = np.ones(len(root.moment), np.bool_)
-    if root.resolved:
-        slope = rate_of_change(root.mean[:, VERTICAL].copy(), step_s, root.covered)
-        steady &= np.abs(root.moment - step_s / 12.0 * slope) < _SHAKEN * noise_mps2_rthz / np.sqrt(24.0 * step_s)
+    slope = rate_of_change(root.mean[:, VERTICAL].copy(), step_s, root.covered)
+    beyond = np.abs(root.moment - step_s / 12.0 * slope)
+    steady: Bools = ~root.resolved | (beyond < _SHAKEN * noise_mps2_rthz / np.sqrt(24.0 * step_s))
     return steady
 
 

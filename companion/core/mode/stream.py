@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from companion.core.compiled import compiled
-from companion.core.mode.averaging import cell_means, cell_means_unfiltered, cut_shares
+from companion.core.mode.averaging import bridged, cell_means, cell_means_unfiltered, cut_shares
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
@@ -16,6 +16,7 @@ CHANNELS = 6
 _CLIPPED = 0.002  # so near to the range a value was clipped; one well beyond was not, whatever the range is said to be
 _GAP_PERIODS = 3.5
 _GAP_FLOOR_S = 0.012
+_LOST_PERIODS = 1.6
 _CLOSE, _FAR = 0.4, 1.3  # periods
 _RESOLVED = 2.9  # samples per cell that make a moment
 
@@ -88,15 +89,15 @@ class Averages(NamedTuple):
         See :func:`companion.core.mode.averaging.cut_shares`.
     covered : (n,) bool
         There are samples.
-    resolved : bool
-        There are enough for a moment.
+    resolved : (n,) bool
+        There are enough for a moment, and none was lost.
     """
 
     mean: Floats
     moment: Floats
     cut: Floats
     covered: Bools
-    resolved: bool
+    resolved: Bools
 
 
 @dataclass(slots=True)
@@ -220,30 +221,34 @@ def averages(samples: Samples, edges_ns: Ints) -> Averages:
     high = int(np.searchsorted(samples.t_ns, edges_ns[-1])) + 4
     t_ns, y = samples.t_ns[low:high], samples.values[low:high]
     if len(t_ns) < 4:
-        return Averages(np.zeros((cells, CHANNELS)), np.zeros(cells), np.zeros(cells), np.zeros(cells, np.bool_), False)
+        nothing, none = np.zeros(cells), np.zeros(cells, np.bool_)
+        return Averages(np.zeros((cells, CHANNELS)), nothing, nothing, none, none)
     t = (t_ns - edges_ns[0]) * 1e-9
     edges = (edges_ns - edges_ns[0]) * 1e-9
+    limit_s = max(_GAP_PERIODS / samples.rate_hz, _GAP_FLOOR_S)
     if samples.filtered:
         mean, moment = cell_means_unfiltered(t, y, edges, samples.cutoff_hz), np.zeros(cells)
         cut = np.zeros(cells)
     else:
-        mean, moment = cell_means(t, y, edges)
+        mean, moment = cell_means(*bridged(t, y, 1.0 / samples.rate_hz, limit_s), edges)
         cut = cut_shares(t, edges)
-    covered = _covered(t, edges, samples.rate_hz)
+    covered = _unbroken(t, edges, limit_s)
     for k in range(cells):
         if not covered[k]:
             mean[k], moment[k] = 0.0, 0.0
-    resolved = not samples.filtered and (edges[1] - edges[0]) * samples.rate_hz >= _RESOLVED
+    resolved = _unbroken(t, edges, _LOST_PERIODS / samples.rate_hz)
+    if samples.filtered or (edges[1] - edges[0]) * samples.rate_hz < _RESOLVED:
+        resolved[:] = False
     return Averages(mean, moment, cut, covered, resolved)
 
 
 @compiled
-def _covered(t: Floats, edges: Floats, rate_hz: float) -> Bools:
-    limit = max(_GAP_PERIODS / rate_hz, _GAP_FLOOR_S)
+def _unbroken(t: Floats, edges: Floats, limit_s: float) -> Bools:
+    """Cells with samples around them and no longer gap than ``limit_s`` between these, (n,)."""
     gaps = np.zeros(len(t), dtype=np.int64)
-    gaps[1:] = np.cumsum((t[1:] - t[:-1] > limit).astype(np.int64))
+    gaps[1:] = np.cumsum((t[1:] - t[:-1] > limit_s).astype(np.int64))
     after = np.searchsorted(t, edges[:-1], side="right")
     until = np.searchsorted(t, edges[1:], side="left")
-    covered: Bools = (after > 0) & (until < len(t))
-    covered &= gaps[np.minimum(until, len(t) - 1)] == gaps[np.maximum(after, 1) - 1]
-    return covered
+    unbroken: Bools = (after > 0) & (until < len(t))
+    unbroken &= gaps[np.minimum(until, len(t) - 1)] == gaps[np.maximum(after, 1) - 1]
+    return unbroken
