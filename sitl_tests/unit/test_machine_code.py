@@ -1,0 +1,35 @@
+"""Machine code is kept by the sources it was made from: a changed callee must not live on in its callers."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import companion
+
+PRINT = "import os, companion; print(os.environ['NUMBA_CACHE_DIR'])"
+
+
+def _cache(root: Path, **more: str) -> str:
+    clean = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    found = subprocess.run(
+        [sys.executable, "-c", PRINT], cwd=root, env=clean | {"PYTHONPATH": str(root)} | more, capture_output=True
+    )
+    return found.stdout.decode().strip()
+
+
+def test_only_what_is_compiled_decides_where_machine_code_is_kept(tmp_path: Path) -> None:
+    shutil.copytree(
+        Path(companion.__file__).parent, tmp_path / "companion", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    first = _cache(tmp_path)
+    assert first.startswith(str(tmp_path))
+    (tmp_path / "companion/cli/demo.py").write_text("changed = True\n")
+    assert _cache(tmp_path) == first
+    callee = tmp_path / "companion/core/mode/averaging.py"
+    callee.write_text(callee.read_text() + "changed = True\n")
+    assert _cache(tmp_path) != first
+    assert _cache(tmp_path, NUMBA_CACHE_DIR="/elsewhere") == "/elsewhere"
