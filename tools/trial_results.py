@@ -30,12 +30,13 @@ _WANTED = {
 
 def results(rows: Rows) -> str:
     """Markdown."""
+    commits = sorted({row["commit"] for row in rows})
     lines = [
         "# Results of the blind trials",
         "",
-        f"Written by `python -m tools.trials`; code of commit {_commit()}. 60 s each, two 1 kHz accelerometers, stereo",
-        "at 10 Hz and 0.3 px, unmeasured gust, belief perturbed; truth from `wing.py`, which shares no code with the",
-        "diagnosis. Intervals are Wilson's, 95 %.",
+        f"Written by `python -m tools.trials`; judged by the code of {', '.join(commits)}. 60 s each, two",
+        "1 kHz accelerometers, stereo at 10 Hz and 0.3 px, unmeasured gust, belief perturbed; truth from `wing.py`, which",
+        "shares no code with the diagnosis. Intervals are Wilson's, 95 %.",
         "",
         "| trials | figure | count | share | 95 % interval | wanted |",
         "|---|---|---|---|---|---|",
@@ -157,7 +158,8 @@ def _misses(rows: Rows) -> list[str]:
     return lines
 
 
-def _commit() -> str:
+def commit() -> str:
+    """The code that is being run: its last commit, and the day."""
     asked = ["git", "log", "-1", "--format=%h of %ad", "--date=short"]
     told = subprocess.run(asked, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
     return told.stdout.strip() or "unknown"

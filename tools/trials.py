@@ -39,7 +39,7 @@ from sitl_tests.trials.cases import SEEN, SIGMA, Hidden, Tables, fly, noise_dens
 from tools.trial_oracle import oracle_gain
 from tools.trial_plan import STRONG, Trial, acceptance, nothing, several, singles
 from tools.trial_report import draw, summary, table
-from tools.trial_results import results
+from tools.trial_results import commit, results
 
 _TOP_HZ = 51.2
 _BATCH = 60
@@ -55,7 +55,7 @@ def run(batches: Sequence[Sequence[Trial]], seed: int, kept: Path | None = None,
     rows: Rows = json.loads(kept.read_text(encoding="utf-8")) if kept is not None and kept.is_file() else []
     done = {(row["seal"], row["left_out"]) for row in rows}
     total, begun = sum(len(trial.judged) for batch in batches for trial in batch), time.monotonic()
-    judged = 0
+    judged, code = 0, commit()
     for number, batch in enumerate(batches):
         open_ = [trial for trial in batch if any((trial.label.seal, out) not in done for out in trial.judged)]
         judged += sum(len(trial.judged) for trial in batch if trial not in open_)
@@ -71,7 +71,7 @@ def run(batches: Sequence[Sequence[Trial]], seed: int, kept: Path | None = None,
         )
         for trial, tables in zip(batch, flown, strict=True):
             for out in trial.judged if trial in open_ else ():
-                rows.append({**judge_trial(trial, tables, out), "seed": seed})
+                rows.append({**judge_trial(trial, tables, out), "seed": seed, "commit": code})
                 judged += 1
                 if kept is not None:
                     kept.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,55 @@
+"""The table of the blind trials: intervals, counts, and a plan that seals before it flies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sitl_tests.trials.cases import SIGMA, hide, sigma_of
+from tools.trial_plan import acceptance
+from tools.trial_results import results, wilson
+
+
+@pytest.mark.parametrize(("counted", "total"), [(0, 300), (14, 16), (9, 10)])
+def test_wilsons_interval_is_where_the_share_is_two_sigma_off(counted: int, total: int) -> None:
+    """Its ends p solve |p - k/n| = 1.96 sqrt(p (1 - p) / n)."""
+    for end in wilson(counted, total):
+        if 0.0 < end < 1.0:
+            off = abs(end - counted / total)
+            assert off == pytest.approx(1.959964 * np.sqrt(end * (1.0 - end) / total), rel=1e-6)
+
+
+def test_hidden_effects_are_as_strong_as_asked_in_loud_and_in_quiet_flights() -> None:
+    rng = np.random.default_rng(1)
+    for name in SIGMA:
+        label = hide([name], (8.0, 8.0), rng, 10.0)
+        if name != "damping-shift":  # told in its logarithm
+            assert label.strength(name, 10.0) == pytest.approx(8.0)
+    assert sigma_of("cubic-stiffness", 20.0, 2.0) == pytest.approx(sigma_of("cubic-stiffness") / 4.0)
+
+
+def test_the_acceptance_plan_holds_what_is_promised() -> None:
+    trials = [trial for batch in acceptance(1) for trial in batch]
+    assert sum(trial.kind == "nothing" for trial in trials) >= 300
+    assert {trial.snr_db for trial in trials if trial.kind == "single"} == {10.0, 20.0, 30.0}
+    assert {name for trial in trials if trial.kind == "single" for name in trial.label.effects} >= set(SIGMA)
+    assert len({trial.label.seal for trial in trials}) == len(trials)
+    assert sum(trial.kind == "pair" for trial in trials) >= 20
+
+
+def test_a_wrong_name_is_counted_and_listed() -> None:
+    def row(**changes: object) -> dict[str, object]:
+        plain: dict[str, object] = {
+            "kind": "single", "hidden": {"tone": 1.0}, "left_out": False, "snr_db": 20.0, "verdict": "explained",
+            "right": True, "exact": True, "inside_95": None, "gain": 10.0, "oracle_gain": 10.0, "cpu_s": 2.0,
+            "groups": [["tone"]], "nearest": "", "nearest_causes": [], "worst_checks": [], "commit": "abc",
+        }  # fmt: skip
+        return {**plain, **changes}
+
+    wrong = row(right=False, exact=False, groups=[["hysteresis"]], gain=8.0)
+    left_out = row(left_out=True, verdict="unexplained", right=False, exact=False, groups=[], gain=None)
+    told = results([row(), wrong, left_out])
+    assert "| single, 20 dB | wrong name | 1/2 |" in told
+    assert "| left out, 20 dB | unexplained | 1/1 |" in told
+    assert "| gain as a share of the oracle's | worst | 2 | 80 % |" in told
+    assert told.count("hysteresis") == 1
