@@ -55,3 +55,13 @@ def test_a_late_stream_is_named_with_its_delay(tmp_path: Path) -> None:
     low, high = found["causes"][0]["parameters"]["delay_s"]["interval"]
     # each stream's own offset is drawn with 0.2 ms
     assert low - 0.0006 < 0.004 < high + 0.0006
+
+
+@pytest.mark.long
+def test_what_was_applied_explains_the_same_recording(tmp_path: Path) -> None:
+    write(tmp_path, AIRFRAME, Flight(77, right_scale=1.2, rate_hz=400.0))
+    applied, again = tmp_path / "applied.toml", tmp_path / "again.json"
+    assert main(["diagnose", str(tmp_path), "--airframe", "nadir-2m", "--apply", str(applied)]) == 0
+    assert 'name = "accel-scale"' in applied.read_text(encoding="utf-8")
+    assert main(["diagnose", str(tmp_path), "--airframe", str(applied), "--json", str(again)]) == 0
+    assert json.loads(again.read_text(encoding="utf-8"))["verdict"] == "adequate"
