@@ -35,6 +35,8 @@ def test_both_together_hold_the_toe_that_tilt_alone_cannot(flown: dict[str, list
 def test_the_sigma_of_each_is_honest(flown: dict[str, list[Scored]], way: str) -> None:
     """Errors of a flight are one draw, not many: two seeds' rms over sigma below the 99.5 % point of chi-square / 2."""
     assert _rms(flown[way], "over_sigma") < np.sqrt(10.6 / 2)
+    assert _rms(flown[way], "whole_over_sigma") < np.sqrt(10.6 / 2)
+    assert way == WAYS[0] or _rms(flown[way], "whole_over_sigma") > 0.7
     assert _rms(flown[way], "sigma_mrad") < 12 * max(_rms(flown[way], "rms_mrad"), 0.05)
 
 

@@ -4,9 +4,9 @@ Truth: the demo's flight with trim bend, bend per g and camera mounting drawn fr
 wanders during the flight. Matches are projections of ground points with noise and blunders, through the true cameras;
 everything else goes through the whole pipeline, from the tenth second on.
 
-"error" is that of the relative toe below 0.5 Hz. The sigma that the pipeline states is that of its estimate of the slow
-part at each shot, jitter above 0.5 Hz included; so the error that is held against it is that estimate's own, without a
-filter over it: the truth's slow part (toe beyond the tracked bend, below 0.5 Hz) less what was told of it.
+"error" is that of the relative toe below 0.5 Hz, "stated" the pipeline's sigma of the slow part. That sigma covers the
+estimate's jitter above 0.5 Hz too, which the error's low-pass cuts off: where matches are used their ratio is honest at
+about 0.8. What is judged is the last column: the whole toe of each pair, nothing filtered, over its whole sigma.
 """
 
 from __future__ import annotations
@@ -64,12 +64,11 @@ _HONEST = {"tilt only": (0.0, 2.0), "epipolar only": (0.7, 1.3), "both": (0.7, 1
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One seed, one way, shot by shot, rad: toe error below 0.5 Hz; the slow estimate's own error and stated sigma."""
+    """One seed, one way, shot by shot: toe error below 0.5 Hz, the slow part's sigma, rad; whole error over sigma."""
 
     way: str
     seed: int
     error_rad: Floats
-    estimate_rad: Floats
     sigma_rad: Floats
     range_sigmas: Floats
 
@@ -85,8 +84,13 @@ class Scored:
 
     @property
     def over_sigma(self) -> float:
-        """Root mean square of the slow estimate's error over its sigma: 1 is honest."""
-        return float(np.sqrt(np.mean((self.estimate_rad / self.sigma_rad) ** 2)))
+        """Root mean square of the low-passed error over the slow part's sigma."""
+        return float(np.sqrt(np.mean((self.error_rad / self.sigma_rad) ** 2)))
+
+    @property
+    def whole_over_sigma(self) -> float:
+        """Root mean square of the whole toe's error over its sigma: 1 is honest."""
+        return float(np.sqrt(np.mean(self.range_sigmas**2)))
 
 
 def wide_airframe() -> Airframe:
@@ -243,33 +247,17 @@ def _in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:
 
 def _scored(way: str, flight: Flight, eyes: TrueEyes, outputs: list[Record]) -> Scored:
     told = {record.pair_id: record for record in outputs if isinstance(record, RelativeRotation)}
-    rows = []
+    t_s, error, sigma, over = [], [], [], []
     for record in outputs:
         if isinstance(record, CorrectedRange) and record.sigma_m < Settings().max_range_m:
-            boot_ns, turned = record.t_host_ns - HOST_EPOCH_NS, told[record.pair_id]
-            error = record.toe_rad - eyes.toe_rad(boot_ns)
-            sigma = float(np.sqrt(turned.slow_covariance[_YAW, _YAW]))
-            rows.append(
-                (
-                    boot_ns / _S,
-                    error,
-                    turned.rotation_rad[_YAW],
-                    turned.slow_rad[_YAW],
-                    sigma,
-                    error / record.toe_sigma_rad,
-                )
-            )
-    t_s, error_rad, total_rad, slow_rad, sigma_rad, over = np.array(rows).T
-    late = t_s >= SETTLED_S
-    beyond_bend = slow_part(t_s, total_rad - error_rad, _SLOW_HZ)
-    return Scored(
-        way,
-        flight.seed,
-        error_rad=slow_part(t_s, error_rad, _SLOW_HZ)[late],
-        estimate_rad=(slow_rad - beyond_bend)[late],
-        sigma_rad=sigma_rad[late],
-        range_sigmas=over[late],
-    )
+            boot_ns = record.t_host_ns - HOST_EPOCH_NS
+            t_s.append(boot_ns / _S)
+            error.append(record.toe_rad - eyes.toe_rad(boot_ns))
+            sigma.append(float(np.sqrt(told[record.pair_id].slow_covariance[_YAW, _YAW])))
+            over.append(error[-1] / record.toe_sigma_rad)
+    late = np.array(t_s) >= SETTLED_S
+    slow = slow_part(np.array(t_s), np.array(error), _SLOW_HZ)
+    return Scored(way, flight.seed, slow[late], np.array(sigma)[late], np.array(over)[late])
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -281,19 +269,19 @@ def main(arguments: list[str] | None = None) -> int:
     rows = run(range(1, options.seeds + 1), options.duration)
     print("slow part of the toe seed    error mrad    stated mrad    error/sigma    all of the toe error/sigma")
     for row in rows:
-        whole = float(np.sqrt(np.mean(row.range_sigmas**2)))
         print(
             f"{row.way:20s} {row.seed:4d} {row.rms_mrad:13.3f} {row.sigma_mrad:14.3f} {row.over_sigma:14.2f}"
-            f" {whole:14.2f}"
+            f" {row.whole_over_sigma:14.2f}"
         )
     missed = 0
     for way in WAYS:
         mine = [row for row in rows if row.way == way]
-        rms, over = (
-            float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in mine]))) for name in ("rms_mrad", "over_sigma")
+        rms, over, whole = (
+            float(np.sqrt(np.mean([getattr(row, name) ** 2 for row in mine])))
+            for name in ("rms_mrad", "over_sigma", "whole_over_sigma")
         )
-        print(f"{way:20s}  all {rms:13.3f} {'':14s} {over:14.2f}")
-        missed |= not _HONEST[way][0] <= over <= _HONEST[way][1]
+        print(f"{way:20s}  all {rms:13.3f} {'':14s} {over:14.2f} {whole:14.2f}")
+        missed |= not _HONEST[way][0] <= whole <= _HONEST[way][1]
     return int(missed)
 
 
