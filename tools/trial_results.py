@@ -34,9 +34,9 @@ def results(rows: Rows) -> str:
     lines = [
         "# Results of the blind trials",
         "",
-        f"Written by `python -m tools.trials`; judged by the code of {', '.join(commits)}. 60 s each, two",
-        "1 kHz accelerometers, stereo at 10 Hz and 0.3 px, unmeasured gust, belief perturbed; truth from `wing.py`, which",
-        "shares no code with the diagnosis. Intervals are Wilson's, 95 %.",
+        f"Written by `python -m tools.trials`; judged by the code of {', '.join(commits)}. 60 s",
+        "each, two 1 kHz accelerometers, stereo at 10 Hz and 0.3 px, unmeasured gust, belief perturbed; truth from",
+        "`wing.py`, which shares no code with the diagnosis. Intervals are Wilson's, 95 %.",
         "",
         "| trials | figure | count | share | 95 % interval | wanted |",
         "|---|---|---|---|---|---|",
