@@ -6,7 +6,7 @@ everything else goes through the whole pipeline, from the tenth second on.
 
 "error" is that of the relative toe below 0.5 Hz, "stated" the pipeline's sigma of the slow part. That sigma covers the
 estimate's jitter above 0.5 Hz too, which the error's low-pass cuts off: where matches are used their ratio is honest at
-about 0.8. What is judged is the last column: the whole toe of each pair, nothing filtered, over its whole sigma.
+about 0.85. What is judged is the last column: the whole toe of each pair, nothing filtered, over its whole sigma.
 """
 
 from __future__ import annotations
