@@ -7,7 +7,6 @@ the replay of a recording repeats every output exactly. The state belongs to the
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -157,7 +156,8 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
         if isinstance(converted, Reject):
             what = f"{batch.station.name.lower()} samples"
             return [Rejected(converted, what, batch.received_host_ns, len(batch.t_ns))]
-        batch = dataclasses.replace(batch, clock=ClockName.HOST, t_ns=converted[0])
+        clock, t_ns = ClockName.HOST, converted[0]
+        batch = ImuBatch(batch.station, clock, t_ns, batch.values, batch.axes, batch.received_host_ns)
     if batch.station is Station.ROOT:
         for alignment in state.alignments.values():
             alignment.add_root(batch.t_ns, batch.values[:, 3:])
@@ -203,16 +203,21 @@ def _adopt_alignment(state: PipelineState, clock: ClockName, now_ns: int) -> lis
 
 def joined(batches: list[ImuBatch]) -> list[ImuBatch]:
     """Consecutive batches of one station as few as possible: what has the same clock and axes becomes one."""
-    result: list[ImuBatch] = []
-    for _, group in itertools.groupby(batches, key=lambda batch: (batch.clock, batch.axes)):
-        run = list(group)
-        if len(run) == 1:
-            result.append(run[0])
-            continue
-        t_ns = np.concatenate([batch.t_ns for batch in run])
-        values = np.concatenate([batch.values for batch in run])
-        result.append(dataclasses.replace(run[-1], t_ns=t_ns, values=values))
-    return result
+    runs: list[list[ImuBatch]] = []
+    for batch in batches:
+        before = runs[-1][0] if runs else None
+        if before is not None and batch.clock == before.clock and batch.axes == before.axes:
+            runs[-1].append(batch)
+        else:
+            runs.append([batch])
+    return [run[0] if len(run) == 1 else _together(run) for run in runs]
+
+
+def _together(run: list[ImuBatch]) -> ImuBatch:
+    t_ns = np.concatenate([batch.t_ns for batch in run])
+    values = np.concatenate([batch.values for batch in run])
+    last = run[-1]
+    return ImuBatch(last.station, last.clock, t_ns, values, last.axes, last.received_host_ns)
 
 
 def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecord]:

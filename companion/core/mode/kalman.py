@@ -115,6 +115,11 @@ class Kalman:
         return state
 
     @property
+    def weights(self) -> Floats:
+        """One and the constants: what the columns are summed with, (1 + c,)."""
+        return self._weights
+
+    @property
     def static_m(self) -> float:
         """Static bend over the newest step, constants included."""
         return float(self.columns[-1] @ self._weights)

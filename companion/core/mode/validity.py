@@ -6,10 +6,11 @@ from collections import deque
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.kalman import Kalman
 from companion.core.mode.layout import Layout
 from companion.core.mode.parameters import FREQUENCY, ModeParameters
-from companion.records import Floats, Validity
+from companion.records import Floats, Ints, Validity
 
 _BLOCK_S = 1.0
 _BLOCKS = 5
@@ -34,7 +35,7 @@ class Level:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self._rates = [family.v for family in layout.families]
+        self._rates = np.array([family.v for family in layout.families])
         self._blocks: deque[Floats] = deque(maxlen=_BLOCKS)
         self._sum, self._count = np.zeros(2), 0
         self._rms: Floats = np.zeros(2)
@@ -43,12 +44,11 @@ class Level:
 
     def update(self, kalman: Kalman, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
-        slots = np.arange(kalman.steps - min(count, kalman.kept), kalman.steps) % kalman.kept
-        weights = np.concatenate([[1.0], kalman.constants])
+        taken = min(count, kalman.kept)
         omega = 2.0 * np.pi * np.array([mode.frequency_hz for mode in kalman.model.parameters])
-        swing = kalman.history.state[slots][:, self._rates] @ weights / omega
-        self._sum = self._sum + (swing**2).sum(axis=0)
-        self._count += len(slots)
+        squares = _rate_squares(kalman.history.state, kalman.steps - taken, taken, self._rates, kalman.weights)
+        self._sum = self._sum + squares / omega**2
+        self._count += taken
         self.settled_s += count * step_s
         self.learned |= self.settled_s >= _LEARN_S
         if not self._blocks:
@@ -66,6 +66,16 @@ class Level:
     def rms_m(self) -> Floats:
         """Root mean square, symmetric and antisymmetric."""
         return self._rms
+
+
+@compiled
+def _rate_squares(states: Floats, first: int, count: int, rates: Ints, weights: Floats) -> Floats:
+    """Sum of the squares of both modes' rates over ``count`` steps of the history from ``first`` on, (2,)."""
+    total = np.zeros(len(rates))
+    for k in range(first, first + count):
+        for family in range(len(rates)):
+            total[family] += np.dot(states[k % len(states), rates[family]], weights) ** 2
+    return total
 
 
 def judge(
