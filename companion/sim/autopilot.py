@@ -287,7 +287,7 @@ class SimAutopilot:
         if self.on_trigger is not None:
             self.on_trigger(tick_ns)
         self._shots += 1
-        for camera in (1, 2):
+        for camera in (0, 1):
             feedback = mavlink.MAVLink_camera_feedback_message(
                 (tick_ns - self._origin_ns) // 1000, 0, camera, self._shots, 0, 0, 0, 0, 0, 0, 0, 0, 0, self._shots
             )

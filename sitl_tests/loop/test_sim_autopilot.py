@@ -339,7 +339,7 @@ def test_image_capture_raises_the_line_and_is_fed_back_for_both_cameras(flight: 
     came = peer.run(0.02)
     assert [m.result for m in came if m.get_type() == "COMMAND_ACK"] == [mavlink.MAV_RESULT_ACCEPTED]
     feedback = [m for m in came if m.get_type() == "CAMERA_FEEDBACK"]
-    assert [m.cam_idx for m in feedback] == [1, 2]
+    assert [m.cam_idx for m in feedback] == [0, 1]
     assert {m.img_idx for m in feedback} == {1}
     (shot,) = shots
     assert asked <= shot <= asked + 4 * MS

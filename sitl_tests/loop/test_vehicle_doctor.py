@@ -295,7 +295,8 @@ def test_copters_need_proximity_and_planes_have_none() -> None:
 
 
 def pictures(left: int, right: int = 0) -> dict[int, set[int]]:
-    return {1: set(range(left)), **({2: set(range(right))} if right else {})}
+    """Of cameras 0 and 1, as ArduPilot numbers them."""
+    return {0: set(range(left)), **({1: set(range(right))} if right else {})}
 
 
 def test_cameras_that_do_not_pair() -> None:
@@ -307,7 +308,7 @@ def test_cameras_that_do_not_pair() -> None:
 def test_feedback_that_comes_twice_is_one_picture() -> None:
     """With two cameras ArduPilot repeats the first one's last feedback."""
     evidence = seen()
-    for camera, image in ((1, 1), (1, 1), (2, 1), (1, 2), (1, 2), (2, 2)):
+    for camera, image in ((0, 1), (0, 1), (1, 1), (0, 2), (0, 2), (1, 2)):
         message = mavlink.MAVLink_camera_feedback_message(0, 0, camera, image, 0, 0, 0, 0, 0, 0, 0, 0, 0)
         note(evidence, Heard(0, 1, 1, message, 0), 1)
     assert "pairs: 2 and 2" in texts(evidence, doctor.check_cameras)

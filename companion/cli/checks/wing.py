@@ -133,9 +133,10 @@ def check_cameras(seen: Evidence) -> Iterator[Finding]:
 
 
 def _feedback(seen: Evidence) -> Iterator[Finding]:
-    counts = [len(seen.feedback.get(number, ())) for number in (1, 2)]
-    if min(counts) == 0:
-        text = f"CAMERA_FEEDBACK comes of one camera only ({counts[0]} and {counts[1]}): set CAM2_TYPE like CAM1_TYPE"
+    # ArduPilot numbers its cameras from 0 here, and from 1 in commands and parameters
+    counts = [len(seen.feedback[number]) for number in sorted(seen.feedback)]
+    if len(counts) == 1:
+        text = f"CAMERA_FEEDBACK comes of one camera only ({counts[0]} pictures): set CAM2_TYPE like CAM1_TYPE"
         yield Finding("camera", Level.FIX, text)
     elif abs(counts[0] - counts[1]) > 1:
         yield Finding("camera", Level.FIX, f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
