@@ -81,7 +81,8 @@ class Forecaster:
         o = len(outputs)
         rows = outputs @ self._ahead.reshape(m, count * n)
         turned = (rows.reshape(o * count, n) @ covariance).reshape(o, count, n)
-        by_load = self._noise.reshape(count, m * m) @ np.kron(outputs, outputs).T
+        both = (outputs[:, None, :, None] * outputs[None, :, None, :]).reshape(o * o, m * m)
+        by_load = self._noise.reshape(count, m * m) @ both.T
         spread: Floats = turned.transpose(1, 0, 2) @ rows.reshape(o, count, n).transpose(1, 2, 0)
         return spread + by_load.reshape(count, o, o)
 
