@@ -17,6 +17,7 @@ from companion.records import Floats
 
 DISTANCES_M = (20.0, 60.0, 100.0)
 _GUARD_S = 0.5
+_BLOCK_S = 6.0
 _DRAWS = 1000
 
 
@@ -52,10 +53,13 @@ def held_out(
     before: Fit,
     after: Fit,
     progress: Callable[[float], None] = lambda _share: None,
-    blocks: int = 6,
+    most: int = 6,
 ) -> HeldOut:
-    """Fit both models on every other block and score them on the blocks between, and the other way round."""
-    parts = [_blocks(model, blocks) for model in models]
+    """Fit both models on every other block and score them on the blocks between, and the other way round.
+
+    Of a short recording there are fewer than ``most`` blocks: each must hold exposures between its guards and margins.
+    """
+    parts = [_blocks(model, min(most, max(2, 2 * int(model.seen.duration_s / (2.0 * _BLOCK_S))))) for model in models]
     scores: list[dict[str, float]] = []
     residuals: list[tuple[Floats, Floats]] = []
     for fold in range(2):

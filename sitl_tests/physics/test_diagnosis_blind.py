@@ -15,12 +15,12 @@ LABELS = [Hidden({}), Hidden({"stream-delay": -0.003}), Hidden({"exposure-delay"
 
 @pytest.fixture(scope="module")
 def quick() -> list[dict[str, object]]:
-    """Nothing, and cameras 5 ms late, in 20 s each: what CI can afford."""
+    """Nothing, and cameras 5 ms late, in 20 s each."""
     labels = [Hidden({}), Hidden({"exposure-delay": 0.005})]
     return run([[Trial("single", label) for label in labels]], 5, duration_s=20.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_twenty_seconds_are_enough_for_late_cameras_and_for_nothing(quick: list[dict[str, object]]) -> None:
     assert quick[0]["verdict"] == "adequate"
     assert quick[1]["verdict"] == "explained"
