@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from companion.core.mode.layout import M_LEFT, M_RIGHT, Z_LEFT, Z_RIGHT, make_layout
+from companion.core.mode.layout import M_LEFT, M_RIGHT, Y_LEFT, Z_LEFT, Z_RIGHT, make_layout, make_noise
+from companion.core.mode.model import build_model
+from companion.core.mode.parameters import prior_parameters
 from companion.core.mode.rigid import FrontEnd
 from companion.core.mode.stream import Stream
 from companion.records import Station
@@ -29,3 +33,21 @@ def test_moments_count_where_the_root_moves_as_its_means_say(shaken_hz: float, s
     assert cells.present[:, [Z_LEFT, Z_RIGHT]].all()
     heard = cells.present[:, [M_LEFT, M_RIGHT]].mean()
     assert heard == 1.0 if share == 1.0 else heard < share
+
+
+def test_what_is_lost_between_samples_is_each_tips_own() -> None:
+    """Nodes sample at instants of their own: under a load that moves both tips alike their moments still differ."""
+    airframe = plain_airframe()
+    layout, gust = make_layout(airframe), airframe.wing.gust
+    loud, still = (prior_parameters(family, gust) for family in layout.families)
+    still = dataclasses.replace(still, load=1e-9 * still.load, load_2=1e-9 * still.load_2)
+    noise = make_noise(airframe, layout, 0.004)
+    whole = dataclasses.replace(noise, sample_s=0.0)
+    rows = slice(M_LEFT, Y_LEFT)
+    with_loss, without = (
+        build_model(layout, kind, (loud, still), (-1.0, 1.0), 0.004).measured[rows, rows] for kind in (noise, whole)
+    )
+    lost = with_loss - without
+    alike, apart = (0.5 * np.array([1.0, sign]) @ lost @ np.array([1.0, sign]) for sign in (1.0, -1.0))
+    assert apart == pytest.approx(alike, rel=1e-6)
+    assert apart > 0.0

@@ -108,7 +108,7 @@ def build_model(
     for family in layout.families:  # the path between two samples is not in what is made of samples
         load = q[family.v, family.v]
         lost = load * noise.sample_s**2 / (12.0 * step_s**4)
-        measured[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += lost * np.outer(family.sign, family.sign)
+        measured[M_LEFT:Y_LEFT, M_LEFT:Y_LEFT] += lost * np.eye(2)  # each tip's samples lie at instants of their own
         # a cell's edge cuts a sample, each tip's at another place: a bridge of variance density * sample / 6 at each
         cut += load * noise.sample_s / (3.0 * step_s**3)
     slopes = slope_rows(layout)
