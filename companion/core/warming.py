@@ -11,9 +11,11 @@ import numpy as np
 from companion.core.compiled import COMPILED
 from companion.core.mode.rigid import GRAVITY_MPS2
 from companion.core.pipeline import smoothed, start, step
+from companion.core.trigger.latency import LatencyModel
+from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick
+from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick, Validity
 
 _EPOCH_NS = 1_000_000_000_000
 _LENGTH_S = 2.4  # the first fit comes after 1.5 s
@@ -34,6 +36,9 @@ def warm_up(airframe: Airframe, settings: Settings) -> None:
             state, _ = step(state, batch)
         state, _ = step(state, Tick(now_ns))
     smoothed(state, _EPOCH_NS + round((_LENGTH_S - 0.5) * 1e9))
+    if state.scheduling is not None:  # a made-up wing need not be one that is tracked
+        planner = Planner(airframe, settings, LatencyModel(airframe))
+        planner.plan(state.tracker.forecast(HORIZON_NS, STEP_NS), Validity.TRACKING, now_ns)
 
 
 def _readings(t_ns: np.ndarray[tuple[int], np.dtype[np.int64]], station: Station) -> Floats:
