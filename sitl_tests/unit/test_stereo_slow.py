@@ -213,3 +213,13 @@ def test_numbers_that_are_none_change_nothing() -> None:
     assert told.matches == 0
     assert np.allclose(told.slow_rad, good.slow_rad, rtol=1e-3)
     assert np.isfinite(told.covariance).all()
+
+
+def test_no_number_of_pairs_averages_a_steady_hundredth_of_a_pixel_away() -> None:
+    """A hundredth of a pixel in the corner of 640 x 480 at 800 px is 0.104 mrad of yaw; what is less certain stays."""
+    airframe = load_airframe("forward-2m")
+    slow = SlowRotation(Rig.from_airframe(airframe), airframe)
+    least = slow._steady(np.zeros((3, 3)))
+    assert np.sqrt(least[1, 1]) == pytest.approx(0.01 / 800.0 / (0.4 * 0.3), rel=1e-9)
+    assert np.count_nonzero(least) == 1
+    assert not slow._steady(np.diag([0.0, 1e-6, 0.0])).any()
