@@ -62,7 +62,8 @@ def _toe(axis: Any, below: Any, debrief: Debrief) -> None:
     axis.set(title="Relative toe at the shots (six seconds)", ylabel="mrad")
     axis.legend(fontsize=8)
     below.axhline(0.0, color="black", lw=0.8)
-    below.errorbar(t_s, told - true, sigma, fmt=".", color=_COLOURS["corrected"], label="estimated - true, ±2 sigma")
+    error = 1e3 * series["corrected.toe_error_rad"][window]
+    below.errorbar(t_s, error, sigma, fmt=".", color=_COLOURS["corrected"], label="error, ±2 sigma")
     below.set(xlabel="time, s", ylabel="mrad", xlim=axis.get_xlim())
     below.legend(fontsize=8)
 
