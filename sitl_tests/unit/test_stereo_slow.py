@@ -13,6 +13,7 @@ from companion.core.stereo.ranging import correct
 from companion.core.stereo.slow import SlowRotation
 from companion.core.stereo.triangulation import match_rays
 from companion.params.airframe import Airframe
+from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, MatchSet, RelativeRotation
 from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
