@@ -11,6 +11,7 @@ from companion.records import ClockName
 from sitl_tests.reference.spec import ModeSpec, SensorSpec, TruthSpec
 
 _EXACT_M = 1e-6  # a sigma that leaves nothing to estimate
+_ENDLESS = 1e6  # the truth's sensors do not clip: a sample that happens to lie at a range's end is as good as any
 _SECOND_RATIO = 5.4  # of a second bending mode's frequency to the first's
 SECOND_SLOPE_RADPM = 4.78
 
@@ -86,4 +87,6 @@ def _sensor(spec: SensorSpec) -> Sensor:
         gyro_scale_sigma=spec.gyro_scale_sigma,
         misalignment_sigma_rad=spec.misalignment_sigma_rad,
         time_offset_sigma_s=spec.time_offset_sigma_s,
+        accel_range_mps2=_ENDLESS,
+        gyro_range_radps=_ENDLESS,
     )
