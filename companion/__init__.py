@@ -11,11 +11,13 @@ def _keep_machine_code_by_its_sources() -> None:
     The compiler asks whether a function's own file has changed, not whether those that it calls have: after an update
     it would go on with what they said before.
     """
+    if "NUMBA_CACHE_DIR" in os.environ:  # chosen by the user, or by the process that started this one
+        return
     here = Path(__file__).parent
     sources = {path: path.read_bytes() for path in sorted(here.rglob("*.py"))}
     folders = {path.parent for path, text in sources.items() if b"core.compiled import" in text}
     digest = hashlib.sha256(b"".join(text for path, text in sources.items() if path.parent in folders))
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(here / "__pycache__" / f"machine-code-{digest.hexdigest()[:16]}"))
+    os.environ["NUMBA_CACHE_DIR"] = str(here / "__pycache__" / f"machine-code-{digest.hexdigest()[:16]}")
 
 
 _keep_machine_code_by_its_sources()

@@ -23,10 +23,11 @@ from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Side
 from companion.sim.boards import BoardRenderer, ShownBoard, shown
 from companion.sim.cameras import HEADER, MAGIC
+from companion.sim.starting import opened
 
 _PERIOD_NS = 200_000_000
 _EXPOSURE_NS = 2_000_000
-_START_S, _POLL_S = 120.0, 0.02  # a busy machine imports slowly
+_START_S = 120.0  # a busy machine imports slowly
 # what a pair of cameras is like before anybody has calibrated it
 _FOCAL, _MIDDLE_PX, _TURN_RAD, _SHIFT_M = 0.01, 4.0, 0.01, 0.003
 _BENT = (-0.12, 0.05, 0.0004, -0.0003, 0.0)
@@ -100,11 +101,4 @@ def start_board_server(config: BoardServerConfig) -> BaseProcess:
         When it ends, or has not opened it in time.
     """
     process = multiprocessing.get_context("spawn").Process(target=serve, args=(config,), name="sim-board", daemon=True)
-    process.start()
-    deadline = time.monotonic() + _START_S
-    while not config.frames_path.exists():
-        if not process.is_alive() or time.monotonic() > deadline:
-            process.terminate()
-            raise DeviceError(f"the simulated cameras did not open {config.frames_path}")
-        time.sleep(_POLL_S)
-    return process
+    return opened(process, config.frames_path, _START_S)

@@ -22,18 +22,18 @@ from pathlib import Path
 
 import cv2
 
-from companion.errors import DeviceError
 from companion.params.airframe import Airframe
 from companion.records import Side
 from companion.sim.cameras import HEADER, MAGIC, PULSE, Shutters
 from companion.sim.renderer import Exposure, Renderer
 from companion.sim.scene import Scene
+from companion.sim.starting import opened
 from companion.sim.truth import FlightTruth
 
 QUEUE_SHOTS = 8
 _READOUT_NS = 6_000_000
 _IDLE_S = 0.05
-_START_S, _START_POLL_S = 30.0, 0.02
+_START_S = 30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,14 +208,7 @@ def start_camera_server(config: CameraServerConfig) -> BaseProcess:
     process = multiprocessing.get_context("spawn").Process(
         target=serve, args=(config,), name="sim-cameras", daemon=True
     )
-    process.start()
-    deadline = time.monotonic() + _START_S
-    while not config.frames_path.exists():
-        if not process.is_alive() or time.monotonic() > deadline:
-            process.terminate()
-            raise DeviceError(f"the simulated cameras did not open {config.frames_path}")
-        time.sleep(_START_POLL_S)
-    return process
+    return opened(process, config.frames_path, _START_S)
 
 
 def _listening(kind: socket.SocketKind, path: Path) -> socket.socket:

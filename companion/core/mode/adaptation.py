@@ -116,7 +116,7 @@ class Adaptation:
         return self._fit_all(elapsed)
 
     def _fit_all(self, elapsed_s: float) -> bool:
-        rows, seen = self._newest(_LONG_S)
+        rows, seen = self._kept()
         since = self._last_hole(seen)
         if since and len(rows) - since < self._short:
             return False
@@ -146,8 +146,9 @@ class Adaptation:
         missing = np.flatnonzero(~present)
         return int(missing[-1]) + 1 + _HOLE_CELLS // 2 if len(missing) else 0
 
-    def _newest(self, span_s: float) -> tuple[Floats, Bools]:
-        count = min(self._count, round(span_s / self._step_s))
+    def _kept(self) -> tuple[Floats, Bools]:
+        """Everything that is kept, oldest first, seen by the constants as known now."""
+        count = min(self._count, len(self._rows))
         first = (self._count - count) % len(self._rows)
         rows, seen, known = (
             np.concatenate([ring[first:], ring[:first]])[:count] for ring in (self._rows, self._seen, self._sensitivity)
