@@ -312,10 +312,11 @@ def _mounted(w: Array, effects: Mapping[str, float]) -> Array:
     """Through a mount that rings, and a shutter that takes its time."""
     softness, readout2 = effects.get("mount-resonance", 0.0), effects.get("rolling-shutter", 0.0)
     if softness > 0:
-        k, d = softness * 1e6, 0.02 * np.sqrt(softness) * 1e3
         from scipy.signal import lfilter
 
-        # trapezoidal rule (Tustin) of 1/(c s^2 + 2 z sqrt(c) s + 1), exact to the square of the step
+        # trapezoidal rule (Tustin) of 1/(c s^2 + 2 z sqrt(c) s + 1), warped so that it rings where it should
+        faster = 1.0 / (np.sqrt(softness) * np.tan(0.5e-3 / np.sqrt(softness)))  # 2000/s for a slow one
+        k, d = softness * (0.5 * faster) ** 2, 0.02 * np.sqrt(softness) * 0.5 * faster
         a = np.array([4 * k + 4 * d + 1, 2 - 8 * k, 4 * k - 4 * d + 1])
         w = np.asarray(lfilter(np.array([1.0, 2.0, 1.0]) / a[0], a / a[0], w))
     if readout2 > 0:

@@ -14,10 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sitl_tests.trials.steps import Kept, Laws, advance, start
+
 Array = npt.NDArray[np.float64]
 STEP_HZ = 4000
 SAMPLE_HZ = 1000
 GRAVITY = 9.80665
+_RUN_IN_S = 3.0
+_BLOCK = 4000
 _AIR_DAMPING = 8.0  # airspeed moves the damping this much more than the frequency
 
 
@@ -79,80 +83,31 @@ def integrate(
     kick = of("impulsive-forcing")
     kicks = np.stack([of(f"impulsive-forcing.at{k}_s") for k in range(3)])
     slip, reach = of("hysteresis"), np.where(of("hysteresis") > 0, of("hysteresis.yield_m"), 1.0)
-    stretch = np.zeros((2, n))
-
-    total = round((duration_s + 3.0) * STEP_HZ)
+    strength = white * np.sqrt(STEP_HZ)
+    laws = Laws(
+        spring, drag, strength, coupling, square, drag_coupling, np.where(coloured, pole, 0.0), second_pole, mix,
+        kappa, square_kappa, beta, dry, gap, drift, follow, omega2, zeta2, share2, drag_along, swing, swing_hz, faster,
+        _AIR_DAMPING, shake, shake_hz, phase, kick, kicks, slip, reach,
+    )  # fmt: skip
     keep = STEP_HZ // SAMPLE_HZ
+    total = round((duration_s + _RUN_IN_S) * STEP_HZ) // keep * keep
     m = total // keep
-    position, speed = np.zeros((m, 2, n)), np.zeros((m, 2, n))
-    up, further = np.zeros((m, 2, n)), np.zeros((m, n))
-    q, v = np.zeros((2, n)), np.zeros((2, n))
-    q2, v2 = np.zeros(n), np.zeros(n)
-    load, load2 = np.zeros((2, n)), np.zeros((2, n))
-    acceleration, acceleration2 = np.zeros((2, n)), np.zeros(n)
-    strength = white / np.sqrt(dt)
-    block = 4000
-    for k in range(total):
-        if k % block == 0:
-            noise = rng.standard_normal((block, 3, n))
-        t = k * dt - 3.0
-        v += 0.5 * dt * acceleration
-        q += dt * v
-        v2 += 0.5 * dt * acceleration2
-        q2 += dt * v2
-        raw = strength * noise[k % block, :2]
-        load = np.where(coloured, pole * load + (1.0 - pole) * raw, raw)
-        load2 = np.where(lag > 0, second_pole * load2 + (1.0 - second_pole) * load, load)
-        force = np.stack([load2[0] + mix * load2[1], load2[1] + mix * load2[0]])
-        air = airspeed(t)
-        swung = 1.0 + swing * np.cos(2 * np.pi * swing_hz * t + phase)
-        stiff = (1.0 + drift * max(t, 0.0) + follow * roller(t) + faster * air) ** 2 * square * swung * spring
-        force -= stiff * q
-        force[0] += shake * np.cos(2 * np.pi * shake_hz * t + phase) - drag_along * q2
-        struck = (kicks >= t) & (kicks < t + dt) & (kick != 0.0)
-        if struck.any():
-            force[0] += np.where(struck.any(0), kick / dt, 0.0)
-        force -= coupling * q[::-1]
-        left, right = q[0] - q[1], q[0] + q[1]
-        v_left, v_right = v[0] - v[1], v[0] + v[1]
-        law = []
-        for s, (w, rate) in enumerate(((left, v_left), (right, v_right))):
-            # Bouc and Wen: the spring's stretch follows the deflection and yields smoothly
-            ratio = (stretch[s] / reach) ** 2
-            stretch[s] += dt * (rate - 0.5 * ratio * (rate + np.abs(rate) * np.sign(stretch[s])))
-            law.append(
-                spring[0] * slip * (w - stretch[s])
-                - spring[0] * (kappa * w**3 + square_kappa * w**2 - np.sign(gap) * np.clip(w, -abs(gap), abs(gap)))
-                - beta * np.abs(rate) * rate
-                - dry * np.tanh(rate / 0.005)
-            )
-        force[0] += 0.5 * (law[0] + law[1])
-        force[1] += 0.5 * (law[1] - law[0])
-        # the drag is implicit in the second half of the step
-        air_drag = drag * (1.0 + _AIR_DAMPING * faster * air)
-        half = v + 0.5 * dt * (force - drag_coupling * v[::-1])
-        v = half / (1.0 + 0.5 * dt * air_drag)
-        acceleration = force - air_drag * v - drag_coupling * v[::-1]
-        force2 = strength[0] * noise[k % block, 2] - omega2**2 * q2 - drag_along * q[0]
-        v2 = (v2 + 0.5 * dt * force2) / (1.0 + 0.5 * dt * 2 * zeta2 * omega2)
-        acceleration2 = force2 - 2 * zeta2 * omega2 * v2
-        row, inside = divmod(k, keep)
-        if inside == keep - 1:
-            position[row, 0], position[row, 1] = q[0] - q[1], q[0] + q[1]
-            speed[row, 0], speed[row, 1] = v[0] - v[1], v[0] + v[1]
-            further[row] = q2
-        if row < m:
-            # samples are means over a period, as an accelerometer's own filter makes them
-            up[row, 0] += (acceleration[0] - acceleration[1] + share2 * acceleration2) / keep
-            up[row, 1] += (acceleration[0] + acceleration[1] + share2 * acceleration2) / keep
+    kept = Kept(*(np.zeros(shape) for shape in ((m, 2, n), (m, 2, n), (m, 2, n), (m, n))))
+    state = start(n)
+    for first in range(0, total, _BLOCK):
+        steps = np.arange(first, min(first + _BLOCK, total))
+        noise = rng.standard_normal((_BLOCK, 3, n))[: len(steps)]
+        channels = np.array([(roller(t), airspeed(t)) for t in steps * dt - _RUN_IN_S])
+        advance(laws, state, kept, noise, first, dt, -_RUN_IN_S, channels, keep)
+    position, speed, up, further = kept
     # a close mode bends the wing like the first, a second one 3.4 times as steeply: their slopes move the cameras too
     steep = np.where(close, 1.0, np.where(of("second-mode") > 0, 3.4, 0.0))
     position += (steep * share2 * further)[:, None]
-    start = 3 * SAMPLE_HZ
-    t_s = np.arange(1, m - start + 1) / SAMPLE_HZ
+    begun = round(_RUN_IN_S * SAMPLE_HZ)
+    t_s = np.arange(1, m - begun + 1) / SAMPLE_HZ
     # a mean over four steps stands for their middle
     t_up_s = t_s - 1.5 / STEP_HZ
-    return {"t_s": t_s, "t_up_s": t_up_s, "w_m": position[start:], "v_mps": speed[start:], "up_mps2": up[start:]}
+    return {"t_s": t_s, "t_up_s": t_up_s, "w_m": position[begun:], "v_mps": speed[begun:], "up_mps2": up[begun:]}
 
 
 def roller(t: float) -> float:
