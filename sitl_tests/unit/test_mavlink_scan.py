@@ -12,10 +12,15 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator.mavcrc import x25crc
 
+from companion.adapters.mavlink.bulk import COMPILED, Bulk
 from companion.adapters.mavlink.dialect import build_message
-from companion.adapters.mavlink.scan import Route, Scanner
+from companion.adapters.mavlink.scan import Scanner, sender
 
 IDS = sorted(ardupilotmega.mavlink_map)
+WAYS = [
+    "plain",
+    pytest.param("compiled", marks=pytest.mark.skipif(not COMPILED, reason="nothing is compiled without numba")),
+]
 FLUSH = bytes(300)  # longer than any frame, so that no candidate at the end is left waiting
 
 
@@ -45,19 +50,17 @@ def random_frame(rng: random.Random) -> bytes:
     )
 
 
-def ours(pieces: list[bytes]) -> list[str]:
+def scanner_of(way: str) -> Scanner:
+    return Scanner(Bulk(()) if way == "compiled" else None)
+
+
+def ours(pieces: list[bytes], way: str) -> list[str]:
     found: list[str] = []
-
-    def collect(route: Route) -> Any:
-        def keep(payload: bytes) -> None:
-            fields = build_message(route.message, payload).to_dict()
-            found.append(f"{route.system}/{route.component} {route.message} {fields!r}")
-
-        return keep
-
-    scanner = Scanner(collect)
+    scanner = scanner_of(way)
     for piece in pieces:
-        scanner.scan(piece)
+        for key, payload in scanner.scan(piece).frames:
+            system, component, message = sender(key)
+            found.append(f"{system}/{component} {message} {build_message(message, payload).to_dict()!r}")
         assert scanner.pending_bytes < 280
     assert scanner.counters.frames == len(found)
     return found
@@ -130,23 +133,26 @@ def dirty_stream(rng: random.Random, frames: int) -> tuple[bytes, list[bytes]]:
     return bytes(stream) + FLUSH, whole
 
 
+@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("seed", range(5))
-def test_a_clean_stream_gives_what_parse_buffer_gives(seed: int) -> None:
+def test_a_clean_stream_gives_what_parse_buffer_gives(seed: int, way: str) -> None:
     rng = random.Random(seed)
     data = b"".join(random_frame(rng) for _ in range(400))
-    assert ours(split(data, rng)) == parse_buffer(data)
+    assert ours(split(data, rng), way) == parse_buffer(data)
 
 
+@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("seed", range(8))
-def test_a_dirty_stream_loses_no_frame_that_pymavlink_keeps(seed: int) -> None:
+def test_a_dirty_stream_loses_no_frame_that_pymavlink_keeps(seed: int, way: str) -> None:
     rng = random.Random(100 + seed)
     data, whole = dirty_stream(rng, 300)
-    found = ours(split(data, rng))
+    found = ours(split(data, rng), way)
     assert found == stepping_oracle(data)
     assert not Counter(parse_buffer(data)) - Counter(found)
     assert not Counter(text for piece in whole for text in parse_buffer(piece)) - Counter(found)
 
 
+@pytest.mark.parametrize("way", WAYS)
 @settings(max_examples=150, deadline=None)
 @given(
     st.lists(
@@ -161,13 +167,13 @@ def test_a_dirty_stream_loses_no_frame_that_pymavlink_keeps(seed: int) -> None:
     st.integers(0, 2**32),
 )
 def test_any_stream_is_read_as_the_stepping_oracle_reads_it(
-    pieces: list[bytes], flips: list[tuple[int, int]], seed: int
+    way: str, pieces: list[bytes], flips: list[tuple[int, int]], seed: int
 ) -> None:
     data = bytearray(b"".join(pieces))
     for at, bit in flips:
         if data:
             data[at % len(data)] ^= 1 << bit
-    assert ours(split(bytes(data), random.Random(seed))) == stepping_oracle(bytes(data))
+    assert ours(split(bytes(data), random.Random(seed)), way) == stepping_oracle(bytes(data))
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -183,19 +189,12 @@ def test_every_message_is_built_as_pymavlink_builds_it(version: int) -> None:
             assert repr(build_message(identity, payload).to_dict()) == repr(expected.to_dict())
 
 
-def test_the_counters_tell_what_happened() -> None:
+@pytest.mark.parametrize("way", WAYS)
+def test_the_counters_tell_what_happened(way: str) -> None:
     good, unknown = frame(0, bytes(9)), bytes([0xFD, 1, 0, 0, 0, 1, 1, 0xEE, 0xEE, 0xEE, 0, 0, 0])
     bad = good[:-1] + bytes([good[-1] ^ 1])
-    scanner = Scanner(lambda route: route.payloads.append)
+    scanner = scanner_of(way)
     scanner.scan(b"abc" + good + unknown + good + bad + FLUSH)
     counters = scanner.counters
     assert (counters.frames, counters.crc_errors, counters.unknown) == (2, 1, 1)
     assert counters.skipped_bytes == 3 + len(unknown) + len(bad) + len(FLUSH)
-
-
-def test_a_flood_of_invented_senders_takes_bounded_memory() -> None:
-    scanner = Scanner(lambda route: lambda payload: None)
-    for system in range(1, 60):
-        scanner.scan(b"".join(frame(0, bytes(9), sender=(system, component)) for component in range(1, 100)))
-        assert len(scanner.routes) <= 1024
-    assert scanner.counters.frames == 59 * 99

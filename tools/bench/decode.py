@@ -12,6 +12,7 @@ from typing import Any
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.adapters.mavlink.bulk import COMPILED, Bulk
 from companion.adapters.mavlink.decode import Decoder
 from companion.adapters.mavlink.link import CHUNK_BYTES, Link
 from companion.adapters.mavlink.scan import Scanner
@@ -84,7 +85,7 @@ def _decode_all(chunks: list[RawChunk]) -> int:
 
 
 def _scan_all(data: bytes) -> int:
-    scanner = Scanner(lambda route: route.payloads.append)
+    scanner = Scanner(Bulk(()) if COMPILED else None)
     for start in range(0, len(data), CHUNK_BYTES):
         scanner.scan(data[start : start + CHUNK_BYTES])
     return scanner.counters.frames

@@ -8,22 +8,23 @@ others.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from operator import itemgetter
 
 import numpy as np
 
+from companion.adapters.mavlink.bulk import COMPILED, Bulk, Run
 from companion.adapters.mavlink.dialect import ID_OF, NAME_OF, build_message
 from companion.adapters.mavlink.inertial import StationReader
 from companion.adapters.mavlink.layouts import LAYOUTS, TUNNEL_IMU_TYPE
 from companion.adapters.mavlink.mapping import build_mapping
 from companion.adapters.mavlink.restart import ClockWatch
-from companion.adapters.mavlink.scan import Route, ScanCounters, Scanner
+from companion.adapters.mavlink.scan import Frame, ScanCounters, Scanner, sender
 from companion.adapters.mavlink.tally import Tally
 from companion.adapters.mavlink.translate import Echo, Heard, Translator
 from companion.params.airframe import Airframe
-from companion.records import RawChunk, Record, Reject
+from companion.records import ClockRestart, ImuBatch, RawChunk, Record, Reject
 
 OUTGOING = 128
 """Added to the link number of chunks that we sent."""
@@ -85,12 +86,12 @@ class Decoder:
         self._watch = ClockWatch()
         self._translator = Translator(self.mapping, self._watch, self.tally)
         self._scanners: dict[int, Scanner] = {}
-        self._rare: list[tuple[Route, bytes]] = []
         self._messages = self.mapping.messages
         self._readers: dict[tuple[int, int], list[StationReader]] = {}
         for source in self.mapping.sources:
             reader = StationReader(source, self._watch, self.tally)
             self._readers.setdefault((source.message, source.component), []).append(reader)
+        self._bulk = Bulk(self.mapping.sources) if COMPILED else None
 
     @property
     def system_id(self) -> int | None:
@@ -112,78 +113,76 @@ class Decoder:
 
     def decode(self, chunk: RawChunk) -> Decoded:
         """As :meth:`decode_chunk`, with the rare messages themselves."""
-        scanner = self._scanner(chunk.link)
-        scanner.scan(chunk.data)
+        found = self._scanner(chunk.link).scan(chunk.data, self.system_id)
         out = Decoded()
-        rare, self._rare = self._rare, []
-        for route, payload in rare:
-            self._hear(chunk, route, payload, out)
-        with np.errstate(all="ignore"):  # not-a-number is looked for, and refused by name
-            self._inertial(chunk, scanner, out)
+        many: dict[int, list[bytes]] = {}
+        for frame in found.frames:
+            if frame[0] >> 16 in RARE:
+                self._hear(chunk, frame, out)
+            many.setdefault(frame[0], []).append(frame[1])
+        if chunk.link < OUTGOING:
+            self._inertial(chunk, many, found.runs, out)
         out.records += self.tally.due(chunk.received_host_ns)
         return out
 
     def _scanner(self, link: int) -> Scanner:
         if link not in self._scanners:
-            self._scanners[link] = Scanner(self._collect)
+            self._scanners[link] = Scanner(self._bulk)
         return self._scanners[link]
 
-    def _collect(self, route: Route) -> Callable[[bytes], None]:
-        keep = route.payloads.append
-        if route.message not in RARE:
-            return keep
-
-        def keep_order(payload: bytes) -> None:
-            keep(payload)
-            self._rare.append((route, payload))
-
-        return keep_order
-
-    def _hear(self, chunk: RawChunk, route: Route, payload: bytes, out: Decoded) -> None:
-        message = build_message(route.message, payload)
+    def _hear(self, chunk: RawChunk, frame: Frame, out: Decoded) -> None:
+        (system, component, kind), payload = sender(frame[0]), frame[1]
+        message = build_message(kind, payload)
         if chunk.link >= OUTGOING:
             self._translator.sent(message)
-        elif (route.system, route.component) == (self.system_id, self._component_id):
+        elif (system, component) == (self.system_id, self._component_id):
             self.echoes += 1
-            out.echoed.append(Echo(route.system, route.component, route.message, payload, chunk.received_host_ns))
+            out.echoed.append(Echo(system, component, kind, payload, chunk.received_host_ns))
         else:
-            heard = Heard(chunk.link, route.system, route.component, message, chunk.received_host_ns)
+            heard = Heard(chunk.link, system, component, message, chunk.received_host_ns)
             out.heard.append(heard)
             out.records += self._translator.records(heard)
 
-    def _inertial(self, chunk: RawChunk, scanner: Scanner, out: Decoded) -> None:
-        found: list[tuple[int, list[StationReader], list[bytes]]] = []
-        for route in scanner.routes.values():
-            if not route.payloads:
-                continue
-            payloads = route.payloads.copy()
-            route.payloads.clear()
-            if chunk.link >= OUTGOING:
-                continue
-            key = (route.message, route.component)
-            ours = self.system_id in (None, route.system)
+    def _inertial(self, chunk: RawChunk, many: dict[int, list[bytes]], runs: list[Run], out: Decoded) -> None:
+        received_ns = chunk.received_host_ns
+        found: list[tuple[int, Iterator[Record]]] = []
+        for source, t_ns, values in runs:
+            key = (source.message, source.component)
+            self._count(key, len(t_ns))
+            (reader,) = self._readers[key]
+            found.append((source.station, reader.in_time(t_ns, values, source.sends, received_ns)))
+        for frame_key, payloads in many.items():
+            system, component, message = sender(frame_key)
+            ours = self.system_id in (None, system)
             if ours:
-                self.delivered[key] = self.delivered.get(key, 0) + len(payloads)
-            if route.message in self._messages:
-                readers = self._readers.get(key) if ours else None
+                self._count((message, component), len(payloads))
+            if message in self._messages:
+                readers = self._readers.get((message, component)) if ours else None
                 if readers:
-                    found.append((readers[0].source.station, readers, payloads))
+                    found.append((readers[0].source.station, self._read(readers, payloads, received_ns)))
                 else:
-                    self._foreign(route, payloads)
-        for _, readers, payloads in sorted(found, key=itemgetter(0)):
-            self._read(readers, payloads, chunk, out)
+                    self._foreign(frame_key, payloads)
+        for _, records in sorted(found, key=itemgetter(0)):
+            out.records += records
 
-    def _foreign(self, route: Route, payloads: list[bytes]) -> None:
-        if route.message == _TUNNEL:
+    def _count(self, key: tuple[int, int], frames: int) -> None:
+        self.delivered[key] = self.delivered.get(key, 0) + frames
+
+    def _foreign(self, key: int, payloads: list[bytes]) -> None:
+        system, component, message = sender(key)
+        if message == _TUNNEL:
             payloads = [payload for payload in payloads if payload.startswith(_TUNNEL_KIND)]
         if payloads:
-            what = f"{NAME_OF[route.message]} of {route.system}/{route.component}"
+            what = f"{NAME_OF[message]} of {system}/{component}"
             self.tally.add(Reject.FOREIGN_SOURCE, what, len(payloads))
 
-    def _read(self, readers: list[StationReader], payloads: list[bytes], chunk: RawChunk, out: Decoded) -> None:
-        samples, damaged = LAYOUTS[readers[0].source.message].read(payloads)
-        if damaged:
-            self.tally.add(Reject.INCONSISTENT, f"{readers[0].name}: batch of an unknown size", damaged)
-        if len(samples.t_ns):
-            for reader in readers:
-                out.records += reader.batches(samples, chunk.received_host_ns)
+    def _read(
+        self, readers: list[StationReader], payloads: list[bytes], received_host_ns: int
+    ) -> Iterator[ImuBatch | ClockRestart]:
+        with np.errstate(all="ignore"):  # not-a-number is looked for, and refused by name
+            samples, damaged = LAYOUTS[readers[0].source.message].read(payloads)
+            if damaged:
+                self.tally.add(Reject.INCONSISTENT, f"{readers[0].name}: batch of an unknown size", damaged)
+            if len(samples.t_ns):
+                for reader in readers:
+                    yield from reader.batches(samples, received_host_ns)

@@ -25,15 +25,11 @@ class StationReader:
     def __init__(self, source: Mapped, watch: ClockWatch, tally: Tally) -> None:
         self.source = source
         self.name = f"{NAME_OF[source.message]} of component {source.component}"
-        self._watch = watch
+        self._watch, self._followed = watch, watch.follow(source.clock)
         self._tally = tally
         self._named = LAYOUTS[source.message].named
-        matrix = source.body_from_sensor
-        order = np.arange(3) if matrix is None else np.abs(matrix).argmax(axis=1)
-        signs = np.ones(3) if matrix is None else matrix[np.arange(3), order]
-        self._order = np.concatenate([order, order + 3])
-        self._signs = np.tile(signs, 2)
-        self._turned = matrix is not None
+        self._order, self._signs = source.order, source.signs
+        self._turned = source.body_from_sensor is not None
 
     def batches(self, samples: Samples, received_host_ns: int) -> Iterator[ImuBatch | ClockRestart]:
         """Give this station's batches, and a restart of its clock where one shows."""
@@ -73,10 +69,14 @@ class StationReader:
 
     def _emit(self, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int) -> Iterator[ImuBatch | ClockRestart]:
         t_ns, values = self._plausible(t_ns, values, axes)
-        if not len(t_ns):
-            return
-        source = self.source
-        verdict = self._watch.check(source.clock, source.station.name, t_ns, received_host_ns)
+        if len(t_ns):
+            yield from self.in_time(t_ns, values, axes, received_host_ns)
+
+    def in_time(
+        self, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int
+    ) -> Iterator[ImuBatch | ClockRestart]:
+        """Give the batches of samples in which nothing is odd but perhaps their time."""
+        verdict = self._watch.check(self._followed, t_ns, received_host_ns)
         if verdict.keep is None:
             yield self._batch(t_ns, values, axes, received_host_ns)
             return
@@ -86,7 +86,7 @@ class StationReader:
         cut = max(restart_at, 0)
         for part in (slice(0, cut), slice(cut, None)):
             if part.stop is None and restart_at >= 0:
-                yield ClockRestart(source.clock, received_host_ns)
+                yield ClockRestart(self.source.clock, received_host_ns)
             keep = verdict.keep[part]
             if keep.any():
                 yield self._batch(t_ns[part][keep], values[part][keep], axes, received_host_ns)

@@ -27,11 +27,11 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 TUNNEL_IMU_TYPE = 0xA1C0
 BATCH_SAMPLES = 9
 _IMPLAUSIBLE_SEVENTH = 0x20
-_IMPLAUSIBLE_STAMP_US = _IMPLAUSIBLE_SEVENTH << 48
+IMPLAUSIBLE_STAMP_US = _IMPLAUSIBLE_SEVENTH << 48
 _COMPLETE = frozenset(byte for byte in range(256) if byte & Axis.ALL == Axis.ALL)
 _Stamps = np.ndarray[tuple[int], np.dtype[np.uint64]]
 _MG = STANDARD_GRAVITY_MPS2 / 1000.0
-_INTEGER_SCALE = np.array([_MG, _MG, _MG, 1e-3, 1e-3, 1e-3])
+INTEGER_SCALE = np.array([_MG, _MG, _MG, 1e-3, 1e-3, 1e-3])
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +112,12 @@ def _raw(payloads: list[bytes]) -> tuple[Samples, int]:
     rows = _rows(payloads, size)
     table = np.frombuffer(rows, _RAW)
     stamps = _microseconds(table["t"], rows[6::size], rows[7::size])
-    return Samples(stamps, table["v"] * _INTEGER_SCALE, None, _numbers(rows[26::size])), 0
+    return Samples(stamps, table["v"] * INTEGER_SCALE, None, _numbers(rows[26::size])), 0
 
 
 def _scaled(payloads: list[bytes]) -> tuple[Samples, int]:
     table = _table(payloads, _SCALED)
-    return Samples(table["t"].astype(np.int64) * 1_000_000, table["v"] * _INTEGER_SCALE), 0
+    return Samples(table["t"].astype(np.int64) * 1_000_000, table["v"] * INTEGER_SCALE), 0
 
 
 def _vector(payloads: list[bytes]) -> tuple[Samples, int]:
@@ -174,7 +174,7 @@ def _microseconds(stamps: _Stamps, seventh: bytes, eighth: bytes) -> Ints:
 
 def _any_microseconds(stamps: _Stamps) -> Ints:
     """Give ns; a stamp beyond any clock becomes -1."""
-    possible = stamps < _IMPLAUSIBLE_STAMP_US
+    possible = stamps < IMPLAUSIBLE_STAMP_US
     return np.where(possible, np.where(possible, stamps, 0).astype(np.int64) * 1000, -1)
 
 

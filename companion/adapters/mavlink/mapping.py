@@ -11,7 +11,7 @@ from companion.adapters.mavlink.dialect import ID_OF
 from companion.adapters.mavlink.layouts import LAYOUTS
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Source
-from companion.records import Axis, ClockName, Floats, Station
+from companion.records import Axis, ClockName, Floats, Ints, Station
 
 AUTOPILOT_COMPONENT = 1
 _LETTERS = "xyzpqr"
@@ -33,6 +33,19 @@ class Mapped:
     stamp_offset_ns: int
     body_from_sensor: Floats | None
     sends: Axis
+
+    @property
+    def order(self) -> Ints:
+        """Sensor axis behind each body axis, (6,)."""
+        matrix = np.eye(3) if self.body_from_sensor is None else self.body_from_sensor
+        order = np.abs(matrix).argmax(axis=1)
+        return np.concatenate([order, order + 3])
+
+    @property
+    def signs(self) -> Floats:
+        """Sign of each body axis, (6,)."""
+        matrix = np.eye(3) if self.body_from_sensor is None else self.body_from_sensor
+        return np.tile(matrix.sum(axis=1), 2)
 
 
 @dataclass(frozen=True, slots=True)

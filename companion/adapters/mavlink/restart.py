@@ -14,16 +14,19 @@ _ADOPT_NS = 1_000_000_000
 
 
 @dataclass(slots=True)
-class _Source:
-    newest_ns: int | None = None
-    epoch: int = 0
-    backward: int = 0
-
-
-@dataclass(slots=True)
 class _Epoch:
     number: int = 0
     since_host_ns: int = 0
+
+
+@dataclass(slots=True)
+class Followed:
+    """What is known of one source's stamps."""
+
+    epoch: _Epoch
+    newest_ns: int | None = None
+    number: int = 0
+    backward: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,43 +57,41 @@ class ClockWatch:
     """
 
     def __init__(self) -> None:
-        self._sources: dict[tuple[ClockName, str], _Source] = {}
         self._epochs: dict[ClockName, _Epoch] = {}
 
-    def check(
-        self, clock: ClockName, source: str, t_ns: Ints, received_host_ns: int, confirmations: int = CONFIRMATIONS
-    ) -> Verdict:
+    def follow(self, clock: ClockName) -> Followed:
+        """Begin to follow one more source of a clock."""
+        return Followed(self._epochs.setdefault(clock, _Epoch()))
+
+    def check(self, source: Followed, t_ns: Ints, received_host_ns: int, confirmations: int = CONFIRMATIONS) -> Verdict:
         """Judge the stamps of one batch, in arrival order."""
-        state = self._sources.setdefault((clock, source), _Source())
-        epoch = self._epochs.setdefault(clock, _Epoch())
         stamps = t_ns.tolist()
         least, most = min(stamps), max(stamps)
-        newest = most if state.newest_ns is None else max(most, state.newest_ns)
-        if state.epoch == epoch.number and least >= newest - BACK_NS:
-            state.newest_ns, state.backward = newest, 0
+        newest = most if source.newest_ns is None else max(most, source.newest_ns)
+        if source.number == source.epoch.number and least >= newest - BACK_NS:
+            source.newest_ns, source.backward = newest, 0
             return _ALL_GOOD
-        return self._one_by_one(state, epoch, t_ns, received_host_ns, confirmations)
+        return self._one_by_one(source, stamps, received_host_ns, confirmations)
 
-    def _one_by_one(
-        self, state: _Source, epoch: _Epoch, t_ns: Ints, received_host_ns: int, confirmations: int
-    ) -> Verdict:
-        keep = np.ones(len(t_ns), dtype=np.bool_)
+    def _one_by_one(self, source: Followed, stamps: list[int], received_host_ns: int, confirmations: int) -> Verdict:
+        epoch = source.epoch
+        keep = np.ones(len(stamps), dtype=np.bool_)
         restart_at = -1
-        for index, stamp in enumerate(t_ns.tolist()):
-            newest = stamp if state.newest_ns is None else state.newest_ns
+        for index, stamp in enumerate(stamps):
+            newest = stamp if source.newest_ns is None else source.newest_ns
             back = stamp < newest - BACK_NS
-            if state.epoch != epoch.number:
-                fresh = state.newest_ns is None or back or received_host_ns - epoch.since_host_ns > _ADOPT_NS
+            if source.number != epoch.number:
+                fresh = source.newest_ns is None or back or received_host_ns - epoch.since_host_ns > _ADOPT_NS
                 keep[index] = fresh
                 if fresh:
-                    state.epoch, state.newest_ns, state.backward = epoch.number, stamp, 0
+                    source.number, source.newest_ns, source.backward = epoch.number, stamp, 0
             elif not back:
-                state.newest_ns, state.backward = max(newest, stamp), 0
+                source.newest_ns, source.backward = max(newest, stamp), 0
             else:
-                state.backward += 1
-                keep[index] = confirmed = state.backward >= confirmations
+                source.backward += 1
+                keep[index] = confirmed = source.backward >= confirmations
                 if confirmed:
                     epoch.number, epoch.since_host_ns = epoch.number + 1, received_host_ns
-                    state.epoch, state.newest_ns, state.backward = epoch.number, stamp, 0
+                    source.number, source.newest_ns, source.backward = epoch.number, stamp, 0
                     restart_at = index
         return Verdict(keep, restart_at)

@@ -1,16 +1,16 @@
 """Finds MAVLink frames in bulk: header scan, CRC of every known message id, one byte forward on failure.
 
-Payloads are collected per sender and message id, so that inertial messages become arrays without a Python object each.
+The scan exists twice: :mod:`companion.adapters.mavlink.bulk` is compiled, and the one here runs where that cannot be.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from fastcrc.crc16 import mcrf4xx
 
+from companion.adapters.mavlink.bulk import Bulk, Run
 from companion.adapters.mavlink.dialect import CRC_EXTRA
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
@@ -20,7 +20,15 @@ _SIGNATURE_BYTES = 13
 _SHORTEST_2 = _HEADER_2 + 2
 _MAGIC = re.compile(rb"[\xfd\xfe]")
 _LAST_BYTE: tuple[int, ...] = tuple(mcrf4xx(bytes([byte]), 0) for byte in range(256))
-_MOST_ROUTES = 1024
+_EXTRA_OF = {identity.to_bytes(3, "little"): extra for identity, extra in CRC_EXTRA.items()}
+
+Frame = tuple[int, bytes]
+"""Sender and message id of a frame, see :func:`sender`, and its payload."""
+
+
+def sender(key: int) -> tuple[int, int, int]:
+    """System, component and message id of a frame's key."""
+    return key & 0xFF, key >> 8 & 0xFF, key >> 16
 
 
 @dataclass(slots=True)
@@ -34,17 +42,11 @@ class ScanCounters:
 
 
 @dataclass(slots=True)
-class Route:
-    """Payloads of one message id from one sender, in arrival order, until the decoder takes them."""
+class Found:
+    """What some bytes held: frames in arrival order, and apart from them what was read in bulk."""
 
-    system: int
-    component: int
-    message: int
-    crc_extra: int
-    payloads: list[bytes] = field(default_factory=list)
-
-
-Collect = Callable[[Route], Callable[[bytes], None]]
+    frames: list[Frame] = field(default_factory=list)
+    runs: list[Run] = field(default_factory=list)
 
 
 class Scanner:
@@ -56,15 +58,13 @@ class Scanner:
 
     Parameters
     ----------
-    collect
-        Called once for every new sender and message id; returns what is to be done with each payload.
+    bulk
+        The compiled scan, where there is one.
     """
 
-    def __init__(self, collect: Collect) -> None:
+    def __init__(self, bulk: Bulk | None = None) -> None:
         self.counters = ScanCounters()
-        self.routes: dict[bytes, Route] = {}
-        self._collect = collect
-        self._fast: dict[bytes, tuple[int, Callable[[bytes], None]]] = {}
+        self._bulk = bulk
         self._tail = b""
 
     @property
@@ -72,32 +72,46 @@ class Scanner:
         """Bytes of an unfinished frame that wait for the next chunk."""
         return len(self._tail)
 
-    def scan(self, data: bytes) -> None:
-        """Find the frames of the next bytes of this link and hand each payload to its collector."""
+    def scan(self, data: bytes, system: int | None = None) -> Found:
+        """Find the frames of the next bytes of this link; ``system`` is the one whose samples are read in bulk."""
         buffer = self._tail + data if self._tail else data
-        fast, crc, last_byte = self._fast.get, mcrf4xx, _LAST_BYTE
-        position, end, frames = 0, len(buffer), 0
+        found = Found()
+        if self._bulk is None:
+            position = self._walk(buffer, found.frames)
+        else:
+            position, counted, found.runs = self._bulk.scan(buffer, system, found.frames)
+            own = self.counters
+            own.frames += counted[0]
+            own.crc_errors += counted[1]
+            own.unknown += counted[2]
+            own.skipped_bytes += counted[3]
+        self._tail = buffer[position:]
+        return found
+
+    def _walk(self, buffer: bytes, frames: list[Frame]) -> int:
+        """Append the frames; give the position of the first byte that has to wait."""
+        extra_of, crc, last_byte, keep = _EXTRA_OF.get, mcrf4xx, _LAST_BYTE, frames.append
+        number = int.from_bytes
+        position, end, before = 0, len(buffer), len(frames)
         last_start = end - _SHORTEST_2
         while position < end:
             if position <= last_start and buffer[position] == _MAGIC_2 and not buffer[position + 2]:
-                known = fast(buffer[position + 5 : position + 10])
+                extra = extra_of(buffer[position + 7 : position + 10])
                 stop = position + _HEADER_2 + buffer[position + 1]
-                if known is not None and stop + 2 <= end:
-                    extra, collect = known
+                if extra is not None and stop + 2 <= end:
                     state = crc(buffer[position + 1 : stop])
                     if (state >> 8) ^ last_byte[(state & 255) ^ extra] == buffer[stop] | buffer[stop + 1] << 8:
-                        collect(buffer[position + _HEADER_2 : stop])
+                        keep((number(buffer[position + 5 : position + 10], "little"), buffer[position + 10 : stop]))
                         position = stop + 2
-                        frames += 1
                         continue
-            ahead = self._careful(buffer, position, end)
+            ahead = self._careful(buffer, position, end, frames)
             if ahead < 0:
                 break
             position = ahead
-        self.counters.frames += frames
-        self._tail = buffer[position:]
+        self.counters.frames += len(frames) - before
+        return position
 
-    def _careful(self, buffer: bytes, start: int, end: int) -> int:
+    def _careful(self, buffer: bytes, start: int, end: int, frames: list[Frame]) -> int:
         """Give the next position, or -1 where the candidate is not complete yet."""
         magic = buffer[start]
         if magic not in (_MAGIC_1, _MAGIC_2):
@@ -112,7 +126,7 @@ class Scanner:
         if flags & ~_SIGNED:
             return self._step(start)
         key = buffer[start + 5 : start + 10] if magic == _MAGIC_2 else buffer[start + 3 : start + 6] + b"\0\0"
-        extra = CRC_EXTRA.get(int.from_bytes(key[2:], "little"))
+        extra = _EXTRA_OF.get(key[2:])
         if extra is None:
             self.counters.unknown += 1
             return self._step(start)
@@ -124,25 +138,9 @@ class Scanner:
         if (state >> 8) ^ _LAST_BYTE[(state & 255) ^ extra] != buffer[stop] | buffer[stop + 1] << 8:
             self.counters.crc_errors += 1
             return self._step(start)
-        self.counters.frames += 1
-        self._route(key, extra)(buffer[start + header : stop])
+        frames.append((int.from_bytes(key, "little"), buffer[start + header : stop]))
         return after
 
     def _step(self, start: int) -> int:
         self.counters.skipped_bytes += 1
         return start + 1
-
-    def _route(self, key: bytes, extra: int) -> Callable[[bytes], None]:
-        known = self._fast.get(key)
-        if known is None:
-            if len(self._fast) >= _MOST_ROUTES:
-                self._forget_idle()
-            route = Route(key[0], key[1], int.from_bytes(key[2:], "little"), extra)
-            known = self._fast[key] = (extra, self._collect(route))
-            self.routes[key] = route
-        return known[1]
-
-    def _forget_idle(self) -> None:
-        """Bound the memory that a flood of invented senders can take."""
-        for key in [key for key, route in self.routes.items() if not route.payloads]:
-            del self.routes[key], self._fast[key]

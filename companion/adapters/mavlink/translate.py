@@ -12,9 +12,17 @@ import numpy as np
 
 from companion.adapters.mavlink.dialect import mavlink
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT, Mapping
-from companion.adapters.mavlink.restart import ClockWatch
+from companion.adapters.mavlink.restart import ClockWatch, Followed
 from companion.adapters.mavlink.tally import Tally
-from companion.records import AutopilotParameter, ClockRestart, Record, Reject, TimesyncReply, VehicleState
+from companion.records import (
+    AutopilotParameter,
+    ClockName,
+    ClockRestart,
+    Record,
+    Reject,
+    TimesyncReply,
+    VehicleState,
+)
 
 PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32
@@ -62,6 +70,7 @@ class Translator:
 
     def __init__(self, mapping: Mapping, watch: ClockWatch, tally: Tally) -> None:
         self.system: int | None = None
+        self._answers: dict[ClockName, Followed] = {}
         self.armed = False
         self._mapping = mapping
         self._watch = watch
@@ -117,7 +126,9 @@ class Translator:
             return
         answered.add(sender)
         stamp = np.array([message.tc1], dtype=np.int64)
-        verdict = self._watch.check(clock, "TIMESYNC", stamp, heard.received_host_ns, confirmations=1)
+        if clock not in self._answers:
+            self._answers[clock] = self._watch.follow(clock)
+        verdict = self._watch.check(self._answers[clock], stamp, heard.received_host_ns, confirmations=1)
         if verdict.dropped:
             self._tally.add(Reject.TIME_BACKWARDS, f"TIMESYNC of component {heard.component}")
             return
