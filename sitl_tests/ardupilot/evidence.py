@@ -56,6 +56,14 @@ class BootClock:
         sent = int(np.searchsorted(self._sent_ns, host_ns))
         return (sent - 1) * 1_000_000_000 // RATE_HZ, sent * 1_000_000_000 // RATE_HZ
 
+    def runs(self, host_ns: int) -> bool:
+        """Whether it runs at a host instant: the last frame before was sent less than two frames ago, and on time."""
+        sent = int(np.searchsorted(self._sent_ns, host_ns))
+        if not 0 < sent <= len(self._sent_ns):
+            return False
+        late_ms = self.lateness_ms()[sent - 1] - np.median(self.lateness_ms())
+        return host_ns - int(self._sent_ns[sent - 1]) < 2e9 / RATE_HZ and bool(late_ms < 1e3 / RATE_HZ)
+
     def lateness_ms(self) -> Floats:
         """How late each frame went out."""
         due = np.arange(len(self._sent_ns)) * (1e9 / RATE_HZ)

@@ -145,10 +145,15 @@ def test_inertial_messages_come_as_fast_as_a_400_hz_loop_gives_them(ground: Grou
 
 
 def test_the_boot_clock_is_inside_its_bound(ground: Ground) -> None:
-    """Against the physics, which gave every frame its stamp and knows when; a frame is the clock's own step."""
+    """Against the physics, which gave every frame its stamp and knows when; a frame is the clock's own step.
+
+    Judged are the instants at which that clock runs: while the machine keeps the physics from its frames it stands, as
+    no autopilot's crystal does, and nobody can know until the next exchange.
+    """
     clock = BootClock(ground.run.report)
-    synced = [s for s in ground.recording.of(ClockState) if s.clock == ClockName.BOOT and s.synced]
-    assert len(synced) > 15
+    states = [s for s in ground.recording.of(ClockState) if s.clock == ClockName.BOOT and s.synced]
+    synced = [s for s in states if clock.runs(s.at_host_ns)]
+    assert len(synced) > 15, f"the clock stood at {len(states) - len(synced)} of {len(states)} instants: busy machine?"
     outside = []
     for state in synced:
         earliest, latest = clock.between(state.at_host_ns)

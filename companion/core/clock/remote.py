@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.clock.mapping import Knot, Mapping
-from companion.core.clock.window import ANY_SKEW, ClockFit, ExchangeWindow
+from companion.core.clock.window import ANY_SKEW, ClockFit, ExchangeWindow, agree
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
 STALE_NS = 5_000_000_000
@@ -128,7 +128,7 @@ class RemoteClock:
         self._suspect = reply
         if suspect is None:
             return
-        if ExchangeWindow(suspect).add(reply) is None:
+        if not agree(suspect, reply):
             self.discarded += 1
             return
         self._forget()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from companion.core.clock.feasible import FeasibleLines
 from companion.records import TimesyncReply
@@ -14,9 +14,13 @@ ANY_SKEW = (-MOST_SKEW, MOST_SKEW)
 SKEW_DRIFT_PER_S = 5e-8
 """How fast a skew may change: a crystal of 1 ppm/K that warms by 0.05 K/s."""
 _BUCKET_NS = 1_000_000_000
+_ENOUGH = 4
+_CAREFUL_NS = 10_000_000_000
+"""As long the tightest upper bound of a second is not believed, where the second has so many exchanges."""
 _TOLERANCES_NS = (2e3, 2e4, 1e5, 5e5, 1e6, 2e6)
 """Granularity allowed to the remote clock. The coarser ones are for clocks that step (a simulated autopilot's advances
 by whole physics frames), are tried only when the exchanges contradict each other without them, and widen the bound."""
+_FINE_NS = _TOLERANCES_NS[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +39,41 @@ class _Bound:
     offset_ns: int
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Bucket:
+    """The tightest of a second: two upper bounds, the tighter first (equal while there is but one), and one lower."""
+
     number: int
-    upper: _Bound
+    careful: bool
+    count: int
+    uppers: tuple[_Bound, _Bound]
     lower: _Bound
+
+    def joined(self, upper: _Bound, lower: _Bound, skew: float) -> _Bucket:
+        """Give the bucket with one exchange more."""
+
+        def at_once(bound: _Bound) -> float:
+            return bound.offset_ns - skew * (bound.at_ns - upper.at_ns)
+
+        known = self.uppers if self.count > 1 else self.uppers[:1]
+        first, second = sorted((*known, upper), key=at_once)[:2]
+        return _Bucket(self.number, self.careful, self.count + 1, (first, second), max(self.lower, lower, key=at_once))
+
+    def upper(self) -> _Bound:
+        """Give the upper bound to be believed once the second is over."""
+        return self.uppers[self.careful and self.count >= _ENOUGH]
+
+
+_Relative = tuple[float, float, float]
 
 
 class ExchangeWindow:
     """Bounds from the exchanges of the last minute; dropping the looser ones of a second only widens the answer.
+
+    A simulated autopilot's clock stands still while its machine is busy, as no crystal would; what is read then is too
+    early, and makes an upper bound that is tight and false. One that the others contradict is set aside, unless the
+    next exchange does so as well. While nothing can contradict it (the first ten seconds), and a minute around one
+    that was caught, the tightest upper bound of every second is left out.
 
     ``skews`` limits the skew where something is known of it: until the exchanges contradict that, or fill the window.
     """
@@ -52,28 +82,49 @@ class ExchangeWindow:
         self.count = 0
         self.first_host_ns = first.sent_host_ns
         self.base_ns = first.remote_ns - first.received_host_ns
-        self._buckets: deque[_Bucket] = deque()
+        self._closed: deque[_Bucket] = deque()
+        self._open: _Bucket | None = None
         self._lines: FeasibleLines | None = None
         self._at_ns = first.received_host_ns
         self._tolerance_ns = _TOLERANCES_NS[0]
         self._skew = 0.0
         self._skews = skews
+        self._aside = False
+        self._careful_until_ns = first.received_host_ns + _CAREFUL_NS
         self.add(first)
 
     def add(self, reply: TimesyncReply) -> ClockFit | None:
         """Take one exchange and give the fit; None, and nothing is kept, where it contradicts the others."""
-        upper = _Bound(reply.sent_host_ns, reply.remote_ns - reply.sent_host_ns - self.base_ns)
-        lower = _Bound(reply.received_host_ns, reply.remote_ns - reply.received_host_ns - self.base_ns)
+        upper, lower = _bounds(reply, self.base_ns)
         now = max(reply.received_host_ns, self._at_ns)
+        moved = self._lines and self._lines.moved(now - self._at_ns)
+        if moved is not None and _cut(moved, upper, lower, now, _TOLERANCES_NS[-1]) is None:
+            self._aside = True
+            return None
+        self._forget_before(now - WINDOW_NS)
         number = now // _BUCKET_NS
-        new_second = not self._buckets or number > self._buckets[-1].number
-        lines = None if new_second else self._narrowed(upper, lower, now)
-        if lines is None:
-            lines = self._rebuilt(upper, lower, now)
+        last, same = self._open, self._open is not None and self._open.number == number
+        if last is not None and same:
+            bucket = last.joined(upper, lower, self._skew)
+        else:
+            bucket = _Bucket(number, now < self._careful_until_ns, 1, (upper, upper), lower)
+        lines = None
+        if moved is not None and same and self._closed:  # within a second the skew cannot change by much
+            lines = _cut(moved, self._running(bucket), bucket.lower, now, self._tolerance_ns)
+        closed = [*self._closed] if same or last is None else [*self._closed, last]
+        lines = lines or self._rebuilt(closed, bucket, now, _FINE_NS)
+        if lines is None and moved is not None and not self._aside:
+            self._aside, self._lines, self._at_ns = True, moved, now
+            return self._fit(moved)
+        if lines is not None and self._aside:
+            self._grow_careful(now)
+        self._aside = False
+        lines = lines or self._rebuilt(closed, bucket, now, _TOLERANCES_NS[-1])
         if lines is None:
             return None
-        self._keep(upper, lower, number)
-        self._lines, self._at_ns = lines, now
+        if last is not None and not same:
+            self._closed.append(last)
+        self._open, self._lines, self._at_ns = bucket, lines, now
         self.count += 1
         return self._fit(lines)
 
@@ -82,22 +133,29 @@ class ExchangeWindow:
         coarse = self._tolerance_ns if self._tolerance_ns > _TOLERANCES_NS[0] else 0.0
         return ClockFit(offset, self._skew, half_width + coarse, half_skew)
 
-    def _narrowed(self, upper: _Bound, lower: _Bound, now_ns: int) -> FeasibleLines | None:
-        """Cut the last answer: within a second the skew cannot change by anything that matters."""
-        if self._lines is None:
-            return None
-        moved = self._lines.moved(now_ns - self._at_ns)
-        below = moved.below(upper.at_ns - now_ns, upper.offset_ns + self._tolerance_ns)
-        return below and below.above(lower.at_ns - now_ns, lower.offset_ns - self._tolerance_ns)
+    def _grow_careful(self, now_ns: int) -> None:
+        """An exchange was caught: there may be one that was not, before it or in the minute to come."""
+        self._careful_until_ns = now_ns + WINDOW_NS
+        self._closed = deque(replace(bucket, careful=True) for bucket in self._closed)
 
-    def _rebuilt(self, upper: _Bound, lower: _Bound, now_ns: int) -> FeasibleLines | None:
-        """Intersect all bounds, with as little tolerance as they allow."""
-        while self._buckets and self._buckets[0].upper.at_ns < now_ns - WINDOW_NS:
-            self._buckets.popleft()
+    def _forget_before(self, oldest_ns: int) -> None:
+        while self._closed and self._closed[0].lower.at_ns < oldest_ns:
+            self._closed.popleft()
             self._skews = ANY_SKEW
-        uppers = [_relative(bucket.upper, now_ns) for bucket in self._buckets] + [_relative(upper, now_ns)]
-        lowers = [_relative(bucket.lower, now_ns) for bucket in self._buckets] + [_relative(lower, now_ns)]
-        for tolerance in _TOLERANCES_NS:
+
+    def _running(self, bucket: _Bucket) -> _Bound | None:
+        """The upper bound to be believed of a second that is not over: where exchanges are rare there is no choice."""
+        if not bucket.careful or (self._closed and self._closed[-1].count < _ENOUGH):
+            return bucket.uppers[0]
+        return bucket.uppers[1] if bucket.count > 1 or not self._closed else None
+
+    def _rebuilt(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int, most_ns: float) -> FeasibleLines | None:
+        """Intersect all bounds, with as little tolerance as they allow; more than there was only up to ``most_ns``."""
+        running = self._running(bucket)
+        highs = [one.upper() for one in closed] + ([] if running is None else [running])
+        uppers = [_relative(high, now_ns) for high in highs]
+        lowers = [_relative(one.lower, now_ns) for one in (*closed, bucket)]
+        for tolerance in [one for one in _TOLERANCES_NS if one <= max(most_ns, self._tolerance_ns)]:
             for skews in dict.fromkeys((self._skews, ANY_SKEW)):
                 found = _intersected(uppers, lowers, tolerance, skews)
                 if found is not None:
@@ -105,24 +163,39 @@ class ExchangeWindow:
                     return found
         return None
 
-    def _keep(self, upper: _Bound, lower: _Bound, number: int) -> None:
-        if not self._buckets or number > self._buckets[-1].number:
-            self._buckets.append(_Bucket(number, upper, lower))
-            return
-        bucket, skew = self._buckets[-1], self._skew
-        bucket.upper = min(bucket.upper, upper, key=lambda b: b.offset_ns - skew * (b.at_ns - upper.at_ns))
-        bucket.lower = max(bucket.lower, lower, key=lambda b: b.offset_ns - skew * (b.at_ns - lower.at_ns))
+
+def agree(first: TimesyncReply, second: TimesyncReply) -> bool:
+    """Whether two exchanges can be of one clock."""
+    base_ns = first.remote_ns - first.received_host_ns
+    pairs = [_bounds(reply, base_ns) for reply in (first, second)]
+    uppers, lowers = ([_relative(pair[i], second.received_host_ns) for pair in pairs] for i in (0, 1))
+    return _intersected(uppers, lowers, _TOLERANCES_NS[-1], ANY_SKEW) is not None
 
 
-def _relative(bound: _Bound, now_ns: int) -> tuple[float, float, float]:
+def _bounds(reply: TimesyncReply, base_ns: int) -> tuple[_Bound, _Bound]:
+    """What an exchange says of the offset: at most this when it was sent, at least that when it was received."""
+    upper = _Bound(reply.sent_host_ns, reply.remote_ns - reply.sent_host_ns - base_ns)
+    return upper, _Bound(reply.received_host_ns, reply.remote_ns - reply.received_host_ns - base_ns)
+
+
+def _cut(
+    lines: FeasibleLines, upper: _Bound | None, lower: _Bound, now_ns: int, tolerance_ns: float
+) -> FeasibleLines | None:
+    kept: FeasibleLines | None = lines
+    if upper is not None:
+        kept = lines.below(upper.at_ns - now_ns, upper.offset_ns + tolerance_ns)
+    return kept and kept.above(lower.at_ns - now_ns, lower.offset_ns - tolerance_ns)
+
+
+def _relative(bound: _Bound, now_ns: int) -> _Relative:
     """Give a bound's time before now, its offset, and what the skew's drift may have added since."""
     at = float(bound.at_ns - now_ns)
     return at, float(bound.offset_ns), 0.5 * SKEW_DRIFT_PER_S * 1e-9 * at * at
 
 
 def _intersected(
-    uppers: list[tuple[float, float, float]],
-    lowers: list[tuple[float, float, float]],
+    uppers: list[_Relative],
+    lowers: list[_Relative],
     tolerance_ns: float,
     skews: tuple[float, float],
 ) -> FeasibleLines | None:
