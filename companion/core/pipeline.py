@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.core.clock.alignment import SIGMAS, Alignment, lowpass_delay_s
+from companion.core.clock.alignment import SIGMAS, Alignment
 from companion.core.clock.bank import ClockBank
 from companion.core.delivery import Delivery
 from companion.core.mode.tracker import WingTracker
@@ -29,7 +29,6 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
     AutopilotParameter,
-    Axis,
     ClockName,
     ClockRestart,
     Deflection,
@@ -160,21 +159,20 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
         batch = ImuBatch(batch.station, clock, t_ns, batch.values, batch.axes, batch.received_host_ns)
     if batch.station is Station.ROOT:
         for alignment in state.alignments.values():
-            alignment.add_root(batch.t_ns, batch.values[:, 3:])
+            alignment.add_root(batch.t_ns, batch.values)
     return state.tracker.add(batch)
 
 
 def _note_silent(state: PipelineState, batch: ImuBatch) -> None:
-    """A node with gyros that does not answer TIMESYNC is aligned by the motion that it shares with the root."""
+    """A node that does not answer TIMESYNC is aligned by the motion that it shares with the root."""
     clock = batch.clock
-    if clock not in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT) or not batch.axes & Axis.GYRO:
+    if clock not in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT) or not Alignment.possible(batch.axes):
         return
     since_ns = state.unanswered_ns.setdefault(clock, batch.received_host_ns)
     if batch.received_host_ns - since_ns >= _PATIENCE_NS:
         alignment = state.alignments.setdefault(clock, Alignment(clock))
-        own, root = state.airframe.sensor(batch.station), state.airframe.root
-        alignment.filter_delay_s = lowpass_delay_s(root.lowpass_gyro_hz) - lowpass_delay_s(own.lowpass_gyro_hz)
         alignment.add_node(batch)
+        alignment.sensors(state.airframe.sensor(batch.station), state.airframe.root)
 
 
 def _align(state: PipelineState, now_ns: int) -> list[OutputRecord]:

@@ -271,9 +271,11 @@ def test_zero_one_and_two_nodes_each_have_a_stated_behaviour() -> None:
     assert "both tips send xyzpqr" in said[2]
 
 
-def test_a_deaf_node_with_gyros_will_be_aligned_and_one_without_cannot_be_used() -> None:
+def test_a_deaf_node_will_be_aligned_by_what_it_measures_and_one_that_measures_nothing_of_use_cannot_be_used() -> None:
     said = texts(seen(axes={Station.LEFT: Axis.ALL}), doctor.check_clocks)
     assert "note node_left: TIMESYNC is not answered; it will be aligned by its gyro" in said
+    said = texts(seen(axes={Station.LEFT: Axis.ACCEL, Station.RIGHT: Axis.X | Axis.Y}), doctor.check_clocks)
+    assert "note node_left: TIMESYNC is not answered; it will be aligned by its vertical accelerometer" in said
     assert "FIX node_right: TIMESYNC is not answered; its samples cannot be used" in said
 
 

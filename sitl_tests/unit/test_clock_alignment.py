@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from companion.core import pipeline
-from companion.core.clock.alignment import SIGMAS, Alignment, lag_between, lowpass_delay_s
+from companion.core.clock.alignment import (
+    LARGEST_SIGMA_S,
+    SIGMAS,
+    Alignment,
+    Lag,
+    carried,
+    heave_lag,
+    lag_between,
+    lowpass_delay_s,
+)
+from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import (
     ClockName,
@@ -22,12 +32,14 @@ from companion.records import (
     Station,
     TimesyncReply,
 )
-from companion.sim.flight import build_flight
+from companion.sim.aircraft import still_plan
+from companion.sim.flight import Flight, build_flight
 from companion.sim.offline import HOST_EPOCH_NS, flight_records
 from sitl_tests.unit.pipeline_flight import in_order, run
 
 NODE = ClockName.NODE_LEFT
 SPAN_S, MOST_S = 12.0, 0.06
+HEAVE_S, SHIFT_S = 24.0, 0.02
 
 
 def turning(t_s: Floats, seed: int) -> Floats:
@@ -86,8 +98,71 @@ def test_arrivals_alone_bound_the_clock_by_the_longest_delay() -> None:
     alignment = Alignment(NODE)
     alignment.add_node(ImuBatch(Station.LEFT, NODE, np.array([5_000_000_000]), np.zeros((1, 6)), 63, 9_000_000_000))  # type: ignore[arg-type]
     (exchange,) = alignment.exchanges(9_000_000_000)
-    assert exchange == TimesyncReply(NODE, 9_000_000_000 - 60_000_000, 5_000_000_000, 9_000_000_000)
+    # the sample was taken 0 to 60 ms before it arrived: so 60 ms less was read 0 to 120 ms before
+    assert exchange == TimesyncReply(NODE, 9_000_000_000 - 120_000_000, 5_000_000_000 - 60_000_000, 9_000_000_000)
     assert list(alignment.exchanges(9_100_000_000)) == []
+
+
+# ------------------------------------------------------------------------------------------ heave instead of rates
+
+
+def heave(flight: Flight, station: Station, from_s: float) -> Lag | None:
+    """What the vertical specific force of one wing tip says of its lag, which is 0: true stamps, known filters."""
+    streams, sensor, clock = flight.streams(), flight.airframe.sensor(station), flight.real.clocks[node_clock(station)]
+    stream, root = streams[station], streams[Station.ROOT]
+    node_s = (stream.stamp_ns - clock.epoch_ns) / (1 + clock.skew_ppm * 1e-6) * 1e-9 - from_s + SHIFT_S
+    # an autopilot stamps the sending, 0.1 to 0.6 ms after the loop's tick
+    late_s = 0.00035 + lowpass_delay_s(flight.airframe.root.lowpass_accel_hz)
+    root_s: Floats = root.stamp_ns * np.float64(1e-9) - late_s - from_s
+    edges = np.arange(0.5, HEAVE_S - MOST_S - 0.5, 0.02)
+    means = np.stack([cell_means(root_s, column, edges) for column in root.values.T], axis=1)
+    lever_m = np.subtract(sensor.position_m, flight.airframe.root.position_m)
+    rigid = carried(means[:, :3], means[:, 3:], lever_m)
+    return heave_lag(node_s, stream.values[:, 2:3], rigid, HEAVE_S, MOST_S)
+
+
+def node_clock(station: Station) -> ClockName:
+    return {Station.LEFT: ClockName.NODE_LEFT, Station.RIGHT: ClockName.NODE_RIGHT}[station]
+
+
+def cell_means(t_s: Floats, values: Floats, edges: Floats) -> Floats:
+    """Averages over cells, by interpolating the samples ten times as finely."""
+    fine = np.arange(edges[0], edges[-1], 0.002) + 0.001
+    return np.asarray(np.interp(fine, t_s, values)[: 10 * (len(edges) - 1)].reshape(-1, 10).mean(axis=1))
+
+
+@pytest.mark.slow
+def test_heave_and_roll_align_a_tip_without_gyro_and_the_sigma_is_honest() -> None:
+    """Perturbed wings that bend, in gusts, rolls and pull-ups; most are used, and the others said to be too bad."""
+    found = []
+    for seed in range(20, 32):
+        flight = build_flight(load_airframe("nadir-2m"), seed, 37.0)
+        found += [heave(flight, station, 12.0) for station in (Station.LEFT, Station.RIGHT)]
+    lags = [lag for lag in found if lag is not None]
+    z = np.array([(lag.lag_s - SHIFT_S) / lag.sigma_s for lag in lags])
+    used = [lag.lag_s - SHIFT_S for lag in lags if lag.sigma_s <= LARGEST_SIGMA_S]
+    rms_s = float(np.sqrt(np.mean(np.square(used))))
+    print(f"{len(used)} of {len(found)} used, {1e3 * rms_s:.2f} ms rms; {np.sqrt(np.mean(z**2)):.2f} sigma")
+    assert len(used) > len(found) / 2
+    assert rms_s < LARGEST_SIGMA_S
+    assert np.abs(z).max() < 3.0
+    assert 0.3 < np.sqrt(np.mean(z**2)) < 1.5
+
+
+@pytest.mark.slow
+def test_a_wing_that_flies_straight_on_tells_nothing_by_its_heave() -> None:
+    flight = build_flight(load_airframe("nadir-2m"), 5, 37.0, plan=still_plan(37.0))
+    found = heave(flight, Station.LEFT, 12.0)
+    assert found is None or found.sigma_s > LARGEST_SIGMA_S
+
+
+def test_what_a_rigid_wing_feels_is_force_and_lever_arm() -> None:
+    """A roll acceleration of 2 rad/s^2, 1 m out to the right, where it goes down: 2 m/s^2 along z; -p^2 along y."""
+    t = np.arange(0, 1, 0.02)
+    rates = np.stack([2.0 * t, 0 * t, 0 * t], axis=1)
+    felt = carried(np.zeros((len(t), 3)), rates, np.array([0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(felt[:, 2], 2.0, atol=1e-9)
+    np.testing.assert_allclose(felt[:, 1], -((2.0 * t) ** 2), atol=1e-9)
 
 
 # ------------------------------------------------------------------------------------------ in flight
@@ -107,24 +182,32 @@ class Listener:
         """No state of the wing."""
 
 
+def deaf_records(flight: Flight) -> list[Any]:
+    """The flight's records but for the left node's answers."""
+    return [r for r in flight_records(flight) if not (isinstance(r, TimesyncReply) and r.clock is NODE)]
+
+
+def without_cameras(airframe: Airframe) -> Airframe:
+    return dataclasses.replace(airframe, left_camera=None, right_camera=None)
+
+
+def clock_errors(flight: Flight, told: list[ClockState]) -> tuple[list[int], list[ClockState]]:
+    """Error [ns] of every state of the left node's clock, and the states."""
+    clock, states = flight.real.clocks[NODE], [state for state in told if state.clock is NODE]
+    true = [clock.from_boot(state.at_host_ns - HOST_EPOCH_NS) - state.at_host_ns for state in states]
+    return [state.offset_ns - offset for state, offset in zip(states, true, strict=True)], states
+
+
 @pytest.mark.slow
 def test_in_flight_a_deaf_node_joins_with_a_true_bound_and_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline, "WingTracker", Listener)
     flight = build_flight(load_airframe("nadir-2m"), 4, 26.0)
-    blind = dataclasses.replace(flight.airframe, left_camera=None, right_camera=None)
-    records = [
-        record for record in flight_records(flight) if not (isinstance(record, TimesyncReply) and record.clock is NODE)
-    ]
-    driven = run(in_order(records), airframe=blind)
+    driven = run(in_order(deaf_records(flight)), airframe=without_cameras(flight.airframe))
     (notice,) = [entry for entry in driven.of(Notice) if "aligned by motion" in entry.text]
     assert "node_left answers no TIMESYNC" in notice.text
-    clock = flight.real.clocks[NODE]
-    states = [state for state in driven.of(ClockState, since_s=19.0) if state.clock is NODE]
+    errors, states = clock_errors(flight, driven.of(ClockState, since_s=19.0))
     assert len(states) >= 5
     assert all(state.synced for state in states)
-    errors = [
-        state.offset_ns - (clock.from_boot(state.at_host_ns - HOST_EPOCH_NS) - state.at_host_ns) for state in states
-    ]
     bounds = [state.bound_ns for state in states]
     print(f"error {np.abs(errors).max() / 1e6:.2f} ms at most, bound {np.median(bounds) / 1e6:.2f} ms")
     assert all(abs(error) <= bound for error, bound in zip(errors, bounds, strict=True))
@@ -134,3 +217,19 @@ def test_in_flight_a_deaf_node_joins_with_a_true_bound_and_is_told(monkeypatch: 
     assert {batch.clock for batch in tracker.heard} == {ClockName.HOST}
     assert driven.state.airframe.left.time_offset_sigma_s >= flight.airframe.left.time_offset_sigma_s
     assert set(driven.state.alignments) == {NODE}, "the right node answers, and is left alone"
+
+
+@pytest.mark.slow
+def test_in_flight_a_deaf_node_without_gyro_joins_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipeline, "WingTracker", Listener)
+    airframe = load_airframe("nadir-2m")
+    airframe = dataclasses.replace(airframe, left=dataclasses.replace(airframe.left, sends="xyz"))
+    flight = build_flight(airframe, 6, 42.0)
+    driven = run(in_order(deaf_records(flight)), airframe=without_cameras(flight.airframe))
+    assert any("aligned by motion" in entry.text for entry in driven.of(Notice))
+    errors, states = clock_errors(flight, driven.of(ClockState, since_s=34.0))
+    assert len(states) >= 3
+    assert all(state.synced for state in states)
+    assert all(abs(error) <= state.bound_ns for error, state in zip(errors, states, strict=True))
+    assert np.abs(errors).max() < 3.0e6
+    assert driven.state.airframe.left.time_offset_sigma_s >= 0.0006

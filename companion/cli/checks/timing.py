@@ -91,6 +91,12 @@ def _butterworth(ratio: float) -> tuple[float, float]:
     return abs(response), math.degrees(math.atan2(response.imag, response.real))
 
 
+_WAYS = {
+    True: "its gyro in the first manoeuvres, to some 0.4 ms",
+    False: "its vertical accelerometer in half a minute with pull-ups and rolls, to some 1 to 2.5 ms",
+}
+
+
 def check_clocks(seen: Evidence) -> Iterator[Finding]:
     """Whether every clock that stamps samples is known."""
     if not seen.live and not seen.clocks:
@@ -98,11 +104,13 @@ def check_clocks(seen: Evidence) -> Iterator[Finding]:
     sensors = [seen.airframe.sensor(station) for station in Station]
     for clock in sorted({sensor.source.clock for sensor in sensors} - {ClockName.HOST}):
         state = seen.clocks.get(clock)
-        turning = [station for station in Station if seen.airframe.sensor(station).source.clock is clock]
-        if state is None and clock is not ClockName.BOOT and seen.axes.get(turning[0], Axis.NONE) & Axis.GYRO:
+        stations = [station for station in Station if seen.airframe.sensor(station).source.clock is clock]
+        axes = seen.axes.get(stations[0], Axis.NONE)
+        way = _WAYS.get(bool(axes & Axis.GYRO)) if axes & (Axis.GYRO | Axis.Z) else None
+        if state is None and clock is not ClockName.BOOT and way is not None:
             text = (
-                f"{clock}: TIMESYNC is not answered; it will be aligned by its gyro in the first manoeuvres, "
-                "to some 0.4 ms (tools/wing_node has a firmware that answers: 0.1 ms)"
+                f"{clock}: TIMESYNC is not answered; it will be aligned by {way} (tools/wing_node has a firmware that "
+                "answers: 0.1 ms)"
             )
             yield Finding("clock", Level.NOTE, text)
         elif state is None:

@@ -4,12 +4,14 @@ In manoeuvres and gusts the whole aircraft turns, and every station's gyro sees 
 and the autopilot's, both smoothed until the wing's own modes are gone, is the node's clock offset. What differs and is
 not lag (bending, noise, bias) is what the sigma is made from, block by block, so that it holds for coloured residuals.
 
-Both kinds of knowledge are handed on as exchanges, as if the node had been asked: what arrived was taken at most
-:data:`MOST_DELAY_NS` before, and an alignment says the node's reading at a host time to within its sigmas. The clock
-estimator then treats such a node like any other, bound, skew, restart and all.
+A node without gyro feels the aircraft's heave, and the roll through its lever arm, in its vertical specific force. The
+autopilot's IMU says what a rigid wing would feel there; the lag is found against that. What the wing itself moves there
+grows with the square of the frequency, so this is smoothed more, and it takes twice as long: 24 s with pull-ups and
+rolls give it to about a millisecond, where rates give a third of that in 12 s.
 
-A node that has neither gyro nor TIMESYNC is left out: on its specific forces, in which the wing takes part and not the
-aircraft alone, the same regression gave lags that were 3 to 6 ms off.
+Both kinds of knowledge are handed on as exchanges, as if the node had been asked: what arrived was taken at most
+:data:`MOST_DELAY_NS` before, and an alignment says how old the quickest arrivals are, to within its sigmas. The clock
+estimator then treats such a node like any other, bound, skew, restart and all.
 """
 
 from __future__ import annotations
@@ -20,20 +22,26 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.records import ClockName, Floats, ImuBatch, Ints, TimesyncReply
+from companion.params.airframe import Sensor
+from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, TimesyncReply
 
 MOST_DELAY_NS = 60_000_000
 """From a sample to its arrival, at most; a slower link cannot be aligned."""
 SIGMAS = 4.0
-_WINDOW_S, _EVERY_S, _COARSE_S = 12.0, 2.0, 0.5
+LARGEST_SIGMA_S = 0.0025
+"""A lag known less well than this is not used: of the mode's phase at 5 Hz it would be 4.5 degrees."""
+_EVERY_S, _COARSE_S = 2.0, 0.5
+_WINDOW_S, _SMOOTH_S = 12.0, 0.8  # a Hann window so long passes a tenth at 1.9 Hz and a thirtieth from 2.5 Hz on
+_HEAVE_WINDOW_S, _HEAVE_SMOOTH_S = 24.0, 1.6
 _CELL_S = 0.02
-_SMOOTH_S = 0.8  # a Hann window so long passes a tenth at 1.9 Hz and a thirtieth from 2.5 Hz on
 _BLOCK = 75  # cells in 1.5 s
 _SEARCH_S = 0.004
-_LARGEST_SIGMA_S = 0.0025
 _STAMPS_SIGMA_S = 0.0003  # what the stamps themselves leave open: an autopilot's are of sending, 0.1 to 0.6 ms late
+_HEAVE_FLOOR_S = 0.0006  # how far the wing may give way in step with the manoeuvre and not be told from lag
+_LINK_SIGMA_S = 0.0001  # by how much the least delay of two seconds differs from that of others
+_NEAR_NS = 1_000_000_000
 _ROUNDS = 4
-_KEPT_S = 20.0
+_KEPT_S = 32.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,24 +54,24 @@ class Lag:
 
 @dataclass(slots=True)
 class _Series:
-    """Body rates of one sensor with their stamps; several batches, joined when they are needed."""
+    """What one sensor felt, (n, 6), with its stamps; several batches, joined when they are needed."""
 
     stamps: list[Ints] = field(default_factory=list)
-    rates: list[Floats] = field(default_factory=list)
+    values: list[Floats] = field(default_factory=list)
 
-    def add(self, t_ns: Ints, rates: Floats) -> None:
+    def add(self, t_ns: Ints, values: Floats) -> None:
         if self.stamps and t_ns[0] < self.stamps[-1][-1] - 1_000_000_000:
             self.stamps.clear()  # its clock restarted
-            self.rates.clear()
+            self.values.clear()
         self.stamps.append(t_ns)
-        self.rates.append(rates)
+        self.values.append(values)
         while self.stamps[-1][-1] - self.stamps[0][-1] > _KEPT_S * 1e9:
-            del self.stamps[0], self.rates[0]
+            del self.stamps[0], self.values[0]
 
     def joined(self) -> tuple[Ints, Floats]:
         t_ns = np.concatenate(self.stamps)
         order = np.argsort(t_ns, kind="stable")
-        return t_ns[order], np.concatenate(self.rates)[order]
+        return t_ns[order], np.concatenate(self.values)[order]
 
 
 class Alignment:
@@ -71,24 +79,37 @@ class Alignment:
 
     Attributes
     ----------
-    filter_delay_s : float
-        By how much the root's low-pass delays its slow rates more than the node's does its own (see
-        :func:`lowpass_delay_s`); to be kept up to date by the owner.
     newest : Lag or None
         The last alignment.
     """
 
     def __init__(self, clock: ClockName) -> None:
         self.clock = clock
-        self.filter_delay_s = 0.0
         self.newest: Lag | None = None
+        self._turns = False
+        self._delay_s = (0.0, 0.0)
+        self._lever_m: Floats = np.zeros(3)
         self._node, self._root = _Series(), _Series()
         self._arrivals: list[tuple[int, int]] = []
         self._next_coarse_ns = self._next_fine_ns = 0
 
+    @staticmethod
+    def possible(axes: Axis) -> bool:
+        """Whether a node that measures these axes can be aligned: it needs rates, or its vertical specific force."""
+        return bool(axes & (Axis.GYRO | Axis.Z))
+
+    def sensors(self, own: Sensor, root: Sensor) -> None:
+        """Take note of where both are, and by how much the root's low-passes delay more than the node's."""
+        self._lever_m = np.subtract(own.position_m, root.position_m)
+        force_s = lowpass_delay_s(root.lowpass_accel_hz) - lowpass_delay_s(own.lowpass_accel_hz)
+        # a node's rates against the root's; for a force the root's rates stand for angular acceleration at the node
+        own_s = lowpass_delay_s(own.lowpass_gyro_hz if self._turns else own.lowpass_accel_hz)
+        self._delay_s = (force_s, lowpass_delay_s(root.lowpass_gyro_hz) - own_s)
+
     def add_node(self, batch: ImuBatch) -> None:
         """Take samples of the node, stamps on its own clock."""
-        self._node.add(batch.t_ns, batch.values[:, 3:])
+        self._turns = bool(batch.axes & Axis.GYRO)
+        self._node.add(batch.t_ns, batch.values)
         newest = int(batch.t_ns[-1])
         if self._arrivals and newest < self._arrivals[-1][0] - 1_000_000_000:
             self._arrivals.clear()
@@ -96,16 +117,18 @@ class Alignment:
         while self._arrivals[-1][0] - self._arrivals[0][0] > _KEPT_S * 1e9:
             del self._arrivals[0]
 
-    def add_root(self, t_host_ns: Ints, rates_radps: Floats) -> None:
-        """Take samples of the autopilot's IMU, (n,) and (n, 3), in host time."""
-        self._root.add(t_host_ns - round(self.filter_delay_s * 1e9), rates_radps)
+    def add_root(self, t_host_ns: Ints, values: Floats) -> None:
+        """Take samples of the autopilot's IMU, (n,) and (n, 6), in host time."""
+        self._root.add(t_host_ns, values)
 
     def exchanges(self, now_host_ns: int) -> Iterator[TimesyncReply]:
         """What can be said now, as exchanges."""
         if now_host_ns >= self._next_coarse_ns and self._arrivals:
             self._next_coarse_ns = now_host_ns + round(_COARSE_S * 1e9)
             stamp_ns, received_ns = self._arrivals[-1]
-            yield TimesyncReply(self.clock, received_ns - MOST_DELAY_NS, stamp_ns, received_ns)
+            # as wide to both sides: an arrival tells its sample's age from one, and would pull the middle from the lag
+            early_ns = stamp_ns - MOST_DELAY_NS
+            yield TimesyncReply(self.clock, received_ns - 2 * MOST_DELAY_NS, early_ns, received_ns)
         if now_host_ns >= self._next_fine_ns and self._node.stamps and self._root.stamps:
             self._next_fine_ns = now_host_ns + round(_EVERY_S * 1e9)
             yield from self._aligned()
@@ -114,25 +137,43 @@ class Alignment:
         # the quickest arrival: its sample is older than it by the least delay there is
         base_ns = min(received - stamp for stamp, received in self._arrivals)
         (node_ns, node), (root_ns, root) = self._node.joined(), self._root.joined()
+        span_s = _WINDOW_S if self._turns else _HEAVE_WINDOW_S
         end_ns = min(int(node_ns[-1]) + base_ns - MOST_DELAY_NS, int(root_ns[-1]))
-        start_ns = end_ns - round(_WINDOW_S * 1e9)
+        start_ns = end_ns - round(span_s * 1e9)
         if start_ns < max(int(node_ns[0]) + base_ns, int(root_ns[0])):
             return
-        span_s = _WINDOW_S
-        measured = lag_between(
-            np.asarray((node_ns + base_ns - start_ns) * 1e-9, np.float64),
-            node,
-            np.asarray((root_ns - start_ns) * 1e-9, np.float64),
-            root,
-            span_s,
-            MOST_DELAY_NS * 1e-9,
-        )
-        if measured is None or measured.sigma_s > _LARGEST_SIGMA_S:
+        node_s = np.asarray((node_ns + base_ns - start_ns) * 1e-9, np.float64)
+        root_s = np.asarray((root_ns - start_ns) * 1e-9, np.float64)
+        measured = self._measured(node_s, node, root_s, root, span_s)
+        if measured is None:
             return
-        self.newest = found = Lag(measured.lag_s, math.hypot(measured.sigma_s, _STAMPS_SIGMA_S))
-        middle_ns, half_ns = start_ns + round(span_s * 0.5e9), round(SIGMAS * found.sigma_s * 1e9)
-        stamp_ns = middle_ns - base_ns + round(found.lag_s * 1e9)
-        yield TimesyncReply(self.clock, middle_ns - half_ns, stamp_ns, middle_ns + half_ns)
+        found = Lag(measured.lag_s, math.hypot(measured.sigma_s, _STAMPS_SIGMA_S))
+        if found.sigma_s > LARGEST_SIGMA_S:
+            return
+        self.newest = found
+        middle_ns = start_ns + round(span_s * 0.5e9)
+        # how old the quickest arrivals were at the middle of the window, and so are now: the link has not changed
+        age_ns = self._quickest(middle_ns)[0] - base_ns + round(found.lag_s * 1e9)
+        _, stamp_ns, received_ns = self._quickest(self._arrivals[-1][1] - _NEAR_NS)
+        half_ns = round(SIGMAS * math.hypot(found.sigma_s, _LINK_SIGMA_S) * 1e9)
+        yield TimesyncReply(self.clock, received_ns - age_ns - half_ns, stamp_ns, received_ns - age_ns + half_ns)
+
+    def _quickest(self, host_ns: int) -> tuple[int, int, int]:
+        """Arrival minus stamp, stamp and arrival of what came quickest within a second of a host time."""
+        near = [
+            (received - stamp, stamp, received)
+            for stamp, received in self._arrivals
+            if abs(received - host_ns) <= _NEAR_NS
+        ]
+        return min(near, default=(self._arrivals[-1][1] - self._arrivals[-1][0], *self._arrivals[-1]))
+
+    def _measured(self, node_s: Floats, node: Floats, root_s: Floats, root: Floats, span_s: float) -> Lag | None:
+        most_s, (force_s, turn_s) = MOST_DELAY_NS * 1e-9, self._delay_s
+        if self._turns:
+            return lag_between(node_s, node[:, 3:], root_s - turn_s, root[:, 3:], span_s, most_s)
+        edges = _edges(span_s, most_s)
+        force, rates = _means(root_s - force_s, root[:, :3], edges), _means(root_s - turn_s, root[:, 3:], edges)
+        return heave_lag(node_s, node[:, 2:3], carried(force, rates, self._lever_m), span_s, most_s)
 
 
 def lowpass_delay_s(cutoff_hz: float) -> float:
@@ -159,19 +200,72 @@ def lag_between(node_s: Floats, node: Floats, root_s: Floats, root: Floats, span
     Lag or None
         None where nothing moves.
     """
-    edges = np.arange(0.5, span_s - most_s - 0.5, _CELL_S)
-    wanted, slope = _smoothed(_means(root_s, root, edges))
+    edges = _edges(span_s, most_s)
+    wanted, slope = _smoothed(_means(root_s, root, edges), _SMOOTH_S)
+    others = np.hstack([wanted, np.gradient(slope, _CELL_S, axis=0)])
+    return _searched(node_s, node, edges, _Wanted(wanted, slope, others, _SMOOTH_S), most_s)
+
+
+def carried(force_mps2: Floats, rates_radps: Floats, lever_m: Floats) -> Floats:
+    """Specific force (n, 3) that a rigid wing would feel at a lever arm, from cell means of the root's.
+
+    ``f + omega' x r + omega x (omega x r)``, all (n, 3) but the lever (3,), body axes.
+    """
+    turning = np.cross(np.gradient(rates_radps, _CELL_S, axis=0), lever_m)
+    return np.asarray(force_mps2 + turning + np.cross(rates_radps, np.cross(rates_radps, lever_m)))
+
+
+def heave_lag(node_s: Floats, node_mps2: Floats, rigid_mps2: Floats, span_s: float, most_s: float) -> Lag | None:
+    """Find by how much a node's vertical specific force is late against a rigid wing's.
+
+    Parameters
+    ----------
+    node_s : (n,) float64
+        Stamps, late by 0 to ``most_s``.
+    node_mps2 : (n, 1) float64
+        What it measured along z.
+    rigid_mps2 : (c, 3) float64
+        What it would have felt rigidly (see :func:`carried`), in the cells between 0.5 s and
+        ``span_s - most_s - 0.5`` s.
+    span_s, most_s : float
+        See :func:`lag_between`.
+    """
+    rigid, slope = _smoothed(rigid_mps2, _HEAVE_SMOOTH_S)
+    wanted, slope = rigid[:, 2:], slope[:, 2:]
+    others = np.hstack([rigid, np.gradient(slope, _CELL_S, axis=0)])
+    found = _searched(
+        node_s, node_mps2, _edges(span_s, most_s), _Wanted(wanted, slope, others, _HEAVE_SMOOTH_S), most_s
+    )
+    return None if found is None else Lag(found.lag_s, math.hypot(found.sigma_s, _HEAVE_FLOOR_S))
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """What a node's smoothed series should be but for its lag, its derivative, and what else may be in it."""
+
+    values: Floats
+    slope: Floats
+    others: Floats
+    smooth_s: float
+
+
+def _searched(node_s: Floats, node: Floats, edges: Floats, wanted: _Wanted, most_s: float) -> Lag | None:
+    def late(lag_s: float) -> Floats:
+        return _smoothed(_means(node_s, node, edges + lag_s), wanted.smooth_s)[0] - wanted.values
+
     trials = np.arange(0.0, most_s + _SEARCH_S, _SEARCH_S)
-    misfits = [np.sum((_level(_smoothed(_means(node_s, node, edges + lag))[0] - wanted)) ** 2) for lag in trials]
-    lag_s = float(trials[int(np.argmin(misfits))])
+    lag_s = float(trials[int(np.argmin([np.sum(_level(late(lag)) ** 2) for lag in trials]))])
     sigma_s = np.inf
     for _ in range(_ROUNDS):
-        late = _smoothed(_means(node_s, node, edges + lag_s))[0]
-        step_s, sigma_s = _regressed(late - wanted, slope, np.hstack([wanted, np.gradient(slope, _CELL_S, axis=0)]))
+        step_s, sigma_s = _regressed(late(lag_s), wanted.slope, wanted.others)
         lag_s += step_s
     if not (np.isfinite(sigma_s) and -_SEARCH_S <= lag_s <= most_s + _SEARCH_S):
         return None
     return Lag(lag_s, sigma_s)
+
+
+def _edges(span_s: float, most_s: float) -> Floats:
+    return np.arange(0.5, span_s - most_s - 0.5, _CELL_S)
 
 
 def _means(t_s: Floats, values: Floats, edges: Floats) -> Floats:
@@ -182,9 +276,9 @@ def _means(t_s: Floats, values: Floats, edges: Floats) -> Floats:
     return np.asarray(np.diff(at, axis=0) / _CELL_S)
 
 
-def _smoothed(values: Floats) -> tuple[Floats, Floats]:
+def _smoothed(values: Floats, window_s: float) -> tuple[Floats, Floats]:
     """The slow part and its derivative, as far as the window reaches."""
-    window = np.hanning(round(_SMOOTH_S / _CELL_S) + 2)
+    window = np.hanning(round(window_s / _CELL_S) + 2)
     window /= window.sum()
     slow = np.stack([np.convolve(column, window, mode="valid") for column in values.T], axis=1)
     return slow, np.gradient(slow, _CELL_S, axis=0)
@@ -197,8 +291,8 @@ def _level(values: Floats) -> Floats:
 def _regressed(difference: Floats, slope: Floats, others: Floats) -> tuple[float, float]:
     """``difference = -lag slope + others b + rest``: the lag left and its sigma, axes weighted by how well they fit.
 
-    ``others`` are the rates and their second derivatives, each axis into each: a node that is tilted by the bend sees
-    a little of the other rates, its scale is not the root's, and the wing gives way to angular acceleration. The sigma
+    ``others`` are the wanted series and their second derivatives, each axis into each: a node that is tilted by the
+    bend sees a little of the other axes, its scale is not the root's, and the wing gives way to acceleration. The sigma
     is the jackknife's over blocks of 1.5 s, so that it holds for coloured residuals and for what the fit of ``others``
     takes away.
     """
