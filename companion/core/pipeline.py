@@ -35,7 +35,6 @@ from companion.records import (
     Health,
     ImuBatch,
     MatchSet,
-    ModeState,
     Notice,
     OutputRecord,
     ParameterChange,
@@ -75,7 +74,7 @@ class PipelineState:
     filters: VehicleFilters = field(default_factory=VehicleFilters)
     alignments: dict[ClockName, Alignment] = field(default_factory=dict)
     unanswered_ns: dict[ClockName, int] = field(default_factory=dict)
-    mode: ModeState | None = None
+    validity: Validity | None = None  # of what the tracker says; None until there is something
     vehicle: VehicleState | None = None
     counters: Counter[str] = field(default_factory=Counter)
     waiting: dict[Station, list[ImuBatch]] = field(default_factory=dict)
@@ -309,14 +308,14 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         state.next_track_ns = now_ns + _TRACK_PERIOD_NS
         outputs += _take_samples(state)
         outputs += [*_adapt_to_delivery(state, now_ns), *_align(state, now_ns)]
-        state.mode = state.tracker.advance(now_ns) or state.mode
+        state.validity = state.tracker.turn(now_ns) or state.validity
     if state.scheduling is not None:
-        outputs += state.scheduling.tick(state.tracker, state.mode, _motion(state), now_ns)
+        outputs += state.scheduling.tick(state.tracker, state.validity, _motion(state), now_ns)
     if state.correction is not None:
         climb_mps = state.vehicle.climb_mps if state.vehicle else 0.0
         airspeed_mps = state.vehicle.airspeed_mps if state.vehicle else 0.0
         outputs += state.correction.due(state.tracker, now_ns, climb_mps, airspeed_mps)
-    outputs += state.publishing.tick(now_ns, outputs, state.mode, state.settings)
+    outputs += state.publishing.tick(now_ns, outputs, state.tracker.describe, state.validity, state.settings)
     if now_ns >= state.next_status_ns:
         state.next_status_ns = now_ns + _STATUS_PERIOD_NS
         outputs += _status(state, now_ns)
@@ -350,17 +349,17 @@ def _clocks_in_use(airframe: Airframe) -> list[ClockName]:
 
 def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
     unsynced = [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name).synced]
-    if state.mode is None:
+    if state.validity is None:
         return Health.BOOT, "waiting for " + (", ".join(unsynced) + " clock" if unsynced else "inertial samples")
     if unsynced:
         return Health.CRITICAL, f"lost sync with {', '.join(unsynced)}"
     if state.scheduling is not None and state.scheduling.blind(now_ns):
         return Health.CRITICAL, _BLIND
-    if state.mode.validity in (Validity.TRACKING, Validity.CALM):
-        return Health.ACTIVE, str(state.mode.validity)
-    if state.mode.validity is Validity.SETTLING:
-        return Health.STANDBY, str(state.mode.validity)
-    return Health.CRITICAL, str(state.mode.validity)
+    if state.validity in (Validity.TRACKING, Validity.CALM):
+        return Health.ACTIVE, str(state.validity)
+    if state.validity is Validity.SETTLING:
+        return Health.STANDBY, str(state.validity)
+    return Health.CRITICAL, str(state.validity)
 
 
 def smoothed(state: PipelineState, t_host_ns: int) -> Deflection | Reject:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from companion.params.settings import Settings
@@ -22,19 +22,25 @@ class Publishing:
     last_reject: Reject = Reject.NOT_SETTLED
 
     def tick(
-        self, now_ns: int, fresh: Sequence[OutputRecord], mode: ModeState | None, settings: Settings
+        self,
+        now_ns: int,
+        fresh: Sequence[OutputRecord],
+        describe: Callable[[], ModeState | None],
+        validity: Validity | None,
+        settings: Settings,
     ) -> list[OutputRecord]:
-        """The records that are due, given those just made."""
+        """The records that are due, given those just made; ``describe`` is asked for the mode when that is due."""
         for record in fresh:
             if isinstance(record, CorrectedRange):
                 self._note(record, now_ns)
         outputs: list[OutputRecord] = []
-        if mode is not None and settings.debug_rate_hz > 0 and now_ns >= self.next_mode_ns:
+        debug = validity is not None and settings.debug_rate_hz > 0 and now_ns >= self.next_mode_ns
+        if debug and (mode := describe()) is not None:
             self.next_mode_ns = now_ns + int(1e9 / settings.debug_rate_hz)
             outputs.append(mode)
         if now_ns - self.last_trusted_ns > _RANGE_STALE_NS and now_ns >= self.next_fill_ns:
             self.next_fill_ns = now_ns + int(1e9 / settings.publish_rate_hz)
-            outputs.append(NoRange(now_ns, self.orientation, self._reason(mode)))
+            outputs.append(NoRange(now_ns, self.orientation, self._reason(validity)))
         return outputs
 
     def _note(self, measured: CorrectedRange, now_ns: int) -> None:
@@ -43,9 +49,9 @@ class Publishing:
         elif measured.reject is not None:
             self.last_reject = measured.reject
 
-    def _reason(self, mode: ModeState | None) -> Reject:
-        if mode is None:
+    def _reason(self, validity: Validity | None) -> Reject:
+        if validity is None:
             return Reject.CLOCK_UNSYNCED
-        if mode.validity is Validity.STALE:
+        if validity is Validity.STALE:
             return Reject.STALE
         return self.last_reject

@@ -28,9 +28,7 @@ def test_forty_samples_a_second_are_told_with_the_remedy_and_tracked_with() -> N
     assert "set SCHED_LOOP_RATE 100, reboot" in heard
     assert any("tracker restarted" in notice.text and "root" in notice.text for notice in service.tape.of(Notice))
     tracker = service.loop.state.tracker
-    mode = service.loop.state.mode
-    assert mode is not None
-    assert mode.validity in (Validity.TRACKING, Validity.SETTLING)
+    assert service.loop.state.validity in (Validity.TRACKING, Validity.SETTLING)
     errors, spread = [], []
     for back_ms in range(500, 900, 10):
         t_ns = tracker._next_ns - back_ms * MS

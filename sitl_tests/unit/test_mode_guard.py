@@ -53,10 +53,10 @@ def _flown(flight: Flight, spoil: bool) -> list[tuple[float, Validity, Reject | 
         while now_ns <= getattr(record, "received_host_ns", 0):
             state, _ = step(state, Tick(now_ns))
             now_ns += 20_000_000
-            if state.mode is not None:
+            if state.validity is not None:
                 tracker = state.tracker
                 t_s = (now_ns - HOST_EPOCH_NS) * 1e-9
-                seen.append((t_s, state.mode.validity, tracker.distrust, tracker.surprise))
+                seen.append((t_s, state.validity, tracker.distrust, tracker.surprise))
         if isinstance(record, ImuBatch) and record.station is Station.LEFT and spoil:
             t_s = (record.received_host_ns - HOST_EPOCH_NS) * 1e-9
             if BROKEN_S <= t_s < MENDED_S:

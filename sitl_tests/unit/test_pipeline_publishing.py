@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -128,17 +128,21 @@ def test_what_was_refused_before_does_not_count_and_stays_as_it_is() -> None:
 # ------------------------------------------------------------------------------------------ publishing
 
 
+def nothing() -> None:
+    """No mode to describe."""
+
+
 @given(st.lists(st.tuples(st.integers(1, 60), st.booleans(), st.booleans()), min_size=1, max_size=120))
 def test_an_old_number_never_stands_longer_than_400_ms(turns: list[tuple[int, bool, bool]]) -> None:
     """Whatever comes when: at any tick more than 400 ms after the last trusted range, "no range" went out lately."""
     publishing, settings = Publishing(DOWN), Settings()
     now_ns = trusted_ns = 10 * S
-    publishing.tick(now_ns, [measured(40.0, now_ns)], None, settings)
+    publishing.tick(now_ns, [measured(40.0, now_ns)], nothing, None, settings)
     said_ns: int | None = None
     for wait_ms, comes, good in turns:
         now_ns += wait_ms * MS
         fresh: list[OutputRecord] = [measured(40.0, now_ns, trusted=good)] if comes else []
-        outputs = publishing.tick(now_ns, fresh, None, settings)
+        outputs = publishing.tick(now_ns, fresh, nothing, None, settings)
         if comes and good:
             trusted_ns, said_ns = now_ns, None
         if any(isinstance(output, NoRange) for output in outputs):
@@ -151,25 +155,25 @@ def test_an_old_number_never_stands_longer_than_400_ms(turns: list[tuple[int, bo
 
 def test_silence_is_filled_at_the_publishing_rate_with_the_last_reason() -> None:
     publishing, settings = Publishing(DOWN), Settings().replace("OUT_RATE", 5.0)
-    good = mode(Validity.TRACKING)
-    publishing.tick(10 * S, [measured(40.0, 10 * S)], good, settings)
-    publishing.tick(10 * S + 10 * MS, [measured(40.0, 10 * S, trusted=False)], good, settings)
+    good = Validity.TRACKING
+    publishing.tick(10 * S, [measured(40.0, 10 * S)], nothing, good, settings)
+    publishing.tick(10 * S + 10 * MS, [measured(40.0, 10 * S, trusted=False)], nothing, good, settings)
     said = [
         output
         for k in range(1, 201)
-        for output in publishing.tick(10 * S + k * 10 * MS, [], good, settings)
+        for output in publishing.tick(10 * S + k * 10 * MS, [], nothing, good, settings)
         if isinstance(output, NoRange)
     ]
     assert len(said) == 8, "1.6 s of silence at 5 Hz"
     assert {entry.reject for entry in said} == {Reject.SIGMA_TOO_LARGE}
     assert {entry.orientation for entry in said} == {DOWN}
-    stale = dataclasses.replace(good, validity=Validity.STALE)
-    (entry,) = [e for e in publishing.tick(13 * S, [], stale, settings) if isinstance(e, NoRange)]
+    (entry,) = [e for e in publishing.tick(13 * S, [], nothing, Validity.STALE, settings) if isinstance(e, NoRange)]
     assert entry.reject is Reject.STALE
 
 
 @pytest.mark.parametrize(("rate_hz", "expected"), [(0.0, 0), (4.0, 8), (20.0, 40)])
 def test_the_mode_goes_out_at_the_rate_for_graphs(rate_hz: float, expected: int) -> None:
     publishing, settings = Publishing(DOWN), Settings().replace("OUT_DEBUG", rate_hz)
-    said = [o for k in range(200) for o in publishing.tick(10 * S + k * 10 * MS, [], mode(Validity.CALM), settings)]
+    calm = functools.partial(mode, Validity.CALM)
+    said = [o for k in range(200) for o in publishing.tick(10 * S + k * 10 * MS, [], calm, Validity.CALM, settings)]
     assert sum(isinstance(output, ModeState) for output in said) == expected

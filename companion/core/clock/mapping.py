@@ -94,13 +94,11 @@ class Mapping:
         bound = max(self._knots[first].bound_at_ns(low), self._knots[last].bound_at_ns(high))
         if first == last:
             return self._knots[first].map(t_ns), low, high, bound
-        host = np.empty_like(t_ns)
-        segments = np.clip(np.searchsorted(self._remote, t_ns, side="right") - 1, first, last)
+        stamps = t_ns.ravel().tolist()
+        host = np.array([self._knots[max(bisect_right(self._remote, t) - 1, first)].to_host(t) for t in stamps])
         for i in range(first, last + 1):
-            inside = segments == i
-            host[inside] = self._knots[i].map(t_ns[inside])
             bound = max(bound, self._knots[i].bound_at_ns(self._knots[min(i + 1, last)].host_ns))
-        return host, low, high, bound
+        return host.reshape(t_ns.shape), low, high, bound
 
     def _segment(self, remote_ns: int) -> int:
         return max(bisect_right(self._remote, remote_ns) - 1, 0)

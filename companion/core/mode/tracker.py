@@ -125,13 +125,20 @@ class WingTracker:
             self._restart()
 
     def advance(self, now_host_ns: int) -> ModeState | None:
+        """Go on to ``now``, as :meth:`turn` does, and describe the wing; None until there is a first cell."""
+        return None if self.turn(now_host_ns) is None else self.describe()
+
+    def turn(self, now_host_ns: int) -> Validity | None:
         """Process every cell that ended before ``now`` less the reorder window; None until there is a first one."""
         until_ns = now_host_ns - round(self._settings.reorder_window_s * 1e9)
         if self._start_ns is None and not self._begin(until_ns):
             return None
         while (count := min((until_ns - self._next_ns) // self._step_ns, _MOST_CELLS)) > 0:
             self._process(int(count))
-        return self._describe(now_host_ns) if self._rates else None
+        if not self._rates:
+            return None
+        self._validity = self._judge(now_host_ns)
+        return self._validity
 
     def _begin(self, until_ns: int) -> bool:
         root, *others = (stream.first_ns() for stream in self._streams)
@@ -204,11 +211,18 @@ class WingTracker:
 
     # ------------------------------------------------------------------------------------------ out
 
-    def _describe(self, now_host_ns: int) -> ModeState:
+    @property
+    def newest_ns(self) -> int:
+        """The newest processed instant."""
+        return self._next_ns
+
+    def describe(self) -> ModeState | None:
+        """The wing at the newest processed instant; None until there is a first one."""
+        if not self._rates:
+            return None
         kalman, layout = self._kalman, self._layout
         state, covariance = kalman.state, kalman.total_covariance
         rms = self._level.rms_m()
-        self._validity = self._judge(now_host_ns)
         static = (kalman.static_m, 0.0)
         symmetric, antisymmetric = (
             mode_estimate(family, parameters, state, covariance, static[k], float(rms[k]))

@@ -11,7 +11,7 @@ from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, MatchSet, ModeState, OutputRecord, Shot, Side
+from companion.records import ClockName, MatchSet, OutputRecord, Shot, Side, Validity
 
 _PLAN_PERIOD_NS = 40_000_000
 _BLIND_SHOTS, _BLIND_NS = 5, 10_000_000_000
@@ -38,15 +38,15 @@ class Scheduling:
         self.planner.settings = settings
 
     def tick(
-        self, tracker: WingTracker, mode: ModeState | None, motion: Motion, now_host_ns: int
+        self, tracker: WingTracker, validity: Validity | None, motion: Motion, now_host_ns: int
     ) -> Iterator[OutputRecord]:
         """Plan, when it is time to."""
-        if mode is None or now_host_ns < self.next_plan_ns:
+        if validity is None or now_host_ns < self.next_plan_ns:
             return
         self.next_plan_ns = now_host_ns + _PLAN_PERIOD_NS
-        ahead_ns = now_host_ns - mode.t_host_ns
+        ahead_ns = now_host_ns - tracker.newest_ns
         forecast = tracker.forecast(HORIZON_NS + ahead_ns, STEP_NS)
-        plan = self.planner.plan(forecast, mode.validity, now_host_ns, motion)
+        plan = self.planner.plan(forecast, validity, now_host_ns, motion)
         if plan is not None:
             yield plan
 
