@@ -53,7 +53,7 @@ from companion.records import (
 __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000
-_TRACK_PERIOD_NS = 20_000_000
+_TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between
 _WARNING = 4
 _BLIND = "shots bring no image pairs: trigger, cameras?"
 _PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered
