@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.core.mode.kalman import Kalman
 from companion.core.mode.layout import Layout
-from companion.core.mode.model import StepModel, propagation
+from companion.core.mode.model import StepModel, modal_propagation
 from companion.records import Floats, Ints
 
 
@@ -46,13 +46,16 @@ class Forecaster:
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
+        self._modal = layout.antisymmetric.span.stop  # the modes and their loads come first
         self._kept = [index for pair in layout.pairs for index in pair]
         self._q = [self._kept.index(family.q) for family in layout.families]
+        self._pick = np.eye(len(self._kept))[self._q]
         self._factors = _factors(layout, self._kept)
         self._model: StepModel | None = None
         self._step_ns = 0
-        self._ahead = np.empty((len(self._kept), 0, layout.size))
+        self._ahead = np.empty((len(self._kept), 0, self._modal))
         self._noise = np.empty((0, len(self._kept), len(self._kept)))
+        self._slope = np.empty((2, len(self._kept)))
 
     def run(
         self, kalman: Kalman, newest_ns: int, static_m: float, body_rate: Floats, horizon_ns: int, step_ns: int
@@ -60,11 +63,13 @@ class Forecaster:
         """Predict from the newest state in steps of ``step_ns`` up to ``horizon_ns``."""
         count = max(int(horizon_ns // step_ns), 1)
         self._prepare(kalman, step_ns, count)
-        rest = np.zeros(self._layout.size)
+        rest = np.zeros(self._modal)
         rest[self._layout.symmetric.q] = static_m
-        modes = (self._ahead @ (kalman.state - rest)).T + rest[self._kept]
-        rows = self._rate_rows(kalman)
-        spread = self._spread(np.concatenate([np.eye(len(self._kept))[self._q], rows]), kalman.total_covariance)
+        modes = (self._ahead @ (kalman.state[: self._modal] - rest)).T + rest[self._kept]
+        rows = self._slope.copy()
+        for column, at, sign in self._factors:
+            rows[:, at] += sign * kalman.constants[column]
+        spread = self._spread(np.concatenate([self._pick, rows]), kalman.covariance_of(self._modal))
         rate_cov = spread[:, 2:, 2:]
         for column, at, _ in self._factors:
             loose = kalman.constants_covariance[column, column] * modes[:, at] ** 2
@@ -90,25 +95,17 @@ class Forecaster:
         model, kept = kalman.model, self._kept
         if model is self._model and step_ns == self._step_ns and count <= len(self._noise):
             return
-        transition, noise = propagation(self._layout, kalman.noise, model.parameters, step_ns * 1e-9)
-        rows = np.eye(self._layout.size)[kept]
-        self._ahead = np.empty((len(kept), count, self._layout.size))
+        transition, noise = modal_propagation(self._layout, model.parameters, step_ns * 1e-9)
+        rows, places = np.eye(self._modal)[kept], np.ix_(kept, kept)
+        self._ahead = np.empty((len(kept), count, self._modal))
         self._noise = np.empty((count, len(kept), len(kept)))
         covariance = np.zeros_like(noise)
         for k in range(count):
             rows = rows @ transition
             covariance = transition @ covariance @ transition.T + noise
-            self._ahead[:, k], self._noise[k] = rows, covariance[np.ix_(kept, kept)]
+            self._ahead[:, k], self._noise[k] = rows, covariance[places]
+        self._slope[:, ::2], self._slope[:, 1::2] = 0.0, model.slope[:, kept[::2]]
         self._model, self._step_ns = model, step_ns
-
-    def _rate_rows(self, kalman: Kalman) -> Floats:
-        """Tip slope rates of the modal coordinates and rates, (2, m), slope factors as estimated."""
-        rows = np.zeros((2, len(self._kept)))
-        for at, (q, _) in enumerate(self._layout.pairs):
-            rows[:, 2 * at + 1] = kalman.model.slope[:, q]
-        for column, at, sign in self._factors:
-            rows[:, at] += sign * kalman.constants[column]
-        return rows
 
 
 def _factors(layout: Layout, kept: list[int]) -> list[tuple[int, int, Floats]]:

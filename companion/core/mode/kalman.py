@@ -9,6 +9,7 @@ constants were zero, the others are its derivative by each constant: the same li
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Collection
 
 import numpy as np
@@ -17,7 +18,7 @@ from companion.core.compiled import COMPILED, compiled
 from companion.core.mode import kernel_loops, kernel_numpy
 from companion.core.mode.kernel import Data, Fixed, Memory, Step, make_history
 from companion.core.mode.layout import P_LEFT, ROWS, Y_LEFT, Layout, Noise
-from companion.core.mode.model import StepModel
+from companion.core.mode.model import StepModel, stationary
 from companion.core.mode.rigid import Cells
 from companion.core.mode.sensitivity import own_scales
 from companion.records import Floats, Ints
@@ -56,7 +57,7 @@ class Kalman:
         self._bend_per_g_m, self._bend = bend_per_g_m, layout.column("bend_per_g")
         if (trim := layout.column("trim")) is not None:
             self.columns[layout.symmetric.q, trim] = 1.0
-        self.covariance = np.ascontiguousarray(model.stationary.copy())
+        self.covariance = stationary(layout, noise, model)
         self.constants = np.zeros(c)
         self.constants_covariance = np.diag(layout.constant_sigma**2)
         self._prior = np.diag(1.0 / layout.constant_sigma**2)
@@ -70,13 +71,18 @@ class Kalman:
         self._fixed = _fixed(layout, noise, model.step_s, trim_m, bend_per_g_m)
         self.use(model)
 
-    def fork(self, model: StepModel, keep: int = 1) -> Kalman:
-        """Another filter that knows what this one knows and goes on with ``model``; it remembers ``keep`` steps."""
-        other = Kalman(self.layout, self.noise, model, self._fixed.trim_m, self._bend_per_g_m, keep)
-        other.columns[:], other.covariance[:] = self.columns, self.covariance
-        other.constants[:], other.constants_covariance[:] = self.constants, self.constants_covariance
-        other._memory.information[:], other._weights[:] = self._memory.information, self._weights
-        other._unsolved = self._unsolved
+    def fork(self, model: StepModel) -> Kalman:
+        """Another filter that knows what this one knows and goes on with ``model``; it remembers a single step."""
+        other = copy.copy(self)
+        other.columns, other.covariance = self.columns.copy(), self.covariance.copy()
+        other.constants, other.constants_covariance = self.constants.copy(), self.constants_covariance.copy()
+        other._weights = self._weights.copy()
+        gathered = self._memory.information.copy()
+        other._memory = Memory(other.columns, other.covariance, gathered, other._weights, np.zeros(2))
+        other.history = make_history(1, self.layout.size, len(self.constants), ROWS)
+        other.steps = 0
+        if model is not self.model:
+            other.use(model)
         return other
 
     def reopen(self, names: Collection[str]) -> None:
@@ -132,8 +138,12 @@ class Kalman:
     @property
     def total_covariance(self) -> Floats:
         """Covariance of the state with that of the constants folded in."""
-        v = self.columns[:-1, 1:]
-        total: Floats = self.covariance + v @ self.constants_covariance @ v.T
+        return self.covariance_of(self.layout.size)
+
+    def covariance_of(self, count: int) -> Floats:
+        """As :attr:`total_covariance`, of the first ``count`` states."""
+        v = self.columns[:count, 1:]
+        total: Floats = self.covariance[:count, :count] + v @ self.constants_covariance @ v.T
         return total
 
     @property

@@ -63,8 +63,6 @@ class StepModel:
         ``H1 Q H1^T``, to which sensor noise is added.
     slope : (2, n) float64
         Left and right tip slope of a state.
-    stationary : (n, n) float64
-        Covariance of a wing that has been in this gust for ever (biases: their prior).
     cut : float
         Variance that a vertical mean has on average by edges that cut samples.
     rough : bool
@@ -79,7 +77,6 @@ class StepModel:
     cross: Floats
     measured: Floats
     slope: Floats
-    stationary: Floats
     cut: float
     rough: bool
 
@@ -90,13 +87,6 @@ def build_model(
     """Discretise the wing with these parameters; ``lever_y_m`` places the tips relative to the root (body y)."""
     n = layout.size
     a, q = propagation(layout, noise, parameters, step_s)
-    static = np.zeros((n, n))
-    for family in layout.families:
-        static[family.span, family.span] = stationary_covariance(
-            a[family.span, family.span], q[family.span, family.span]
-        )
-    static[layout.roll, layout.roll], static[layout.turn, layout.turn] = _ROLL_SIGMA_RADPS**2, _TURN_RADPS2**2
-    static[layout.biases, layout.biases] = noise.bias_prior
     before, after = _rows(layout, lever_y_m, step_s)
     bend = np.zeros(n)
     bend[layout.symmetric.q] = 1.0
@@ -114,15 +104,26 @@ def build_model(
     slopes = slope_rows(layout)
     path = sum(q[family.v, family.v] * slopes[1, family.q] ** 2 for family in layout.families) / 12.0
     rough = bool(path > _ROUGH * noise.own[P_LEFT:P_ROOT].min())
-    return StepModel(step_s, parameters, transition, sense, q, q @ after.T, measured, slopes, static, float(cut), rough)
+    return StepModel(step_s, parameters, transition, sense, q, q @ after.T, measured, slopes, float(cut), rough)
+
+
+def stationary(layout: Layout, noise: Noise, model: StepModel) -> Floats:
+    """Covariance of a wing that has been in this gust for ever (biases: their prior), (n, n)."""
+    static = np.zeros((layout.size, layout.size))
+    for family in layout.families:
+        own = (family.span, family.span)
+        static[own] = stationary_covariance(model.transition[own], model.noise[own])
+    static[layout.roll, layout.roll], static[layout.turn, layout.turn] = _ROLL_SIGMA_RADPS**2, _TURN_RADPS2**2
+    static[layout.biases, layout.biases] = noise.bias_prior
+    return static
 
 
 def propagation(layout: Layout, noise: Noise, parameters: Parameters, step_s: float) -> tuple[Floats, Floats]:
     """Transition and process noise of the whole state over any time ``step_s``: (n, n) each."""
     n = layout.size
     a, q = np.zeros((n, n)), np.zeros((n, n))
-    for family, values in zip(layout.families, parameters, strict=True):
-        a[family.span, family.span], q[family.span, family.span] = van_loan(*_family_system(values), step_s)
+    modal = slice(0, layout.antisymmetric.span.stop)
+    a[modal, modal], q[modal, modal] = modal_propagation(layout, parameters, step_s)
     rigid = slice(layout.roll, layout.turn + 1)
     corner = _TURN_CORNER_RADPS
     system = np.array([[0.0, 1.0], [0.0, -corner]])
@@ -130,6 +131,15 @@ def propagation(layout: Layout, noise: Noise, parameters: Parameters, step_s: fl
     decay = float(np.exp(-step_s / noise.bias_time_s))
     a[layout.biases, layout.biases] = decay * np.eye(len(layout.bias))
     q[layout.biases, layout.biases] = noise.bias_prior * (1.0 - decay**2)
+    return a, q
+
+
+def modal_propagation(layout: Layout, parameters: Parameters, step_s: float) -> tuple[Floats, Floats]:
+    """As :func:`propagation`, of the modes and their loads alone; they come first."""
+    m = layout.antisymmetric.span.stop
+    a, q = np.zeros((m, m)), np.zeros((m, m))
+    for family, values in zip(layout.families, parameters, strict=True):
+        a[family.span, family.span], q[family.span, family.span] = van_loan(*_family_system(values), step_s)
     return a, q
 
 
