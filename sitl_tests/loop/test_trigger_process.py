@@ -95,6 +95,18 @@ def test_the_newest_plan_wins_whatever_its_time(process: TriggerProcess) -> None
     ]
 
 
+def test_a_plan_that_came_too_late_to_replace_the_last_shots_is_not_fired(process: TriggerProcess) -> None:
+    """Planned before that shot was fired, in its stead; nor is what refines it."""
+    first, instead = plan(250, 15 * MS), plan(251, 120 * MS)
+    process.send(first)
+    found = reports(process, 0.05)
+    process.send(instead)
+    process.send(plan(251, 60 * MS))
+    process.send(plan(252, 90 * MS))
+    found += reports(process, 0.25)
+    assert [shot.plan_id for shot in found if isinstance(shot, Shot)] == [250, 252]
+
+
 def test_a_skip_withdraws_what_waits(process: TriggerProcess) -> None:
     process.send(plan(300, 60 * MS))
     process.send(plan(300, 60 * MS, Firing.SKIP))

@@ -18,7 +18,7 @@ from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Firing, Reject, TriggerPlan, Validity
+from companion.records import Firing, Reject, Shot, TriggerPlan, Validity
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -325,3 +325,64 @@ def test_an_airframe_without_cameras_still_plans_peaks(airframe: Airframe) -> No
     fired, _ = fly(planner_for(blind), 2 * S)
     assert len(fired) >= 17
     assert max(distance_to_peak_ns(plan.exposure_host_ns, 5.0) for plan in fired) < 6 * MS
+
+
+class BusyLine(Line):
+    """A trigger process whose pipe is slow: plans reach it late, and its shots are told late."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        super().__init__()
+        self.rng = rng
+        self.coming: list[tuple[int, TriggerPlan]] = []
+        self.told: list[tuple[int, Shot]] = []
+        self.void: set[int] = set()
+        self.last_ns = 0
+
+    def send(self, plan: TriggerPlan, now_ns: int) -> None:
+        last_ns = self.coming[-1][0] if self.coming else 0
+        self.coming.append((max(now_ns + int(self.rng.integers(0, 40 * MS)), last_ns), plan))
+
+    def take(self, plan: TriggerPlan | None) -> None:
+        if plan is not None and plan.planned_host_ns <= self.last_ns:
+            self.void.add(plan.plan_id)  # as FiringLoop does
+        elif plan is not None and plan.plan_id not in self.void:
+            super().take(plan)
+
+    def run_to(self, from_ns: int, to_ns: int) -> list[Shot]:
+        for now_ns in range(from_ns, to_ns, MS):
+            while self.coming and self.coming[0][0] <= now_ns:
+                self.take(self.coming.pop(0)[1])
+            before = len(self.fired)
+            if self.pending is not None and self.pending.expires_host_ns < now_ns:
+                self.pending = None
+            self.run(now_ns)
+            for plan in self.fired[before:]:
+                self.last_ns = now_ns
+                shot = Shot(plan.plan_id, plan.command_host_ns, now_ns)
+                self.told.append((now_ns + int(self.rng.integers(MS, 9 * MS)), shot))
+        known = [shot for at_ns, shot in self.told if at_ns <= to_ns]
+        self.told = [(at_ns, shot) for at_ns, shot in self.told if at_ns > to_ns]
+        return known
+
+
+@given(seed=st.integers(0, 10_000), hz=st.floats(3.0, 12.0), rate_hz=st.sampled_from([2.0, 3.0, 5.0]))
+@profile(max_examples=40, deadline=None)
+def test_a_busy_machine_does_not_fire_twice_in_a_turn(seed: int, hz: float, rate_hz: float) -> None:
+    """Calm that comes and goes, so that plans replace each other, and a pipe up to 40 ms late: 0.7 intervals apart.
+
+    A tick and the lateness of a command (10 ms each) are allowed for.
+    """
+    rng = np.random.default_rng(seed)
+    planner, line = planner_for(load_airframe("nadir-2m"), trigger_rate_hz=rate_hz), BusyLine(rng)
+    tick_ns = 10 * MS
+    for now in range(S, 6 * S, tick_ns):
+        for shot in line.run_to(now - tick_ns, now):
+            planner.fired(shot)
+        validity = Validity.CALM if (now // (300 * MS) + seed) % 3 == 0 else Validity.TRACKING
+        phase = float(rng.normal(0.0, 0.05))
+        plan = planner.plan(wing(now - 50 * MS, hz=hz, phase_rad=phase), validity, now)
+        if plan is not None:
+            line.send(plan, now)
+    gaps = np.diff([plan.command_host_ns for plan in line.fired])
+    assert len(gaps) > 3
+    assert gaps.min() >= 0.7e9 / rate_hz - 20 * MS

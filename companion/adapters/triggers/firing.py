@@ -23,8 +23,9 @@ class FiringLoop:
     """One trigger line and the plan that waits for it.
 
     A plan replaces the one that waits; a SKIP plan withdraws it. An id that was fired within two seconds is not fired
-    again. A plan past its expiry is reported as ``PLAN_EXPIRED``, what is no plan as ``CRC``, a line that fails as
-    ``DEVICE_FAILED``; none of them ends the loop.
+    again, nor one that was planned before the last shot: it was to replace that shot's plan, and came too late. A plan
+    past its expiry is reported as ``PLAN_EXPIRED``, what is no plan as ``CRC``, a line that fails as ``DEVICE_FAILED``;
+    none of them ends the loop.
     """
 
     def __init__(self, trigger: Trigger, end: socket.socket, stopped: Callable[[], bool]) -> None:
@@ -33,6 +34,7 @@ class FiringLoop:
         self._stopped = stopped
         self._waiting: TriggerPlan | None = None
         self._fired_ns: dict[int, int] = {}
+        self._last_ns = 0
 
     def run(self) -> None:
         """Serve until told to stop, or until the other end is closed."""
@@ -72,7 +74,11 @@ class FiringLoop:
         plan = unpack_plan(message)
         if plan is None:
             self.report(Rejected(Reject.CRC, "message to the trigger process", time.monotonic_ns()))
-        elif plan.plan_id not in self._fired_ns:
+        elif plan.plan_id in self._fired_ns:
+            return
+        elif plan.planned_host_ns <= self._last_ns:
+            self._fired_ns[plan.plan_id] = self._last_ns
+        else:
             self._waiting = None if plan.firing is Firing.SKIP else plan
 
     def _serve(self, plan: TriggerPlan) -> None:
@@ -88,5 +94,5 @@ class FiringLoop:
             self.report(Rejected(Reject.DEVICE_FAILED, str(error), now_ns))
             return
         self._fired_ns = {old: at for old, at in self._fired_ns.items() if at > now_ns - _MEMORY_NS}
-        self._fired_ns[plan.plan_id] = shot.fired_host_ns
+        self._fired_ns[plan.plan_id] = self._last_ns = shot.fired_host_ns
         self.report(shot)

@@ -14,7 +14,7 @@ from companion.core.trigger.instants import StillInstant, blur_at_px, still_inst
 from companion.core.trigger.latency import LatencyModel
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import Firing, Reject, TriggerPlan, Validity
+from companion.records import Firing, Reject, Shot, TriggerPlan, Validity
 
 HORIZON_NS = 250_000_000
 """How far ahead a forecast should reach: two intervals of the fastest usual rate, and a half period of a slow wing."""
@@ -66,6 +66,8 @@ class Planner:
         self._draft: _Draft | None = None
         self._due_ns = _NOT_YET
         self._last: _Draft | None = None
+        self._fired_id = 0
+        self._overtaken = False
 
     def plan(
         self, forecast: Forecast | Reject, validity: Validity, now_host_ns: int, motion: Motion | None = None
@@ -91,12 +93,30 @@ class Planner:
         """
         if self._due_ns == _NOT_YET:
             self._due_ns = now_host_ns + self._interval_ns
+        if self._overtaken:
+            self._overtaken = False
+            return self._withdraw(now_host_ns)
         if self._being_fired(now_host_ns):
             return None
         if self.settings.trigger_policy == Policy.OFF:
             return self._withdraw(now_host_ns)
         draft = self._choose(forecast, validity, now_host_ns, motion or Motion())
         return None if draft is None else self._number(draft, now_host_ns)
+
+    def fired(self, shot: Shot) -> None:
+        """Take note of a shot: one of a plan that was replaced too late to be stopped has had its turn all the same.
+
+        On a busy machine a plan may reach the trigger process after the command of the one it replaces. What is open
+        then comes too early, and is withdrawn by the next :meth:`plan`.
+        """
+        if shot.plan_id <= self._fired_id:
+            return
+        self._fired_id = shot.plan_id
+        exposure_ns = shot.fired_host_ns + self._latency.lead_ns
+        self._due_ns = max(self._due_ns, exposure_ns + self._interval_ns)
+        if self._open is not None and self._draft is not None and self._open.plan_id != shot.plan_id:
+            early_ns = self._due_ns - self._draft.exposure_ns
+            self._overtaken = early_ns > round(_EARLY_SHARE * self._interval_ns)
 
     # ---------------------------------------------------------------------------------------- the open plan
 
@@ -110,6 +130,8 @@ class Planner:
             return False
         if fires and until_ns > -MARGIN_NS:
             return True
+        if fires:
+            self._fired_id = max(self._fired_id, self._open.plan_id)
         if fires or not self._draft.at_peak:
             self._due_ns = max(self._due_ns, self._draft.exposure_ns) + self._interval_ns
         else:  # a skipped peak costs no turn, but the next peak has its chance before the timer stands in
@@ -165,8 +187,9 @@ class Planner:
     def _tick(self, firing: Firing, blur: BlurForecast | None, now_ns: int, reject: Reject | None = None) -> _Draft:
         """Expose when it is due, whatever the wing does; an open tick is not pushed along."""
         exposure_ns = self._due_from(now_ns)
-        if self._draft is not None and not self._draft.at_peak and self._draft.exposure_ns >= self._earliest(now_ns):
-            exposure_ns = self._draft.exposure_ns
+        held = self._draft
+        if held is not None and not held.at_peak and held.exposure_ns >= max(self._earliest(now_ns), self._due_ns):
+            exposure_ns = held.exposure_ns
         return _Draft(firing, exposure_ns, 0, blur_at_px(blur, exposure_ns) if blur else 0.0, reject, at_peak=False)
 
     def _peak(self, blur: BlurForecast, now_ns: int) -> _Draft | None:

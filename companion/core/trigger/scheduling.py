@@ -56,6 +56,7 @@ class Scheduling:
             self.unseen_since_ns = shot.fired_host_ns
         self.unseen += 1
         self.latency.shot(shot)
+        self.planner.fired(shot)
 
     def blind(self, now_host_ns: int) -> bool:
         """Whether shots have brought no pair of images for a while: a loose line, a camera or its process gone."""
