@@ -70,7 +70,8 @@ def test_the_right_model_is_not_surprised_and_is_trusted_once_it_has_learned(fli
     seen = _flown(flight, spoil=False)
     late = [entry for entry in seen if entry[0] > 12.0]
     assert all(distrust is None for _, _, distrust, _ in late)
-    assert 0.7 < float(np.median([surprise for *_, surprise in late])) < 1.4
+    # the rigid roll may have 3 rad/s^2 and has little here: two of nine rows lie inside a tenth of their variance
+    assert 0.6 < float(np.median([surprise for *_, surprise in late])) < 1.4
     early = [entry for entry in seen if entry[0] < 9.0]
     assert {distrust for _, _, distrust, _ in early} == {Reject.NOT_SETTLED}
 

@@ -12,20 +12,23 @@ from companion.core.mode.spectrum import acceleration_density, acceleration_slop
 from companion.core.mode.whittle import Prior, Stretch, expected_power, fit, make_stretch, seek_peak
 
 STEP_S = 0.004
-LOGS = np.log([5.0, 0.04, 0.2, 2.0, 20.0, 27.0, 0.02, 3e-3])
+COHERENCE = -0.4
+LOGS = np.append(np.log([5.0, 0.04, 0.2, 2.0, 20.0, 27.0, 0.02, 3e-3]), np.arctanh(COHERENCE))
 
 
 def _system(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mode, two gust poles, second mode, its load's pole (at half its frequency), written out anew."""
-    f, zeta, load, c1, c2, f2, zeta2, load2 = np.exp(logs)
+    """Mode and its gust's two poles, second mode and its own, in part the same, written out anew."""
+    f, zeta, load, c1, c2, f2, zeta2, load2 = np.exp(logs[:8])
     w, w2, k1, k2 = (2 * np.pi * x for x in (f, f2, c1, c2))
-    a = np.zeros((7, 7))
+    a = np.zeros((8, 8))
     a[0, 1], a[1, 0], a[1, 1], a[1, 3] = 1, -w * w, -2 * zeta * w, 1
     a[2, 2], a[3, 2], a[3, 3] = -k1, k2, -k2
-    a[4, 5], a[5, 4], a[5, 5], a[5, 6], a[6, 6] = 1, -w2 * w2, -2 * zeta2 * w2, 1, -w2 / 2
-    q = np.zeros((7, 7))
+    a[4, 5], a[5, 4], a[5, 5], a[5, 7] = 1, -w2 * w2, -2 * zeta2 * w2, 1
+    a[6, 6], a[7, 6], a[7, 7] = -k1, k2, -k2
+    q = np.zeros((8, 8))
     q[2, 2] = k1**2 * load * (1 + (5.0 / c1) ** 2) * (1 + (5.0 / c2) ** 2) / 2
-    q[6, 6] = (w2 / 2) ** 2 * load2 * 5.0 / 2
+    q[6, 6] = k1**2 * load2 * (1 + (f2 / c1) ** 2) * (1 + (f2 / c2) ** 2) / 2
+    q[2, 6] = q[6, 2] = COHERENCE * np.sqrt(q[2, 2] * q[6, 6])
     return a, q
 
 
@@ -35,10 +38,10 @@ def _simulate(seconds: float, seed: int) -> np.ndarray:
     values, vectors = np.linalg.eigh(noise)
     root = vectors * np.sqrt(np.clip(values, 0, None))
     values, vectors = np.linalg.eigh(stationary_covariance(transition, noise))
-    x = (vectors * np.sqrt(np.clip(values, 0, None))) @ rng.normal(size=7)
+    x = (vectors * np.sqrt(np.clip(values, 0, None))) @ rng.normal(size=8)
     out = np.empty(round(seconds / STEP_S))
     for k in range(len(out)):
-        after = transition @ x + root @ rng.normal(size=7)
+        after = transition @ x + root @ rng.normal(size=8)
         out[k] = -(after[1] + after[5] - x[1] - x[5]) / STEP_S
         x = after
     return out + rng.normal(0, 0.008, len(out))
@@ -53,15 +56,15 @@ def _stretch(seconds: float, seed: int) -> Stretch:
 
 
 def _prior(sigma: float = 2.0) -> Prior:
-    spread = np.array([0.1, 0.7, 2.5, sigma, sigma, 0.1, 0.7, 3.0])
-    mean = LOGS + np.array([0.07, 0.5, 1.0, 1.0, 1.0, -0.08, 0.5, -1.0])
+    spread = np.array([0.1, 0.7, 2.5, sigma, sigma, 0.1, 0.7, 3.0, 1.0])
+    mean = LOGS + np.array([0.07, 0.5, 1.0, 1.0, 1.0, -0.08, 0.5, -1.0, 0.4])
     return Prior(mean, spread, mean - 4 * spread, mean + 4 * spread, np.array([5.0]))
 
 
 def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -> None:
     transition, noise = van_loan(*_system(LOGS), STEP_S)
     p = stationary_covariance(transition, noise)
-    row = np.zeros(7)
+    row = np.zeros(8)
     row[[1, 5]] = 1.0
     variance = 2 * row @ (p - transition @ p) @ row / STEP_S**2
     f = (np.arange(50000) + 0.5) * 125.0 / 50000
@@ -69,13 +72,13 @@ def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -
     assert density.sum() * 125.0 / 50000 == pytest.approx(variance, rel=2e-3)
 
 
-@given(st.lists(st.floats(-0.7, 0.7), min_size=8, max_size=8))
+@given(st.lists(st.floats(-0.7, 0.7), min_size=9, max_size=9))
 def test_the_slopes_of_the_density_are_its_differences(off: list[float]) -> None:
     logs, f, small = LOGS + np.array(off), np.linspace(0.5, 115.0, 300), 1e-5
     density, *slopes = acceleration_slopes(logs, f, 5.0, STEP_S)
     np.testing.assert_allclose(density, acceleration_density(logs, f, 5.0, STEP_S), rtol=1e-9)
     for k, slope in enumerate(slopes):
-        ahead, behind = (acceleration_density(logs + turn * small * np.eye(8)[k], f, 5.0, STEP_S) for turn in (1, -1))
+        ahead, behind = (acceleration_density(logs + turn * small * np.eye(9)[k], f, 5.0, STEP_S) for turn in (1, -1))
         np.testing.assert_allclose(slope, (ahead - behind) / (2 * small), rtol=1e-5, atol=1e-6 * density.max())
 
 
@@ -94,7 +97,8 @@ def test_a_fit_finds_the_parameters_within_its_sigma() -> None:
     for seed in range(6):
         prior = _prior()
         found = fit(_stretch(20.0, 100 + seed), prior, prior.mean, 25)
-        pulls.append((found.logs - LOGS)[[0, 1, 2, 5]] / found.log_sigma[[0, 1, 2, 5]])
+        told = [0, 1, 2, 5, 8]
+        pulls.append((found.logs - LOGS)[told] / found.log_sigma[told])
         assert abs(found.logs[0] - LOGS[0]) < 3 * np.sqrt(0.04 / (2 * np.pi * 5 * 20))
     assert np.sqrt(np.mean(np.square(pulls))) < 1.8
 

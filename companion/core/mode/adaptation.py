@@ -37,7 +37,7 @@ _FIRST_S = 1.5
 _PERIOD_S = 1.0
 _SCAN_UNTIL_S = 6.0
 _DRIFT_EVIDENCE = 3.0
-_DRIFT = np.array([0.1, 0.4, 0.7, 0.4, 0.4, 0.1, 0.3, 0.7])  # of the logarithms, within some ten seconds
+_DRIFT = np.array([0.1, 0.4, 0.7, 0.4, 0.4, 0.1, 0.3, 0.7, 0.5])  # of the logarithms, within some ten seconds
 _PEAK_EVIDENCE = 8.0
 _SECOND_EVIDENCE = 3.0
 _IDLE = 1e-7  # of the first mode's load
@@ -80,6 +80,7 @@ class Adaptation:
         self._next = round(_FIRST_S / step_s)
         self.fits = 0
         self._cut = 0.0  # how much the edges of the last cells cut samples
+        self._contradicted = False
         self._only = 0  # the tip that is there, where one is missing
 
     @property
@@ -99,8 +100,13 @@ class Adaptation:
         """Take over the sensor errors and the bend per g as they are known by now; all that is kept is seen by them."""
         self._constants, self._bend_per_g_m = constants.copy(), bend_per_g_m
 
-    def take(self, cells: Cells) -> bool:
-        """Take cells; say whether there are new parameters."""
+    def take(self, cells: Cells, contradicted: bool = False) -> bool:
+        """Take cells; say whether there are new parameters.
+
+        ``contradicted``: the filter cannot explain what it measures. A second mode then needs no evidence from the
+        vertical axes: a gyro, which the fit does not see, shows one a hundred times better.
+        """
+        self._contradicted = contradicted
         size = len(self._rows)
         slots = (self._count + np.arange(len(cells))) % size
         self._rows[slots, :2], self._sensitivity[slots] = cells.rows[:, :2], cells.sensitivity[:, :2]
@@ -170,7 +176,7 @@ class Adaptation:
         if len(samples) > 2 * self._short:
             short = make_stretch(samples[-self._short :], self._step_s, band, floor)
             best = _drifted(short, prior, best)
-        best = _without_idle_seconds(long, prior, best)
+        best = _without_idle_seconds(long, prior, best, -np.inf if self._contradicted else _SECOND_EVIDENCE)
         out, at = [], 0
         for k in which:
             piece = slice(at, at + PARAMETERS)
@@ -187,7 +193,7 @@ class Adaptation:
         if self.fits % 2 != family:
             return best
         turn = self.fits // 2 % (1 + len(_CORNERS_HZ))
-        tried = _recoloured(best.logs, _CORNERS_HZ[turn - 1]) if turn else _with_second(stretch, prior, best.logs)
+        tried = _recoloured(best.logs, _CORNERS_HZ[turn - 1]) if turn else self._with_second(stretch, prior, best.logs)
         if np.array_equal(tried, best.logs):
             return best
         other = fit(stretch, prior, tried, 2 * _ROUNDS)
@@ -198,11 +204,18 @@ class Adaptation:
         best: Fit | None = None
         for corners_hz in (None, *_CORNERS_HZ):
             tried = start if corners_hz is None else _recoloured(start, corners_hz)
-            found = fit(stretch, prior, _with_second(stretch, prior, tried), _ROUNDS)
+            found = fit(stretch, prior, self._with_second(stretch, prior, tried), _ROUNDS)
             if best is None or found.cost < best.cost:
                 best = found
         assert best is not None
         return fit(stretch, prior, best.logs, _ROUNDS)
+
+    def _with_second(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
+        least = 0.0 if self._contradicted else _PEAK_EVIDENCE
+        for at in range(FREQUENCY_2, len(start), PARAMETERS):
+            moved, gain = seek_peak(stretch, prior, start, at)
+            start = moved if gain > least else start
+        return start
 
     def _channel(self, rows: Floats, which: tuple[int, ...]) -> tuple[Floats, Floor]:
         tip = self._noise.own[[Z_LEFT, Z_RIGHT]] * 2.0 * self._step_s
@@ -295,21 +308,14 @@ def _recoloured(start: Floats, corners_hz: tuple[float, float]) -> Floats:
     return moved
 
 
-def _with_second(stretch: Stretch, prior: Prior, start: Floats) -> Floats:
-    for at in range(FREQUENCY_2, len(start), PARAMETERS):
-        moved, gain = seek_peak(stretch, prior, start, at)
-        start = moved if gain > _PEAK_EVIDENCE else start
-    return start
-
-
-def _without_idle_seconds(stretch: Stretch, prior: Prior, found: Fit) -> Fit:
+def _without_idle_seconds(stretch: Stretch, prior: Prior, found: Fit, least_evidence: float) -> Fit:
     """Silence a second mode without evidence: its share of a white load could not be told from the first mode's."""
     logs, value = found.logs.copy(), misfit(stretch, prior, found.logs)
     for at in range(0, len(logs), PARAMETERS):
         tried = logs.copy()
         tried[at + LOAD_2] = max(tried[at + LOAD] + np.log(_IDLE), prior.low[at + LOAD_2])
         without = misfit(stretch, prior, tried)
-        if without - value < _SECOND_EVIDENCE:
+        if without - value < least_evidence:
             logs, value = tried, without
     return dataclasses.replace(found, logs=logs)
 

@@ -20,7 +20,7 @@ from companion.records import Floats
 
 ROWS = 9
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
-FAMILY_STATES = 7
+FAMILY_STATES = 8
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
 
 _ABSENT_MPS2 = 10.0  # sigma of the root's force along an axis that it does not send
@@ -34,8 +34,7 @@ _USUAL_TURN_RADPS2 = 1.0  # roll acceleration
 class Family:
     """Indices of the modes that move both tips alike (``sign`` = +1, +1) or against each other (-1, +1).
 
-    The states are deflection and rate, the gust's two poles, deflection and rate of the second mode, and its load's
-    pole.
+    The states are deflection and rate, the gust's two poles, and the same of the second mode.
     """
 
     q: int

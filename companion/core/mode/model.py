@@ -1,7 +1,7 @@
 """The discrete wing model that the filter runs on: what one averaged step of all sensors says about the state.
 
 Each family obeys ``q'' + 2 zeta omega q' + omega^2 (q - q_static) = g`` with ``g`` white noise through two real
-poles; a second mode has a load of its own with one pole. Over one step of length h the sensors deliver:
+poles; a second mode has a load of the same colour, in part the same. Over one step of length h the sensors deliver:
 
 - vertical, mean of ``-w''`` = ``-(w1' - w0') / h``, exactly, gust load included, so that measurement and process
   noise are correlated in the way they are in nature;
@@ -34,7 +34,7 @@ from companion.core.mode.layout import (
     Layout,
     Noise,
 )
-from companion.core.mode.parameters import SECOND_CORNER, ModeParameters
+from companion.core.mode.parameters import ModeParameters
 from companion.records import Floats
 
 Parameters = tuple[ModeParameters, ModeParameters]
@@ -147,13 +147,13 @@ def _family_system(p: ModeParameters) -> tuple[Floats, Floats]:
     f, w = np.zeros((FAMILY_STATES, FAMILY_STATES)), np.zeros((FAMILY_STATES, FAMILY_STATES))
     omega, omega_2 = 2.0 * np.pi * p.frequency_hz, 2.0 * np.pi * p.frequency_2_hz
     corner_1, corner_2 = 2.0 * np.pi * p.corner_1_hz, 2.0 * np.pi * p.corner_2_hz
-    f[0, 1], f[1, 0], f[1, 1], f[1, 3] = 1.0, -(omega**2), -2.0 * p.damping * omega, 1.0
-    f[2, 2], f[3, 2], f[3, 3] = -corner_1, corner_2, -corner_2
-    f[4, 5], f[5, 4], f[5, 5] = 1.0, -(omega_2**2), -2.0 * p.damping_2 * omega_2
+    for q, own, damping in ((0, omega, p.damping), (4, omega_2, p.damping_2)):
+        v, gust_1, gust_2 = q + 1, q + 2, q + 3
+        f[q, v], f[v, q], f[v, v], f[v, gust_2] = 1.0, -(own**2), -2.0 * damping * own, 1.0
+        f[gust_1, gust_1], f[gust_2, gust_1], f[gust_2, gust_2] = -corner_1, corner_2, -corner_2
     w[2, 2] = corner_1**2 * p.white_load / 2.0
-    corner = SECOND_CORNER * omega_2
-    f[5, 6], f[6, 6] = 1.0, -corner
-    w[6, 6] = corner**2 * p.load_2 * (1.0 + SECOND_CORNER**-2) / 2.0
+    w[6, 6] = corner_1**2 * p.white_load_2 / 2.0
+    w[2, 6] = w[6, 2] = p.coherence * np.sqrt(w[2, 2] * w[6, 6])
     return f, w
 
 

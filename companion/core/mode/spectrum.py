@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.compiled import compiled
-from companion.core.mode.parameters import SECOND_CORNER
+from companion.core.mode.parameters import (
+    COHERENCE,
+    CORNER_1,
+    CORNER_2,
+    DAMPING,
+    DAMPING_2,
+    FREQUENCY,
+    FREQUENCY_2,
+    LOAD,
+    LOAD_2,
+    PARAMETERS,
+)
 from companion.records import Floats
 
 _COARSE = 24
@@ -14,18 +25,26 @@ _COARSE = 24
 @compiled
 def load_density(values: Floats, square: Floats, reference_hz: float) -> Floats:
     """Density of the gust load, (m/s^2)^2/Hz, at squared frequencies; ``values`` as in ``core.mode.parameters``."""
-    load, corner_1, corner_2 = values[2], values[3], values[4]
-    shape_at = (1.0 + (reference_hz / corner_1) ** 2) * (1.0 + (reference_hz / corner_2) ** 2)
-    density: Floats = load * shape_at / ((1.0 + square / corner_1**2) * (1.0 + square / corner_2**2))
+    density: Floats = values[LOAD] * _colour(values, square, reference_hz)
     return density
+
+
+@compiled
+def _colour(values: Floats, square: Floats, reference_hz: float) -> Floats:
+    """Density of the gust as a multiple of what it is at ``reference_hz``."""
+    corner_1, corner_2 = values[CORNER_1], values[CORNER_2]
+    shape_at = (1.0 + (reference_hz / corner_1) ** 2) * (1.0 + (reference_hz / corner_2) ** 2)
+    colour: Floats = shape_at / ((1.0 + square / corner_1**2) * (1.0 + square / corner_2**2))
+    return colour
 
 
 @compiled
 def acceleration_density(logs: Floats, frequency_hz: Floats, reference_hz: float, step_s: float) -> Floats:
     """Density of the tip's acceleration as averaged over cells of ``step_s``, aliases included.
 
-    ``|f^2 / (f0^2 - f^2 + 2 i zeta f0 f)|^2`` of each mode times its load, times the cell's ``sinc^2``. Far above the
-    modes the tip is a free mass: that part comes back by aliasing, and is smooth, so it is worked out on few points.
+    ``H = f^2 / (f0^2 - f^2 + 2 i zeta f0 f)`` of both modes under their loads, ``L1 |H1|^2 + L2 |H2|^2 +
+    2 c sqrt(L1 L2) Re(H1 H2*)`` with coherence c, times the cell's ``sinc^2``. Far above the modes the tip is a free
+    mass: that part comes back by aliasing, and is smooth, so it is worked out on few points.
     """
     values = np.exp(logs)
     total = _folded(values, frequency_hz, reference_hz, step_s)
@@ -39,28 +58,55 @@ def acceleration_density(logs: Floats, frequency_hz: Floats, reference_hz: float
 
 @compiled
 def _folded(values: Floats, at: Floats, reference_hz: float, step_s: float) -> Floats:
-    square = at**2
-    own = _response(values[0], values[1], square) * load_density(values, square, reference_hz)
-    corner = (SECOND_CORNER * values[5]) ** 2
-    second = _response(values[5], values[6], square) * values[7] * (values[5] ** 2 + corner) / (square + corner)
-    turn = np.pi * step_s * at
-    density: Floats = (own + second) * (np.sin(turn) / turn) ** 2
+    own, second, joint, _ = _parts(values, at, reference_hz, step_s)
+    density: Floats = own + second + _coherence(values) * joint
     return density
 
 
 @compiled
+def _parts(values: Floats, at: Floats, reference_hz: float, step_s: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Density by the first mode, by the second, what comes with it where both loads are one, and this over ``N``.
+
+    ``N = a1 a2 + b1 b2`` where ``a = f0^2 - f^2`` and ``b = 2 zeta f0 f``.
+    """
+    square = at**2
+    turn = np.pi * step_s * at
+    cell = (np.sin(turn) / turn) ** 2
+    first = cell * _colour(values, square, reference_hz) * values[LOAD]
+    other = cell * _colour(values, square, values[FREQUENCY_2]) * values[LOAD_2]
+    size = square / _size(values[FREQUENCY], values[DAMPING], square)
+    size_2 = square / _size(values[FREQUENCY_2], values[DAMPING_2], square)
+    common = 2.0 * np.sqrt(first * other) * size * size_2
+    apart = (values[FREQUENCY] ** 2 - square) * (values[FREQUENCY_2] ** 2 - square)
+    joint = common * (apart + _resisted(values, square))
+    return first * size * square, other * size_2 * square, joint, common
+
+
+@compiled
+def _coherence(values: Floats) -> float:
+    square = values[COHERENCE] ** 2
+    return float((square - 1.0) / (square + 1.0))
+
+
+@compiled
+def _resisted(values: Floats, square: Floats) -> Floats:
+    resisted: Floats = 4.0 * values[DAMPING] * values[DAMPING_2] * values[FREQUENCY] * values[FREQUENCY_2] * square
+    return resisted
+
+
+@compiled
 def acceleration_slopes(logs: Floats, frequency_hz: Floats, reference_hz: float, step_s: float) -> Floats:
-    """:func:`acceleration_density` and its derivatives by the eight logarithms: (9, n)."""
+    """:func:`acceleration_density` and its derivatives by the nine logarithms: (10, n)."""
     values = np.exp(logs)
     total = _folded_slopes(values, frequency_hz, reference_hz, step_s)
     coarse = np.linspace(frequency_hz[0], frequency_hz[-1], _COARSE)
-    aliased = np.zeros((9, _COARSE))
+    aliased = np.zeros((1 + PARAMETERS, _COARSE))
     for turns in (-2, -1, 1, 2):
         aliased += _folded_slopes(values, coarse + turns / step_s, reference_hz, step_s)
     place = (frequency_hz - coarse[0]) / (coarse[1] - coarse[0])
     before = np.minimum(place, _COARSE - 2.0).astype(np.int64)
     share = place - before
-    for row in range(9):
+    for row in range(1 + PARAMETERS):
         total[row] += (1.0 - share) * aliased[row][before] + share * aliased[row][before + 1]
     return total
 
@@ -68,27 +114,35 @@ def acceleration_slopes(logs: Floats, frequency_hz: Floats, reference_hz: float,
 @compiled
 def _folded_slopes(values: Floats, at: Floats, reference_hz: float, step_s: float) -> Floats:
     square = at**2
-    turn = np.pi * step_s * at
-    cell = (np.sin(turn) / turn) ** 2
-    corner = (SECOND_CORNER * values[5]) ** 2
-    own = cell * _response(values[0], values[1], square) * load_density(values, square, reference_hz)
-    second = cell * _response(values[5], values[6], square) * values[7] * (values[5] ** 2 + corner) / (square + corner)
-    out = np.empty((9, len(at)))
-    out[0] = own + second
-    by_frequency, by_damping = _response_slopes(values[0], values[1], square)
-    out[1], out[2], out[3] = own * by_frequency, own * by_damping, own
-    for row, corner_hz in ((4, values[3]), (5, values[4])):
-        here, there = square / corner_hz**2, (reference_hz / corner_hz) ** 2
-        out[row] = own * 2.0 * (here / (1.0 + here) - there / (1.0 + there))
-    by_frequency, by_damping = _response_slopes(values[5], values[6], square)
-    out[6] = second * (by_frequency + 2.0 * square / (square + corner))
-    out[7], out[8] = second * by_damping, second
+    coherence = _coherence(values)
+    own, second, joint, common = _parts(values, at, reference_hz, step_s)
+    shared, common = coherence * joint, coherence * common
+    resisted = common * _resisted(values, square)
+    squares = values[FREQUENCY] ** 2, values[FREQUENCY_2] ** 2
+    out = np.empty((1 + PARAMETERS, len(at)))
+    out[0] = own + second + shared
+    for k, (density, frequency, damping, load) in enumerate(
+        ((own, FREQUENCY, DAMPING, LOAD), (second, FREQUENCY_2, DAMPING_2, LOAD_2))
+    ):
+        by_frequency, by_damping = _response_slopes(values[frequency], values[damping], square)
+        turned = 2.0 * common * squares[k] * (squares[1 - k] - square)
+        out[1 + frequency] = (density + shared) * by_frequency + turned + resisted
+        out[1 + damping] = (density + shared) * by_damping + resisted
+        out[1 + load] = density + 0.5 * shared
+    at_first, at_second = reference_hz**2, squares[1]
+    for which in (CORNER_1, CORNER_2):
+        corner = values[which] ** 2
+        falls = 2.0 * square / (corner + square)
+        first, other = 2.0 * at_first / (corner + at_first), 2.0 * at_second / (corner + at_second)
+        out[1 + which] = own * (falls - first) + second * (falls - other) + shared * (falls - 0.5 * (first + other))
+        out[1 + FREQUENCY_2] += (second + 0.5 * shared) * other
+    out[1 + COHERENCE] = (1.0 - coherence**2) * joint
     return out
 
 
 @compiled
 def _response_slopes(frequency_hz: float, damping: float, square: Floats) -> tuple[Floats, Floats]:
-    """Derivatives of the logarithm of :func:`_response` by those of frequency and damping."""
+    """Derivatives of the logarithm of ``|H|^2`` by those of frequency and damping."""
     own = frequency_hz**2
     apart, resisted = own - square, 4.0 * damping**2 * own * square
     size = apart**2 + resisted
@@ -98,7 +152,8 @@ def _response_slopes(frequency_hz: float, damping: float, square: Floats) -> tup
 
 
 @compiled
-def _response(frequency_hz: float, damping: float, square: Floats) -> Floats:
+def _size(frequency_hz: float, damping: float, square: Floats) -> Floats:
+    """``|f0^2 - f^2 + 2 i zeta f0 f|^2``."""
     own = frequency_hz**2
-    response: Floats = square**2 / ((own - square) ** 2 + 4.0 * damping**2 * own * square)
-    return response
+    size: Floats = (own - square) ** 2 + 4.0 * damping**2 * own * square
+    return size

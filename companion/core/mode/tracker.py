@@ -39,7 +39,7 @@ _MOST_CELLS = 250  # averaged at once
 _SATURATED_NS = 200_000_000
 _PATIENCE_S = 5.0
 _TRIAL_S = 1.5  # fits come once a second
-_SMALL = np.array([0.02, 0.5, 0.7, 1.0, 1.0, 0.05, 0.7, 1.0])  # of the parameters' logarithms
+_SMALL = np.array([0.02, 0.5, 0.7, 1.0, 1.0, 0.05, 0.7, 1.0, 0.7])  # of the parameters' logarithms
 _DISTRUST = {
     Validity.STALE: Reject.STALE,
     Validity.SETTLING: Reject.NOT_SETTLED,
@@ -162,7 +162,7 @@ class WingTracker:
             self._rates.extend(part.rate)
             if self._settings.adapt:
                 self._recent.append(part)
-                if self._adaptation.take(part):
+                if self._adaptation.take(part, self._kalman.surprise > SURPRISED):
                     self._readapt()
                 elif not self._adaptation.early and sum(map(len, self._recent)) * self._step_s > _TRIAL_S:
                     self._mark()  # without enough samples there was no fit, and the cells must not pile up

@@ -211,18 +211,19 @@ def _improve(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> tupl
     logs, best, damping = start.copy(), cost(stretch, prior, start), 1e-3
     gradient, information = _slope(stretch, prior, logs)
     for _ in range(rounds):
-        tried = _moved(prior, logs, gradient, information, damping)
-        value = cost(stretch, prior, tried)
-        if value < best:
-            done = best - value < _CONVERGED
-            logs, best, damping = tried, value, 0.2 * damping
-            gradient, information = _slope(stretch, prior, logs)
-            if done:
-                break
-        else:
-            damping = max(8.0 * damping, 1e-2)
-            if damping > _GIVE_UP:
-                break
+        value, promised = best, np.inf
+        while value >= best and promised > _CONVERGED and damping < _GIVE_UP:  # a step is cheap beside a slope
+            tried = _moved(prior, logs, gradient, information, damping)
+            promised = -0.5 * float(gradient @ (tried - logs))
+            value = cost(stretch, prior, tried)
+            damping = 0.2 * damping if value < best else max(8.0 * damping, 1e-2)
+        if value >= best:
+            break
+        done = best - value < _CONVERGED
+        logs, best = tried, value
+        gradient, information = _slope(stretch, prior, logs)
+        if done:
+            break
     return logs, best, information
 
 
