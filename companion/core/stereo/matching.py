@@ -14,7 +14,7 @@ import numpy as np
 
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rectify import Rectification, halved, rectification, rectify_pair
-from companion.core.stereo.refine import HALF_WINDOW, refine
+from companion.core.stereo.refine import HALF_WINDOW, Refined, refine
 from companion.core.stereo.search import Band, Search, bands, seek
 from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side
 
@@ -30,6 +30,10 @@ _UNIQUE_MARGIN = 0.02
 # How far the way back may miss: patches a fraction of a pixel apart, on a slanted surface, differ by this much.
 _RETURN_PX = 0.1
 _RETURN_SIGMAS = 4.0
+_SLOPE_PX = 5.0
+_LEAST_FOR_ROLL = 12
+_ROLL_ROUNDS = 5
+_COARSE_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,9 +80,10 @@ def match(
     found = coarse.position_px[kept] / 0.5**level
     start = frame.to_raw(rig.right, search.right, found)
     along = frame.along_rows(rig.right, search.right, found)
-    fine = refine(left, right, corners[kept], start, along)
+    slopes = _slopes(frame, rig, search, corners[kept], found)
+    fine = refine(left, right, corners[kept], start, along, slopes)
     good = fine.good & (fine.correlation > _FINE_SCORE)
-    good[good] = _returns(left, right, fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
+    good[good] = _returns(left, right, fine, good, slopes)
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
 
 
@@ -122,13 +127,54 @@ def _reachable(band: Band, frame: Rectification) -> Bools:
     return inside & (band.bottom >= _BORDER_PX) & (band.top < height - _BORDER_PX)
 
 
-def _returns(left: Bytes, right: Bytes, left_px: Floats, right_px: Floats, sigma_px: Floats) -> Bools:
+def _slopes(frame: Rectification, rig: Rig, search: Search, left_px: Ints, found_px: Floats) -> Floats:
+    """How the displacement of each match grows around it at one depth (n, 2, 2): lenses, expected bend, and its error.
+
+    ``found_px`` (n, 2) are the coarse matches in the rectified right image.
+    """
+    seen = frame.to_rectified(rig.left, search.left, left_px.astype(np.float64))
+    moved = found_px - seen
+    roll = _roll(seen, moved[:, 1])
+    turn = np.array([[0.0, -roll], [roll, 0.0]])
+    sides = []
+    for step in (np.array([_SLOPE_PX, 0.0]), np.array([0.0, _SLOPE_PX])):
+        there = (
+            frame.to_rectified(rig.left, search.left, left_px + step),
+            frame.to_rectified(rig.left, search.left, left_px - step),
+        )
+        ends = [frame.to_raw(rig.right, search.right, point + moved + (point - seen) @ turn.T) for point in there]
+        sides.append((ends[0] - ends[1]) / (2.0 * _SLOPE_PX))
+    slopes: Floats = np.stack(sides, axis=-1) - np.eye(2)
+    return slopes
+
+
+def _roll(seen_px: Floats, down_px: Floats) -> float:
+    """By how much rectified matches go down per pixel to the right: the roll that was not expected, rad.
+
+    Depth moves a match along its row alone. Least sum of magnitudes: coarse matches are right to half a pixel, some
+    are wrong.
+    """
+    if len(seen_px) < _LEAST_FOR_ROLL:
+        return 0.0
+    design = np.column_stack([seen_px, np.ones(len(seen_px))])
+    weight: Floats = np.ones(len(seen_px))
+    fitted: Floats = np.zeros(3)
+    for _ in range(_ROLL_ROUNDS):
+        weighted = design * weight[:, np.newaxis]
+        fitted = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ down_px), dtype=np.float64)
+        weight = np.asarray(1.0 / np.maximum(np.abs(down_px - design @ fitted), _COARSE_PX), dtype=np.float64)
+    return float(fitted[0])
+
+
+def _returns(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Floats) -> Bools:
     """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check)."""
+    left_px, right_px = fine.left_px[chosen], fine.right_px[chosen]
     whole = np.rint(right_px).astype(np.int64)
     expected = left_px + (whole - right_px)
-    back = refine(right, left, whole, expected, np.tile([1.0, 0.0], (len(whole), 1)), iterations=2)
+    along = np.tile([1.0, 0.0], (len(whole), 1))
+    back = refine(right, left, whole, expected, along, -slopes[chosen], iterations=2)
     gap = np.linalg.norm((back.right_px - back.left_px) - (left_px - right_px), axis=1)
-    returned: Bools = back.good & (gap < _RETURN_PX + _RETURN_SIGMAS * sigma_px)
+    returned: Bools = back.good & (gap < _RETURN_PX + _RETURN_SIGMAS * fine.sigma_px[chosen])
     return returned
 
 

@@ -3,6 +3,11 @@
 Inverse-compositional Gauss-Newton on raw images: the left patch at whole pixels is the template, the right image is
 interpolated with six taps per axis (Keys' fourth-order cubic convolution), which leaves no bias toward whole or half
 pixels as a bilinear Lucas-Kanade tracker does. Brightness offset and gain of each patch are free.
+
+A patch is not rigid: bend rolls one image of a forward-looking pair against the other, lenses shear, and on slanted
+ground disparity grows from row to row. A rigid patch answers by a displacement across the epipolar line that its
+texture chooses, and that returns in every pair. So the template takes the shape that is expected in the right image,
+and in the last step disparity may grow across it.
 """
 
 from __future__ import annotations
@@ -24,6 +29,8 @@ _CONVERGED_PX = 0.02
 # Interpolation and lens leave about this much that no patch can tell from displacement.
 _FLOOR_PX = 0.006
 _FITTED = 4.0  # displacement in two axes, brightness offset and gain
+_GROWTH = 0.02  # usual growth of disparity across a patch, px per px
+_FLAT = 1e-6  # grey^2 / px^2: no texture at all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +56,15 @@ class Refined:
     good: Bools
 
 
-def refine(left: Bytes, right: Bytes, left_px: Ints, start_px: Floats, along: Floats, iterations: int = 3) -> Refined:
+def refine(
+    left: Bytes,
+    right: Bytes,
+    left_px: Ints,
+    start_px: Floats,
+    along: Floats,
+    slopes: Floats | None = None,
+    iterations: int = 3,
+) -> Refined:
     """Refine matches from a start that is right to about a pixel.
 
     Parameters
@@ -61,11 +76,14 @@ def refine(left: Bytes, right: Bytes, left_px: Ints, start_px: Floats, along: Fl
     start_px : (n, 2) float64
         Expected right pixels.
     along : (n, 2) float64
-        Unit direction of the epipolar line in the right image, for the sigma.
+        Unit direction of the epipolar line in the right image.
+    slopes : (n, 2, 2) float64, optional
+        Expected growth of the displacement (column, row) per pixel to the right and per pixel down.
     iterations : int
         Steps that are made; a match that still moves after them is not good.
     """
-    template = _Template(_gather(left, left_px, HALF_WINDOW + 2))
+    slopes = np.zeros((len(left_px), 2, 2)) if slopes is None else slopes
+    template = _Template(_gather(left, left_px, HALF_WINDOW + 2), along, slopes)
     position = np.array(start_px, dtype=np.float64)
     step = np.full_like(position, np.inf)
     inside = _inside(right, position)
@@ -76,22 +94,27 @@ def refine(left: Bytes, right: Bytes, left_px: Ints, start_px: Floats, along: Fl
         residual, correlation = template.compare(_interpolated(right, held))
         step = template.step(residual)
         position = held - step
-    sigma, centroid = template.quality(residual, along)
+    sigma, centroid = template.quality(residual)
+    position = position + step - template.grown(residual, centroid)
     strayed = np.linalg.norm(position - start_px, axis=1)
     settled = (np.abs(step).max(axis=1) < _CONVERGED_PX) & (strayed < 0.5 * HALF_WINDOW) if len(position) else inside
     good = inside & settled & np.isfinite(sigma)
-    return Refined(left_px + centroid, position + centroid, sigma, correlation, good)
+    found = position + centroid + np.einsum("nij,nj->ni", slopes, centroid)
+    return Refined(left_px + centroid, found, sigma, correlation, good)
 
 
 class _Template:
-    """The left patches with what does not change during the iteration."""
+    """The left patches, in the shape that is expected, with what does not change during the iteration."""
 
-    def __init__(self, patches: Patches) -> None:
-        inner = patches[:, 2:-2, 2:-2].reshape(-1, _WINDOW**2)
-        self._texture = inner - (inner @ _WEIGHT)[:, np.newaxis]
-        self._power = (self._texture**2) @ _WEIGHT
+    def __init__(self, patches: Patches, along: Floats, slopes: Floats) -> None:
+        self._along = along.astype(np.float32)
         gradient = np.stack([_slope(patches[:, 2:-2], 2), _slope(patches[:, :, 2:-2], 1)], axis=1)
         gradient = gradient.reshape(-1, 2, _WINDOW**2)
+        self._grade = (self._along[:, np.newaxis] @ gradient)[:, 0]
+        moved = slopes.astype(np.float32) @ _OFFSETS.T.astype(np.float32)
+        shaped = patches[:, 2:-2, 2:-2].reshape(-1, _WINDOW**2) - (moved * gradient).sum(axis=1)
+        self._texture = shaped - (shaped @ _WEIGHT)[:, np.newaxis]
+        self._power = (self._texture**2) @ _WEIGHT
         self._gradient = gradient - (gradient @ _WEIGHT)[..., np.newaxis]
         weighted = self._gradient * _WEIGHT
         self._inverse = _inverse2((weighted @ self._gradient.transpose(0, 2, 1)).astype(np.float64))
@@ -112,13 +135,27 @@ class _Template:
         move: Floats = np.einsum("nij,nj->ni", self._inverse, pull.astype(np.float64))
         return np.clip(move, -1.0, 1.0)
 
-    def quality(self, residual: Patches, along: Floats) -> tuple[Floats, Floats]:
-        """Sigma (n,) along a direction, px, and the patch's centre of weight (n, 2) for displacement that way."""
+    def grown(self, residual: Patches, at: Floats) -> Floats:
+        """Displacement (n, 2) at a point of each patch (n, 2), disparity being free to grow across the patch."""
+        growth = self._grade[:, np.newaxis] * _OFFSETS.T.astype(np.float32)
+        growth -= (growth @ _WEIGHT)[..., np.newaxis]
+        free = np.concatenate([self._gradient, growth], axis=1)
+        weighted = free * _WEIGHT
+        noise = ((residual**2) @ _WEIGHT).astype(np.float64) / _EFFECTIVE
+        known = _FLAT + noise[:, np.newaxis] * np.array([0.0, 0.0, 1.0, 1.0]) / _GROWTH**2
+        normal = (weighted @ free.transpose(0, 2, 1)).astype(np.float64) + known[:, np.newaxis] * np.eye(4)
+        pull = (weighted @ residual[..., np.newaxis]).astype(np.float64)
+        found: Floats = np.linalg.solve(normal, pull)[..., 0]
+        displaced: Floats = found[:, :2] + np.einsum("ni,ni->n", found[:, 2:], at)[:, np.newaxis] * self._along
+        return displaced
+
+    def quality(self, residual: Patches) -> tuple[Floats, Floats]:
+        """Sigma (n,) along the epipolar line, px, and the patch's centre of weight (n, 2) for displacement that way."""
         noise = ((residual**2) @ _WEIGHT).astype(np.float64) * _DEGREES
-        pulled = np.einsum("nij,nj->ni", self._inverse, along).astype(np.float32)
+        pulled = np.einsum("nij,nj->ni", self._inverse, self._along).astype(np.float32)
         lever = (pulled[:, np.newaxis] @ self._weighted)[:, 0]
         spread = (lever.astype(np.float64) ** 2).sum(axis=1)
-        direct = (along.astype(np.float32)[:, np.newaxis] @ self._gradient)[:, 0]
+        direct = (self._along[:, np.newaxis] @ self._gradient)[:, 0]
         centroid = (lever * direct).astype(np.float64) @ _OFFSETS
         return np.sqrt(noise * spread + _FLOOR_PX**2), centroid
 
