@@ -12,6 +12,10 @@ What two lenses may have wrong differently (focal length, radial distortion) is 
 
 The wing tracker's own slow error (trim bend, tilt bias) turns the cameras about one known axis; it is a state of its
 own, so that what the accelerometers know of it counts, and only that: see :class:`BendBelief`.
+
+Matches of one pair, and of pairs that follow each other, share errors: interpolation, lenses and blur leave hundredths
+of a pixel that stay in their places. Across the lines they look like a yaw that is none. That false yaw is a constant
+state of its own, seen with the true one and never told apart from it by any number of pairs.
 """
 
 from __future__ import annotations
@@ -25,8 +29,8 @@ from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
-PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND = range(8)
-_SLOW = 8
+PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, STEADY = range(9)
+_SLOW = 9
 _SEEN = 7  # states that the parallax has a column of its own for
 _LEAST_MATCHES = 12
 _ROUNDS = 10
@@ -49,6 +53,8 @@ class SlowPrior:
         Sigma of the baseline's direction, a constant: mounting, and static bend that differs between the wings.
     focal, radial : float
         Sigma of the difference of the lenses' relative focal lengths, and of their first radial terms; constants.
+    steady_rad : float
+        Sigma of the yaw that errors common to all pairs make up; a constant.
     parallax_rad : float
         What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
     """
@@ -58,10 +64,11 @@ class SlowPrior:
     baseline_rad: float = 0.001
     focal: float = 0.0007
     radial: float = 0.002
+    steady_rad: float = 0.0
     parallax_rad: float = 0.00005
 
     def variances(self) -> Floats:
-        """Diagonal (7,) of the first covariance."""
+        """Diagonal (7,) of the first covariance, bend and steady error left out."""
         sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + [self.focal, self.radial]
         return np.array(sigmas, dtype=np.float64) ** 2
 
@@ -131,7 +138,7 @@ class EpipolarFilter:
         self.epipolar_from_body = epipolar_frame(rig)
         self._prior = prior
         self._mean = np.zeros(_SLOW)
-        self._covariance = np.diag(np.append(prior.variances(), 0.0))
+        self._covariance = np.diag([*prior.variances(), 0.0, prior.steady_rad**2])
         self._bend_variance = 0.0
         self._seen_ns: int | None = None
 
@@ -261,6 +268,7 @@ class _Answer:
 def _solve(seen: Rays, sigma_rad: Floats, mean: Floats, covariance: Floats, bend: Floats) -> _Answer:
     """Maximum a posteriori by Gauss-Newton; bend and the last three entries (fast part) add to the first three."""
     gather = np.hstack([_gather(bend), np.eye(3)])
+    gather[YAW, STEADY] = 1.0
     prior_information = np.linalg.inv(covariance + _TINY * np.eye(len(mean)))
     state, scale = mean.copy(), 1.0
     weight, information = np.ones(len(sigma_rad)), prior_information
@@ -282,7 +290,7 @@ def _solve(seen: Rays, sigma_rad: Floats, mean: Floats, covariance: Floats, bend
 
 
 def _gather(bend: Floats) -> Floats:
-    """Rows (3, 8) that add up the slow relative rotation."""
+    """Rows (3, 9) that add up the slow relative rotation."""
     rows = np.zeros((3, _SLOW))
     rows[:, :3] = np.eye(3)
     rows[:, BEND] = bend

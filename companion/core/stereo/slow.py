@@ -21,7 +21,7 @@ from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Si
 _LEAST_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is found again, slowly
 _BASELINE_M = 0.0005  # how well a camera's place across the baseline is known
 _RADIAL = 0.002
-_STEADY_PX = 0.01
+_STEADY_PX = 0.01  # what matching and lens model leave in its place from pair to pair, in the corner of the image
 _RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone
 
 
@@ -71,34 +71,18 @@ class SlowRotation:
         sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
         seen = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief) if look else None
         if isinstance(seen, EpipolarUpdate):
-            more = self._steady(seen.slow_covariance)
             return RelativeRotation(
                 matches.pair_id,
                 t_host_ns,
                 seen.total_rad,
-                seen.total_covariance + more,
+                seen.total_covariance,
                 seen.slow_rad,
-                seen.slow_covariance + more,
+                seen.slow_covariance,
                 seen.used,
                 seen.parallax_scale,
             )
         slow, covariance = self._filter.predict(t_host_ns, belief)
-        covariance = covariance + (self._steady(covariance) if look else 0.0)
         return RelativeRotation(matches.pair_id, t_host_ns, slow, covariance + fast, slow, covariance, 0, 0.0)
-
-    def _steady(self, covariance: Floats) -> Floats:
-        """What is missing in the yaw's variance (3, 3) where many matches made it smaller than their common error.
-
-        Matching and lens model leave hundredths of a pixel that stay in their places from pair to pair, and yaw shows
-        across the epipolar lines only as ``x y`` of the image: no number of pairs averages that away.
-        """
-        lens = self._rig.left.lens
-        width_px, height_px = lens.size_px
-        corner = 0.25 * width_px * height_px / lens.focal_px**2
-        least = _STEADY_PX / lens.focal_px / corner
-        more = np.zeros((3, 3))
-        more[1, 1] = max(least**2 - float(covariance[1, 1]), 0.0)
-        return more
 
     def _belief(self, bend: tuple[Deflection, Deflection], t_host_ns: int) -> BendBelief:
         """What the tracker knows of its slow error, without the ripple of what it says.
@@ -145,4 +129,12 @@ def slow_prior(rig: Rig, airframe: Airframe) -> SlowPrior:
         baseline_rad=math.sqrt(2.0) * _BASELINE_M / rig.baseline_m,
         focal=focal,
         radial=_RADIAL,
+        steady_rad=_steady_rad(rig),
     )
+
+
+def _steady_rad(rig: Rig) -> float:
+    """The yaw that an error of :data:`_STEADY_PX` across the epipolar lines pretends to be: it shows as ``x y``."""
+    lens = rig.left.lens
+    width_px, height_px = lens.size_px
+    return float(_STEADY_PX * lens.focal_px / (0.25 * width_px * height_px))
