@@ -106,7 +106,7 @@ def _run(layout: dict[str, Any], entry: dict[str, Any], place: dict[int, int], f
         raise RecordingError(f"{path}: no such file")
     try:
         signals = np.asarray(loadmat(path, variable_names=[_SIGNALS])[_SIGNALS], dtype=np.float64)
-    except (KeyError, ValueError, NotImplementedError) as error:
+    except (KeyError, ValueError, NotImplementedError) as error:  # the last: scipy's answer to a v7.3 (HDF5) file
         raise RecordingError(f"{path}: not a MATLAB v5 file with '{_SIGNALS}': {error}") from error
     force, sensors = layout["force"], layout["accelerometers"]
     wanted = [int(force["column"]), *(int(column) for column in sensors["columns"])]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from companion.sim.flight import build_flight
 from tools.bench.slow import SETTLED_S, WAYS, Scored, TrueEyes, run, wide_airframe
@@ -14,9 +15,12 @@ from tools.bench.slow import SETTLED_S, WAYS, Scored, TrueEyes, run, wide_airfra
 pytestmark = pytest.mark.long
 
 
+FLIGHTS = 10
+
+
 @pytest.fixture(scope="module")
 def flown() -> dict[str, list[Scored]]:
-    rows = run(seeds=(1, 2), duration_s=40.0)  # seed 3 draws its trim at 3.3 sigma: a tail, not a test
+    rows = run(seeds=range(1, FLIGHTS + 1), duration_s=40.0)
     return {way: [row for row in rows if row.way == way] for way in WAYS}
 
 
@@ -26,18 +30,20 @@ def _rms(rows: list[Scored], name: str) -> float:
 
 def test_both_together_hold_the_toe_that_tilt_alone_cannot(flown: dict[str, list[Scored]]) -> None:
     tilt, epipolar, both = (_rms(flown[way], "rms_mrad") for way in WAYS)
-    assert both < epipolar < tilt
+    assert both < 1.05 * epipolar < 0.3 * tilt
     assert both < 0.3  # 0.5 m at 60 m
-    assert tilt > 5 * both
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_the_sigma_of_each_is_honest(flown: dict[str, list[Scored]], way: str) -> None:
-    """Errors of a flight are one draw, not many: two seeds' rms over sigma below the 99.5 % point of chi-square / 2."""
-    assert _rms(flown[way], "over_sigma") < np.sqrt(10.6 / 2)
-    assert _rms(flown[way], "whole_over_sigma") < np.sqrt(10.6 / 2)
-    assert way == WAYS[0] or _rms(flown[way], "whole_over_sigma") > 0.7
-    assert _rms(flown[way], "sigma_mrad") < 12 * max(_rms(flown[way], "rms_mrad"), 0.05)
+@pytest.mark.parametrize(("way", "draws"), [(WAYS[0], 1), (WAYS[1], 3), (WAYS[2], 3)])
+def test_the_sigma_of_each_is_honest(flown: dict[str, list[Scored]], way: str, draws: int) -> None:
+    """All flights together, within 99 % of chi-square by as many independent errors as there are.
+
+    Tilt's error is trim's, one draw of a flight; the matches' are remembered for some ten seconds of the thirty.
+    """
+    count = FLIGHTS * draws
+    low, high = np.sqrt(chi2.ppf([0.005, 0.995], count) / count)
+    assert low < _rms(flown[way], "whole_over_sigma") < high
+    assert _rms(flown[way], "over_sigma") < high  # what lies above 0.5 Hz is in the sigma and not in the error
 
 
 def test_the_truth_has_what_no_inertial_sensor_sees() -> None:

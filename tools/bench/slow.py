@@ -2,7 +2,8 @@
 
 Truth: the demo's flight with trim bend, bend per g and camera mounting drawn from wide priors, and a thermal set that
 wanders during the flight. Matches are projections of ground points with noise and blunders, through the true cameras;
-everything else goes through the whole pipeline, from the tenth second on.
+everything else goes through the whole pipeline, from the tenth second on. All three ways have the same tracker, for the
+fast part: "tilt only" does not look at the matches, "epipolar only" is told nothing of the slow bend.
 
 "error" is that of the relative toe below 0.5 Hz, "stated" the pipeline's sigma of the slow part. That sigma covers the
 estimate's jitter above 0.5 Hz too, which the error's low-pass cuts off: where matches are used their ratio is honest at
@@ -22,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from companion.cli.scoring import slow_part
+from companion.core.mode.tracker import WingTracker
 from companion.core.pipeline import start, step
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
@@ -32,18 +34,16 @@ from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
-    Axis,
     Bools,
     ClockName,
     CorrectedRange,
     Deflection,
     Floats,
-    ImuBatch,
     MatchSet,
     Record,
+    Reject,
     RelativeRotation,
     Side,
-    Station,
     Tick,
 )
 from companion.sim.flight import Flight, build_flight
@@ -57,6 +57,7 @@ _TICK_NS, _SHOT_NS, _VISION_NS = 20_000_000, 120_000_000, 60_000_000
 _MATCHES, _MATCH_PX, _BLUNDERS = 150, 0.1, 0.05
 _ROLLING_M = 2.0  # rms height of the ground
 _THERMAL = 0xE1
+_ANY_SLOPE_RAD = 0.03
 _NO_SHOTS = 2
 _YAW = 1  # of a rotation in the epipolar frame: the toe
 _HONEST = {"tilt only": (0.0, 2.0), "epipolar only": (0.7, 1.3), "both": (0.7, 1.3)}  # tilt: a flight is one draw
@@ -114,13 +115,11 @@ def run(seeds: Iterable[int] = range(1, 5), duration_s: float = 60.0) -> list[Sc
 
 
 def one(seed: int, duration_s: float = 60.0) -> list[Scored]:
-    """One flight, three ways; the first and the last share their tracker."""
+    """One flight, three ways, by one tracker."""
     flight = build_flight(wide_airframe(), seed, duration_s)
     eyes = TrueEyes(flight)
-    shots = list(eyes.shots())
-    both, blind = _flown(flight, shots, hide=False)
-    epipolar, _ = _flown(flight, shots, hide=True)
-    return [_scored(way, flight, eyes, told) for way, told in zip(WAYS, (blind, epipolar, both), strict=True)]
+    flown = _flown(flight, list(eyes.shots()))
+    return [_scored(way, flight, eyes, told) for way, told in zip(WAYS, flown, strict=True)]
 
 
 class TrueEyes:
@@ -212,28 +211,44 @@ def _inside(rig: Rig, pixels: Floats) -> Bools:
     return inside
 
 
-def _flown(flight: Flight, shots: list[MatchSet], *, hide: bool) -> tuple[list[Record], list[Record]]:
-    """Drive the pipeline, and beside it a correction that does not look at the matches; what each said.
+@dataclass(frozen=True, slots=True)
+class _Untilted:
+    """A tracker as the correction sees it, that says nothing of the slow bend."""
 
-    ``hide`` leaves the nodes' lateral axes out, through which gravity shows slow bending.
-    """
+    tracker: WingTracker
+
+    @property
+    def distrust(self) -> Reject | None:
+        """As the tracker has it."""
+        return self.tracker.distrust
+
+    def smooth(self, t_host_ns: int) -> Deflection | Reject:
+        """The tracker's bend with a slow slope that may be anything."""
+        found = self.tracker.smooth(t_host_ns)
+        if isinstance(found, Reject):
+            return found
+        covariance = found.covariance.copy()
+        covariance[4:, 4:] += _ANY_SLOPE_RAD**2 - found.slow_slope_sigma_rad**2
+        return dataclasses.replace(found, covariance=covariance, slow_slope_sigma_rad=_ANY_SLOPE_RAD)
+
+
+def _flown(flight: Flight, shots: list[MatchSet]) -> tuple[list[Record], list[Record], list[Record]]:
+    """Drive the pipeline, and beside it two other corrections by the same tracker; what each of the three ways said."""
     settings = dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS)
     state = start(flight.airframe, settings)
     blind = Correction.create(flight.airframe, dataclasses.replace(settings, hold_slow=0))
-    seeing: list[Record] = []
-    blindly: list[Record] = []
+    untilted = Correction.create(flight.airframe, settings)
+    told: tuple[list[Record], list[Record], list[Record]] = ([], [], [])
     for record in _in_order(flight, shots):
-        if hide and isinstance(record, ImuBatch) and record.station is not Station.ROOT:
-            values = record.values.copy()
-            values[:, 1] = 0.0
-            record = dataclasses.replace(record, values=values, axes=record.axes & ~Axis.Y)
         state, outputs = step(state, record)
-        seeing += outputs
+        told[2].extend(outputs)
         if isinstance(record, MatchSet):
-            blindly += blind.add(record)
+            told[0].extend(blind.add(record))
+            told[1].extend(untilted.add(record))
         elif isinstance(record, Tick):
-            blindly += blind.due(state.tracker, record.now_host_ns, 0.0, 0.0)
-    return seeing, blindly
+            told[0].extend(blind.due(state.tracker, record.now_host_ns, 0.0, 0.0))
+            told[1].extend(untilted.due(_Untilted(state.tracker), record.now_host_ns, 0.0, 0.0))
+    return told
 
 
 def _in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:

@@ -6,10 +6,10 @@ import dataclasses
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
-from companion.core.mode.tracker import WingTracker
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, RangeAnswer, correct
@@ -36,6 +36,17 @@ _DOWN = 25
 _SLACK_MPS = 8.0
 _VEHICLES = 64
 _ATTITUDE_NS = 500_000_000
+
+
+class Bends(Protocol):
+    """What tells the bend: the wing tracker."""
+
+    @property
+    def distrust(self) -> Reject | None:
+        """Why the bend is not to be trusted now, if so."""
+
+    def smooth(self, t_host_ns: int) -> Deflection | Reject:
+        """The wing at a past instant."""
 
 
 @dataclass(slots=True)
@@ -68,16 +79,14 @@ class Correction:
             dropped = self.pending.popleft()
             yield Rejected(Reject.QUEUE_FULL, f"pair {dropped.pair_id}", matches.matched_host_ns)
 
-    def due(
-        self, tracker: WingTracker, now_host_ns: int, climb_mps: float, airspeed_mps: float
-    ) -> Iterator[OutputRecord]:
+    def due(self, tracker: Bends, now_host_ns: int, climb_mps: float, airspeed_mps: float) -> Iterator[OutputRecord]:
         """Correct every pair whose exposures lie a full lag behind what the tracker has seen."""
         ready_ns = now_host_ns - int((self.settings.smoother_lag_s + self.settings.reorder_window_s) * 1e9)
         while self.pending and int(self.pending[0].mid_exposure_ns.max()) <= ready_ns:
             yield from self._correct(self.pending.popleft(), tracker, now_host_ns, climb_mps, airspeed_mps)
 
     def _correct(
-        self, matches: MatchSet, tracker: WingTracker, now_host_ns: int, climb_mps: float, airspeed_mps: float
+        self, matches: MatchSet, tracker: Bends, now_host_ns: int, climb_mps: float, airspeed_mps: float
     ) -> Iterator[OutputRecord]:
         left, right = (tracker.smooth(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         if isinstance(left, Reject) or isinstance(right, Reject):
