@@ -373,6 +373,19 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True)
+class CameraFeedback:
+    """The autopilot felt the shutter of a camera of its own (0 left, 1 right) on the hot-shoe pin.
+
+    ``t_ns`` is boot time cut to 32 bits of microseconds: it starts again every 71.6 minutes.
+    """
+
+    camera: int
+    image: int
+    t_ns: int
+    received_host_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class TriggerLatency:
     """What was learned of the time from the command to the start of the exposure, left and right camera.
 
@@ -506,6 +519,7 @@ InputRecord = (
     | Frame
     | FramePair
     | Shot
+    | CameraFeedback
 )
 OutputRecord = (
     ClockState

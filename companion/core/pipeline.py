@@ -22,6 +22,7 @@ from companion.core.publishing import Publishing
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.trigger.blur import Motion
+from companion.core.trigger.feedback import Feedback
 from companion.core.trigger.scheduling import Scheduling
 from companion.core.vehicle_filters import VehicleFilters
 from companion.core.wing.folding import folded
@@ -29,6 +30,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
     AutopilotParameter,
+    CameraFeedback,
     ClockName,
     ClockRestart,
     Deflection,
@@ -55,6 +57,7 @@ __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 _STATUS_PERIOD_NS = 1_000_000_000
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between
 _WARNING = 4
+_BY_PIN = "exposures stamped by the autopilot"
 _BLIND = "shots bring no image pairs: trigger, cameras?"
 _PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered
 
@@ -70,6 +73,7 @@ class PipelineState:
     scheduling: Scheduling | None
     correction: Correction | None
     publishing: Publishing
+    feedback: Feedback
     delivery: Delivery = field(default_factory=Delivery)
     filters: VehicleFilters = field(default_factory=VehicleFilters)
     alignments: dict[ClockName, Alignment] = field(default_factory=dict)
@@ -97,6 +101,7 @@ def start(airframe: Airframe, settings: Settings, hub: ClockName | None = None) 
         scheduling=Scheduling.create(airframe, settings) if has_cameras else None,
         correction=Correction.create(airframe, settings) if has_cameras else None,
         publishing=Publishing(airframe.orientation),
+        feedback=Feedback(airframe, clocks),
     )
 
 
@@ -280,9 +285,21 @@ def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputReco
 def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
     if state.correction is None:
         return []
+    matches, told = state.feedback.stamped(matches)
+    said: list[OutputRecord] = []
+    if told:
+        if not state.counters[_BY_PIN]:
+            said.append(Notice(6, f"{_BY_PIN}: its hot-shoe pin tells them best", matches.matched_host_ns))
+        state.counters[_BY_PIN] += told
     if state.scheduling is not None:
         state.scheduling.exposed(matches)
-    return list(state.correction.add(matches))
+    return [*said, *state.correction.add(matches)]
+
+
+def _on_feedback(state: PipelineState, feedback: CameraFeedback) -> list[OutputRecord]:
+    if state.feedback.edge(feedback):
+        return []
+    return [Rejected(Reject.CLOCK_UNSYNCED, "camera feedback", feedback.received_host_ns)]
 
 
 def _on_rejected(state: PipelineState, rejected: Rejected) -> list[OutputRecord]:
@@ -294,6 +311,7 @@ def _on_rejected(state: PipelineState, rejected: Rejected) -> list[OutputRecord]
 def _on_shot(state: PipelineState, shot: Shot) -> list[OutputRecord]:
     if state.scheduling is not None:
         state.scheduling.fired(shot)
+    state.feedback.shot(shot)
     state.counters["shots"] += 1
     return []
 
@@ -377,6 +395,7 @@ _HANDLERS: dict[type, _Handler] = {
     ParameterChange: _on_change,
     MatchSet: _on_matches,
     Shot: _on_shot,
+    CameraFeedback: _on_feedback,
     Rejected: _on_rejected,
     Tick: _on_tick,
 }

@@ -117,7 +117,8 @@ class Camera:
     inertial sensor sits on, ``drift_time_s`` how long it takes; matched features follow it.
     ``slope_gain`` scales the tip station's slope to the camera (1: mounted at the station); ``lift_gain`` likewise its
     deflection. ``focal_px`` is along the rows, ``focal_ratio`` times it along the columns. ``latency_s`` is from
-    trigger command to the start of the exposure.
+    trigger command to the start of the exposure. ``stamp_sigma_s`` is how well its own stamps tell the middle of an
+    exposure: where an autopilot's hot-shoe pin tells it better (CAMERA_FEEDBACK, some 0.3 ms), that is used.
     """
 
     width_px: int
@@ -137,6 +138,7 @@ class Camera:
     slope_gain: float = 1.0
     lift_gain: float = 1.0
     focal_ratio: float = 1.0
+    stamp_sigma_s: float = 0.0001
 
 
 @dataclass(frozen=True, slots=True)

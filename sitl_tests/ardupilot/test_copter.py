@@ -20,8 +20,10 @@ SECOND_NS = 1_000_000_000
 SEED, FLOWN_S = 1, 50.0
 READY_S = 8.0
 PROXIMITY_ID = 10
-# AP_Proximity forgets a face 1 s after its last update and looks every 0.75 s; a DISTANCE_SENSOR counts only when the
-# next one comes, which alive without range takes half a second at most; and ours go out after the smoother's lag
+# AP_Proximity forgets a face 1 s after its last update (PROXIMITY_FACE_RESET_MS) and looks every 0.75 s
+# (PROXIMITY_BOUNDARY_3D_TIMEOUT_MS); a DISTANCE_SENSOR counts only when the next one comes (AP_Proximity_MAV.cpp puts
+# it into a temporary boundary first), which alive without range takes half a second at most; and ours go out after the
+# smoother's lag
 HELD_NS, OUT_NS = 2_250_000_000, 500_000_000
 PARAMETERS = {"FRAME_CLASS": 1, "PRX1_TYPE": 2, "RNGFND1_ORIENT": 0, "AVOID_ENABLE": 0}
 

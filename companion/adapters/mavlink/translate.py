@@ -16,6 +16,7 @@ from companion.adapters.mavlink.restart import ClockWatch, Followed
 from companion.adapters.mavlink.tally import Tally
 from companion.records import (
     AutopilotParameter,
+    CameraFeedback,
     ClockName,
     ClockRestart,
     Record,
@@ -27,6 +28,7 @@ from companion.records import (
 PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32
 _STATE_PERIOD_MS = 20
+_PIN_TIMES_US = 1 << 32
 _INTEGERS = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
 
 
@@ -78,6 +80,7 @@ class Translator:
         self._requests: dict[int, set[tuple[int, int]]] = {}
         self._air: Any = None
         self._last_state_ms: int | None = None
+        self._images: dict[int, int] = {}
         self._bytewise = False
 
     def sent(self, message: Any) -> None:
@@ -104,6 +107,8 @@ class Translator:
             self._vfr_hud(heard)
         elif name == "PARAM_VALUE":
             yield from self._parameter(heard)
+        elif name == "CAMERA_FEEDBACK":
+            yield from self._feedback(heard)
 
     def _heartbeat(self, heard: Heard) -> None:
         message = heard.message
@@ -161,6 +166,19 @@ class Translator:
             air.throttle / 100.0,
             self.armed,
         )
+
+    def _feedback(self, heard: Heard) -> Iterator[Record]:
+        """An edge of the hot-shoe pin: boot time in 32 bits.
+
+        Without a pin ArduPilot sends the GPS time at which it gave the command (0 without GPS), which is no exposure;
+        with two cameras it tells each picture more than once.
+        """
+        message = heard.message
+        known = self._images.get(message.cam_idx) == message.img_idx
+        self._images[message.cam_idx] = message.img_idx
+        if not known and 0 < message.time_usec < _PIN_TIMES_US:
+            t_ns = message.time_usec * 1000
+            yield CameraFeedback(message.cam_idx, message.img_idx, t_ns, heard.received_host_ns)
 
     def _parameter(self, heard: Heard) -> Iterator[Record]:
         message = heard.message

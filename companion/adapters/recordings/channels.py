@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from companion.adapters.recordings import packed
 from companion.records import (
     AutopilotParameter,
+    CameraFeedback,
     ClockRestart,
     ClockState,
     CorrectedRange,
@@ -90,6 +91,7 @@ _LISTED: dict[type, tuple[str, str]] = {
     Tick: ("/tick", "now_host_ns"),
     MatchSet: ("/vision/matches", "matched_host_ns"),
     Shot: ("/trigger/shot", "fired_host_ns"),
+    CameraFeedback: ("/trigger/feedback", "received_host_ns"),
     TriggerPlan: ("/trigger/plan", "planned_host_ns"),
     TriggerLatency: ("/trigger/latency", "at_host_ns"),
     ModeState: ("/wing/mode", "t_host_ns"),

@@ -1,0 +1,92 @@
+"""Exposures stamped by the autopilot: its hot-shoe pin felt the shutter, which a camera's own stamp may tell worse.
+
+CAMERA_FEEDBACK carries the boot time of the pin's edge, cut to 32 bits of microseconds; as good as the boot clock is
+known, some 0.3 ms. A camera that stamps the middle of its exposure in hardware is better; one whose frames are stamped
+when a driver gets them (``stamp_sigma_s`` in the airframe file), or on a clock that nobody knows, is worse.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import OrderedDict, deque
+
+import numpy as np
+
+from companion.core.clock.bank import ClockBank
+from companion.core.trigger.latency import MOST_LATENCY_NS
+from companion.params.airframe import Airframe, Camera
+from companion.records import CameraFeedback, ClockName, MatchSet, Reject, Shot
+
+WRAP_NS = 2**32 * 1000
+_PIN_SIGMA_NS = 50e3
+"""From the shutter to the stamp of the pin's interrupt."""
+_NEAR_NS = 20_000_000
+"""A pair that no plan is known for has its feedback within this of its own stamp."""
+_LATE_NS = 1_000_000_000
+_KEPT = 64
+
+
+class Feedback:
+    """Keeps edges and shots, and stamps pairs by them. ``clocks`` is only read."""
+
+    def __init__(self, airframe: Airframe, clocks: ClockBank) -> None:
+        self._cameras = (airframe.left_camera, airframe.right_camera)
+        self._clocks = clocks
+        self._edges: tuple[deque[tuple[int, int]], ...] = (deque(maxlen=_KEPT), deque(maxlen=_KEPT))
+        self._shots: OrderedDict[int, int] = OrderedDict()
+
+    def edge(self, feedback: CameraFeedback) -> bool:
+        """Take note of an edge; False where the boot clock is not known, or the edge is older than a second."""
+        received_ns = feedback.received_host_ns
+        state = self._clocks.state(ClockName.BOOT, received_ns)
+        if not state.synced or feedback.camera not in (0, 1):
+            return False
+        now_boot_ns = received_ns + state.offset_ns
+        age_ns = (now_boot_ns - feedback.t_ns + state.bound_ns) % WRAP_NS - state.bound_ns
+        converted = self._clocks.to_host(ClockName.BOOT, np.array([now_boot_ns - age_ns], dtype=np.int64))
+        if age_ns > _LATE_NS or isinstance(converted, Reject):
+            return False
+        self._edges[feedback.camera].append((int(converted[0][0]), converted[1]))
+        return True
+
+    def shot(self, shot: Shot) -> None:
+        """Take note of when a plan was fired."""
+        self._shots[shot.plan_id] = shot.fired_host_ns
+        while len(self._shots) > _KEPT:
+            self._shots.popitem(last=False)
+
+    def stamped(self, matches: MatchSet) -> tuple[MatchSet, int]:
+        """Give the pair with the better stamps of each camera, and how many of them are the autopilot's."""
+        clocks, stamps, used = list(matches.clocks), matches.mid_exposure_ns.copy(), 0
+        for side, camera in enumerate(self._cameras):
+            edge = None if camera is None else self._edge_of(matches, side)
+            if camera is None or edge is None:
+                continue
+            at_ns, bound_ns = edge
+            # the truth may be anywhere within the bound
+            sigma_ns = math.hypot(bound_ns / math.sqrt(3.0), _PIN_SIGMA_NS)
+            if clocks[side] is not ClockName.HOST or sigma_ns < camera.stamp_sigma_s * 1e9:
+                clocks[side], used = ClockName.HOST, used + 1
+                stamps[side] = at_ns + _to_middle_ns(matches, camera)
+        if not used:
+            return matches, 0
+        return dataclasses.replace(matches, clocks=(clocks[0], clocks[1]), mid_exposure_ns=stamps), used
+
+    def _edge_of(self, matches: MatchSet, side: int) -> tuple[int, int] | None:
+        """The first edge after the plan's shot, or where none is known the one nearest to the pair's own stamp."""
+        fired_ns, camera = self._shots.get(matches.plan_id), self._cameras[side]
+        if fired_ns is not None:
+            later = [at for at in self._shots.values() if at > fired_ns]
+            ends_ns = min([*later, fired_ns + MOST_LATENCY_NS])
+            return min((edge for edge in self._edges[side] if fired_ns - edge[1] <= edge[0] < ends_ns), default=None)
+        if camera is None or matches.clocks[side] is not ClockName.HOST:
+            return None
+        own_ns = int(matches.mid_exposure_ns[side]) - _to_middle_ns(matches, camera)
+        nearest = min(self._edges[side], key=lambda edge: abs(edge[0] - own_ns), default=None)
+        return nearest if nearest is not None and abs(nearest[0] - own_ns) <= _NEAR_NS else None
+
+
+def _to_middle_ns(matches: MatchSet, camera: Camera) -> int:
+    """From the shutter's edge to the middle of the middle row's exposure."""
+    return matches.exposure_ns // 2 + matches.row_time_ns * camera.height_px // 2
