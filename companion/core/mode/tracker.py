@@ -16,7 +16,7 @@ from companion.core.mode.forecast import Forecast, Forecaster
 from companion.core.mode.kalman import Kalman
 from companion.core.mode.layout import make_layout, make_noise
 from companion.core.mode.model import Parameters, StepModel, build_model, slope_rows
-from companion.core.mode.parameters import prior_parameters
+from companion.core.mode.parameters import FREQUENCY_2, LOAD, LOAD_2, prior_parameters
 from companion.core.mode.rigid import Cells, FrontEnd, join
 from companion.core.mode.smoother import smooth_between
 from companion.core.mode.stream import Stream
@@ -40,6 +40,7 @@ _SATURATED_NS = 200_000_000
 _PATIENCE_S = 5.0
 _TRIAL_S = 1.5  # fits come once a second
 _SMALL = np.array([0.02, 0.5, 0.7, 1.0, 1.0, 0.05, 0.7, 1.0, 0.7])  # of the parameters' logarithms
+_IDLE = np.log(1e-6)  # load of a second mode, as a share of the first one's, that nobody would see
 _DISTRUST = {
     Validity.STALE: Reject.STALE,
     Validity.SETTLING: Reject.NOT_SETTLED,
@@ -332,4 +333,11 @@ class WingTracker:
 
 def _alike(new: Parameters, old: Parameters) -> bool:
     """Whether a change is too small to be worth a trial."""
-    return all(bool((np.abs(one.logs() - other.logs()) < _SMALL).all()) for one, other in zip(new, old, strict=True))
+    return all(_close(one.logs(), other.logs()) for one, other in zip(new, old, strict=True))
+
+
+def _close(one: Floats, other: Floats) -> bool:
+    close = np.abs(one - other) < _SMALL
+    if max(one[LOAD_2] - one[LOAD], other[LOAD_2] - other[LOAD]) < _IDLE:  # where it lies makes no difference
+        close[FREQUENCY_2:LOAD_2] = True
+    return bool(close.all())
