@@ -94,11 +94,14 @@ class Mapping:
         bound = max(self._knots[first].bound_at_ns(low), self._knots[last].bound_at_ns(high))
         if first == last:
             return self._knots[first].map(t_ns), low, high, bound
-        stamps = t_ns.ravel().tolist()
-        host = np.array([self._knots[max(bisect_right(self._remote, t) - 1, first)].to_host(t) for t in stamps])
+        knots = self._knots[first : last + 1]
+        at = np.searchsorted([knot.remote_ns for knot in knots[1:]], t_ns, side="right")
+        elapsed = t_ns - np.array([knot.remote_ns for knot in knots])[at]
+        host: Ints = np.array([knot.host_ns for knot in knots])[at] + elapsed
+        host -= (np.array([knot.shrink for knot in knots])[at] * elapsed).astype(np.int64)
         for i in range(first, last + 1):
             bound = max(bound, self._knots[i].bound_at_ns(self._knots[min(i + 1, last)].host_ns))
-        return host.reshape(t_ns.shape), low, high, bound
+        return host, low, high, bound
 
     def _segment(self, remote_ns: int) -> int:
         return max(bisect_right(self._remote, remote_ns) - 1, 0)
