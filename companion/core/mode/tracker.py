@@ -16,7 +16,7 @@ from companion.core.mode.forecast import Forecast, Forecaster
 from companion.core.mode.kalman import Kalman
 from companion.core.mode.layout import make_layout, make_noise
 from companion.core.mode.model import Parameters, StepModel, build_model, slope_rows
-from companion.core.mode.parameters import FREQUENCY_2, LOAD, LOAD_2, prior_parameters
+from companion.core.mode.parameters import COHERENCE, DAMPING_2, FREQUENCY_2, LOAD, LOAD_2, prior_parameters
 from companion.core.mode.rigid import Cells, FrontEnd, join
 from companion.core.mode.smoother import smooth_between
 from companion.core.mode.stream import Stream
@@ -338,6 +338,6 @@ def _alike(new: Parameters, old: Parameters) -> bool:
 
 def _close(one: Floats, other: Floats) -> bool:
     close = np.abs(one - other) < _SMALL
-    if max(one[LOAD_2] - one[LOAD], other[LOAD_2] - other[LOAD]) < _IDLE:  # where it lies makes no difference
-        close[FREQUENCY_2:LOAD_2] = True
+    if max(one[LOAD_2] - one[LOAD], other[LOAD_2] - other[LOAD]) < _IDLE:  # what it is makes no difference
+        close[[FREQUENCY_2, DAMPING_2, COHERENCE]] = True
     return bool(close.all())
