@@ -10,6 +10,7 @@ import tty
 import types
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import call, create_autospec
 
 import numpy as np
 import pytest
@@ -177,6 +178,28 @@ def test_gpio_raises_the_line_and_lowers_it(monkeypatch: pytest.MonkeyPatch) -> 
     assert down_ns - up_ns >= 500_000
     assert abs(shot.fired_host_ns - up_ns) < 5_000_000
     assert request.released
+
+
+def test_gpio_speaks_to_the_real_library_as_it_wants_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No chip is here: the request alone is a stand-in, with the signatures of libgpiod's own binding."""
+    gpiod = pytest.importorskip("gpiod")
+    request = create_autospec(gpiod.LineRequest, instance=True)
+    ask = create_autospec(gpiod.request_lines, return_value=request)
+    monkeypatch.setattr(gpiod, "request_lines", ask)
+    trigger = GpioTrigger("/dev/gpiochip0", 17, active_low=True)
+    trigger.fire(_plan(3, 0))
+    settings = ask.call_args.kwargs["config"][17]
+    assert (settings.direction, settings.active_low) == (gpiod.line.Direction.OUTPUT, True)
+    assert settings.output_value is gpiod.line.Value.INACTIVE
+    on, off = gpiod.line.Value.ACTIVE, gpiod.line.Value.INACTIVE
+    assert request.set_value.call_args_list == [call(17, on), call(17, off)]
+
+
+@pytest.mark.parametrize("chip", ["/dev/null", "/dev/gpiochip77"])
+def test_what_is_no_gpio_chip_is_named_by_the_real_library(chip: str) -> None:
+    pytest.importorskip("gpiod")
+    with pytest.raises(DeviceError, match=f"cannot take line 17 of {chip}"):
+        GpioTrigger(chip, 17)
 
 
 def test_gpio_without_its_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
