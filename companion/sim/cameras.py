@@ -32,7 +32,7 @@ PLAN_UNKNOWN = -1
 """No camera knows which plan opened its shutter; pairing by exposure time is the service's business."""
 
 _LATENCY_JITTER_S = 0.00015
-_CONNECT_TRIES, _CONNECT_WAIT_S = 300, 0.1
+_CONNECT_TRIES, _CONNECT_WAIT_S = 3000, 0.1
 _READ_BYTES = 1 << 20
 
 
@@ -176,7 +176,7 @@ class SimCameraPair:
 
 
 def _connected(path: str) -> socket.socket:
-    """Connect, waiting half a minute for a server that is still starting."""
+    """Connect, waiting five minutes: the cameras open when the flight starts, and a first start compiles the estimator."""
     for attempt in range(_CONNECT_TRIES):
         link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
