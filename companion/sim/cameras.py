@@ -176,7 +176,7 @@ class SimCameraPair:
 
 
 def _connected(path: str) -> socket.socket:
-    """Connect, waiting five minutes: the cameras open when the flight starts, and a first start compiles the estimator."""
+    """Connect, waiting five minutes: cameras open at take-off, and before a first one the estimator is compiled."""
     for attempt in range(_CONNECT_TRIES):
         link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
