@@ -84,11 +84,11 @@ def told(records: list[Record]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", AIRFRAMES)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 30))
 def test_both_ways_give_the_same_records(name: str, seed: int, pieces: int) -> None:
     rng = random.Random(seed)
-    data = stream(rng, 120)
+    data = stream(rng, 60)
     borders = [0, *sorted(rng.randint(0, len(data)) for _ in range(pieces)), len(data)]
     fast, plain = (decoder(AIRFRAMES[name], compiled=compiled) for compiled in (True, False))
     for k, (first, last) in enumerate(itertools.pairwise(borders)):

@@ -108,7 +108,8 @@ class Adaptation:
         """
         self._contradicted = contradicted
         size = len(self._rows)
-        slots = (self._count + np.arange(len(cells))) % size
+        first, last = self._count % size, self._count % size + len(cells)
+        slots = slice(first, last) if last <= size else np.arange(first, last) % size
         self._rows[slots, :2], self._sensitivity[slots] = cells.rows[:, :2], cells.sensitivity[:, :2]
         self._rows[slots, _ROLL], self._rows[slots, _STATIC] = cells.rows[:, P_ROOT], cells.load
         self._seen[slots] = cells.present[:, :2]
