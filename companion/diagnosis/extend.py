@@ -32,6 +32,7 @@ _WORTH_A_REFIT_Z = 3.5
 _TOO_CLOSE = 2.0
 _CONCEIVABLE = 6.0
 _FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
+_UNPREJUDICED = 5.0
 _OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that
 Progress = Callable[[str, float], None]
 
@@ -79,7 +80,18 @@ class Extension:
                 break
             if beam[0].fitted.log_evidence > best.fitted.log_evidence:
                 best = beam[0]
-        return self._pruned(best, null)
+        return self._unprejudiced(self._pruned(best, null))
+
+    def _unprejudiced(self, path: Path) -> Path:
+        """The same causes at the values that the data alone would give them: priors rank, they measure nothing."""
+        if not path.causes:
+            return path
+        self._progress("measure what was found", 0.0)
+        try:
+            fitted = fit(self._models, path.fitted.parts, path.fitted.values, wider=_UNPREJUDICED)
+        except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+            return path
+        return Path(fitted, restated(path.causes, fitted)) if fitted.converged else path
 
     def _grow(self, path: Path, screening: Screening) -> list[Path]:
         enough = ENOUGH_MORE if path.causes else ENOUGH

@@ -58,13 +58,21 @@ class Fit:
     converged: bool
 
 
-def fit(models: Sequence[SuperModel], parts: Sequence[Part], start: Floats | None = None, rounds: int = 24) -> Fit:
+def fit(
+    models: Sequence[SuperModel],
+    parts: Sequence[Part],
+    start: Floats | None = None,
+    rounds: int = 24,
+    wider: float = 1.0,
+) -> Fit:
     """Find the most probable parameters in at most ``rounds`` scoring steps.
 
-    Effects begin at the values of ``parts``, nuisances at those of ``start`` or at the belief.
+    Effects begin at the values of ``parts``, nuisances at those of ``start`` or at the belief. The priors of the
+    effects are made ``wider`` times as wide: for values and intervals that are the data's own.
     """
     belief = models[0].belief
     centres, sigmas = priors(belief, parts)
+    sigmas[len(belief.nuisances) :] *= wider
     values = np.concatenate([np.zeros(len(belief.nuisances)), *[_values(part) for part in parts]])
     if start is not None:
         count = min(len(start), len(belief.nuisances))
