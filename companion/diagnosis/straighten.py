@@ -1,9 +1,8 @@
 """What no linear, steady model makes: crooked sensors, and forces of state or time.
 
-Both are split by statistical linearisation. Of a Gaussian motion the part of a law that is linear in the state acts as
-stiffness and damping (of the reading: as a scale), and what is left is uncorrelated with the motion at every lag
-(Bussgang), so that it can be taken out of the data without pretending that the wing moves less. A law with memory is
-made so band by band.
+Both are split. The mean slope of a law acts as stiffness and damping (of the reading: as a scale): it is what the law
+does to the volume of motions, which the spectrum's determinant stands for. What is left is taken out of the data. A law
+with memory has no slope of an instant; of it goes, band by band, what is correlated with the motion.
 """
 
 from __future__ import annotations
@@ -25,6 +24,10 @@ from companion.records import Floats, Side, Station
 GRAVITY_MPS2 = 9.80665
 _BANDS = 60
 _BUMP = 1e-3
+_BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings
+_INVERSIONS = 6
+_FLATTEST = 0.3
+_INVERTED = 1e-9
 _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 
 
@@ -44,6 +47,7 @@ class Straightener:
         self._seen, self._transforms = seen, transforms
         self._weight: Floats = transforms.taper**2  # the likelihood sees tapered data
         self._up: Floats = np.ascontiguousarray(seen.up_mps2.T)
+        self._signs = _signs(len(self._weight))  # up and down alike, so that a law's curvature is no slope
         self._fine = _Fine(seen, self._weight)
 
     @property
@@ -63,12 +67,13 @@ class Straightener:
         for effect in effects:
             if type(effect).response is not Effect.response or not _acts_on_samples(effect):
                 continue
-            change = np.stack([self._change(effect, side, i) for i, side in enumerate(self._seen.sides)])
-            if type(effect).sample_time is Effect.sample_time:
-                share = np.array([self._fine.slope(effect, STATIONS[side]) for side in self._seen.sides])
-                change = change - share[:, None] * up
-                scale = scale * (1.0 + share)
-            up = up - change
+            if type(effect).sample_time is not Effect.sample_time:
+                up = up - np.stack([self._shifted(effect, side, i) for i, side in enumerate(self._seen.sides)])
+                continue
+            bent = [self._bent(effect, side, i) for i, side in enumerate(self._seen.sides)]
+            change, share = np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
+            up = up - (change - share[:, None] * (self._up - change))
+            scale = scale * (1.0 + share)
         return up, scale
 
     def measured_mps2(self, wing: WingModel, gains: Mapping[str, float]) -> Floats | None:
@@ -83,25 +88,53 @@ class Straightener:
         return load if np.any(load) else None
 
     def push(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Push:
-        """Forces of state and time on a smoothed motion (n, m), split by statistical linearisation."""
-        total, lasting = np.zeros_like(q_m), False
+        """Forces of state and time on a smoothed motion (n, m), split by their mean slopes."""
+        forcing = [part for part in parts if part.effect.forces_modes()]
+        lasting = [part for part in forcing if type(part.effect).remember is not Effect.remember]
+        instant = [part for part in forcing if part not in lasting]
+        n = len(q_m)
+        per_q, per_qdot = np.zeros((n, n)), np.zeros((n, n))
+        rest = self._total(wing, instant, q_m, qdot_mps)
+        if np.any(rest):
+            per_q, per_qdot = self._mean_slopes(wing, instant, q_m, qdot_mps)
+            rest = rest - per_q @ q_m - per_qdot @ qdot_mps
+        slipped = self._total(wing, lasting, q_m, qdot_mps)
+        if np.any(slipped):
+            weights = self._regressed(slipped, np.vstack([q_m, qdot_mps]))
+            per_q, per_qdot = per_q + weights[:, :n], per_qdot + weights[:, n:]
+            rest = rest + self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
+        return Push(per_q, per_qdot, rest)
+
+    def _total(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Floats:
+        total = np.zeros_like(q_m)
         for part in parts:
-            if not part.effect.forces_modes():
-                continue
             force = self._force(wing, part, q_m, qdot_mps)
-            if force is not None:
-                total = total + force
-                lasting = lasting or type(part.effect).remember is not Effect.remember
-        if not np.any(total):
-            return Push(np.zeros((len(q_m),) * 2), np.zeros((len(q_m),) * 2), total)
-        basis = np.vstack([q_m, qdot_mps])
+            total = total if force is None else total + force
+        return total
+
+    def _mean_slopes(
+        self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats
+    ) -> tuple[Floats, Floats]:
+        """Mean derivatives of forces by deflection and by speed, (n, n) each."""
+        n, share = len(q_m), self._weight * self._signs / np.sum(self._weight)
+        slopes, total = np.zeros((2, n, n)), self._total(wing, parts, q_m, qdot_mps)
+        for which, motion in enumerate((q_m, qdot_mps)):
+            for j in range(n):
+                bump = _BUMP_OF_MOTION * float(np.std(motion[j]))
+                if bump > 0.0:
+                    there = [q_m, qdot_mps]
+                    there[which] = motion.copy()
+                    there[which][j] += bump * self._signs
+                    slopes[which, :, j] = (self._total(wing, parts, *there) - total) @ share / bump
+        return slopes[0], slopes[1]
+
+    def _regressed(self, force: Floats, basis: Floats) -> Floats:
+        """Weights (n, k) of a basis (k, m) that come nearest to a force (n, m)."""
         weighed = self._weight * basis
         scale = np.sqrt(np.maximum(np.sum(weighed * basis, axis=1), 1e-300))
         gram = (weighed @ basis.T) / np.outer(scale, scale)
-        weights = np.linalg.lstsq(gram, (weighed / scale[:, None]) @ total.T, rcond=1e-9)[0] / scale[:, None]
-        rest = total - weights.T @ basis
-        n = len(q_m)
-        return Push(weights[:n].T, weights[n:].T, self._uncorrelated(rest, q_m) if lasting else rest)
+        found = np.linalg.lstsq(gram, (weighed / scale[:, None]) @ force.T, rcond=1e-9)[0] / scale[:, None]
+        return np.asarray(found.T)
 
     def _uncorrelated(self, rest: Floats, q_m: Floats) -> Floats:
         """What is left of a force once, band by band, all is out that a linear filter of the motion makes."""
@@ -123,18 +156,22 @@ class Straightener:
         follows = np.zeros(len(self._seen.up_mps2)) if channel is None else channel
         return part.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
 
-    def _change(self, effect: Effect, side: Side, channel: int) -> Floats:
-        """What an effect has added to what a station shows, (m,)."""
+    def _shifted(self, effect: Effect, side: Side, channel: int) -> Floats:
+        """What an effect on sample times has added to what a station shows, (m,)."""
         station, t_s, up = STATIONS[side], self._seen.t_s, self._up[channel]
-        if type(effect).sample_time is not Effect.sample_time:
-            # what is shown at t is taken back to where it belongs: up - (shown - up) is up at the mirrored instant
-            mirrored = 2.0 * t_s - effect.sample_time(station, t_s)
-            return np.asarray(up - self._transforms.at(np.fft.rfft(up), mirrored))
-        fine = self._fine
-        added = fine.sensed(effect, station, -GRAVITY_MPS2 * fine.load_factor - fine.up_mps2[channel])
+        # what is shown at t is taken back to where it belongs: up - (shown - up) is up at the mirrored instant
+        mirrored = 2.0 * t_s - effect.sample_time(station, t_s)
+        return np.asarray(up - self._transforms.at(np.fft.rfft(up), mirrored))
+
+    def _bent(self, effect: Effect, side: Side, channel: int) -> tuple[Floats, float]:
+        """What an effect has added to what a station shows, (m,), and its mean slope."""
+        fine, station = self._fine, STATIONS[side]
+        shown = -GRAVITY_MPS2 * fine.load_factor - fine.up_mps2[channel]
+        true = fine.inverted(effect, station, shown)
+        added = shown - true
         if self._seen.has_root:
             added = added - fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor)
-        return fine.thinned(-added, len(up))
+        return fine.thinned(-added, len(self._up[channel])), fine.slope(effect, station, true)
 
 
 class _Fine:
@@ -147,8 +184,8 @@ class _Fine:
         self._t_s: Floats = seen.start_s + np.arange(len(up)) / rate_hz
         self.load_factor: Floats = np.interp(self._t_s, seen.t_s, seen.load_factor)
         self._weight: Floats = np.interp(self._t_s, seen.t_s, weight)
-        self._signs = np.where(np.random.default_rng(len(up)).uniform(size=len(up)) < 0.5, -1.0, 1.0)
-        self._channels = {STATIONS[side]: i for i, side in enumerate(seen.sides)}
+        # a law may know the samples' own mean, which a bump of all alike would move
+        self._signs = _signs(len(up))
         self._rigid = np.zeros((len(up), 6))
         for name, column in _RIGID_COLUMNS.items():
             if name in seen.rigid:
@@ -160,16 +197,28 @@ class _Fine:
         values[:, 2] = force_z
         return np.asarray(effect.sense(station, self._t_s, values)[:, 2] - force_z)
 
-    def slope(self, effect: Effect, station: Station) -> float:
+    def inverted(self, effect: Effect, station: Station, shown: Floats) -> Floats:
+        """The vertical specific force of which an effect makes what is shown; Newton's steps, sample by sample."""
+        small = _BUMP * float(np.std(shown))
+        force, bump = shown, small * self._signs
+        for _ in range(_INVERSIONS):
+            added = self.sensed(effect, station, force)
+            miss = force + added - shown
+            if float(np.max(np.abs(miss))) <= _INVERTED * small:
+                break
+            slope = 1.0 + (self.sensed(effect, station, force + bump) - added) / bump
+            # a characteristic that turns back has no inverse beyond
+            force = force - miss / np.maximum(slope, _FLATTEST)
+        return np.asarray(force)
+
+    def slope(self, effect: Effect, station: Station, force: Floats) -> float:
         """Mean slope of what an effect makes of a station's samples: its linear part, which leaves no change of volume.
 
         (The same as the regression on the samples in the mean, by Stein, but that one wanders as their power does.)
         """
-        channel = self._channels[station]
-        force = -GRAVITY_MPS2 * self.load_factor - self.up_mps2[channel]
         bump = _BUMP * float(np.std(force)) * self._signs
-        changed = self.sensed(effect, station, force + bump) - self.sensed(effect, station, force)
-        return float(np.sum(self._weight * changed * bump) / np.sum(self._weight * bump**2))
+        changed = self.sensed(effect, station, force + bump) - self.sensed(effect, station, force - bump)
+        return float(np.sum(self._weight * changed / (2.0 * bump)) / np.sum(self._weight))
 
     def thinned(self, values: Floats, count: int) -> Floats:
         """The lower part of the spectrum, on the coarse grid."""
@@ -177,6 +226,10 @@ class _Fine:
             return values
         spectrum = np.fft.rfft(values)[: count // 2 + 1]
         return np.asarray(np.fft.irfft(spectrum, count) * (count / len(values)))
+
+
+def _signs(count: int) -> Floats:
+    return np.where(np.random.default_rng(count).uniform(size=count) < 0.5, -1.0, 1.0)
 
 
 def _acts_on_samples(effect: Effect) -> bool:

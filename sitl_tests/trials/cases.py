@@ -43,7 +43,7 @@ SIGMA = {
     "left-right-frequency": 0.0027,
     "left-right-damping": 0.089,
     "left-right-forcing": 0.0071,
-    "cubic-stiffness": 61.0,
+    "cubic-stiffness": 73.0,
     "quadratic-stiffness": 0.97,
     "quadratic-damping": 0.71,
     "coulomb-friction": 0.045,

@@ -58,7 +58,7 @@ class Laws(NamedTuple):
 
 
 class State(NamedTuple):
-    """Where n trials' wings are, changed in place: modes (2, n), further oscillator (n,), gust filters, slipped springs."""
+    """Where n trials' wings are, changed in place: modes (2, n), a further one (n,), gust filters, slipped springs."""
 
     q: Array
     v: Array

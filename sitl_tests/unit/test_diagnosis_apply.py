@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from companion.core.stereo.geometry import Rig
 from companion.core.wing.effects import catalogue, make_effect
@@ -93,7 +94,10 @@ def test_an_effect_in_force_follows_its_channel_in_the_units_it_was_found_in() -
     rng = np.random.default_rng(3)
     t_s = np.arange(12000) / 1000.0
     airspeed = 15.0 + 3.0 * np.sin(0.9 * t_s)
-    tips = {side: RawStream(t_s, -9.80665 + rng.standard_normal(len(t_s))) for side in Side}
+    mode = AIRFRAME.wing.symmetric
+    pole = np.exp(2e-3 * np.pi * mode.frequency_hz.value * (1j - mode.damping.value))
+    swing = lfilter([1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], rng.standard_normal((2, len(t_s))))
+    tips = {side: RawStream(t_s, -9.80665 + swing[side] / swing.std()) for side in Side}
     raw = RawRecording(tips, None, None, {"airspeed_mps": (t_s, airspeed)})
     entry = NamedEffect("airspeed-dependence", {"frequency_per_rms": 0.05}, "airspeed_mps", 17.0, 2.0)
 
