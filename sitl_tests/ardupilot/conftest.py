@@ -1,4 +1,4 @@
-"""Where the executables are: ``--arduplane``, ``--arducopter``, or ``SPANWISE_ARDUPLANE``, ``SPANWISE_ARDUCOPTER``."""
+"""Where the executables are: ``--arduplane``, ``--arducopter``, ``--ardurover``, or ``SPANWISE_ARDUPLANE`` ..."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-_VEHICLES = ("arduplane", "arducopter")
+_VEHICLES = ("arduplane", "arducopter", "ardurover")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -33,6 +33,7 @@ def arduplane(request: pytest.FixtureRequest) -> Path:
     return _executable(request.config, "arduplane")
 
 
-@pytest.fixture(scope="session")
-def arducopter(request: pytest.FixtureRequest) -> Path:
-    return _executable(request.config, "arducopter")
+@pytest.fixture(scope="module", params=["arducopter", "ardurover"])
+def proximity_vehicle(request: pytest.FixtureRequest) -> Path:
+    """One after the other, the vehicles that have proximity."""
+    return _executable(request.config, str(request.param))

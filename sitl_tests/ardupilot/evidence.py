@@ -11,7 +11,7 @@ import numpy as np
 from pymavlink import mavutil
 
 from companion.adapters.recordings.reader import McapRecording
-from companion.records import Floats, ImuBatch, Ints, Station
+from companion.records import ClockName, ClockState, Floats, ImuBatch, Ints, Station
 from sitl_tests.ardupilot.rail import RATE_HZ
 
 T = TypeVar("T")
@@ -68,6 +68,23 @@ class BootClock:
         """How late each frame went out."""
         due = np.arange(len(self._sent_ns)) * (1e9 / RATE_HZ)
         return np.asarray((self._sent_ns - self._sent_ns[0] - due) * 1e-6)
+
+
+def boot_clock(report: Mapping[str, Any], tape: Tape) -> tuple[int, list[tuple[float, float, float]], int]:
+    """Judge the boot clock's states where that clock ran: how many, those outside their bound, the median bound [ns].
+
+    Those outside as ms from the earliest and from the latest true time, and their bound.
+    """
+    clock = BootClock(report)
+    states = [s for s in tape.of(ClockState) if s.clock == ClockName.BOOT and s.synced and clock.runs(s.at_host_ns)]
+    outside = []
+    for state in states:
+        earliest, latest = clock.between(state.at_host_ns)
+        told = state.at_host_ns + state.offset_ns
+        if not earliest - state.bound_ns <= told <= latest + state.bound_ns:
+            outside.append(((told - earliest) * 1e-6, (told - latest) * 1e-6, state.bound_ns * 1e-6))
+    bounds = sorted(state.bound_ns for state in states)
+    return len(states), outside, bounds[len(bounds) // 2] if bounds else 0
 
 
 def rangefinder_log(folder: Path) -> list[tuple[float, float, int]]:

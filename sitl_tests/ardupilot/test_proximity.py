@@ -1,4 +1,4 @@
-"""A real ArduCopter with our obstacle sectors as its proximity sensor."""
+"""A real ArduCopter and a real Rover with our obstacle sectors as proximity sensor; rates and time on both."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.params.files import load_airframe
-from companion.records import CorrectedRange, ObstacleSectors
+from companion.records import CorrectedRange, ObstacleSectors, Station
 from sitl_tests.ardupilot.bench import Run
-from sitl_tests.ardupilot.evidence import Tape
+from sitl_tests.ardupilot.evidence import Tape, boot_clock
 from sitl_tests.ardupilot.station import COMPANION, Heard
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
@@ -38,10 +38,10 @@ class Flown:
 
 
 @pytest.fixture(scope="module")
-def flown(arducopter: Path, tmp_path_factory: pytest.TempPathFactory) -> Flown:
-    folder = tmp_path_factory.mktemp("copter")
+def flown(proximity_vehicle: Path, tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    folder = tmp_path_factory.mktemp(proximity_vehicle.name)
     airframe = load_airframe("forward-2m")
-    with Run(arducopter, folder, airframe, "forward-2m", PARAMETERS, SEED, FLOWN_S, eyes=True) as run:
+    with Run(proximity_vehicle, folder, airframe, "forward-2m", PARAMETERS, SEED, FLOWN_S, eyes=True) as run:
         run.station.stream(mavlink.MAVLink_distance_sensor_message, 20)
         run.service("TRG_RATE=1")
         run.await_service(READY_S)
@@ -79,7 +79,7 @@ def test_obstacle_sectors_go_out_as_the_full_circle(flown: Flown) -> None:
         assert (len(message.distances), message.increment_f, message.frame) == (72, 5.0, mavlink.MAV_FRAME_BODY_FRD)
 
 
-def test_the_copters_proximity_is_what_we_sent(flown: Flown) -> None:
+def test_the_vehicles_proximity_is_what_we_sent(flown: Flown) -> None:
     """Its sector ahead shows a distance that we sent as shortly before as it forgets, to the centimetre."""
     sent = sent_ahead(flown)
     ahead = [e for e in flown.proximity if e.message.orientation == 0]
@@ -99,3 +99,15 @@ def test_it_sees_nothing_where_nothing_was_looked_at(flown: Flown) -> None:
     """Sectors beside and behind are unknown, and the autopilot invents nothing there."""
     behind = [e for e in flown.proximity if e.message.orientation in (2, 3, 4, 5, 6)]
     assert all(e.message.current_distance >= e.message.max_distance for e in behind)
+
+
+def test_inertial_messages_come_as_fast_as_a_400_hz_loop_gives_them(flown: Flown) -> None:
+    ends_ns = flown.tape.last_ns() - SECOND_NS
+    rate_hz = flown.tape.rate_hz(Station.ROOT, ends_ns - 10 * SECOND_NS, ends_ns)
+    assert rate_hz == pytest.approx(333.3, rel=0.02)
+
+
+def test_the_boot_clock_is_inside_its_bound(flown: Flown) -> None:
+    judged, outside, _ = boot_clock(flown.run.report, flown.tape)
+    assert judged > 15
+    assert len(outside) <= 0.001 * judged, f"ms from the earliest, from the latest, bound: {outside}"
