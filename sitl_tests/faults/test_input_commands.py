@@ -104,6 +104,16 @@ def test_an_airframe_file_with_a_wrong_value_is_named_with_its_key(refused: Call
     assert "semispan_m" in sentence
 
 
+@pytest.mark.parametrize("name", ["covariate-frequency", "airspeed-dependence"])
+def test_an_effect_that_follows_a_channel_is_not_flown_without_one(
+    name: str, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    sentence = refused("simulate", "--effect", f"{name}=0.05", "--out", tmp_path / "out")
+    assert name in sentence
+    assert "channel" in sentence
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_demo_needs_cameras(refused: Callable[..., str], tmp_path: Path) -> None:
     assert "no camera pair" in refused("demo", "--airframe", "sitl-plane", "--out", tmp_path)
 
