@@ -25,8 +25,8 @@ SHOTS_HZ = 3
 # what it was sent stands until the next comes, 0.5 s at most (AP_RANGEFINDER_MAVLINK_TIMEOUT_MS); it is told 20 times
 # a second, and the copy that the autopilot passes on to the ground station may be heard a little later than it is used
 HELD_S, TOLD_S, HEARD_S = 0.5, 0.05, 0.03
-# exposure, match, smoother's lag: no older number goes out
-OUT_S = 1.0
+# exposure, match, smoother's lag; on a busy machine vision waits its turn as well
+OUT_S = 1.5
 # from the request leaving our process to the servo's edge: link, a turn of a 400 Hz loop, a turn of the 50 Hz camera
 SLOWEST_SHOT_NS = 60_000_000
 

@@ -327,6 +327,19 @@ def test_an_airframe_without_cameras_still_plans_peaks(airframe: Airframe) -> No
     assert max(distance_to_peak_ns(plan.exposure_host_ns, 5.0) for plan in fired) < 6 * MS
 
 
+@pytest.mark.parametrize("told_after_ns", [0, 2 * MS, 20 * MS])
+def test_a_shot_that_is_told_takes_one_turn_and_not_two(airframe: Airframe, told_after_ns: int) -> None:
+    planner, line, told = planner_for(airframe, trigger_rate_hz=3.0), Line(), 0
+    for now in range(S, 11 * S, MS):
+        line.run(now)
+        if told < len(line.fired) and line.fired[told].command_host_ns + told_after_ns <= now:
+            planner.fired(Shot(line.fired[told].plan_id, line.fired[told].command_host_ns, now - told_after_ns))
+            told += 1
+        if now % (10 * MS) == 0:
+            line.take(planner.plan(wing(now - 50 * MS), Validity.TRACKING, now))
+    assert len(line.fired) == pytest.approx(30, abs=2)
+
+
 class BusyLine(Line):
     """A trigger process whose pipe is slow: plans reach it late, and its shots are told late."""
 

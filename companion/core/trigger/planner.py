@@ -109,12 +109,12 @@ class Planner:
         On a busy machine a plan may reach the trigger process after the command of the one it replaces. What is open
         then comes too early, and is withdrawn by the next :meth:`plan`.
         """
-        if shot.plan_id <= self._fired_id:
-            return
+        is_open = self._open is not None and self._open.plan_id == shot.plan_id
+        if is_open or shot.plan_id <= self._fired_id:
+            return  # its turn is taken, or will be when it is closed
         self._fired_id = shot.plan_id
-        exposure_ns = shot.fired_host_ns + self._latency.lead_ns
-        self._due_ns = max(self._due_ns, exposure_ns + self._interval_ns)
-        if self._open is not None and self._draft is not None and self._open.plan_id != shot.plan_id:
+        self._due_ns = max(self._due_ns, shot.fired_host_ns + self._latency.lead_ns + self._interval_ns)
+        if self._draft is not None:
             early_ns = self._due_ns - self._draft.exposure_ns
             self._overtaken = early_ns > round(_EARLY_SHARE * self._interval_ns)
 
