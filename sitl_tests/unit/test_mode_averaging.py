@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.mode.averaging import bridged, cell_means, cell_means_unfiltered
+from companion.core.mode.averaging import bridged, bridged_shares, cell_means, cell_means_unfiltered, cut_shares
 
 H = 0.004
 
@@ -90,3 +90,22 @@ def test_the_inverse_follows_uneven_stamps() -> None:
     mean = cell_means_unfiltered(t, y, edges, np.full(6, 20.0))
     error = mean[:, 0] - _averages_of_sine(4.0, edges)
     assert np.sqrt(np.mean(error**2)) < 0.01
+
+
+@pytest.mark.parametrize("off", [0.0, 0.31])
+def test_what_cut_and_lost_samples_cost_a_cell_of_white_load(off: float) -> None:
+    """A share is the variance ``density T / (3 h^2)``: of the mean of a path that is known at samples' edges only."""
+    fine, period, seconds = 20, 1e-3, 600
+    rng = np.random.default_rng(5)
+    path = rng.normal(scale=np.sqrt(fine / period), size=(seconds, 40 * fine))  # density one, two-sided
+    y = path.reshape(seconds, 40, fine).mean(axis=2)
+    t = (np.arange(40) + 0.5) * period
+    edges = (16 + off + np.arange(3) * 4) * period
+    begin = round((16 + off) * fine)
+    truth = path[:, begin : begin + 8 * fine].reshape(seconds, 2, -1).mean(axis=2)
+    kept = np.arange(40) != 18
+    full_t, full_y = bridged(t[kept], y.T[kept], period, 0.012)
+    error = np.array([cell_means(full_t, np.repeat(column[:, None], 6, axis=1), edges)[0][:, 0] for column in full_y.T])
+    told = (cut_shares(full_t, edges) + bridged_shares(t[kept], edges, period)) * period / (3 * H**2)
+    assert told[0] > 3 * told[1]
+    np.testing.assert_allclose(np.mean((error - truth) ** 2, axis=0), told, rtol=0.25, atol=1e-9)

@@ -16,6 +16,7 @@ from companion.core.compiled import compiled
 from companion.records import Floats
 
 VERTICAL = 2
+_BRIDGED = 35.0 / 6.0  # shares of a sample that :func:`bridged` made from 2/3, 2/3, -1/6, -1/6 of its neighbours
 
 
 @compiled
@@ -110,6 +111,17 @@ def cut_shares(t: Floats, edges: Floats) -> Floats:
     u = (edges - knots[at]) / (knots[at + 1] - knots[at])
     bridge = np.maximum(6.0 * u * (1.0 - u), 0.0)
     shares: Floats = 0.5 * (bridge[1:] + bridge[:-1])
+    return shares
+
+
+@compiled
+def bridged_shares(t: Floats, edges: Floats, period_s: float) -> Floats:
+    """The same by samples that were lost between those at ``t``: of a white load their neighbours say nothing, (n,)."""
+    shares = np.zeros(len(edges) - 1)
+    for i in np.flatnonzero(t[1:] - t[:-1] > 1.5 * period_s):
+        begin, end = t[i] + 0.5 * period_s, t[i + 1] - 0.5 * period_s
+        lost = np.minimum(end, edges[1:]) - np.maximum(begin, edges[:-1])
+        shares += _BRIDGED * np.maximum(lost, 0.0) / period_s
     return shares
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from companion.core.compiled import compiled
-from companion.core.mode.averaging import bridged, cell_means, cell_means_unfiltered, cut_shares
+from companion.core.mode.averaging import bridged, bridged_shares, cell_means, cell_means_unfiltered, cut_shares
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
@@ -86,7 +86,7 @@ class Averages(NamedTuple):
     moment : (n,) float64
         First moment of the vertical axis, ``integral (t - middle) z dt / h^2``.
     cut : (n,) float64
-        See :func:`companion.core.mode.averaging.cut_shares`.
+        See :func:`companion.core.mode.averaging.cut_shares` and ``bridged_shares``.
     covered : (n,) bool
         There are samples.
     resolved : (n,) bool
@@ -230,8 +230,10 @@ def averages(samples: Samples, edges_ns: Ints) -> Averages:
         mean, moment = cell_means_unfiltered(t, y, edges, samples.cutoff_hz), np.zeros(cells)
         cut = np.zeros(cells)
     else:
-        mean, moment = cell_means(*bridged(t, y, 1.0 / samples.rate_hz, limit_s), edges)
-        cut = cut_shares(t, edges)
+        period_s = 1.0 / samples.rate_hz
+        full_t, full_y = bridged(t, y, period_s, limit_s)
+        mean, moment = cell_means(full_t, full_y, edges)
+        cut = cut_shares(full_t, edges) + bridged_shares(t, edges, period_s)
     covered = _unbroken(t, edges, limit_s)
     for k in range(cells):
         if not covered[k]:
