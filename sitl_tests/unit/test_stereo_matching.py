@@ -139,6 +139,12 @@ def test_roll_and_slant_hardly_move_a_match_across_the_epipolar_line(
     assert normal[0] < 1.0 or np.std(errors[:, 1]) < 2.0 * np.std(upright[:, 1])
 
 
+def test_a_gust_s_roll_is_read_from_the_coarse_matches(airframe: Airframe) -> None:
+    """A gust rolls by 24 mrad more than trim, which alone is expected."""
+    errors, rigid = _forward(airframe, (0.0342, 0.0306), (1.0, 0.0, 0.0))
+    assert np.std(errors[:, 1]) < 0.5 * np.std(rigid[:, 1])
+
+
 def test_lens_distortion_is_searched_and_matched_through(airframe: Airframe) -> None:
     assert airframe.left_camera is not None
     assert airframe.right_camera is not None
