@@ -12,7 +12,7 @@ from companion.core.mode.model import build_model
 from companion.core.mode.parameters import prior_parameters
 from companion.core.mode.rigid import FrontEnd
 from companion.core.mode.stream import Stream
-from companion.records import Station
+from companion.records import Axis, Station
 from sitl_tests.unit.mode_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 STEP_NS = 4 * MS
@@ -33,6 +33,27 @@ def test_moments_count_where_the_root_moves_as_its_means_say(shaken_hz: float, s
     assert cells.present[:, [Z_LEFT, Z_RIGHT]].all()
     heard = cells.present[:, [M_LEFT, M_RIGHT]].mean()
     assert heard == 1.0 if share == 1.0 else heard < share
+
+
+def test_an_axis_that_is_not_sent_leaks_as_the_rigid_wings() -> None:
+    """The vertical axis of a tip that sends no other one leans over all the same: in a side force and in a roll."""
+    airframe = plain_airframe()
+    layout = make_layout(airframe)
+    t, values = swinging(0.6, 0.0)
+    streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+    side_mps2, roll_radps = 2.0, 0.8
+    for station, v in values.items():
+        v[:, 1], v[:, 3] = side_mps2, roll_radps
+        sent = batch(station, t, v)
+        if station is Station.LEFT:
+            hidden = v * np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+            sent = dataclasses.replace(sent, axes=Axis.Z, values=hidden)
+        streams[station].add(sent, 0)
+    cells = FrontEnd(layout, (streams[0], streams[1], streams[2])).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
+    column = layout.constants.index("left.mx")
+    lever_m = airframe.left.position_m[1] - airframe.root.position_m[1]
+    leaking = side_mps2 - lever_m * roll_radps**2
+    np.testing.assert_allclose(cells.sensitivity[:, Z_LEFT, column], -leaking, rtol=0.02)
 
 
 def test_what_is_lost_between_samples_is_each_tips_own() -> None:

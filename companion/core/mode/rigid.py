@@ -16,12 +16,13 @@ from companion.core.compiled import compiled
 from companion.core.mode.averaging import VERTICAL
 from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout
 from companion.core.mode.sensitivity import Motion, columns_of, rate_of_change, sensitivities
-from companion.core.mode.stream import Averages, Samples, Stream, averages
+from companion.core.mode.stream import CHANNELS, Averages, Samples, Stream, averages
 from companion.records import Axis, Bools, Floats, Ints
 
 GRAVITY_MPS2 = 9.80665
 _LEAST_FORCE_MPS2 = 1.0  # in free fall the lateral axis does not see the slope
 _SHAKEN = 5.0  # sigmas of the root's own first moment
+_LATERAL, _ROLL = 1, 3  # channels
 _BESIDE = 2  # cells at either end that time derivatives and smoothing lean on
 
 
@@ -105,14 +106,14 @@ class FrontEnd:
         self._root_noise_mps2_rthz = streams[0].sensor.accel_noise_mps2_rthz
         self._where, self._constants = columns_of(layout), len(layout.constants)
         self._axes: tuple[Axis, ...] = ()
-        self._sends = np.zeros((3, 3), dtype=np.bool_)
+        self._sends = np.zeros((3, CHANNELS), dtype=np.bool_)
 
     def cells(self, first_ns: int, step_ns: int, count: int) -> Cells:
         """Give ``count`` consecutive cells from ``first_ns`` on."""
         axes = tuple(stream.axes for stream in self._streams)
         if axes != self._axes:
             self._axes = axes
-            self._sends = np.array([[_sends(stream, letter) for letter in "yzp"] for stream in self._streams])
+            self._sends = np.array([[_sends(stream, letter) for letter in "xyzpqr"] for stream in self._streams])
         root, left, right = (stream.plain() for stream in self._streams)
         fixed = (self._sends, self._levers_m, self._root_noise_mps2_rthz, self._where, self._constants)
         return Cells(*_cells_between(root, left, right, first_ns, step_ns, count, *fixed))
@@ -121,8 +122,7 @@ class FrontEnd:
 class _Averaged(NamedTuple):
     """Averages of all streams over a run of cells.
 
-    ``sends`` (3, 3): lateral, vertical, roll rate of each station; ``resolved`` (2, n): cells whose moments tell
-    something.
+    ``sends`` (3, 6): axes of each station; ``resolved`` (2, n): cells whose moments tell something.
     """
 
     step_s: float
@@ -217,7 +217,7 @@ def _cells(
             if not there[k, row]:
                 rows[k, row] = 0.0
     load = np.zeros(n)
-    if averaged.sends[0, 1]:
+    if averaged.sends[0, VERTICAL]:
         for k in range(n):
             if averaged.covered[0, k]:
                 load[k] = -motion.f_root[k, 2] / GRAVITY_MPS2 - 1.0
@@ -247,8 +247,13 @@ def _motion(averaged: _Averaged) -> Motion:
         d_rigid_z[:, side] = rate_of_change(rigid[:, side, 2].copy(), step_s, root_there)
         d_tip[:, side] = rate_of_change(averaged.tip[:, side].copy(), step_s, averaged.covered[1 + side])
     d_root = rate_of_change(f_root, step_s, root_there)
+    tip = averaged.tip.copy()  # an axis that is not sent leaks into the others all the same: as the rigid wing's
+    for side in range(2):
+        for axis in range(CHANNELS):
+            if not averaged.sends[1 + side, axis]:
+                tip[:, side, axis] = rigid[:, side, axis] if axis < _ROLL else omega[:, axis - _ROLL]
     return Motion(
-        step_s, averaged.tip, averaged.moment, d_tip, rigid, d_rigid_z, f_root, d_root, omega, turn, averaged.levers_m
+        step_s, tip, averaged.moment, d_tip, rigid, d_rigid_z, f_root, d_root, omega, turn, averaged.levers_m
     )
 
 
@@ -269,13 +274,13 @@ def _there(averaged: _Averaged) -> Bools:
     """Which rows were measured."""
     root = averaged.covered[0]
     there = np.zeros((len(root), ROWS), np.bool_)
-    there[:, P_ROOT] = root & averaged.sends[0, 2]
+    there[:, P_ROOT] = root & averaged.sends[0, _ROLL]
     for side in range(2):
         own, sends = averaged.covered[1 + side], averaged.sends[1 + side]
-        there[:, Y_LEFT + side] = own & root & sends[0]
-        there[:, Z_LEFT + side] = own & root & sends[1]
-        there[:, M_LEFT + side] = own & root & sends[1] & averaged.resolved[side]
-        there[:, P_LEFT + side] = own & sends[2]
+        there[:, Y_LEFT + side] = own & root & sends[_LATERAL]
+        there[:, Z_LEFT + side] = own & root & sends[VERTICAL]
+        there[:, M_LEFT + side] = own & root & sends[VERTICAL] & averaged.resolved[side]
+        there[:, P_LEFT + side] = own & sends[_ROLL]
     return there
 
 
