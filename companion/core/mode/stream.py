@@ -185,7 +185,7 @@ class Stream:
         t, values, ordered = _appended(self.t_ns, self.values, t, values, period_ns)
         if not ordered:
             t, values = _sorted(t, values)
-            t = respaced(t, period_ns)
+            t, values, _ = _appended(t[:0], values[:0], t, values, period_ns)
         self.t_ns, self.values = t, values
 
     def average(self, edges_ns: Ints) -> Averages:
