@@ -178,8 +178,11 @@ class Listener:
         self.heard.append(batch)
         return []
 
-    def advance(self, now_host_ns: int) -> None:
+    def turn(self, now_host_ns: int) -> None:
         """No state of the wing."""
+
+    def describe(self) -> None:
+        """Nor anything to tell of it."""
 
 
 def deaf_records(flight: Flight) -> list[Any]:
