@@ -252,9 +252,7 @@ def _motion(averaged: _Averaged) -> Motion:
         for axis in range(CHANNELS):
             if not averaged.sends[1 + side, axis]:
                 tip[:, side, axis] = rigid[:, side, axis] if axis < _ROLL else omega[:, axis - _ROLL]
-    return Motion(
-        step_s, tip, averaged.moment, d_tip, rigid, d_rigid_z, f_root, d_root, omega, turn, averaged.levers_m
-    )
+    return Motion(step_s, tip, averaged.moment, d_tip, rigid, d_rigid_z, f_root, d_root, omega, turn, averaged.levers_m)
 
 
 @compiled
