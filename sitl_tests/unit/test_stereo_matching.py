@@ -10,7 +10,7 @@ import pytest
 
 from companion.core.stereo.geometry import Pose, Rig
 from companion.core.stereo.matching import Matches, match, match_pair
-from companion.core.stereo.refine import keys_taps
+from companion.core.stereo.refine import HALF_WINDOW, keys_taps, refine
 from companion.core.stereo.search import Search, expected_search, trim_search
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
@@ -230,3 +230,17 @@ def test_six_taps_reproduce_cubics_and_whole_pixels() -> None:
         taps = keys_taps(np.array(fraction))
         for power in range(4):
             assert taps @ nodes**power == pytest.approx(fraction**power, abs=1e-12)
+
+
+def test_a_match_whose_texture_lies_at_the_border_can_be_looked_back_from_or_is_none() -> None:
+    """The centre of a patch's texture, which is the match, lies below the patch's own."""
+    image = np.full((120, 160), 100, dtype=np.uint8)
+    image[104:] = np.random.default_rng(4).integers(0, 255, (16, 160), dtype=np.uint8)
+    rows = np.arange(90, 120 - HALF_WINDOW - 2)
+    corners = np.stack([np.full(len(rows), 80), rows], axis=1)
+    along = np.tile([1.0, 0.0], (len(rows), 1))
+    found = refine(image, image, corners, corners.astype(np.float64), along)
+    seen = np.rint(found.right_px[found.good]).astype(np.int64)
+    assert len(seen)
+    back = refine(image, image, seen, seen.astype(np.float64), along[: len(seen)])
+    assert len(back.good) == len(seen)

@@ -98,8 +98,8 @@ def refine(
     position = position + step - template.grown(residual, centroid)
     strayed = np.linalg.norm(position - start_px, axis=1)
     settled = (np.abs(step).max(axis=1) < _CONVERGED_PX) & (strayed < 0.5 * HALF_WINDOW) if len(position) else inside
-    good = inside & settled & np.isfinite(sigma)
     found = position + centroid + np.einsum("nij,nj->ni", slopes, centroid)
+    good = inside & settled & np.isfinite(sigma) & _inside(right, found)  # whoever looks back from there needs a patch
     return Refined(left_px + centroid, found, sigma, correlation, good)
 
 
