@@ -15,7 +15,7 @@ SKEW_DRIFT_PER_S = 5e-8
 """How fast a skew may change: a crystal of 1 ppm/K that warms by 0.05 K/s."""
 _BUCKET_NS = 1_000_000_000
 _ENOUGH = 4
-_CAREFUL_NS = 5_000_000_000
+_CAREFUL_NS = 10_000_000_000
 """As long the tightest upper bound of a second is not believed, where the second has so many exchanges."""
 _TOLERANCES_NS = (2e3, 2e4, 1e5, 5e5, 1e6, 2e6)
 """Granularity allowed to the remote clock. The coarser ones are for clocks that step (a simulated autopilot's advances
@@ -72,7 +72,7 @@ class ExchangeWindow:
 
     A simulated autopilot's clock stands still while its machine is busy, as no crystal would; what is read then is too
     early, and makes an upper bound that is tight and false. One that the others contradict is set aside, unless the
-    next exchange does so as well. While nothing can contradict it (the first five seconds), and a minute around one
+    next exchange does so as well. While nothing can contradict it (the first ten seconds), and a minute around one
     that was caught, the tightest upper bound of every second is left out.
 
     ``skews`` limits the skew where something is known of it: until the exchanges contradict that, or fill the window.
