@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import socket
 import statistics
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -177,12 +179,15 @@ def run(seconds: float = 8.0) -> list[dict[str, Any]]:
     return rows
 
 
-def main() -> None:
-    """Print the table."""
-    for row in run():
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; 1 when a target is missed."""
+    argparse.ArgumentParser(prog="python -m tools.bench decode").parse_args(arguments)
+    rows = run()
+    for row in rows:
         target = f"   (target >= {row['target']:g})" if "target" in row else ""
         print(f"{row['name']:45s} {row['value']:12,.1f} {row['unit']}{target}")
+    return int(any(row["value"] < row["target"] for row in rows if "target" in row))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
