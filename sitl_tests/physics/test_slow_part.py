@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from companion.sim.flight import build_flight
-from tools.bench.slow import SETTLED_S, WAYS, Scored, TrueEyes, run, wide_airframe
+from tools.bench.slow import SETTLED_S, WAYS, Scored, TrueEyes, one, run, wide_airframe
 
 pytestmark = pytest.mark.long
 
@@ -44,6 +46,15 @@ def test_the_sigma_of_each_is_honest(flown: dict[str, list[Scored]], way: str, d
     low, high = np.sqrt(chi2.ppf([0.005, 0.995], count) / count)
     assert low < _rms(flown[way], "whole_over_sigma") < high
     assert _rms(flown[way], "over_sigma") < high  # what lies above 0.5 Hz is in the sigma and not in the error
+
+
+def test_tips_without_a_lateral_axis_do_not_claim_to_know_their_trim() -> None:
+    """A sensor that is mounted askew and one that bends away lean alike: what the vertical axis shows is both."""
+    base, count = wide_airframe(), 6
+    left, right = (dataclasses.replace(tip, sends="xzpqr") for tip in (base.left, base.right))
+    airframe = dataclasses.replace(base, left=left, right=right)
+    rows = [one(seed, 40.0, airframe)[WAYS.index("tilt only")] for seed in range(1, count + 1)]
+    assert _rms(rows, "whole_over_sigma") < np.sqrt(chi2.ppf(0.995, count) / count)
 
 
 def test_the_truth_has_what_no_inertial_sensor_sees() -> None:

@@ -114,9 +114,9 @@ def run(seeds: Iterable[int] = range(1, 5), duration_s: float = 60.0) -> list[Sc
     return [scored for seed in seeds for scored in one(seed, duration_s)]
 
 
-def one(seed: int, duration_s: float = 60.0) -> list[Scored]:
+def one(seed: int, duration_s: float = 60.0, airframe: Airframe | None = None) -> list[Scored]:
     """One flight, three ways, by one tracker."""
-    flight = build_flight(wide_airframe(), seed, duration_s)
+    flight = build_flight(airframe or wide_airframe(), seed, duration_s)
     eyes = TrueEyes(flight)
     flown = _flown(flight, list(eyes.shots()))
     return [_scored(way, flight, eyes, told) for way, told in zip(WAYS, flown, strict=True)]

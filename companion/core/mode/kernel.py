@@ -29,6 +29,8 @@ class Fixed(NamedTuple):
         Sensor noise variances.
     lateral_bias : (2,) int64
         States that hold the lateral biases; -1 where there is none.
+    leaning : (2,) int64
+        Columns of the tips' misalignment about the body's x axis, 0 where it is certain.
     factor_rows, factor_columns : (f,) int64
         Where the slope factors show.
     own_rows, own_columns : (s,) int64
@@ -45,6 +47,7 @@ class Fixed(NamedTuple):
     bend: int
     own: Floats
     lateral_bias: Ints
+    leaning: Ints
     factor_rows: Ints
     factor_columns: Ints
     own_rows: Ints

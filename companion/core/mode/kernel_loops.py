@@ -176,6 +176,9 @@ def _innovate(
         slope, rate, r = work.watched[side], work.watched[2 + side], work.at[_VERTICAL + side]
         if r >= 0:
             out[at, r, 0] -= 0.5 * data.vertical[k, side] * slope * slope
+            if fixed.leaning[side] and not data.present[k, _LATERAL + side]:
+                # gravity along the lateral axis, by the believed tilt: the axis itself would have told it
+                out[at, r, fixed.leaning[side]] += (1.0 - 2.0 * side) * data.vertical[k, side] * slope
         r = work.at[_LATERAL + side]
         if r >= 0:
             out[at, r, 0] += data.tilted[k, side] * rate

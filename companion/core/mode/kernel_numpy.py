@@ -72,6 +72,10 @@ def _turn(fixed: Fixed, step: Step, data: Data, k: int, state: Floats, measured:
     vertical, slope, rate = data.vertical[k], seen[:2], seen[2:4]
     up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
     measured[up, 0] -= 0.5 * vertical * slope**2
+    for side, column in enumerate(fixed.leaning.tolist()):
+        if column and not data.present[k, Y_LEFT + side]:
+            # gravity along the lateral axis, by the believed tilt: the axis itself would have told it
+            measured[Z_LEFT + side, column] += (1.0 - 2.0 * side) * vertical[side] * slope[side]
     measured[across, 0] += data.tilted[k] * rate
     sense[up] -= (vertical * slope + data.lateral[k])[:, None] * step.watch[:2]
     for side, bias in enumerate(fixed.lateral_bias.tolist()):
