@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.recordings.opening import open_recording
+from companion.cli.fates import Fates
 from companion.cli.judge import Judge, Reading
 from companion.cli.replaying import drive, own_inputs
 from companion.cli.scoring import Scored, range_summary, toe_summary
@@ -64,6 +65,7 @@ class Flown:
     plans: dict[int, TriggerPlan] = field(default_factory=dict)
     shots: dict[int, Shot] = field(default_factory=dict)
     rejected: Counter[str] = field(default_factory=Counter)
+    fates: Fates = field(default_factory=Fates)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +153,7 @@ def collect(records: Iterable[Record]) -> Flown:
     flown = Flown()
     bends: dict[int, Deflection] = {}
     for record in records:
+        flown.fates.take(record)
         if isinstance(record, MatchSet):
             flown.matches[record.pair_id] = record
         elif isinstance(record, Deflection):
@@ -288,6 +291,7 @@ def _counts(flown: Flown, shots: Shots) -> dict[str, Any]:
     reasons = Counter(str(entry.reject) for entry in flown.ranges.values() if not entry.trusted)
     return {
         "planned": dict(sorted(Counter(str(plan.firing) for plan in flown.plans.values()).items())),
+        "fates": flown.fates.counts(),
         "fired": len(flown.shots),
         "pairs": len(flown.matches),
         "corrected": len(flown.ranges),

@@ -87,6 +87,7 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
         f"shots: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected, {shots['trusted']} "
         f"trusted and published; planned {_joined(shots['planned'])}"
     )
+    lines.append(f"plans: {_joined(shots['fates'])}")
     lines.append(f"not trusted: {_joined(shots['not_trusted']) or 'none'}")
     received = summary["published"]["received"] or {}
     lines.append(f"received by the autopilot: {_joined(received)}")

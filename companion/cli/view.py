@@ -10,16 +10,15 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
+from companion.cli.fates import Fates
 from companion.records import (
     CorrectedRange,
-    Firing,
     ModeEstimate,
     ModeState,
     NoRange,
     Notice,
     Record,
     ServiceStatus,
-    TriggerPlan,
 )
 
 _RECENT = 4
@@ -34,13 +33,13 @@ class View:
     range: CorrectedRange | None = None
     no_range: NoRange | None = None
     status: ServiceStatus | None = None
-    plans: Counter[Firing] = field(default_factory=Counter)
+    fates: Fates = field(default_factory=Fates)
     ranges: Counter[str] = field(default_factory=Counter)
     recent: list[str] = field(default_factory=list)
-    _last_plan_id: int = -1
 
     def take(self, record: Record) -> None:
         """Remember what the next drawing needs."""
+        self.fates.take(record)
         if isinstance(record, ModeState):
             self.mode = record
         elif isinstance(record, CorrectedRange):
@@ -52,9 +51,6 @@ class View:
             self.status = record
         elif isinstance(record, Notice):
             self.say(record.text)
-        elif isinstance(record, TriggerPlan) and record.plan_id != self._last_plan_id:
-            self._last_plan_id = record.plan_id
-            self.plans[record.firing] += 1
 
     def say(self, sentence: str) -> None:
         """Show a sentence among the recent ones."""
@@ -79,8 +75,8 @@ class View:
         if self.mode is not None:
             rows.append(("bending", _mode(self.mode.symmetric)))
             rows.append(("antisym.", _mode(self.mode.antisymmetric)))
-        if self.plans:
-            rows.append(("shots", ", ".join(f"{count} {kind.value}" for kind, count in self.plans.items())))
+        if fates := self.fates.counts():
+            rows.append(("shots", ", ".join(f"{count} {fate}" for fate, count in fates.items())))
         if self.range is not None:
             rows.append(("range", _range(self.range)))
             rows.append(("published", ", ".join(f"{count} {kind}" for kind, count in self.ranges.items())))

@@ -19,6 +19,7 @@ from companion.records import (
     ObstacleSectors,
     ParameterChange,
     Record,
+    Reject,
     Rejected,
     ServiceStatus,
     Shot,
@@ -32,6 +33,7 @@ _POLL_S = 0.002
 _WARNING = 4
 _PUBLISHED = (ClockState, CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
 _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange, TriggerLatency)
+_UNFIRED = (Reject.PLAN_EXPIRED, Reject.DEVICE_FAILED)
 
 
 class Shots(Protocol):
@@ -92,6 +94,8 @@ class InertialLoop:
         self.recorder.write(record)
         if isinstance(record, ParameterChange):
             self.tell_vision(record)
+        if isinstance(record, Shot) or (isinstance(record, Rejected) and record.reason in _UNFIRED):
+            self.show(record)
         self.state, outputs = step(self.state, record)
         for output in outputs:
             self._route(output)

@@ -6,6 +6,7 @@ import enum
 from collections import Counter
 from dataclasses import dataclass, field
 
+from companion.cli.fates import Fates
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, ClockState, Station
@@ -72,6 +73,8 @@ class Evidence:
         The numbers of the pictures that CAMERA_FEEDBACK told of; with two cameras ArduPilot tells each more than once.
     shots, pairs, unpaired : int
         In a recording of ours: shots fired, image pairs matched, images without a partner.
+    fates : Fates
+        In a recording of ours: what became of the shots that were planned.
     node_losses : mapping of component, name
         Counters that wing nodes tell (NAMED_VALUE_INT).
     realtime : bool or None
@@ -94,6 +97,7 @@ class Evidence:
     shots: int = 0
     pairs: int = 0
     unpaired: int = 0
+    fates: Fates = field(default_factory=Fates)
     acknowledged: int = 0
     twice: int = 0
     frames: int = 0

@@ -184,6 +184,7 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
 
 
 def _count(seen: Evidence, spans: dict[Station, list[int]], record: Record) -> None:
+    seen.fates.take(record)
     if isinstance(record, ImuBatch) and len(record.t_ns):
         seen.axes[record.station] = seen.axes.get(record.station, record.axes) | record.axes
         span = spans.setdefault(record.station, [0, int(record.t_ns[0]), 0])

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from companion.adapters.mavlink.dialect import ID_OF, payload_size
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
 from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
+from companion.cli.fates import FAILED, FIRED, LATE
 from companion.params.airframe import Sensor
 from companion.records import Axis, Station
 
@@ -18,6 +19,7 @@ _LOSSES = {
 }
 _ENOUGH = 0.75
 _UNPAIRED = 0.05
+_LOST = 0.05
 _OVERHEAD_BYTES = 12
 _BITS_PER_BYTE = 10
 _LETTERS = "xyzpqr"
@@ -130,6 +132,8 @@ def check_cameras(seen: Evidence) -> Iterator[Finding]:
         yield from _feedback(seen)
     if seen.shots or seen.pairs or seen.unpaired:
         yield _pairing(seen)
+    if counts := seen.fates.counts():
+        yield _planned(counts)
 
 
 def _feedback(seen: Evidence) -> Iterator[Finding]:
@@ -148,6 +152,17 @@ def _feedback(seen: Evidence) -> Iterator[Finding]:
         if told is not None and told[1] * shots_hz >= 1.0:
             text = f"{name} {told[1]:g} s refuses shots that come faster, and TRG_RATE is {shots_hz:g} Hz"
             yield Finding("camera", Level.FIX, text, (Fix(name, round(0.5 / shots_hz, 3)),))
+
+
+def _planned(counts: dict[str, int]) -> Finding:
+    """Of a recording: what became of the plans to fire, and what to do where too many came to nothing."""
+    text = f"{sum(counts.values())} plans: " + ", ".join(f"{count} {fate}" for fate, count in counts.items())
+    tried = sum(counts.get(fate, 0) for fate in (FIRED, LATE, FAILED))
+    if counts.get(FAILED, 0) > _LOST * tried:
+        return Finding("shots", Level.FIX, text + ": is a camera set up on that line, and free at TRG_RATE?")
+    if counts.get(LATE, 0) > _LOST * tried:
+        return Finding("shots", Level.FIX, text + ": the computer is too busy, or has no real-time priority")
+    return Finding("shots", Level.OK, text)
 
 
 def _pairing(seen: Evidence) -> Finding:

@@ -1,0 +1,77 @@
+"""What became of the plans to fire: a shot that was planned and not made has a reason, and is counted under it."""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from dataclasses import dataclass, field
+
+from companion.records import Firing, Record, Reject, Rejected, Shot, TriggerPlan
+
+FIRED = "fired"
+REPLACED = "gave way to a better instant"
+LATE = "came too late to be fired"
+FAILED = "refused by the trigger or the autopilot"
+WITHDRAWN = "withdrawn"
+_SKIPPED = "skipped: "
+_KEPT = 32
+_ANSWER_NS = 1_000_000_000
+
+
+@dataclass(slots=True)
+class _Entry:
+    plan: TriggerPlan
+    fate: str | None = None
+
+    def known(self) -> str:
+        """What became of it now that a newer plan is there."""
+        if self.fate is not None:
+            return self.fate
+        if self.plan.firing is not Firing.SKIP:
+            return REPLACED
+        return WITHDRAWN if self.plan.reject is None else _SKIPPED + str(self.plan.reject)
+
+
+@dataclass(slots=True)
+class Fates:
+    """Follows plans, shots and refusals in the order in which they were made; one plan is one ``plan_id``."""
+
+    _entries: OrderedDict[int, _Entry] = field(default_factory=OrderedDict)
+    _settled: Counter[str] = field(default_factory=Counter)
+
+    def take(self, record: Record) -> None:
+        """Look at a record of any kind."""
+        if isinstance(record, TriggerPlan):
+            self._refine(record)
+        elif isinstance(record, Shot) and record.plan_id in self._entries:
+            self._entries[record.plan_id].fate = FIRED
+        elif isinstance(record, Rejected) and record.reason is Reject.PLAN_EXPIRED:
+            self._close(int(record.what.rpartition(" ")[2]), LATE)
+        elif isinstance(record, Rejected) and record.reason is Reject.DEVICE_FAILED:
+            self._close(self._commanded_before(record.at_host_ns), FAILED)
+
+    def counts(self) -> dict[str, int]:
+        """How many plans came to each end, fired first; a newest plan that still waits is left out."""
+        total = self._settled.copy()
+        for entry in list(self._entries.values())[:-1]:
+            total[entry.known()] += 1
+        if self._entries:
+            newest = next(reversed(self._entries.values()))
+            if newest.fate is not None:
+                total[newest.fate] += 1
+        order = sorted(total, key=lambda fate: (fate.startswith(_SKIPPED), fate != FIRED, -total[fate], fate))
+        return {fate: total[fate] for fate in order}
+
+    def _refine(self, plan: TriggerPlan) -> None:
+        self._entries.setdefault(plan.plan_id, _Entry(plan)).plan = plan
+        while len(self._entries) > _KEPT:
+            _, oldest = self._entries.popitem(last=False)
+            self._settled[oldest.known()] += 1
+
+    def _close(self, plan_id: int | None, fate: str) -> None:
+        if plan_id is not None and plan_id in self._entries:
+            self._entries[plan_id].fate = fate
+
+    def _commanded_before(self, at_host_ns: int) -> int | None:
+        """Of a failure that names no plan: the newest whose command had just been given."""
+        near = (i for i, e in self._entries.items() if 0 <= at_host_ns - e.plan.command_host_ns <= _ANSWER_NS)
+        return max(near, default=None)
