@@ -214,9 +214,12 @@ def _vision_process(
     except SpanwiseError as error:
         raise SystemExit(f"spanwise vision: {error}") from error
     settings = resumed(config.settings, stored_at_start, _stored(config))
-    state = VisionState.create(config.airframe, settings, free_running=config.trigger is None)
+    clock = MonotonicClock()
+    # milliseconds of the host's clock: no number comes twice, although this process may be the second of a flight
+    first_pair = clock.now_ns() // 1_000_000
+    state = VisionState.create(config.airframe, settings, free_running=config.trigger is None, first_pair=first_pair)
     try:
-        vision.run(state, cameras, MonotonicClock(), matches.send, recorder, stop, told.receive)
+        vision.run(state, cameras, clock, matches.send, recorder, stop, told.receive)
     except SpanwiseError as error:
         raise SystemExit(f"spanwise vision: {error}") from error
     finally:

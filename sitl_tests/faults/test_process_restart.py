@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -18,7 +20,9 @@ from companion.adapters.triggers.process import TriggerLink, line_pair
 from companion.adapters.triggers.wire import Realtime, pack_report
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Shot, TriggerPlan
+from companion.records import ClockName, Frame, MatchSet, Shot, Side, TriggerPlan
+from companion.service import wiring
+from companion.service.channel import channel
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service, resumed
 from companion.sim.flight import build_flight
@@ -114,6 +118,43 @@ def test_a_live_change_survives_the_death_of_the_inertial_process(service: Servi
     told = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 20.0, lambda: vehicle.read("TRG_RATE"))
     print(f"answers again {time.monotonic() - killed_s:.2f} s after it was killed")
     assert told.param_value == 7.5
+
+
+class Flashes:
+    """Two cameras that see one texture at three instants; then vision is told to end, as if it had died."""
+
+    def __init__(self, stop: threading.Event) -> None:
+        self._stop, self._left = stop, 3
+
+    def poll(self, timeout_s: float) -> list[Frame]:
+        del timeout_s
+        self._left -= 1
+        if self._left == 0:
+            self._stop.set()
+        texture = np.random.default_rng(self._left).integers(0, 255, (480, 640), dtype=np.uint8)
+        t_ns = time.monotonic_ns()
+        return [Frame(side, self._left, ClockName.HOST, t_ns, 2_000_000, 0, -1, texture) for side in Side]
+
+    def close(self) -> None:
+        pass
+
+
+def test_pairs_are_numbered_on_when_vision_starts_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ranges, images and the demo's judge tell pairs apart by their numbers alone."""
+    monkeypatch.setattr(wiring, "_ignore_interrupt", lambda: None)
+    (told_in, told), (matches_in, matches) = channel(), channel()
+    seen = []
+    for _ in range(2):
+        stop: Any = threading.Event()
+        config = ServiceConfig(
+            airframe=load_airframe("nadir-2m"), settings=Settings(), connections=(), trigger=Deaf,
+            cameras=lambda stop=stop: Flashes(stop),
+        )  # fmt: skip
+        wiring._vision_process(config, {}, told, matches_in, None, stop)
+        seen += [record.pair_id for record in matches.receive() if isinstance(record, MatchSet)]
+        time.sleep(0.01)
+    told_in.end.close()
+    assert len(seen) == len(set(seen)) == 6
 
 
 def test_a_trigger_without_realtime_priority_is_told_to_the_ground() -> None:

@@ -399,3 +399,13 @@ def test_a_busy_machine_does_not_fire_twice_in_a_turn(seed: int, hz: float, rate
     gaps = np.diff([plan.command_host_ns for plan in line.fired])
     assert len(gaps) > 3
     assert gaps.min() >= 0.7e9 / rate_hz - 20 * MS
+
+
+def test_the_planner_of_a_restarted_process_gives_no_number_twice(airframe: Airframe) -> None:
+    """The trigger process remembers what it fired, and pairs are told apart by the plans that fired them."""
+    _, before = fly(planner_for(airframe, trigger_rate_hz=10.0), 3 * S)
+    late = planner_for(airframe, trigger_rate_hz=10.0)
+    after = [late.plan(wing(now - 50 * MS), Validity.TRACKING, now) for now in range(4 * S, 5 * S, 10 * MS)]
+    numbers = {plan.plan_id for plan in after if plan is not None}
+    assert numbers
+    assert not numbers & {plan.plan_id for plan in before}

@@ -14,13 +14,13 @@ class FramePairer:
 
     Two frames are partners when their mid-exposures differ by at most ``tolerance_ns`` (less than half the shortest
     time between shots), no other waiting frame is nearer, and they do not name different plans. Frames of one side
-    come in order of exposure.
+    come in order of exposure. Pairs are numbered from ``next_id``.
     """
 
     tolerance_ns: int = 8_000_000
     depth: int = 8
+    next_id: int = 0
     _waiting: tuple[deque[Frame], deque[Frame]] = field(default_factory=lambda: (deque(), deque()))
-    _next_id: int = 0
 
     def add(self, frame: Frame) -> tuple[list[FramePair], list[Rejected]]:
         """Take one frame; give the pairs that it completes and the frames that stay without a partner."""
@@ -37,8 +37,8 @@ class FramePairer:
         best = self._nearest()
         while best is not None:
             i, j = best
-            pairs.append(FramePair(self._next_id, left[i], right[j]))
-            self._next_id += 1
+            pairs.append(FramePair(self.next_id, left[i], right[j]))
+            self.next_id += 1
             del left[i], right[j]
             best = self._nearest()
         return pairs

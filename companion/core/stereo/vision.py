@@ -63,11 +63,13 @@ class VisionState:
     choice: FrameChoice | None = None
 
     @classmethod
-    def create(cls, airframe: Airframe, settings: Settings, *, free_running: bool = False) -> VisionState:
-        """For an airframe that has both cameras."""
+    def create(
+        cls, airframe: Airframe, settings: Settings, *, free_running: bool = False, first_pair: int = 0
+    ) -> VisionState:
+        """For an airframe that has both cameras; a process that may take another's place numbers its pairs on."""
         rig = Rig.from_airframe(airframe)
-        choice = FrameChoice() if free_running else None
-        return cls(airframe, settings, rig, trim_search(rig, airframe, settings), choice=choice)
+        pairer, choice = FramePairer(next_id=first_pair), FrameChoice() if free_running else None
+        return cls(airframe, settings, rig, trim_search(rig, airframe, settings), pairer, choice)
 
     def adopt(self, change: ParameterChange) -> None:
         """Use a changed setting from the next pair on."""

@@ -27,6 +27,7 @@ _EARLY_SHARE = 0.3
 """A peak may come before its turn by this share of the interval; on average the rate is never exceeded."""
 _ANY_SPACING_NS = 50_000_000
 _NOT_YET = -1
+_MS_NS = 1_000_000
 
 
 class Policy(enum.IntEnum):
@@ -54,14 +55,15 @@ class Planner:
     """Keeps one open plan and refines it until its command is due; then looks for the next.
 
     The same peak keeps its ``plan_id`` while its time is refined, so the trigger process replaces the plan and cannot
-    fire twice. Call it at 50 to 100 Hz with a forecast of :data:`HORIZON_NS` in steps of :data:`STEP_NS`.
+    fire twice. Numbers begin at the first call's host time in ms, above all of a process that died before. Call it at
+    50 to 100 Hz with a forecast of :data:`HORIZON_NS` in steps of :data:`STEP_NS`.
     """
 
     def __init__(self, airframe: Airframe, settings: Settings, latency: LatencyModel) -> None:
         self.settings = settings
         self._latency = latency
         self._blur = BlurModel(airframe)
-        self._next_id = 1
+        self._next_id = 0
         self._open: TriggerPlan | None = None
         self._draft: _Draft | None = None
         self._due_ns = _NOT_YET
@@ -93,6 +95,7 @@ class Planner:
         """
         if self._due_ns == _NOT_YET:
             self._due_ns = now_host_ns + self._interval_ns
+            self._next_id = now_host_ns // _MS_NS
         if self._overtaken:
             self._overtaken = False
             return self._withdraw(now_host_ns)
