@@ -88,6 +88,7 @@ class Reject(enum.StrEnum):
     DEVICE_FAILED = "device failed"
     QUEUE_FULL = "queue full"
     UNPAIRED = "frame without a partner"
+    FRAME_LOST = "exposure whose image never came"
     FOREIGN_SOURCE = "message from a component that is not mapped"
     CRC = "checksum wrong"
 

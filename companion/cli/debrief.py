@@ -35,6 +35,7 @@ from companion.records import (
     ImuBatch,
     MatchSet,
     Record,
+    Reject,
     Rejected,
     RelativeRotation,
     Shot,
@@ -52,6 +53,8 @@ WAYS = ("rigid", "rigid_in_trim", "tilt_only", "corrected", "oracle")
 _RANDOM_RATE_HZ = 4.0
 _RANDOM_SEED = 0xA11
 _ARRIVAL_NS = 100_000_000
+_NO_RANGE = (Reject.FRAME_LOST, Reject.UNPAIRED, Reject.OUT_OF_WINDOW, Reject.QUEUE_FULL)
+"""What happens to images on their way; nothing else is refused for these reasons."""
 
 
 @dataclass(slots=True)
@@ -297,6 +300,7 @@ def _counts(flown: Flown, shots: Shots) -> dict[str, Any]:
         "corrected": len(flown.ranges),
         "trusted": len(trusted),
         "not_trusted": dict(sorted(reasons.items())),
+        "no_range": {str(reason): flown.rejected[str(reason)] for reason in _NO_RANGE if flown.rejected[str(reason)]},
         "judged": len(shots.ids),
     }
 

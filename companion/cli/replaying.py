@@ -24,7 +24,7 @@ from companion.records import (
 
 TICK_NS = 10_000_000
 _OWN_INPUTS = (RawChunk, MatchSet, Shot, Tick, ParameterChange)
-_DEVICES_REFUSALS = (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED)
+_DEVICES_REFUSALS = (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED, Reject.FRAME_LOST)
 """Made by the trigger and vision processes alone, so they come in; all others are made again by the replay."""
 
 

@@ -89,6 +89,8 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
     )
     lines.append(f"plans: {_joined(shots['fates'])}")
     lines.append(f"not trusted: {_joined(shots['not_trusted']) or 'none'}")
+    if shots["no_range"]:
+        lines.append(f"shots without a range: {_joined(shots['no_range'])} (a slow machine renders and matches late)")
     received = summary["published"]["received"] or {}
     lines.append(f"received by the autopilot: {_joined(received)}")
     return lines

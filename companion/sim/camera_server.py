@@ -1,8 +1,8 @@
 """The process behind the simulated cameras: pulses in, rendered frames out.
 
 Every accepted pulse is an exposure at an exact instant. Rendering may lag, the instants do not move: shots wait in a
-bounded queue, and when that is full the oldest is lost and counted; its sequence numbers are missing then, as with a
-real camera whose transfer cannot keep up.
+bounded queue, and when that is full the oldest that has not been begun is lost, both sides of it; its sequence numbers
+are missing then, as with a real camera whose transfer cannot keep up.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from companion.sim.scene import Scene
 from companion.sim.starting import opened
 from companion.sim.truth import FlightTruth
 
-QUEUE_SHOTS = 8
+QUEUE_SHOTS = 4  # at 5 a second the last of them is 0.8 s old: still inside the smoother's window
 _READOUT_NS = 6_000_000
 _IDLE_S = 0.05
 _START_S = 30.0
@@ -129,9 +129,9 @@ class CameraServer:
         jobs = [_Job(side, shot, self._shutters.exposure(side, edge_ns, shot)) for side in Side]
         self.counters["shots"] += 1
         self._busy_until_ns = max(job.ready_ns for job in jobs)
-        if len(self._jobs) + len(jobs) > self.config.queue_shots * len(Side):
-            oldest = self._jobs[0].shot
-            self._jobs = deque(job for job in self._jobs if job.shot != oldest)
+        whole = [job.shot for job in self._jobs if job.side is Side.LEFT]  # of which neither image is rendered
+        if len(whole) >= self.config.queue_shots:
+            self._jobs = deque(job for job in self._jobs if job.shot != whole[0])
             self.counters["dropped"] += 1
         self._jobs.extend(jobs)
 

@@ -133,19 +133,11 @@ class _Stream:
 
 
 class SimCameraPair:
-    """Implements :class:`companion.ports.CameraPair` over the camera server's stream.
-
-    Attributes
-    ----------
-    missed : int
-        Exposures whose image never came: gaps in the sequence numbers.
-    """
+    """Implements :class:`companion.ports.CameraPair` over the camera server's stream."""
 
     def __init__(self, path: Path) -> None:
         self._socket = _connected(str(path))
         self._stream = _Stream(bytearray())
-        self._next: dict[Side, int] = {}
-        self.missed = 0
 
     def poll(self, timeout_s: float) -> list[Frame]:
         """Frames that have arrived within the timeout.
@@ -164,11 +156,7 @@ class SimCameraPair:
         if not data:
             raise DeviceError("the simulated cameras have closed the stream")
         self._stream.pending += data
-        frames = list(self._stream.frames())
-        for frame in frames:
-            self.missed += frame.sequence - self._next.get(frame.side, frame.sequence)
-            self._next[frame.side] = frame.sequence + 1
-        return frames
+        return list(self._stream.frames())
 
     def close(self) -> None:
         """Release the stream."""

@@ -92,8 +92,7 @@ class Renderer:
         views = self.views(side, exposure.mid_boot_ns + track.offsets_ns)
         width, height = grid.size_px
         image: Image32 = np.full((height, width), self.scene.sky, np.float32)
-        for plane in self.scene.visible(views[0].centre_ned_m):
-            self._painter.paint(image, plane, views, grid, track)
+        self._painter.paint(image, self.scene.visible(views[0].centre_ned_m), views, grid, track)
         return self._expose(image, side, shot)
 
     def _mounted(

@@ -112,6 +112,14 @@ class PixelGrid:
         width, height = (-(-n // STEP) * STEP for n in self.size_px)
         return Window(0, 0, width, height)
 
+    def corner_rays(self, window: Window) -> Floats:
+        """Rays (4, 3), z = 1, whose quadrangle holds all of a window's pixels."""
+        if self.distorted or window == self.full():
+            return self.node_rays[[0, 0, -1, -1], [0, -1, 0, -1]] * [1.1, 1.1, 1.0]
+        x = window.column - 0.5 + np.array([0, window.width, 0, window.width])
+        y = window.row - 0.5 + np.array([0, 0, window.height, window.height])
+        return np.stack([x, y, np.ones(4)], axis=1) @ self.ray_from_pixel.T
+
     def pixel_from_cell(self, window: Window, factor: int) -> Floats:
         """Homogeneous map (3, 3) from cells of a window to pixels."""
         margin = margin_of(factor)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -66,17 +67,28 @@ class SurfacePainter:
         self._tile = tile
         self._octaves = functools.lru_cache(maxsize=64)(functools.partial(octaves_of, seed))
 
-    def paint(self, image: Image32, plane: Plane, views: list[View], grid: PixelGrid, track: Track) -> None:
-        """Draw over ``image`` (rows, columns) what the plane covers of it; ``views`` are at the track's poses."""
-        window = _window(plane, views, grid)
-        sight = _sight(plane, views, grid, track)
-        if window is None or sight is None:
-            return
+    def paint(self, image: Image32, planes: Sequence[Plane], views: list[View], grid: PixelGrid, track: Track) -> None:
+        """Draw over ``image`` (rows, columns) what planes cover of it, from far to near; hidden ones are left out.
+
+        ``views`` are at the track's poses.
+        """
+        seen: list[tuple[Sight, Window]] = []
+        for plane in reversed(planes):
+            window = _window(plane, views, grid)
+            if window is None or any(_fills(nearer, window) for nearer, _ in seen):
+                continue
+            sight = _sight(plane, views, grid, track)
+            if sight is not None:
+                seen.append((sight, window))
+        for sight, window in reversed(seen):
+            self._paint(image, sight, window)
+
+    def _paint(self, image: Image32, sight: Sight, window: Window) -> None:
         coverage = _coverage(sight, window)
         if coverage is not None and not coverage.any():
             return
-        rows = min(window.height, grid.size_px[1] - window.row)
-        columns = min(window.width, grid.size_px[0] - window.column)
+        rows = min(window.height, sight.grid.size_px[1] - window.row)
+        columns = min(window.width, sight.grid.size_px[0] - window.column)
         painted = self._texture(sight, window)[:rows, :columns]
         target = image[window.row : window.row + rows, window.column : window.column + columns]
         if coverage is None:
@@ -239,9 +251,7 @@ def _motion_px(polynomial: Floats, grid: PixelGrid, track: Track) -> float:
 
 def _coverage(sight: Sight, window: Window) -> Image32 | None:
     """Share of each pixel that the plane covers, averaged over the exposure; None where that is all of it."""
-    polynomial = at_time(sight.polynomial, np.zeros(1))[0]
-    corner_rays = sight.grid.node_rays[[0, 0, -1, -1], [0, -1, 0, -1]] * [1.1, 1.1, 1.0]
-    if np.all(_inside(sight, corner_rays @ polynomial.T)):
+    if _fills(sight, sight.grid.full()):
         return None
     poses = min(max(math.ceil(sight.motion_px), 1), _OUTLINE_POSES)
     rays = sight.grid.cell_rays(window, 1)
@@ -251,6 +261,12 @@ def _coverage(sight: Sight, window: Window) -> Image32 | None:
         times = t_s + delay_s if sight.track.row_time_ns else np.array([t_s])
         total += _outline(sight, rays, at_time(sight.polynomial, times).astype(np.float32))
     return total / np.float32(poses)
+
+
+def _fills(sight: Sight, window: Window) -> bool:
+    """Whether the plane covers all of a window, throughout the exposure and with room to spare."""
+    polynomial = at_time(sight.polynomial, np.zeros(1))[0]
+    return bool(np.all(_inside(sight, sight.grid.corner_rays(window) @ polynomial.T)))
 
 
 def _inside(sight: Sight, uvw: Floats) -> Bools:

@@ -325,11 +325,20 @@ def test_a_camera_that_is_busy_longer_than_the_shots_are_apart() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shots", "pairs", "unpaired", "expected"),
-    [(100, 98, 2, "ok"), (100, 0, 0, "check the trigger line"), (100, 60, 40, "misses shots"), (0, 0, 0, "")],
+    ("shots", "pairs", "unpaired", "lost", "expected"),
+    [
+        (100, 98, 2, 2, "ok"),
+        (100, 0, 0, 0, "check the trigger line"),
+        (100, 60, 40, 0, "misses shots"),
+        (100, 60, 0, 80, "80 that never came: the cameras, their link or this computer are too slow"),
+        (0, 0, 0, 0, ""),
+    ],
 )
-def test_a_recording_tells_what_became_of_its_shots(shots: int, pairs: int, unpaired: int, expected: str) -> None:
-    said = texts(seen(live=False, shots=shots, pairs=pairs, unpaired=unpaired), doctor.check_cameras)
+def test_a_recording_tells_what_became_of_its_shots(
+    shots: int, pairs: int, unpaired: int, lost: int, expected: str
+) -> None:
+    evidence = seen(live=False, shots=shots, pairs=pairs, unpaired=unpaired, lost=lost)
+    said = texts(evidence, doctor.check_cameras)
     assert expected in said
     assert bool(said) is bool(expected)
 

@@ -25,7 +25,9 @@ from companion.sim.scene import (
     terrace,
     true_range_m,
 )
-from companion.sim.texture import CENTRE_PER_TEXEL, noise_period
+from companion.sim.shutter import PixelGrid
+from companion.sim.surface import SurfacePainter
+from companion.sim.texture import CENTRE_PER_TEXEL, NoiseTile, noise_period
 from sitl_tests.physics.camera_flight import MIDDLE_NS, Path, fly
 
 NADIR = load_airframe("nadir-2m")
@@ -309,6 +311,24 @@ def test_a_near_board_hides_a_far_one_and_the_ground() -> None:
         assert image[np.abs(depths - 10.0) < 1e-6].mean() < 80.0
         assert image[np.abs(depths - 40.0) < 1e-6].mean() > 180.0
         assert 90.0 < image[np.isfinite(depths) & (depths > 41.0)].mean() < 150.0
+
+
+@pytest.mark.parametrize("near_m", [20.0, 32.0, 45.0])
+@pytest.mark.parametrize("east_m", [0.0, -7.5, -12.1])
+def test_leaving_out_what_is_hidden_changes_no_pixel(near_m: float, east_m: float) -> None:
+    """Boards one behind another, wholly hidden or showing by some pixels past the nearer one's edge, in a roll."""
+    boards = [board(np.array([near_m * n, 0.0, -60.0]), 0.0, (30.0, 20.0), n) for n in (4, 3, 2, 1)]
+    planes = [ground(), *boards]
+    path = Path(60.0, 25.0, east_m, roll_rate_radps=0.8, swing_m=0.005)
+    renderer = Renderer(FORWARD, fly(FORWARD, path), Scene(tuple(planes), 1), 1)
+    painter, grid = SurfacePainter(NoiseTile(1), 1), PixelGrid(renderer.rig.left.lens)
+    track = grid.track(2_000_000, 0)
+    views = renderer.views(Side.LEFT, MIDDLE_NS + track.offsets_ns)
+    together, one_by_one = (np.full((480, 640), 200.0, np.float32) for _ in range(2))
+    painter.paint(together, planes, views, grid, track)
+    for plane in planes:
+        painter.paint(one_by_one, [plane], views, grid, track)
+    assert np.max(np.abs(together - one_by_one)) < 1e-3
 
 
 # ------------------------------------------------------------------------------------------------ true ranges

@@ -113,6 +113,22 @@ def test_triggered_cameras_are_matched_whatever_is_planned() -> None:
     assert [record for frame in _frames(2) for record in vision_step(free, frame, 0)] == []
 
 
+def test_a_gap_in_the_numbers_of_one_camera_is_told_with_how_many_images_it_lacks() -> None:
+    free = VisionState.create(nadir(), Settings(), free_running=True)
+
+    def told(side: Side, number: int) -> list[tuple[str, int]]:
+        frame = Frame(side, number, ClockName.HOST, number * MS, MS, 0, -1, BLANK)
+        answers = vision_step(free, frame, 0)
+        return [(one.what, one.count) for one in answers if getattr(one, "reason", None) is Reject.FRAME_LOST]
+
+    assert told(Side.LEFT, 7) == []  # nobody knows what came before the first
+    assert told(Side.LEFT, 8) == []
+    assert told(Side.RIGHT, 11) == []
+    assert told(Side.LEFT, 12) == [("left frames", 3)]
+    assert told(Side.LEFT, 2) == []  # a camera that begins anew
+    assert told(Side.LEFT, 4) == [("left frames", 1)]
+
+
 def test_a_lonely_frame_is_told_while_frames_are_chosen_too() -> None:
     free = VisionState.create(nadir(), Settings(), free_running=True)
     vision_step(free, Frame(Side.LEFT, 1, ClockName.HOST, 5 * MS, MS, 0, -1, BLANK), 0)

@@ -71,8 +71,8 @@ class Evidence:
         Baud rate by link, for the links that have one.
     feedback : mapping of camera number
         The numbers of the pictures that CAMERA_FEEDBACK told of; with two cameras ArduPilot tells each more than once.
-    shots, pairs, unpaired : int
-        In a recording of ours: shots fired, image pairs matched, images without a partner.
+    shots, pairs, unpaired, lost : int
+        In a recording of ours: shots fired, image pairs matched, images without a partner, images that never came.
     fates : Fates
         In a recording of ours: what became of the shots that were planned.
     node_losses : mapping of component, name
@@ -97,6 +97,7 @@ class Evidence:
     shots: int = 0
     pairs: int = 0
     unpaired: int = 0
+    lost: int = 0
     fates: Fates = field(default_factory=Fates)
     acknowledged: int = 0
     twice: int = 0

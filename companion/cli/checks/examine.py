@@ -198,6 +198,8 @@ def _count(seen: Evidence, spans: dict[Station, list[int]], record: Record) -> N
         seen.pairs += 1
     elif isinstance(record, Rejected) and record.reason is Reject.UNPAIRED:
         seen.unpaired += record.count
+    elif isinstance(record, Rejected) and record.reason is Reject.FRAME_LOST:
+        seen.lost += record.count
 
 
 def _follow_time(seen: Evidence, clocks: ClockBank, record: Record) -> None:

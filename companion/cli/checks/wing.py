@@ -168,8 +168,12 @@ def _planned(counts: dict[str, int]) -> Finding:
 def _pairing(seen: Evidence) -> Finding:
     """Of a recording: what became of the shots."""
     text = f"{seen.shots} shots, {seen.pairs} matched pairs, {seen.unpaired} images without a partner"
+    text += f", {seen.lost} that never came" if seen.lost else ""
     if seen.shots and not seen.pairs:
         return Finding("camera", Level.FIX, text + ": check the trigger line, and that both cameras obey it")
+    if seen.lost > _UNPAIRED * 2 * max(seen.pairs, 1):
+        why = "the cameras, their link or this computer are too slow for so many shots"
+        return Finding("camera", Level.FIX, f"{text}: {why}; lower TRG_RATE")
     if seen.unpaired > _UNPAIRED * 2 * max(seen.pairs, 1):
         return Finding("camera", Level.FIX, text + ": one camera misses shots, or the exposures are too far apart")
     return Finding("camera", Level.OK, text)

@@ -11,7 +11,17 @@ from companion.core.stereo.pairing import FramePairer
 from companion.core.stereo.search import Search, trim_search
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Rejected, TriggerPlan
+from companion.records import (
+    Firing,
+    Frame,
+    FramePair,
+    MatchSet,
+    ParameterChange,
+    Reject,
+    Rejected,
+    Side,
+    TriggerPlan,
+)
 
 _PLANS_KEPT = 32
 
@@ -48,7 +58,7 @@ class FrameChoice:
 
 @dataclass(slots=True)
 class VisionState:
-    """The pairer and the search of one camera pair.
+    """The pairer and the search of one camera pair, and the numbers of the frames that come next.
 
     The search is opened as far as trim bend, gusts and load factor can move the images, and from the shortest to the
     longest range that is asked for: it depends on airframe and settings alone, and a recorded pair gives the same
@@ -61,6 +71,7 @@ class VisionState:
     search: Search
     pairer: FramePairer = field(default_factory=FramePairer)
     choice: FrameChoice | None = None
+    numbers: dict[Side, int] = field(default_factory=dict)
 
     @classmethod
     def create(
@@ -76,6 +87,14 @@ class VisionState:
         self.settings = self.settings.replace(change.name, change.value)
         self.search = trim_search(self.rig, self.airframe, self.settings)
 
+    def missing(self, frame: Frame) -> list[Rejected]:
+        """What a gap in one camera's numbers tells: exposures whose images were lost on the way, or never made."""
+        count = frame.sequence - self.numbers.get(frame.side, frame.sequence)
+        self.numbers[frame.side] = frame.sequence + 1
+        if count <= 0:
+            return []
+        return [Rejected(Reject.FRAME_LOST, f"{frame.side.name.lower()} frames", frame.mid_exposure_ns, count)]
+
 
 def vision_step(
     state: VisionState, record: Frame | ParameterChange | TriggerPlan, now_host_ns: int
@@ -88,7 +107,9 @@ def vision_step(
         if state.choice is not None:
             state.choice.plan(record)
         return []
+    lost = state.missing(record)
     pairs, lonely = state.pairer.add(record)
     if state.choice is not None:
         pairs = [pair for pair in pairs if state.choice.takes(pair)]
-    return [*(match_pair(pair, state.rig, state.search, now_host_ns) for pair in pairs), *lonely]
+    matched = (match_pair(pair, state.rig, state.search, now_host_ns) for pair in pairs)
+    return [*lost, *matched, *lonely]
