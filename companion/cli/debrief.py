@@ -202,11 +202,16 @@ def vertical_only(inputs: Iterable[Record]) -> Iterator[Record]:
 
 
 def _random_shots(judge: Judge) -> list[MatchSet]:
-    """Pairs exposed at instants that know nothing of the wing, matched as the vision process would."""
-    flight, start_host_ns = judge.flight, judge.start_host_ns
+    """Pairs exposed at instants that know nothing of the wing."""
+    flight = judge.flight
     rng = np.random.default_rng([flight.seed, _RANDOM_SEED])
     count = int((flight.duration_s - SETTLED_S - 1.0) * _RANDOM_RATE_HZ)
-    edges_s = SETTLED_S + (np.arange(count) + rng.uniform(0, 1, count)) / _RANDOM_RATE_HZ
+    return rendered_shots(judge, SETTLED_S + (np.arange(count) + rng.uniform(0, 1, count)) / _RANDOM_RATE_HZ)
+
+
+def rendered_shots(judge: Judge, edges_s: Floats) -> list[MatchSet]:
+    """Pairs whose shutters are pulled at ``edges_s`` (boot time), rendered and matched as the vision process would."""
+    flight, start_host_ns = judge.flight, judge.start_host_ns
     shutters = Shutters(flight.real.actual, flight.seed)
     vision = VisionState.create(flight.airframe, judge.settings)
     found = []

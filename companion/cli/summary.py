@@ -69,7 +69,7 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
         f"above 0.5 Hz: corrected² - oracle² = {excess['value']:.4f} mrad², limit {excess['limit']:.4f}: "
         f"{_met(excess['met'])}; oracle at 60 m {_number(oracle['value'], 3)} m, "
         f"limit {oracle['limit']} m: {_met(oracle['met'])}",
-        f"slow part over its own sigma: {summary['sigma']['slow_error_over_sigma_rms']:.2f} rms; "
+        f"slow part over its own sigma: {summary['sigma']['slow_error_over_sigma_rms']:.2f} rms (one draw a flight); "
         f"published ranges beyond 5 sigma: {summary['sigma']['published_beyond_5_sigma']}",
     ]
     if errors["n"]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from companion.cli.judge import Judge
-from companion.cli.scoring import Scored, near, slow_part, spread
+from companion.cli.scoring import FAST_HZ, Scored, near, slow_part, spread
 from companion.records import Firing, Floats, MatchSet, Side
 
 if TYPE_CHECKING:
@@ -47,19 +47,25 @@ def targets(ways: Mapping[str, Scored]) -> dict[str, Any]:
 
 
 def honesty(shots: Shots, flown: Flown) -> dict[str, Any]:
-    """Errors over their own sigmas: of the slow part, of all shots, and the worst that was published."""
+    """Errors over their own sigmas: of the slow part, of all shots, and the worst that was published.
+
+    The error is a range's, scored as toe, so its sigma is the range's too: near obstacles it is the focal lengths' more
+    than the toe's. Mounting and lenses are drawn once a flight: one flight's ratio is little more than one draw.
+    """
     corrected = shots.ways["corrected"]
     ranges = [flown.ranges[pair_id] for pair_id in shots.ids]
     toe_sigma = np.array([entry.toe_sigma_rad for entry in ranges])
-    error = corrected.toe_error_rad
-    slow = slow_part(corrected.t_s, error, 0.5)
     trusted = np.array([entry.trusted for entry in ranges], dtype=bool)
     sigma_m = np.array([entry.sigma_m for entry in ranges])
+    range_m = np.array([entry.range_m for entry in ranges])
+    told = sigma_m < range_m  # what is less certain says nothing, and its sigma may be cut off
+    slow = slow_part(corrected.t_s[told], corrected.toe_error_rad[told], FAST_HZ)
+    as_toe = corrected.baseline_m * sigma_m[told] / range_m[told] ** 2
     over = np.abs(corrected.range_m - corrected.z_true_m) / np.maximum(sigma_m, 1e-9)
     return {
         "toe_sigma_mrad": spread(toe_sigma, 1e3),
         "slow_error_mrad": spread(slow, 1e3),
-        "slow_error_over_sigma_rms": _rms(slow / toe_sigma),
+        "slow_error_over_sigma_rms": _rms(slow / as_toe),
         "published_error_over_sigma": spread(over[trusted]),
         "published_beyond_5_sigma": int(np.sum(over[trusted] > 5.0)),
     }

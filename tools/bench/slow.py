@@ -239,7 +239,7 @@ def _flown(flight: Flight, shots: list[MatchSet]) -> tuple[list[Record], list[Re
     blind = Correction.create(flight.airframe, dataclasses.replace(settings, hold_slow=0))
     untilted = Correction.create(flight.airframe, settings)
     told: tuple[list[Record], list[Record], list[Record]] = ([], [], [])
-    for record in _in_order(flight, shots):
+    for record in in_order(flight, shots):
         state, outputs = step(state, record)
         told[2].extend(outputs)
         if isinstance(record, MatchSet):
@@ -251,7 +251,8 @@ def _flown(flight: Flight, shots: list[MatchSet]) -> tuple[list[Record], list[Re
     return told
 
 
-def _in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:
+def in_order(flight: Flight, shots: list[MatchSet]) -> Iterator[Record]:
+    """What the pipeline takes in, matches and ticks included, as it arrives."""
     arrivals = ((record.received_host_ns, 0, record) for record in flight_records(flight))
     images = ((matches.matched_host_ns, 1, matches) for matches in shots)
     last_ns = HOST_EPOCH_NS + round(flight.duration_s * _S)

@@ -1,0 +1,137 @@
+"""Flights with rendered images, toe and range over their sigmas: ``python -m tools.bench.rendered``.
+
+Images of both cameras are rendered through the true wing at a steady rate, matched and corrected by the whole pipeline,
+as in the demo, but without a live service; what is judged begins at the tenth second. Mounting, lenses and trim are
+drawn once a flight and hold for all of it: one flight's error over sigma is hardly more than one draw, and only the
+root mean square over flights tells whether the sigma is honest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.stats import chi2
+
+from companion.cli.debrief import SETTLED_S, collect, judged, rendered_shots
+from companion.cli.judge import Judge
+from companion.core.pipeline import start, step
+from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.ranging import divergence
+from companion.params.airframe import Airframe
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import CorrectedRange, Floats, MatchSet, Record
+from companion.sim.flight import build_flight
+from companion.sim.offline import HOST_EPOCH_NS
+from companion.sim.renderer import Renderer
+from companion.sim.scene import ground_scene, obstacle_scene
+from tools.bench.slow import in_order
+
+_DOWN = 25
+_FIRST_S, _LAST_S = 0.5, 0.6  # from the start, before the end
+_NO_SHOTS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One flight, pair by pair, rad: error and sigma of the toe, and of trusted ranges, scored as toe."""
+
+    seed: int
+    toe_error_rad: Floats
+    toe_sigma_rad: Floats
+    range_error_rad: Floats
+    range_sigma_rad: Floats
+
+    @property
+    def toe_over(self) -> float:
+        """Root mean square error of the toe over its sigma."""
+        return _rms(self.toe_error_rad / self.toe_sigma_rad)
+
+    @property
+    def range_over(self) -> float:
+        """The same of the trusted ranges."""
+        return _rms(self.range_error_rad / self.range_sigma_rad)
+
+
+def run(airframe: Airframe, seeds: Iterable[int], duration_s: float = 27.0, rate_hz: float = 4.0) -> list[Flown]:
+    """Fly every seed."""
+    return [one(airframe, seed, duration_s, rate_hz) for seed in seeds]
+
+
+def one(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flown:
+    """One flight."""
+    cv2.setNumThreads(1)
+    flight = build_flight(airframe, seed, duration_s)
+    scene = ground_scene(seed) if airframe.orientation == _DOWN else obstacle_scene(flight.truth, seed)
+    renderer = Renderer(flight.real.actual, flight.truth, scene, seed)
+    judge = Judge(flight, renderer, Settings(), HOST_EPOCH_NS)
+    shots = rendered_shots(judge, np.arange(_FIRST_S, duration_s - _LAST_S, 1.0 / rate_hz))
+    state = start(airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
+    records: list[Record] = []
+    for record in in_order(flight, shots):
+        state, outputs = step(state, record)
+        records += [record, *outputs] if isinstance(record, MatchSet) else outputs
+    flown = collect(records)
+    scored = judged(judge, flown)
+    ranges = [flown.ranges[pair_id] for pair_id in scored.ids]
+    trusted = np.array([entry.trusted for entry in ranges], dtype=bool)
+    corrected = scored.ways["corrected"]
+    return Flown(
+        seed,
+        np.array([entry.toe_rad - _true_toe(judge, flown.matches[entry.pair_id]) for entry in ranges]),
+        np.array([entry.toe_sigma_rad for entry in ranges]),
+        corrected.toe_error_rad[trusted],
+        np.array([corrected.baseline_m * _inverse_sigma(entry) for entry in ranges])[trusted],
+    )
+
+
+def _true_toe(judge: Judge, matches: MatchSet) -> float:
+    """True divergence beyond the believed ground calibration, each camera at its own exposure."""
+    bends = [judge.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns]
+    moving = exposures(judge.renderer.rig, TipMotion.from_airframe(judge.flight.real.actual), bends[0], bends[1])
+    return divergence(moving) - divergence(rest_exposures(Rig.from_airframe(judge.flight.airframe)))
+
+
+def _inverse_sigma(entry: CorrectedRange) -> float:
+    return entry.sigma_m / entry.range_m**2
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; 1 when a sigma lies outside 99 % of chi-square by one draw a flight."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--airframe", default="forward-2m")
+    parser.add_argument("--seeds", type=int, default=4, help="flights, from seed 1")
+    parser.add_argument("--duration", type=float, default=27.0, help="of each, s")
+    options, _ = parser.parse_known_args(arguments)
+    airframe, rows = load_airframe(options.airframe), []
+    print(f"toe and range of {airframe.name} from {SETTLED_S:g} s on, mrad; trusted ranges as toe")
+    print("seed  pairs  toe mean   rms  stated  error/sigma  ranges   rms  stated  error/sigma")
+    for seed in range(1, options.seeds + 1):
+        row = one(airframe, seed, options.duration, 4.0)
+        rows.append(row)
+        print(
+            f"{seed:4d} {len(row.toe_error_rad):6d} {1e3 * np.mean(row.toe_error_rad):+9.3f}"
+            f" {1e3 * _rms(row.toe_error_rad):5.3f} {1e3 * _rms(row.toe_sigma_rad):7.3f} {row.toe_over:12.2f}"
+            f" {len(row.range_error_rad):7d} {1e3 * _rms(row.range_error_rad):5.3f}"
+            f" {1e3 * _rms(row.range_sigma_rad):7.3f} {row.range_over:12.2f}",
+            flush=True,
+        )
+    low, high = np.sqrt(chi2.ppf([0.005, 0.995], len(rows)) / len(rows))
+    toe, measured = (_rms(np.array([getattr(row, name) for row in rows])) for name in ("toe_over", "range_over"))
+    print(f"all: toe {toe:.2f}, ranges {measured:.2f} of sigma; honest between {low:.2f} and {high:.2f} (99 %)")
+    return int(not (low < toe < high and low < measured < high))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
