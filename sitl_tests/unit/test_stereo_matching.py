@@ -145,6 +145,40 @@ def test_a_gust_s_roll_is_read_from_the_coarse_matches(airframe: Airframe) -> No
     assert np.std(errors[:, 1]) < 0.5 * np.std(rigid[:, 1])
 
 
+def test_looking_back_from_a_rolled_image_costs_no_matches(airframe: Airframe) -> None:
+    """A pull-up's 100 mrad: the patch that looks back is rolled the other way, or three in four look wrong."""
+    rolled, _ = _forward(airframe, (0.05, 0.05), (1.0, 0.0, 0.0))
+    upright, _ = _forward(airframe, (0.0, 0.0), (1.0, 0.0, 0.0))
+    assert len(rolled) > 0.95 * len(upright)
+
+
+def _waves(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Brightness of a texture of waves of 6 to 40 px, anywhere; 25 rms, so that it stays within a byte."""
+    random = np.random.default_rng(1)
+    number, turn, phase = (random.uniform(low, high, 60) for low, high in ((0.15, 1.0), (0.0, 6.28), (0.0, 6.28)))
+    parts = zip(number * np.cos(turn), number * np.sin(turn), phase, strict=True)
+    return 128.0 + 4.5 * sum(np.cos(across * x + down * y + start) for across, down, start in parts)
+
+
+@pytest.mark.parametrize("growth", [(0.0, 0.0), (0.0, 0.05), (0.03, 0.03)])
+def test_disparity_that_grows_across_a_patch_moves_no_match_across_the_lines(growth: tuple[float, float]) -> None:
+    """No noise, an exact picture: what is left is interpolation, rounding and the shape that the patch was given."""
+    y, x = np.mgrid[0:240, 0:320].astype(float)
+    left, moved = _waves(x, y), 12.3 + growth[1] * (y - 120.0)
+    right = _waves((x + moved - growth[0] * 160.0) / (1.0 - growth[0]), y)
+    corners = np.array([(column, row) for column in range(50, 280, 16) for row in range(30, 210, 16)])
+
+    def true_px(seen_px: np.ndarray) -> np.ndarray:
+        grown = (seen_px - (160.0, 120.0)) @ growth
+        return seen_px - np.column_stack([12.3 + grown, np.zeros(len(seen_px))])
+
+    images = [np.rint(image).astype(np.uint8) for image in (left, right)]
+    found = refine(*images, corners, true_px(corners) + 0.2, np.tile([1.0, 0.0], (len(corners), 1)))
+    assert found.good.mean() > 0.95
+    error_px = (found.right_px - true_px(found.left_px))[found.good]
+    assert np.sqrt(np.mean(error_px**2, axis=0)).max() < 0.006  # what is stated as the floor of every match's sigma
+
+
 def test_lens_distortion_is_searched_and_matched_through(airframe: Airframe) -> None:
     assert airframe.left_camera is not None
     assert airframe.right_camera is not None
