@@ -261,15 +261,17 @@ def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter)
     if not filters.take(parameter.name, parameter.value):
         return []
     airframe = filters.applied(state.airframe)
+    said: list[OutputRecord] = []
     if airframe != state.airframe:
         state.airframe = airframe
         state.tracker = WingTracker(state.airframe, state.settings)
         text = f"{parameter.name} is {parameter.value:g} Hz on the vehicle: tracker restarted with it"
-        return [Notice(4, text, parameter.received_host_ns)]
-    if (filters.gyro_delay_s, filters.stamp_shift_ns) == before:
-        return []
-    delays_ms = f"rates {1e3 * filters.gyro_delay_s:.2f} ms, stamps {1e-6 * filters.stamp_shift_ns:+.2f} ms"
-    return [Notice(6, f"{parameter.name} {parameter.value:g}: undone ({delays_ms})", parameter.received_host_ns)]
+        said.append(Notice(4, text, parameter.received_host_ns))
+    if (filters.gyro_delay_s, filters.stamp_shift_ns) != before:
+        delays_ms = f"rates {1e3 * filters.gyro_delay_s:.2f} ms, stamps {1e-6 * filters.stamp_shift_ns:+.2f} ms"
+        text = f"{parameter.name} {parameter.value:g}: undone ({delays_ms})"
+        said.append(Notice(6, text, parameter.received_host_ns))
+    return said
 
 
 def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputRecord]:

@@ -11,7 +11,8 @@ to a percent up to a tenth of its frequency.
 
 PX4 sends the mean over its integration interval (IMU_INTEG_RATE), stamped with the interval's end: the stamp is taken
 back to its middle. IMU_ACCEL_CUTOFF and IMU_GYRO_CUTOFF act behind the topic from which HIGHRES_IMU and SCALED_IMU are
-sent (src/modules/mavlink/streams/HIGHRES_IMU.hpp reads vehicle_imu), so there is nothing of theirs to undo.
+sent (src/modules/mavlink/streams/HIGHRES_IMU.hpp reads vehicle_imu), so there is nothing of theirs to undo, and nothing
+of a low-pass that the airframe file believes in.
 """
 
 from __future__ import annotations
@@ -58,13 +59,20 @@ class VehicleFilters:
         return True
 
     def applied(self, airframe: Airframe) -> Airframe:
-        """The airframe with the vehicle's low-passes for every sensor that its autopilot sends."""
+        """The airframe with the vehicle's low-passes for every sensor that its autopilot sends.
+
+        PX4 has none before what it sends, and sends no faster than it integrates.
+        """
         low: dict[str, Any] = {_LOWPASS[name]: value for name, value in self.values.items() if name in _LOWPASS}
+        most_hz = self.values.get("IMU_INTEG_RATE", 0.0)
+        if most_hz > 0:
+            low = dict.fromkeys(_LOWPASS.values(), 0.0)
         sensors: dict[str, Any] = {}
         for name in _STATIONS:
             sensor: Sensor = getattr(airframe, name)
             if sensor.source.clock is ClockName.BOOT:
-                sensors[name] = dataclasses.replace(sensor, **low)
+                rate_hz = min(sensor.rate_hz, most_hz) if most_hz > 0 else sensor.rate_hz
+                sensors[name] = dataclasses.replace(sensor, rate_hz=rate_hz, **low)
         return dataclasses.replace(airframe, **sensors)
 
     def undone(self, batch: ImuBatch) -> ImuBatch:

@@ -158,9 +158,11 @@ def test_px4_stamps_the_end_of_its_mean_and_filters_nothing_that_it_sends() -> N
     before = state.airframe
     assert told(state, "IMU_ACCEL_CUTOFF", 30.0) == []
     assert state.airframe is before
-    (notice,) = told(state, "IMU_INTEG_RATE", 200.0)
-    assert isinstance(notice, Notice)
-    assert "-2.50 ms" in notice.text
+    notices = told(state, "IMU_INTEG_RATE", 200.0)
+    assert all(isinstance(notice, Notice) for notice in notices)
+    assert "-2.50 ms" in notices[-1].text
+    assert (before.root.lowpass_accel_hz, state.airframe.root.lowpass_accel_hz) == (20.0, 0.0), "it has no such filter"
+    assert state.airframe.left == before.left, "a node's filter is its own"
     moved = state.filters.undone(batch(np.array([10_000_000]), 1.0))
     assert moved.t_ns.tolist() == [7_500_000]
 
