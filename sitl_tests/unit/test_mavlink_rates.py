@@ -184,6 +184,17 @@ def test_missing_parameters_are_asked_for_a_few_times_then_left_until_the_next_r
     assert reader.due(31 * S) in ("A", "B")
 
 
+def test_what_a_vehicle_has_does_not_wait_for_what_it_has_not() -> None:
+    """PX4 answers for none of ArduPilot's names; its own stand behind them, and are asked for in the first round."""
+    names = tuple(f"N{number}" for number in range(40))
+    reader, asked = ParameterReader(names), []
+    for step in range(1, 401):
+        if (name := reader.due(step * 10 * MS)) is not None:
+            asked.append(name)
+    assert asked[:40] == list(names)
+    assert len(asked) == 80, "one every 50 ms"
+
+
 @pytest.mark.parametrize(
     ("loop_hz", "wanted_hz", "mode_hz", "remedy"),
     [
@@ -216,6 +227,22 @@ def test_a_rate_that_is_enough_for_the_mode_is_not_complained_of() -> None:
     slow.mode(20.0)
     _, texts = fly(slow, Vehicle(50), 0, 30)
     assert not [text for text in texts if "mode needs" in text], "attitude need not be as fast"
+
+
+@pytest.mark.parametrize(
+    ("integration_hz", "mode_hz", "remedy"), [(50, 7.3, "set IMU_INTEG_RATE 100, reboot"), (200, 7.3, "")]
+)
+def test_px4_is_not_asked_for_more_than_it_integrates(integration_hz: float, mode_hz: float, remedy: str) -> None:
+    """It grants everything, and sends a mean for every interval of its integration."""
+    keeper, vehicle = RateKeeper({RAW: 333.0}, {RAW}), Vehicle(10_000)
+    keeper.mode(mode_hz)
+    keeper.integration_rate(integration_hz)
+    keeper.due(1)
+    keeper.acknowledged(ACCEPTED, 1)
+    vehicle.interval_ms[RAW] = round(1000 / integration_hz)
+    requests, texts = fly(keeper, vehicle, 1, 40)
+    assert requests == []
+    assert [text.endswith(remedy) for text in texts] == ([True] if remedy else [])
 
 
 def test_silence_is_no_slow_rate() -> None:

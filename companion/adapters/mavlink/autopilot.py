@@ -18,7 +18,7 @@ from companion.adapters.mavlink.outputs import RangeOutputs
 from companion.adapters.mavlink.parameter_server import ParameterServer
 from companion.adapters.mavlink.questions import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.rates import RateKeeper
-from companion.adapters.mavlink.translate import Heard
+from companion.adapters.mavlink.translate import WHOLE_TYPES, Heard, parameter_encoding
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -102,6 +102,7 @@ class MavlinkAutopilot:
         self._packer = mavlink.MAVLink(None, _KNOCK_SYSTEM, settings.component_id)
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader(needed)
+        self._whole: set[str] = set()
         self.rates = RateKeeper(self._wanted_rates(settings), self.decoder.mapping.messages)
         modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
         self.rates.mode(max(mode.frequency_hz.value for mode in modes))
@@ -182,6 +183,8 @@ class MavlinkAutopilot:
                 self._acknowledge_shot(heard, now_host_ns)
             elif heard.name == "PARAM_VALUE" and heard.component == AUTOPILOT_COMPONENT:
                 self._parameters.arrived(heard.message.param_id)
+                if heard.message.param_type in WHOLE_TYPES:
+                    self._whole.add(heard.message.param_id)
             if self.decoder.system_id is not None:
                 self.component.hear(heard, self.decoder.system_id)
             if self._listener is not None:
@@ -190,6 +193,8 @@ class MavlinkAutopilot:
             if isinstance(record, AutopilotParameter):
                 if record.name == "SCHED_LOOP_RATE":
                     self.rates.loop_rate(record.value)
+                elif record.name == "IMU_INTEG_RATE":
+                    self.rates.integration_rate(record.value)
             elif isinstance(record, TimesyncReply):
                 self._timesync.answered(record.clock)
             elif isinstance(record, ClockRestart):
@@ -264,7 +269,7 @@ class MavlinkAutopilot:
             for message in self._ranges.messages(record, self._boot_offset_ns, self._clock.now_ns()):
                 self._send(message)
         elif isinstance(record, Shot):
-            request = self._firing.command(record)
+            request = self._firing.command(record, px4=self.decoder.px4)
             self._fired = request.command
             self.command(request.command, *request.parameters)
         elif isinstance(record, Notice):
@@ -317,8 +322,8 @@ class MavlinkAutopilot:
 
     def set_parameter(self, name: str, value: float) -> None:
         """Ask the autopilot to set one of its parameters; its PARAM_VALUE in answer tells what is in force."""
-        kind = mavlink.MAV_PARAM_TYPE_REAL32
         system = self._packer.srcSystem
+        value, kind = parameter_encoding(value, whole=self.decoder.px4 and name in self._whole)
         self._send(mavlink.MAVLink_param_set_message(system, AUTOPILOT_COMPONENT, name.encode(), value, kind))
 
     def close(self) -> None:

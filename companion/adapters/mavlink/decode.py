@@ -103,6 +103,11 @@ class Decoder:
         """Whether the autopilot's last heartbeat said so."""
         return self._translator.armed
 
+    @property
+    def px4(self) -> bool:
+        """Whether the autopilot's last heartbeat said that it is PX4."""
+        return self._translator.px4
+
     def counters(self, link: int) -> ScanCounters:
         """The scanner's counters of one link (or of what we sent on it)."""
         return self._scanner(link).counters

@@ -107,9 +107,15 @@ class ParameterReader:
             self.restart()
         if self._last_host_ns is not None and now_host_ns - self._last_host_ns < _ASK_PERIOD_NS:
             return None
-        for name, tries in self._missing.items():
-            if tries < _TRIES and (name not in self._asked or now_host_ns - self._asked[name] >= _RETRY_NS):
-                self._missing[name] = tries + 1
-                self._asked[name] = self._last_host_ns = now_host_ns
-                return name
-        return None
+        ready = [
+            name
+            for name, tries in self._missing.items()
+            if tries < _TRIES and (name not in self._asked or now_host_ns - self._asked[name] >= _RETRY_NS)
+        ]
+        if not ready:
+            return None
+        # what this autopilot may not have must not keep what it has waiting
+        name = min(ready, key=self._missing.__getitem__)
+        self._missing[name] += 1
+        self._asked[name] = self._last_host_ns = now_host_ns
+        return name

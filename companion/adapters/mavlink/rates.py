@@ -1,7 +1,8 @@
 """Asks the autopilot for message rates, one SET_MESSAGE_INTERVAL at a time, and keeps checking what is delivered.
 
 ArduPilot cuts intervals to whole milliseconds, denies what is faster than 0.8 of SCHED_LOOP_RATE, and may fall back to
-its own rates later without a word (ArduPilot #28550).
+its own rates later without a word (ArduPilot #28550). PX4 grants every interval and delivers inertial messages at
+IMU_INTEG_RATE at most.
 """
 
 from __future__ import annotations
@@ -55,6 +56,14 @@ class IntervalRequest:
     interval_us: int
 
 
+_INTEGRATION_RATES_HZ = (100, 200, 250, 400, 1000)
+
+
+def needed_integration_rate_hz(rate_hz: float) -> int:
+    """IMU_INTEG_RATE at which PX4 can deliver ``rate_hz``: of its own list, or the largest that it takes."""
+    return next((rate for rate in _INTEGRATION_RATES_HZ if rate >= rate_hz), _INTEGRATION_RATES_HZ[-1])
+
+
 def needed_loop_rate_hz(rate_hz: float) -> int:
     """SCHED_LOOP_RATE at which ArduPilot can deliver ``rate_hz``: a fifth more, in steps of 50 Hz."""
     return math.ceil(1.2 * rate_hz / 50.0) * 50
@@ -78,6 +87,7 @@ class RateKeeper:
         self._asked: _Wanted | None = None
         self._asked_host_ns = 0
         self._loop_rate_hz: float | None = None
+        self._integration_rate_hz: float | None = None
         self._notices: deque[Notice] = deque(maxlen=32)
         self.delivered_hz: dict[int, float] = {}
 
@@ -91,6 +101,10 @@ class RateKeeper:
     def loop_rate(self, rate_hz: float) -> None:
         """Take note of SCHED_LOOP_RATE."""
         self._loop_rate_hz = rate_hz
+
+    def integration_rate(self, rate_hz: float) -> None:
+        """Take note of IMU_INTEG_RATE: the autopilot is PX4, and asking for more inertial messages brings none."""
+        self._integration_rate_hz = rate_hz
 
     def mode(self, frequency_hz: float) -> None:
         """Take note of the fastest mode that is tracked: inertial messages must be fast enough for it."""
@@ -148,6 +162,8 @@ class RateKeeper:
 
     def _judge(self, entry: _Wanted, rate_hz: float, now_host_ns: int) -> None:
         granted_hz = 1e6 / entry.granted_us
+        if self._integration_rate_hz and entry.message in self._inertial:
+            granted_hz = min(granted_hz, self._integration_rate_hz)
         if rate_hz >= _ENOUGH * granted_hz:
             entry.fallen, entry.pause_ns = 0, _SECOND_NS
             return
@@ -184,6 +200,10 @@ class RateKeeper:
         entry.granted_us, entry.ask_at_host_ns, entry.tries = min(slower_us, _SLOWEST_US), now_host_ns, 0
 
     def _remedy(self, rate_hz: float) -> str:
+        if self._integration_rate_hz is not None and self._integration_rate_hz < rate_hz:
+            return f"set IMU_INTEG_RATE {needed_integration_rate_hz(rate_hz)}, reboot"
+        if self._integration_rate_hz is not None:
+            return "link too slow? raise its baud rate and MAV_n_RATE"
         needed = needed_loop_rate_hz(rate_hz)
         if self._loop_rate_hz is not None and self._loop_rate_hz >= needed:
             return "link too slow? raise its baud rate"

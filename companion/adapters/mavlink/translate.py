@@ -29,7 +29,7 @@ PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32
 _STATE_PERIOD_MS = 20
 _PIN_TIMES_US = 1 << 32
-_INTEGERS = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
+WHOLE_TYPES = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +62,16 @@ class Echo:
 def parameter_value(message: Any, *, bytewise: bool) -> float:
     """The value of a PARAM_VALUE. PX4 puts the bytes of its integers where ArduPilot puts the number as a float."""
     value = float(message.param_value)
-    if bytewise and message.param_type in _INTEGERS:
+    if bytewise and message.param_type in WHOLE_TYPES:
         return float(struct.unpack("<i", struct.pack("<f", value))[0])
     return value
+
+
+def parameter_encoding(value: float, *, whole: bool) -> tuple[float, int]:
+    """The value and type of a PARAM_SET; ``whole`` is for PX4, which refuses another type than the parameter's."""
+    if not whole:
+        return value, int(mavlink.MAV_PARAM_TYPE_REAL32)
+    return struct.unpack("<f", struct.pack("<i", round(value)))[0], int(mavlink.MAV_PARAM_TYPE_INT32)
 
 
 class Translator:
@@ -81,7 +88,7 @@ class Translator:
         self._air: Any = None
         self._last_state_ms: int | None = None
         self._images: dict[int, int] = {}
-        self._bytewise = False
+        self.px4 = False
 
     def sent(self, message: Any) -> None:
         """Take note of a TIMESYNC request of ours."""
@@ -118,7 +125,7 @@ class Translator:
         if self.system is None:
             self.system = heard.system
         if heard.system == self.system:
-            self._bytewise = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
+            self.px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
     def _timesync(self, heard: Heard) -> Iterator[Record]:
@@ -184,7 +191,7 @@ class Translator:
         message = heard.message
         if not message.param_id.startswith(PARAMETER_PREFIXES):
             return
-        value = parameter_value(message, bytewise=self._bytewise)
+        value = parameter_value(message, bytewise=self.px4)
         if math.isfinite(value):
             yield AutopilotParameter(message.param_id, value, heard.received_host_ns)
         else:

@@ -15,6 +15,7 @@ from companion.ports import Trigger
 from companion.records import Shot, TriggerPlan
 
 MAV_CMD_IMAGE_START_CAPTURE = 2000
+MAV_CMD_DO_DIGICAM_CONTROL = 203
 MAV_CMD_DO_REPEAT_RELAY = 182
 MAV_CMD_DO_REPEAT_SERVO = 184
 _ALL_CAMERAS = 0.0
@@ -46,18 +47,22 @@ class LinkFiring:
     channel: int = 0
     pulse_us: int = 1900
 
-    def command(self, shot: Shot) -> CaptureCommand:
+    def command(self, shot: Shot, *, px4: bool = False) -> CaptureCommand:
         """The command of one shot.
 
         IMAGE_START_CAPTURE's ``param1`` 0 fires all cameras in ArduPilot, where DO_DIGICAM_CONTROL would fire the
         first only; its ``param4`` is the sequence number (plan id, within what a float32 holds exactly), which tells a
-        repeated command from a new one. DO_REPEAT_RELAY and DO_REPEAT_SERVO come back by themselves.
+        repeated command from a new one. PX4's camera trigger knows DO_DIGICAM_CONTROL alone (``param5`` 1 shoots), and
+        looks for it twenty times a second: up to 50 ms of the latency are left to chance. DO_REPEAT_RELAY and
+        DO_REPEAT_SERVO come back by themselves.
         """
         if self.kind == "relay":
             return CaptureCommand(MAV_CMD_DO_REPEAT_RELAY, (float(self.channel), 1.0, _PULSE_S, 0.0, 0.0, 0.0, 0.0))
         if self.kind == "servo":
             pulse = (float(self.channel), float(self.pulse_us), 1.0, _PULSE_S, 0.0, 0.0, 0.0)
             return CaptureCommand(MAV_CMD_DO_REPEAT_SERVO, pulse)
+        if px4:
+            return CaptureCommand(MAV_CMD_DO_DIGICAM_CONTROL, (0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))
         sequence = float(shot.plan_id % _LARGEST_EXACT_FLOAT32)
         return CaptureCommand(MAV_CMD_IMAGE_START_CAPTURE, (_ALL_CAMERAS, 0.0, 1.0, sequence, 0.0, 0.0, 0.0))
 

@@ -6,6 +6,7 @@ import enum
 from collections import Counter
 from dataclasses import dataclass, field
 
+from companion.adapters.mavlink.dialect import mavlink
 from companion.cli.fates import Fates
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -112,6 +113,11 @@ class Evidence:
     def pilot(self) -> Beat | None:
         """The autopilot's heartbeat."""
         return None if self.system is None else self.beats.get((self.system, 1))
+
+    @property
+    def px4(self) -> bool:
+        """Whether the autopilot says that it is PX4."""
+        return self.pilot is not None and self.pilot.autopilot == mavlink.MAV_AUTOPILOT_PX4
 
     @property
     def highest_hz(self) -> float:

@@ -60,6 +60,8 @@ def _routing(seen: Evidence) -> Iterator[Finding]:
         yield Finding("routing", Level.FIX, text)
     stations = [key for key, beat in seen.beats.items() if beat.kind == mavlink.MAV_TYPE_GCS]
     text = "no ground station is heard on this link: its parameter requests would not arrive"
+    if seen.px4:
+        text += "; PX4 passes them on where MAV_n_FORWARD is 1"
     if stations:
         text = "ground station " + ", ".join(f"{system}/{component}" for system, component in stations) + " is heard"
     yield Finding("routing", Level.OK if stations else Level.NOTE, text)

@@ -30,8 +30,7 @@ def check_ranging(seen: Evidence) -> Iterator[Finding]:
     if seen.airframe.left_camera is None or seen.airframe.right_camera is None:
         yield Finding("range", Level.NOTE, f"airframe '{seen.airframe.name}' has no camera pair: no ranges go out")
         return
-    pilot = seen.pilot
-    if pilot is not None and pilot.autopilot == mavlink.MAV_AUTOPILOT_PX4:
+    if seen.px4:
         yield Finding("range", Level.NOTE, "PX4 takes DISTANCE_SENSOR as it comes; RNGFND1_* are ArduPilot's")
     else:
         yield from _rangefinder(seen)

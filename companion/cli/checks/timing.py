@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT
-from companion.adapters.mavlink.rates import SAMPLES_PER_PERIOD, needed_loop_rate_hz
+from companion.adapters.mavlink.rates import SAMPLES_PER_PERIOD, needed_integration_rate_hz, needed_loop_rate_hz
 from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
 from companion.records import Axis, ClockName, Station
 
@@ -18,22 +18,39 @@ _ENOUGH = 0.75
 def check_rates(seen: Evidence) -> Iterator[Finding]:
     """Whether every sensor wired to the autopilot is fast enough for the wing's modes."""
     needed_hz = SAMPLES_PER_PERIOD * seen.highest_hz
-    loop = seen.parameter("SCHED_LOOP_RATE")
     wanted_hz = max(seen.settings.imu_rate_hz, needed_hz) if seen.live else needed_hz
-    fixes: tuple[Fix, ...] = ()
-    if loop is None:
-        yield seen.missing("loop", "SCHED_LOOP_RATE")
-    elif loop[1] < needed_loop_rate_hz(wanted_hz):
-        fixes = (Fix("SCHED_LOOP_RATE", needed_loop_rate_hz(wanted_hz), reboot=True),)
-        text = f"SCHED_LOOP_RATE is {loop[1]:g} Hz: inertial messages come at {0.8 * loop[1]:.0f} Hz at most"
-        level = Level.FIX if 0.8 * loop[1] < needed_hz else Level.NOTE
-        yield Finding("loop", level, text, fixes)
-    else:
-        yield Finding("loop", Level.OK, f"SCHED_LOOP_RATE is {loop[1]:g} Hz")
+    pace = _integration(seen, needed_hz) if seen.px4 else _loop(seen, wanted_hz, needed_hz)
+    yield pace
     for station in Station:
         source = seen.airframe.sensor(station).source
         if source.component == AUTOPILOT_COMPONENT:
-            yield _rate(seen, station, source.message, needed_hz, fixes)
+            yield _rate(seen, station, source.message, needed_hz, pace.fixes)
+
+
+def _loop(seen: Evidence, wanted_hz: float, needed_hz: float) -> Finding:
+    """ArduPilot sends inertial messages at 0.8 of its loop rate at most."""
+    told = seen.parameter("SCHED_LOOP_RATE")
+    if told is None:
+        return seen.missing("loop", "SCHED_LOOP_RATE")
+    loop_hz = told[1]
+    if loop_hz >= needed_loop_rate_hz(wanted_hz):
+        return Finding("loop", Level.OK, f"SCHED_LOOP_RATE is {loop_hz:g} Hz")
+    text = f"SCHED_LOOP_RATE is {loop_hz:g} Hz: inertial messages come at {0.8 * loop_hz:.0f} Hz at most"
+    fix = Fix("SCHED_LOOP_RATE", needed_loop_rate_hz(wanted_hz), reboot=True)
+    return Finding("loop", Level.FIX if 0.8 * loop_hz < needed_hz else Level.NOTE, text, (fix,))
+
+
+def _integration(seen: Evidence, needed_hz: float) -> Finding:
+    """PX4 sends a mean for every interval of its integration, and no more."""
+    told = seen.parameter("IMU_INTEG_RATE")
+    if told is None:
+        return seen.missing("loop", "IMU_INTEG_RATE")
+    rate_hz = told[1]
+    text = f"IMU_INTEG_RATE is {rate_hz:g} Hz: inertial messages come at that rate at most"
+    if rate_hz >= needed_hz:
+        return Finding("loop", Level.OK, text)
+    fix = Fix("IMU_INTEG_RATE", needed_integration_rate_hz(needed_hz), reboot=True)
+    return Finding("loop", Level.FIX, text, (fix,))
 
 
 def _rate(seen: Evidence, station: Station, message: str, needed_hz: float, fixes: tuple[Fix, ...]) -> Finding:
@@ -53,16 +70,14 @@ def _rate(seen: Evidence, station: Station, message: str, needed_hz: float, fixe
 
 def check_filters(seen: Evidence) -> Iterator[Finding]:
     """What the autopilot's low-pass filters do to the modes."""
-    for names, axis in (
-        (("INS_ACCEL_FILTER", "IMU_ACCEL_CUTOFF"), "accel"),
-        (("INS_GYRO_FILTER", "IMU_GYRO_CUTOFF"), "gyro"),
-    ):
-        told = seen.parameter(*names)
+    names = ("IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF") if seen.px4 else ("INS_ACCEL_FILTER", "INS_GYRO_FILTER")
+    for wanted, axis in zip(names, ("accel", "gyro"), strict=True):
+        told = seen.parameter(wanted)
         if told is None:
-            yield seen.missing("filter", names[0])
+            yield seen.missing("filter", wanted)
             continue
         name, cutoff_hz = told
-        if name.startswith("IMU_"):
+        if seen.px4:
             yield Finding("filter", Level.OK, f"{name} acts behind the messages that PX4 sends: nothing to undo")
             continue
         if cutoff_hz <= 0:
