@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.params.airframe import Airframe
 from companion.records import Floats, Station
 from companion.sim.faults import Faults, boot_origin_ns
 from companion.sim.flight import Flight
@@ -48,6 +49,8 @@ class Interval:
 class SimAutopilot:
     """The vehicle's side of the link, component 1."""
 
+    _kind = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+
     def __init__(
         self,
         flight: Flight,
@@ -56,11 +59,8 @@ class SimAutopilot:
         on_trigger: Trigger | None = None,
         orders: Orders | None = None,
     ) -> None:
-        values = {**default_parameters(flight.real.actual), **(parameters or {})}
-        self.parameters = VehicleParameters(values)
-        self.received = Received(int(values["RNGFND1_ORIENT"]), values["RNGFND1_MIN"], values["RNGFND1_MAX"])
-        if values["PRX1_TYPE"] == _MAVLINK_PROXIMITY:
-            self.received.proximity = Proximity()
+        self.parameters = self._own_parameters(flight.real.actual, parameters or {})
+        self.received = self._receiver(flight.real.actual)
         self.sender = Sender(AUTOPILOT_ID)
         self.granted: dict[str, int] = {}
         self.commands: list[tuple[int, int, int]] = []
@@ -81,11 +81,26 @@ class SimAutopilot:
         self._streams: dict[str, Interval] = {}
         self._start()
 
+    def _own_parameters(self, airframe: Airframe, changed: Mapping[str, float]) -> VehicleParameters:
+        return VehicleParameters({**default_parameters(airframe), **changed})
+
+    def _receiver(self, airframe: Airframe) -> Received:
+        """What listens to ranges, as the parameters say at the start."""
+        del airframe
+        get = self.parameters.get
+        received = Received(int(get("RNGFND1_ORIENT")), get("RNGFND1_MIN"), get("RNGFND1_MAX"))
+        if get("PRX1_TYPE") == _MAVLINK_PROXIMITY:
+            received.proximity = Proximity()
+        return received
+
     # ------------------------------------------------------------------------------------------ time
+
+    def _loop_ns(self) -> int:
+        return round(_NS / self.parameters.get("SCHED_LOOP_RATE"))
 
     def advance(self, now_boot_ns: int) -> list[bytes]:
         """Run the loop up to now and give the frames whose instant has come; times are flight times in ns."""
-        loop_ns = round(_NS / self.parameters.get("SCHED_LOOP_RATE"))
+        loop_ns = self._loop_ns()
         while self._tick_ns + loop_ns <= now_boot_ns:
             self._tick_ns += loop_ns
             self._tick(self._tick_ns)
@@ -136,22 +151,30 @@ class SimAutopilot:
     # ------------------------------------------------------------------------------------------ streams
 
     def _stream(self, tick_ns: int, inertial_stopped: bool) -> None:
-        late = round(_NS / self.parameters.get("SCHED_LOOP_RATE")) if self._rng.random() < 1 / 3000 else 0
+        late = self._loop_ns() if self._rng.random() < 1 / 3000 else 0
         for name, interval in self._streams.items():
-            if tick_ns < interval.next_ns:
+            if not self._due(name, interval, tick_ns):
                 continue
             period_ns = interval.period_ms * 1_000_000
             interval.next_ns += period_ns
             if interval.next_ns <= tick_ns:
                 interval.next_ns = tick_ns + period_ns
-            inertial = name in _IMU_STATIONS or name in self._imus
-            if (inertial and inertial_stopped) or (name in _ECHO_MS and not self.received.has_range_data):
+            if (self._is_inertial(name) and inertial_stopped) or (
+                name in _ECHO_MS and not self.received.has_range_data
+            ):
                 continue
             sent_ns = self._instant(tick_ns + late + 100_000 + int(self._rng.exponential(50_000.0)))
             self._post(sent_ns, self._frame(name, tick_ns, sent_ns))
 
+    def _due(self, name: str, interval: Interval, tick_ns: int) -> bool:
+        del name
+        return tick_ns >= interval.next_ns
+
+    def _is_inertial(self, name: str) -> bool:
+        return name in _IMU_STATIONS or name in self._imus
+
     def _frame(self, name: str, tick_ns: int, sent_ns: int) -> bytes:
-        if name in _IMU_STATIONS or name in self._imus:
+        if self._is_inertial(name):
             return self._inertial(name, tick_ns, sent_ns)
         boot_ns = sent_ns - self._origin_ns
         if name == "HEARTBEAT":
@@ -256,6 +279,9 @@ class SimAutopilot:
             result = mavlink.MAV_RESULT_ACCEPTED
         else:
             result = mavlink.MAV_RESULT_UNSUPPORTED
+        self._acknowledge(message, result, tick_ns)
+
+    def _acknowledge(self, message: Any, result: int, tick_ns: int) -> None:
         acknowledgement = mavlink.MAVLink_command_ack_message(
             message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
         )
@@ -312,7 +338,7 @@ class SimAutopilot:
             return self.orders.heartbeat()
         return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_FIXED_WING,
-            mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+            self._kind,
             mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED,
             10,
             mavlink.MAV_STATE_ACTIVE,

@@ -11,7 +11,6 @@ from companion.params.airframe import Airframe
 from companion.sim.wire import AUTOPILOT_ID, SYSTEM_ID
 
 _INTEGERS = ("SCHED_LOOP_RATE", "RNGFND1_TYPE", "RNGFND1_ORIENT", "PRX1_TYPE", "MAV_SYSID", "MAV_GCS_SYSID", "FS_LONG")
-_REBOOT = ("SCHED_LOOP_RATE", "MAV_SYSID", "RNGFND1_TYPE")
 
 
 def default_parameters(airframe: Airframe) -> dict[str, float]:
@@ -38,6 +37,8 @@ def default_parameters(airframe: Airframe) -> dict[str, float]:
 class VehicleParameters:
     """Values in force, and the answers to the PARAM_* messages. The list is paced: a few values a tick."""
 
+    reboot_required: frozenset[str] = frozenset({"SCHED_LOOP_RATE", "MAV_SYSID", "RNGFND1_TYPE"})
+
     def __init__(self, values: Mapping[str, float]) -> None:
         self._values = dict(values)
         self._boot_values = dict(values)
@@ -46,7 +47,7 @@ class VehicleParameters:
 
     def get(self, name: str) -> float:
         """The value that acts now; some parameters act from the next boot only."""
-        return (self._boot_values if name in _REBOOT else self._values)[name]
+        return (self._boot_values if name in self.reboot_required else self._values)[name]
 
     def reboot(self) -> None:
         """Let stored values act."""
@@ -64,20 +65,31 @@ class VehicleParameters:
             index = message.param_index if message.param_index >= 0 else (names.index(name) if name in names else -1)
             return [self._value(index)] if 0 <= index < len(names) else []
         elif kind == "PARAM_SET" and message.param_id in self._values:
-            self._values[message.param_id] = float(message.param_value)
-            self.changed.add(message.param_id)
-            return [self._value(names.index(message.param_id))]
+            return [self._value(names.index(message.param_id))] if self._set(message) else []
         return []
+
+    def change(self, name: str, value: float) -> None:
+        """Put a value in force, or in store until the next boot."""
+        self._values[name] = value
+        self.changed.add(name)
 
     def listed(self) -> list[Any]:
         """The next values of a list that was asked for."""
         batch, self._pending = self._pending[:2], self._pending[2:]
         return [self._value(index) for index in batch]
 
+    def _set(self, message: Any) -> bool:
+        """Take a PARAM_SET; ArduPilot takes the number whatever type is named."""
+        self.change(message.param_id, float(message.param_value))
+        return True
+
+    def _encoded(self, name: str, value: float) -> tuple[float, int]:
+        """The value as it is written on the wire, and its type: ArduPilot writes every number as a float."""
+        return value, mavlink.MAV_PARAM_TYPE_INT16 if name in _INTEGERS else mavlink.MAV_PARAM_TYPE_REAL32
+
     def _value(self, index: int) -> Any:
         names = sorted(self._values)
-        kind = mavlink.MAV_PARAM_TYPE_INT16 if names[index] in _INTEGERS else mavlink.MAV_PARAM_TYPE_REAL32
-        value = self._values[names[index]]
+        value, kind = self._encoded(names[index], self._values[names[index]])
         return mavlink.MAVLink_param_value_message(names[index].encode(), value, kind, len(names), index)
 
 

@@ -22,6 +22,7 @@ from companion.sim.faults import Faults, Wire
 from companion.sim.flight import Flight, GustKind, build_flight
 from companion.sim.nodes import WingNode
 from companion.sim.orders import Orders
+from companion.sim.px4 import SimPx4
 from companion.sim.routing import Port
 
 _DATAGRAM = 1400
@@ -65,6 +66,8 @@ class WorldOptions:
     pilot_height_m : float, optional
         Fly as a ground station orders (:mod:`companion.sim.orders`), from this height (0: on the ground, disarmed),
         instead of the prescribed path.
+    px4 : bool
+        The autopilot has PX4's habits on the link (:mod:`companion.sim.px4`), not ArduPilot's.
     """
 
     connection: str = "udpout:127.0.0.1:14550"
@@ -75,6 +78,7 @@ class WorldOptions:
     start_host_ns: int = 0
     trigger_line: Path | None = None
     pilot_height_m: float | None = None
+    px4: bool = False
 
 
 class Link:
@@ -136,7 +140,8 @@ class World:
         faults = options.faults
         self.flight = flight
         orders = None if options.pilot_height_m is None else Orders(options.pilot_height_m, options.speed)
-        self.autopilot = SimAutopilot(flight, faults, options.parameters, on_trigger, orders)
+        autopilot = SimPx4 if options.px4 else SimAutopilot
+        self.autopilot = autopilot(flight, faults, options.parameters, on_trigger, orders)
         self.nodes = [
             WingNode(stream, flight.real.clocks[stream.clock], faults) for _, stream in sorted(flight.nodes.items())
         ]

@@ -192,10 +192,12 @@ class SimulatedService:
         recording: Path | None = None,
         airframe: Airframe | None = None,
         parameters: dict[str, float] | None = None,
+        px4: bool = False,
     ) -> None:
         airframe, settings = airframe or flight.airframe, settings or Settings()
         self.wire = Wire()
-        self.world = World(flight, WorldOptions(faults=faults or Faults(), parameters=parameters or {}), self.wire)  # type: ignore[arg-type]
+        options = WorldOptions(faults=faults or Faults(), parameters=parameters or {}, px4=px4)
+        self.world = World(flight, options, self.wire)  # type: ignore[arg-type]
         self.clock = SimulatedTime(self.world)
         link = Link(0, "simulated", self.wire, self.clock)
         self.autopilot = MavlinkAutopilot([link], airframe, settings, self.clock)
