@@ -15,11 +15,12 @@ from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick, Validity
+from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick, TimesyncReply, Validity
 
 _EPOCH_NS = 1_000_000_000_000
 _LENGTH_S = 2.4  # the first fit comes after 1.5 s
 _TICK_NS = 20_000_000
+_ROUND_TRIP_NS = 400_000
 
 
 def warm_up(airframe: Airframe, settings: Settings) -> None:
@@ -34,6 +35,7 @@ def warm_up(airframe: Airframe, settings: Settings) -> None:
             t_ns = _EPOCH_NS + (np.arange(first, last) / rate_hz * 1e9).astype(np.int64)
             batch = ImuBatch(station, ClockName.HOST, t_ns, _readings(t_ns, station), Axis.ALL, now_ns)
             state, _ = step(state, batch)
+        state, _ = step(state, TimesyncReply(ClockName.BOOT, now_ns - _ROUND_TRIP_NS, now_ns, now_ns))
         state, _ = step(state, Tick(now_ns))
     smoothed(state, _EPOCH_NS + round((_LENGTH_S - 0.5) * 1e9))
     if state.scheduling is not None:  # a made-up wing need not be one that is tracked

@@ -23,13 +23,18 @@ def constraints(seed: int, count: int) -> list[tuple[float, float, bool]]:
     return [(t, v, bool(u)) for t, v, u in zip(at, np.where(upper, line + slack, line - slack), upper, strict=True)]
 
 
+def one_more(lines: FeasibleLines, at: float, limit: float, upper: bool) -> FeasibleLines | None:
+    bound, nothing = np.array([[at, limit]]), np.empty((0, 2))
+    return lines.within(bound, nothing) if upper else lines.within(nothing, bound)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_extent_and_centre_are_those_of_the_linear_program(seed: int) -> None:
     bounds = constraints(seed, 30)
     lines: FeasibleLines | None = FeasibleLines.box(-1e9, 1e9, ANY_SKEW)
     for at, limit, upper in bounds:
         assert lines is not None
-        lines = lines.below(at, limit) if upper else lines.above(at, limit)
+        lines = one_more(lines, at, limit, upper)
     assert lines is not None
     centre, skew, half_width, half_skew = lines.centre()
     # unknowns: offset in ms, skew in ppm
@@ -47,13 +52,29 @@ def test_extent_and_centre_are_those_of_the_linear_program(seed: int) -> None:
 
 def test_contradicting_bounds_leave_nothing() -> None:
     lines = FeasibleLines.box(-10.0, 10.0, (0.0, 0.0))
-    below = lines.below(0.0, -1.0)
+    below = one_more(lines, 0.0, -1.0, upper=True)
     assert below is not None
-    assert below.above(0.0, 1.0) is None
+    assert one_more(below, 0.0, 1.0, upper=False) is None
+    assert lines.within(np.array([[0.0, -1.0]]), np.array([[0.0, 1.0]])) is None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_many_bounds_at_once_leave_what_they_leave_one_by_one(seed: int) -> None:
+    bounds = constraints(seed, 30)
+    box = FeasibleLines.box(-1e9, 1e9, ANY_SKEW)
+    uppers, lowers = ([(at, limit) for at, limit, upper in bounds if upper is which] for which in (True, False))
+    together = box.within(np.array(uppers), np.array(lowers))
+    lines: FeasibleLines | None = box
+    for at, limit, upper in bounds:
+        assert lines is not None
+        lines = one_more(lines, at, limit, upper)
+    assert together is not None
+    assert lines is not None
+    assert together.centre() == pytest.approx(lines.centre())
 
 
 def test_moving_the_reference_keeps_the_lines() -> None:
-    lines = FeasibleLines.box(-1e6, 1e6, ANY_SKEW).below(-1e9, 0.0)
+    lines = one_more(FeasibleLines.box(-1e6, 1e6, ANY_SKEW), -1e9, 0.0, upper=True)
     assert lines is not None
     moved = lines.moved(5e9)
     for (offset, skew), (later, same) in zip(lines.corners, moved.corners, strict=True):

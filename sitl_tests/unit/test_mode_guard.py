@@ -92,7 +92,7 @@ from companion.core.pipeline import smoothed, start, step
 from companion.core.warming import warm_up
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Tick
+from companion.records import ClockName, Tick, TimesyncReply
 from companion.sim.flight import build_flight
 from companion.sim.offline import HOST_EPOCH_NS, flight_records
 
@@ -107,6 +107,7 @@ for name in sys.argv[1:]:
     warm, state, now_ns = compiled(), start(airframe, Settings()), HOST_EPOCH_NS
     for record in flight_records(build_flight(airframe, 3, 3.0)):
         while now_ns <= record.received_host_ns:
+            state, _ = step(state, TimesyncReply(ClockName.BOOT, now_ns - 900_000, now_ns - 3_000_000_000, now_ns))
             state, _ = step(state, Tick(now_ns))
             now_ns += 20_000_000
         state, _ = step(state, record)

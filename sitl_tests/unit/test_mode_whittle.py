@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.core.mode.discretise import stationary_covariance, van_loan
-from companion.core.mode.spectrum import acceleration_density, acceleration_slopes
+from companion.core.mode.spectrum import acceleration_density, acceleration_slopes, make_grid
 from companion.core.mode.whittle import Prior, Stretch, expected_power, fit, make_stretch, seek_peak
 
 STEP_S = 0.004
@@ -68,17 +68,17 @@ def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -
     row[[1, 5]] = 1.0
     variance = 2 * row @ (p - transition @ p) @ row / STEP_S**2
     f = (np.arange(50000) + 0.5) * 125.0 / 50000
-    density = acceleration_density(LOGS, f, 5.0, STEP_S)
+    density = acceleration_density(LOGS, make_grid(f, STEP_S), 5.0)
     assert density.sum() * 125.0 / 50000 == pytest.approx(variance, rel=2e-3)
 
 
 @given(st.lists(st.floats(-0.7, 0.7), min_size=9, max_size=9))
 def test_the_slopes_of_the_density_are_its_differences(off: list[float]) -> None:
-    logs, f, small = LOGS + np.array(off), np.linspace(0.5, 115.0, 300), 1e-5
-    density, *slopes = acceleration_slopes(logs, f, 5.0, STEP_S)
-    np.testing.assert_allclose(density, acceleration_density(logs, f, 5.0, STEP_S), rtol=1e-9)
+    logs, grid, small = LOGS + np.array(off), make_grid(np.linspace(0.5, 115.0, 300), STEP_S), 1e-5
+    density, *slopes = acceleration_slopes(logs, grid, 5.0)
+    np.testing.assert_allclose(density, acceleration_density(logs, grid, 5.0), rtol=1e-9)
     for k, slope in enumerate(slopes):
-        ahead, behind = (acceleration_density(logs + turn * small * np.eye(9)[k], f, 5.0, STEP_S) for turn in (1, -1))
+        ahead, behind = (acceleration_density(logs + turn * small * np.eye(9)[k], grid, 5.0) for turn in (1, -1))
         np.testing.assert_allclose(slope, (ahead - behind) / (2 * small), rtol=1e-5, atol=1e-6 * density.max())
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from companion.core.clock.feasible import FeasibleLines
 from companion.records import TimesyncReply
 
@@ -181,10 +183,9 @@ def _bounds(reply: TimesyncReply, base_ns: int) -> tuple[_Bound, _Bound]:
 def _cut(
     lines: FeasibleLines, upper: _Bound | None, lower: _Bound, now_ns: int, tolerance_ns: float
 ) -> FeasibleLines | None:
-    kept: FeasibleLines | None = lines
-    if upper is not None:
-        kept = lines.below(upper.at_ns - now_ns, upper.offset_ns + tolerance_ns)
-    return kept and kept.above(lower.at_ns - now_ns, lower.offset_ns - tolerance_ns)
+    high = [] if upper is None else [(float(upper.at_ns - now_ns), upper.offset_ns + tolerance_ns)]
+    low = [(float(lower.at_ns - now_ns), lower.offset_ns - tolerance_ns)]
+    return lines.within(np.array(high).reshape(-1, 2), np.array(low))
 
 
 def _relative(bound: _Bound, now_ns: int) -> _Relative:
@@ -202,11 +203,9 @@ def _intersected(
     far = MOST_SKEW * max(-at for at, _, _ in uppers + lowers)
     least, most = max(low for _, low, _ in lowers) - 2 * far, min(high for _, high, _ in uppers) + 2 * far
     margin = tolerance_ns + WINDOW_NS * WINDOW_NS * SKEW_DRIFT_PER_S * 1e-9
-    lines: FeasibleLines | None = FeasibleLines.box(least - margin, most + margin, skews)
     if most + margin <= least - margin:
         return None
-    for at, high, drift in reversed(uppers):
-        lines = lines and lines.below(at, high + drift + tolerance_ns)
-    for at, low, drift in reversed(lowers):
-        lines = lines and lines.above(at, low - drift - tolerance_ns)
-    return lines
+    lines = FeasibleLines.box(least - margin, most + margin, skews)
+    high = [(at, offset + drift + tolerance_ns) for at, offset, drift in reversed(uppers)]
+    low = [(at, offset - drift - tolerance_ns) for at, offset, drift in reversed(lowers)]
+    return lines.within(np.array(high).reshape(-1, 2), np.array(low))

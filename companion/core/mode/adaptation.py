@@ -258,8 +258,8 @@ class Adaptation:
 
         ``S T / (3 h) (1 - cos(2 pi f h))`` for samples of ``T`` in cells of ``h``.
         """
-        highest = np.array([(0.5 / self._step_s) ** 2])
-        load = sum(float(load_density(np.exp(p.logs()), highest, p.reference_hz)[0]) for p in self.parameters)
+        highest = (0.5 / self._step_s) ** 2
+        load = sum(load_density(np.exp(p.logs()), highest, p.reference_hz) for p in self.parameters)
         return self._cut * load * self._noise.sample_s / (3.0 * self._step_s)
 
     def _answer(self, static_m: Floats) -> Floats:

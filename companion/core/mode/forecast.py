@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.compiled import compiled
 from companion.core.mode.kalman import Kalman
 from companion.core.mode.layout import Layout
 from companion.core.mode.model import StepModel, modal_propagation
@@ -48,13 +49,12 @@ class Forecaster:
         self._layout = layout
         self._modal = layout.antisymmetric.span.stop  # the modes and their loads come first
         self._kept = [index for pair in layout.pairs for index in pair]
-        self._q = [self._kept.index(family.q) for family in layout.families]
-        self._pick = np.eye(len(self._kept))[self._q]
-        self._factors = _factors(layout, self._kept)
+        self._q = np.array([self._kept.index(family.q) for family in layout.families])
+        self._columns, self._places, self._signs = _factors(layout, self._kept)
         self._model: StepModel | None = None
         self._step_ns = 0
         self._ahead = np.empty((len(self._kept), 0, self._modal))
-        self._noise = np.empty((0, len(self._kept), len(self._kept)))
+        self._noise = np.empty((len(self._kept), len(self._kept), 0))
         self._slope = np.empty((2, len(self._kept)))
 
     def run(
@@ -65,55 +65,89 @@ class Forecaster:
         self._prepare(kalman, step_ns, count)
         rest = np.zeros(self._modal)
         rest[self._layout.symmetric.q] = static_m
-        modes = (self._ahead @ (kalman.state[: self._modal] - rest)).T + rest[self._kept]
-        rows = self._slope.copy()
-        for column, at, sign in self._factors:
-            rows[:, at] += sign * kalman.constants[column]
-        spread = self._spread(np.concatenate([self._pick, rows]), kalman.covariance_of(self._modal))
-        rate_cov = spread[:, 2:, 2:]
-        for column, at, _ in self._factors:
-            loose = kalman.constants_covariance[column, column] * modes[:, at] ** 2
-            rate_cov[:, 0, 0] += loose
-            rate_cov[:, 1, 1] += loose
+        outputs = np.zeros((2 + len(self._slope), len(self._kept)))
+        outputs[[0, 1], self._q], outputs[2:] = 1.0, self._slope
+        outputs[2:, self._places] += self._signs * kalman.constants[self._columns]
+        values, spread = _run_ahead(
+            count,
+            self._ahead,
+            self._noise,
+            kalman.state[: self._modal] - rest,
+            rest[self._kept],
+            kalman.covariance_of(self._modal),
+            outputs,
+            self._places,
+            kalman.constants_covariance[self._columns, self._columns],
+        )
         stamps = newest_ns + step_ns * np.arange(1, count + 1, dtype=np.int64)
-        q, rate = modes[:count, self._q], modes[:count] @ rows.T
-        q_cov, rate_cov = spread[:count, :2, :2], rate_cov[:count]
-        return Forecast(stamps, q, np.ascontiguousarray(q_cov), rate, np.ascontiguousarray(rate_cov), body_rate)
-
-    def _spread(self, outputs: Floats, covariance: Floats) -> Floats:
-        """Covariance of these outputs (o, m) of the modal coordinates and rates at every instant, (k, o, o)."""
-        m, count, n = self._ahead.shape
-        o = len(outputs)
-        rows = outputs @ self._ahead.reshape(m, count * n)
-        turned = (rows.reshape(o * count, n) @ covariance).reshape(o, count, n)
-        both = (outputs[:, None, :, None] * outputs[None, :, None, :]).reshape(o * o, m * m)
-        by_load = self._noise.reshape(count, m * m) @ both.T
-        spread: Floats = turned.transpose(1, 0, 2) @ rows.reshape(o, count, n).transpose(1, 2, 0)
-        return spread + by_load.reshape(count, o, o)
+        return Forecast(stamps, values[0], spread[0], values[1], spread[1], body_rate)
 
     def _prepare(self, kalman: Kalman, step_ns: int, count: int) -> None:
         model, kept = kalman.model, self._kept
-        if model is self._model and step_ns == self._step_ns and count <= len(self._noise):
+        if model is self._model and step_ns == self._step_ns and count <= self._noise.shape[2]:
             return
         transition, noise = modal_propagation(self._layout, model.parameters, step_ns * 1e-9)
         rows, places = np.eye(self._modal)[kept], np.ix_(kept, kept)
         self._ahead = np.empty((len(kept), count, self._modal))
-        self._noise = np.empty((count, len(kept), len(kept)))
+        self._noise = np.empty((len(kept), len(kept), count))
         covariance = np.zeros_like(noise)
         for k in range(count):
             rows = rows @ transition
             covariance = transition @ covariance @ transition.T + noise
-            self._ahead[:, k], self._noise[k] = rows, covariance[places]
+            self._ahead[:, k], self._noise[:, :, k] = rows, covariance[places]
         self._slope[:, ::2], self._slope[:, 1::2] = 0.0, model.slope[:, kept[::2]]
         self._model, self._step_ns = model, step_ns
 
 
-def _factors(layout: Layout, kept: list[int]) -> list[tuple[int, int, Floats]]:
-    """Of each uncertain slope factor: its constant, the place of its mode's rate, and the sides' signs."""
+@compiled
+def _run_ahead(
+    count: int,
+    ahead: Floats,
+    noise: Floats,
+    deviation: Floats,
+    rest: Floats,
+    covariance: Floats,
+    outputs: Floats,
+    places: Ints,
+    variances: Floats,
+) -> tuple[Floats, Floats]:
+    """Both pairs of outputs at the first ``count`` instants, (2, k, 2), and their covariances, (2, k, 2, 2).
+
+    ``outputs`` (4, m) are rows on the modal coordinates and rates, which ``ahead`` (m, :, n) gives from the state and
+    ``noise`` (m, m, :) blurs. The second pair is the slope rates: ``variances`` of their factors at ``places`` add.
+    """
+    m, _, n = ahead.shape
+    rows, carried = np.zeros((len(outputs), count, n)), np.zeros((len(outputs), m, count))
+    for i in range(len(outputs)):
+        for k in range(m):
+            if outputs[i, k] != 0.0:
+                rows[i] += outputs[i, k] * ahead[k, :count]
+                carried[i] += outputs[i, k] * noise[k, :, :count]
+    values, spread = np.empty((2, count, 2)), np.empty((2, count, 2, 2))
+    for pair in range(2):
+        for i in range(2):
+            first = 2 * pair + i
+            values[pair, :, i] = rows[first] @ deviation + outputs[first] @ rest
+            turned = rows[first] @ covariance
+            for j in range(2):
+                shared = np.sum(turned * rows[2 * pair + j], axis=1)
+                for k in range(m):
+                    shared += outputs[2 * pair + j, k] * carried[first, k]
+                spread[pair, :, i, j] = shared
+    for k in range(len(places)):
+        loose = variances[k] * (ahead[places[k], :count] @ deviation + rest[places[k]]) ** 2
+        spread[1, :, 0, 0] += loose
+        spread[1, :, 1, 1] += loose
+    return values, spread
+
+
+def _factors(layout: Layout, kept: list[int]) -> tuple[Ints, Ints, Floats]:
+    """Of each uncertain slope factor: its constant, the place of its mode's rate, and the sides' signs, (2, f)."""
     found = []
     for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
         for key, rate in ((f"slope.{name}", family.v), (f"slope.second_{name}", family.v2)):
             column = layout.column(key)
             if column is not None:
-                found.append((column - 1, kept.index(rate), np.array(family.sign)))
-    return found
+                found.append((column - 1, kept.index(rate), family.sign))
+    columns, places = (np.array([factor[k] for factor in found], dtype=np.int64) for k in (0, 1))
+    return columns, places, np.array([factor[2] for factor in found], dtype=np.float64).reshape(-1, 2).T

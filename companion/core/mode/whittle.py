@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.compiled import compiled
+from companion.core.compiled import COMPILED, compiled, compiled_loops
 from companion.core.mode.parameters import PARAMETERS
-from companion.core.mode.spectrum import acceleration_density, acceleration_slopes
+from companion.core.mode.spectrum import Grid, acceleration_density, acceleration_slopes, make_grid
 from companion.records import Floats, Ints
 
 _TAPER = 0.4  # share of the stretch that is tapered (Tukey)
@@ -44,17 +44,16 @@ class Stretch(NamedTuple):
     frequency_hz : (b,) float64
     weight : (b,) float64
         Independent bins in each.
-    grid_hz : (g,) float64
-        Frequencies on which the model is evaluated; the last ones are those of the groups.
+    grid : Grid
+        Frequencies (g,) on which the model is evaluated; the last ones are those of the groups.
     floor : (g,) float64
         Sensor noise density on the grid.
     """
 
-    step_s: float
     power: Floats
     frequency_hz: Floats
     weight: Floats
-    grid_hz: Floats
+    grid: Grid
     floor: Floats
     kernel: Floats
     stride: int
@@ -62,17 +61,26 @@ class Stretch(NamedTuple):
     low_grid: int
 
 
-@compiled
-def _smear(stretch: Stretch, density: Floats) -> Floats:
-    """Expected periodogram of a signal of this density: (g,) to (b,)."""
-    low, stride = stretch.low_bins, stretch.stride
-    expected = np.zeros(len(stretch.power))
-    expected[low:] = density[stretch.low_grid :]
-    for phase in range(stride):
-        fine = density[phase : stretch.low_grid : stride].copy()
-        for j in range(phase, len(stretch.kernel), stride):
-            expected[:low] += stretch.kernel[j] * fine[j // stride : j // stride + low]
-    return expected
+if COMPILED:
+
+    @compiled_loops
+    def _smear(stretch: Stretch, density: Floats) -> Floats:
+        """Expected periodogram of a signal of this density: (g,) to (b,)."""
+        low, kernel = stretch.low_bins, stretch.kernel
+        expected = np.empty(len(stretch.power))
+        expected[low:] = density[stretch.low_grid :]
+        for k in range(low):
+            first, total = k * stretch.stride, 0.0
+            for j in range(len(kernel)):
+                total += kernel[j] * density[first + j]
+            expected[k] = total
+        return expected
+
+else:
+
+    def _smear(stretch: Stretch, density: Floats) -> Floats:
+        fine = np.lib.stride_tricks.sliding_window_view(density[: stretch.low_grid], len(stretch.kernel))
+        return np.concatenate([fine[:: stretch.stride] @ stretch.kernel, density[stretch.low_grid :]])
 
 
 def make_stretch(
@@ -80,33 +88,53 @@ def make_stretch(
 ) -> Stretch:
     """Taper and transform ``samples`` (n,); use the bins inside the band (lowest, first grouped, highest)."""
     n = len(samples)
-    bin_hz = 1.0 / (n * step_s)
-    stride = max(2, int(np.ceil(bin_hz / _FINE_HZ)))
-    taper, energy, independent, kernel = _window(n, stride)
+    bins = _bins(n, step_s, band_hz)
+    taper, energy, independent, kernel = _window(n, bins.stride)
     spectrum = np.fft.rfft(taper * (samples - samples.mean()))
     periodogram: Floats = 2.0 * step_s / energy * (spectrum.real**2 + spectrum.imag**2)
+    groups = np.add.reduceat(periodogram[: bins.edges[-1]], bins.edges[:-1]) / bins.counts
+    low_bins = bins.split - bins.first
+    return Stretch(
+        power=np.concatenate([periodogram[bins.first : bins.split], groups]),
+        frequency_hz=bins.frequency_hz,
+        weight=independent * np.concatenate([np.ones(low_bins), bins.counts]),
+        grid=bins.grid,
+        floor=floor(bins.grid_hz),
+        kernel=kernel,
+        stride=bins.stride,
+        low_bins=low_bins,
+        low_grid=len(bins.grid_hz) - len(groups),
+    )
+
+
+class _Bins(NamedTuple):
+    """Which bins are used, from ``first`` on by themselves, from ``split`` on in groups; see :class:`Stretch`."""
+
+    first: int
+    split: int
+    stride: int
+    edges: Ints
+    counts: Floats
+    frequency_hz: Floats
+    grid_hz: Floats
+    grid: Grid
+
+
+@functools.lru_cache(maxsize=8)
+def _bins(n: int, step_s: float, band_hz: tuple[float, float, float]) -> _Bins:
+    bin_hz = 1.0 / (n * step_s)
+    stride = max(2, int(np.ceil(bin_hz / _FINE_HZ)))
     first = max(int(np.ceil(band_hz[0] / bin_hz)), _REACH + 1)
     split = max(int(band_hz[1] / bin_hz), first + 8)
     last = min(int(band_hz[2] / bin_hz), n // 2 - 1)
     edges = _group_edges(split, last)
-    counts = np.diff(edges).astype(np.float64)
-    groups = np.add.reduceat(periodogram[: edges[-1]], edges[:-1]) / counts
     centres = 0.5 * (edges[1:] + edges[:-1] - 1) * bin_hz
     reach = _REACH * stride
     fine = bin_hz / stride * np.arange(first * stride - reach, (split - 1) * stride + reach + 1)
-    grid: Floats = np.concatenate([fine, centres])
-    return Stretch(
-        step_s=step_s,
-        power=np.concatenate([periodogram[first:split], groups]),
-        frequency_hz=np.concatenate([bin_hz * np.arange(first, split), centres]),
-        weight=independent * np.concatenate([np.ones(split - first), counts]),
-        grid_hz=grid,
-        floor=floor(grid),
-        kernel=kernel,
-        stride=stride,
-        low_bins=split - first,
-        low_grid=len(fine),
-    )
+    grid_hz: Floats = np.concatenate([fine, centres])
+    frequency_hz = np.concatenate([bin_hz * np.arange(first, split), centres])
+    counts = np.diff(edges).astype(np.float64)
+    return _Bins(first, split, stride, edges, counts, frequency_hz, grid_hz, make_grid(grid_hz, step_s))
 
 
 @functools.lru_cache(maxsize=8)
@@ -120,7 +148,6 @@ def _window(n: int, stride: int) -> tuple[Floats, float, float, Floats]:
     return taper, energy, energy**2 / (n * float(np.sum(taper**4))), kernel / float(kernel.sum())
 
 
-@functools.lru_cache(maxsize=8)
 def _group_edges(first: int, last: int) -> Ints:
     """Bin numbers at which groups begin; each group is a small share of its frequency wide."""
     edges = [first]
@@ -181,7 +208,7 @@ def expected_power(stretch: Stretch, prior: Prior, logs: Floats) -> Floats:
     density = stretch.floor.copy()
     for family in range(len(prior.reference_hz)):
         own = logs[family * PARAMETERS : (family + 1) * PARAMETERS]
-        density += acceleration_density(own, stretch.grid_hz, prior.reference_hz[family], stretch.step_s)
+        density += acceleration_density(own, stretch.grid, prior.reference_hz[family])
     return np.maximum(_smear(stretch, density), _LEAST_EXPECTED)
 
 
@@ -259,7 +286,7 @@ def _slope(stretch: Stretch, prior: Prior, logs: Floats) -> tuple[Floats, Floats
     for family in range(len(prior.reference_hz)):
         first = family * PARAMETERS
         own = logs[first : first + PARAMETERS]
-        slopes = acceleration_slopes(own, stretch.grid_hz, prior.reference_hz[family], stretch.step_s)
+        slopes = acceleration_slopes(own, stretch.grid, prior.reference_hz[family])
         density += slopes[0]
         for k in range(PARAMETERS):
             jacobian[first + k] = _smear(stretch, slopes[1 + k])
