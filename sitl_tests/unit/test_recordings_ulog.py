@@ -101,12 +101,15 @@ def test_the_combined_topic_stands_for_the_first_imu_with_both_its_times(tmp_pat
 
 
 def test_integrated_samples_are_divided_by_their_time(tmp_path: Path) -> None:
-    log = Log(("vehicle_imu", 0))
+    log = Log(("vehicle_imu", 0), parameters={"IMU_INTEG_RATE": 200.0})
     for k in range(20):
         log.add("vehicle_imu", 0, 5000 * k + 9, 5000 * (k + 1), 0.01, 0.0, 0.0, 0.0, 0.0, -0.049, 5000, 5000)
-    (stream,) = opened(tmp_path, log.data, SIX_AXES).streams
+    recording = opened(tmp_path, log.data, SIX_AXES)
+    (stream,) = recording.streams
     np.testing.assert_allclose(stream.values[:, 2], -9.8, rtol=1e-6)
     np.testing.assert_allclose(stream.values[:, 3], 2.0, rtol=1e-6)
+    assert stream.t_ns.tolist() == [5_000_000 * k + 2_500_000 for k in range(20)], "in the middle, and once only"
+    assert not [entry for entry in recording.records() if isinstance(entry, AutopilotParameter)]
 
 
 def test_attitude_of_a_known_quaternion(tmp_path: Path) -> None:

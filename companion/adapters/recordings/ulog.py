@@ -1,7 +1,8 @@
 """PX4 ULog files as recordings, through pyulog: sensor_accel and sensor_gyro, vehicle_imu, or sensor_combined.
 
 Everything is in the autopilot's boot clock. These topics come before PX4's cutoff filters, so the airframe's low-pass
-is taken out. Samples of vehicle_imu and sensor_combined are means over their integration time.
+is taken out. Samples of vehicle_imu and sensor_combined are means over the integration time that ends at their stamp:
+they are stamped in its middle, and IMU_INTEG_RATE, by which the same is done to MAVLink messages, is not passed on.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ MAGIC = b"ULog\x01\x12\x35"
 _LEAST_RATE_HZ = 50.0
 _NO_TIME = 0x7FFFFFFF
 _ARMED = 2
+_OF_MESSAGES = "IMU_INTEG_RATE"
 _TOPICS = [
     "sensor_accel",
     "sensor_gyro",
@@ -129,7 +131,7 @@ class UlogRecording(LoggedRecording):
             seconds = table[period] * 1e-6
             good = seconds > 0
             columns = [table[f"{field}[{i}]"][good] / seconds[good] for i in range(3)]
-            parts.append(_part(axes, _sample_time(table)[good], columns))
+            parts.append(_part(axes, _sample_time(table)[good] - _half_us(table, period), columns))
         return parts
 
     def _combined(self) -> list[_Part]:
@@ -141,7 +143,9 @@ class UlogRecording(LoggedRecording):
         valid = relative != _NO_TIME
         accel = [table[f"accelerometer_m_s2[{i}]"][valid] for i in range(3)]
         gyro = [table[f"gyro_rad[{i}]"] for i in range(3)]
-        return [_part(Axis.ACCEL, (t_us + relative)[valid], accel), _part(Axis.GYRO, t_us, gyro)]
+        accel_us = t_us + relative - _half_us(table, "accelerometer_integral_dt")
+        gyro_us = t_us - _half_us(table, "gyro_integral_dt")
+        return [_part(Axis.ACCEL, accel_us[valid], accel), _part(Axis.GYRO, gyro_us, gyro)]
 
     def _topic(self, name: str, instance: int) -> dict[str, Any]:
         found = [data.data for data in self._log.data_list if (data.name, data.multi_id) == (name, instance)]
@@ -160,7 +164,7 @@ class UlogRecording(LoggedRecording):
         start_us = int(self._log.start_timestamp)
         changes = [(start_us, name, value) for name, value in self._log.initial_parameters.items()]
         for t_us, name, value in (*changes, *(change[:3] for change in self._log.changed_parameters)):
-            if name.startswith(PARAMETER_PREFIXES) and math.isfinite(value):
+            if name.startswith(PARAMETER_PREFIXES) and name != _OF_MESSAGES and math.isfinite(value):
                 yield t_us * 1000, AutopilotParameter(name, float(value), t_us * 1000)
 
     def _states(self) -> Iterator[tuple[int, VehicleState]]:
@@ -209,6 +213,14 @@ def _part(axes: Axis, t_us: Ints, columns: list[Any]) -> _Part:
 def _sample_time(table: dict[str, Any]) -> Ints:
     stamps: Ints = table.get("timestamp_sample", table["timestamp"]).astype(np.int64)
     return stamps if stamps.all() else table["timestamp"].astype(np.int64)
+
+
+def _half_us(table: dict[str, Any], period: str) -> int:
+    """Half the usual integration time; old logs have it in seconds, some not at all."""
+    if period not in table or not table[period].size:
+        return 0
+    unit_us = 1.0 if table[period].dtype.kind in "iu" else 1e6
+    return round(0.5 * unit_us * float(np.nanmedian(table[period])))
 
 
 def _fast(t_ns: Ints) -> bool:

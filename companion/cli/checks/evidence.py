@@ -116,8 +116,10 @@ class Evidence:
 
     @property
     def px4(self) -> bool:
-        """Whether the autopilot says that it is PX4."""
-        return self.pilot is not None and self.pilot.autopilot == mavlink.MAV_AUTOPILOT_PX4
+        """Whether the autopilot says that it is PX4, or its log has PX4's parameters."""
+        if self.pilot is None:
+            return "IMU_ACCEL_CUTOFF" in self.parameters
+        return self.pilot.autopilot == int(mavlink.MAV_AUTOPILOT_PX4)
 
     @property
     def highest_hz(self) -> float:
