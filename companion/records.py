@@ -11,7 +11,7 @@ tip, positive when the tips bend up; tip quantities are ``[left, right]`` (DESIG
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -258,6 +258,8 @@ class MatchSet:
         One-sigma of the match along the epipolar line.
     mid_exposure_ns : (2,) int64
         Left and right mid-exposure on ``clocks``.
+    filled : int
+        So many at the end are no features but places between them, found by dense disparity: for the obstacle picture.
     """
 
     pair_id: int
@@ -270,6 +272,20 @@ class MatchSet:
     right_px: Floats
     sigma_px: Floats
     matched_host_ns: int
+    filled: int = 0
+
+    def features(self) -> MatchSet:
+        """The same without what fills the picture: ranges and rotations are taken from features alone."""
+        if not self.filled:
+            return self
+        kept = slice(0, len(self.sigma_px) - self.filled)
+        return replace(
+            self,
+            left_px=self.left_px[kept],
+            right_px=self.right_px[kept],
+            sigma_px=self.sigma_px[kept],
+            filled=0,
+        )
 
 
 # --------------------------------------------------------------------------------------------- states

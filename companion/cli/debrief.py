@@ -158,7 +158,7 @@ def collect(records: Iterable[Record]) -> Flown:
     for record in records:
         flown.fates.take(record)
         if isinstance(record, MatchSet):
-            flown.matches[record.pair_id] = record
+            flown.matches[record.pair_id] = record.features()
         elif isinstance(record, Deflection):
             bends[record.t_host_ns] = record
         elif isinstance(record, RelativeRotation):

@@ -130,6 +130,15 @@ class Settings:
         "Hold the slow part of the cameras' relative rotation by matched features",
         choices=("off", "on"),
     )
+    fill: int = _tunable(
+        "RNG_DENSE",
+        "",
+        0,
+        1,
+        1,
+        "Fill a forward pair's obstacle picture by dense disparity where no feature was found",
+        choices=("off", "on"),
+    )
 
     # outputs
     publish_rate_hz: float = _tunable("OUT_RATE", "Hz", 2, 50, 10, "Rate of DISTANCE_SENSOR and OBSTACLE_DISTANCE")

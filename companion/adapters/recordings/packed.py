@@ -42,6 +42,8 @@ int64 matched_host_ns
 float64[] left_px
 float64[] right_px
 float64[] sigma_px
+# so many at the end are no features but fill the obstacle picture
+int64 filled
 """
 
 SCHEMAS: dict[type, str] = {RawChunk: _CHUNK, ImuBatch: _IMU, MatchSet: _MATCHES}
@@ -65,6 +67,11 @@ class _Cursor:
     def __init__(self, data: bytes) -> None:
         self._data = data
         self._at = 0
+
+    @property
+    def more(self) -> bool:
+        """Whether anything is left."""
+        return self._at < len(self._data)
 
     def take(self, layout: str) -> tuple[Any, ...]:
         values = struct.unpack_from(layout, self._data, self._at)
@@ -142,6 +149,7 @@ def _pack_matches(matches: MatchSet) -> bytes:
             _array(matches.mid_exposure_ns, "<i8"),
             struct.pack("<qqq", matches.exposure_ns, matches.row_time_ns, matches.matched_host_ns),
             *(_array(values, "<f8") for values in (matches.left_px, matches.right_px, matches.sigma_px)),
+            struct.pack("<q", matches.filled),
         )
     )
 
@@ -163,6 +171,7 @@ def _unpack_matches(cursor: _Cursor) -> MatchSet:
         right_px=right_px,
         sigma_px=cursor.array("<f8"),
         matched_host_ns=matched_host_ns,
+        filled=cursor.take("<q")[0] if cursor.more else 0,  # recordings of before had features alone
     )
 
 

@@ -133,6 +133,7 @@ class Correction:
     ) -> RelativeRotation:
         """What the matches tell, unless the tracked bend, on which they build, is not to be trusted."""
         moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, velocity_mps)
+        matches = matches.features()
         rays = match_rays(self.rig, moving, matches)
         look = look and bool(self.settings.hold_slow)
         return self.slow.update(matches, rays, bend, moving, TIMING_SIGMA_S, look=look)

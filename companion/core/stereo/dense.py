@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.matching import Matches
+from companion.core.stereo.matching import Matches, expected_slopes, returned
 from companion.core.stereo.rectify import Rectification, rectify_pair
 from companion.core.stereo.refine import HALF_WINDOW, refine
 from companion.core.stereo.search import Search
@@ -29,6 +29,7 @@ _SIGMA_PX = 0.35
 _LEAST_TEXTURE = 3.0
 _TEXTURE_WINDOW_PX = 11
 _METRIC_SCORE = 0.85
+_CLOSE_PX = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +44,14 @@ class Disparity:
         Left column minus right column; NaN where there is no trusted match.
     sigma_px : float
         One-sigma of each disparity.
+    level : int
+        How often the images were halved first; pixels here are theirs.
     """
 
     frame: Rectification
     disparity_px: Floats
     sigma_px: float
+    level: int = 0
 
 
 class DenseMatcher:
@@ -117,7 +121,7 @@ def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats,
     rig : Rig
         Lenses.
     step_px : int
-        Spacing of the grid that is kept.
+        Spacing of the grid that is kept, in the raw image.
 
     Returns
     -------
@@ -127,10 +131,12 @@ def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats,
     left, right = _rectified_pairs(dense, step_px)
     left_px = dense.frame.to_raw(rig.left, dense.frame.left, left)
     right_px = dense.frame.to_raw(rig.right, dense.frame.right, right)
-    return left_px, right_px, np.full(len(left), dense.sigma_px)
+    return left_px, right_px, np.full(len(left), dense.sigma_px * 2.0**dense.level)
 
 
-def metric_pairs(dense: Disparity, left: Bytes, right: Bytes, rig: Rig, step_px: int) -> Matches:
+def metric_pairs(
+    dense: Disparity, left: Bytes, right: Bytes, rig: Rig, step_px: int, known_px: Floats | None = None
+) -> Matches:
     """Refine a thinned dense disparity in the raw images: matches fit for ranging, where the sparse ones do not reach.
 
     Parameters
@@ -142,15 +148,23 @@ def metric_pairs(dense: Disparity, left: Bytes, right: Bytes, rig: Rig, step_px:
     rig : Rig
         Lenses.
     step_px : int
-        Spacing of the grid that is kept.
+        Spacing of the grid that is kept, in the raw image.
+    known_px : (m, 2) float64, optional
+        Left raw pixels near which nothing new is to be seen.
     """
     left_px, right_px, _ = raw_pairs(dense, rig, step_px)
-    along = dense.frame.along_rows(rig.right, dense.frame.right, _rectified_pairs(dense, step_px)[1])
+    frame, found = dense.frame, _rectified_pairs(dense, step_px)[1]
     whole = np.rint(left_px).astype(np.int64)
     margin = HALF_WINDOW + 3
     inside = np.all((whole >= margin) & (whole < np.array([left.shape[1], left.shape[0]]) - margin), axis=1)
-    fine = refine(left, right, whole[inside], (right_px + whole - left_px)[inside], along[inside])
+    if known_px is not None:
+        apart_px = np.linalg.norm(left_px[:, np.newaxis] - known_px[np.newaxis], axis=-1)
+        inside &= np.all(apart_px > _CLOSE_PX, axis=1)
+    along = frame.along_rows(rig.right, frame.right, found[inside])
+    slopes = expected_slopes(frame, rig, whole[inside], found[inside])
+    fine = refine(left, right, whole[inside], (right_px + whole - left_px)[inside], along, slopes)
     good = fine.good & (fine.correlation > _METRIC_SCORE)
+    good[good] = returned(left, right, fine, good, slopes)
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
 
 
@@ -164,14 +178,16 @@ def points(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:
     rays = np.column_stack([(pixels - frame.matrix[:2, 2]) / frame.focal_px, np.ones(len(pixels))])
     at: Floats = frame.left.position_body_m + (rays * depth[:, np.newaxis]) @ frame.rectified_from_body
     stretch = np.linalg.norm(rays, axis=1)
-    return at, stretch * depth**2 / (frame.focal_px * frame.baseline_m) * dense.sigma_px
+    sigma_px = dense.sigma_px * 2.0**dense.level
+    return at, stretch * depth**2 / (frame.focal_px * frame.baseline_m) * sigma_px
 
 
 def _rectified_pairs(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:
     """Rectified left and right pixels (n, 2) of a grid's known disparities."""
-    half, (height, width) = step_px // 2, dense.disparity_px.shape
-    rows, columns = np.mgrid[half:height:step_px, half:width:step_px]
+    scale, step = 2.0**dense.level, max(step_px >> dense.level, 1)
+    height, width = dense.disparity_px.shape
+    rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
     disparity = dense.disparity_px[rows, columns].astype(np.float64)
     known = np.isfinite(disparity)
     left = np.column_stack([columns[known], rows[known]]).astype(np.float64)
-    return left, left - np.column_stack([disparity[known], np.zeros(len(left))])
+    return scale * left, scale * (left - np.column_stack([disparity[known], np.zeros(len(left))]))

@@ -80,10 +80,10 @@ def match(
     found = coarse.position_px[kept] / 0.5**level
     start = frame.to_raw(rig.right, search.right, found)
     along = frame.along_rows(rig.right, search.right, found)
-    slopes = _slopes(frame, rig, search, corners[kept], found)
+    slopes = expected_slopes(frame, rig, corners[kept], found)
     fine = refine(left, right, corners[kept], start, along, slopes)
     good = fine.good & (fine.correlation > _FINE_SCORE)
-    good[good] = _returns(left, right, fine, good, slopes)
+    good[good] = returned(left, right, fine, good, slopes)
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
 
 
@@ -127,22 +127,22 @@ def _reachable(band: Band, frame: Rectification) -> Bools:
     return inside & (band.bottom >= _BORDER_PX) & (band.top < height - _BORDER_PX)
 
 
-def _slopes(frame: Rectification, rig: Rig, search: Search, left_px: Ints, found_px: Floats) -> Floats:
+def expected_slopes(frame: Rectification, rig: Rig, left_px: Ints, found_px: Floats) -> Floats:
     """How the displacement of each match grows around it at one depth (n, 2, 2): lenses, expected bend, and its error.
 
     ``found_px`` (n, 2) are the coarse matches in the rectified right image.
     """
-    seen = frame.to_rectified(rig.left, search.left, left_px.astype(np.float64))
+    seen = frame.to_rectified(rig.left, frame.left, left_px.astype(np.float64))
     moved = found_px - seen
     roll = _roll(seen, moved[:, 1])
     turn = np.array([[0.0, -roll], [roll, 0.0]])
     sides = []
     for step in (np.array([_SLOPE_PX, 0.0]), np.array([0.0, _SLOPE_PX])):
         there = (
-            frame.to_rectified(rig.left, search.left, left_px + step),
-            frame.to_rectified(rig.left, search.left, left_px - step),
+            frame.to_rectified(rig.left, frame.left, left_px + step),
+            frame.to_rectified(rig.left, frame.left, left_px - step),
         )
-        ends = [frame.to_raw(rig.right, search.right, point + moved + (point - seen) @ turn.T) for point in there]
+        ends = [frame.to_raw(rig.right, frame.right, point + moved + (point - seen) @ turn.T) for point in there]
         sides.append((ends[0] - ends[1]) / (2.0 * _SLOPE_PX))
     slopes: Floats = np.stack(sides, axis=-1) - np.eye(2)
     return slopes
@@ -166,7 +166,7 @@ def _roll(seen_px: Floats, down_px: Floats) -> float:
     return float(fitted[0])
 
 
-def _returns(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Floats) -> Bools:
+def returned(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Floats) -> Bools:
     """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check)."""
     left_px, right_px = fine.left_px[chosen], fine.right_px[chosen]
     whole = np.rint(right_px).astype(np.int64)
@@ -174,8 +174,8 @@ def _returns(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Fl
     along = np.tile([1.0, 0.0], (len(whole), 1))
     back = refine(right, left, whole, expected, along, -slopes[chosen], iterations=2)
     gap = np.linalg.norm((back.right_px - back.left_px) - (left_px - right_px), axis=1)
-    returned: Bools = back.good & (gap < _RETURN_PX + _RETURN_SIGMAS * fine.sigma_px[chosen])
-    return returned
+    alike: Bools = back.good & (gap < _RETURN_PX + _RETURN_SIGMAS * fine.sigma_px[chosen])
+    return alike
 
 
 def _distinct(score: Floats, runner_up: Floats) -> Bools:

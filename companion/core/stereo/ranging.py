@@ -100,8 +100,9 @@ def correct(
     RangeAnswer
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
+    whole, matches = matches, matches.features()
     scene = _Scene.exposed(matches, left, right, rig, airframe, timing_sigma_s, velocity_mps, turned)
-    depths = triangulate(scene.rays, scene.sight, matches.sigma_px / rig.left.lens.focal_px)
+    depths = scene.depths(matches)
     reading = read(depths, Product(settings.product), settings.min_matches)
     toe = scene.toe()
     if reading is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
@@ -116,7 +117,8 @@ def correct(
     in_metres = Budget(causes.modal * square, causes.calibration * square, causes.timing * square)
     sectors = None
     if airframe.orientation == _FORWARD:
-        sectors = matched_sectors(depths, scene.sight, causes.total, scene.t_host_ns, settings, attitude_rad)
+        picture = scene.depths(whole)
+        sectors = matched_sectors(picture, scene.sight, causes.total, scene.t_host_ns, settings, attitude_rad)
     return RangeAnswer(answer, sectors, depths, match_pm * square, in_metres)
 
 
@@ -167,6 +169,11 @@ class _Scene:
         sight = sight_along(rig, range_axis(airframe.orientation))
         rays = match_rays(rig, moving, matches)
         return cls(matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, apart_rad2, sight, rays)
+
+    def depths(self, matches: MatchSet) -> Depths:
+        """Of matches of this pair, along the sight."""
+        rays = self.rays if matches is self.matches else match_rays(self.rig, self.moving, matches)
+        return triangulate(rays, self.sight, matches.sigma_px / self.rig.left.lens.focal_px)
 
     def budget(self, gradient: Gradient) -> Budget:
         """Sigma of a result by cause."""

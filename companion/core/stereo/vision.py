@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
+from companion.core.stereo.filling import filled
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.pairing import FramePairer
@@ -24,6 +25,7 @@ from companion.records import (
 )
 
 _PLANS_KEPT = 32
+_FORWARD = 0
 
 
 @dataclass(slots=True)
@@ -87,6 +89,13 @@ class VisionState:
         self.settings = self.settings.replace(change.name, change.value)
         self.search = trim_search(self.rig, self.airframe, self.settings)
 
+    def match(self, pair: FramePair, now_host_ns: int) -> MatchSet:
+        """Features, and for a pair that looks ahead what lies between them."""
+        matches = match_pair(pair, self.rig, self.search, now_host_ns)
+        if self.settings.fill and self.airframe.orientation == _FORWARD:
+            return filled(matches, pair, self.rig, self.search)
+        return matches
+
     def missing(self, frame: Frame) -> list[Rejected]:
         """What a gap in one camera's numbers tells: exposures whose images were lost on the way, or never made."""
         count = frame.sequence - self.numbers.get(frame.side, frame.sequence)
@@ -111,5 +120,4 @@ def vision_step(
     pairs, lonely = state.pairer.add(record)
     if state.choice is not None:
         pairs = [pair for pair in pairs if state.choice.takes(pair)]
-    matched = (match_pair(pair, state.rig, state.search, now_host_ns) for pair in pairs)
-    return [*lost, *matched, *lonely]
+    return [*lost, *(state.match(pair, now_host_ns) for pair in pairs), *lonely]

@@ -1,0 +1,98 @@
+"""Fills the obstacle picture between the features: dense disparity, thinned to a grid and refined like any match.
+
+Vision knows no bend, and semi-global matching wants rows that agree. A forward pair's bend is roll, which the features
+of the same pair show to a tenth of a milliradian: they level the rows first. The dense search is made on small images
+and only proposes; the places that are handed on were refined in the raw images, with a sigma of their own each, and
+looked back at.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from companion.core.stereo.dense import DenseMatcher, Disparity, metric_pairs
+from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.rectify import Rectification, rectification, rectify_pair
+from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.search import Search
+from companion.records import Bytes, Floats, FramePair, MatchSet
+
+_SMALL_WIDTH_PX = 160
+_STEP_PX = 32
+_LEAST_FEATURES = 12
+_ROUNDS = 8
+_COARSE_RAD = 0.0003
+_SIGMA_PX = 0.35
+_BLOCK_PX = 16  # disparities are searched in blocks of so many
+
+
+def filled(matches: MatchSet, pair: FramePair, rig: Rig, search: Search) -> MatchSet:
+    """The matches of a pair, and after them what dense disparity shows between them.
+
+    Nothing is added where there are too few features to level the rows by.
+    """
+    poses = levelled(matches, rig, search)
+    if poses is None:
+        return matches
+    left, right = pair.left.image, pair.right.image
+    dense = _proposed(left, right, rig, search, rectification(rig, *poses))
+    found = metric_pairs(dense, left, right, rig, _STEP_PX, matches.left_px)
+    return dataclasses.replace(
+        matches,
+        left_px=np.concatenate([matches.left_px, found.left_px]),
+        right_px=np.concatenate([matches.right_px, found.right_px]),
+        sigma_px=np.concatenate([matches.sigma_px, found.sigma_px]),
+        filled=len(found),
+    )
+
+
+def levelled(matches: MatchSet, rig: Rig, search: Search) -> tuple[Pose, Pose] | None:
+    """The expected poses, turned against each other by the pitch and roll that make the features' rows agree.
+
+    Each camera takes half of it, as both wings bend. Least sum of magnitudes, so that wrong matches do not count; None
+    with too few of them. By how much a camera that is turned parts the rows: :mod:`companion.core.stereo.epipolar`.
+    """
+    if len(matches.sigma_px) < _LEAST_FEATURES:
+        return None
+    frame = rectification(rig, search.left, search.right)
+    middle, focal = frame.matrix[:2, 2], frame.focal_px
+    left = (frame.to_rectified(rig.left, search.left, matches.left_px) - middle) / focal
+    right = (frame.to_rectified(rig.right, search.right, matches.right_px) - middle) / focal
+    x, y = (0.5 * (left + right)).T
+    parted, design = left[:, 1] - right[:, 1], np.column_stack([-(1.0 + y * y), x])
+    weight: Floats = np.ones(len(parted))
+    turn = np.zeros(2)
+    for _ in range(_ROUNDS):
+        weighted = design * weight[:, np.newaxis]
+        turn = np.linalg.solve(weighted.T @ design, weighted.T @ parted)
+        weight = np.asarray(1.0 / np.maximum(np.abs(parted - design @ turn), _COARSE_RAD), dtype=np.float64)
+    half = 0.5 * frame.rectified_from_body.T @ np.array([turn[0], 0.0, turn[1]])
+    return _turned(search.left, -half), _turned(search.right, half)
+
+
+def _turned(pose: Pose, rotation_rad: Floats) -> Pose:
+    return Pose(pose.camera_from_body @ exp_rotation(-rotation_rad), pose.position_body_m)
+
+
+def _proposed(left: Bytes, right: Bytes, rig: Rig, search: Search, frame: Rectification) -> Disparity:
+    """Disparity of the whole left image, as far as the right one shows the same, at a quarter of its size or so."""
+    level = max(0, round(np.log2(left.shape[1] / _SMALL_WIDTH_PX)))
+    first, count = _span(search, frame, 0.5**level)
+    small = rectify_pair(frame, rig, left, right, level)
+    # the matcher leaves out as many columns as there are disparities, for it cannot see all of them there
+    wide = [cv2.copyMakeBorder(image, 0, 0, first + count, 0, cv2.BORDER_REPLICATE) for image in small]
+    disparity = DenseMatcher(first, count).match_rectified(wide[0], wide[1])[:, first + count :]
+    return Disparity(frame, disparity, _SIGMA_PX, level)
+
+
+def _span(search: Search, frame: Rectification, scale: float) -> tuple[int, int]:
+    """First disparity and number of disparities between the range limits, px of images of that scale."""
+    bend = abs(float(frame.rectified_from_body[1, 0])) * search.bend_tolerance_rad
+    shift = frame.focal_px * (bend + search.other_tolerance_rad)
+    near, far = (frame.focal_px * frame.baseline_m / limit for limit in (search.min_range_m, search.max_range_m))
+    first = int(np.floor((far - shift) * scale))
+    blocks = -(-int(np.ceil((near + shift) * scale) - first) // _BLOCK_PX)
+    return first, blocks * _BLOCK_PX
