@@ -27,12 +27,13 @@ def _adaptation() -> Adaptation:
     return Adaptation(LAYOUT, noise, prior, (-1.0, 1.0), STEP_S)
 
 
-def _cells(seconds: float, away_s: tuple[float, float] = (0.0, 0.0)) -> Cells:
+def _cells(seconds: float, away_s: tuple[float, float] = (0.0, 0.0), drift_per_s: float = 0.0) -> Cells:
     """Both tips' vertical acceleration in a symmetric mode under white load, and noise; the right tip may be away."""
     n, rng = round(seconds / STEP_S), np.random.default_rng(5)
     w = 2 * math.pi * TRUE_HZ
     q, v, acceleration = 0.0, 0.0, np.zeros(n)
     for k, load in enumerate(rng.normal(size=n) * 0.005 * math.sqrt(4 * ZETA * w**3 / STEP_S)):
+        w *= math.exp(drift_per_s * STEP_S)
         acceleration[k] = load - 2 * ZETA * w * v - w**2 * q
         v += STEP_S * acceleration[k]
         q += STEP_S * v
@@ -129,3 +130,13 @@ def test_where_one_tip_never_comes_the_other_is_fitted(settled: tuple[Adaptation
     found_hz = adaptation.parameters[0].frequency_hz
     # FACTS.md section 3: a mode locks to sqrt(zeta / (omega T)) = 1.1 % in 8 s; three of that, and believed 7 % off
     assert found_hz == pytest.approx(TRUE_HZ, rel=3 * math.sqrt(ZETA / (2 * math.pi * TRUE_HZ * 8.0)))
+
+
+def test_a_drift_is_followed_beyond_what_was_believed_possible() -> None:
+    seconds, drift_per_s = 45.0, 0.01
+    adaptation = _adaptation()
+    _fed(adaptation, _cells(seconds, drift_per_s=drift_per_s))
+    now_hz, prior_hz = TRUE_HZ * math.exp(drift_per_s * seconds), _adaptation().parameters[0]
+    assert now_hz > prior_hz.frequency_hz * math.exp(6 * prior_hz.log_sigma[0])
+    # what is fitted is at worst the middle of the last 20 s
+    assert adaptation.parameters[0].frequency_hz == pytest.approx(now_hz, rel=1.2 * 10.0 * drift_per_s)

@@ -18,6 +18,7 @@ from companion.core.mode.model import Parameters
 from companion.core.mode.parameters import (
     CORNER_1,
     CORNER_2,
+    FREQUENCY,
     FREQUENCY_2,
     LIMITS,
     LOAD,
@@ -47,6 +48,7 @@ _CLEARLY = 1.0
 _LOWEST_HZ = 0.25
 _KEPT, _ROLL, _STATIC = 4, 2, 3  # columns: both vertical rows, root roll rate, bend by the load factor
 _REACH = 4.0
+_FARTHEST = np.log(2.0)  # a wing that is loaded or iced drifts far beyond what was believed of it at rest
 _CUT_MEMORY_S = 5.0
 _LEAST_PRESENT = 0.98
 _HOLE_CELLS = 11
@@ -293,12 +295,16 @@ def _join(families: list[ModeParameters]) -> Prior:
     mean, sigma = np.concatenate(logs), np.concatenate([family.log_sigma for family in families])
     low, high = (np.tile(np.log(limit), len(families)) for limit in LIMITS)
     lowest = np.maximum(low, mean - _REACH * sigma)
+    highest = np.minimum(high, mean + _REACH * sigma)
     lowest[LOAD_2::PARAMETERS] = low[LOAD_2::PARAMETERS]
+    own = slice(FREQUENCY, None, PARAMETERS)
+    lowest[own] = np.minimum(lowest[own], mean[own] - _FARTHEST)
+    highest[own] = np.maximum(highest[own], mean[own] + _FARTHEST)
     return Prior(
         mean,
         sigma,
         lowest,
-        np.minimum(high, mean + _REACH * sigma),
+        highest,
         np.array([family.reference_hz for family in families]),
     )
 
