@@ -2,7 +2,10 @@
 
 import hashlib
 import os
+import shutil
 from pathlib import Path
+
+_OLDER_STATES = 3  # who goes back and forth between versions should not wait for the compiler each time
 
 
 def _keep_machine_code_by_its_sources() -> None:
@@ -17,7 +20,18 @@ def _keep_machine_code_by_its_sources() -> None:
     sources = {path: path.read_bytes() for path in sorted(here.rglob("*.py"))}
     folders = {path.parent for path, text in sources.items() if b"core.compiled import" in text}
     digest = hashlib.sha256(b"".join(text for path, text in sources.items() if path.parent in folders))
-    os.environ["NUMBA_CACHE_DIR"] = str(here / "__pycache__" / f"machine-code-{digest.hexdigest()[:16]}")
+    kept = here / "__pycache__" / f"machine-code-{digest.hexdigest()[:16]}"
+    os.environ["NUMBA_CACHE_DIR"] = str(kept)
+    if not kept.exists():
+        for folder in sorted(kept.parent.glob("machine-code-*"), key=_written_s)[:-_OLDER_STATES]:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _written_s(folder: Path) -> float:
+    try:
+        return folder.stat().st_mtime
+    except OSError:  # another start is clearing up as well
+        return 0.0
 
 
 _keep_machine_code_by_its_sources()

@@ -33,3 +33,21 @@ def test_only_what_is_compiled_decides_where_machine_code_is_kept(tmp_path: Path
     callee.write_text(callee.read_text() + "changed = True\n")
     assert _cache(tmp_path) != first
     assert _cache(tmp_path, NUMBA_CACHE_DIR="/elsewhere") == "/elsewhere"
+
+
+def test_a_new_state_clears_all_but_the_newest_old_ones_away(tmp_path: Path) -> None:
+    shutil.copytree(
+        Path(companion.__file__).parent, tmp_path / "companion", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    now = Path(_cache(tmp_path))
+    others = [now.parent / f"machine-code-{k}" for k in range(6)]
+    for age, folder in enumerate(others):
+        folder.mkdir(parents=True)
+        (folder / "code").write_text("compiled")
+        os.utime(folder, (1e9 - age, 1e9 - age))
+    assert Path(_cache(tmp_path)) == now
+    assert [folder.exists() for folder in others] == [True, True, True, False, False, False]
+    now.mkdir()
+    others[5].mkdir()
+    _cache(tmp_path)
+    assert others[5].exists(), "nothing is searched for where the code is already there"
