@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.clock.mapping import Knot, Mapping
-from companion.core.clock.window import ANY_SKEW, ClockFit, ExchangeWindow, agree
+from companion.core.clock.window import ANY_SKEW, LONGEST_LAG_NS, ClockFit, ExchangeWindow, agree
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
 STALE_NS = 5_000_000_000
@@ -22,6 +22,7 @@ _SETTLED_EXCHANGES = 8
 _SETTLED_SPAN_NS = 1_500_000_000
 _GOOD_BOUND_NS = 2_000_000
 _BEFORE_FIRST_NS = 2_000_000_000
+_MOST_LAG_NS = 50_000_000
 _WARMING_SKEW = 20e-6
 """By how much a restart may have changed a crystal: half a minute's cooling of a cheap one."""
 _AS_GOOD = 3.0
@@ -41,6 +42,8 @@ class RemoteClock:
 
     An exchange that contradicts all others suspends the clock at once. The next one decides: if it agrees with the old
     ones the odd one was wrong, if it agrees with the odd one the clock has restarted and everything older is void.
+    A restart goes seconds back; what is behind by some milliseconds is a simulated autopilot whose machine is busy, and
+    it catches up: that must last a second to count, and nothing is converted meanwhile.
     Only the crystal is still the same: a restarted clock keeps about the skew it had. And it is taken back when it is
     known about as well as before, or after 1.5 s: whoever has learned something of its stamps' error meets no slow
     drift, which the steering of a hasty first guess would be.
@@ -53,6 +56,7 @@ class RemoteClock:
         self._window: ExchangeWindow | None = None
         self._mapping = Mapping()
         self._suspect: TimesyncReply | None = None
+        self._suspected_ns = 0
         self._skew = 0.0
         self._last_host_ns = 0
         self._before = _Before()
@@ -126,15 +130,24 @@ class RemoteClock:
     def _contradicted(self, reply: TimesyncReply) -> None:
         suspect = self._suspect
         self._suspect = reply
-        if suspect is None:
+        if suspect is None or not agree(suspect, reply):
+            self.discarded += suspect is not None
+            self._suspected_ns = reply.received_host_ns
             return
-        if not agree(suspect, reply):
+        if self._lags(reply) and reply.received_host_ns - self._suspected_ns < LONGEST_LAG_NS:
             self.discarded += 1
             return
         self._forget()
         self.restarts += 1
         for kept in (suspect, reply):
             self.exchange(kept)
+
+    def _lags(self, reply: TimesyncReply) -> bool:
+        """Whether an exchange is so little off that the clock may only be behind."""
+        if not self._mapping:
+            return False
+        middle_ns = (reply.sent_host_ns + reply.received_host_ns) // 2
+        return abs(reply.remote_ns - middle_ns - self.state(middle_ns).offset_ns) < _MOST_LAG_NS
 
     def _steer(self, window: ExchangeWindow, fit: ClockFit, now_host_ns: int) -> None:
         self._skew = fit.skew

@@ -23,6 +23,11 @@ _TOLERANCES_NS = (2e3, 2e4, 1e5, 5e5, 1e6, 2e6)
 """Granularity allowed to the remote clock. The coarser ones are for clocks that step (a simulated autopilot's advances
 by whole physics frames), are tried only when the exchanges contradict each other without them, and widen the bound."""
 _FINE_NS = _TOLERANCES_NS[1]
+LONGEST_LAG_NS = 1_000_000_000
+"""As long a simulated autopilot may be behind before it catches up."""
+_NEAR_NS = 300_000_000
+"""So near to an exchange that was caught, others may have been read of a clock that was only a little behind."""
+_NONE = np.empty((0, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +55,7 @@ class _Bucket:
     count: int
     uppers: tuple[_Bound, _Bound]
     lower: _Bound
+    lagged: bool = False
 
     def joined(self, upper: _Bound, lower: _Bound, skew: float) -> _Bucket:
         """Give the bucket with one exchange more."""
@@ -59,10 +65,13 @@ class _Bucket:
 
         known = self.uppers if self.count > 1 else self.uppers[:1]
         first, second = sorted((*known, upper), key=at_once)[:2]
-        return _Bucket(self.number, self.careful, self.count + 1, (first, second), max(self.lower, lower, key=at_once))
+        largest = max(self.lower, lower, key=at_once)
+        return _Bucket(self.number, self.careful, self.count + 1, (first, second), largest, self.lagged)
 
-    def upper(self) -> _Bound:
-        """Give the upper bound to be believed once the second is over."""
+    def upper(self) -> _Bound | None:
+        """Give the upper bound to be believed once the second is over; none of a second in which the clock lagged."""
+        if self.lagged:
+            return None
         return self.uppers[self.careful and self.count >= _ENOUGH]
 
 
@@ -73,9 +82,10 @@ class ExchangeWindow:
     """Bounds from the exchanges of the last minute; dropping the looser ones of a second only widens the answer.
 
     A simulated autopilot's clock stands still while its machine is busy, as no crystal would; what is read then is too
-    early, and makes an upper bound that is tight and false. One that the others contradict is set aside, unless the
-    next exchange does so as well. While nothing can contradict it (the first ten seconds), and a minute around one
-    that was caught, the tightest upper bound of every second is left out.
+    early, and makes an upper bound that is tight and false. One that the others contradict is set aside, and so are
+    those that follow within a second, as long as they are behind; of a second with several such, no upper bound is
+    believed. While nothing can contradict it (the first ten seconds), and a minute around one that was caught, the
+    tightest upper bound of every second is left out.
 
     ``skews`` limits the skew where something is known of it: until the exchanges contradict that, or fill the window.
     """
@@ -91,7 +101,9 @@ class ExchangeWindow:
         self._tolerance_ns = _TOLERANCES_NS[0]
         self._skew = 0.0
         self._skews = skews
-        self._aside = False
+        self._aside = 0  # exchanges in a row, and since when
+        self._aside_ns = 0
+        self._lagged_until = -1
         self._careful_until_ns = first.received_host_ns + _CAREFUL_NS
         self.add(first)
 
@@ -101,7 +113,7 @@ class ExchangeWindow:
         now = max(reply.received_host_ns, self._at_ns)
         moved = self._lines and self._lines.moved(now - self._at_ns)
         if moved is not None and _cut(moved, upper, lower, now, _TOLERANCES_NS[-1]) is None:
-            self._aside = True
+            self._aside_from(now)
             return None
         self._forget_before(now - WINDOW_NS)
         number = now // _BUCKET_NS
@@ -109,36 +121,55 @@ class ExchangeWindow:
         if last is not None and same:
             bucket = last.joined(upper, lower, self._skew)
         else:
-            bucket = _Bucket(number, now < self._careful_until_ns, 1, (upper, upper), lower)
+            lagged = number <= self._lagged_until
+            bucket = _Bucket(number, now < self._careful_until_ns, 1, (upper, upper), lower, lagged)
         lines = None
         if moved is not None and same and self._closed:  # within a second the skew cannot change by much
             lines = _cut(moved, self._running(bucket), bucket.lower, now, self._tolerance_ns)
         closed = [*self._closed] if same or last is None else [*self._closed, last]
         lines = lines or self._rebuilt(closed, bucket, now, _FINE_NS)
-        if lines is None and moved is not None and not self._aside:
-            self._aside, self._lines, self._at_ns = True, moved, now
+        if lines is None and moved is not None and self._may_wait(moved, upper, now):
+            self._lines, self._at_ns = moved, now
             return self._fit(moved)
         if lines is not None and self._aside:
-            self._grow_careful(now)
-        self._aside = False
+            closed, bucket = self._grown_careful(closed, bucket, now)
+            lines = self._rebuilt(closed, bucket, now, _FINE_NS) or lines
+        self._aside = 0
         lines = lines or self._rebuilt(closed, bucket, now, _TOLERANCES_NS[-1])
         if lines is None:
             return None
-        if last is not None and not same:
-            self._closed.append(last)
+        self._closed = deque(closed)
         self._open, self._lines, self._at_ns = bucket, lines, now
         self.count += 1
         return self._fit(lines)
+
+    def _aside_from(self, now_ns: int) -> None:
+        if not self._aside:
+            self._aside_ns = now_ns
+        self._aside += 1
+
+    def _may_wait(self, lines: FeasibleLines, upper: _Bound, now_ns: int) -> bool:
+        """Whether an exchange that contradicts the others is set aside: the first, and those of a clock that lags."""
+        self._aside_from(now_ns)
+        behind = lines.within(np.array([(float(upper.at_ns - now_ns), upper.offset_ns + _FINE_NS)]), _NONE) is None
+        return self._aside == 1 or (behind and now_ns - self._aside_ns < LONGEST_LAG_NS)
 
     def _fit(self, lines: FeasibleLines) -> ClockFit:
         offset, self._skew, half_width, half_skew = lines.centre()
         coarse = self._tolerance_ns if self._tolerance_ns > _TOLERANCES_NS[0] else 0.0
         return ClockFit(offset, self._skew, half_width + coarse, half_skew)
 
-    def _grow_careful(self, now_ns: int) -> None:
-        """An exchange was caught: there may be one that was not, before it or in the minute to come."""
+    def _grown_careful(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int) -> tuple[list[_Bucket], _Bucket]:
+        """An exchange was caught: there may be some that were not, near it, before it, or in the minute to come."""
         self._careful_until_ns = now_ns + WINDOW_NS
-        self._closed = deque(replace(bucket, careful=True) for bucket in self._closed)
+        marked = [replace(one, careful=True) for one in closed]
+        first, last = (at // _BUCKET_NS for at in (self._aside_ns - _NEAR_NS, now_ns + _NEAR_NS))
+        others = sum(not one.lagged and not first <= one.number <= last for one in marked)
+        if self._aside < 2 or others < _ENOUGH:
+            return marked, bucket
+        self._lagged_until = last
+        marked = [replace(one, lagged=one.lagged or first <= one.number <= last) for one in marked]
+        return marked, replace(bucket, lagged=True)
 
     def _forget_before(self, oldest_ns: int) -> None:
         while self._closed and self._closed[0].lower.at_ns < oldest_ns:
@@ -147,6 +178,8 @@ class ExchangeWindow:
 
     def _running(self, bucket: _Bucket) -> _Bound | None:
         """The upper bound to be believed of a second that is not over: where exchanges are rare there is no choice."""
+        if bucket.lagged:
+            return None
         if not bucket.careful or (self._closed and self._closed[-1].count < _ENOUGH):
             return bucket.uppers[0]
         return bucket.uppers[1] if bucket.count > 1 or not self._closed else None
@@ -154,9 +187,11 @@ class ExchangeWindow:
     def _rebuilt(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int, most_ns: float) -> FeasibleLines | None:
         """Intersect all bounds, with as little tolerance as they allow; more than there was only up to ``most_ns``."""
         running = self._running(bucket)
-        highs = [one.upper() for one in closed] + ([] if running is None else [running])
-        uppers = [_relative(high, now_ns) for high in highs]
+        highs = [*(one.upper() for one in closed), running]
+        uppers = [_relative(high, now_ns) for high in highs if high is not None]
         lowers = [_relative(one.lower, now_ns) for one in (*closed, bucket)]
+        if not uppers:
+            return None
         for tolerance in [one for one in _TOLERANCES_NS if one <= max(most_ns, self._tolerance_ns)]:
             for skews in dict.fromkeys((self._skews, ANY_SKEW)):
                 found = _intersected(uppers, lowers, tolerance, skews)
