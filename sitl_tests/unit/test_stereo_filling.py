@@ -122,6 +122,14 @@ def test_without_features_nothing_is_filled(pair: FramePair) -> None:
     assert filled(few, pair, RIG, SEARCH) is few
 
 
+def test_where_features_are_everywhere_nothing_is_left_to_fill(pair: FramePair) -> None:
+    everywhere = np.stack(np.meshgrid(np.arange(10.0, 630.0, 15.0), np.arange(10.0, 470.0, 15.0)), axis=-1).reshape(
+        -1, 2
+    )
+    crowded = match_set(everywhere, everywhere - (40.0, 0.0))
+    assert filled(crowded, pair, RIG, SEARCH).filled == 0
+
+
 def test_a_forward_pair_fills_its_picture_unless_it_is_told_not_to(pair: FramePair) -> None:
     state = VisionState.create(AIRFRAME, SETTINGS)
 
