@@ -170,10 +170,10 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
 def _note_silent(state: PipelineState, batch: ImuBatch) -> None:
     """A node that does not answer TIMESYNC is aligned by the motion that it shares with the root."""
     clock = batch.clock
-    if clock not in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT) or not Alignment.possible(batch.axes):
+    if clock not in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT):
         return
     since_ns = state.unanswered_ns.setdefault(clock, batch.received_host_ns)
-    if batch.received_host_ns - since_ns >= _PATIENCE_NS:
+    if batch.received_host_ns - since_ns >= _PATIENCE_NS and Alignment.possible(batch.axes):
         alignment = state.alignments.setdefault(clock, Alignment(clock))
         alignment.add_node(batch)
         alignment.sensors(state.airframe.sensor(batch.station), state.airframe.root)
@@ -225,7 +225,7 @@ def _together(run: list[ImuBatch]) -> ImuBatch:
 def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecord]:
     state.alignments.pop(reply.clock, None)
     state.unanswered_ns[reply.clock] = reply.received_host_ns
-    before, restarts = state.clocks.state(reply.clock).synced, state.clocks.restarts(reply.clock)
+    before, restarts = state.clocks.synced(reply.clock), state.clocks.restarts(reply.clock)
     after = state.clocks.exchange(reply)
     if state.clocks.restarts(reply.clock) != restarts:  # nothing announced it: the exchanges show it
         state.tracker.restarted(_kept_by(state.airframe, reply.clock))

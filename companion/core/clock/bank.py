@@ -64,6 +64,10 @@ class ClockBank:
             return ClockState(clock, now_host_ns or 0, 0, 0.0, 0, True)
         return self._remote(clock).state(now_host_ns)
 
+    def synced(self, clock: ClockName) -> bool:
+        """Whether stamps of a clock can be converted, as of its last exchange."""
+        return clock in self._identities or self._remote(clock).synced()
+
     def restarts(self, clock: ClockName) -> int:
         """How often a clock was seen to begin anew, announced or found from exchanges that contradict all older."""
         return self._remote(clock).restarts

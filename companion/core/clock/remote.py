@@ -113,8 +113,15 @@ class RemoteClock:
         skew = knot.shrink / (1 - knot.shrink)
         offset = knot.remote_ns - knot.host_ns + round(skew * (now - knot.host_ns))
         bound = self._bound_at_ns(now)
-        synced = self._suspect is None and now <= self._last_host_ns + STALE_NS and bound <= MOST_BOUND_NS
+        synced = now <= self._last_host_ns + STALE_NS and self._known(bound)
         return ClockState(self.clock, now, offset, self._skew * 1e6, bound, synced)
+
+    def synced(self) -> bool:
+        """Whether the clock was known at the last exchange."""
+        return bool(self._mapping) and self._known(self._bound_at_ns(self._last_host_ns))
+
+    def _known(self, bound_ns: int) -> bool:
+        return self._suspect is None and bound_ns <= MOST_BOUND_NS
 
     def _bound_at_ns(self, host_ns: int) -> int:
         return self._mapping.newest().bound_at_ns(host_ns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,36 +50,19 @@ class Forecaster:
         self._layout = layout
         self._modal = layout.antisymmetric.span.stop  # the modes and their loads come first
         self._kept = [index for pair in layout.pairs for index in pair]
-        self._q = np.array([self._kept.index(family.q) for family in layout.families])
-        self._columns, self._places, self._signs = _factors(layout, self._kept)
+        self._places = _places(layout, self._kept)
         self._model: StepModel | None = None
         self._step_ns = 0
         self._ahead = np.empty((len(self._kept), 0, self._modal))
         self._noise = np.empty((len(self._kept), len(self._kept), 0))
         self._slope = np.empty((2, len(self._kept)))
 
-    def run(
-        self, kalman: Kalman, newest_ns: int, static_m: float, body_rate: Floats, horizon_ns: int, step_ns: int
-    ) -> Forecast:
+    def run(self, kalman: Kalman, newest_ns: int, body_rate: Floats, horizon_ns: int, step_ns: int) -> Forecast:
         """Predict from the newest state in steps of ``step_ns`` up to ``horizon_ns``."""
         count = max(int(horizon_ns // step_ns), 1)
         self._prepare(kalman, step_ns, count)
-        rest = np.zeros(self._modal)
-        rest[self._layout.symmetric.q] = static_m
-        outputs = np.zeros((2 + len(self._slope), len(self._kept)))
-        outputs[[0, 1], self._q], outputs[2:] = 1.0, self._slope
-        outputs[2:, self._places] += self._signs * kalman.constants[self._columns]
-        values, spread = _run_ahead(
-            count,
-            self._ahead,
-            self._noise,
-            kalman.state[: self._modal] - rest,
-            rest[self._kept],
-            kalman.covariance_of(self._modal),
-            outputs,
-            self._places,
-            kalman.constants_covariance[self._columns, self._columns],
-        )
+        known = _Known(kalman.columns, kalman.weights, kalman.covariance, kalman.constants_covariance)
+        values, spread = _run_ahead(count, self._ahead, self._noise, self._slope, self._places, known)
         stamps = newest_ns + step_ns * np.arange(1, count + 1, dtype=np.int64)
         return Forecast(stamps, values[0], spread[0], values[1], spread[1], body_rate)
 
@@ -99,55 +83,83 @@ class Forecaster:
         self._model, self._step_ns = model, step_ns
 
 
+class _Known(NamedTuple):
+    """The filter's knowledge: see :class:`companion.core.mode.kalman.Kalman`."""
+
+    columns: Floats
+    weights: Floats
+    covariance: Floats
+    constants_covariance: Floats
+
+
+class _Places(NamedTuple):
+    """Where things are: ``kept`` (m,) of the state, the modal coordinates among these, the static bend's coordinate.
+
+    Of each uncertain slope factor: its constant, the place of its mode's rate, and the sides' signs, (f, 2).
+    """
+
+    kept: Ints
+    q: Ints
+    static: int
+    constant: Ints
+    rate: Ints
+    signs: Floats
+
+
 @compiled
 def _run_ahead(
-    count: int,
-    ahead: Floats,
-    noise: Floats,
-    deviation: Floats,
-    rest: Floats,
-    covariance: Floats,
-    outputs: Floats,
-    places: Ints,
-    variances: Floats,
+    count: int, ahead: Floats, noise: Floats, slope: Floats, places: _Places, known: _Known
 ) -> tuple[Floats, Floats]:
-    """Both pairs of outputs at the first ``count`` instants, (2, k, 2), and their covariances, (2, k, 2, 2).
+    """Modal coordinates and slope rates at the first ``count`` instants, (2, k, 2), and covariances, (2, k, 2, 2).
 
-    ``outputs`` (4, m) are rows on the modal coordinates and rates, which ``ahead`` (m, :, n) gives from the state and
-    ``noise`` (m, m, :) blurs. The second pair is the slope rates: ``variances`` of their factors at ``places`` add.
+    What is kept of the modes follows from the state by ``ahead`` (m, :, n), and is blurred by ``noise`` (m, m, :).
     """
     m, _, n = ahead.shape
-    rows, carried = np.zeros((len(outputs), count, n)), np.zeros((len(outputs), m, count))
-    for i in range(len(outputs)):
+    rest = np.zeros(n)
+    rest[places.static] = known.columns[-1] @ known.weights
+    deviation = known.columns[:n] @ known.weights - rest
+    by_constants = np.ascontiguousarray(known.columns[:n, 1:])
+    covariance = known.covariance[:n, :n] + by_constants @ known.constants_covariance @ by_constants.T
+    outputs = np.zeros((4, m))
+    for side in range(2):
+        outputs[side, places.q[side]] = 1.0
+        outputs[2 + side] = slope[side]
+        for k in range(len(places.rate)):
+            outputs[2 + side, places.rate[k]] += places.signs[k, side] * known.weights[1 + places.constant[k]]
+    rows, carried = np.zeros((4, count, n)), np.zeros((4, m, count))
+    for i in range(4):
         for k in range(m):
             if outputs[i, k] != 0.0:
                 rows[i] += outputs[i, k] * ahead[k, :count]
                 carried[i] += outputs[i, k] * noise[k, :, :count]
-    values, spread = np.empty((2, count, 2)), np.empty((2, count, 2, 2))
+    values, spread, every = np.empty((2, count, 2)), np.empty((2, count, 2, 2)), np.ones(n)
     for pair in range(2):
         for i in range(2):
             first = 2 * pair + i
-            values[pair, :, i] = rows[first] @ deviation + outputs[first] @ rest
+            values[pair, :, i] = rows[first] @ deviation + outputs[first] @ rest[places.kept]
             turned = rows[first] @ covariance
-            for j in range(2):
-                shared = np.sum(turned * rows[2 * pair + j], axis=1)
+            for j in range(i, 2):
+                shared = (turned * rows[2 * pair + j]) @ every
                 for k in range(m):
-                    shared += outputs[2 * pair + j, k] * carried[first, k]
+                    if outputs[2 * pair + j, k] != 0.0:
+                        shared += outputs[2 * pair + j, k] * carried[first, k]
                 spread[pair, :, i, j] = shared
-    for k in range(len(places)):
-        loose = variances[k] * (ahead[places[k], :count] @ deviation + rest[places[k]]) ** 2
-        spread[1, :, 0, 0] += loose
-        spread[1, :, 1, 1] += loose
+                spread[pair, :, j, i] = shared
+    for k in range(len(places.rate)):
+        rate, at = ahead[places.rate[k], :count] @ deviation + rest[places.kept[places.rate[k]]], places.constant[k]
+        spread[1, :, 0, 0] += known.constants_covariance[at, at] * rate**2
+        spread[1, :, 1, 1] += known.constants_covariance[at, at] * rate**2
     return values, spread
 
 
-def _factors(layout: Layout, kept: list[int]) -> tuple[Ints, Ints, Floats]:
-    """Of each uncertain slope factor: its constant, the place of its mode's rate, and the sides' signs, (2, f)."""
+def _places(layout: Layout, kept: list[int]) -> _Places:
     found = []
     for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
         for key, rate in ((f"slope.{name}", family.v), (f"slope.second_{name}", family.v2)):
             column = layout.column(key)
             if column is not None:
                 found.append((column - 1, kept.index(rate), family.sign))
-    columns, places = (np.array([factor[k] for factor in found], dtype=np.int64) for k in (0, 1))
-    return columns, places, np.array([factor[2] for factor in found], dtype=np.float64).reshape(-1, 2).T
+    constant, rate_at = (np.array([factor[k] for factor in found], dtype=np.int64) for k in (0, 1))
+    signs = np.array([factor[2] for factor in found], dtype=np.float64).reshape(-1, 2)
+    q = np.array([kept.index(family.q) for family in layout.families], dtype=np.int64)
+    return _Places(np.array(kept, dtype=np.int64), q, layout.symmetric.q, constant, rate_at, signs)

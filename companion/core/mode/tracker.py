@@ -286,9 +286,7 @@ class WingTracker:
         refusal = self._refusal()
         if refusal is not None:
             return refusal
-        return self._forecaster.run(
-            self._kalman, self._next_ns, self._kalman.static_m, self._rates[-1], horizon_ns, step_ns
-        )
+        return self._forecaster.run(self._kalman, self._next_ns, self._rates[-1], horizon_ns, step_ns)
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:
         """The wing at a past instant, with all that was measured since; causal at the newest instant."""
