@@ -11,7 +11,7 @@ import numpy as np
 from pymavlink import mavutil
 
 from companion.adapters.recordings.reader import McapRecording
-from companion.records import ClockName, ClockState, Floats, ImuBatch, Ints, Station
+from companion.records import ClockName, ClockState, Floats, ImuBatch, Ints, Station, Tick
 from sitl_tests.ardupilot.rail import RATE_HZ
 
 T = TypeVar("T")
@@ -28,6 +28,16 @@ class Tape:
     def of(self, kind: type[T]) -> list[T]:
         """Records of one kind, in order."""
         return [record for record in self.records if isinstance(record, kind)]
+
+    def made(self, kind: type[T]) -> list[tuple[int, T]]:
+        """Records of one kind with the host time of the tick that made them."""
+        found, at_ns = [], 0
+        for record in self.records:
+            if isinstance(record, Tick):
+                at_ns = record.now_host_ns
+            elif isinstance(record, kind):
+                found.append((at_ns, record))
+        return found
 
     def rate_hz(self, station: Station, from_ns: int, to_ns: int) -> float:
         """Samples a second of one sensor between two host times."""
