@@ -51,6 +51,21 @@ def test_a_repeated_stale_frame_is_refused() -> None:
     assert [drop.reason for drop in dropped] == [Reject.UNPAIRED]
 
 
+def test_a_pair_that_comes_again_is_no_second_pair() -> None:
+    pairer = FramePairer()
+    made = [pairer.add(_frame(side, 2)) for side in (Side.LEFT, Side.RIGHT, Side.LEFT, Side.RIGHT)]
+    assert [len(pairs) for pairs, _ in made] == [0, 1, 0, 0]
+    assert [[drop.reason for drop in dropped] for _, dropped in made[2:]] == [[Reject.UNPAIRED], [Reject.UNPAIRED]]
+
+
+def test_cameras_whose_clock_began_anew_are_paired_again() -> None:
+    pairer = FramePairer()
+    pairer.add(_timed(Side.LEFT, 1, 60_000, -1))
+    made = [pairer.add(_timed(side, 1, 100, -1)) for side in Side]
+    assert [len(pairs) for pairs, _ in made] == [0, 1]
+    assert [drop.at_host_ns for _, dropped in made for drop in dropped] == [60_000_000_000]
+
+
 @st.composite
 def _streams(draw: st.DrawFn) -> tuple[list[tuple[int, Frame]], set[int]]:
     """Frames of two cameras as they arrive, and the shots of which both are there.

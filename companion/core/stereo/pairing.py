@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from companion.records import Frame, FramePair, Reject, Rejected, Side
 
+_FORGET_NS = 2_000_000_000
+
 
 @dataclass(slots=True)
 class FramePairer:
@@ -14,22 +16,26 @@ class FramePairer:
 
     Two frames are partners when their mid-exposures differ by at most ``tolerance_ns`` (less than half the shortest
     time between shots), no other waiting frame is nearer, and they do not name different plans. Frames of one side
-    come in order of exposure. Pairs are numbered from ``next_id``.
+    come in order of exposure; one that comes again is refused, so that a pair cannot be made twice. One that is seconds
+    behind is of a camera whose clock began anew. Pairs are numbered from ``next_id``.
     """
 
     tolerance_ns: int = 8_000_000
     depth: int = 8
     next_id: int = 0
     _waiting: tuple[deque[Frame], deque[Frame]] = field(default_factory=lambda: (deque(), deque()))
+    _newest_ns: list[int] = field(default_factory=lambda: [-(2**62), -(2**62)])
 
     def add(self, frame: Frame) -> tuple[list[FramePair], list[Rejected]]:
         """Take one frame; give the pairs that it completes and the frames that stay without a partner."""
-        own = self._waiting[frame.side]
-        if own and frame.mid_exposure_ns <= own[-1].mid_exposure_ns:
+        own, behind_ns = self._waiting[frame.side], self._newest_ns[frame.side] - frame.mid_exposure_ns
+        if 0 <= behind_ns <= _FORGET_NS:
             return [], [self._lonely(frame)]
+        left_over = [self._lonely(own.popleft()) for _ in range(len(own))] if behind_ns > 0 else []
+        self._newest_ns[frame.side] = frame.mid_exposure_ns
         own.append(frame)
         pairs = self._match()
-        return pairs, self._expire(frame.mid_exposure_ns)
+        return pairs, left_over + self._expire(frame.mid_exposure_ns)
 
     def _match(self) -> list[FramePair]:
         left, right = self._waiting
@@ -65,7 +71,7 @@ class FramePairer:
 
     def _hopeless(self, frame: Frame, other: deque[Frame], newest_ns: int, waiting: int) -> bool:
         passed = bool(other) and other[-1].mid_exposure_ns > frame.mid_exposure_ns + self.tolerance_ns
-        return passed or waiting > self.depth or newest_ns - frame.mid_exposure_ns > 2_000_000_000
+        return passed or waiting > self.depth or newest_ns - frame.mid_exposure_ns > _FORGET_NS
 
     @staticmethod
     def _lonely(frame: Frame) -> Rejected:
