@@ -136,16 +136,15 @@ class SimPx4(SimAutopilot):
     # ------------------------------------------------------------------------------------------ commands
 
     def _command(self, message: Any, tick_ns: int) -> None:
-        if message.command == mavlink.MAV_CMD_DO_DIGICAM_CONTROL:
-            self._one_shot = message.param5 == 1.0
-        if message.command in _UNSUPPORTED:
-            self.commands.append((tick_ns, message.command, message.get_srcComponent()))
-            self._acknowledge(message, mavlink.MAV_RESULT_UNSUPPORTED, tick_ns)
-        elif message.command == mavlink.MAV_CMD_DO_DIGICAM_CONTROL:
-            self.commands.append((tick_ns, message.command, message.get_srcComponent()))
-            self._acknowledge(message, mavlink.MAV_RESULT_ACCEPTED, tick_ns)
-        else:
+        fires = message.command == mavlink.MAV_CMD_DO_DIGICAM_CONTROL
+        if not fires and message.command not in _UNSUPPORTED:
             super()._command(message, tick_ns)
+            return
+        self.commands.append((tick_ns, message.command, message.get_srcComponent()))
+        if fires:
+            self._one_shot = message.param5 == 1.0
+        result = mavlink.MAV_RESULT_ACCEPTED if fires else mavlink.MAV_RESULT_UNSUPPORTED
+        self._acknowledge(message, result, tick_ns)
 
     def _set_interval(self, number: int, interval_us: int, tick_ns: int) -> int:
         """Whatever there is a stream of is granted."""

@@ -138,12 +138,8 @@ class Kalman:
     @property
     def total_covariance(self) -> Floats:
         """Covariance of the state with that of the constants folded in."""
-        return self.covariance_of(self.layout.size)
-
-    def covariance_of(self, count: int) -> Floats:
-        """As :attr:`total_covariance`, of the first ``count`` states."""
-        v = self.columns[:count, 1:]
-        total: Floats = self.covariance[:count, :count] + v @ self.constants_covariance @ v.T
+        v = self.columns[:-1, 1:]
+        total: Floats = self.covariance + v @ self.constants_covariance @ v.T
         return total
 
     @property

@@ -117,12 +117,12 @@ def _parts(values: Floats, square: float, cell: float, reference_hz: float) -> _
 
     ``N = a1 a2 + b1 b2`` where ``a = f0^2 - f^2`` and ``b = 2 zeta f0 f``.
     """
-    first = cell * load_density(values, square, reference_hz)
-    other = first * _ratio(values, reference_hz)
+    first, ratio = cell * load_density(values, square, reference_hz), _ratio(values, reference_hz)
+    other = first * ratio
     apart, apart_2 = values[FREQUENCY] ** 2 - square, values[FREQUENCY_2] ** 2 - square
     size = square / (apart**2 + _resisted(values, DAMPING, DAMPING, square))
     size_2 = square / (apart_2**2 + _resisted(values, DAMPING_2, DAMPING_2, square))
-    common = 2.0 * first * np.sqrt(_ratio(values, reference_hz)) * size * size_2
+    common = 2.0 * first * np.sqrt(ratio) * size * size_2
     joint = common * (apart * apart_2 + _resisted(values, DAMPING, DAMPING_2, square))
     return first * size * square, other * size_2 * square, joint, common
 
