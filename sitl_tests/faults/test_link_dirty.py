@@ -135,6 +135,7 @@ def test_a_value_that_is_not_a_number_never_passes(loopback: Loopback) -> None:
     assert {record.reason for record in refused} == {Reject.NOT_FINITE}
 
 
+@pytest.mark.slow
 def test_time_is_kept_through_a_reboot_of_the_vehicle(loopback: Loopback) -> None:
     records: list[Record] = []
     for boot_ns in (90 * 10**9, 3 * 10**9):

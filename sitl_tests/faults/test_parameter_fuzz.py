@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -21,6 +22,7 @@ NAMES = ("FILE_TRANSFER_PROTOCOL", *KINDS)
 ROWS = list(tunables())
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(st.lists(st.tuples(st.sampled_from(NAMES), st.binary(max_size=255), st.booleans()), max_size=40))
 def test_no_bytes_break_our_component(messages: list[tuple[str, bytes, bool]]) -> None:

@@ -251,6 +251,7 @@ def _flood(air: Air, components: range) -> int:
     return sum(trace.size for trace in seen.traces)
 
 
+@pytest.mark.slow
 def test_many_invented_stations_take_no_memory_and_do_not_stop_the_real_one() -> None:
     station = Station()
     air = Air(station)

@@ -199,6 +199,7 @@ def test_timesync_answers_are_causal_and_on_the_right_clock(flight: Flight) -> N
             assert clock.from_boot(asked_ns) <= message.tc1 <= clock.from_boot(arrival_ns)
 
 
+@pytest.mark.slow
 def test_the_autopilot_asks_for_the_time_itself(flight: Flight) -> None:
     peer = Peer(flight)
     peer.run(11.5)
@@ -349,6 +350,7 @@ def test_image_capture_raises_the_line_and_is_fed_back_for_both_cameras(flight: 
 # ------------------------------------------------------------------------------------------ faults
 
 
+@pytest.mark.slow
 def test_loss_duplicates_and_reordering_have_their_share(flight: Flight) -> None:
     clean, lossy = Peer(flight), Peer(flight, faults=Faults(loss=0.2, duplicate=0.1, jitter_s=0.02, reorder=True))
     clean.run(4.0)

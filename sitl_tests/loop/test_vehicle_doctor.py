@@ -162,6 +162,7 @@ def test_a_parameter_that_the_vehicle_does_not_take_is_said(flight: Flight) -> N
     assert "did not take" in said[0]
 
 
+@pytest.mark.slow
 def test_a_silent_node_a_stopped_one_and_a_dead_vehicle(flight: Flight) -> None:
     findings = Ward(flight, faults=Faults(silences=((200, 0.0, 99.0),))).listen()
     text = " ".join(wrong(findings))

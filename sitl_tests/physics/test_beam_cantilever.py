@@ -126,6 +126,7 @@ def test_rayleigh_quotient_of_each_shape_is_its_frequency() -> None:
         assert math.sqrt(strain / mode.modal_mass_ratio()) == pytest.approx(mode.omega_radps, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_shaken_root_drives_all_modes_with_the_whole_mass() -> None:
     # sum over all modes of (participation)^2 modal mass is the total moving mass; the n-th carries 1/n^2 of it, so that
     # what n modes leave falls with 1/n and twice the sum of 2n less that of n is the whole but for 1/n^2

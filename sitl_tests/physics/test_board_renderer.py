@@ -30,6 +30,7 @@ def _true_pixels(rig: Rig, side: Side, board: Board, held: Held) -> np.ndarray:
     return camera.project(camera.rest, body)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["chessboard", "charuco"])
 def test_corners_are_where_the_true_rig_projects_them(kind: str) -> None:
     """Bent lenses, turned mounts, both cameras: no bias beyond a hundredth of a pixel, scatter of a few."""

@@ -32,6 +32,7 @@ def test_the_driven_wing_swings_as_wide_as_it_should() -> None:
         assert 0.5 * (q.max() - q.min()) == pytest.approx(wanted, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_shaken_clamp_is_felt_at_the_root() -> None:
     """The path's acceleration and the load factor that drives the wing are one."""
     setup = Setup(load_airframe("paper-beam"), Drive.SHAKER_NOISE, 0.0004, 1.5, seed=2, duration_s=3.0)

@@ -15,6 +15,7 @@ from companion.params.files import load_airframe
 RATE = modal_peaks.RATE_HZ
 
 
+@pytest.mark.slow
 def test_fig_4_has_the_tip_slope_of_the_cantilever_with_that_tip_mass() -> None:
     # Y = (cosh - cos) - r (sinh - sin) with x = beta*l and zero moment at the tip
     mu = 0.0365 / (2700 * 0.0507 * 0.001 * 0.1115)
@@ -68,6 +69,7 @@ def test_the_measured_wing_bends_alike_on_both_sides() -> None:
     assert np.all(root < 0)  # free-free: the middle moves against the tips
 
 
+@pytest.mark.slow
 def test_the_random_drive_shows_the_first_mode_alone() -> None:
     airframe = load_airframe("paper-beam")
     response = shaken_boom.respond(shaken_boom.shake(airframe, seed=5))
@@ -82,6 +84,7 @@ def test_the_random_drive_shows_the_first_mode_alone() -> None:
     assert response.gain[at] == pytest.approx(closed, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_measured_transfer_function_is_the_closed_form_one() -> None:
     """Within the scatter of 100 averages, away from the peak; the window blunts the peak itself."""
     response = shaken_boom.respond(shaken_boom.shake(load_airframe("paper-beam"), seed=6))
@@ -113,6 +116,7 @@ def base_participation(mode: BeamMode) -> float:
     return float(moved / (per_length * np.trapezoid(shape**2, station) + tip))
 
 
+@pytest.mark.slow
 def test_without_the_measured_wing_the_figures_say_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SPANWISE_DATA", str(tmp_path))
     section = wing_shapes.section()

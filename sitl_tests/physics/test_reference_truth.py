@@ -145,6 +145,7 @@ def test_a_late_stamp_shows_the_past() -> None:
     assert late[1:] == pytest.approx(between, abs=0.02 * np.abs(sharp).max())
 
 
+@pytest.mark.slow
 def test_noise_has_its_density_and_its_bias_its_prior() -> None:
     truth = still(spec(duration_s=2.0))  # the bias takes 1000 s to move, and 80,000 samples tell white noise to 0.3 %
     values = np.concatenate([samples(simulate(truth, (seed,)))[2] for seed in range(40)])

@@ -101,6 +101,7 @@ def _distances(*distances_m: float, between: tuple[float, ...]) -> list[object]:
     return [*distances_m, *(pytest.param(distance_m, marks=pytest.mark.slow) for distance_m in between)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance_m", _distances(4.0, 20.0, 100.0, between=(6.0, 10.0, 40.0, 60.0)))
 def test_nadir_disparity_with_true_extrinsics_is_unbiased_to_a_hundredth_of_a_pixel(distance_m: float) -> None:
     found = [
@@ -129,6 +130,7 @@ def test_forward_disparity_on_a_board_is_unbiased_too(distance_m: float) -> None
     assert np.all(np.abs(shifts.mean(axis=0)) < 0.01)
 
 
+@pytest.mark.slow
 def test_there_is_no_pixel_locking() -> None:
     """Shifts by tenths of a pixel are found as tenths of a pixel: no pull toward whole or half ones."""
     scene, distance = ground_scene(7), 20.0
@@ -158,6 +160,7 @@ def test_a_point_of_the_world_looks_alike_from_far_apart() -> None:
     assert np.sqrt(np.mean(shifts**2)) < 0.05
 
 
+@pytest.mark.slow
 def test_lens_distortion_is_the_rigs() -> None:
     bent = _with_cameras(NADIR, distortion=(-0.25, 0.08, 0.001, -0.0015, 0.01))
     shifts = _pair_shifts(bent, Path(30.0, 22.0, trim_m=0.0149), ground_scene(4), 4)

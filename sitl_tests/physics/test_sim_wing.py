@@ -55,6 +55,7 @@ def peaks(path: np.ndarray, step_s: float) -> tuple[np.ndarray, np.ndarray]:
     return (middle + shift) * step_s, b - (a - c) * shift / 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", [None, 0.0])
 def test_free_decay_rings_at_the_damped_frequency_with_the_log_decrement(wing: Wing, kappa: float | None) -> None:
     model = WingModel(wing) if kappa is None else stiffening(wing, kappa)
@@ -108,6 +109,7 @@ def test_modal_rms_is_the_integral_over_the_resonance(spectrum: LoadSpectrum) ->
     assert modal_rms(spectrum, 5.0, ZETA) == pytest.approx(math.sqrt(variance), rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corners", [(0.0, 0.0), (2.0, 8.0), (5.0, 20.0)])
 def test_a_drawn_gust_moves_the_mode_by_its_rms(wing: Wing, corners: tuple[float, float]) -> None:
     spectrum = pole_spectrum(corners)

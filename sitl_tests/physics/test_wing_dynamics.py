@@ -46,6 +46,7 @@ def test_a_steady_pull_up_bends_by_the_bend_per_g() -> None:
     assert path[-1, 0] == pytest.approx(0.015 + 2.0 * 0.015, abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", [1500.0, -800.0])
 def test_a_cubic_spring_rings_higher_by_three_eighths_kappa_a_squared(kappa: float) -> None:
     amplitude = 0.008
@@ -58,6 +59,7 @@ def test_a_cubic_spring_rings_higher_by_three_eighths_kappa_a_squared(kappa: flo
     assert frequency / F - 1.0 == pytest.approx(shift, rel=0.06)  # next term is of order shift squared
 
 
+@pytest.mark.slow
 def test_an_undamped_cubic_wing_keeps_its_energy() -> None:
     kappa = 1500.0
     path = _fly(WingModel(_wing(0.0), (CubicStiffness(kappa),)), np.array([0.025, -0.006]), np.linspace(0.0, 2.0, 400))

@@ -99,6 +99,7 @@ def _phase(t_s: np.ndarray, z: np.ndarray, start_s: float, frequency_hz: float) 
     return float(np.arctan2(-sine, cosine))
 
 
+@pytest.mark.slow
 @needs_recordings
 def test_a_converted_flight_is_the_same_flight(tmp_path: Path) -> None:
     source = open_recording(RECORDINGS / "flight_clean.tlog", AIRFRAME)

@@ -105,6 +105,7 @@ def test_residues_of_a_sum_of_modes_are_found_with_close_neighbours() -> None:
     assert np.allclose(residues(omega / 2 / np.pi, response[np.newaxis], poles), true, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_symmetric_and_antisymmetric_modes_are_told_apart() -> None:
     points = _points()
     likeness = [symmetry(mode, points) for mode in _clean()]

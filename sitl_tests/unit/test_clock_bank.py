@@ -14,6 +14,7 @@ from companion.records import ClockName, ClockRestart, Reject, TimesyncReply
 from sitl_tests.unit.clock_link import MS, NODE, Link, S, fly
 
 
+@pytest.mark.slow
 def test_the_bound_is_honest_and_narrow_on_a_bad_link() -> None:
     """20 % loss each way, 0-30 ms jitter each way, 10 ms/min of skew; pooled, as one lucky round trip is a lottery."""
     flights = [fly(ClockBank(), Link(seed), duration_s=60) for seed in range(10)]
@@ -99,6 +100,7 @@ def _swing_ns(bank: ClockBank, link: Link) -> int:
     return int(np.ptp(error))
 
 
+@pytest.mark.slow
 def test_a_clock_that_was_known_well_does_not_drift_after_its_restart() -> None:
     """Who has learned the constant error of its stamps meets one: less than half the swing of a first start."""
     first, again = [], []
@@ -168,6 +170,7 @@ def test_a_clock_that_advances_in_steps_still_has_an_honest_bound() -> None:
     assert np.mean(inside) >= 0.999
 
 
+@pytest.mark.slow
 def test_a_clock_that_stands_now_and_then_seldom_fools_the_bound() -> None:
     """A simulated autopilot starved by its machine: once a second its clock stands for 2 to 10 ms, then catches up.
 

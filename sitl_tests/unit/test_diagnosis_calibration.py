@@ -60,6 +60,7 @@ def test_a_swelling_reading_scatters_by_the_root_of_two(name: str) -> None:
     assert scatter([model], found.found, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
 
 
+@pytest.mark.slow
 def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chance() -> None:
     names = ("accel-cubic", "clock-skew")
     strengths = {name: [] for name in names}  # type: ignore[var-annotated]
@@ -106,6 +107,7 @@ def test_a_fit_begins_anywhere() -> None:
     assert (np.abs(from_far.values - right.values - shift) < 0.3 * sigma + 0.01).all()
 
 
+@pytest.mark.slow
 def test_two_lines_that_were_never_there_together_are_no_two_modes() -> None:
     """The lower part of the spectrum in the first half, the upper in the second: on average as the model says."""
     plain = drawn(5)

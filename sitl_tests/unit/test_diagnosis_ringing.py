@@ -78,6 +78,7 @@ def test_a_step_of_the_filter_is_the_exact_one(zeta: float) -> None:
         assert steps.variance[t, 0] == pytest.approx(spread[1, 1] / step_s**2 + 1.0)
 
 
+@pytest.mark.slow
 def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
     rng = np.random.default_rng(3)
     modes = Modes(
@@ -97,6 +98,7 @@ def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(st.floats(20.0, 100.0), st.floats(0.005, 0.2), st.integers(0, 1000))
 def test_innovations_of_the_filter_s_own_data_are_white_and_of_unit_size(omega: float, zeta: float, seed: int) -> None:

@@ -151,6 +151,7 @@ def ardupilots_faces_m(message: Any) -> list[float | None]:
     return faces
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.lists(st.one_of(st.none(), st.floats(5.0, 90.0)), min_size=72, max_size=72))
 def test_ardupilot_sees_the_nearest_obstacle_in_every_direction(distances: list[float | None]) -> None:

@@ -57,6 +57,7 @@ def test_a_change_of_trust_goes_out_at_once() -> None:
     assert kinds == [False, True, False, True]
 
 
+@pytest.mark.slow
 @given(
     rows=st.lists(st.tuples(ANY, st.booleans()), min_size=72, max_size=72),
     min_m=ANY,

@@ -42,6 +42,7 @@ def frames() -> list[tuple[int, bytes]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FLIGHT.exists(), reason="recordings/flight.tlog is not here (SPANWISE_DATA)")
 def test_a_recorded_flight_reads_as_pymavlink_reads_it() -> None:
     log = frames()

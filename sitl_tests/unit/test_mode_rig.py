@@ -67,6 +67,7 @@ def _error_rad(answers: list[RigPhase | Reject], q: Floats, v: Floats, lead: int
     return np.angle(np.exp(1j * (said - true)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lead", "most_deg"), [(0, 2.0), (10, 3.5)])
 def test_phase_is_followed_through_a_moving_support(lead: int, most_deg: float) -> None:
     _, q, v = _truth()
@@ -110,6 +111,7 @@ def test_a_later_lead_and_a_later_sensor_are_less_certain() -> None:
     assert np.angle(np.exp(1j * (soon.phase_rad - now.phase_rad - turned))) == pytest.approx(0.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_reads_late_is_made_good_for() -> None:
     """Samples of 3 ms ago, said to be so, give the phase of now."""
     acceleration, q, v = _truth(moving=False)

@@ -139,6 +139,7 @@ def test_the_first_page_says_what_is_worse(results: Results) -> None:
     assert any("boom_1m, seed 7" in finding for finding in page.findings)
 
 
+@pytest.mark.slow
 def test_every_draw_stands_in_the_table(results: Results) -> None:
     draws = {"boom_1m": {6: results.peaks["boom_1m"], 7: results.peaks[EMPTY]}}
     section = own_experiments.section(Results(5, results.outcomes, results.peaks, results.randoms, draws))

@@ -50,6 +50,7 @@ def test_a_restarted_clock_is_no_other_rate() -> None:
     assert settled_on(np.concatenate([np.arange(90.0, 93.0, 0.001), np.arange(0.0, 7.0, 0.001)])) == []
 
 
+@pytest.mark.slow
 def test_a_wrongly_believed_rate_is_told_and_tracked_with() -> None:
     driven = run(inputs(), airframe=WRONG)
     (notice,) = [record for record in driven.of(Notice) if "comes at" in record.text]

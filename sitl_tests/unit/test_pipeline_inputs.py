@@ -58,6 +58,7 @@ def test_a_good_flight_gives_true_ranges() -> None:
     assert all(measured.sigma_m <= 0.03 * measured.range_m for measured in trusted)
 
 
+@pytest.mark.slow
 def test_two_runs_over_the_same_inputs_are_equal(good: Run) -> None:
     again = run(inputs())
     assert [repr(output) for output in again.outputs] == [repr(output) for output in good.outputs]
@@ -80,6 +81,7 @@ def test_without_sync_nothing_is_estimated_and_the_reason_goes_out() -> None:
     assert all(name in status.reason for name in ("boot", "node_left", "node_right"))
 
 
+@pytest.mark.slow
 def test_one_node_without_sync_is_left_out_and_the_heartbeat_says_which() -> None:
     half = run(
         record
@@ -179,6 +181,7 @@ def test_a_stream_that_stops_is_stale_and_no_old_range_stands(stations: tuple[St
     assert "stale" in stopped.of(ServiceStatus)[-1].reason
 
 
+@pytest.mark.slow
 def test_one_tip_alone_goes_on_and_says_so() -> None:
     single = run(without_samples(inputs(), (Station.RIGHT,), since_s=3.5))
     last = single.of(ModeState)[-1]
@@ -210,6 +213,7 @@ def test_shots_that_bring_no_images_are_told_until_one_comes() -> None:
     assert not any(told in notice.text for notice in driven.of(Notice, 4.2))
 
 
+@pytest.mark.slow
 def test_a_changed_parameter_is_in_force_from_that_instant() -> None:
     def changed() -> Iterator[Record]:
         told = False

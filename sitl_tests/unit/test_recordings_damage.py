@@ -60,6 +60,7 @@ def damaged(whole: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WHOLE)
 def test_damaged_files_never_raise_anything_foreign(tmp_path: Path, name: str) -> None:
     rng = np.random.default_rng(20260101)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,6 +20,7 @@ def written(t_s: Floats, decimals: int) -> Floats:
     return np.array([float(f"{value:.{decimals}f}") for value in t_s])
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     rate_hz=st.floats(150.0, 900.0),

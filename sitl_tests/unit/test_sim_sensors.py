@@ -72,6 +72,7 @@ def test_a_truth_has_no_doubt_left(airframe: Airframe) -> None:
     assert actual.left_camera.rotation_sigma_rad == 0.0
 
 
+@pytest.mark.slow
 def test_a_flight_is_determined_by_its_seed(airframe: Airframe, flight: Flight) -> None:
     again, other = build_flight(airframe, 5, 10.0), build_flight(airframe, 6, 10.0)
     assert again.real.actual == flight.real.actual

@@ -62,6 +62,7 @@ def test_matches_are_unbiased_and_their_sigma_is_honest(rig: Rig, airframe: Airf
     assert 0.6 < np.sqrt(np.mean((errors[:, 0] / matches.sigma_px) ** 2)) < 1.3
 
 
+@pytest.mark.slow
 def test_no_pixel_locking_whatever_the_fraction_of_a_pixel(rig: Rig) -> None:
     """Disparities with fractions 0, 1/4, 1/2, 3/4 px: the mean error hardly follows them, unlike bilinear tracking."""
     poses, errors, bilinear = _poses(rig, (0.0, 0.0)), [], []
@@ -125,6 +126,7 @@ def test_a_forward_pair_finds_its_matches_through_roll(airframe: Airframe) -> No
     assert np.abs(errors.mean(axis=0)).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("normal", [(1.0, 0.0, 0.0), (0.8, 0.0, 0.6), (0.8, 0.6, 0.0)])
 def test_roll_and_slant_hardly_move_a_match_across_the_epipolar_line(
     airframe: Airframe, normal: tuple[float, ...]
@@ -145,6 +147,7 @@ def test_a_gust_s_roll_is_read_from_the_coarse_matches(airframe: Airframe) -> No
     assert np.std(errors[:, 1]) < 0.5 * np.std(rigid[:, 1])
 
 
+@pytest.mark.slow
 def test_looking_back_from_a_rolled_image_costs_no_matches(airframe: Airframe) -> None:
     """A pull-up's 100 mrad: the patch that looks back is rolled the other way, or three in four look wrong."""
     rolled, _ = _forward(airframe, (0.05, 0.05), (1.0, 0.0, 0.0))

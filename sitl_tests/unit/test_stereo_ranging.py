@@ -190,6 +190,7 @@ def test_matches_off_the_epipolar_line_are_dropped() -> None:
     assert answer.range.range_m == pytest.approx(60.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_sigma_is_honest_against_noise_bend_and_calibration_together() -> None:
     """Truth drawn from the stated sigmas; the normalised squared error of 300 draws is that of a Gaussian."""
     airframe = nadir(rotation_sigma_rad=2e-4, focal_px=Uncertain(800.0, 0.4))

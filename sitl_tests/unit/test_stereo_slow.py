@@ -88,6 +88,7 @@ def _errors(tilt_rad: float, look: bool, flights: int = 40, pairs: int = 8) -> t
     return np.array(errors), np.array(sigmas)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tilt_rad", "look"), [(0.002, False), (0.01, True), (0.0002, True)])
 def test_the_sigma_of_tilt_only_epipolar_only_and_both_is_honest(tilt_rad: float, look: bool) -> None:
     """Chi-square with 40 degrees of freedom over 40: mean 1, standard deviation 0.22."""
@@ -216,6 +217,7 @@ def test_numbers_that_are_none_change_nothing() -> None:
     assert np.isfinite(told.covariance).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("airframe", [load_airframe("forward-2m"), load_airframe("nadir-2m")], ids=lambda one: one.name)
 def test_no_number_of_pairs_averages_a_steady_hundredth_of_a_pixel_away(airframe: Airframe) -> None:
     """A hundredth of a pixel in the corner of 640 x 480 at 800 px is 0.104 mrad of yaw; a good tracker still helps."""

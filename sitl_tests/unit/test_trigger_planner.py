@@ -378,6 +378,7 @@ class BusyLine(Line):
         return known
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000), hz=st.floats(3.0, 12.0), rate_hz=st.sampled_from([2.0, 3.0, 5.0]))
 @profile(max_examples=40, deadline=None)
 def test_a_busy_machine_does_not_fire_twice_in_a_turn(seed: int, hz: float, rate_hz: float) -> None:

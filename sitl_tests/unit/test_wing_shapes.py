@@ -49,6 +49,7 @@ def test_a_spline_through_noise_is_smoother_than_the_points() -> None:
     assert fit.residual_sigma == pytest.approx(0.01, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["polynomial", "spline"])
 def test_sigma_is_the_spread_of_repeated_measurements(kind: str) -> None:
     generator = np.random.default_rng(11)
