@@ -60,27 +60,36 @@ class Forecaster:
     def run(self, kalman: Kalman, newest_ns: int, body_rate: Floats, horizon_ns: int, step_ns: int) -> Forecast:
         """Predict from the newest state in steps of ``step_ns`` up to ``horizon_ns``."""
         count = max(int(horizon_ns // step_ns), 1)
-        self._prepare(kalman, step_ns, count)
+        if kalman.model is not self._model or step_ns != self._step_ns or count > self._noise.shape[2]:
+            self._prepare(kalman.model, step_ns, count)
         known = _Known(kalman.columns, kalman.weights, kalman.covariance, kalman.constants_covariance)
-        values, spread = _run_ahead(count, self._ahead, self._noise, self._slope, self._places, known)
+        values, spread = _run_ahead(self._ahead, self._noise, self._slope, self._places, known)
         stamps = newest_ns + step_ns * np.arange(1, count + 1, dtype=np.int64)
-        return Forecast(stamps, values[0], spread[0], values[1], spread[1], body_rate)
+        return Forecast(stamps, values[0, :count], spread[0, :count], values[1, :count], spread[1, :count], body_rate)
 
-    def _prepare(self, kalman: Kalman, step_ns: int, count: int) -> None:
-        model, kept = kalman.model, self._kept
-        if model is self._model and step_ns == self._step_ns and count <= self._noise.shape[2]:
-            return
-        transition, noise = modal_propagation(self._layout, model.parameters, step_ns * 1e-9)
-        rows, places = np.eye(self._modal)[kept], np.ix_(kept, kept)
-        self._ahead = np.empty((len(kept), count, self._modal))
-        self._noise = np.empty((len(kept), len(kept), count))
-        covariance = np.zeros_like(noise)
-        for k in range(count):
-            rows = rows @ transition
-            covariance = transition @ covariance @ transition.T + noise
-            self._ahead[:, k], self._noise[:, :, k] = rows, covariance[places]
+    def _prepare(self, model: StepModel, step_ns: int, count: int) -> None:
+        kept, modal = self._kept, slice(0, self._modal)
+        if step_ns * 1e-9 == model.step_s:
+            transition, noise = model.transition[modal, modal], model.noise[modal, modal]
+        else:
+            transition, noise = modal_propagation(self._layout, model.parameters, step_ns * 1e-9)
+        self._ahead, self._noise = _powers(
+            np.ascontiguousarray(transition), np.ascontiguousarray(noise), self._places.kept, count
+        )
         self._slope[:, ::2], self._slope[:, 1::2] = 0.0, model.slope[:, kept[::2]]
         self._model, self._step_ns = model, step_ns
+
+
+@compiled
+def _powers(transition: Floats, noise: Floats, kept: Ints, count: int) -> tuple[Floats, Floats]:
+    """``E A^k``, (m, count, n), and ``E W_k E^T``, (m, m, count), where ``E`` picks what is kept."""
+    ahead, blurred = np.empty((len(kept), count, len(noise))), np.empty((len(kept), len(kept), count))
+    rows, covariance = np.eye(len(noise))[kept], np.zeros_like(noise)
+    for k in range(count):
+        rows = rows @ transition
+        covariance = transition @ covariance @ transition.T + noise
+        ahead[:, k], blurred[:, :, k] = rows, covariance[kept][:, kept]
+    return ahead, blurred
 
 
 class _Known(NamedTuple):
@@ -107,49 +116,49 @@ class _Places(NamedTuple):
 
 
 @compiled
-def _run_ahead(
-    count: int, ahead: Floats, noise: Floats, slope: Floats, places: _Places, known: _Known
-) -> tuple[Floats, Floats]:
-    """Modal coordinates and slope rates at the first ``count`` instants, (2, k, 2), and covariances, (2, k, 2, 2).
+def _run_ahead(ahead: Floats, noise: Floats, slope: Floats, places: _Places, known: _Known) -> tuple[Floats, Floats]:
+    """Modal coordinates and slope rates at all instants, (2, k, 2), and covariances, (2, k, 2, 2).
 
-    What is kept of the modes follows from the state by ``ahead`` (m, :, n), and is blurred by ``noise`` (m, m, :).
+    What is kept of the modes follows from the state by ``ahead`` (m, k, n), and is blurred by ``noise`` (m, m, k).
     """
-    m, _, n = ahead.shape
+    m, count, n = ahead.shape
     rest = np.zeros(n)
     rest[places.static] = known.columns[-1] @ known.weights
     deviation = known.columns[:n] @ known.weights - rest
     by_constants = np.ascontiguousarray(known.columns[:n, 1:])
     covariance = known.covariance[:n, :n] + by_constants @ known.constants_covariance @ by_constants.T
-    outputs = np.zeros((4, m))
+    outputs = _outputs(slope, places, known.weights)
+    rows = (outputs @ ahead.reshape(m, -1)).reshape(-1, n)
+    turned, moved = (rows @ covariance).reshape(4, count, n), (rows @ deviation).reshape(4, count)
+    carried, every = (outputs @ noise.reshape(m, -1)).reshape(4, m, count), np.ones(n)
+    rows_of, still = rows.reshape(4, count, n), outputs @ rest[places.kept]
+    values, spread = np.empty((2, count, 2)), np.empty((2, count, 2, 2))
+    for pair in range(2):
+        for i in range(2):
+            one = 2 * pair + i
+            values[pair, :, i] = moved[one] + still[one]
+            for j in range(i, 2):
+                other = 2 * pair + j
+                shared = (turned[one] * rows_of[other]) @ every + outputs[other] @ carried[one]
+                spread[pair, :, i, j] = shared
+                spread[pair, :, j, i] = shared
+    for k in range(len(places.rate)):
+        rate, at = ahead[places.rate[k]] @ deviation + rest[places.kept[places.rate[k]]], places.constant[k]
+        spread[1, :, 0, 0] += known.constants_covariance[at, at] * rate**2
+        spread[1, :, 1, 1] += known.constants_covariance[at, at] * rate**2
+    return values, spread
+
+
+@compiled
+def _outputs(slope: Floats, places: _Places, weights: Floats) -> Floats:
+    """Both modal coordinates, then both slope rates by the slope factors as known now, of what is kept, (4, m)."""
+    outputs = np.zeros((4, slope.shape[1]))
     for side in range(2):
         outputs[side, places.q[side]] = 1.0
         outputs[2 + side] = slope[side]
         for k in range(len(places.rate)):
-            outputs[2 + side, places.rate[k]] += places.signs[k, side] * known.weights[1 + places.constant[k]]
-    rows, carried = np.zeros((4, count, n)), np.zeros((4, m, count))
-    for i in range(4):
-        for k in range(m):
-            if outputs[i, k] != 0.0:
-                rows[i] += outputs[i, k] * ahead[k, :count]
-                carried[i] += outputs[i, k] * noise[k, :, :count]
-    values, spread, every = np.empty((2, count, 2)), np.empty((2, count, 2, 2)), np.ones(n)
-    for pair in range(2):
-        for i in range(2):
-            first = 2 * pair + i
-            values[pair, :, i] = rows[first] @ deviation + outputs[first] @ rest[places.kept]
-            turned = rows[first] @ covariance
-            for j in range(i, 2):
-                shared = (turned * rows[2 * pair + j]) @ every
-                for k in range(m):
-                    if outputs[2 * pair + j, k] != 0.0:
-                        shared += outputs[2 * pair + j, k] * carried[first, k]
-                spread[pair, :, i, j] = shared
-                spread[pair, :, j, i] = shared
-    for k in range(len(places.rate)):
-        rate, at = ahead[places.rate[k], :count] @ deviation + rest[places.kept[places.rate[k]]], places.constant[k]
-        spread[1, :, 0, 0] += known.constants_covariance[at, at] * rate**2
-        spread[1, :, 1, 1] += known.constants_covariance[at, at] * rate**2
-    return values, spread
+            outputs[2 + side, places.rate[k]] += places.signs[k, side] * weights[1 + places.constant[k]]
+    return outputs
 
 
 def _places(layout: Layout, kept: list[int]) -> _Places:

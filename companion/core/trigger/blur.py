@@ -11,6 +11,7 @@ linear in the tip's slope rate, so blur^2 is a quadratic of the forecast and its
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,9 +51,12 @@ class BlurForecast:
         Left and right image motion along x, y and roll; blur is its length. px, of one exposure.
     motion_per_rate : (2, 3) float64
         What a slope rate of 1 rad/s adds to it.
-    rate_radps, acceleration_radps2 : (n, 2) float64
-        Slope rate at each side's exposure, and its derivative.
-    rate_covariance, acceleration_covariance : (n, 2, 2) float64
+    acceleration_radps2 : (n, 2) float64
+        Derivative of each side's slope rate.
+    rate_covariance, q_covariance : (n, 2, 2) float64
+        Of both slope rates, and of both modal coordinates.
+    spring : (2, 2) float64
+        Slope acceleration of both tips per metre of either coordinate.
     rms_px : (n, 2) float64
         Expected rms blur, with the uncertainty of rate and exposure time, and the motion within the exposure.
     """
@@ -60,10 +64,10 @@ class BlurForecast:
     t_host_ns: Ints
     motion: Floats
     motion_per_rate: Floats
-    rate_radps: Floats
     acceleration_radps2: Floats
     rate_covariance: Floats
-    acceleration_covariance: Floats
+    q_covariance: Floats
+    spring: Floats
     rms_px: Floats
 
 
@@ -71,45 +75,32 @@ class BlurModel:
     """The cameras of one airframe, as far as blur goes; without cameras, slope rate alone counts (and blur is 0 px)."""
 
     def __init__(self, airframe: Airframe) -> None:
-        self._eyes: _Eyes | None = None
         self._spring = _spring(airframe)
         left, right = airframe.left_camera, airframe.right_camera
-        if left is not None and right is not None:
-            self._eyes = _eyes(airframe, (left, right))
+        self._eyes = _blind() if left is None or right is None else _eyes(airframe, (left, right))
 
     def predict(self, forecast: Forecast, latency: LatencyModel, motion: Motion) -> BlurForecast:
         """Predict the blur at every instant of the forecast."""
         step_s = float(forecast.t_host_ns[1] - forecast.t_host_ns[0]) * 1e-9
-        rigid, per_rate, exposure_s = self._linear(forecast.body_rate_radps, motion)
-        shifts_s, sigmas_s = np.array(latency.shifts_ns()) * 1e-9, np.array(latency.sigmas_ns()) * 1e-9
+        nearness = 1.0 / motion.range_m if motion.range_m > 0 else 0.0
         rates, covariance = forecast.slope_rate_radps, forecast.slope_rate_covariance
-        image, rate, acceleration, rms = _smeared(
-            rates, covariance, step_s, shifts_s, sigmas_s, rigid, per_rate, exposure_s
+        rigid = (forecast.body_rate_radps, motion.velocity_body_mps, nearness)
+        image, per_rate, acceleration, rms = _smeared(
+            self._eyes, rates, covariance, step_s, latency.shifts_ns(), latency.sigmas_ns(), *rigid
         )
         return BlurForecast(
             t_host_ns=forecast.t_host_ns,
             motion=image,
             motion_per_rate=per_rate,
-            rate_radps=rate,
             acceleration_radps2=acceleration,
             rate_covariance=covariance,
-            acceleration_covariance=_turned(self._spring, forecast.q_covariance),
-            rms_px=rms if self._eyes else np.zeros_like(rms),
+            q_covariance=forecast.q_covariance,
+            spring=self._spring,
+            rms_px=rms,
         )
 
-    def _linear(self, body_rate_radps: Floats, motion: Motion) -> tuple[Floats, Floats, Floats]:
-        """Give the image motion of the rigid aircraft (2, 3) and per slope rate (2, 3), and the exposures (2,)."""
-        eyes = self._eyes
-        if eyes is None:
-            return np.zeros((2, 3)), np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.zeros(2)
-        nearness = 1.0 / motion.range_m if motion.range_m > 0 else 0.0
-        rigid = eyes.by_rate @ body_rate_radps
-        rigid += nearness * (eyes.by_velocity @ motion.velocity_body_mps + eyes.by_lever @ body_rate_radps)
-        return rigid, eyes.by_slope + nearness * eyes.by_lift, eyes.exposure_s
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Eyes:
+class _Eyes(NamedTuple):
     """Image motion of both cameras, (2, 3) of one exposure in px, as linear maps.
 
     ``by_rate`` of the body rate; ``by_velocity`` of the velocity and ``by_lever`` of the body rate through the camera's
@@ -122,6 +113,14 @@ class _Eyes:
     by_slope: Floats
     by_lift: Floats
     exposure_s: Floats
+    px: float
+
+
+def _blind() -> _Eyes:
+    """Stand-in for no cameras."""
+    slope = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    still = np.zeros((2, 3, 3))
+    return _Eyes(still, still, still, slope, np.zeros((2, 3)), np.zeros(2), px=0.0)
 
 
 def _eyes(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _Eyes:
@@ -139,7 +138,8 @@ def _eyes(airframe: Airframe, cameras: tuple[Camera, Camera]) -> _Eyes:
         slopes.append(turns[-1] @ mounted.turn_rad(1.0, bend.twist_factor_radpm.value / factor))
         lifts.append(shifts[-1] @ np.array([0.0, 0.0, -camera.lift_gain / factor]))
     exposure_s = np.array([camera.exposure_s for camera in cameras])
-    return _Eyes(np.array(turns), np.array(shifts), np.array(levers), np.array(slopes), np.array(lifts), exposure_s)
+    by_rate, by_velocity, by_lever = np.array(turns), np.array(shifts), np.array(levers)
+    return _Eyes(by_rate, by_velocity, by_lever, np.array(slopes), np.array(lifts), exposure_s, px=1.0)
 
 
 def _spring(airframe: Airframe) -> Floats:
@@ -158,39 +158,31 @@ def _cross(vector: Floats) -> Floats:
 
 @compiled
 def _smeared(
+    eyes: _Eyes,
     rates: Floats,
     covariance: Floats,
     step_s: float,
-    shifts_s: Floats,
-    sigmas_s: Floats,
-    rigid: Floats,
-    per_rate: Floats,
-    exposure_s: Floats,
+    shifts_ns: tuple[float, float],
+    sigmas_ns: tuple[float, float],
+    body_rate_radps: Floats,
+    velocity_mps: Floats,
+    nearness: float,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Image motion, slope rates at the exposures, slope accelerations and expected rms blur over the instants."""
-    acceleration = _derivative(rates, step_s)
-    rate = rates + acceleration * shifts_s
-    timing = sigmas_s**2 + exposure_s**2 / 12.0
+    """Image motion, what a slope rate adds to it, slope accelerations and expected rms blur over the instants."""
+    acceleration, per_rate = _derivative(rates, step_s), eyes.by_slope + nearness * eyes.by_lift
     image, rms = np.empty((len(rates), 2, 3)), np.empty((len(rates), 2))
     for side in range(2):
-        square = (covariance[:, side, side] + acceleration[:, side] ** 2 * timing[side]) * np.sum(per_rate[side] ** 2)
+        rigid = eyes.by_rate[side] @ body_rate_radps
+        rigid += nearness * (eyes.by_velocity[side] @ velocity_mps + eyes.by_lever[side] @ body_rate_radps)
+        timing = (sigmas_ns[side] * 1e-9) ** 2 + eyes.exposure_s[side] ** 2 / 12.0
+        rate = rates[:, side] + acceleration[:, side] * (shifts_ns[side] * 1e-9)
+        square = (covariance[:, side, side] + acceleration[:, side] ** 2 * timing) * np.sum(per_rate[side] ** 2)
         for axis in range(3):
-            image[:, side, axis] = rigid[side, axis] + per_rate[side, axis] * rate[:, side]
-            square += image[:, side, axis] ** 2
-        rms[:, side] = np.sqrt(square)
-    return image, rate, acceleration, rms
-
-
-@compiled
-def _turned(turn: Floats, covariance: Floats) -> Floats:
-    """``turn C turn^T`` of every instant, (n, 2, 2)."""
-    out = np.zeros_like(covariance)
-    for i in range(2):
-        for j in range(2):
-            for k in range(2):
-                for m in range(2):
-                    out[:, i, j] += turn[i, k] * turn[j, m] * covariance[:, k, m]
-    return out
+            moved = rigid[axis] + per_rate[side, axis] * rate
+            image[:, side, axis] = moved
+            square += moved**2
+        rms[:, side] = eyes.px * np.sqrt(square)
+    return image, per_rate, acceleration, rms
 
 
 @compiled

@@ -30,17 +30,18 @@ class StillInstant:
 
 def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[StillInstant]:
     """Find the local minima of the predicted blur, in order of time, those before ``from_host_ns`` left out."""
+    first_ns = int(blur.t_host_ns[0])
     found = _minima(
-        blur.t_host_ns - blur.t_host_ns[0],
-        from_host_ns - int(blur.t_host_ns[0]),
+        blur.t_host_ns,
+        from_host_ns,
         blur.motion,
         blur.motion_per_rate,
         blur.acceleration_radps2,
         blur.rate_covariance,
-        blur.acceleration_covariance,
+        blur.q_covariance,
+        blur.spring,
         blur.rms_px,
     )
-    first_ns = int(blur.t_host_ns[0])
     return [StillInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in found.tolist()]
 
 
@@ -59,7 +60,8 @@ def _minima(
     per_rate: Floats,
     acceleration: Floats,
     rate_covariance: Floats,
-    acceleration_covariance: Floats,
+    q_covariance: Floats,
+    spring: Floats,
     rms_px: Floats,
 ) -> Floats:
     """Time and its sigma, in ns, and rms blur of each minimum, (m, 3); times count from the first instant."""
@@ -74,11 +76,9 @@ def _minima(
             bend = energy[i - 1] - 2.0 * energy[i] + energy[i + 1]
             share = 0.5 * (energy[i - 1] - energy[i + 1]) / bend
             middle = motion[i] + share * (motion[i + 1] - motion[i - 1]) / 2.0
-            variance = _slope_variance(
-                middle, per_rate, acceleration[i], rate_covariance[i], acceleration_covariance[i]
-            )
+            variance = _slope_variance(middle, per_rate, acceleration[i], rate_covariance[i], q_covariance[i], spring)
             sigma_ns = np.sqrt(variance) / (bend / (step_ns * 1e-9) ** 2) * 1e9
-            found[count, 0] = t_ns[i] + share * step_ns
+            found[count, 0] = t_ns[i] - t_ns[0] + share * step_ns
             found[count, 1] = min(sigma_ns, _WORST_SIGMA_NS)
             found[count, 2] = _between(rms_px[i - 1] ** 2, rms_px[i] ** 2, rms_px[i + 1] ** 2, share)
             count += 1
@@ -94,14 +94,19 @@ def _between(before: Floats, at: Floats, after: Floats, share: float) -> float:
 
 @compiled
 def _slope_variance(
-    motion: Floats, per_rate: Floats, acceleration: Floats, rate_covariance: Floats, acceleration_covariance: Floats
+    motion: Floats,
+    per_rate: Floats,
+    acceleration: Floats,
+    rate_covariance: Floats,
+    q_covariance: Floats,
+    spring: Floats,
 ) -> float:
     """Variance of dJ/dt = sum of 2 (motion . per_rate) x' at the minimum, from those of x and x'."""
     by_rate = 2.0 * np.sum(per_rate**2, axis=1) * acceleration
-    by_acceleration = 2.0 * np.sum(motion * per_rate, axis=1)
+    by_q = 2.0 * np.sum(motion * per_rate, axis=1) @ spring
     variance = 0.0
     for i in range(2):
         for j in range(2):
             variance += by_rate[i] * by_rate[j] * rate_covariance[i, j]
-            variance += by_acceleration[i] * by_acceleration[j] * acceleration_covariance[i, j]
+            variance += by_q[i] * by_q[j] * q_covariance[i, j]
     return variance
