@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
+from companion.diagnosis.astray import astray
 from companion.diagnosis.directions import judge_directions
 from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.fit import Fit
@@ -36,6 +37,8 @@ _AROUND = 1.35
 _SWINGS = 3
 LIMIT = 5.0
 """Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights."""
+LIMIT_OF_NAMES = 4.2
+"""The same where names were given: something is wrong then, and what remains speaks against the names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +47,12 @@ class Check:
 
     name: str
     z: float
+    limit: float = LIMIT
 
     @property
     def passed(self) -> bool:
         """Whether it may be chance."""
-        return abs(self.z) < LIMIT
+        return abs(self.z) < self.limit
 
 
 def check(models: Sequence[SuperModel], fitted: Fit, seed: int = 20250101) -> list[Check]:
@@ -60,7 +64,9 @@ def check(models: Sequence[SuperModel], fitted: Fit, seed: int = 20250101) -> li
         for name, z in {**tests, **_toe(model, found, rng)}.items():
             if abs(z) > abs(checks.get(name, 0.0)) or name not in checks:
                 checks[name] = z
-    return sorted((Check(name, z) for name, z in checks.items()), key=lambda entry: -abs(entry.z))
+    checks |= astray(models[0].belief, fitted)
+    limit = LIMIT_OF_NAMES if fitted.parts else LIMIT
+    return sorted((Check(name, z, limit) for name, z in checks.items()), key=lambda entry: -abs(entry.z))
 
 
 def _lines(model: SuperModel, found: Expectation) -> dict[str, float]:

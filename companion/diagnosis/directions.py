@@ -1,94 +1,197 @@
 """Where a model may be wrong without anybody having a name for it: generic directions, tested like named effects.
 
-Spectra by band and channel, coherence and phase between the sides, forces and sensors by law, and the toe against what
-it might follow. Each is tested by its efficient score, with everything that was fitted projected out, so its spread is
-the model's own and not a textbook's; each family also as a whole, which sees what is spread thinly.
+Spectra by band and channel, coherence and phase between the sides, peaks anywhere, forces and sensors by law, the toe
+against what it might follow, and its spread likewise. Each is tested by its efficient score, with everything that was
+fitted projected out, so its spread is the model's own and not a textbook's; each family also as a whole, which sees
+what is spread thinly.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, gamma
 
+from companion.core.wing.effect import Effect
 from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.fit import Fit, derivatives
-from companion.diagnosis.latent import laws
+from companion.diagnosis.latent import LatentForce, LatentSense, LatentSpread, LatentToe, unnamed
 from companion.diagnosis.part import Part
+from companion.diagnosis.peaks import peaks
 from companion.diagnosis.scores import Column
 from companion.diagnosis.screen import efficient, normal_of
-from companion.diagnosis.simulated import bends_samples, scatter
+from companion.diagnosis.simulated import scatter
 from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
 _BANDS = 14
 _KNOWN = 1e-3  # share of a direction's information that must be left once the fit is projected out
+_STRAIGHT = 1e-3  # skewness that is none
+
+
+@dataclass(frozen=True, slots=True)
+class _Family:
+    """Directions that belong together.
+
+    ``columns`` by recording; ``skewness`` of each score by chance, and how much ``wider`` it scatters than its column
+    says. Of a family with a ``title`` the whole is tested; one that is ``scanned`` counts with its strongest only,
+    which pays for the looking.
+    """
+
+    names: list[str]
+    columns: list[list[Column]]
+    title: str = ""
+    skewness: Floats | None = None
+    wider: Floats | None = None
+    scanned: bool = False
 
 
 def judge_directions(models: Sequence[SuperModel], fitted: Fit) -> dict[str, float]:
     """Standard deviations of every direction, and of each family as a whole."""
-    names, columns = _spectral(models)
-    families = {"all spectra together": len(names)}
-    more, toe = _toe(models, fitted.found)
-    names += more
-    families["all range residuals together"] = len(names)
-    found = [[*fit, *mine, *his] for fit, mine, his in zip(fitted.columns, columns, toe, strict=True)]
-    known = laws()
-    for _, effect in known:
-        values = np.concatenate([fitted.values, [0.0, effect.law]])  # type: ignore[attr-defined]
-        sigmas = np.concatenate([fitted.sigmas, [effect.parameters()[0].sigma, 1.0]])
-        own = derivatives(models, values, (*fitted.parts, Part(effect)), fitted.found, sigmas, [len(fitted.values)])
-        found = [[*before, *new] for before, new in zip(found, own, strict=True)]
-    names += [name for name, _ in known]
-    families["all laws together"] = len(names)
+    families = [
+        _spectral(models),
+        _anywhere(models, fitted.found),
+        *_laws(models, fitted),
+    ]
+    families = [family for family in families if family.names]
+    found = [
+        [*mine, *itertools.chain.from_iterable(family.columns[k] for family in families)]
+        for k, mine in enumerate(fitted.columns)
+    ]
     score, left = efficient(models, fitted, found)
-    bent = [i for i, (_, effect) in enumerate(known) if bends_samples(effect)]
-    wider = np.ones(len(score))
-    unit = [dataclasses.replace(known[i][1], strength=1e-3) for i in bent]  # type: ignore[call-arg]
-    wider[[len(score) - len(known) + i for i in bent]] = scatter(models, fitted.found, unit)
-    left = left * np.outer(wider, wider)
-    return _strengths(names, families, score, left)
-
-
-def _strengths(names: Sequence[str], families: dict[str, int], score: Floats, left: Floats) -> dict[str, float]:
-    spread = np.diag(left)
-    telling = spread > _KNOWN * np.median(spread[spread > 0.0]) * 1e-6
-    strengths = {name: float(score[i] / np.sqrt(spread[i])) for i, name in enumerate(names) if telling[i]}
-    start = 0
-    for family, stop in families.items():
-        mine = np.arange(start, stop)[telling[start:stop]]
-        start = stop
-        if len(mine) < 2:
-            continue
-        unit = 1.0 / np.sqrt(spread[mine])
-        values, vectors = np.linalg.eigh(left[np.ix_(mine, mine)] * np.outer(unit, unit))
-        kept = values > 1e-3
-        along = vectors[:, kept].T @ (score[mine] * unit)
-        tail = float(chi2.logsf(np.sum(along**2 / values[kept]), int(kept.sum())))
-        strengths[family] = normal_of(tail)
+    strengths: dict[str, float] = {}
+    at = 0
+    for family in families:
+        part = slice(at, at + len(family.names))
+        at = part.stop
+        wider = np.ones(len(family.names)) if family.wider is None else family.wider
+        strengths |= _strengths(family, score[part], left[part, part] * np.outer(wider, wider))
     return strengths
 
 
-def _spectral(models: Sequence[SuperModel]) -> tuple[list[str], list[list[Column]]]:
+def _strengths(family: _Family, score: Floats, left: Floats) -> dict[str, float]:
+    spread = np.diag(left)
+    positive = spread[spread > 0.0]
+    telling = spread > _KNOWN * (float(np.median(positive)) if len(positive) else 0.0) * 1e-6
+    telling &= spread > 0.0
+    z = score / np.sqrt(np.where(telling, spread, 1.0))
+    if family.skewness is not None:
+        z = np.array([straightened(one, skew) for one, skew in zip(z.tolist(), family.skewness.tolist(), strict=True)])
+    mine = np.flatnonzero(telling)
+    if family.scanned:
+        return _best(family, z, mine)
+    strengths = {family.names[i]: float(z[i]) for i in mine}
+    if family.title and len(mine) > 1:
+        strengths[family.title] = _together(score[mine], left[np.ix_(mine, mine)])
+    return strengths
+
+
+def _best(family: _Family, z: Floats, mine: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> dict[str, float]:
+    if not len(mine):
+        return {}
+    best = int(mine[np.argmax(np.abs(z[mine]))])
+    paid = normal_of(min(_log_tail(abs(float(z[best]))) + math.log(len(mine)), 0.0))
+    return {family.names[best]: math.copysign(paid, float(z[best]))}
+
+
+def _log_tail(z: float) -> float:
+    """Logarithm of the two-sided tail of a standard normal."""
+    return float(chi2.logsf(z**2, 1))
+
+
+def _together(score: Floats, left: Floats) -> float:
+    unit = 1.0 / np.sqrt(np.diag(left))
+    values, vectors = np.linalg.eigh(left * np.outer(unit, unit))
+    kept = values > 1e-3
+    along = vectors[:, kept].T @ (score * unit)
+    return normal_of(float(chi2.logsf(np.sum(along**2 / values[kept]), int(kept.sum()))))
+
+
+def straightened(z: float, skewness: float) -> float:
+    """Equivalent of a standard normal of a sum of squares: few squares have a longer tail to one side (a gamma's).
+
+    On the other side, where the tail is shorter, it is left as it is.
+    """
+    if z * skewness < _STRAIGHT:
+        return z
+    shape = 4.0 / skewness**2
+    log_tail = float(gamma.logsf(shape + abs(z) * math.sqrt(shape), shape))
+    return math.copysign(normal_of(min(log_tail + math.log(2.0), 0.0)), z)
+
+
+def _laws(models: Sequence[SuperModel], fitted: Fit) -> list[_Family]:
+    """Forces, sensors and ranges by law."""
+    kinds = unnamed()
+    forces = [kind for kind in kinds if issubclass(kind, LatentForce)]
+    sensors = [kind for kind in kinds if issubclass(kind, LatentSense)]
+    toe = [kind for kind in kinds if issubclass(kind, LatentToe)]
+    spread = [kind for kind in kinds if issubclass(kind, LatentSpread)]
+    wider = scatter(models, fitted.found, [kind.from_values({"strength": 1e-3}) for kind in sensors])
+    families = [
+        _family(models, fitted, forces, "all forces together"),
+        dataclasses.replace(_family(models, fitted, sensors, "all sensors together"), wider=wider),
+    ]
+    if any(model.seen.toe is not None for model in models):
+        families.append(_family(models, fitted, toe, "all range residuals together"))
+        growing = _family(models, fitted, spread)
+        families.append(dataclasses.replace(growing, skewness=_skewness(growing, fitted.found)))
+    return families
+
+
+def _family(models: Sequence[SuperModel], fitted: Fit, kinds: Sequence[type[Effect]], title: str = "") -> _Family:
+    columns: list[list[Column]] = [[] for _ in models]
+    for kind in kinds:
+        effect = kind()
+        values = np.append(fitted.values, 0.0)
+        sigmas = np.append(fitted.sigmas, effect.parameters()[0].sigma)
+        own = derivatives(models, values, (*fitted.parts, Part(effect)), fitted.found, sigmas, [len(fitted.values)])
+        columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
+    return _Family([kind.name for kind in kinds], columns, title)
+
+
+def _skewness(family: _Family, found: Sequence[Expectation]) -> Floats:
+    """Of scores of the toe's variance."""
+    cubes, squares = np.zeros(len(family.names)), np.zeros(len(family.names))
+    for mine, one in zip(family.columns, found, strict=True):
+        for i, entry in enumerate(mine):
+            if entry.toe_variance is not None and len(entry.toe_variance):
+                known = entry.toe_variance / np.diag(one.toe_covariance)
+                known = known - np.mean(known)  # how large it is as a whole is fitted
+                cubes[i] += np.sum(known**3)
+                squares[i] += 0.5 * np.sum(known**2)
+    return np.asarray(cubes / np.maximum(squares, 1e-300) ** 1.5)
+
+
+def _anywhere(models: Sequence[SuperModel], found: Sequence[Expectation]) -> _Family:
+    names, columns, skewness = peaks(models, found)
+    return _Family(names, columns, "", skewness, None, True)
+
+
+def _spectral(models: Sequence[SuperModel]) -> _Family:
     """Indicator of a band in each entry of the whitened spectral matrix."""
     names: list[str] = []
+    skewness: list[float] = []
     columns: list[list[Column]] = [[] for _ in models]
     top_hz = max(float(model.band_hz[-1]) for model in models)
     edges = np.geomspace(float(models[0].band_hz[0]), top_hz * 1.0001, _BANDS + 1)
     for low, high in itertools.pairwise(edges.tolist()):
+        bins = sum(model.weight * float(_inside(model, low, high).sum()) for model in models)
         if not any(_inside(model, low, high).sum() > 4 for model in models):
             continue
         for k, what in enumerate(_entries(models[0])):
             names.append(f"{what} near {np.sqrt(low * high):.1f} Hz")
+            skewness.append(2.0 / math.sqrt(bins) if what.endswith("spectrum") else 0.0)
             for model, mine in zip(models, columns, strict=True):
                 inside = _inside(model, low, high).astype(float)
                 packed = np.zeros(len(_entries(model)) * len(inside))
                 packed[k * len(inside) : (k + 1) * len(inside)] = inside
                 mine.append(Column(power=packed))
-    return names, columns
+    return _Family(names, columns, "all spectra together", np.array(skewness))
 
 
 def _inside(model: SuperModel, low: float, high: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
@@ -100,42 +203,3 @@ def _entries(model: SuperModel) -> list[str]:
     return [f"{side} spectrum" for side in sides] + (
         ["left with right", "left before right"] if len(sides) == 2 else []
     )
-
-
-def _toe(models: Sequence[SuperModel], found: Sequence[Expectation]) -> tuple[list[str], list[list[Column]]]:
-    """The toe against what it might follow."""
-    offered = [_followed(model, one) for model, one in zip(models, found, strict=True)]
-    names = sorted({name for entry in offered for name in entry})
-    columns = [
-        [Column(toe=entry.get(name, np.zeros(len(one.toe_residual_rad)))) for name in names]
-        for entry, one in zip(offered, found, strict=True)
-    ]
-    return [f"range residual against {name}" for name in names], columns
-
-
-def _followed(model: SuperModel, found: Expectation) -> dict[str, Floats]:
-    toe, t_s = model.seen.toe, model.seen.t_s
-    if toe is None:
-        return {}
-    q, rate = np.interp(toe.t_s, t_s, found.q_m[0]), np.interp(toe.t_s, t_s, found.qdot_mps[0])
-    x = (toe.t_s - toe.t_s.mean()) / max(float(np.ptp(toe.t_s)), 1e-9)
-    distance = toe.inverse_m - toe.inverse_m.mean()
-    offered = {
-        "symmetric deflection": q,
-        "its rate": rate,
-        "its square": q**2 - np.mean(q**2),
-        "its cube": q**3,
-        "its rate squared": rate**2 - np.mean(rate**2),
-        "deflection drifting in time": q * x,
-        "rate drifting in time": rate * x,
-        "load factor": np.interp(toe.t_s, t_s, model.seen.load_factor - model.seen.load_factor.mean()),
-        "inverse distance": distance,
-        "inverse distance squared": distance**2 - np.mean(distance**2),
-        "deflection by inverse distance": q * distance,
-        "time": x,
-        "time squared": x**2 - np.mean(x**2),
-    }
-    if len(found.q_m) > 1:
-        offered["antisymmetric deflection"] = np.interp(toe.t_s, t_s, found.q_m[1])
-        offered["antisymmetric rate"] = np.interp(toe.t_s, t_s, found.qdot_mps[1])
-    return {name: values / np.std(values) for name, values in offered.items() if float(np.std(values)) > 1e-12}

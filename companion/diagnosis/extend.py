@@ -32,7 +32,8 @@ _WORTH_A_REFIT_Z = 3.5
 _TOO_CLOSE = 2.0
 _CONCEIVABLE = 6.0
 _FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
-_UNPREJUDICED = 5.0
+UNPREJUDICED = 5.0
+"""How much wider the priors of effects are where values are measured, and names not ranked."""
 _OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that
 Progress = Callable[[str, float], None]
 
@@ -88,7 +89,7 @@ class Extension:
             return path
         self._progress("measure what was found", 0.0)
         try:
-            fitted = fit(self._models, path.fitted.parts, path.fitted.values, wider=_UNPREJUDICED)
+            fitted = fit(self._models, path.fitted.parts, path.fitted.values, wider=UNPREJUDICED)
         except (ValueError, FloatingPointError, np.linalg.LinAlgError):
             return path
         return Path(fitted, restated(path.causes, fitted)) if fitted.converged else path
@@ -127,15 +128,14 @@ class Extension:
         """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
         for step in _FIRST_STEPS:
             try:
-                return fit(self._models, (*path.fitted.parts, _begun(candidate, step)), path.fitted.values, _AT_FIRST)
+                return fit(self._models, (*path.fitted.parts, begun(candidate, step)), path.fitted.values, _AT_FIRST)
             except (ValueError, FloatingPointError, np.linalg.LinAlgError):
                 continue
         return None
 
     def _bic(self, before: Fit, after: Fit) -> float:
-        count = sum(len(model.band_hz) * 2 * len(model.seen.sides) for model in self._models)
         extra = len(after.values) - len(before.values)
-        return -2.0 * (after.log_likelihood - before.log_likelihood) + extra * math.log(count)
+        return -2.0 * (after.log_likelihood - before.log_likelihood) + extra * log_count(self._models)
 
     def _step(self, path: Path, best: _Tried, tried: Sequence[_Tried], screening: Screening) -> Path:
         size = len(best.fitted.values) - len(path.fitted.values)
@@ -171,6 +171,11 @@ class Extension:
         return kept
 
 
+def log_count(models: Sequence[SuperModel]) -> float:
+    """Logarithm of how many numbers the accelerations are, which BIC charges for each parameter."""
+    return math.log(sum(len(model.band_hz) * 2 * len(model.seen.sides) for model in models))
+
+
 def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
     """Causes with the values of a fit that has them all, in order."""
     sizes = [len(cause.values) for cause in causes]
@@ -201,7 +206,7 @@ def _behind(path: Path, best: Path) -> float:
     return best.fitted.log_evidence - path.fitted.log_evidence
 
 
-def _begun(candidate: Candidate, most: float) -> Part:
+def begun(candidate: Candidate, most: float) -> Part:
     """Start a refit at a small step in the direction of the score, on the side where the effect can be."""
     declared = candidate.part.effect.parameters()
     values = {entry.name: float(getattr(candidate.part.effect, entry.name)) for entry in declared}

@@ -14,6 +14,7 @@ import numpy as np
 from companion.core.wing.effect import Effect
 from companion.diagnosis.belief import Belief
 from companion.diagnosis.expectation import Expectation
+from companion.diagnosis.latent import LatentSpread
 from companion.diagnosis.part import Part
 from companion.diagnosis.scores import Column, column, scores
 from companion.diagnosis.supermodel import SuperModel
@@ -191,7 +192,7 @@ def derivatives(
         owner = owners[i]
         # how well the accelerations tell the toe is taken as it is; what adds to its noise is not
         alone = (i < len(keys) and keys[i].startswith("match")) or (
-            owner is not None and owner.name == "exposure-jitter"
+            owner is not None and (owner.name == "exposure-jitter" or isinstance(owner, LatentSpread))
         )
         there = values.copy()
         there[i] += _STEP * sigmas[i]

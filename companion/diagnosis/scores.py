@@ -43,7 +43,7 @@ def column(found: Expectation, there: Expectation, step: float, alone: bool, shi
         white = found.motion.whitener
         if there.spectrum is not found.spectrum:
             change = there.spectrum - found.spectrum
-            power = _packed(product(product(adjoint(white), change), white)) / step
+            power = packed(product(product(adjoint(white), change), white)) / step
         if there.residual is not found.residual:
             moved = apply(adjoint(white), there.residual - found.residual) / step
             mean = np.concatenate([moved.real.ravel(), moved.imag.ravel()])
@@ -59,8 +59,8 @@ def scores(model: SuperModel, found: Expectation, columns: Sequence[Column]) -> 
     p, weight = len(columns), model.weight
     gradient, information = np.zeros(p), np.zeros((p, p))
     white = apply(adjoint(found.motion.whitener), found.residual)
-    outer = _packed(white[:, None] * white.conj()[None])
-    chance = _packed(np.broadcast_to(np.eye(len(white))[..., None], (*[len(white)] * 2, white.shape[1])))
+    outer = packed(white[:, None] * white.conj()[None])
+    chance = packed(np.broadcast_to(np.eye(len(white))[..., None], (*[len(white)] * 2, white.shape[1])))
     _add(columns, lambda one: one.power, weight * (outer - chance), weight, gradient, information)
     straight = np.concatenate([white.real.ravel(), white.imag.ravel()])
     _add(columns, lambda one: one.mean, -2.0 * weight * straight, 2.0 * weight, gradient, information)
@@ -146,7 +146,7 @@ def _add_toe(found: Expectation, columns: Sequence[Column], gradient: Floats, in
             information[i, j] += 0.5 * float(changed @ precision**2 @ other)
 
 
-def _packed(hermitian: Complexes) -> Floats:
+def packed(hermitian: Complexes) -> Floats:
     """A Hermitian matrix per frequency as one real vector; dot products are traces of products."""
     n = len(hermitian)
     parts = [hermitian[i, i].real for i in range(n)]

@@ -139,12 +139,14 @@ def efficient(models: Sequence[SuperModel], null: Fit, columns: Sequence[Sequenc
 def _scatter(models: Sequence[SuperModel], null: Fit, tested: Sequence[tuple[Part, Floats]]) -> Floats:
     """How much more each parameter's score scatters than its column says: 1 but for crooked sensors."""
     wider, at = np.ones(sum(len(sigmas) for _, sigmas in tested)), 0
+    bent: dict[int, Effect] = {}
     for part, sigmas in tested:
         names = [entry.name for entry in part.effect.parameters()]
         if bends_samples(part.effect) and len(names) == 1:
-            unit = part.with_values({names[0]: _UNIT * float(sigmas[0])})
-            wider[at] = scatter(models, null.found, [unit.effect])[0]
+            bent[at] = part.with_values({names[0]: _UNIT * float(sigmas[0])}).effect
         at += len(sigmas)
+    if bent:
+        wider[list(bent)] = scatter(models, null.found, list(bent.values()))
     return wider
 
 

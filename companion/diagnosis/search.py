@@ -15,6 +15,7 @@ from companion.diagnosis.extend import Extension, Path, Progress
 from companion.diagnosis.fit import Fit, fit
 from companion.diagnosis.gain import HeldOut, held_out
 from companion.diagnosis.part import Part
+from companion.diagnosis.rivals import Rival, strongest_rival
 from companion.diagnosis.samples import SampleFinding, together
 from companion.diagnosis.screen import Screening
 from companion.diagnosis.supermodel import SuperModel
@@ -44,12 +45,14 @@ def diagnose(
     progress("test what is left", 0.0)
     after = tuple(check(models, path.fitted))
     before = tuple(check(models, null)) if path.causes else after
-    gain = None
+    gain = rival = None
     if path.causes:
+        progress("hold the names against laws without one", 0.0)
+        rival = strongest_rival(models, null, before, path)
         gain = held_out(models, null, path.fitted, lambda share: progress("measure the gain on held-out blocks", share))
     offered = {kind.name for kind in kinds}
     found = together([entry for model in models for entry in model.seen.in_samples if entry.name in offered])
-    return _conclude(null, path, tuple(_seen(entry) for entry in found), first, before, after, gain)
+    return _conclude(null, path, tuple(_seen(entry) for entry in found), first, before, after, gain, rival)
 
 
 def _excited(models: Sequence[SuperModel], null: Fit) -> bool:
@@ -85,6 +88,7 @@ def _conclude(
     before: Sequence[Check],
     after: Sequence[Check],
     gain: HeldOut | None,
+    rival: Rival | None,
 ) -> Diagnosis:
     failed = [entry for entry in after if not entry.passed]
     leading = first.candidates[0].name if first.candidates else ""
@@ -96,6 +100,9 @@ def _conclude(
         return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
     if not causes:
         return Diagnosis(Verdict.ADEQUATE, (), "", (), "the believed airframe explains this recording", *outcome)
+    if rival is not None and rival.explains_more:
+        reason = f"a law without a name explains it better: {rival.title} (by {rival.ahead:.1f} nat)"
+        return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
     if gain is not None and not gain.improves:
         reason = "no extension predicts held-out blocks better"
         return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)

@@ -9,6 +9,7 @@ import numpy as np
 from companion.core.wing.effect import CameraView, Effect, viewed
 from companion.core.wing.model import WingModel
 from companion.diagnosis.belief import Belief
+from companion.diagnosis.latent import LatentSpread, LatentToe, followed, growing
 from companion.diagnosis.matrices import Complexes, adjoint, full, product
 from companion.diagnosis.motion import Motion
 from companion.diagnosis.observations import Observations, ToeData
@@ -49,6 +50,7 @@ class ToeModel:
         focal = 0.5 * (views[0].focal_ratio + views[1].focal_ratio) - 1.0 + deviation.get("focal", 0.0)
         expected += rotation + deviation.get("toe_rad", 0.0)
         expected += focal * (self.baseline_m * toe.inverse_m + expected) + wider_m * toe.inverse_m
+        expected = expected + self._latent(effects, motion, expected)
         residual = toe.toe_rad - expected
         if not toe.has_reference:
             residual = residual - residual.mean()
@@ -56,7 +58,30 @@ class ToeModel:
         jitter_s = max(view.jitter_s for view in views)
         if jitter_s:
             variance += (jitter_s * self._bending(motion, row * (1j * self._omega), late_s)) ** 2
+        spread = [effect for effect in effects if isinstance(effect, LatentSpread)]
+        if spread:
+            offered = growing(toe, *self._first_modes(motion))
+            variance = variance * (1.0 + sum(effect.growth(offered) for effect in spread))
         return residual, variance
+
+    def _latent(self, effects: Sequence[Effect], motion: Motion, expected: Floats) -> Floats | float:
+        """What laws without a name add to the toe, (k,)."""
+        unnamed = [effect for effect in effects if isinstance(effect, LatentToe)]
+        if not unnamed:
+            return 0.0
+        toe = self._toe
+        load = np.interp(toe.t_s, self._seen.t_s, self._seen.load_factor)
+        whole = self.baseline_m * toe.inverse_m + expected
+        offered = followed(toe, *self._first_modes(motion), load, whole)
+        return sum(effect.added(offered) for effect in unnamed)
+
+    def _first_modes(self, motion: Motion) -> tuple[Floats, Floats]:
+        """Smoothed deflection and speed of the first modes at the exposures, (2, k) each."""
+        t_s = self._seen.t_s
+        deflection, speed = (
+            np.stack([np.interp(self._toe.t_s, t_s, row) for row in one[:2]]) for one in motion.in_time
+        )
+        return deflection, speed
 
     def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> Floats:
         """Covariance of the toe that the accelerations leave, (k, k)."""

@@ -1,0 +1,110 @@
+"""What has no name: parameters that leave their priors, peaks anywhere, spread that grows, laws that rival a name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from companion.core.wing.effects import catalogue
+from companion.diagnosis.astray import astray
+from companion.diagnosis.belief import believe
+from companion.diagnosis.directions import judge_directions, straightened
+from companion.diagnosis.fit import fit
+from companion.diagnosis.observations import Observations
+from companion.diagnosis.search import diagnose
+from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.verdict import Verdict
+from companion.params.files import parse_airframe
+from companion.records import Floats, Side
+from sitl_tests.trials.belief import airframe_text
+from sitl_tests.trials.cases import Hidden, fly, noise_density
+from tools.trials import model_of
+
+RATE_HZ, COUNT = 100.0, 3000
+SIDES = (Side.LEFT, Side.RIGHT)
+TEXT = airframe_text(0.15)
+
+
+def seen_by(text: str, up_mps2: Floats) -> SuperModel:
+    count = len(up_mps2)
+    seen = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
+    return SuperModel(believe(parse_airframe(text, "trial"), SIDES, False, False), seen, 40.0)
+
+
+def drawn(text: str, seed: int) -> Floats:
+    """Accelerations (m, 2) as an airframe makes them by chance."""
+    rng = np.random.default_rng(seed)
+    empty = seen_by(text, rng.standard_normal((COUNT, 2)))
+    return np.ascontiguousarray(empty.draw(empty.expect(np.zeros(len(empty.belief.nuisances))), rng).T)
+
+
+def flown(**effects: float) -> SuperModel:
+    (tables,) = fly([Hidden(effects)], 20.0, 77)
+    return model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
+
+
+@pytest.mark.parametrize("count", [8, 40])
+def test_a_sum_of_few_squares_gets_the_strength_that_its_chance_is_worth(count: int) -> None:
+    """Exponentials have the skewness 2, their sum that over the root of their number: beyond 3 lies 1 of 741."""
+    sums = np.random.default_rng(1).gamma(count, size=200_000)
+    z = np.array([straightened(one, 2.0 / np.sqrt(count)) for one in ((sums - count) / np.sqrt(count))[:4_000]])
+    expected = 4_000 * norm.sf(2.5)
+    assert np.sum(z > 2.5) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
+
+
+def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> None:
+    """Believed 5.00 +- 0.05 Hz; the wing's is 0.5 Hz higher."""
+    faster = TEXT.replace("frequency_hz={value=5.0,", "frequency_hz={value=5.5,")
+    assert faster != TEXT
+    for text, beyond in ((TEXT, False), (faster, True)):
+        model = seen_by(TEXT, drawn(text, 3))
+        found = astray(model.belief, fit([model], ()))
+        assert (found["symmetric.frequency beyond its prior"] > 5.0) == beyond
+        assert (found["all airframe parameters together"] > 5.0) == beyond
+        assert abs(found["antisymmetric.frequency beyond its prior"]) < 4.0
+
+
+@pytest.mark.parametrize(("sign", "how"), [(1.0, "both sides together"), (-1.0, "side against side")])
+def test_a_mode_that_nobody_believes_in_is_seen_where_it_is(sign: float, how: str) -> None:
+    rng, up = np.random.default_rng(4), drawn(TEXT, 4)
+    f_hz = np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ)
+    ratio2 = (f_hz / 17.0) ** 2
+    gain = ratio2 / np.sqrt((1.0 - ratio2) ** 2 + (2 * 0.02) ** 2 * ratio2)
+    rung = np.fft.irfft(np.fft.rfft(rng.standard_normal(COUNT)) * gain, COUNT)
+    plain = _strongest_peak(up)
+    assert abs(plain[1]) < 4.0
+    name, z = _strongest_peak(up + 0.5 * np.std(up) * np.outer(rung / np.std(rung), [sign, 1.0]))
+    assert z > 5.0
+    assert name.startswith(how)
+    assert float(name.split()[-2]) == pytest.approx(17.0, rel=0.06)
+
+
+def _strongest_peak(up_mps2: Floats) -> tuple[str, float]:
+    model = seen_by(TEXT, up_mps2)
+    found = judge_directions([model], fit([model], ()))
+    ((name, z),) = [entry for entry in found.items() if entry[0].startswith(("both sides", "side against"))]
+    return name, z
+
+
+@pytest.mark.slow
+def test_ranges_that_spread_where_the_wing_is_fast_are_no_better_for_being_believed_coarse() -> None:
+    """Exposures that wander by 3 ms; the matching's own noise is free."""
+    model = flown(**{"exposure-jitter": 9e6})
+    found = judge_directions([model], fit([model], ()))
+    assert found["range residual growing with its rate"] > 5.0
+    assert abs(found["range residual growing with time"]) < 5.0
+
+
+@pytest.mark.slow
+def test_a_name_that_comes_near_is_not_said_if_a_law_without_a_name_explains_more() -> None:
+    """Ranges that are wrong by a constant share are no focal length, which would stretch the bending, too."""
+    model = flown(**{"baseline-error": 0.12})
+    both = [catalogue()[name] for name in ("baseline-error", "focal-error")]
+    named = diagnose([model], both)
+    assert named.verdict is Verdict.EXPLAINED
+    assert [cause.part.effect.name for cause in named.causes] == ["baseline-error"]
+    without = diagnose([model], both[1:])
+    assert without.verdict is Verdict.UNEXPLAINED
+    assert without.nearest == "focal-error"
+    assert not without.causes
