@@ -10,6 +10,7 @@ import numpy as np
 from sitl_tests.trials.cases import SEEN, SIGMA, Hidden, hide
 
 STRONG = (8.0, 14.0)
+_TOGETHER = 60
 CURVE = (2.0, 4.0, 5.0, 6.0, 8.0)
 _CORNERS_HZ = (0.0, 0.0, 12.0, 30.0)
 """Of the gust that is believed where nothing is hidden: white twice, coloured twice; the truth is drawn about it."""
@@ -68,21 +69,29 @@ def nothing(rng: np.random.Generator, how_many: int, snr_db: float = 20.0, first
 
 
 def acceptance(seed: int) -> list[list[Trial]]:
-    """Everything that the project promises, in batches that are flown together; what teaches most comes first."""
+    """Everything that the project promises, in batches that are flown together; every kind of trial from the first on.
+
+    Only the bulk of the recordings in which nothing is hidden comes last.
+    """
     rng = np.random.default_rng(seed)
     fitted = list(SIGMA)
 
     def some(count: int) -> list[str]:
         return list(rng.choice(fitted, count, replace=False).tolist())
 
-    batches = [
-        [*singles(rng, judged=(False, True), oracle=True), *several(rng, 2, 15), *nothing(rng, 30)],
-        [*singles(rng, 10.0), *nothing(rng, 30), *_curve(rng, some(8))],
-        [*singles(rng, 30.0, some(20), judged=(True,)), *several(rng, 2, 10), *_curve(rng, some(4)), *nothing(rng, 30)],
-        [*singles(rng, judged=(False, True), oracle=True), *several(rng, 3, 10), *nothing(rng, 30)],
+    mixed = [
+        *singles(rng, judged=(False, True), oracle=True),
+        *singles(rng, judged=(False, True), oracle=True),
+        *singles(rng, 10.0),
+        *singles(rng, 30.0, some(20), judged=(True,)),
+        *several(rng, 2, 25),
+        *several(rng, 3, 10),
+        *_curve(rng, some(12)),
+        *nothing(rng, 120),
     ]
-    batches += [nothing(rng, 90) for _ in range(2)]
-    return [[batch[i] for i in rng.permutation(len(batch))] for batch in batches]
+    mixed = [mixed[i] for i in rng.permutation(len(mixed))]
+    batches = [mixed[first : first + _TOGETHER] for first in range(0, len(mixed), _TOGETHER)]
+    return [*batches, *(nothing(rng, 90) for _ in range(2))]
 
 
 def _curve(rng: np.random.Generator, names: Sequence[str]) -> list[Trial]:

@@ -30,6 +30,7 @@ def summary(rows: Rows) -> dict[str, Any]:
 
 def _figures(name: str, rows: Rows) -> dict[str, Any]:
     count = len(rows)
+    figures: dict[str, Any]
 
     def of(counted: int, total: int = count) -> list[int]:
         return [counted, total]
@@ -40,8 +41,10 @@ def _figures(name: str, rows: Rows) -> dict[str, Any]:
     if name == "left out of the catalogue":
         unexplained = sum(row["verdict"] == "unexplained" for row in rows)
         wrong = sum(row["verdict"] == "explained" for row in rows)
-        return {"unexplained": of(unexplained), "confident wrong name": of(wrong), **seconds}
-    figures: dict[str, Any] = {
+        alike = sum(bool(row.get("own_group")) for row in rows)
+        figures = {"unexplained": of(unexplained), "confident wrong name": of(wrong), "of its own group": of(alike)}
+        return {**figures, **seconds}
+    figures = {
         "right up to groups": of(sum(row["right"] for row in rows)),
         "exact": of(sum(row["exact"] for row in rows)),
         "unexplained": of(sum(row["verdict"] == "unexplained" for row in rows)),

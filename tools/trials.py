@@ -27,7 +27,10 @@ import numpy as np
 
 from companion.cli.diagnose_models import belief_for
 from companion.core.wing.effects import catalogue
+from companion.diagnosis.extend import SAME
+from companion.diagnosis.leads import find_leads
 from companion.diagnosis.observations import RawRanges, RawRecording, RawStream, observe
+from companion.diagnosis.screen import candidates_of, screen
 from companion.diagnosis.search import diagnose
 from companion.diagnosis.supermodel import SuperModel
 from companion.diagnosis.verdict import Diagnosis
@@ -90,7 +93,20 @@ def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]
     row = judge(trial.label, found, time.process_time() - begun, trial.snr_db)
     if trial.oracle and not leave_out and found.gain is not None:
         row["oracle_gain"] = oracle_gain(model, found.null, trial.label)
+    if leave_out and found.causes:
+        row["own_group"] = own_group(model, found, trial.label)
     return {**row, "kind": trial.kind, "snr_db": trial.snr_db, "corner_hz": trial.corner_hz, "left_out": leave_out}
+
+
+def own_group(model: SuperModel, found: Diagnosis, label: Hidden) -> bool:
+    """Whether this recording cannot tell what was hidden from a name that was given for it (scores that are one)."""
+    names = {*label.effects, *(cause.part.effect.name for cause in found.causes)}
+    kinds = [catalogue()[name] for name in sorted(names)]
+    offered = candidates_of(kinds, sorted(model.seen.covariates), find_leads([model], found.null))
+    screening = screen([model], found.null, offered)
+    mine = [one.name in label.effects for one in screening.candidates]
+    across = np.abs(screening.correlation[np.ix_(mine, np.logical_not(mine))])
+    return bool(across.size and np.max(across) > SAME)
 
 
 def model_of(tables: Tables, airframe: Airframe) -> SuperModel:

@@ -90,6 +90,12 @@ LOUDER = {
     "periodic-forcing": 1,
     "impulsive-forcing": 1,
     "tone": 1,
+    "exposure-delay": -1,
+    "exposure-jitter": -2,
+    "rolling-shutter": -1,
+    "mount-lag": -1,
+    "mount-resonance": -1,
+    "camera-asymmetry": -1,
 }
 """With which power of the wing's motion the sigma of an effect goes."""
 ONE_WAY = frozenset(
