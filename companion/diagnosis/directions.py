@@ -164,7 +164,7 @@ def _skewness(family: _Family, found: Sequence[Expectation]) -> Floats:
                 known = known - np.mean(known)  # how large it is as a whole is fitted
                 cubes[i] += np.sum(known**3)
                 squares[i] += 0.5 * np.sum(known**2)
-    return np.asarray(cubes / np.maximum(squares, 1e-300) ** 1.5)
+    return np.asarray(cubes / np.maximum(squares, 1e-100) ** 1.5)
 
 
 def _anywhere(models: Sequence[SuperModel], found: Sequence[Expectation]) -> _Family:

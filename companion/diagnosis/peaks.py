@@ -39,7 +39,7 @@ def peaks(models: Sequence[SuperModel], found: Sequence[Expectation]) -> tuple[l
             power = shape * np.sum(np.abs(white) ** 2, axis=0)
             cubes[i] += model.weight * np.sum(power**3)
             squares[i] += model.weight * np.sum(power**2)
-    return names, columns, 2.0 * cubes / np.maximum(squares, 1e-300) ** 1.5
+    return names, columns, 2.0 * cubes / np.maximum(squares, 1e-100) ** 1.5
 
 
 def _peak(f_hz: Floats, place_hz: float) -> Floats:
