@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from companion.diagnosis.astray import astray
-from companion.diagnosis.directions import judge_directions
+from companion.diagnosis.directions import judge_directions, straightened
 from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.fit import Fit
 from companion.diagnosis.leads import strongest_line, strongest_swing
@@ -86,7 +86,7 @@ def _unsteady(model: SuperModel, found: Expectation, rng: np.random.Generator) -
     names = [f"{side.name.lower()} {what}" for what in ("outliers", "unsteadiness") for side in model.seen.sides]
     real = _of_envelope(np.abs(middle) ** 2)
     drawn = np.stack([_of_envelope(rng.standard_exponential(middle.shape)) for _ in range(_SIMULATED)])
-    return dict(zip(names, ((real - drawn.mean(0)) / drawn.std(0)).tolist(), strict=True))
+    return dict(zip(names, [strength(*entry) for entry in zip(real, drawn.T, strict=True)], strict=True))
 
 
 def _changing(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
@@ -123,7 +123,7 @@ def _changing(model: SuperModel, found: Expectation, rng: np.random.Generator) -
     for name, inside in (("spectra", centre_hz > 0.0), ("first modes", _near_modes(model, centre_hz))):
         if inside.any():
             whole = np.sum(table[..., inside], axis=(1, 2, 3))
-            found_in[f"{name} changing in time"] = float((np.sum(real[..., inside]) - whole.mean()) / whole.std())
+            found_in[f"{name} changing in time"] = strength(float(np.sum(real[..., inside])), whole)
     return found_in
 
 
@@ -158,7 +158,14 @@ def _toe(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dic
     real = _of_residual(solve_triangular(root, found.toe_residual_rad, lower=True))
     drawn = np.stack([_of_residual(rng.standard_normal(len(root))) for _ in range(_SIMULATED)])
     names = ["range residual size", "range residual neighbours", "range residual outliers"]
-    return dict(zip(names, ((real - drawn.mean(0)) / drawn.std(0)).tolist(), strict=True))
+    return dict(zip(names, [strength(*entry) for entry in zip(real, drawn.T, strict=True)], strict=True))
+
+
+def strength(real: float, drawn: Floats) -> float:
+    """Standard deviations from what is drawn by chance; of a skew statistic as many as its chance is worth."""
+    spread = float(np.std(drawn))
+    skewness = float(np.mean(((drawn - np.mean(drawn)) / spread) ** 3))
+    return straightened(float(real - np.mean(drawn)) / spread, skewness)
 
 
 def _of_residual(white: Floats) -> Floats:

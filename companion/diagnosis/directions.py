@@ -31,6 +31,7 @@ from companion.records import Floats
 
 _BANDS = 14
 _KNOWN = 1e-3  # share of a direction's information that must be left once the fit is projected out
+_ITS_OWN = 0.03  # of a family: what is less than this beside its other members shows their errors, and nothing else
 _STRAIGHT = 1e-3  # skewness that is none
 
 
@@ -107,7 +108,7 @@ def _log_tail(z: float) -> float:
 def _together(score: Floats, left: Floats) -> float:
     unit = 1.0 / np.sqrt(np.diag(left))
     values, vectors = np.linalg.eigh(left * np.outer(unit, unit))
-    kept = values > 1e-3
+    kept = values > _ITS_OWN
     along = vectors[:, kept].T @ (score * unit)
     return normal_of(float(chi2.logsf(np.sum(along**2 / values[kept]), int(kept.sum()))))
 

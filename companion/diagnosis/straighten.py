@@ -28,6 +28,7 @@ _BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its sur
 _INVERSIONS = 6
 _FLATTEST = 0.3
 _INVERTED = 1e-9
+_TURNED = 0.5  # of what is shown is missing where a cubic one turns back
 _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 
 
@@ -201,6 +202,7 @@ class _Fine:
         """The vertical specific force of which an effect makes what is shown; Newton's steps, sample by sample."""
         small = _BUMP * float(np.std(shown))
         force, bump = shown, small * self._signs
+        reach = _TURNED * np.abs(shown - np.mean(shown))
         for _ in range(_INVERSIONS):
             added = self.sensed(effect, station, force)
             miss = force + added - shown
@@ -208,7 +210,7 @@ class _Fine:
                 break
             slope = 1.0 + (self.sensed(effect, station, force + bump) - added) / bump
             # a characteristic that turns back has no inverse beyond
-            force = force - miss / np.maximum(slope, _FLATTEST)
+            force = np.clip(force - miss / np.maximum(slope, _FLATTEST), shown - reach, shown + reach)
         return np.asarray(force)
 
     def slope(self, effect: Effect, station: Station, force: Floats) -> float:

@@ -34,10 +34,10 @@ def model_of(up_mps2: Floats, airframe: object = AIRFRAME) -> SuperModel:
     return SuperModel(believe(airframe, SIDES, False, False), seen, TOP_HZ)  # type: ignore[arg-type]
 
 
-def drawn(seed: int, times: Floats | float = 1.0) -> SuperModel:
+def drawn(seed: int, times: Floats | float = 1.0, count: int = COUNT) -> SuperModel:
     """A recording as the belief makes it by chance, each sample ``times`` as large."""
     rng = np.random.default_rng(seed)
-    empty = model_of(rng.standard_normal((COUNT, 2)))
+    empty = model_of(rng.standard_normal((count, 2)))
     believed = empty.expect(np.zeros(len(empty.belief.nuisances)))
     return model_of(np.ascontiguousarray((empty.draw(believed, rng) * times).T))
 
@@ -110,13 +110,14 @@ def test_a_fit_begins_anywhere() -> None:
 @pytest.mark.slow
 def test_two_lines_that_were_never_there_together_are_no_two_modes() -> None:
     """The lower part of the spectrum in the first half, the upper in the second: on average as the model says."""
-    plain = drawn(5)
+    count = 2 * COUNT  # at a minute's length the change is beyond doubt
+    plain = drawn(5, count=count)
     still = {one.name: one.z for one in check([plain], fit([plain], ()))}
     assert max(abs(still[name]) for name in still if "changing in time" in name) < 4.0
     spectrum = np.fft.rfft(plain.seen.up_mps2, axis=0)
-    below = np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ) < 5.6
-    low, high = (np.fft.irfft(spectrum * part[:, None], COUNT, axis=0) for part in (below, ~below))
-    first = np.sqrt(1.0 + 0.95 * np.sin(2.0 * np.pi * np.arange(COUNT) / COUNT))[:, None]
+    below = np.fft.rfftfreq(count, 1.0 / RATE_HZ) < 5.6
+    low, high = (np.fft.irfft(spectrum * part[:, None], count, axis=0) for part in (below, ~below))
+    first = np.sqrt(1.0 + 0.95 * np.sin(2.0 * np.pi * np.arange(count) / count))[:, None]
     jumped = model_of(low * first + high * np.sqrt(2.0 - first**2))
     changed = {one.name: one.z for one in check([jumped], fit([jumped], ()))}
     assert changed["spectra changing in time"] > 5.0
