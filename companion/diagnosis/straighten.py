@@ -77,6 +77,11 @@ class Straightener:
             scale = scale * (1.0 + share)
         return up, scale
 
+    def bending_mps2(self, effect: Effect) -> Floats:
+        """What a slight effect on samples adds to a recording beyond its linear part, to first order, (c, m)."""
+        bent = [self._bent(effect, side, i, slight=True) for i, side in enumerate(self._seen.sides)]
+        return np.stack([change - share * up for (change, share), up in zip(bent, self._up, strict=True)])
+
     def measured_mps2(self, wing: WingModel, gains: Mapping[str, float]) -> Floats | None:
         """Modal loads (n, m) that were recorded: what the load factor bends, inputs times their gain; None for none."""
         seen, structure = self._seen, wing.structure
@@ -164,12 +169,12 @@ class Straightener:
         mirrored = 2.0 * t_s - effect.sample_time(station, t_s)
         return np.asarray(up - self._transforms.at(np.fft.rfft(up), mirrored))
 
-    def _bent(self, effect: Effect, side: Side, channel: int) -> tuple[Floats, float]:
-        """What an effect has added to what a station shows, (m,), and its mean slope."""
+    def _bent(self, effect: Effect, side: Side, channel: int, slight: bool = False) -> tuple[Floats, float]:
+        """What an effect has added to what a station shows, (m,), and its mean slope; ``slight``: to first order."""
         fine, station = self._fine, STATIONS[side]
         shown = -GRAVITY_MPS2 * fine.load_factor - fine.up_mps2[channel]
-        true = fine.inverted(effect, station, shown)
-        added = shown - true
+        true = shown if slight else fine.inverted(effect, station, shown)
+        added = fine.sensed(effect, station, shown) if slight else shown - true
         if self._seen.has_root:
             added = added - fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor)
         return fine.thinned(-added, len(self._up[channel])), fine.slope(effect, station, true)
