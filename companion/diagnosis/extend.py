@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.diagnosis.fit import Fit, fit
-from companion.diagnosis.leads import find_leads
+from companion.diagnosis.leads import find_leads, mount_lead
 from companion.diagnosis.part import Part
 from companion.diagnosis.screen import Candidate, Screening, candidates_of, screen
 from companion.diagnosis.supermodel import SuperModel
@@ -110,9 +111,11 @@ class Extension:
         begun: list[tuple[Candidate, Fit]] = []
         for i, candidate in enumerate(leading):
             self._progress(f"refit {candidate.name}", i / len(leading))
-            fitted = self._fitted(path, candidate)
+            led = mount_lead(self._models, path.fitted, candidate.part)
+            offered = candidate if led is None else dataclasses.replace(candidate, part=led)
+            fitted = self._fitted(path, offered, () if led is None else (led,))
             if fitted is not None:
-                begun.append((candidate, fitted))
+                begun.append((offered, fitted))
         tried = []
         most = max((fitted.log_evidence for _, fitted in begun), default=0.0)
         for candidate, fitted in begun:
@@ -124,11 +127,11 @@ class Extension:
             tried.append(_Tried(candidate, fitted, factor, self._bic(path.fitted, fitted)))
         return sorted(tried, key=lambda entry: -entry.log_bayes_factor)
 
-    def _fitted(self, path: Path, candidate: Candidate) -> Fit | None:
+    def _fitted(self, path: Path, candidate: Candidate, led: tuple[Part, ...] = ()) -> Fit | None:
         """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
-        for step in _FIRST_STEPS:
+        for part in (*led, *(begun(candidate, step) for step in _FIRST_STEPS)):
             try:
-                return fit(self._models, (*path.fitted.parts, begun(candidate, step)), path.fitted.values, _AT_FIRST)
+                return fit(self._models, (*path.fitted.parts, part), path.fitted.values, _AT_FIRST)
             except (ValueError, FloatingPointError, np.linalg.LinAlgError):
                 continue
         return None
@@ -219,7 +222,8 @@ def begun(candidate: Candidate, most: float) -> Part:
 
 def _alike(best: _Tried, tried: Sequence[_Tried], screening: Screening) -> tuple[str, ...]:
     """Names that this recording cannot tell from the best: scores that are one, or evidence too close to call."""
-    mine = screening.candidates.index(best.candidate)
+    own = best.candidate.name, best.candidate.part.channel
+    mine = [(one.name, one.part.channel) for one in screening.candidates].index(own)
     refitted = {entry.candidate.name: entry.log_bayes_factor for entry in tried}
     alike = {name for name, factor in refitted.items() if best.log_bayes_factor - factor < _TOO_CLOSE}
     for other, rho in zip(screening.candidates, screening.correlation[mine], strict=True):

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 
 from companion.diagnosis.expectation import Expectation
-from companion.diagnosis.fit import Fit
+from companion.diagnosis.fit import Fit, expect, log_likelihood
 from companion.diagnosis.matrices import adjoint, apply
+from companion.diagnosis.part import Part
 from companion.diagnosis.supermodel import SuperModel
 
 LED = frozenset({"tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"})
@@ -26,6 +27,9 @@ _KICKS = 3
 _SLOWEST_CYCLES = 6.0
 _FEWEST_BINS = 32
 _NEIGHBOURS = 40
+_MOUNT_HZ = (8.0, 80.0)
+_MOUNT_APART = 0.01  # a quarter of the width of a peak with 2 % damping
+_MOUNT_ABOVE = 1.5  # times the first mode: below, it would ring with the wing
 _FASTEST = 2.3  # of the first mode, for swings of the stiffness
 
 
@@ -55,6 +59,34 @@ def _leading(line: Line | None) -> tuple[Lead, ...]:
     if line is None or line.log_tail > -_MARGIN:
         return ()
     return (Lead({"frequency_hz": line.frequency_hz}, line.looks),)
+
+
+def mount_lead(models: Sequence[SuperModel], fitted: Fit, part: Part) -> Part | None:
+    """Where a camera's mount rings, if it follows its station as an oscillator; None where no place beats none.
+
+    A little softness is a gain that grows; a resonance in the band is found only by going to where it is.
+    """
+    if part.effect.name != "mount-resonance":
+        return None
+    places_hz = np.exp(np.arange(math.log(_MOUNT_HZ[0]), math.log(_MOUNT_HZ[1]), _MOUNT_APART))
+    first_hz = models[0].belief.airframe.wing.symmetric.frequency_hz.value
+    softness = [(2.0 * math.pi * place) ** -2 for place in places_hz.tolist() if place > _MOUNT_ABOVE * first_hz]
+    likelihoods = [
+        log_likelihood(
+            models,
+            expect(
+                models,
+                np.append(fitted.values, value),
+                (*fitted.parts, part.with_values({"softness_s2": value})),
+                fitted.found,
+            ),
+        )
+        for value in softness
+    ]
+    best, looks = int(np.argmax(likelihoods)), math.log(len(softness))
+    if likelihoods[best] - looks < fitted.log_likelihood:
+        return None
+    return replace(part.with_values({"softness_s2": softness[best]}), looks=looks)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What has no name: parameters that leave their priors, peaks anywhere, spread that grows, laws that rival a name."""
+"""What has no name: parameters that leave their priors, peaks anywhere, spread that grows, laws that rival a name, a mount that rings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from companion.diagnosis.astray import astray
 from companion.diagnosis.belief import believe
 from companion.diagnosis.directions import judge_directions, straightened
 from companion.diagnosis.fit import fit
+from companion.diagnosis.leads import mount_lead
 from companion.diagnosis.observations import Observations
+from companion.diagnosis.part import Part
 from companion.diagnosis.search import diagnose
 from companion.diagnosis.supermodel import SuperModel
 from companion.diagnosis.verdict import Verdict
@@ -94,6 +96,19 @@ def test_ranges_that_spread_where_the_wing_is_fast_are_no_better_for_being_belie
     found = judge_directions([model], fit([model], ()))
     assert found["range residual growing with its rate"] > 5.0
     assert abs(found["range residual growing with time"]) < 5.0
+
+
+@pytest.mark.slow
+def test_a_mount_that_rings_is_found_where_it_rings() -> None:
+    """At 17.8 Hz: seen from a stiff mount the likelihood rises no further than to the next of many small hills."""
+    model = flown(**{"mount-resonance": 8e-5})
+    null, kind = fit([model], ()), catalogue()["mount-resonance"]
+    led = mount_lead([model], null, Part(kind()))
+    assert led is not None
+    assert led.looks > 0.0
+    found = fit([model], (led,), null.values)
+    assert found.values[-1] == pytest.approx(8e-5, rel=0.02)
+    assert found.log_evidence > null.log_evidence + 50.0
 
 
 @pytest.mark.slow
