@@ -1,4 +1,4 @@
-"""What has no name: parameters that leave their priors, peaks anywhere, spread that grows, laws that rival a name, a mount that rings."""
+"""What has no name: parameters beyond their priors, peaks, growing spread, rival laws; and a mount that rings."""
 
 from __future__ import annotations
 
