@@ -15,6 +15,7 @@ except ImportError:  # the plain fall-back
     njit = None
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_Array = TypeVar("_Array", bound=Any)
 
 COMPILED = njit is not None
 
@@ -36,3 +37,11 @@ def compiled_loops(function: _Function) -> _Function:
         return function
     loosely = {"reassoc", "contract", "nsz"}
     return cast(_Function, njit(cache=True, error_model="numpy", fastmath=loosely)(function))
+
+
+def plain(array: _Array) -> _Array:
+    """The array, or a copy of one that is a view with gaps or may not be written.
+
+    What is compiled would be compiled anew for such an array, which takes seconds, in flight.
+    """
+    return array if array.flags.carray else cast(_Array, array.copy())

@@ -57,6 +57,11 @@ class FeasibleLines:
         kept = _cut(_cut(self.corners, uppers, 1.0), lowers, -1.0)
         return FeasibleLines(kept) if len(kept) else None
 
+    def between(self, upper: tuple[float, float], lower: tuple[float, float]) -> FeasibleLines | None:
+        """As :meth:`within`, with one bound of each kind, time and value; an infinite value bounds nothing."""
+        kept = _between(self.corners, *upper, *lower)
+        return FeasibleLines(kept) if len(kept) else None
+
 
 @compiled
 def _centre(corners: Floats) -> tuple[float, float, float, float]:
@@ -80,23 +85,32 @@ def _moved(corners: Floats, later_ns: float) -> Floats:
 
 
 @compiled
+def _between(corners: Floats, upper_at: float, upper: float, lower_at: float, lower: float) -> Floats:
+    return _cut_once(_cut_once(corners, upper_at, upper, 1.0), lower_at, lower, -1.0)
+
+
+@compiled
 def _cut(corners: Floats, bounds: Floats, sign: float) -> Floats:
-    """Cut the polygon by every bound (Sutherland and Hodgman 1974), an upper one with ``sign`` 1, a lower with -1."""
+    """Cut the polygon by every bound, an upper one with ``sign`` 1, a lower with -1."""
     for k in range(len(bounds)):
-        excess = sign * (corners[:, 0] + corners[:, 1] * bounds[k, 0] - bounds[k, 1])
-        inside = excess <= 0.0
-        if inside.all():
-            continue
-        if not inside.any():
-            return corners[:0].copy()
-        kept, count = np.empty((2 * len(corners), 2)), 0
-        for i in range(len(corners)):
-            if inside[i] != inside[i - 1]:
-                share = excess[i - 1] / (excess[i - 1] - excess[i])
-                kept[count] = corners[i - 1] + share * (corners[i] - corners[i - 1])
-                count += 1
-            if inside[i]:
-                kept[count] = corners[i]
-                count += 1
-        corners = kept[:count].copy()
+        corners = _cut_once(corners, bounds[k, 0], bounds[k, 1], sign)
     return corners
+
+
+@compiled
+def _cut_once(corners: Floats, at: float, value: float, sign: float) -> Floats:
+    """Cut the polygon by one bound (Sutherland and Hodgman 1974)."""
+    excess = sign * (corners[:, 0] + corners[:, 1] * at - value)
+    inside = excess <= 0.0
+    if inside.all():
+        return corners
+    kept, count = np.empty((2 * len(corners), 2)), 0
+    for i in range(len(corners)):
+        if inside[i] != inside[i - 1]:
+            share = excess[i - 1] / (excess[i - 1] - excess[i])
+            kept[count] = corners[i - 1] + share * (corners[i] - corners[i - 1])
+            count += 1
+        if inside[i]:
+            kept[count] = corners[i]
+            count += 1
+    return kept[:count].copy()

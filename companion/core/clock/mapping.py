@@ -7,17 +7,16 @@ part of the bound. Earlier knots are kept, so a stamp that is asked for again (s
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
 
-from companion.records import Ints
+from companion.core.compiled import compiled, plain
+from companion.records import Floats, Ints
 
 MOST_SLEW = 1e-3
 _STEER_NS = 2.5e9  # half of the time after which a silent clock is lost: an error can only swing to its opposite
 _KNOTS = 128
-_HANDFUL = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +34,6 @@ class Knot:
         elapsed = remote_ns - self.remote_ns
         return self.host_ns + elapsed - int(self.shrink * elapsed)
 
-    def map(self, remote_ns: Ints) -> Ints:
-        """Map stamps, any shape, as :meth:`to_host` does one."""
-        elapsed = remote_ns - self.remote_ns
-        host: Ints = elapsed + self.host_ns
-        host -= (self.shrink * elapsed).astype(np.int64)
-        return host
-
     def bound_at_ns(self, host_ns: int) -> int:
         """Bound the error of a stamp of this segment."""
         return int(self.bound_ns + self.bound_rate * abs(host_ns - self.host_ns)) + 1
@@ -51,22 +43,24 @@ class Mapping:
     """Knots from an estimate's history."""
 
     def __init__(self) -> None:
-        self._knots: list[Knot] = []
-        self._remote: list[int] = []
+        self._newest: Knot | None = None
+        self._count = 0
+        self._stamps = np.zeros((_KNOTS, 2), np.int64)  # of each knot: remote, host
+        self._slopes = np.zeros((_KNOTS, 3))  # shrink, bound, rate of the bound
 
     def __bool__(self) -> bool:
-        return bool(self._knots)
+        return self._newest is not None
 
     def steer(
         self, host_ns: int, offset_ns: float, base_ns: int, skew: float, bound_ns: float, skew_bound: float
     ) -> None:
         """From ``host_ns`` on, approach the line ``remote = host + base + offset + skew (t - host)``."""
-        if self._knots and host_ns <= self._knots[-1].host_ns:
+        last = self._newest
+        if last is not None and host_ns <= last.host_ns:
             return
-        if not self._knots:
+        if last is None:
             remote_ns, error_ns = host_ns + base_ns + round(offset_ns), 0.0
         else:
-            last = self._knots[-1]
             remote_ns = last.remote_ns + round((host_ns - last.host_ns) / (1 - last.shrink))
             host_ns = last.to_host(remote_ns)
             error_ns = offset_ns + base_ns - (remote_ns - host_ns)
@@ -74,46 +68,41 @@ class Mapping:
         self._add(Knot(remote_ns, host_ns, slope / (1 + slope), bound_ns + abs(error_ns), skew_bound))
 
     def _add(self, knot: Knot) -> None:
-        self._knots.append(knot)
-        self._remote.append(knot.remote_ns)
-        if len(self._knots) > _KNOTS:
-            del self._knots[0], self._remote[0]
+        self._newest = knot
+        if self._count == _KNOTS:
+            self._stamps[:-1], self._slopes[:-1] = self._stamps[1:], self._slopes[1:]
+            self._count -= 1
+        self._stamps[self._count] = knot.remote_ns, knot.host_ns
+        self._slopes[self._count] = knot.shrink, knot.bound_ns, knot.bound_rate
+        self._count += 1
 
     def to_host(self, t_ns: Ints) -> tuple[Ints, int, int, int]:
         """Map stamps, (n,) int64 with n > 0, exactly in integers but for the skew's share.
 
         Also give the oldest and the newest host stamp, and the largest bound [ns].
         """
-        oldest, newest = _extremes(t_ns)
-        knot = self._knots[-1]
-        if oldest >= knot.remote_ns:
-            low, high = knot.to_host(oldest), knot.to_host(newest)
-            return knot.map(t_ns), low, high, knot.bound_at_ns(high)
-        first, last = self._segment(oldest), self._segment(newest)
-        low, high = self._knots[first].to_host(oldest), self._knots[last].to_host(newest)
-        bound = max(self._knots[first].bound_at_ns(low), self._knots[last].bound_at_ns(high))
-        if first == last:
-            return self._knots[first].map(t_ns), low, high, bound
-        knots = self._knots[first : last + 1]
-        at = np.searchsorted([knot.remote_ns for knot in knots[1:]], t_ns, side="right")
-        elapsed = t_ns - np.array([knot.remote_ns for knot in knots])[at]
-        host: Ints = np.array([knot.host_ns for knot in knots])[at] + elapsed
-        host -= (np.array([knot.shrink for knot in knots])[at] * elapsed).astype(np.int64)
-        for i in range(first, last + 1):
-            bound = max(bound, self._knots[i].bound_at_ns(self._knots[min(i + 1, last)].host_ns))
-        return host, low, high, bound
-
-    def _segment(self, remote_ns: int) -> int:
-        return max(bisect_right(self._remote, remote_ns) - 1, 0)
+        return _mapped(plain(t_ns), self._stamps[: self._count], self._slopes[: self._count])
 
     def newest(self) -> Knot:
         """Give the segment in force."""
-        return self._knots[-1]
+        assert self._newest is not None
+        return self._newest
 
 
-def _extremes(t_ns: Ints) -> tuple[int, int]:
-    """Least and largest; a batch is a handful of samples, for which Python's own are five times faster."""
-    if t_ns.size > _HANDFUL:
-        return int(t_ns.min()), int(t_ns.max())
-    stamps = t_ns.tolist()
-    return min(stamps), max(stamps)
+@compiled
+def _mapped(t_ns: Ints, stamps: Ints, slopes: Floats) -> tuple[Ints, int, int, int]:
+    """See :meth:`Mapping.to_host`."""
+    at = np.maximum(np.searchsorted(stamps[:, 0], t_ns, side="right") - 1, 0)
+    elapsed = t_ns - stamps[:, 0][at]
+    host = stamps[:, 1][at] + elapsed - (slopes[:, 0][at] * elapsed).astype(np.int64)
+    low, high, first, last = host[t_ns.argmin()], host[t_ns.argmax()], at.min(), at.max()
+    most = max(_bound_at_ns(slopes[first], stamps[first, 1], low), _bound_at_ns(slopes[last], stamps[last, 1], high))
+    for k in range(first, last):
+        most = max(most, _bound_at_ns(slopes[k], stamps[k, 1], stamps[k + 1, 1]))
+    return host, low, high, most
+
+
+@compiled
+def _bound_at_ns(slope: Floats, from_ns: int, host_ns: int) -> int:
+    """See :meth:`Knot.bound_at_ns`."""
+    return int(slope[1] + slope[2] * abs(host_ns - from_ns)) + 1

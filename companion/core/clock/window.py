@@ -27,7 +27,7 @@ LONGEST_LAG_NS = 1_000_000_000
 """As long a simulated autopilot may be behind before it catches up."""
 _NEAR_NS = 300_000_000
 """So near to an exchange that was caught, others may have been read of a clock that was only a little behind."""
-_NONE = np.empty((0, 2))
+_NO_UPPER, _NO_LOWER = (0.0, np.inf), (0.0, -np.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class ExchangeWindow:
     def _may_wait(self, lines: FeasibleLines, upper: _Bound, now_ns: int) -> bool:
         """Whether an exchange that contradicts the others is set aside: the first, and those of a clock that lags."""
         self._aside_from(now_ns)
-        behind = lines.within(np.array([(float(upper.at_ns - now_ns), upper.offset_ns + _FINE_NS)]), _NONE) is None
+        behind = lines.between((float(upper.at_ns - now_ns), upper.offset_ns + _FINE_NS), _NO_LOWER) is None
         return self._aside == 1 or (behind and now_ns - self._aside_ns < LONGEST_LAG_NS)
 
     def _fit(self, lines: FeasibleLines) -> ClockFit:
@@ -218,9 +218,8 @@ def _bounds(reply: TimesyncReply, base_ns: int) -> tuple[_Bound, _Bound]:
 def _cut(
     lines: FeasibleLines, upper: _Bound | None, lower: _Bound, now_ns: int, tolerance_ns: float
 ) -> FeasibleLines | None:
-    high = [] if upper is None else [(float(upper.at_ns - now_ns), upper.offset_ns + tolerance_ns)]
-    low = [(float(lower.at_ns - now_ns), lower.offset_ns - tolerance_ns)]
-    return lines.within(np.array(high).reshape(-1, 2), np.array(low))
+    high = _NO_UPPER if upper is None else (float(upper.at_ns - now_ns), upper.offset_ns + tolerance_ns)
+    return lines.between(high, (float(lower.at_ns - now_ns), lower.offset_ns - tolerance_ns))
 
 
 def _relative(bound: _Bound, now_ns: int) -> _Relative:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.compiled import compiled
-from companion.records import Floats
+from companion.records import Floats, Ints
 
 VERTICAL = 2
 _BRIDGED = 35.0 / 6.0  # shares of a sample that :func:`bridged` made from 2/3, 2/3, -1/6, -1/6 of its neighbours
@@ -38,35 +38,41 @@ def cell_means(t: Floats, y: Floats, edges: Floats) -> tuple[Floats, Floats]:
     moment : (n,) float64
         ``integral (t - middle) y_z dt / h^2``.
     """
-    samples, channels = y.shape
-    cells = len(edges) - 1
+    samples, cells = len(t), len(edges) - 1
     knots = np.empty(samples + 1)
     knots[1:-1] = 0.5 * (t[1:] + t[:-1])
     knots[0], knots[-1] = 2.0 * t[0] - knots[1], 2.0 * t[-1] - knots[-2]
     h = knots[1:] - knots[:-1]
     at = np.minimum(np.maximum(np.searchsorted(knots, edges, side="right") - 1, 0), samples - 1)
-    width = edges[1] - edges[0]
-    mean, moment = np.empty((cells, channels)), np.empty(cells)
-    total, level = np.zeros(samples + 1), np.empty(samples + 1)
-    integral, double = np.empty(cells + 1), np.empty(cells + 1)
-    for channel in range(channels):
-        z = np.ascontiguousarray(y[:, channel])
-        total[1:] = np.cumsum(h * z)
-        level[1:-1] = 0.5 * (z[1:] + z[:-1])
-        level[0], level[-1] = z[0], z[-1]
-        step = h[at]
-        s = (edges - knots[at]) / step
-        c0, c1, d0, d1 = total[at], total[at + 1], level[at] * step, level[at + 1] * step
-        c2, c3 = 3.0 * (c1 - c0) - 2.0 * d0 - d1, 2.0 * (c0 - c1) + d0 + d1
-        integral[:] = c0 + s * (d0 + s * (c2 + s * c3))
-        mean[:, channel] = (integral[1:] - integral[:-1]) / width
-        if channel == VERTICAL:
-            area = 0.5 * (total[1:] + total[:-1]) + h * (level[:-1] - level[1:]) / 12.0
-            twice = np.zeros(samples + 1)
-            twice[1:] = np.cumsum(h * area)
-            double[:] = twice[at] + step * s * (c0 + s * (d0 / 2.0 + s * (c2 / 3.0 + s * c3 / 4.0)))
-            moment[:] = (0.5 * (integral[1:] + integral[:-1]) - (double[1:] - double[:-1]) / width) / width
-    return mean, moment
+    s = (edges - knots[at]) / h[at]
+    begun = np.empty((cells + 1, y.shape[1]))  # integral of the sample that an edge cuts, up to there
+    for k in range(cells + 1):
+        i, u = at[k], s[k]
+        rise, fall = 0.5 * u * (1.0 - u) ** 2, 0.5 * u**2 * (u - 1.0)
+        whole = u**2 * (3.0 - 2.0 * u) + rise + fall
+        begun[k] = h[i] * (rise * y[max(i - 1, 0)] + whole * y[i] + fall * y[min(i + 1, samples - 1)])
+    mean = np.empty((cells, y.shape[1]))
+    for k in range(cells):
+        inside = h[at[k] : at[k + 1]] @ y[at[k] : at[k + 1]]
+        mean[k] = (inside + begun[k + 1] - begun[k]) / (edges[1] - edges[0])
+    return mean, _moments(np.ascontiguousarray(y[:, VERTICAL]), h, at, s, edges[1] - edges[0])
+
+
+@compiled
+def _moments(z: Floats, h: Floats, at: Ints, s: Floats, width: float) -> Floats:
+    """First moments of one channel; an edge lies at ``s`` of the way through the sample ``at``, (n + 1,) each."""
+    total, twice, level = np.zeros(len(z) + 1), np.zeros(len(z) + 1), np.empty(len(z) + 1)
+    total[1:] = np.cumsum(h * z)
+    level[1:-1] = 0.5 * (z[1:] + z[:-1])
+    level[0], level[-1] = z[0], z[-1]
+    twice[1:] = np.cumsum(h * (0.5 * (total[1:] + total[:-1]) + h * (level[:-1] - level[1:]) / 12.0))
+    step = h[at]
+    c0, c1, d0, d1 = total[at], total[at + 1], level[at] * step, level[at + 1] * step
+    c2, c3 = 3.0 * (c1 - c0) - 2.0 * d0 - d1, 2.0 * (c0 - c1) + d0 + d1
+    integral = c0 + s * (d0 + s * (c2 + s * c3))
+    double = twice[at] + step * s * (c0 + s * (d0 / 2.0 + s * (c2 / 3.0 + s * c3 / 4.0)))
+    moment: Floats = (0.5 * (integral[1:] + integral[:-1]) - (double[1:] - double[:-1]) / width) / width
+    return moment
 
 
 @compiled

@@ -140,6 +140,7 @@ def _sends(stream: Stream, letter: str) -> bool:
     return bool(stream.axes & Axis[letter.upper()]) and letter in stream.sensor.sends
 
 
+_Vector = Floats | tuple[float, float, float]
 _CellColumns = tuple[Ints, Floats, Bools, Floats, Floats, Floats, Floats, Floats, Floats, Floats, Floats]
 
 
@@ -242,7 +243,9 @@ def _motion(averaged: _Averaged) -> Motion:
     for side in range(2):
         arm = averaged.levers_m[side]
         for k in range(n):
-            rigid[k, side] = f_root[k] + _cross(turn[k], arm) + _cross(omega[k], _cross(omega[k], arm))
+            spun, swung = _cross(turn[k], arm), _cross(omega[k], _cross(omega[k], arm))
+            for axis in range(3):
+                rigid[k, side, axis] = f_root[k, axis] + spun[axis] + swung[axis]
             rigid[k, side, 2] -= turn[k, 0] * arm[1]  # the filter's business
         d_rigid_z[:, side] = rate_of_change(rigid[:, side, 2].copy(), step_s, root_there)
         d_tip[:, side] = rate_of_change(averaged.tip[:, side].copy(), step_s, averaged.covered[1 + side])
@@ -297,8 +300,8 @@ def _smoothed(values: Floats, there: Bools) -> Floats:
 
 
 @compiled
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled

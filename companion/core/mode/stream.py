@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.compiled import compiled
+from companion.core.compiled import compiled, plain
 from companion.core.mode.averaging import bridged, bridged_shares, cell_means, cell_means_unfiltered, cut_shares
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
@@ -37,17 +37,6 @@ def respaced(t_ns: Ints, period_ns: int) -> Ints:
     return moved
 
 
-_Array = TypeVar("_Array", Ints, Floats)
-
-
-def _own(array: _Array) -> _Array:
-    """The array, or a copy of one that is a view with gaps or may not be written.
-
-    What is compiled would be compiled anew for such an array, which takes seconds, in flight.
-    """
-    return array if array.flags.carray else array.copy()
-
-
 @compiled
 def _flawless(t_ns: Ints, values: Floats, limits: Floats, oldest_ns: int) -> bool:
     """Whether every sample is new, finite and inside the sensor's range."""
@@ -57,11 +46,14 @@ def _flawless(t_ns: Ints, values: Floats, limits: Floats, oldest_ns: int) -> boo
 
 
 @compiled
-def _appended(t_ns: Ints, values: Floats, more_ns: Ints, more: Floats, period_ns: int) -> tuple[Ints, Floats, bool]:
-    """Put samples behind those at hand, respaced; False where they are not in order of time."""
-    together = np.concatenate((t_ns, more_ns))
+def _appended(
+    t_ns: Ints, values: Floats, more_ns: Ints, more: Floats, period_ns: int, needed_ns: int
+) -> tuple[Ints, Floats, bool]:
+    """Put samples behind those at hand that are needed, respaced; False where they are not in order of time."""
+    first = np.searchsorted(t_ns, needed_ns)
+    together = np.concatenate((t_ns[first:], more_ns))
     ordered = bool((together[1:] > together[:-1]).all())
-    return respaced(together, period_ns) if ordered else together, np.concatenate((values, more)), ordered
+    return respaced(together, period_ns) if ordered else together, np.concatenate((values[first:], more)), ordered
 
 
 class Samples(NamedTuple):
@@ -119,6 +111,7 @@ class Stream:
     newest_ns: int | None = None
     saturated_ns: int | None = None
     _waiting: list[tuple[Ints, Floats]] = field(default_factory=list)
+    _needed_ns: int = -(2**62)
     _range: Floats = field(init=False)
     _cutoff_hz: Floats = field(init=False)
 
@@ -129,7 +122,7 @@ class Stream:
 
     def add(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
         """Take a batch; samples at or before ``oldest_ns``, not finite or saturated are refused and counted."""
-        t, values = _own(batch.t_ns), _own(batch.values)
+        t, values = plain(batch.t_ns), plain(batch.values)
         if batch.axes is not self.axes:
             self.axes |= batch.axes
         if len(t) and _flawless(t, values, self._range, oldest_ns):
@@ -167,11 +160,8 @@ class Stream:
         return self.t_ns, self.values
 
     def forget(self, before_ns: int) -> None:
-        """Drop what lies before an instant."""
-        self._settle()
-        keep = int(np.searchsorted(self.t_ns, before_ns))
-        if keep > 64:
-            self.t_ns, self.values = self.t_ns[keep:].copy(), self.values[keep:].copy()
+        """Drop what lies before an instant, as soon as more comes."""
+        self._needed_ns = before_ns
 
     def _settle(self) -> None:
         if not self._waiting:
@@ -182,10 +172,10 @@ class Stream:
             values = np.concatenate([part[1] for part in self._waiting])
         self._waiting.clear()
         period_ns = round(1e9 / self.sensor.rate_hz)
-        t, values, ordered = _appended(self.t_ns, self.values, t, values, period_ns)
+        t, values, ordered = _appended(self.t_ns, self.values, t, values, period_ns, self._needed_ns)
         if not ordered:
             t, values = _sorted(t, values)
-            t, values, _ = _appended(t[:0], values[:0], t, values, period_ns)
+            t, values, _ = _appended(t[:0], values[:0], t, values, period_ns, self._needed_ns)
         self.t_ns, self.values = t, values
 
     def average(self, edges_ns: Ints) -> Averages:
@@ -234,23 +224,23 @@ def averages(samples: Samples, edges_ns: Ints) -> Averages:
         full_t, full_y = bridged(t, y, period_s, limit_s)
         mean, moment = cell_means(full_t, full_y, edges)
         cut = cut_shares(full_t, edges) + bridged_shares(t, edges, period_s)
-    covered = _unbroken(t, edges, limit_s)
+    widest = _widest_gaps(t, edges)
+    covered, resolved = widest <= limit_s, widest <= _LOST_PERIODS / samples.rate_hz
     for k in range(cells):
         if not covered[k]:
             mean[k], moment[k] = 0.0, 0.0
-    resolved = _unbroken(t, edges, _LOST_PERIODS / samples.rate_hz)
     if samples.filtered or (edges[1] - edges[0]) * samples.rate_hz < _RESOLVED:
         resolved[:] = False
     return Averages(mean, moment, cut, covered, resolved)
 
 
 @compiled
-def _unbroken(t: Floats, edges: Floats, limit_s: float) -> Bools:
-    """Cells with samples around them and no longer gap than ``limit_s`` between these, (n,)."""
-    gaps = np.zeros(len(t), dtype=np.int64)
-    gaps[1:] = np.cumsum((t[1:] - t[:-1] > limit_s).astype(np.int64))
+def _widest_gaps(t: Floats, edges: Floats) -> Floats:
+    """Of each cell the longest gap between samples, those around it included; infinite without these, (n,)."""
+    gap, widest = t[1:] - t[:-1], np.full(len(edges) - 1, np.inf)
     after = np.searchsorted(t, edges[:-1], side="right")
     until = np.searchsorted(t, edges[1:], side="left")
-    unbroken: Bools = (after > 0) & (until < len(t))
-    unbroken &= gaps[np.minimum(until, len(t) - 1)] == gaps[np.maximum(after, 1) - 1]
-    return unbroken
+    for k in range(len(widest)):
+        if after[k] > 0 and until[k] < len(t):
+            widest[k] = gap[after[k] - 1 : until[k]].max()
+    return widest
