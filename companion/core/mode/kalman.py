@@ -18,7 +18,7 @@ from companion.core.compiled import COMPILED, compiled
 from companion.core.mode import kernel_loops, kernel_numpy
 from companion.core.mode.kernel import Data, Fixed, Memory, Step, make_history
 from companion.core.mode.layout import P_LEFT, ROWS, Y_LEFT, Layout, Noise
-from companion.core.mode.model import StepModel, stationary
+from companion.core.mode.model import Parameters, StepModel, stationary
 from companion.core.mode.rigid import Cells
 from companion.core.mode.sensitivity import own_scales
 from companion.records import Floats, Ints
@@ -175,6 +175,8 @@ class Kalman:
 
     def use(self, model: StepModel) -> None:
         """Go on with another model of the same wing."""
+        if model is not self.model:
+            self._keep_acceleration(model.parameters)
         self.model = model
         n = self.layout.size
         ahead, now = model.transition, np.eye(n, n + 1)
@@ -194,6 +196,33 @@ class Kalman:
             cut=model.cut,
             rough=model.rough,
         )
+
+    def _keep_acceleration(self, parameters: Parameters) -> None:
+        """Give the loads what other springs and dampers take from the tips.
+
+        What is known well is the acceleration, load less spring, and hardly the slow bend. Were the load kept, the
+        difference between two stiffnesses would pass for a measurement of the bend.
+        """
+        n, turn = self.layout.size, np.eye(self.layout.size + 1)
+        for family, old, new in zip(self.layout.families, self.model.parameters, parameters, strict=True):
+            corner = 2.0 * np.pi * new.corner_2_hz
+            for q, before, after in (
+                (family.q, (old.frequency_hz, old.damping), (new.frequency_hz, new.damping)),
+                (family.q2, (old.frequency_2_hz, old.damping_2), (new.frequency_2_hz, new.damping_2)),
+            ):
+                stiffer = 4.0 * np.pi**2 * (after[0] ** 2 - before[0] ** 2)
+                damped = 4.0 * np.pi * (after[0] * after[1] - before[0] * before[1])
+                turn[q + 2, q : q + 2] += stiffer, damped + stiffer / corner
+                turn[q + 3, q : q + 2] += stiffer, damped
+                if q == self.layout.symmetric.q:
+                    turn[q + 2 : q + 4, n] -= stiffer
+        state = turn[:n, :n]
+        self.columns[:] = turn @ self.columns
+        self.covariance[:] = state @ self.covariance @ state.T
+        if self.steps:  # the smoother comes back this way
+            at = (self.steps - 1) % self.kept
+            self.history.transition[at] = state @ self.history.transition[at]
+            self.history.drawn[at] = self.history.drawn[at] @ state.T
 
     def _solve(self) -> None:
         self._unsolved = 0
