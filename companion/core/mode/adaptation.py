@@ -1,7 +1,7 @@
 """On-line adaptation: once a second the parameters that make the last seconds of vertical acceleration most likely.
 
-A long stretch is best while the wing stays the same, a short one when it drifts. Both are fitted, and the short one
-is believed when the long one no longer explains the newest seconds. In the first ten seconds the parameters move by
+A long stretch tells the gust's colour, and so the slow bend; where the wing drifts, it is fitted in the time in which
+the vibration is steady (:mod:`companion.core.mode.drift`). In the first ten seconds the parameters move by
 much; whoever filters should then start again from the beginning, or early errors stay in the biases.
 """
 
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from companion.core.mode.drift import at_end, evened, likeliest, when_evened
 from companion.core.mode.floor import DERIVATIVE, EDGE, Floor
 from companion.core.mode.layout import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.mode.model import Parameters
@@ -28,17 +29,15 @@ from companion.core.mode.parameters import (
 )
 from companion.core.mode.rigid import Cells
 from companion.core.mode.spectrum import load_density
-from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, moved_evidence, scan, seek_peak
+from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan, seek_peak
 from companion.records import Bools, Floats
 
 _LONG_S = 20.0
-_SHORT_S = 4.0
+_PIECE_S = 4.0
 _EARLY_S = 10.0
 _FIRST_S = 1.5
 _PERIOD_S = 1.0
 _SCAN_UNTIL_S = 6.0
-_DRIFT_EVIDENCE = 3.0
-_DRIFT = np.array([0.1, 0.4, 0.7, 0.4, 0.4, 0.1, 0.3, 0.7, 0.5])  # of the logarithms, within some ten seconds
 _PEAK_EVIDENCE = 8.0
 _SECOND_EVIDENCE = 3.0
 _IDLE = 1e-7  # of the first mode's load
@@ -75,7 +74,7 @@ class Adaptation:
         self._constants, self._bend_per_g_m = np.zeros(len(layout.constants)), 0.0
         self.ambiguous = False
         self.refilter = False
-        size, self._short = round(_LONG_S / step_s), round(_SHORT_S / step_s)
+        size, self._piece = round(_LONG_S / step_s), round(_PIECE_S / step_s)
         self._rows, self._seen = np.zeros((size, _KEPT)), np.zeros((size, 2), dtype=bool)
         self._sensitivity = np.zeros((size, 2, len(layout.constants)))
         self._count = 0
@@ -83,6 +82,7 @@ class Adaptation:
         self.fits = 0
         self._cut = 0.0  # how much the edges of the last cells cut samples
         self._contradicted = False
+        self._rates = [0.0, 0.0]  # of both families' frequencies, 1/s
         self._only = 0  # the tip that is there, where one is missing
 
     @property
@@ -127,7 +127,7 @@ class Adaptation:
     def _fit_all(self, elapsed_s: float) -> bool:
         rows, seen = self._kept()
         since = self._last_hole(seen)
-        if since and len(rows) - since < self._short:
+        if since and len(rows) - since < self._piece:
             return False
         rows, seen = rows[since:], seen[since:]
         tips = seen.mean(axis=0) >= _LEAST_PRESENT
@@ -171,21 +171,36 @@ class Adaptation:
         prior = _join([self._prior[k] for k in which])
         start = np.concatenate([self.parameters[k].logs() for k in which])
         band = self._band(which)
-        long = make_stretch(samples, self._step_s, band, floor)
+        length_s = len(samples) * self._step_s
+        if elapsed_s > _EARLY_S:
+            self._rates[which[0]] = self._drifting(samples, band, floor, prior, start, self._rates[which[0]])
+        rate = self._rates[which[0]]
+        long, start = (
+            make_stretch(evened(samples, rate, self._step_s), self._step_s, band, floor),
+            when_evened(start, rate, length_s),
+        )
         if elapsed_s <= _SCAN_UNTIL_S:
             best = self._search(long, prior, self._scanned(long, prior, start))
         else:
             best = self._improved(long, prior, start, which[0])
-        if len(samples) > 2 * self._short:
-            short = make_stretch(samples[-self._short :], self._step_s, band, floor)
-            best = _drifted(short, prior, best)
         best = _without_idle_seconds(long, prior, best, -np.inf if self._contradicted else _SECOND_EVIDENCE)
+        best = dataclasses.replace(best, logs=at_end(best.logs, rate, length_s))
         out, at = [], 0
         for k in which:
             piece = slice(at, at + PARAMETERS)
             out.append(self._prior[k].with_logs(best.logs[piece], best.log_sigma[piece]))
             at += PARAMETERS
         return out
+
+    def _drifting(
+        self, samples: Floats, band: tuple[float, float, float], floor: Floor, prior: Prior, start: Floats, rate: float
+    ) -> float:
+        """Rate of the frequencies, one step on from the one that was believed."""
+        count = len(samples) // self._piece
+        newest = samples[len(samples) - count * self._piece :].reshape(count, self._piece)
+        pieces = [make_stretch(each, self._step_s, band, floor) for each in newest]
+        length_s = count * _PIECE_S
+        return likeliest(pieces, _PIECE_S, prior, when_evened(start, rate, length_s), rate)
 
     def _improved(self, stretch: Stretch, prior: Prior, start: Floats, family: int) -> Fit:
         """Go on from where the last fit ended; in turns try another colour of the gust, or a peak that it has not.
@@ -325,13 +340,6 @@ def _without_idle_seconds(stretch: Stretch, prior: Prior, found: Fit, least_evid
         if without - value < least_evidence:
             logs, value = tried, without
     return dataclasses.replace(found, logs=logs)
-
-
-def _drifted(short: Stretch, prior: Prior, long: Fit) -> Fit:
-    """Follow a drift: the newest seconds move the parameters where that much is more likely than staying."""
-    belief = prior._replace(mean=long.logs, sigma=np.minimum(np.tile(_DRIFT, len(prior.reference_hz)), prior.sigma))
-    found = fit(short, belief, long.logs, 3)
-    return found if moved_evidence(short, belief, found) > _DRIFT_EVIDENCE else long
 
 
 def _two_answers(costs: Floats) -> bool:

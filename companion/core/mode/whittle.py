@@ -192,14 +192,11 @@ class Fit:
     logs, log_sigma : (p,) float64
     cost : float
         Negative log posterior, up to a constant.
-    log_volume : float
-        Half the log determinant of the information: how narrow the posterior is.
     """
 
     logs: Floats
     log_sigma: Floats
     cost: float
-    log_volume: float
 
 
 @compiled
@@ -229,14 +226,14 @@ def fit(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> Fit:
     """Improve ``start`` by at most ``rounds`` of Fisher scoring, damped as Levenberg and Marquardt do."""
     logs, best, information = _improve(stretch, prior, start, rounds)
     spread: Floats = np.sqrt(np.diag(np.asarray(np.linalg.inv(information), dtype=np.float64)))
-    return Fit(logs, spread, float(best), 0.5 * float(np.linalg.slogdet(information)[1]))
+    return Fit(logs, spread, float(best))
 
 
 @compiled
 def _improve(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> tuple[Floats, float, Floats]:
     """Where the rounds end, its cost and the information there."""
     logs, best, damping = start.copy(), cost(stretch, prior, start), 1e-3
-    gradient, information = _slope(stretch, prior, logs)
+    gradient, information = slopes(stretch, prior, logs)
     for _ in range(rounds):
         value, promised = best, np.inf
         while value >= best and promised > _CONVERGED and damping < _GIVE_UP:  # a step is cheap beside a slope
@@ -248,16 +245,10 @@ def _improve(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> tupl
             break
         done = best - value < _CONVERGED
         logs, best = tried, value
-        gradient, information = _slope(stretch, prior, logs)
+        gradient, information = slopes(stretch, prior, logs)
         if done:
             break
     return logs, best, information
-
-
-def moved_evidence(stretch: Stretch, belief: Prior, found: Fit) -> float:
-    """Log Bayes factor of ``found``, fitted under ``belief``, over staying at the belief's mean (Laplace)."""
-    stayed = misfit(stretch, belief, belief.mean)
-    return stayed - found.cost - found.log_volume - float(np.sum(np.log(belief.sigma)))
 
 
 @compiled
@@ -279,17 +270,17 @@ def _moved(prior: Prior, logs: Floats, gradient: Floats, information: Floats, da
 
 
 @compiled
-def _slope(stretch: Stretch, prior: Prior, logs: Floats) -> tuple[Floats, Floats]:
+def slopes(stretch: Stretch, prior: Prior, logs: Floats) -> tuple[Floats, Floats]:
     """Gradient and Fisher information of the cost."""
     jacobian = np.empty((len(logs), len(stretch.power)))
     density = stretch.floor.copy()
     for family in range(len(prior.reference_hz)):
         first = family * PARAMETERS
         own = logs[first : first + PARAMETERS]
-        slopes = acceleration_slopes(own, stretch.grid, prior.reference_hz[family])
-        density += slopes[0]
+        rows = acceleration_slopes(own, stretch.grid, prior.reference_hz[family])
+        density += rows[0]
         for k in range(PARAMETERS):
-            jacobian[first + k] = _smear(stretch, slopes[1 + k])
+            jacobian[first + k] = _smear(stretch, rows[1 + k])
     expected = np.maximum(_smear(stretch, density), _LEAST_EXPECTED)
     jacobian /= expected
     pull = (logs - prior.mean) / prior.sigma**2
