@@ -37,6 +37,7 @@ def warm_up(airframe: Airframe, settings: Settings) -> None:
             state, _ = step(state, batch)
         state, _ = step(state, TimesyncReply(ClockName.BOOT, now_ns - _ROUND_TRIP_NS, now_ns, now_ns))
         state, _ = step(state, Tick(now_ns))
+    state.clocks.to_host(ClockName.BOOT, np.arange(now_ns - _TICK_NS, now_ns, 1_000_000), now_ns)
     smoothed(state, _EPOCH_NS + round((_LENGTH_S - 0.5) * 1e9))
     if state.scheduling is not None:  # a made-up wing need not be one that is tracked
         planner = Planner(airframe, settings, LatencyModel(airframe))
