@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from companion.core.mode.discretise import stationary_covariance, van_loan
 from companion.core.mode.spectrum import acceleration_density, acceleration_slopes, make_grid
-from companion.core.mode.whittle import Prior, Stretch, expected_power, fit, make_stretch, seek_peak
+from companion.core.mode.stretch import Stretch, make_stretch
+from companion.core.mode.whittle import Prior, expected_power, fit, seek_peak
 
 STEP_S = 0.004
 COHERENCE = -0.4

@@ -12,9 +12,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from companion.core.mode.channels import COLUMNS, ROLL, STATIC, Channels
 from companion.core.mode.drift import at_end, evened, likeliest, when_evened
-from companion.core.mode.floor import DERIVATIVE, EDGE, Floor
-from companion.core.mode.layout import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
+from companion.core.mode.floor import Floor
+from companion.core.mode.layout import P_ROOT, Layout, Noise
 from companion.core.mode.model import Parameters
 from companion.core.mode.parameters import (
     CORNER_1,
@@ -28,8 +29,8 @@ from companion.core.mode.parameters import (
     ModeParameters,
 )
 from companion.core.mode.rigid import Cells
-from companion.core.mode.spectrum import load_density
-from companion.core.mode.whittle import Fit, Prior, Stretch, fit, make_stretch, misfit, scan, seek_peak
+from companion.core.mode.stretch import Stretch, make_stretch
+from companion.core.mode.whittle import Fit, Prior, fit, misfit, scan, seek_peak
 from companion.records import Bools, Floats
 
 _LONG_S = 20.0
@@ -45,7 +46,6 @@ _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))
 _ROUNDS = 6
 _CLEARLY = 1.0
 _LOWEST_HZ = 0.25
-_KEPT, _ROLL, _STATIC = 4, 2, 3  # columns: both vertical rows, root roll rate, bend by the load factor
 _REACH = 4.0
 _FARTHEST = np.log(2.0)  # a wing that is loaded or iced drifts far beyond what was believed of it at rest
 _CUT_MEMORY_S = 5.0
@@ -68,14 +68,14 @@ class Adaptation:
     def __init__(
         self, layout: Layout, noise: Noise, prior: Parameters, levers_m: tuple[float, float], step_s: float
     ) -> None:
-        self._layout, self._noise, self._levers_m, self._step_s = layout, noise, levers_m, step_s
+        self._channels, self._step_s = Channels(layout, noise, levers_m, step_s), step_s
         self._prior = prior
         self.parameters: Parameters = prior
         self._constants, self._bend_per_g_m = np.zeros(len(layout.constants)), 0.0
         self.ambiguous = False
         self.refilter = False
         size, self._piece = round(_LONG_S / step_s), round(_PIECE_S / step_s)
-        self._rows, self._seen = np.zeros((size, _KEPT)), np.zeros((size, 2), dtype=bool)
+        self._rows, self._seen = np.zeros((size, COLUMNS)), np.zeros((size, 2), dtype=bool)
         self._sensitivity = np.zeros((size, 2, len(layout.constants)))
         self._count = 0
         self._next = round(_FIRST_S / step_s)
@@ -113,7 +113,7 @@ class Adaptation:
         first, last = self._count % size, self._count % size + len(cells)
         slots = slice(first, last) if last <= size else np.arange(first, last) % size
         self._rows[slots, :2], self._sensitivity[slots] = cells.rows[:, :2], cells.sensitivity[:, :2]
-        self._rows[slots, _ROLL], self._rows[slots, _STATIC] = cells.rows[:, P_ROOT], cells.load
+        self._rows[slots, ROLL], self._rows[slots, STATIC] = cells.rows[:, P_ROOT], cells.load
         self._seen[slots] = cells.present[:, :2]
         self._cut += min(1.0, len(cells) * self._step_s / _CUT_MEMORY_S) * (float(cells.cut.mean()) - self._cut)
         self.refilter = self.early
@@ -163,11 +163,11 @@ class Adaptation:
             np.concatenate([ring[first:], ring[:first]])[:count] for ring in (self._rows, self._seen, self._sensitivity)
         )
         rows[:, :2] -= (known.reshape(2 * count, -1) @ self._constants).reshape(count, 2)
-        rows[:, _STATIC] *= self._bend_per_g_m
+        rows[:, STATIC] *= self._bend_per_g_m
         return rows, seen
 
     def _fit_family(self, rows: Floats, which: tuple[int, ...], elapsed_s: float) -> list[ModeParameters]:
-        samples, floor = self._channel(rows, which)
+        samples, floor = self._channels.of(rows, which, self._only, self.parameters, self._cut)
         prior = _join([self._prior[k] for k in which])
         start = np.concatenate([self.parameters[k].logs() for k in which])
         band = self._band(which)
@@ -234,60 +234,6 @@ class Adaptation:
             moved, gain = seek_peak(stretch, prior, start, at)
             start = moved if gain > least else start
         return start
-
-    def _channel(self, rows: Floats, which: tuple[int, ...]) -> tuple[Floats, Floor]:
-        tip = self._noise.own[[Z_LEFT, Z_RIGHT]] * 2.0 * self._step_s
-        root = self._noise.root_z * 2.0 * self._step_s
-        roll = self._noise.own[P_ROOT] * 2.0 * self._step_s
-        lever = 0.5 * (self._levers_m[1] - self._levers_m[0])
-        known = self._answer(rows[:, _STATIC])
-        cut = self._cut_density()
-        if which == (0,):
-            white = float(tip.sum() / 4.0 + root)
-            floor = Floor(white, 0.0, 0.5 * cut, self._drift((1.0, 1.0)), self._step_s)
-            return 0.5 * (rows[:, 0] + rows[:, 1]) - known, floor
-        lift = lever * np.convolve(rows[:, _ROLL], DERIVATIVE / self._step_s, mode="same")  # of the rigid roll
-        lift[:EDGE], lift[-EDGE:] = 0.0, 0.0
-        if len(which) == 2:
-            samples = rows[:, self._only] - known - (2 * self._only - 1) * lift
-            return samples, Floor(
-                float(tip[self._only] + root), roll * lever**2, cut, self._drift(self._alone), self._step_s
-            )
-        white = float(tip.sum() / 4.0)
-        floor = Floor(white, roll * lever**2, 0.5 * cut, self._drift((-1.0, 1.0)), self._step_s)
-        return 0.5 * (rows[:, 1] - rows[:, 0]) - lift, floor
-
-    @property
-    def _alone(self) -> tuple[float, float]:
-        return (2.0, 0.0) if self._only == 0 else (0.0, 2.0)
-
-    def _drift(self, signs: tuple[float, float]) -> float:
-        """Density at 1 Hz of the drifting biases in half the signed sum of both vertical rows; it falls with f^2."""
-        at = [index for index, (row, _) in enumerate(self._layout.bias) if row < M_LEFT]
-        if len(at) < len(signs):
-            return 0.0
-        half = 0.5 * np.array(signs)
-        variance = float(half @ self._noise.bias_prior[np.ix_(at, at)] @ half)
-        return variance / (np.pi**2 * self._noise.bias_time_s)
-
-    def _cut_density(self) -> float:
-        """Density that cells' edges, cutting samples, add to one tip: the load's inside a sample is not known.
-
-        ``S T / (3 h) (1 - cos(2 pi f h))`` for samples of ``T`` in cells of ``h``.
-        """
-        highest = (0.5 / self._step_s) ** 2
-        load = sum(load_density(np.exp(p.logs()), highest, p.reference_hz) for p in self.parameters)
-        return self._cut * load * self._noise.sample_s / (3.0 * self._step_s)
-
-    def _answer(self, static_m: Floats) -> Floats:
-        """Vertical reading that the load factor's known bend brings about: ``omega^2 H(omega)`` of it."""
-        mode = self.parameters[0]
-        ramp = np.linspace(static_m[0], static_m[-1], len(static_m))
-        square = np.fft.rfftfreq(len(static_m), self._step_s) ** 2
-        own = mode.frequency_hz**2
-        response = own / (own - square + 2j * mode.damping * mode.frequency_hz * np.sqrt(square))
-        lifted = np.fft.rfft(static_m - ramp) * (4.0 * np.pi**2) * square * response
-        return np.asarray(np.fft.irfft(lifted, len(static_m)), dtype=np.float64)
 
     def _band(self, which: tuple[int, ...]) -> tuple[float, float, float]:
         frequencies = [self._prior[k].frequency_hz for k in which]

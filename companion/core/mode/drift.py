@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.mode.parameters import FREQUENCY, FREQUENCY_2, PARAMETERS
-from companion.core.mode.whittle import Prior, Stretch, slopes
+from companion.core.mode.stretch import Stretch
+from companion.core.mode.whittle import Prior, slopes
 from companion.records import Floats
 
 _SIGMA_PER_S = 0.01  # of a wing that drifts
