@@ -28,7 +28,7 @@ _BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its sur
 _INVERSIONS = 6
 _FLATTEST = 0.3
 _INVERTED = 1e-9
-_TURNED = 0.5  # of what is shown is missing where a cubic one turns back
+_KEPT = 4  # most parameters that a fit moves bend nothing
 _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 
 
@@ -50,6 +50,7 @@ class Straightener:
         self._up: Floats = np.ascontiguousarray(seen.up_mps2.T)
         self._signs = _signs(len(self._weight))  # up and down alike, so that a law's curvature is no slope
         self._fine = _Fine(seen, self._weight)
+        self._kept: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
 
     @property
     def recorded_mps2(self) -> Floats:
@@ -65,22 +66,25 @@ class Straightener:
             Accelerations, and the scale on them that the effects' linear part amounts to.
         """
         up, scale = self._up, np.ones(len(self._up))
-        for effect in effects:
-            if type(effect).response is not Effect.response or not _acts_on_samples(effect):
-                continue
-            if type(effect).sample_time is not Effect.sample_time:
+        mine = [one for one in effects if type(one).response is Effect.response and _acts_on_samples(one)]
+        for effect in mine:
+            if _shifts_samples(effect):
                 up = up - np.stack([self._shifted(effect, side, i) for i, side in enumerate(self._seen.sides)])
-                continue
-            bent = [self._bent(effect, side, i) for i, side in enumerate(self._seen.sides)]
-            change, share = np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
-            up = up - (change - share[:, None] * (self._up - change))
-            scale = scale * (1.0 + share)
+        bending = tuple(effect for effect in mine if not _shifts_samples(effect))
+        if bending:
+            change, scale = self._bent_by(bending)
+            up = up - (change - (scale[:, None] - 1.0) * (self._up - change))
         return up, scale
 
     def bending_mps2(self, effect: Effect) -> Floats:
         """What a slight effect on samples adds to a recording beyond its linear part, to first order, (c, m)."""
-        bent = [self._bent(effect, side, i, slight=True) for i, side in enumerate(self._seen.sides)]
-        return np.stack([change - share * up for (change, share), up in zip(bent, self._up, strict=True)])
+        fine, added = self._fine, np.empty_like(self._up)
+        for i, side in enumerate(self._seen.sides):
+            station, shown = STATIONS[side], fine.shown(i)
+            change = fine.sensed(effect, station, shown) - self._of_root(effect)
+            share = fine.steepness(effect, station, shown) - 1.0
+            added[i] = fine.thinned(-change, len(self._up[i])) - share * self._up[i]
+        return added
 
     def measured_mps2(self, wing: WingModel, gains: Mapping[str, float]) -> Floats | None:
         """Modal loads (n, m) that were recorded: what the load factor bends, inputs times their gain; None for none."""
@@ -169,15 +173,30 @@ class Straightener:
         mirrored = 2.0 * t_s - effect.sample_time(station, t_s)
         return np.asarray(up - self._transforms.at(np.fft.rfft(up), mirrored))
 
-    def _bent(self, effect: Effect, side: Side, channel: int, slight: bool = False) -> tuple[Floats, float]:
-        """What an effect has added to what a station shows, (m,), and its mean slope; ``slight``: to first order."""
+    def _bent_by(self, effects: tuple[Effect, ...]) -> tuple[Floats, Floats]:
+        """What effects have added to all channels, (c, m), and the scales they amount to, (c,); the last are kept."""
+        if effects not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            bent = [self._bent(effects, side, i) for i, side in enumerate(self._seen.sides)]
+            self._kept[effects] = np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
+        return self._kept[effects]
+
+    def _bent(self, effects: Sequence[Effect], side: Side, channel: int) -> tuple[Floats, float]:
+        """What effects, one after the other, have added to what a station shows, (m,), and the scale they amount to."""
         fine, station = self._fine, STATIONS[side]
-        shown = -GRAVITY_MPS2 * fine.load_factor - fine.up_mps2[channel]
-        true = shown if slight else fine.inverted(effect, station, shown)
-        added = fine.sensed(effect, station, shown) if slight else shown - true
-        if self._seen.has_root:
-            added = added - fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor)
-        return fine.thinned(-added, len(self._up[channel])), fine.slope(effect, station, true)
+        shown = true = fine.shown(channel)
+        scale, added_to_root = 1.0, np.zeros(len(shown))
+        for effect in reversed(effects):
+            true = fine.inverted(effect, station, true)
+            scale *= fine.steepness(effect, station, true)
+            added_to_root += self._of_root(effect)
+        return fine.thinned(true - shown + added_to_root, len(self._up[channel])), scale
+
+    def _of_root(self, effect: Effect) -> Floats | float:
+        """What an effect adds to a root sensor, which tells the load factor."""
+        fine = self._fine
+        return fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor) if self._seen.has_root else 0.0
 
 
 class _Fine:
@@ -197,6 +216,10 @@ class _Fine:
             if name in seen.rigid:
                 self._rigid[:, column] = np.interp(self._t_s, seen.t_s, seen.rigid[name])
 
+    def shown(self, channel: int) -> Floats:
+        """The vertical specific force that a channel shows."""
+        return np.asarray(-GRAVITY_MPS2 * self.load_factor - self.up_mps2[channel])
+
     def sensed(self, effect: Effect, station: Station, force_z: Floats) -> Floats:
         """What an effect adds to a station's vertical specific force."""
         values = self._rigid.copy()
@@ -207,25 +230,29 @@ class _Fine:
         """The vertical specific force of which an effect makes what is shown; Newton's steps, sample by sample."""
         small = _BUMP * float(np.std(shown))
         force, bump = shown, small * self._signs
-        reach = _TURNED * np.abs(shown - np.mean(shown))
+        gone = np.zeros(len(shown), dtype=bool)
         for _ in range(_INVERSIONS):
             added = self.sensed(effect, station, force)
             miss = force + added - shown
-            if float(np.max(np.abs(miss))) <= _INVERTED * small:
+            if float(np.max(np.abs(miss), where=~gone, initial=0.0)) <= _INVERTED * small:
                 break
             slope = 1.0 + (self.sensed(effect, station, force + bump) - added) / bump
-            # a characteristic that turns back has no inverse beyond
-            force = np.clip(force - miss / np.maximum(slope, _FLATTEST), shown - reach, shown + reach)
+            force = np.where(gone, force, force - miss / np.maximum(slope, _FLATTEST))
+            # a characteristic that turns back is gone on with straight
+            gone |= slope < _FLATTEST
         return np.asarray(force)
 
-    def slope(self, effect: Effect, station: Station, force: Floats) -> float:
-        """Mean slope of what an effect makes of a station's samples: its linear part, which leaves no change of volume.
+    def steepness(self, effect: Effect, station: Station, force: Floats) -> float:
+        """Geometric mean of the characteristic's slope over a station's samples: what it is as a scale.
 
-        (The same as the regression on the samples in the mean, by Stein, but that one wanders as their power does.)
+        The logarithms of the slopes tell how straightening changes volumes. With their mean for a scale the likelihood
+        of a bent Gaussian is unbiased however much it is bent; with the arithmetic mean, which is the same for little,
+        strong bends come out a third too weak.
         """
         bump = _BUMP * float(np.std(force)) * self._signs
         changed = self.sensed(effect, station, force + bump) - self.sensed(effect, station, force - bump)
-        return float(np.sum(self._weight * changed / (2.0 * bump)) / np.sum(self._weight))
+        logarithms = np.log(np.maximum(1.0 + changed / (2.0 * bump), _FLATTEST))
+        return float(np.exp(np.sum(self._weight * logarithms) / np.sum(self._weight)))
 
     def thinned(self, values: Floats, count: int) -> Floats:
         """The lower part of the spectrum, on the coarse grid."""
@@ -239,5 +266,9 @@ def _signs(count: int) -> Floats:
     return np.where(np.random.default_rng(count).uniform(size=count) < 0.5, -1.0, 1.0)
 
 
+def _shifts_samples(effect: Effect) -> bool:
+    return type(effect).sample_time is not Effect.sample_time
+
+
 def _acts_on_samples(effect: Effect) -> bool:
-    return type(effect).sense is not Effect.sense or type(effect).sample_time is not Effect.sample_time
+    return type(effect).sense is not Effect.sense or _shifts_samples(effect)

@@ -180,6 +180,40 @@ def test_a_bent_characteristic_is_undone(kappa: float) -> None:
     assert straight[0] / scale[0] == pytest.approx(up, abs=0.02)
 
 
+@pytest.mark.parametrize("kappa", [5e-4, 2e-4, -1e-4])
+def test_how_much_a_gaussian_was_bent_is_told_without_bias(kappa: float) -> None:
+    """White samples of unknown size: log L = -m log(size x scale) is largest at the truth, however much is bent.
+
+    (With the arithmetic mean of the slopes for the scale, 1 + 3 kappa s^2, it is largest at two thirds of it.)
+    """
+    rng, m = np.random.default_rng(6), 100_000
+    up = 10.0 * rng.standard_normal(m)
+    bent = up + kappa * up**3
+    seen = Observations(1000.0, (Side.LEFT,), bent[:, None], np.zeros(1), False, np.ones(m), {}, None)
+    straightener = Straightener(seen, Transforms(m, 0.001, 0.0))
+
+    def log_likelihood(share: float) -> float:
+        straight, scale = straightener.straight_mps2([made("accel-cubic", kappa_s4pm2=share * kappa)])
+        return -m * float(np.log(np.std(straight[0] / scale[0])) + np.log(scale[0]))
+
+    shares = np.linspace(0.6, 1.3, 15)
+    curve = np.polynomial.Polynomial.fit(shares, [log_likelihood(share) for share in shares], 4)
+    best = shares[0] + (shares[-1] - shares[0]) * np.argmax(curve(np.linspace(shares[0], shares[-1], 1001))) / 1000
+    assert best == pytest.approx(1.0, abs=0.08)
+
+
+def test_laws_of_a_sensor_are_undone_one_after_the_other() -> None:
+    """Of c(b(a)) the last is undone first: what is left of a is nothing."""
+    rng, m = np.random.default_rng(7), 4000
+    up = rng.uniform(-25.0, 25.0, m)
+    once = up + 2e-4 * up**3
+    both = once + 1e-4 * once**3
+    seen = Observations(1000.0, (Side.LEFT,), both[:, None], np.zeros(1), False, np.ones(m), {}, None)
+    laws = [made("accel-cubic", kappa_s4pm2=kappa) for kappa in (2e-4, 1e-4)]
+    straight, scale = Straightener(seen, Transforms(m, 0.001, 0.0)).straight_mps2(laws)
+    assert straight[0] / scale[0] == pytest.approx(up, abs=1e-6)
+
+
 def test_samples_show_their_faults_and_nothing_else() -> None:
     rng, sensor = np.random.default_rng(1), AIRFRAME.left
     good = -9.8 + np.round(rng.standard_normal(20000), 5)
