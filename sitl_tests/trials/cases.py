@@ -57,7 +57,7 @@ SIGMA = {
     "covariate-frequency": 0.0028,
     "accel-scale": 0.0059,
     "accel-bias": 0.053,
-    "accel-cubic": 1.6e-5,
+    "accel-cubic": 8.0e-6,
     "stream-delay": 0.00023,
     "clock-skew": 0.00031,
     "sensor-filter": 0.00018,
