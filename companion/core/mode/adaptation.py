@@ -45,7 +45,7 @@ _IDLE = 1e-7  # of the first mode's load
 _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))
 _ROUNDS = 6
 _CLEARLY = 1.0
-_LOWEST_HZ = 0.25
+_LOWEST_HZ = 0.25  # a stiff wing's slow bend, though the tip hardly feels it, is told by the gust's colour down there
 _REACH = 4.0
 _FARTHEST = np.log(2.0)  # a wing that is loaded or iced drifts far beyond what was believed of it at rest
 _CUT_MEMORY_S = 5.0
@@ -236,10 +236,8 @@ class Adaptation:
         return start
 
     def _band(self, which: tuple[int, ...]) -> tuple[float, float, float]:
-        frequencies = [self._prior[k].frequency_hz for k in which]
         highest = 0.48 / self._step_s
-        # below a tenth of the mode the tip feels a ten-thousandth of its load: what is there is the sensors' own
-        return max(_LOWEST_HZ, 0.1 * min(frequencies)), min(2.2 * max(frequencies), 0.8 * highest), highest
+        return _LOWEST_HZ, min(2.2 * max(self._prior[k].frequency_hz for k in which), 0.8 * highest), highest
 
     def _scanned(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
         for at in range(0, len(start), PARAMETERS):
