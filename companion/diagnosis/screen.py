@@ -70,6 +70,15 @@ class Screening:
     correlation: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class _Tested:
+    """An effect, the prior sigmas of its parameters, and to which side it was moved."""
+
+    part: Part
+    sigmas: Floats
+    side: float
+
+
 def candidates_of(kinds: Iterable[type[Effect]], channels: Sequence[str], leads: Leads = NO_LEADS) -> list[Part]:
     """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow.
 
@@ -103,20 +112,21 @@ def screen(
     ``parts`` as :func:`candidates_of` gives them; ``progress`` is told the share that is done.
     """
     columns = [list(entry) for entry in null.columns]
-    tested: list[tuple[Part, Floats]] = []
-    for done, part in enumerate(parts):
+    tested: list[_Tested] = []
+    sided = [(part, side) for part in parts for side in ((1.0, -1.0) if part.effect.hinged else (1.0,))]
+    for done, (part, side) in enumerate(sided):
         declared = part.effect.parameters()
         sigmas = np.array([entry.sigma for entry in declared])
         values = np.concatenate([null.values, [getattr(part.effect, entry.name) for entry in declared]])
         # a mode's frequency means nothing while its participation is 0: what is scanned for has one column
         count = 1 if part.effect.scan else len(declared)
         only = range(len(null.values), len(null.values) + count)
-        wide = np.concatenate([null.sigmas, sigmas])
+        wide = np.concatenate([null.sigmas, side * sigmas])  # its sign is that of the step
         own = derivatives(models, values, (*null.parts, part), null.found, wide, only)
         own = [[*mine, *[Column()] * (len(declared) - count)] for mine in own]
         columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
-        tested.append((part, sigmas))
-        progress((done + 1) / len(parts))
+        tested.append(_Tested(part, sigmas, side))
+        progress((done + 1) / len(sided))
     score, left = efficient(models, null, columns)
     wider = _scatter(models, null, tested)
     left = left * np.outer(wider, wider)
@@ -136,28 +146,28 @@ def efficient(models: Sequence[SuperModel], null: Fit, columns: Sequence[Sequenc
     return gradient[p:] - share.T @ pull, information[p:, p:] - information[p:, :p] @ share
 
 
-def _scatter(models: Sequence[SuperModel], null: Fit, tested: Sequence[tuple[Part, Floats]]) -> Floats:
+def _scatter(models: Sequence[SuperModel], null: Fit, tested: Sequence[_Tested]) -> Floats:
     """How much more each parameter's score scatters than its column says: 1 but for crooked sensors."""
-    wider, at = np.ones(sum(len(sigmas) for _, sigmas in tested)), 0
+    wider, at = np.ones(sum(len(one.sigmas) for one in tested)), 0
     bent: dict[int, Effect] = {}
-    for part, sigmas in tested:
-        names = [entry.name for entry in part.effect.parameters()]
-        if bends_samples(part.effect) and len(names) == 1:
-            bent[at] = part.with_values({names[0]: _UNIT * float(sigmas[0])}).effect
-        at += len(sigmas)
+    for one in tested:
+        names = [entry.name for entry in one.part.effect.parameters()]
+        if bends_samples(one.part.effect) and len(names) == 1:
+            bent[at] = one.part.with_values({names[0]: _UNIT * float(one.sigmas[0])}).effect
+        at += len(one.sigmas)
     if bent:
         wider[list(bent)] = scatter(models, null.found, list(bent.values()))
     return wider
 
 
-def _ranked(tested: Sequence[tuple[Part, Floats]], score: Floats, left: Floats) -> Screening:
-    unit = np.concatenate([sigmas for _, sigmas in tested]) if tested else np.zeros(0)
+def _ranked(tested: Sequence[_Tested], score: Floats, left: Floats) -> Screening:
+    unit = np.concatenate([one.sigmas for one in tested]) if tested else np.zeros(0)
     score, left = score * unit, left * np.outer(unit, unit)
     found, at = [], 0
-    for part, sigmas in tested:
-        mine = slice(at, at + len(sigmas))
-        found.append((_candidate(part, sigmas, score[mine], left[mine, mine]), mine))
-        at += len(sigmas)
+    for one in tested:
+        mine = slice(at, at + len(one.sigmas))
+        found.append((_candidate(one, score[mine], left[mine, mine]), mine))
+        at += len(one.sigmas)
     best: dict[tuple[str, str], tuple[Candidate, slice]] = {}
     for entry in found:
         key = (entry[0].name, entry[0].part.channel)
@@ -172,11 +182,13 @@ def _ranked(tested: Sequence[tuple[Part, Floats]], score: Floats, left: Floats) 
     return Screening(tuple(entry[0] for entry in ranked), shared / np.outer(scale, scale))
 
 
-def _candidate(part: Part, sigmas: Floats, score: Floats, information: Floats) -> Candidate:
+def _candidate(one: _Tested, score: Floats, information: Floats) -> Candidate:
     """Test the parameters that this recording says anything about; what nature has one way only, that way only."""
+    part, sigmas = one.part, one.sigmas
     values, vectors = np.linalg.eigh(information)
     telling = values > max(_BARELY * float(values[-1]), _BARELY)
-    if not telling.any() or (part.effect.one_way and score[0] < 0.0):
+    one_way = part.effect.one_way or part.effect.hinged
+    if not telling.any() or (one_way and one.side * score[0] < 0.0):
         return Candidate(part, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
     along = vectors[:, telling].T @ score
     # with the prior: a change far beyond what is physical is not what explains

@@ -16,7 +16,7 @@ from companion.diagnosis.latent import laws
 from companion.diagnosis.observations import Observations
 from companion.diagnosis.part import Part
 from companion.diagnosis.samples import bridged, find_in_samples
-from companion.diagnosis.screen import screen
+from companion.diagnosis.screen import candidates_of, screen
 from companion.diagnosis.simulated import bends_samples, scatter
 from companion.diagnosis.supermodel import SuperModel
 from companion.params.files import load_airframe, parse_airframe
@@ -73,6 +73,23 @@ def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chan
         # |z| of 8: a mean square of 1 with standard deviation 0.5
         assert np.mean(np.square(z)) < 3.0, name
         assert np.isfinite(z).all()
+
+
+@pytest.mark.parametrize("late", [Side.LEFT, Side.RIGHT])
+def test_a_late_stream_is_screened_from_its_own_side(late: Side) -> None:
+    """The first step leads to the side that is late, by as much; the other side's half of the effect counts nothing."""
+    delay_s, model = 0.003, drawn(20)
+    up = model.seen.up_mps2.copy()
+    turned = np.fft.rfft(up[:, late]) * np.exp(-2j * np.pi * np.fft.rfftfreq(len(up), 1.0 / RATE_HZ) * delay_s)
+    up[:, late] = np.fft.irfft(turned, len(up))
+    shown = model_of(up)
+    part = Part(catalogue()["stream-delay"]())
+    assert len(candidates_of([type(part.effect)], ())) == 1
+    found = screen([shown], fit([shown], ()), [part]).candidates
+    assert len(found) == 1
+    step_s = 0.005 * float(found[0].score[0] / (found[0].information[0, 0] + 1.0))
+    assert found[0].z > 5.0
+    assert step_s == pytest.approx(delay_s if late is Side.RIGHT else -delay_s, rel=0.25)
 
 
 def test_a_clock_that_runs_away_is_told_with_its_sigma() -> None:

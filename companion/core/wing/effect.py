@@ -135,6 +135,8 @@ class Effect:
     """Whether it needs a recorded channel."""
     one_way: ClassVar[bool] = False
     """Whether nature has it with a positive first parameter only (friction is never negative)."""
+    hinged: ClassVar[bool] = False
+    """Whether below 0 it is another thing than above (the other stream late), so that it is screened on either side."""
 
     @classmethod
     def parameters(cls) -> tuple[EffectParameter, ...]:

@@ -17,6 +17,7 @@ class StreamDelay(Effect):
 
     name: ClassVar[str] = "stream-delay"
     group: ClassVar[Group] = Group.SENSING
+    hinged: ClassVar[bool] = True
     advice: ClassVar[str] = "strike the fuselage once: both streams must show it in the same sample"
 
     delay_s: float = parameter("s", 0.005, "how much later the right stream is than the left")
