@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, gamma
+from scipy.stats import chi2, gamma, t
 
 from companion.core.wing.effect import Effect
 from companion.diagnosis.expectation import Expectation
@@ -25,7 +25,7 @@ from companion.diagnosis.part import Part
 from companion.diagnosis.peaks import peaks
 from companion.diagnosis.scores import Column
 from companion.diagnosis.screen import efficient, normal_of
-from companion.diagnosis.simulated import scatter
+from companion.diagnosis.simulated import DRAWS, scatter
 from companion.diagnosis.supermodel import SuperModel
 from companion.records import Floats
 
@@ -83,6 +83,8 @@ def _strengths(family: _Family, score: Floats, left: Floats) -> dict[str, float]
     z = score / np.sqrt(np.where(telling, spread, 1.0))
     if family.skewness is not None:
         z = np.array([straightened(one, skew) for one, skew in zip(z.tolist(), family.skewness.tolist(), strict=True)])
+    if family.wider is not None:
+        z = np.array([of_student(one, DRAWS - 1) for one in z.tolist()])
     mine = np.flatnonzero(telling)
     if family.scanned:
         return _best(family, z, mine)
@@ -123,6 +125,11 @@ def straightened(z: float, skewness: float) -> float:
     shape = 4.0 / skewness**2
     log_tail = float(gamma.logsf(shape + abs(z) * math.sqrt(shape), shape))
     return math.copysign(normal_of(min(log_tail + math.log(2.0), 0.0)), z)
+
+
+def of_student(z: float, freedom: int) -> float:
+    """Equivalent of a standard normal of a score over a scatter that so many free draws have told."""
+    return math.copysign(normal_of(min(float(t.logsf(abs(z), freedom)) + math.log(2.0), 0.0)), z)
 
 
 def _laws(models: Sequence[SuperModel], fitted: Fit) -> list[_Family]:

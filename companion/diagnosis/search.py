@@ -43,16 +43,18 @@ def diagnose(
         return Diagnosis(Verdict.NOT_IDENTIFIABLE, (), "", (), reason, null, null, first, (), (), None)
     path = extension.search(null, first, max_causes)
     progress("test what is left", 0.0)
-    after = tuple(check(models, path.fitted))
-    before = tuple(check(models, null)) if path.causes else after
+    offered = {kind.name for kind in kinds}
+    shown = together([entry for model in models for entry in model.seen.in_samples])
+    faults = [Check(entry.seen, _strength(entry)) for entry in shown if entry.name not in offered]
+    after = (*faults, *check(models, path.fitted))
+    before = (*faults, *check(models, null)) if path.causes else after
     gain = rival = None
     if path.causes:
         progress("hold the names against laws without one", 0.0)
         rival = strongest_rival(models, null, before, path)
         gain = held_out(models, null, path.fitted, lambda share: progress("measure the gain on held-out blocks", share))
-    offered = {kind.name for kind in kinds}
-    found = together([entry for model in models for entry in model.seen.in_samples if entry.name in offered])
-    return _conclude(null, path, tuple(_seen(entry) for entry in found), first, before, after, gain, rival)
+    named = tuple(_seen(entry) for entry in shown if entry.name in offered)
+    return _conclude(null, path, named, first, before, after, gain, rival)
 
 
 def _excited(models: Sequence[SuperModel], null: Fit) -> bool:
@@ -73,11 +75,15 @@ def _seen(found: SampleFinding) -> Cause:
         (),
         found.log_bayes_factor,
         -2.0 * found.log_bayes_factor,
-        math.sqrt(2.0 * found.log_bayes_factor),
+        _strength(found),
         tuple(found.values[name] for name in names),
         tuple(found.sigmas[name] for name in names),
         found.seen,
     )
+
+
+def _strength(found: SampleFinding) -> float:
+    return math.sqrt(2.0 * found.log_bayes_factor)
 
 
 def _conclude(

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.astray import astray
 from companion.diagnosis.belief import believe
-from companion.diagnosis.directions import judge_directions, straightened
+from companion.diagnosis.directions import judge_directions, of_student, straightened
 from companion.diagnosis.fit import fit
 from companion.diagnosis.leads import mount_lead
 from companion.diagnosis.observations import Observations
@@ -53,6 +53,27 @@ def test_a_sum_of_few_squares_gets_the_strength_that_its_chance_is_worth(count: 
     z = np.array([straightened(one, 2.0 / np.sqrt(count)) for one in ((sums - count) / np.sqrt(count))[:4_000]])
     expected = 4_000 * norm.sf(2.5)
     assert np.sum(z > 2.5) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
+
+
+def test_a_score_over_a_scatter_from_few_draws_gets_the_strength_that_its_chance_is_worth() -> None:
+    """Normal over the root of a mean of 9 squares: beyond 3 lies 1 of 67, and of what it is worth 1 of 370."""
+    rng = np.random.default_rng(2)
+    raw = rng.standard_normal(20_000) / np.sqrt(rng.chisquare(9, 20_000) / 9.0)
+    z = np.array([of_student(one, 9) for one in raw[np.abs(raw) > 3.0].tolist()])
+    assert of_student(-3.5, 9) == -of_student(3.5, 9) < 0.0
+    expected = 20_000 * 2.0 * norm.sf(3.0)
+    assert np.sum(np.abs(z) > 3.0) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
+
+
+@pytest.mark.slow
+def test_what_shows_in_the_samples_is_left_over_where_it_has_no_name() -> None:
+    (tables,) = fly([Hidden({"quantisation": 8.0})], 20.0, 77, 20.0)
+    model = model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
+    named = diagnose([model], [catalogue()["quantisation"]])
+    assert [cause.part.effect.name for cause in named.causes] == ["quantisation"]
+    without = diagnose([model], [])
+    assert without.verdict is Verdict.UNEXPLAINED
+    assert "multiples of 8" in without.reason
 
 
 def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> None:
