@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -64,6 +66,23 @@ def test_compiled_loops_and_numpy_agree(missing: float, rough: bool) -> None:
         for name in ("seen", "innovation", "drawn"):
             found, wanted = getattr(one.history, name)[at, :used], getattr(other.history, name)[at, :used]
             np.testing.assert_allclose(found, wanted, atol=1e-9 * max(np.abs(wanted).max(initial=0.0), 1e-6))
+
+
+@pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])
+def test_the_history_knows_the_motion_of_every_step_however_often_it_changes(kernel: object) -> None:
+    kalman = _filter()
+    data = _cells(len(kalman.constants), 0.0)
+    layout, noise, believed = kalman.layout, kalman.noise, kalman.model.parameters
+    motions = []
+    for step in range(STEPS):
+        faster = tuple(replace(p, frequency_hz=p.frequency_hz * (1.0 + 0.01 * step)) for p in believed)
+        kalman.use(build_model(layout, noise, (faster[0], faster[1]), (-0.99, 0.99), STEP_S))
+        fixed, taken, memory, history = _parts(kalman)
+        assert kernel.run_cells(fixed, taken, data, memory, history, step, step + 1, step)  # type: ignore[attr-defined]
+        motions.append(kalman.model.transition[:, : layout.size])
+    history = kalman.history
+    for step, motion in enumerate(motions):
+        np.testing.assert_array_equal(history.transition[history.by[step]], motion)
 
 
 @pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from companion.core.mode.parameters import (
     ModeParameters,
 )
 from companion.core.mode.rigid import Cells
-from companion.core.mode.stretch import Stretch, make_stretch
+from companion.core.mode.stretch import Stretch, make_stretch, make_stretches
 from companion.core.mode.whittle import Fit, Prior, fit, misfit, scan, seek_peak
 from companion.records import Bools, Floats
 
@@ -51,6 +52,8 @@ _FARTHEST = np.log(2.0)  # a wing that is loaded or iced drifts far beyond what 
 _CUT_MEMORY_S = 5.0
 _LEAST_PRESENT = 0.98
 _HOLE_CELLS = 11
+
+_Ring = TypeVar("_Ring", bound=Any)
 
 
 class Adaptation:
@@ -159,9 +162,8 @@ class Adaptation:
         """Everything that is kept, oldest first, seen by the constants as known now."""
         count = min(self._count, len(self._rows))
         first = (self._count - count) % len(self._rows)
-        rows, seen, known = (
-            np.concatenate([ring[first:], ring[:first]])[:count] for ring in (self._rows, self._seen, self._sensitivity)
-        )
+        rows, seen = _in_order(self._rows, first, count).copy(), _in_order(self._seen, first, count)
+        known = _in_order(self._sensitivity, first, count)
         rows[:, :2] -= (known.reshape(2 * count, -1) @ self._constants).reshape(count, 2)
         rows[:, STATIC] *= self._bend_per_g_m
         return rows, seen
@@ -198,7 +200,7 @@ class Adaptation:
         """Rate of the frequencies, one step on from the one that was believed."""
         count = len(samples) // self._piece
         newest = samples[len(samples) - count * self._piece :].reshape(count, self._piece)
-        pieces = [make_stretch(each, self._step_s, band, floor) for each in newest]
+        pieces = make_stretches(newest, self._step_s, band, floor)
         length_s = count * _PIECE_S
         return likeliest(pieces, _PIECE_S, prior, when_evened(start, rate, length_s), rate)
 
@@ -247,6 +249,11 @@ class Adaptation:
             start = starts[best]
             self.ambiguous |= _two_answers(costs)
         return start
+
+
+def _in_order(ring: _Ring, first: int, count: int) -> _Ring:
+    """The ``count`` entries from ``first`` on; as they lie there where that is possible."""
+    return cast(_Ring, np.concatenate([ring[first:], ring[:first]]) if first else ring[:count])
 
 
 def _join(families: list[ModeParameters]) -> Prior:

@@ -36,7 +36,8 @@ def evened(samples: Floats, rate_per_s: float, step_s: float) -> Floats:
     before = np.floor(place)
     fraction = np.rint((place - before) * _FRACTIONS).astype(np.int64)
     first = np.clip(before.astype(np.int64) - (_TAPS // 2 - 1), 0, count - _TAPS)
-    return np.asarray(np.einsum("nk,nk->n", samples[first[:, None] + np.arange(_TAPS)], _WEIGHTS[fraction]))
+    beside = np.lib.stride_tricks.sliding_window_view(samples, _TAPS)[first]
+    return np.asarray(np.einsum("nk,nk->n", beside, np.take(_WEIGHTS, fraction, axis=0)))
 
 
 def at_end(logs: Floats, rate_per_s: float, length_s: float) -> Floats:

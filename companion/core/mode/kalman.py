@@ -83,6 +83,8 @@ class Kalman:
         other.steps = 0
         if model is not self.model:
             other.use(model)
+        else:
+            other._step = self._step._replace(number=other._kept_motion(self._step.motion))
         return other
 
     def reopen(self, names: Collection[str]) -> None:
@@ -185,9 +187,15 @@ class Kalman:
         for _, q, sign in _slope_terms(self.layout):
             for side, turn in ((0, 1.0), (1, -1.0)):
                 watch += [-sign[side] * middle[q : q + 1], -turn * sign[side] * rate[q : q + 1]]
+        motion = np.ascontiguousarray(model.transition[:, :n])
+        to, of = (np.ascontiguousarray(index) for index in np.nonzero(motion))
         self._step = Step(
-            transition=np.ascontiguousarray(model.transition),
-            motion=np.ascontiguousarray(model.transition[:, :n]),
+            motion=motion,
+            static=np.ascontiguousarray(model.transition[:, n]),
+            to=to,
+            of=of,
+            share=motion[to, of],
+            number=self._kept_motion(motion),
             sense=np.ascontiguousarray(model.sense),
             noise=np.ascontiguousarray(model.noise),
             cross=np.ascontiguousarray(model.cross.T),
@@ -196,6 +204,16 @@ class Kalman:
             cut=model.cut,
             rough=model.rough,
         )
+
+    def _kept_motion(self, motion: Floats) -> int:
+        """Put a motion where the history has it for its steps; give its number."""
+        kept = self.history.transition
+        free = np.setdiff1d(np.arange(len(kept)), self.history.by)
+        if not len(free):
+            self.history = self.history._replace(transition=np.concatenate([kept, np.empty_like(kept)]))
+            return self._kept_motion(motion)
+        self.history.transition[free[0]] = motion
+        return int(free[0])
 
     def _keep_acceleration(self, parameters: Parameters) -> None:
         """Give the loads what other springs and dampers take from the tips.
@@ -221,7 +239,8 @@ class Kalman:
         self.covariance[:] = state @ self.covariance @ state.T
         if self.steps:  # the smoother comes back this way
             at = (self.steps - 1) % self.kept
-            self.history.transition[at] = state @ self.history.transition[at]
+            turned = state @ self.history.transition[self.history.by[at]]
+            self.history.by[at] = self._kept_motion(turned)
             self.history.drawn[at] = self.history.drawn[at] @ state.T
 
     def _solve(self) -> None:

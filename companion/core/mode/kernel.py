@@ -15,6 +15,7 @@ import numpy as np
 from companion.records import Bools, Floats, Ints
 
 LOAD_TIME_S = 0.1
+_MOTIONS = 8  # more than a history holds, for parameters change once a second
 
 
 class Fixed(NamedTuple):
@@ -58,12 +59,29 @@ class Fixed(NamedTuple):
 class Step(NamedTuple):
     """The model of one step as plain arrays: see :class:`companion.core.mode.model.StepModel`.
 
-    ``cross`` (9, n) is transposed; ``watch`` (4 + f, n + 1) gives tip slopes, tip slope rates and what multiplies the
-    slope factors.
+    Attributes
+    ----------
+    motion : (n, n) float64
+        The transition without the static bend.
+    static : (n,) float64
+        What the static bend adds.
+    to, of : (t,) int64
+    share : (t,) float64
+        What is not zero of the motion (a tenth), row after row: ``motion[to, of] = share``.
+    number : int
+        Where the history keeps the motion.
+    cross : (9, n) float64
+        Transposed.
+    watch : (4 + f, n + 1) float64
+        Tip slopes, tip slope rates and what multiplies the slope factors.
     """
 
-    transition: Floats
     motion: Floats
+    static: Floats
+    to: Ints
+    of: Ints
+    share: Floats
+    number: int
     sense: Floats
     noise: Floats
     cross: Floats
@@ -115,7 +133,11 @@ class History(NamedTuple):
     ----------
     state : (size, n, 1 + c) float64
         At the start of the step.
-    covariance, transition : (size, n, n) float64
+    covariance : (size, n, n) float64
+    transition : (m, n, n) float64
+        The few that there were.
+    by : (size,) int64
+        Which of these each step was.
     used : (size,) int64
         How many rows were used; as many rows of the next three are valid.
     seen : (size, 9, n) float64
@@ -130,6 +152,7 @@ class History(NamedTuple):
     state: Floats
     covariance: Floats
     transition: Floats
+    by: Ints
     used: Ints
     seen: Floats
     innovation: Floats
@@ -142,7 +165,8 @@ def make_history(size: int, states: int, constants: int, rows: int) -> History:
     return History(
         state=np.zeros((size, states, 1 + constants)),
         covariance=np.zeros((size, states, states)),
-        transition=np.zeros((size, states, states)),
+        transition=np.zeros((_MOTIONS, states, states)),
+        by=np.zeros(size, np.int64),
         used=np.zeros(size, np.int64),
         seen=np.zeros((size, rows, states)),
         innovation=np.zeros((size, rows, 1 + constants)),

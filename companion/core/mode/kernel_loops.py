@@ -67,7 +67,7 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
     columns, covariance, weights = memory.columns, memory.covariance, memory.weights
     n = len(covariance)
     _static_bend(fixed, columns, n, data.load[k])
-    _store(history, at, columns, covariance, step.motion)
+    _store(history, at, columns, covariance, step.number)
     _watch(columns, weights, step.watch, work.state, work.watched)
     used = _choose(data.present, k, step.rough, work.used, work.at)
     history.used[at] = used
@@ -75,7 +75,7 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
     _innovate(fixed, data, k, columns, weights, work, used, history.innovation, at)
     _spread(work.sense, covariance, used, work.spread)
     _vary(fixed, step, data, k, work, used)
-    _draw(step.motion, step.cross, work, used, history.drawn, at)
+    _draw(step, work, used, history.drawn, at)
     if not _root(work.variance, used):
         return False
     _keep(work.sense, used, history.seen, at)
@@ -83,8 +83,8 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
     _whiten(work.variance, used, history.innovation, at)
     _whiten(work.variance, used, history.drawn, at)
     _learn(fixed, memory, history.innovation, at, used)
-    _move_columns(step.transition, columns, history, at, used, work.columns)
-    _move_covariance(step.motion, step.noise, covariance, history.drawn, at, used, work.moved)
+    _move_columns(step, columns, history, at, used, work.columns)
+    _move_covariance(step, covariance, history.drawn, at, used, work.moved)
     return True
 
 
@@ -100,16 +100,16 @@ def _static_bend(fixed: Fixed, columns: Floats, n: int, load: float) -> None:
 
 
 @compiled_loops
-def _store(history: History, at: int, columns: Floats, covariance: Floats, motion: Floats) -> None:
+def _store(history: History, at: int, columns: Floats, covariance: Floats, number: int) -> None:
     n, width = len(covariance), columns.shape[1]
     for i in range(n):
         for j in range(width):
             history.state[at, i, j] = columns[i, j]
         for j in range(n):
             history.covariance[at, i, j] = covariance[i, j]
-            history.transition[at, i, j] = motion[i, j]
     for j in range(width):
         history.static_m[at, j] = columns[n, j]
+    history.by[at] = number
 
 
 @compiled_loops
@@ -248,18 +248,13 @@ def _vary(fixed: Fixed, step: Step, data: Data, k: int, work: _Work, used: int) 
 
 
 @compiled_loops
-def _draw(motion: Floats, cross: Floats, work: _Work, used: int, out: Floats, at: int) -> None:
+def _draw(step: Step, work: _Work, used: int, out: Floats, at: int) -> None:
     """``C^T = G P A^T + H1 Q``."""
-    n = len(motion)
     for r in range(used):
-        for i in range(n):
-            out[at, r, i] = cross[work.used[r], i]
-    for i in range(n):
-        for j in range(n):
-            share = motion[i, j]
-            if share != 0.0:
-                for r in range(used):
-                    out[at, r, i] += share * work.spread[r, j]
+        for i in range(step.cross.shape[1]):
+            out[at, r, i] = step.cross[work.used[r], i]
+        for k in range(len(step.to)):
+            out[at, r, step.to[k]] += step.share[k] * work.spread[r, step.of[k]]
 
 
 @compiled_loops
@@ -316,16 +311,16 @@ def _learn(fixed: Fixed, memory: Memory, innovation: Floats, at: int, used: int)
 
 
 @compiled_loops
-def _move_columns(transition: Floats, columns: Floats, history: History, at: int, used: int, moved: Floats) -> None:
+def _move_columns(step: Step, columns: Floats, history: History, at: int, used: int, moved: Floats) -> None:
     n, width = moved.shape
     for i in range(n):
         for j in range(width):
             moved[i, j] = 0.0
-        for r in range(n + 1):
-            share = transition[i, r]
-            if share != 0.0:
-                for j in range(width):
-                    moved[i, j] += share * columns[r, j]
+    _add_moved(step, columns, moved)
+    for i in range(n):
+        if step.static[i] != 0.0:
+            for j in range(width):
+                moved[i, j] += step.static[i] * columns[n, j]
         for r in range(used):
             share = history.drawn[at, r, i]
             for j in range(width):
@@ -336,28 +331,28 @@ def _move_columns(transition: Floats, columns: Floats, history: History, at: int
 
 
 @compiled_loops
-def _move_covariance(
-    motion: Floats, noise: Floats, covariance: Floats, drawn: Floats, at: int, used: int, moved: Floats
-) -> None:
+def _add_moved(step: Step, rows: Floats, out: Floats) -> None:
+    """Add ``A rows``."""
+    for k in range(len(step.to)):
+        to, of, share = step.to[k], step.of[k], step.share[k]
+        for j in range(out.shape[1]):
+            out[to, j] += share * rows[of, j]
+
+
+@compiled_loops
+def _move_covariance(step: Step, covariance: Floats, drawn: Floats, at: int, used: int, moved: Floats) -> None:
     """``P = A P A^T + Q - K C^T``: the lower half, mirrored."""
     n = len(covariance)
     for i in range(n):
         for j in range(n):
             moved[i, j] = 0.0
-        for k in range(n):
-            share = motion[i, k]
-            if share != 0.0:
-                for j in range(n):
-                    moved[i, j] += share * covariance[k, j]
+    _add_moved(step, covariance, moved)
     _transpose(moved)
     for i in range(n):
-        for j in range(i + 1):
-            covariance[i, j] = noise[i, j]
-        for k in range(n):
-            share = motion[i, k]
-            if share != 0.0:
-                for j in range(i + 1):
-                    covariance[i, j] += share * moved[k, j]
+        for j in range(n):
+            covariance[i, j] = step.noise[i, j]
+    _add_moved(step, moved, covariance)
+    for i in range(n):
         for r in range(used):
             share = drawn[at, r, i]
             for j in range(i + 1):

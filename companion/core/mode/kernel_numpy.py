@@ -24,7 +24,7 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
     n = len(covariance)
     _static_bend(fixed, columns[n], data.load[k])
     history.state[at], history.covariance[at] = columns[:n], covariance
-    history.transition[at], history.static_m[at] = step.motion, columns[n]
+    history.by[at], history.static_m[at] = step.number, columns[n]
     measured = np.concatenate([data.rows[k][:, None], -data.sensitivity[k]], axis=1)
     sense = step.sense.copy()
     _turn(fixed, step, data, k, columns @ weights, measured, sense)
@@ -47,7 +47,7 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
     memory.surprise[0] = fade * memory.surprise[0] + np.sum((innovation @ weights) ** 2)
     memory.surprise[1] = fade * memory.surprise[1] + len(use)
     memory.information[:] += innovation.T @ innovation
-    columns[:n] = step.transition @ columns + drawn.T @ innovation
+    columns[:n] = step.motion @ columns[:n] + np.outer(step.static, columns[n]) + drawn.T @ innovation
     grown = step.motion @ covariance @ step.motion.T + step.noise - drawn.T @ drawn
     covariance[:] = 0.5 * (grown + grown.T)
     return True

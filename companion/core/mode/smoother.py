@@ -73,7 +73,7 @@ def _between(kalman: Kalman, at: int, s: float, here: Floats, there: Floats, spr
         added[q, q] = load * h * h * bump**3 / 3.0
         added[v, v] = load * bump * (1.0 - 3.0 * bump)
     columns = first @ here + second @ there
-    whole = first + second @ kalman.history.transition[at]
+    whole = first + second @ kalman.history.transition[kalman.history.by[at]]
     state = columns[:, 0] + columns[:, 1:] @ kalman.constants
     return Smoothed(state, whole @ spread @ whole.T + added, columns[:, 1:])
 
@@ -98,7 +98,7 @@ def adjoint(history: History, first: int, count: int) -> tuple[Floats, Floats, F
         g = history.seen[at, :used]
         g_t = np.ascontiguousarray(g.T)
         drawn_t = np.ascontiguousarray(history.drawn[at, :used].T)
-        closed = history.transition[at] - drawn_t @ g
+        closed = history.transition[history.by[at]] - drawn_t @ g
         closed_t = np.ascontiguousarray(closed.T)
         later = push
         push = closed_t @ push + g_t @ history.innovation[at, :used]

@@ -74,24 +74,37 @@ def make_stretch(
     samples: Floats, step_s: float, band_hz: tuple[float, float, float], floor: Callable[[Floats], Floats]
 ) -> Stretch:
     """Taper and transform ``samples`` (n,); use the bins inside the band (lowest, first grouped, highest)."""
-    n = len(samples)
+    return make_stretches(samples[None], step_s, band_hz, floor)[0]
+
+
+def make_stretches(
+    pieces: Floats, step_s: float, band_hz: tuple[float, float, float], floor: Callable[[Floats], Floats]
+) -> list[Stretch]:
+    """As :func:`make_stretch` of each row of ``pieces`` (m, n): what their length tells is worked out once."""
+    n = pieces.shape[1]
     bins = _bins(n, step_s, band_hz)
     taper, energy, independent, kernel = _window(n, bins.stride)
-    spectrum = np.fft.rfft(taper * (samples - samples.mean()))
-    periodogram: Floats = 2.0 * step_s / energy * (spectrum.real**2 + spectrum.imag**2)
-    groups = np.add.reduceat(periodogram[: bins.edges[-1]], bins.edges[:-1]) / bins.counts
     low_bins = bins.split - bins.first
-    return Stretch(
-        power=np.concatenate([periodogram[bins.first : bins.split], groups]),
-        frequency_hz=bins.frequency_hz,
-        weight=independent * np.concatenate([np.ones(low_bins), bins.counts]),
-        grid=bins.grid,
-        floor=floor(bins.grid_hz),
-        kernel=kernel,
-        stride=bins.stride,
-        low_bins=low_bins,
-        low_grid=len(bins.grid_hz) - len(groups),
-    )
+    weight, beneath = independent * np.concatenate([np.ones(low_bins), bins.counts]), floor(bins.grid_hz)
+    found = []
+    for samples in pieces:
+        spectrum = np.fft.rfft(taper * (samples - samples.mean()))
+        periodogram: Floats = 2.0 * step_s / energy * (spectrum.real**2 + spectrum.imag**2)
+        groups = np.add.reduceat(periodogram[: bins.edges[-1]], bins.edges[:-1]) / bins.counts
+        found.append(
+            Stretch(
+                power=np.concatenate([periodogram[bins.first : bins.split], groups]),
+                frequency_hz=bins.frequency_hz,
+                weight=weight,
+                grid=bins.grid,
+                floor=beneath,
+                kernel=kernel,
+                stride=bins.stride,
+                low_bins=low_bins,
+                low_grid=len(bins.grid_hz) - len(bins.counts),
+            )
+        )
+    return found
 
 
 class _Bins(NamedTuple):
