@@ -41,7 +41,8 @@ _LARGEST = 255
 _SHORTEST = 8
 
 _Bytes = np.ndarray[tuple[int], np.dtype[np.uint8]]
-_CRC = np.array([mcrf4xx(bytes([byte]), 0) for byte in range(256)], np.int64)
+# what a byte leaves in the checksum, alone and with one to three zeros behind it: four bytes are taken at once
+_CRC = np.array([[mcrf4xx(bytes([byte]) + bytes(zeros), 0) for byte in range(256)] for zeros in range(4)], np.int64)
 
 
 def _compiled(function: Any) -> Any:
@@ -210,10 +211,8 @@ def _find(buffer: _Bytes, extras: Ints, spans: Ints, counted: Ints) -> int:
         after = stop + (15 if flags else 2)
         if after > end:
             break
-        crc = np.int64(0xFFFF)
-        for k in range(position + 1, stop):
-            crc = (crc >> 8) ^ _CRC[(crc ^ buffer[k]) & 255]
-        crc = (crc >> 8) ^ _CRC[(crc ^ extra) & 255]
+        crc = _checksum(buffer, position + 1, stop)
+        crc = (crc >> 8) ^ _CRC[0, (crc ^ extra) & 255]
         if crc != np.int64(buffer[stop]) | np.int64(buffer[stop + 1]) << 8:
             counted[2] += 1
             counted[4] += 1
@@ -223,6 +222,20 @@ def _find(buffer: _Bytes, extras: Ints, spans: Ints, counted: Ints) -> int:
         counted[1] += 1
         position = after
     return position
+
+
+@_compiled
+def _checksum(buffer: _Bytes, first: int, stop: int) -> int:
+    """CRC-16/MCRF4XX of the bytes ``first:stop``."""
+    crc, k = np.int64(0xFFFF), first
+    while k + 4 <= stop:
+        together = _CRC[3, (crc ^ buffer[k]) & 255] ^ _CRC[2, (crc >> 8) ^ buffer[k + 1]]
+        crc = together ^ _CRC[1, buffer[k + 2]] ^ _CRC[0, buffer[k + 3]]
+        k += 4
+    while k < stop:
+        crc = (crc >> 8) ^ _CRC[0, (crc ^ buffer[k]) & 255]
+        k += 1
+    return int(crc)
 
 
 @_compiled

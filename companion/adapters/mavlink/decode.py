@@ -8,9 +8,10 @@ others.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
@@ -150,12 +151,12 @@ class Decoder:
 
     def _inertial(self, chunk: RawChunk, many: dict[int, list[bytes]], runs: list[Run], out: Decoded) -> None:
         received_ns = chunk.received_host_ns
-        found: list[tuple[int, Iterator[Record]]] = []
+        found: list[tuple[int, Callable[..., Iterable[Record]], tuple[Any, ...]]] = []
         for source, t_ns, values in runs:
             key = (source.message, source.component)
             self._count(key, len(t_ns))
             (reader,) = self._readers[key]
-            found.append((source.station, reader.in_time(t_ns, values, source.sends, received_ns)))
+            found.append((source.station, reader.in_time, (t_ns, values, source.sends, received_ns)))
         for frame_key, payloads in many.items():
             system, component, message = sender(frame_key)
             ours = self.system_id in (None, system)
@@ -164,11 +165,12 @@ class Decoder:
             if message in self._messages:
                 readers = self._readers.get((message, component)) if ours else None
                 if readers:
-                    found.append((readers[0].source.station, self._read(readers, payloads, received_ns)))
+                    found.append((readers[0].source.station, self._read, (readers, payloads, received_ns)))
                 else:
                     self._foreign(frame_key, payloads)
-        for _, records in sorted(found, key=itemgetter(0)):
-            out.records += records
+        found.sort(key=itemgetter(0))
+        for _, read, arguments in found:
+            out.records += read(*arguments)
 
     def _count(self, key: tuple[int, int], frames: int) -> None:
         self.delivered[key] = self.delivered.get(key, 0) + frames

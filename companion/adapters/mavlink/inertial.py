@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from companion.adapters.mavlink.dialect import NAME_OF
 from companion.adapters.mavlink.layouts import LAYOUTS, Samples
 from companion.adapters.mavlink.mapping import Mapped
-from companion.adapters.mavlink.restart import ClockWatch
+from companion.adapters.mavlink.restart import ClockWatch, Verdict
 from companion.adapters.mavlink.tally import Tally
 from companion.records import Axis, Bools, ClockRestart, Floats, ImuBatch, Ints, Reject
 
@@ -74,12 +74,17 @@ class StationReader:
 
     def in_time(
         self, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int
-    ) -> Iterator[ImuBatch | ClockRestart]:
+    ) -> Sequence[ImuBatch | ClockRestart]:
         """Give the batches of samples in which nothing is odd but perhaps their time."""
         verdict = self._watch.check(self._followed, t_ns, received_host_ns)
         if verdict.keep is None:
-            yield self._batch(t_ns, values, axes, received_host_ns)
-            return
+            return (self._batch(t_ns, values, axes, received_host_ns),)
+        return list(self._parts(verdict, verdict.keep, t_ns, values, axes, received_host_ns))
+
+    def _parts(
+        self, verdict: Verdict, kept: Bools, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int
+    ) -> Iterator[ImuBatch | ClockRestart]:
+        """What is left of samples whose time is odd, and the restart of their clock between them."""
         if verdict.dropped:
             self._tally.add(Reject.TIME_BACKWARDS, self.name, verdict.dropped)
         restart_at = verdict.restart_at
@@ -87,7 +92,7 @@ class StationReader:
         for part in (slice(0, cut), slice(cut, None)):
             if part.stop is None and restart_at >= 0:
                 yield ClockRestart(self.source.clock, received_host_ns)
-            keep = verdict.keep[part]
+            keep = kept[part]
             if keep.any():
                 yield self._batch(t_ns[part][keep], values[part][keep], axes, received_host_ns)
 
