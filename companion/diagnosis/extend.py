@@ -73,9 +73,11 @@ class Extension:
         screenings = [first]
         for step in range(most):
             if step:
-                screenings = [self.screen(path.fitted) for path in beam]
+                screenings = self._screened(beam)
             grown = [
-                child for path, screening in zip(beam, screenings, strict=True) for child in self._grow(path, screening)
+                child
+                for path, screening in zip(beam[: len(screenings)], screenings, strict=True)
+                for child in self._grow(path, screening)
             ]
             beam = _foremost(grown)
             if not beam:
@@ -83,6 +85,13 @@ class Extension:
             if beam[0].fitted.log_evidence > best.fitted.log_evidence:
                 best = beam[0]
         return self._unprejudiced(self._pruned(best, null))
+
+    def _screened(self, beam: Sequence[Path]) -> list[Screening]:
+        """Screenings of the paths; none where the foremost leaves nothing: the others could at best draw level."""
+        foremost = self.screen(beam[0].fitted)
+        if not any(one.z > CERTAIN_Z for one in _fresh(beam[0], foremost)):
+            return []
+        return [foremost, *(self.screen(path.fitted) for path in beam[1:])]
 
     def _unprejudiced(self, path: Path) -> Path:
         """The same causes at the values that the data alone would give them: priors rank, they measure nothing."""
@@ -102,8 +111,7 @@ class Extension:
         return [self._step(path, entry, tried, screening) for entry in good]
 
     def _refit(self, path: Path, screening: Screening) -> list[_Tried]:
-        names = {cause.part.effect.name for cause in path.causes}
-        fresh = [entry for entry in screening.candidates if entry.name not in names]
+        fresh = _fresh(path, screening)
         if not fresh or fresh[0].z <= CERTAIN_Z:
             return []
         enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z)
@@ -191,6 +199,11 @@ def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
         values, sigmas = tuple(final.values[mine].tolist()), tuple(spread[mine].tolist())
         found.append(Cause(part, cause.group, cause.log_bayes_factor, cause.bic, cause.z, values, sigmas))
     return tuple(found)
+
+
+def _fresh(path: Path, screening: Screening) -> list[Candidate]:
+    names = {cause.part.effect.name for cause in path.causes}
+    return [entry for entry in screening.candidates if entry.name not in names]
 
 
 def _foremost(paths: Sequence[Path]) -> list[Path]:

@@ -16,6 +16,7 @@ import numpy as np
 from companion.core.wing.effect import Effect, ModalMotion
 from companion.core.wing.model import WingModel
 from companion.diagnosis.linear import STATIONS
+from companion.diagnosis.matrices import Complexes, apply
 from companion.diagnosis.observations import Observations
 from companion.diagnosis.part import Part
 from companion.diagnosis.transforms import Transforms
@@ -150,13 +151,17 @@ class Straightener:
         """What is left of a force once, band by band, all is out that a linear filter of the motion makes."""
         taper = self._transforms.taper
         spectrum, wanted, motion = (np.fft.rfft(x, axis=1) for x in (rest, rest * taper, q_m * taper))
-        whole = np.fft.rfft(q_m, axis=1)
-        for band in np.array_split(np.arange(spectrum.shape[1]), _BANDS):
-            known = motion[:, band]
-            power = known @ known.conj().T
-            power += (1e-9 * np.trace(power).real + 1e-300) * np.eye(len(known))
-            filters = np.linalg.solve(power.T, (wanted[:, band] @ known.conj().T).T).T
-            spectrum[:, band] -= filters @ whole[:, band]
+        count, bands = spectrum.shape[1], min(_BANDS, spectrum.shape[1])
+        first = np.linspace(0, count, bands, endpoint=False).astype(np.int64)
+        power = np.add.reduceat(motion[:, None] * motion.conj(), first, axis=-1).transpose(2, 0, 1)
+        with_force = np.add.reduceat(wanted[:, None] * motion.conj(), first, axis=-1).transpose(2, 0, 1)
+        total = np.trace(power, axis1=1, axis2=2).real
+        power += (1e-9 * total + 1e-300)[:, None, None] * np.eye(len(motion))
+        filters: Complexes = np.asarray(
+            np.linalg.solve(power.swapaxes(1, 2), with_force.swapaxes(1, 2)).swapaxes(1, 2), dtype=np.complex128
+        )
+        in_each = np.repeat(filters.transpose(1, 2, 0), np.diff(np.append(first, count)), axis=-1)
+        spectrum -= apply(in_each, np.fft.rfft(q_m, axis=1))
         return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1))
 
     def _force(self, wing: WingModel, part: Part, q: Floats, qdot: Floats) -> Floats | None:
