@@ -21,6 +21,8 @@ from companion.diagnosis.part import Part
 from companion.diagnosis.supermodel import SuperModel
 
 LED = frozenset({"tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"})
+EVENTS = frozenset({"impulsive-forcing"})
+"""Effects of instants of their own: of them no block tells what another one shows."""
 _MARGIN = 1.0  # nats above what the strongest of so many looks reaches by chance
 _APART_S = 0.15
 _KICKS = 3

@@ -14,6 +14,7 @@ from companion.diagnosis.begin import starts
 from companion.diagnosis.extend import Extension, Path, Progress
 from companion.diagnosis.fit import Fit, fit
 from companion.diagnosis.gain import HeldOut, held_out
+from companion.diagnosis.leads import EVENTS
 from companion.diagnosis.part import Part
 from companion.diagnosis.rivals import Rival, strongest_rival
 from companion.diagnosis.samples import SampleFinding, together
@@ -109,7 +110,8 @@ def _conclude(
     if rival is not None and rival.explains_more:
         reason = f"a law without a name explains it better: {rival.title} (by {rival.ahead:.1f} nat)"
         return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
-    if gain is not None and not gain.improves:
+    foretold = any(part.effect.name not in EVENTS for part in path.fitted.parts)
+    if gain is not None and foretold and not gain.improves:
         reason = "no extension predicts held-out blocks better"
         return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
     return Diagnosis(Verdict.EXPLAINED, causes, "", (), "", *outcome)

@@ -20,7 +20,7 @@ from companion.diagnosis.verdict import Verdict
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text
-from sitl_tests.trials.cases import Hidden, fly, noise_density
+from sitl_tests.trials.cases import Hidden, fly, hide, noise_density
 from tools.trials import model_of
 
 RATE_HZ, COUNT = 100.0, 3000
@@ -74,6 +74,15 @@ def test_what_shows_in_the_samples_is_left_over_where_it_has_no_name() -> None:
     without = diagnose([model], [])
     assert without.verdict is Verdict.UNEXPLAINED
     assert "multiples of 8" in without.reason
+
+
+@pytest.mark.long
+def test_kicks_are_named_though_no_block_foretells_another_ones() -> None:
+    label = hide(["impulsive-forcing"], (10.0, 10.0), np.random.default_rng(21))
+    (tables,) = fly([label], 20.0, 78)
+    model = model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
+    found = diagnose([model], [catalogue()["impulsive-forcing"]])
+    assert [cause.part.effect.name for cause in found.causes] == ["impulsive-forcing"]
 
 
 def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> None:
