@@ -205,13 +205,14 @@ def _adopt_alignment(state: PipelineState, clock: ClockName, now_ns: int) -> lis
 
 def joined(batches: list[ImuBatch]) -> list[ImuBatch]:
     """Consecutive batches of one station as few as possible: what has the same clock and axes becomes one."""
-    runs: list[list[ImuBatch]] = []
-    for batch in batches:
-        before = runs[-1][0] if runs else None
-        if before is not None and batch.clock == before.clock and batch.axes == before.axes:
+    before = batches[0]
+    runs = [[before]]
+    for batch in batches[1:]:
+        if batch.clock is before.clock and batch.axes == before.axes:
             runs[-1].append(batch)
         else:
             runs.append([batch])
+            before = batch
     return [run[0] if len(run) == 1 else _together(run) for run in runs]
 
 
@@ -329,7 +330,7 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         outputs += _take_samples(state)
         outputs += [*_adapt_to_delivery(state, now_ns), *_align(state, now_ns)]
         state.validity = state.tracker.turn(now_ns) or state.validity
-    if state.scheduling is not None:
+    if state.scheduling is not None and now_ns >= state.scheduling.next_plan_ns:
         outputs += state.scheduling.tick(state.tracker, state.validity, _motion(state), now_ns)
     if state.correction is not None:
         climb_mps = state.vehicle.climb_mps if state.vehicle else 0.0

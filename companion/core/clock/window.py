@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,19 +40,17 @@ class ClockFit:
     skew_bound: float
 
 
-@dataclass(frozen=True, slots=True)
-class _Bound:
+class _Bound(NamedTuple):
     at_ns: int
     offset_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Bucket:
+class _Bucket(NamedTuple):
     """The tightest of a second: two upper bounds, the tighter first (equal while there is but one), and one lower."""
 
     number: int
     careful: bool
-    count: int
+    exchanges: int
     uppers: tuple[_Bound, _Bound]
     lower: _Bound
     lagged: bool = False
@@ -63,16 +61,16 @@ class _Bucket:
         def at_once(bound: _Bound) -> float:
             return bound.offset_ns - skew * (bound.at_ns - upper.at_ns)
 
-        known = self.uppers if self.count > 1 else self.uppers[:1]
+        known = self.uppers if self.exchanges > 1 else self.uppers[:1]
         first, second = sorted((*known, upper), key=at_once)[:2]
         largest = max(self.lower, lower, key=at_once)
-        return _Bucket(self.number, self.careful, self.count + 1, (first, second), largest, self.lagged)
+        return _Bucket(self.number, self.careful, self.exchanges + 1, (first, second), largest, self.lagged)
 
     def upper(self) -> _Bound | None:
         """Give the upper bound to be believed once the second is over; none of a second in which the clock lagged."""
         if self.lagged:
             return None
-        return self.uppers[self.careful and self.count >= _ENOUGH]
+        return self.uppers[self.careful and self.exchanges >= _ENOUGH]
 
 
 _Relative = tuple[float, float, float]
@@ -94,7 +92,7 @@ class ExchangeWindow:
         self.count = 0
         self.first_host_ns = first.sent_host_ns
         self.base_ns = first.remote_ns - first.received_host_ns
-        self._closed: deque[_Bucket] = deque()
+        self._closed: list[_Bucket] = []
         self._open: _Bucket | None = None
         self._lines: FeasibleLines | None = None
         self._at_ns = first.received_host_ns
@@ -126,7 +124,7 @@ class ExchangeWindow:
         lines = None
         if moved is not None and same and self._closed:  # within a second the skew cannot change by much
             lines = _cut(moved, self._running(bucket), bucket.lower, now, self._tolerance_ns)
-        closed = [*self._closed] if same or last is None else [*self._closed, last]
+        closed = self._closed if same or last is None else [*self._closed, last]
         lines = lines or self._rebuilt(closed, bucket, now, _FINE_NS)
         if lines is None and moved is not None and self._may_wait(moved, upper, now):
             self._lines, self._at_ns = moved, now
@@ -138,8 +136,7 @@ class ExchangeWindow:
         lines = lines or self._rebuilt(closed, bucket, now, _TOLERANCES_NS[-1])
         if lines is None:
             return None
-        self._closed = deque(closed)
-        self._open, self._lines, self._at_ns = bucket, lines, now
+        self._closed, self._open, self._lines, self._at_ns = closed, bucket, lines, now
         self.count += 1
         return self._fit(lines)
 
@@ -162,27 +159,27 @@ class ExchangeWindow:
     def _grown_careful(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int) -> tuple[list[_Bucket], _Bucket]:
         """An exchange was caught: there may be some that were not, near it, before it, or in the minute to come."""
         self._careful_until_ns = now_ns + WINDOW_NS
-        marked = [replace(one, careful=True) for one in closed]
+        marked = [one._replace(careful=True) for one in closed]
         first, last = (at // _BUCKET_NS for at in (self._aside_ns - _NEAR_NS, now_ns + _NEAR_NS))
         others = sum(not one.lagged and not first <= one.number <= last for one in marked)
         if self._aside < 2 or others < _ENOUGH:
             return marked, bucket
         self._lagged_until = last
-        marked = [replace(one, lagged=one.lagged or first <= one.number <= last) for one in marked]
-        return marked, replace(bucket, lagged=True)
+        marked = [one._replace(lagged=one.lagged or first <= one.number <= last) for one in marked]
+        return marked, bucket._replace(lagged=True)
 
     def _forget_before(self, oldest_ns: int) -> None:
         while self._closed and self._closed[0].lower.at_ns < oldest_ns:
-            self._closed.popleft()
+            self._closed = self._closed[1:]
             self._skews = ANY_SKEW
 
     def _running(self, bucket: _Bucket) -> _Bound | None:
         """The upper bound to be believed of a second that is not over: where exchanges are rare there is no choice."""
         if bucket.lagged:
             return None
-        if not bucket.careful or (self._closed and self._closed[-1].count < _ENOUGH):
+        if not bucket.careful or (self._closed and self._closed[-1].exchanges < _ENOUGH):
             return bucket.uppers[0]
-        return bucket.uppers[1] if bucket.count > 1 or not self._closed else None
+        return bucket.uppers[1] if bucket.exchanges > 1 or not self._closed else None
 
     def _rebuilt(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int, most_ns: float) -> FeasibleLines | None:
         """Intersect all bounds, with as little tolerance as they allow; more than there was only up to ``most_ns``."""

@@ -118,7 +118,7 @@ class Adaptation:
         self._rows[slots, :2], self._sensitivity[slots] = cells.rows[:, :2], cells.sensitivity[:, :2]
         self._rows[slots, ROLL], self._rows[slots, STATIC] = cells.rows[:, P_ROOT], cells.load
         self._seen[slots] = cells.present[:, :2]
-        self._cut += min(1.0, len(cells) * self._step_s / _CUT_MEMORY_S) * (float(cells.cut.mean()) - self._cut)
+        self._cut += min(1.0, len(cells) * self._step_s / _CUT_MEMORY_S) * (_mean(cells.cut) - self._cut)
         self.refilter = self.early
         self._count += len(cells)
         if self._count < self._next:
@@ -249,6 +249,11 @@ class Adaptation:
             start = starts[best]
             self.ambiguous |= _two_answers(costs)
         return start
+
+
+def _mean(values: Floats) -> float:
+    """What ``mean`` says, at a third of its price for a few numbers."""
+    return float(np.add.reduce(values, axis=None)) / values.size
 
 
 def _in_order(ring: _Ring, first: int, count: int) -> _Ring:

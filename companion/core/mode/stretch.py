@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.compiled import COMPILED, compiled_loops
+from companion.core.compiled import COMPILED, compiled, compiled_loops
 from companion.core.mode.spectrum import Grid, make_grid
 from companion.records import Floats, Ints
 
@@ -148,6 +148,7 @@ def _window(n: int, stride: int) -> tuple[Floats, float, float, Floats]:
     return taper, energy, energy**2 / (n * float(np.sum(taper**4))), kernel / float(kernel.sum())
 
 
+@compiled
 def _group_edges(first: int, last: int) -> Ints:
     """Bin numbers at which groups begin; each group is a small share of its frequency wide."""
     edges = [first]

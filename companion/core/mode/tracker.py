@@ -85,7 +85,8 @@ class WingTracker:
         self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
         self._kalman = self._fresh(self._model(self._adaptation.parameters))
         self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
-        self._recent: list[Cells] = []
+        self._recent: list[Cells] = []  # on which new parameters are tried
+        self._untried = 0  # cells in these
         self._begun = self._kalman.fork(self._kalman.model)
         self._level = Level(self._layout)
         self._surprised_s = 0.0
@@ -163,9 +164,10 @@ class WingTracker:
             self._rates.extend(part.rate)
             if self._settings.adapt:
                 self._recent.append(part)
+                self._untried += len(part)
                 if self._adaptation.take(part, self._kalman.surprise > SURPRISED):
                     self._readapt()
-                elif not self._adaptation.early and sum(map(len, self._recent)) * self._step_s > _TRIAL_S:
+                elif not self._adaptation.early and self._untried * self._step_s > _TRIAL_S:
                     self._mark()  # without enough samples there was no fit, and the cells must not pile up
         for stream in self._streams:
             stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
@@ -201,6 +203,7 @@ class WingTracker:
     def _mark(self) -> None:
         """From here on new parameters are tried."""
         self._recent.clear()
+        self._untried = 0
         self._begun = self._kalman.fork(self._kalman.model)
 
     def _model(self, parameters: Parameters) -> StepModel:

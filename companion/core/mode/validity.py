@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -45,7 +46,8 @@ class Level:
     def update(self, kalman: Kalman, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
         taken = min(count, kalman.kept)
-        omega = 2.0 * np.pi * np.array([mode.frequency_hz for mode in kalman.model.parameters])
+        symmetric, antisymmetric = kalman.model.parameters
+        omega = 2.0 * np.pi * np.array([symmetric.frequency_hz, antisymmetric.frequency_hz])
         squares = _rate_squares(kalman.history.state, kalman.steps - taken, taken, self._rates, kalman.weights)
         self._sum = self._sum + squares / omega**2
         self._count += taken
@@ -98,9 +100,10 @@ def judge(
         return Validity.INCONSISTENT
     if not settled:
         return Validity.SETTLING
-    if float(np.sqrt(np.sum(rms_m**2))) < calm_rms_m:
+    symmetric_m, antisymmetric_m = rms_m.tolist()
+    if math.sqrt(symmetric_m * symmetric_m + antisymmetric_m * antisymmetric_m) < calm_rms_m:
         return Validity.CALM
-    strongest = parameters[int(np.argmax(rms_m))]
+    strongest = parameters[int(antisymmetric_m > symmetric_m)]
     if ambiguous or strongest.log_sigma[FREQUENCY] > _VAGUE:
         return Validity.AMBIGUOUS
     return Validity.TRACKING
