@@ -155,6 +155,7 @@ def test_a_table_whose_time_goes_back_is_refused_at_its_line(refused: Callable[.
     assert re.search(r"accel\.csv, line 30[12]", sentence)
 
 
+@pytest.mark.slow
 def test_a_hole_in_a_table_is_told_and_bridged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = table(tmp_path / "lab") / "accel.csv"
     lines = path.read_text().splitlines()

@@ -189,6 +189,7 @@ def _blurred_by_hand(renderer: Renderer, path_ns: int, count: int = 41) -> np.nd
     return np.mean(images, axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path", [Path(20.0, 22.0), Path(20.0, 0.0, roll_rate_radps=1.0), Path(8.0, 22.0, climb_mps=4.0)]
 )

@@ -121,6 +121,7 @@ def test_a_drawn_gust_moves_the_mode_by_its_rms(wing: Wing, corners: tuple[float
     assert measured == pytest.approx(modal_rms(spectrum, 5.0, ZETA), rel=0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corners", [(2.0, 8.0), (5.0, 5.0)])
 def test_the_samples_of_two_poles_have_their_variance(corners: tuple[float, float]) -> None:
     a, b = (2 * math.pi * corner for corner in corners)

@@ -112,6 +112,7 @@ def test_symmetric_and_antisymmetric_modes_are_told_apart() -> None:
     assert likeness == pytest.approx([1.0, -1.0, 1.0], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_slope_and_twist_at_the_tip_come_out_of_the_cubic() -> None:
     """Relative to the root section at 0.4 m: slope 3 y^2 / (y^3 - 0.4^3), twist 0.3 (y - 0.4), y = 1.2."""
     points = _points()

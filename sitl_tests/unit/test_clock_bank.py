@@ -148,6 +148,7 @@ def test_impossible_round_trips_are_discarded() -> None:
     assert bank.counters()["timesync_discarded"] == 2
 
 
+@pytest.mark.slow
 def test_skew_is_found() -> None:
     for skew_ppm in (-300, 0, 167):
         link, bank = Link(6, skew_ppm=skew_ppm, jitter_ns=1e6), ClockBank()
@@ -196,6 +197,7 @@ def test_a_clock_that_stands_now_and_then_seldom_fools_the_bound() -> None:
     assert np.median(bounds) < 0.5 * MS + 0.3 * MS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("begins_s", "deepest_ms"), [(at, ms) for at in (0.45, 0.8, 20.0) for ms in (5, 8, 12, 18) if at > 1 or ms > 5]
 )
@@ -254,6 +256,7 @@ def test_the_identity_serves_a_log_with_one_clock() -> None:
     assert not isinstance(bank.to_host(ClockName.HOST, stamps), Reject)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 10_000),

@@ -180,6 +180,7 @@ def test_a_bent_characteristic_is_undone(kappa: float) -> None:
     assert straight[0] / scale[0] == pytest.approx(up, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kappa", [5e-4, 2e-4, -1e-4])
 def test_how_much_a_gaussian_was_bent_is_told_without_bias(kappa: float) -> None:
     """White samples of unknown size: log L = -m log(size x scale) is largest at the truth, however much is bent.

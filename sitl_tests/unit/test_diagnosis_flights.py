@@ -54,6 +54,7 @@ def test_a_wing_without_eight_unbroken_seconds_gets_that_told(tmp_path: Path) ->
     assert "the longest stretch without a gap is 6.5 s" in plain["reason"]
 
 
+@pytest.mark.slow
 def test_a_vibration_test_is_judged_from_its_matlab_files(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     names = np.array(["Force", "Tip"], dtype=object)

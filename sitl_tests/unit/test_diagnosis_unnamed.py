@@ -46,6 +46,7 @@ def flown(**effects: float) -> SuperModel:
     return model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [8, 40])
 def test_a_sum_of_few_squares_gets_the_strength_that_its_chance_is_worth(count: int) -> None:
     """Exponentials have the skewness 2, their sum that over the root of their number: beyond 3 lies 1 of 741."""
@@ -97,6 +98,7 @@ def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> Non
         assert abs(found["antisymmetric.frequency beyond its prior"]) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sign", "how"), [(1.0, "both sides together"), (-1.0, "side against side")])
 def test_a_mode_that_nobody_believes_in_is_seen_where_it_is(sign: float, how: str) -> None:
     rng, up = np.random.default_rng(4), drawn(TEXT, 4)

@@ -76,6 +76,7 @@ def test_phase_is_followed_through_a_moving_support(lead: int, most_deg: float) 
     assert np.nanmedian(error) < most_deg
 
 
+@pytest.mark.slow
 def test_frequency_is_where_the_support_has_put_it() -> None:
     answers = _answers()[0]
     for at_s in (1.2, 2.6, 4.2):

@@ -83,6 +83,7 @@ def test_the_slopes_of_the_density_are_its_differences(off: list[float]) -> None
         np.testing.assert_allclose(slope, (ahead - behind) / (2 * small), rtol=1e-5, atol=1e-6 * density.max())
 
 
+@pytest.mark.slow
 def test_the_periodogram_is_expected_without_bias() -> None:
     stretches = [_stretch(8.0, seed) for seed in range(40)]
     ratio = np.mean([s.power / expected_power(s, _prior(), LOGS) for s in stretches], axis=0)

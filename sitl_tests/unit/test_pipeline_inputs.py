@@ -147,6 +147,7 @@ def test_a_restarted_autopilot_is_locked_again_and_no_stamp_is_wrong(monkeypatch
 # ------------------------------------------------------------------------------------------ samples
 
 
+@pytest.mark.slow
 def test_values_that_are_not_finite_are_counted_and_do_no_harm(good: Run) -> None:
     def poisoned() -> Iterator[Record]:
         for record in inputs():
@@ -167,6 +168,7 @@ def test_values_that_are_not_finite_are_counted_and_do_no_harm(good: Run) -> Non
         assert np.abs(after.q_m - before.q_m).max() < 5 * (after.q_sigma_m + before.q_sigma_m).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stations", [(Station.ROOT,), SIDES])
 def test_a_stream_that_stops_is_stale_and_no_old_range_stands(stations: tuple[Station, ...]) -> None:
     stopped = run(without_samples(inputs(), stations, since_s=3.5))

@@ -83,6 +83,7 @@ def test_a_flight_is_determined_by_its_seed(airframe: Airframe, flight: Flight) 
     assert not np.array_equal(other.truth.knots, flight.truth.knots)
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_in_the_truth_and_not_in_the_belief(airframe: Airframe) -> None:
     effect = NamedEffect("frequency-shift", {"ratio": 0.2})
     flight = build_flight(airframe, 1, plan=still_plan(4.0), effects=(effect,), perturbed=False)
@@ -272,6 +273,7 @@ def test_tables_hold_the_flight(airframe: Airframe, tmp_path: Path) -> None:
     assert {float(row["reference_m"]) for row in ranges} == {60.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", known_airframes())
 def test_every_airframe_flies(name: str) -> None:
     flight = build_flight(load_airframe(name), 1, 3.0)

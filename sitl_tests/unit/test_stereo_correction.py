@@ -104,6 +104,7 @@ def test_matches_are_left_aside_where_the_parameter_says_so() -> None:
     assert np.all(off[0].slow_rad == 0.0)
 
 
+@pytest.mark.slow
 def test_the_same_inputs_give_the_same_bytes() -> None:
     one, other = (
         [dumps(type(output), output) for output in _corrected(Still(), Settings(), pairs=5)] for _ in range(2)

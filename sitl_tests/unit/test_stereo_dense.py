@@ -25,6 +25,7 @@ SETTINGS = Settings()
 slopes = st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06))
 
 
+@pytest.mark.slow
 @given(slopes, st.floats(-0.03, 0.03), st.sampled_from(["nadir", "forward"]))
 @settings(max_examples=40, deadline=None)
 def test_rectified_rows_agree_and_disparity_gives_depth(slope: tuple[float, float], twist: float, look: str) -> None:
@@ -66,6 +67,7 @@ def test_the_rigid_rectification_is_opencvs() -> None:
     np.testing.assert_allclose(ours, theirs, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_resampled_images_of_a_bent_pair_have_equal_rows() -> None:
     airframe = forward(distortion=LENS)
     rig = Rig.from_airframe(airframe)
@@ -85,6 +87,7 @@ def test_resampled_images_of_a_bent_pair_have_equal_rows() -> None:
     assert correlations[1] < 0.5  # 50 mrad of roll is 12 px at the rows away from the middle
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("range_m", [28.0, 60.0])
 def test_dense_ranges_follow_the_bend(range_m: float) -> None:
     airframe = nadir(distortion=LENS)

@@ -51,6 +51,7 @@ def _errors(rig: Rig, poses: tuple[Pose, Pose], plane: TexturedPlane, matches: M
     return matches.right_px - rig.project(Side.RIGHT, poses[1], points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("range_m", [4.3, 12.0, 60.0, 190.0])
 def test_matches_are_unbiased_and_their_sigma_is_honest(rig: Rig, airframe: Airframe, range_m: float) -> None:
     plane, poses = TexturedPlane.facing((0, 0, 1), range_m, 800.0, seed=int(range_m)), _poses(rig)
@@ -89,6 +90,7 @@ def _lucas_kanade(images: tuple[np.ndarray, np.ndarray], matches: Matches) -> Ma
     return Matches(left.astype(float), tracked[0][:, 0].astype(float), matches.sigma_px)
 
 
+@pytest.mark.slow
 def test_a_slanted_surface_does_not_bias(rig: Rig, airframe: Airframe) -> None:
     """Ground rolled by 35 degrees: disparity changes by 1.5 px across a patch of 21 px."""
     plane = TexturedPlane.facing((0.0, np.sin(0.6), np.cos(0.6)), 18.0, 800.0, seed=3)
@@ -121,6 +123,7 @@ def _forward(
     return _errors(rig, poses, plane, matches), _errors(rig, poses, plane, rigid)
 
 
+@pytest.mark.slow
 def test_a_forward_pair_finds_its_matches_through_roll(airframe: Airframe) -> None:
     errors, _ = _forward(airframe, SLOPES, (1.0, 0.0, 0.0))
     assert np.abs(errors.mean(axis=0)).max() < 0.01
@@ -141,6 +144,7 @@ def test_roll_and_slant_hardly_move_a_match_across_the_epipolar_line(
     assert normal[0] < 1.0 or np.std(errors[:, 1]) < 2.0 * np.std(upright[:, 1])
 
 
+@pytest.mark.slow
 def test_a_gust_s_roll_is_read_from_the_coarse_matches(airframe: Airframe) -> None:
     """A gust rolls by 24 mrad more than trim, which alone is expected."""
     errors, rigid = _forward(airframe, (0.0342, 0.0306), (1.0, 0.0, 0.0))
@@ -182,6 +186,7 @@ def test_disparity_that_grows_across_a_patch_moves_no_match_across_the_lines(gro
     assert np.sqrt(np.mean(error_px**2, axis=0)).max() < 0.006  # what is stated as the floor of every match's sigma
 
 
+@pytest.mark.slow
 def test_lens_distortion_is_searched_and_matched_through(airframe: Airframe) -> None:
     assert airframe.left_camera is not None
     assert airframe.right_camera is not None
@@ -198,6 +203,7 @@ def test_lens_distortion_is_searched_and_matched_through(airframe: Airframe) -> 
     assert np.abs(errors.mean(axis=0)).max() < 0.01
 
 
+@pytest.mark.slow
 def test_exposure_differences_between_the_cameras_do_not_matter(rig: Rig, airframe: Airframe) -> None:
     plane, poses = TexturedPlane.facing((0, 0, 1), 50.0, 800.0, seed=4), _poses(rig)
     left, right = _pair(rig, poses, plane)
@@ -217,6 +223,7 @@ def test_a_repeated_pattern_is_not_matched(rig: Rig, airframe: Airframe) -> None
     assert len(matches) == 0
 
 
+@pytest.mark.slow
 def test_images_of_different_places_give_almost_no_matches(rig: Rig, airframe: Airframe) -> None:
     poses = _poses(rig)
     left = photograph(TexturedPlane.facing((0, 0, 1), 50.0, 800.0, seed=4), rig.left, poses[0])
@@ -230,6 +237,7 @@ def test_an_empty_image_has_no_matches(rig: Rig, airframe: Airframe, grey: int) 
     assert len(match(blank, blank, rig, trim_search(rig, airframe, SETTINGS))) == 0
 
 
+@pytest.mark.slow
 def test_a_bend_outside_the_stated_tolerance_is_not_forced_into_it(rig: Rig) -> None:
     """Searched at rest from 4 m to 200 m, a pair that converges by 41 mrad shows far ground at -29 px: no match."""
     plane, poses = TexturedPlane.facing((0, 0, 1), 400.0, 800.0, seed=6), _poses(rig, (-0.0205, -0.0205))
@@ -237,6 +245,7 @@ def test_a_bend_outside_the_stated_tolerance_is_not_forced_into_it(rig: Rig) -> 
     assert len(match(*_pair(rig, poses, plane), rig, search)) == 0
 
 
+@pytest.mark.slow
 def test_the_pair_record_carries_ids_and_times(rig: Rig, airframe: Airframe) -> None:
     poses = _poses(rig)
     plane = TexturedPlane.facing((0, 0, 1), 30.0, 800.0, seed=7)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +17,7 @@ def _frame(side: Side, shot: int, skew_ns: int = 0) -> Frame:
     return Frame(side, shot, ClockName.HOST, shot * 100_000_000 + skew_ns, 2_000_000, 0, -1, IMAGE)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     lost=st.sets(st.tuples(st.integers(0, 19), st.sampled_from(list(Side)))),
@@ -99,6 +101,7 @@ def _timed(side: Side, sequence: int, at_ms: int, plan_id: int) -> Frame:
     return Frame(side, sequence, ClockName.HOST, at_ms * 1_000_000, 2_000_000, 0, plan_id, IMAGE)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(_streams())
 def test_stale_missing_and_extra_frames_never_shift_the_pairing(

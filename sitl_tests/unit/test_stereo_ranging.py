@@ -38,6 +38,7 @@ def _range(airframe: Airframe, matches: MatchSet, deflection: Deflection, tunabl
     return correct(matches, deflection, deflection, Rig.from_airframe(airframe), airframe, tunables)
 
 
+@pytest.mark.slow
 @given(
     st.floats(5.0, 150.0),
     st.floats(-0.04, 0.06),
@@ -59,6 +60,7 @@ def test_exact_matches_give_the_exact_range_whatever_bend_and_ground(
     assert np.abs(answer.depths.parallax_rad).max() < 1e-9
 
 
+@pytest.mark.slow
 @given(st.floats(5.0, 150.0), st.floats(-0.04, 0.06), st.floats(-0.02, 0.02))
 @settings(max_examples=20, deadline=None)
 def test_points_come_back_where_they_are(range_m: float, left: float, right: float) -> None:
@@ -138,6 +140,7 @@ def test_each_camera_is_corrected_with_the_bend_of_its_own_exposure() -> None:
     assert correct(matches, left, left, rig, airframe, SETTINGS).range.range_m != pytest.approx(60.0, abs=3.0)
 
 
+@pytest.mark.slow
 def test_rolling_shutter_rows_are_corrected_one_by_one() -> None:
     """30 us per row, body rates and a wing passing zero at full speed: every row has a bend of its own."""
     airframe = nadir()
@@ -231,6 +234,7 @@ def test_products_differ_where_the_scene_does() -> None:
         assert answer.range.range_m == pytest.approx(expected, rel=0.01), product
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.15, -0.1)])
 @pytest.mark.parametrize("product", [0, 1, 2])
 def test_the_sigma_of_every_product_is_honest(product: int, tilt: tuple[float, float]) -> None:
@@ -275,6 +279,7 @@ def test_ranges_outside_the_limits_are_refused(range_m: float) -> None:
     assert np.isfinite(answer.sigma_m)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.floats(0.0, 3000.0), st.sampled_from([0, 1, 2]))
 @settings(max_examples=60, deadline=None)
 def test_whatever_the_pixels_nothing_but_finite_numbers_comes_out(
@@ -322,6 +327,7 @@ def test_an_orientation_between_the_axes_is_a_configuration_error() -> None:
     np.testing.assert_array_equal(range_axis(6), [0, -1, 0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("range_m", [20.0, 60.0, 100.0])
 def test_from_images_to_range_with_the_true_bend(range_m: float) -> None:
     """The oracle: noisy images of tilted ground, true extrinsics. The demo's target is 0.15 m median at 60 m."""

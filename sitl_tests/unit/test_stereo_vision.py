@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -48,6 +49,7 @@ def _matches(state: VisionState, frames: list[Frame]) -> int:
     return len(found[0].sigma_px)
 
 
+@pytest.mark.slow
 def test_live_range_limits_reach_the_search() -> None:
     """Nothing at 8 m is found while RNG_MIN is 30 m; a ground station lowers it, and the next pair has it."""
     state = VisionState.create(nadir(), dataclasses.replace(Settings(), min_range_m=30.0))
@@ -105,6 +107,7 @@ def test_a_plan_that_was_replaced_or_skipped_takes_no_pair() -> None:
     assert [k for k in range(1, 10) if choice.takes(_pair(k, 20 * MS * k))] == []
 
 
+@pytest.mark.slow
 def test_triggered_cameras_are_matched_whatever_is_planned() -> None:
     state = VisionState.create(nadir(), Settings())
     vision_step(state, _plan(1, 10**12), 0)
