@@ -17,7 +17,7 @@ from fastcrc.crc16 import mcrf4xx
 from companion.adapters.mavlink.dialect import CRC_EXTRA, ID_OF
 from companion.adapters.mavlink.layouts import IMPLAUSIBLE_STAMP_US, INTEGER_SCALE
 from companion.adapters.mavlink.mapping import Mapped
-from companion.records import Bools, Floats, Ints
+from companion.records import Floats, Ints
 
 try:
     from numba import njit
@@ -52,12 +52,14 @@ def _compiled(function: Any) -> Any:
 class Run(NamedTuple):
     """Samples of one source in a chunk, in arrival order, body axes, all of them plain.
 
-    ``t_ns`` (n,) as sent; ``values`` (n, 6) in SI, zero along axes that the source does not send.
+    ``t_ns`` (n,) as sent, and its ends in time; ``values`` (n, 6) in SI, zero along axes that the source does not send.
     """
 
     source: Mapped
     t_ns: Ints
     values: Floats
+    oldest_ns: int
+    newest_ns: int
 
 
 class _Plan(NamedTuple):
@@ -69,20 +71,16 @@ class _Plan(NamedTuple):
         CRC extra of every message id, -1 where it is unknown.
     limit_us : int
         From here on a stamp is odd.
-    key, form : (sources,) int64
-        Key without the system, and the message's layout.
-    order, scale, sign, sends : (sources, 6)
-        Sensor axis behind each body axis; unit of each sensor axis; sign and presence of each body axis.
+    number : (sources, 8) int64
+        Key without the system, the message's layout, the sensor axis behind each body axis.
+    factor : (sources, 6) float64
+        Unit of each body axis with its sign, 0 where it is not sent.
     """
 
     extra: Ints
     limit_us: int
-    key: Ints
-    form: Ints
-    order: Ints
-    scale: Floats
-    sign: Floats
-    sends: Bools
+    number: Ints
+    factor: Floats
 
 
 class Bulk:
@@ -114,36 +112,30 @@ class Bulk:
             np.frombuffer(buffer, np.uint8), _NO_SYSTEM if system is None else system, self._plan
         )
         numbers = found.tolist()
-        at = _COUNTED + len(self._sources)
+        at = _COUNTED + 3 * len(self._sources)
         for k in range(at, len(numbers), 3):
             frames.append((numbers[k], buffer[numbers[k + 1] : numbers[k + 2]]))
         runs, first = [], 0
-        for source, count in zip(self._sources, numbers[_COUNTED:at], strict=True):
+        for k, source in enumerate(self._sources):
+            count, oldest_ns, newest_ns = numbers[_COUNTED + 3 * k : _COUNTED + 3 * k + 3]
             if count:
                 last = first + count
-                runs.append(Run(source, t_ns[first:last], values[first:last]))
+                runs.append(Run(source, t_ns[first:last], values[first:last], oldest_ns, newest_ns))
                 first = last
         return numbers[0], numbers[1:_COUNTED], runs
 
 
 def _plan(sources: Sequence[Mapped]) -> _Plan:
-    count = len(sources)
-    order, sign = np.empty((count, 6), np.int64), np.empty((count, 6))
+    number, factor = np.empty((len(sources), 8), np.int64), np.empty((len(sources), 6))
     for at, source in enumerate(sources):
-        order[at], sign[at] = source.order, source.signs
-    forms = np.array([_FORM_OF[source.message] for source in sources], np.int64)
+        form = _FORM_OF[source.message]
+        number[at] = source.message << 16 | source.component << 8, form, *source.order
+        unit = np.ones(6) if form == _HIGHRES else INTEGER_SCALE
+        sends = np.array([int(source.sends) >> axis & 1 for axis in range(6)])
+        factor[at] = unit[source.order] * source.signs * sends
     extra = np.full(max(CRC_EXTRA) + 1, -1, np.int64)
     extra[list(CRC_EXTRA)] = list(CRC_EXTRA.values())
-    return _Plan(
-        extra,
-        IMPLAUSIBLE_STAMP_US,
-        np.array([source.message << 16 | source.component << 8 for source in sources], np.int64),
-        forms,
-        order,
-        np.where(forms[:, None] == _HIGHRES, 1.0, INTEGER_SCALE[None, :]),
-        sign,
-        np.array([[int(source.sends) >> axis & 1 for axis in range(6)] for source in sources], np.bool_).reshape(-1, 6),
-    )
+    return _Plan(extra, IMPLAUSIBLE_STAMP_US, number, factor)
 
 
 @_compiled
@@ -153,7 +145,8 @@ def _read(buffer: _Bytes, system: int, plan: _Plan) -> tuple[Ints, Ints, Floats]
     Returns
     -------
     found : int64
-        Position and counts, samples of each source, then key, start and end of every payload that is not among these.
+        Position and counts; number, oldest and newest stamp of each source's samples; then key, start and end of every
+        payload that is not among these.
     t_ns : (n,) int64
         One source after the other.
     values : (n, 6) float64
@@ -162,26 +155,29 @@ def _read(buffer: _Bytes, system: int, plan: _Plan) -> tuple[Ints, Ints, Floats]
     spans = np.empty((len(buffer) // _SHORTEST, 3), np.int64)
     counted[0] = _find(buffer, plan.extra, spans, counted)
     count = counted[1]
-    of, rows = np.full(count, -1), np.zeros(len(plan.key), np.int64)
+    of, rows = np.full(count, -1), np.zeros(len(plan.number), np.int64)
     for k in range(count):
         if spans[k, 0] & 0xFF == system:
             for source in range(len(rows)):
-                if spans[k, 0] & ~0xFF == plan.key[source]:
+                if spans[k, 0] & ~0xFF == plan.number[source, 0]:
                     of[k] = source
                     rows[source] += 1
     t_ns, values, first = np.empty(rows.sum(), np.int64), np.empty((rows.sum(), 6)), 0
+    at = _COUNTED + 3 * len(rows)
+    found = np.zeros(at + 3 * count, np.int64)
+    found[:_COUNTED] = counted
     for source in range(len(rows)):
         if rows[source] and _fill(buffer, spans, of, source, plan, t_ns[first:], values[first:]):
+            own, place = t_ns[first : first + rows[source]], _COUNTED + 3 * source
+            found[place], found[place + 1], found[place + 2] = rows[source], own.min(), own.max()
             first += rows[source]
         else:
             rows[source] = 0
-    found, at = np.empty(_COUNTED + len(rows) + 3 * (count - first), np.int64), _COUNTED + len(rows)
-    found[:_COUNTED], found[_COUNTED:at] = counted, rows
     for k in range(count):
         if of[k] < 0 or not rows[of[k]]:
             found[at : at + 3] = spans[k]
             at += 3
-    return found, t_ns, values
+    return found[:at], t_ns, values
 
 
 @_compiled
@@ -242,7 +238,7 @@ def _checksum(buffer: _Bytes, first: int, stop: int) -> int:
 def _fill(buffer: _Bytes, spans: Ints, of: Ints, source: int, plan: _Plan, t_ns: Ints, values: Floats) -> bool:
     """Samples of one source; False where one of them is odd."""
     payload, raw, row = np.zeros(_LARGEST + 1, np.uint8), np.empty(6), 0
-    form = plan.form[source]
+    form = plan.number[source, 1]
     for k in range(len(of)):
         if of[k] != source:
             continue
@@ -252,9 +248,8 @@ def _fill(buffer: _Bytes, spans: Ints, of: Ints, source: int, plan: _Plan, t_ns:
         if t_ns[row] < 0:
             return False
         for axis in range(6):
-            origin = plan.order[source, axis]
-            value = raw[origin] * plan.scale[source, origin] * plan.sign[source, axis]
-            values[row, axis] = value if plan.sends[source, axis] else 0.0
+            factor = plan.factor[source, axis]
+            values[row, axis] = raw[plan.number[source, 2 + axis]] * factor if factor != 0.0 else 0.0
             if not np.isfinite(values[row, axis]):
                 return False
         row += 1

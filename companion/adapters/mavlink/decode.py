@@ -152,11 +152,12 @@ class Decoder:
     def _inertial(self, chunk: RawChunk, many: dict[int, list[bytes]], runs: list[Run], out: Decoded) -> None:
         received_ns = chunk.received_host_ns
         found: list[tuple[int, Callable[..., Iterable[Record]], tuple[Any, ...]]] = []
-        for source, t_ns, values in runs:
+        for run in runs:
+            source = run.source
             key = (source.message, source.component)
-            self._count(key, len(t_ns))
+            self._count(key, len(run.t_ns))
             (reader,) = self._readers[key]
-            found.append((source.station, reader.in_time, (t_ns, values, source.sends, received_ns)))
+            found.append((source.station, reader.plain, (run, received_ns)))
         for frame_key, payloads in many.items():
             system, component, message = sender(frame_key)
             ours = self.system_id in (None, system)

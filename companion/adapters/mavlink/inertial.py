@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from companion.adapters.mavlink.bulk import Run
 from companion.adapters.mavlink.dialect import NAME_OF
 from companion.adapters.mavlink.layouts import LAYOUTS, Samples
 from companion.adapters.mavlink.mapping import Mapped
-from companion.adapters.mavlink.restart import ClockWatch, Verdict
+from companion.adapters.mavlink.restart import ClockWatch
 from companion.adapters.mavlink.tally import Tally
 from companion.records import Axis, Bools, ClockRestart, Floats, ImuBatch, Ints, Reject
 
@@ -74,17 +75,12 @@ class StationReader:
 
     def in_time(
         self, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int
-    ) -> Sequence[ImuBatch | ClockRestart]:
+    ) -> Iterator[ImuBatch | ClockRestart]:
         """Give the batches of samples in which nothing is odd but perhaps their time."""
         verdict = self._watch.check(self._followed, t_ns, received_host_ns)
         if verdict.keep is None:
-            return (self._batch(t_ns, values, axes, received_host_ns),)
-        return list(self._parts(verdict, verdict.keep, t_ns, values, axes, received_host_ns))
-
-    def _parts(
-        self, verdict: Verdict, kept: Bools, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int
-    ) -> Iterator[ImuBatch | ClockRestart]:
-        """What is left of samples whose time is odd, and the restart of their clock between them."""
+            yield self._batch(t_ns, values, axes, received_host_ns)
+            return
         if verdict.dropped:
             self._tally.add(Reject.TIME_BACKWARDS, self.name, verdict.dropped)
         restart_at = verdict.restart_at
@@ -92,9 +88,15 @@ class StationReader:
         for part in (slice(0, cut), slice(cut, None)):
             if part.stop is None and restart_at >= 0:
                 yield ClockRestart(self.source.clock, received_host_ns)
-            keep = kept[part]
+            keep = verdict.keep[part]
             if keep.any():
                 yield self._batch(t_ns[part][keep], values[part][keep], axes, received_host_ns)
+
+    def plain(self, run: Run, received_host_ns: int) -> Iterable[ImuBatch | ClockRestart]:
+        """As :meth:`in_time`, of a run; where time goes on, as it nearly always does, there is but one batch."""
+        if self._watch.onward(self._followed, run.oldest_ns, run.newest_ns):
+            return (self._batch(run.t_ns, run.values, run.source.sends, received_host_ns),)
+        return self.in_time(run.t_ns, run.values, run.source.sends, received_host_ns)
 
     def _plausible(self, t_ns: Ints, values: Floats, axes: Axis) -> tuple[Ints, Floats]:
         """Zero the axes that are not sent; drop samples that are not finite, or stamped beyond any clock."""

@@ -66,12 +66,18 @@ class ClockWatch:
     def check(self, source: Followed, t_ns: Ints, received_host_ns: int, confirmations: int = CONFIRMATIONS) -> Verdict:
         """Judge the stamps of one batch, in arrival order."""
         stamps = t_ns.tolist()
-        least, most = min(stamps), max(stamps)
-        newest = most if source.newest_ns is None else max(most, source.newest_ns)
-        if source.number == source.epoch.number and least >= newest - BACK_NS:
-            source.newest_ns, source.backward = newest, 0
+        if self.onward(source, min(stamps), max(stamps)):
             return _ALL_GOOD
         return self._one_by_one(source, stamps, received_host_ns, confirmations)
+
+    def onward(self, source: Followed, oldest_ns: int, newest_ns: int) -> bool:
+        """Take a batch whose stamps lie between these, if nothing is wrong with any of them."""
+        if source.newest_ns is not None and source.newest_ns > newest_ns:
+            newest_ns = source.newest_ns
+        if source.number != source.epoch.number or oldest_ns < newest_ns - BACK_NS:
+            return False
+        source.newest_ns, source.backward = newest_ns, 0
+        return True
 
     def _one_by_one(self, source: Followed, stamps: list[int], received_host_ns: int, confirmations: int) -> Verdict:
         epoch = source.epoch
