@@ -151,7 +151,7 @@ class Adaptation:
 
         What only one tip says of both families is not worth leaving what both have said.
         """
-        both = seen.all(axis=1)
+        both = seen[:, 0] & seen[:, 1]
         if both.mean() >= _LEAST_PRESENT or not both.any():
             return 0
         present = np.convolve(both, np.ones(_HOLE_CELLS), mode="same") > 0.5

@@ -53,9 +53,9 @@ class Family:
         return slice(self.q, self.q + FAMILY_STATES)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """The map of the state vector.
+    """The map of the state vector; each is itself alone, so that what hangs on it can be kept.
 
     Attributes
     ----------

@@ -17,6 +17,7 @@ it would be unphysical, and a vertical-only antisymmetric mode would drown in th
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,13 +126,19 @@ def propagation(layout: Layout, noise: Noise, parameters: Parameters, step_s: fl
     modal = slice(0, layout.antisymmetric.span.stop)
     a[modal, modal], q[modal, modal] = modal_propagation(layout, parameters, step_s)
     rigid = slice(layout.roll, layout.turn + 1)
-    corner = _TURN_CORNER_RADPS
-    system = np.array([[0.0, 1.0], [0.0, -corner]])
-    a[rigid, rigid], q[rigid, rigid] = van_loan(system, np.diag([0.0, 2.0 * corner * _TURN_RADPS2**2]), step_s)
+    a[rigid, rigid], q[rigid, rigid] = _rigid_propagation(step_s)
     decay = float(np.exp(-step_s / noise.bias_time_s))
     a[layout.biases, layout.biases] = decay * np.eye(len(layout.bias))
     q[layout.biases, layout.biases] = noise.bias_prior * (1.0 - decay**2)
     return a, q
+
+
+@functools.lru_cache(maxsize=4)
+def _rigid_propagation(step_s: float) -> tuple[Floats, Floats]:
+    """As :func:`propagation`, of the rigid roll, which knows no parameters."""
+    corner = _TURN_CORNER_RADPS
+    system = np.array([[0.0, 1.0], [0.0, -corner]])
+    return van_loan(system, np.diag([0.0, 2.0 * corner * _TURN_RADPS2**2]), step_s)
 
 
 def modal_propagation(layout: Layout, parameters: Parameters, step_s: float) -> tuple[Floats, Floats]:
@@ -173,7 +180,9 @@ def slope_rows(layout: Layout) -> Floats:
     return rows
 
 
+@functools.lru_cache(maxsize=4)
 def _rows(layout: Layout, lever_y_m: tuple[float, float], h: float) -> tuple[Floats, Floats]:
+    """What the sensors make of the state before and after a step of ``h``, (9, n) each; parameters change neither."""
     before, after = np.zeros((ROWS, layout.size)), np.zeros((ROWS, layout.size))
     roll = [layout.roll, layout.turn]
     mean_before, mean_after = np.array([0.5, h / 12.0]), np.array([0.5, -h / 12.0])

@@ -110,13 +110,15 @@ class FrontEnd:
 
     def cells(self, first_ns: int, step_ns: int, count: int) -> Cells:
         """Give ``count`` consecutive cells from ``first_ns`` on."""
-        axes = tuple(stream.axes for stream in self._streams)
+        root, left, right = self._streams
+        axes = (root.axes, left.axes, right.axes)
         if axes != self._axes:
             self._axes = axes
             self._sends = np.array([[_sends(stream, letter) for letter in "xyzpqr"] for stream in self._streams])
-        root, left, right = (stream.plain() for stream in self._streams)
         fixed = (self._sends, self._levers_m, self._root_noise_mps2_rthz, self._where, self._constants)
-        return Cells(*_cells_between(root, left, right, first_ns, step_ns, count, *fixed))
+        return Cells(
+            *_cells_between(root.plain(), left.plain(), right.plain(), first_ns, step_ns, count, *fixed),
+        )
 
 
 class _Averaged(NamedTuple):

@@ -102,6 +102,8 @@ class Stream:
         Stamp of the newest sample that was kept.
     saturated_ns : int or None
         Stamp of the newest sample that was refused as saturated.
+    filtered : bool
+        Whether the source low-passes what it sends.
     """
 
     sensor: Sensor
@@ -110,15 +112,19 @@ class Stream:
     axes: Axis = Axis.NONE
     newest_ns: int | None = None
     saturated_ns: int | None = None
+    filtered: bool = field(init=False)
     _waiting: list[tuple[Ints, Floats]] = field(default_factory=list)
     _needed_ns: int = -(2**62)
     _range: Floats = field(init=False)
     _cutoff_hz: Floats = field(init=False)
+    _period_ns: int = field(init=False)
 
     def __post_init__(self) -> None:
         own = self.sensor
         self._range = np.repeat([own.accel_range_mps2, own.gyro_range_radps], 3)
         self._cutoff_hz = np.repeat([own.lowpass_accel_hz, own.lowpass_gyro_hz], 3)
+        self._period_ns = round(1e9 / own.rate_hz)
+        self.filtered = own.lowpass_accel_hz > 0.0 or own.lowpass_gyro_hz > 0.0
 
     def add(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
         """Take a batch; samples at or before ``oldest_ns``, not finite or saturated are refused and counted."""
@@ -171,11 +177,10 @@ class Stream:
             t = np.concatenate([part[0] for part in self._waiting])
             values = np.concatenate([part[1] for part in self._waiting])
         self._waiting.clear()
-        period_ns = round(1e9 / self.sensor.rate_hz)
-        t, values, ordered = _appended(self.t_ns, self.values, t, values, period_ns, self._needed_ns)
+        t, values, ordered = _appended(self.t_ns, self.values, t, values, self._period_ns, self._needed_ns)
         if not ordered:
             t, values = _sorted(t, values)
-            t, values, _ = _appended(t[:0], values[:0], t, values, period_ns, self._needed_ns)
+            t, values, _ = _appended(t[:0], values[:0], t, values, self._period_ns, self._needed_ns)
         self.t_ns, self.values = t, values
 
     def average(self, edges_ns: Ints) -> Averages:
@@ -186,11 +191,6 @@ class Stream:
         """Everything at hand, for what is compiled."""
         self._settle()
         return Samples(self.t_ns, self.values, self.sensor.rate_hz, self._cutoff_hz, self.filtered)
-
-    @property
-    def filtered(self) -> bool:
-        """Whether the source low-passes what it sends."""
-        return self.sensor.lowpass_accel_hz > 0.0 or self.sensor.lowpass_gyro_hz > 0.0
 
 
 def _sorted(t_ns: Ints, values: Floats) -> tuple[Ints, Floats]:

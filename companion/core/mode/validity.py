@@ -10,6 +10,7 @@ import numpy as np
 from companion.core.compiled import compiled
 from companion.core.mode.kalman import Kalman
 from companion.core.mode.layout import Layout
+from companion.core.mode.model import StepModel
 from companion.core.mode.parameters import FREQUENCY, ModeParameters
 from companion.records import Floats, Ints, Validity
 
@@ -37,6 +38,8 @@ class Level:
 
     def __init__(self, layout: Layout) -> None:
         self._rates = np.array([family.v for family in layout.families])
+        self._model: StepModel | None = None
+        self._stiffness: Floats = np.ones(2)  # of its modes: circular frequencies squared
         self._blocks: deque[Floats] = deque(maxlen=_BLOCKS)
         self._sum, self._count = np.zeros(2), 0
         self._rms: Floats = np.zeros(2)
@@ -46,10 +49,11 @@ class Level:
     def update(self, kalman: Kalman, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
         taken = min(count, kalman.kept)
-        symmetric, antisymmetric = kalman.model.parameters
-        omega = 2.0 * np.pi * np.array([symmetric.frequency_hz, antisymmetric.frequency_hz])
+        if kalman.model is not self._model:
+            omega = 2.0 * np.pi * np.array([mode.frequency_hz for mode in kalman.model.parameters])
+            self._model, self._stiffness = kalman.model, omega**2
         squares = _rate_squares(kalman.history.state, kalman.steps - taken, taken, self._rates, kalman.weights)
-        self._sum = self._sum + squares / omega**2
+        self._sum = self._sum + squares / self._stiffness
         self._count += taken
         self.settled_s += count * step_s
         self.learned |= self.settled_s >= _LEARN_S
