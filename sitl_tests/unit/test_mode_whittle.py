@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from companion.core.mode.discretise import stationary_covariance, van_loan
 from companion.core.mode.spectrum import acceleration_density, acceleration_slopes, make_grid
-from companion.core.mode.stretch import Stretch, make_stretch
+from companion.core.mode.stretch import Stretch, make_stretch, make_stretches
 from companion.core.mode.whittle import Prior, expected_power, fit, seek_peak
 
 STEP_S = 0.004
@@ -60,6 +60,16 @@ def _prior(sigma: float = 2.0) -> Prior:
     spread = np.array([0.1, 0.7, 2.5, sigma, sigma, 0.1, 0.7, 3.0, 1.0])
     mean = LOGS + np.array([0.07, 0.5, 1.0, 1.0, 1.0, -0.08, 0.5, -1.0, 0.4])
     return Prior(mean, spread, mean - 4 * spread, mean + 4 * spread, np.array([5.0]))
+
+
+def test_a_piece_among_others_tells_what_it_tells_alone() -> None:
+    pieces = np.stack([_simulate(4.0, seed) for seed in range(3)])
+    together = make_stretches(pieces, STEP_S, (0.25, 11.0, 120.0), _floor)
+    assert len(together) == len(pieces)
+    for piece, found in zip(pieces, together, strict=True):
+        alone = make_stretch(piece.copy(), STEP_S, (0.25, 11.0, 120.0), _floor)
+        for name in ("power", "frequency_hz", "weight", "floor", "kernel"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name), err_msg=name)
 
 
 def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -> None:
