@@ -16,6 +16,7 @@ from companion.core.mode.whittle import Prior, slopes
 from companion.records import Floats
 
 _SIGMA_PER_S = 0.01  # of a wing that drifts
+_DOUBT = 2.0  # against it: most wings do not drift, and one looks every second
 _FASTEST_PER_S = 0.03
 _STEP_PER_S = 0.01
 _LEAST_PER_S = 2e-4  # moves nothing
@@ -92,7 +93,7 @@ def likeliest(pieces: list[Stretch], apart_s: float, prior: Prior, logs: Floats,
     step = np.linalg.solve(information, -gradient)[size]
     sigma = np.sqrt(np.linalg.inv(information)[size, size])
     found = rate_per_s + float(np.clip(step, -_STEP_PER_S, _STEP_PER_S))
-    evidence = 0.5 * (found / sigma) ** 2 + np.log(sigma / _SIGMA_PER_S)
+    evidence = 0.5 * (found / sigma) ** 2 + np.log(sigma / _SIGMA_PER_S) - _DOUBT
     return float(np.clip(found / (1.0 + np.exp(-evidence)), -_FASTEST_PER_S, _FASTEST_PER_S))
 
 
