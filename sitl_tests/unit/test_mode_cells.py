@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.core.mode.layout import M_LEFT, M_RIGHT, Y_LEFT, Z_LEFT, Z_RIGHT, make_layout, make_noise
+from companion.core.mode.layout import M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, Z_LEFT, Z_RIGHT, make_layout, make_noise
 from companion.core.mode.model import build_model
 from companion.core.mode.parameters import prior_parameters
 from companion.core.mode.rigid import FrontEnd
@@ -54,6 +54,33 @@ def test_an_axis_that_is_not_sent_leaks_as_the_rigid_wings() -> None:
     lever_m = airframe.left.position_m[1] - airframe.root.position_m[1]
     leaking = side_mps2 - lever_m * roll_radps**2
     np.testing.assert_allclose(cells.sensitivity[:, Z_LEFT, column], -leaking, rtol=0.02)
+
+
+@pytest.mark.parametrize(("axis", "name"), [(3, "root.bp"), (5, "root.br")])
+def test_a_bias_of_the_root_s_rates_shows_as_the_tips_centripetal_force(axis: int, name: str) -> None:
+    """Against the force itself, reckoned from rates with and without the bias, on a wing that is swept and bent up."""
+    airframe = plain_airframe()
+    swept = {
+        place: dataclasses.replace(sensor, position_m=(0.2, sensor.position_m[1], -0.1))
+        for place, sensor in (("left", airframe.left), ("right", airframe.right))
+    }
+    airframe = dataclasses.replace(airframe, **swept)
+    layout, bias_radps = make_layout(airframe), 1e-4
+
+    def seen(bias_radps: float) -> tuple[np.ndarray, np.ndarray]:
+        t, values = swinging(0.6, 0.0)
+        streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+        for station, v in values.items():
+            v[:, 3:] = 0.8, -0.3, 0.5
+            v[:, axis] += bias_radps if station is Station.ROOT else 0.0
+            streams[station].add(batch(station, t, v), 0)
+        cells = FrontEnd(layout, (streams[0], streams[1], streams[2])).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
+        return cells.rows[:, [Z_LEFT, Z_RIGHT, Y_LEFT, Y_RIGHT]], cells.sensitivity[:, [0, 1, 4, 5]]
+
+    (with_bias, _), (without, sensitivity) = seen(bias_radps), seen(0.0)
+    found = (with_bias - without) / bias_radps
+    np.testing.assert_allclose(sensitivity[:, :, layout.constants.index(name)], found, rtol=0.02, atol=1e-3)
+    assert np.abs(found).max(axis=0).min() > 0.01
 
 
 def test_what_is_lost_between_samples_is_each_tips_own() -> None:

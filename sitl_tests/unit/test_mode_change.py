@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from companion.core.mode.kalman import Kalman
-from companion.core.mode.layout import make_layout, make_noise
+from companion.core.mode.layout import ROWS, make_layout, make_noise
 from companion.core.mode.model import Parameters, build_model
 from companion.core.mode.parameters import prior_parameters
+from companion.core.mode.rigid import Cells
 from companion.params.files import load_airframe
 
 AIRFRAME = load_airframe("nadir-2m")
@@ -72,3 +73,40 @@ def test_the_same_wing_again_changes_nothing() -> None:
     kalman.use(build_model(LAYOUT, NOISE, OLD, (-0.99, 0.99), STEP_S))
     np.testing.assert_array_equal(kalman.columns, columns)
     np.testing.assert_allclose(kalman.covariance, covariance, rtol=1e-12)
+
+
+def test_what_was_learned_of_a_wandering_bias_ages_and_what_cannot_move_stays_learned() -> None:
+    wing, restless = AIRFRAME.wing, replace(NOISE, bias_time_s=1.0)
+    model = build_model(LAYOUT, restless, OLD, (-0.99, 0.99), STEP_S)
+    kalman = Kalman(LAYOUT, restless, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, 8)
+    sigma = LAYOUT.constant_sigma
+    kalman._memory.information[1:, 1:] = np.diag(100.0 / sigma**2)
+    blind = _nothing_measured(1000)
+    kalman.run(blind.span(0, 25))
+    learned = np.sqrt(np.diag(kalman.constants_covariance)) / sigma
+    kalman.run(blind.span(25, 1000))
+    later = np.sqrt(np.diag(kalman.constants_covariance)) / sigma
+    ages = np.array([name in ("root.bp", "root.br") for name in LAYOUT.constants])
+    moves = np.array([name.startswith("root.") for name in LAYOUT.constants]) & ~ages  # considered: never learned
+    assert ages.sum() == 2
+    np.testing.assert_allclose(learned[~moves], 101.0**-0.5, rtol=1e-6)
+    np.testing.assert_allclose(later[~moves & ~ages], 101.0**-0.5, rtol=1e-6)
+    # information falls with exp(-2 t / tau), at the end of every tenth of a second but the last
+    np.testing.assert_allclose(later[ages], (1.0 + 100.0 * math.exp(-2.0 * 3.9)) ** -0.5, rtol=1e-6)
+
+
+def _nothing_measured(count: int) -> Cells:
+    per_row, per_side = np.zeros((count, ROWS)), np.zeros((count, 2))
+    return Cells(
+        start_ns=np.arange(count, dtype=np.int64) * 4_000_000,
+        rows=per_row,
+        present=np.zeros((count, ROWS), dtype=np.bool_),
+        vertical=per_side,
+        lateral=per_side,
+        tilted=per_side,
+        lateral_gain=per_side,
+        load=np.zeros(count),
+        rate=np.zeros((count, 3)),
+        sensitivity=np.zeros((count, ROWS, len(LAYOUT.constants))),
+        cut=per_side,
+    )

@@ -17,7 +17,7 @@ import numpy as np
 from companion.core.compiled import COMPILED, compiled
 from companion.core.mode import kernel_loops, kernel_numpy
 from companion.core.mode.kernel import Data, Fixed, Memory, Step, make_history
-from companion.core.mode.layout import P_LEFT, ROWS, Y_LEFT, Layout, Noise
+from companion.core.mode.layout import P_LEFT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Layout, Noise
 from companion.core.mode.model import Parameters, StepModel, stationary
 from companion.core.mode.rigid import Cells
 from companion.core.mode.sensitivity import own_scales
@@ -26,8 +26,9 @@ from companion.records import Floats, Ints
 kernel = kernel_loops if COMPILED else kernel_numpy
 _SOLVE_EVERY = 25
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
-# that is not white, and what that would teach about its scale is wrong.
-_CONSIDERED = "root."
+# that is not white, and what that would teach about its scale is wrong. The biases of its rates are learned.
+_CONSIDERED = frozenset(f"root.{error}" for error in SENSOR_ERRORS)
+_WANDERING = frozenset(f"root.{error}" for error in ROOT_ERRORS)  # what was learned of them ages
 
 
 class Kalman:
@@ -61,8 +62,10 @@ class Kalman:
         self.constants = np.zeros(c)
         self.constants_covariance = np.diag(layout.constant_sigma**2)
         self._prior = np.diag(1.0 / layout.constant_sigma**2)
-        estimated = np.array([not name.startswith(_CONSIDERED) for name in layout.constants], dtype=bool)
+        estimated = np.array([name not in _CONSIDERED for name in layout.constants], dtype=bool)
         self._estimated, self._considered = np.flatnonzero(estimated), np.flatnonzero(~estimated)
+        wandering = np.array([False, *(name in _WANDERING for name in layout.constants)])
+        self._retained = np.where(wandering, np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s), 1.0)
         self._weights = np.concatenate([[1.0], self.constants])
         self._unsolved = self.steps = 0
         self.finite = True
@@ -95,7 +98,7 @@ class Kalman:
         self._solve()
         for name in names:
             column = self.layout.column(name)
-            if column is not None and not name.startswith(_CONSIDERED):
+            if column is not None and name not in _CONSIDERED:
                 self._integrate_out(column)
         self._solve()
 
@@ -173,6 +176,7 @@ class Kalman:
             self._unsolved += last - first
             if self._unsolved >= _SOLVE_EVERY:
                 self._solve()
+                self._memory.information[:] *= np.outer(self._retained, self._retained)
             first = last
 
     def use(self, model: StepModel) -> None:

@@ -22,6 +22,7 @@ ROWS = 9
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
 FAMILY_STATES = 8
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
+ROOT_ERRORS = ("bp", "br")  # biases of its rates: the tips' centripetal force is reckoned from them
 
 _ABSENT_MPS2 = 10.0  # sigma of the root's force along an axis that it does not send
 _SECOND_RATIO = 5.5  # of an unknown second mode's frequency: 6.3 for a bare cantilever, less with a tip mass
@@ -155,6 +156,8 @@ def _constants(airframe: Airframe) -> list[tuple[str, float]]:
         named.append(("slope.second_antisymmetric", wing.second_antisymmetric.slope_factor_radpm.sigma))
     for place, sensor in (("left", airframe.left), ("right", airframe.right), ("root", airframe.root)):
         named += [(f"{place}.{error}", _error_sigma(sensor, error)) for error in SENSOR_ERRORS]
+    root = airframe.root
+    named += [(f"root.{error}", root.gyro_bias_sigma_radps) for error in ROOT_ERRORS if error[-1] in root.sends]
     return named
 
 

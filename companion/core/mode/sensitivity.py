@@ -1,7 +1,8 @@
 """How each constant sensor error shows in each row: the columns that the filter carries beside the state.
 
 A sensor with scale errors ``k`` (per axis), misalignment ``m`` (small rotation vector) and stamp error ``tau`` reads
-``(1 + k) (f - m x f)(t - tau)``, and likewise for the rate.
+``(1 + k) (f - m x f)(t - tau)``, and likewise for the rate. What the root's rates have as bias turns the rest wing's
+centripetal force ``w x (w x r)``: in a roll of 0.6 rad/s a milliradian per second is a tenth of a milliradian of slope.
 
 The measured values stand in for the true ones; what that would do to the estimate (a regression on its own noise
 shrinks everything) is undone by :class:`companion.core.mode.kalman.Kalman`, which takes the innovation out again
@@ -15,11 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.compiled import compiled
-from companion.core.mode.layout import P_LEFT, P_ROOT, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT, Layout
+from companion.core.mode.layout import P_LEFT, P_ROOT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT, Layout
 from companion.records import Bools, Floats, Ints
 
 _PLACES = ("root", "left", "right")
-_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU = range(len(SENSOR_ERRORS))
+_ERRORS = (*SENSOR_ERRORS, *ROOT_ERRORS)
+_KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = range(len(_ERRORS))
 _Z, _Y, _P, _P0 = Z_LEFT, Y_LEFT, P_LEFT, P_ROOT
 
 
@@ -65,9 +67,9 @@ def rate_of_change(values: Floats, step_s: float, there: Bools) -> Floats:
 
 
 def columns_of(layout: Layout) -> Ints:
-    """Column of each error (order of ``SENSOR_ERRORS``) of root, left and right; -1 where its prior has no width."""
+    """Column of each error (``SENSOR_ERRORS``, ``ROOT_ERRORS``) of root, left and right; -1 where there is none."""
     index = {name: at for at, name in enumerate(layout.constants)}
-    return np.array([[index.get(f"{place}.{error}", -1) for error in SENSOR_ERRORS] for place in _PLACES], np.int64)
+    return np.array([[index.get(f"{place}.{error}", -1) for error in _ERRORS] for place in _PLACES], np.int64)
 
 
 @compiled
@@ -142,6 +144,18 @@ def _root_errors(out: Floats, motion: Motion, side: int, gain: Floats, where: In
     _put(out, lateral, where[_MZ], x * gain)
     _put(out, vertical, where[_TAU], motion.d_root[:, 2])
     _put(out, lateral, where[_TAU], motion.d_root[:, 1] * gain)
+    _root_biases(out, motion, side, gain, where)
+
+
+@compiled
+def _root_biases(out: Floats, motion: Motion, side: int, gain: Floats, where: Ints) -> None:
+    p, q, r = motion.omega[:, 0], motion.omega[:, 1], motion.omega[:, 2]
+    ahead, aside, below = motion.levers_m[side]
+    vertical, lateral = _Z + side, _Y + side
+    _put(out, vertical, where[_BP], 2.0 * below * p - ahead * r)
+    _put(out, lateral, where[_BP], (2.0 * aside * p - ahead * q) * gain)
+    _put(out, vertical, where[_BR], -(ahead * p + aside * q))
+    _put(out, lateral, where[_BR], (2.0 * aside * r - below * q) * gain)
 
 
 @compiled
