@@ -18,7 +18,7 @@ from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick, TimesyncReply, Validity
 
 _EPOCH_NS = 1_000_000_000_000
-_LENGTH_S = 2.4  # the first fit comes after 1.5 s
+_LENGTH_S = 11.2  # the first fit comes after 1.5 s, the first rate of a drift after 10 s
 _TICK_NS = 20_000_000
 _ROUND_TRIP_NS = 400_000
 

@@ -1,8 +1,9 @@
 """What no linear, steady model makes: crooked sensors, and forces of state or time.
 
-Both are split. The mean slope of a law acts as stiffness and damping (of the reading: as a scale): it is what the law
-does to the volume of motions, which the spectrum's determinant stands for. What is left is taken out of the data. A law
-with memory has no slope of an instant; of it goes, band by band, what is correlated with the motion.
+Both are split. The mean slope of a force's law acts as stiffness and damping; of a reading's law the geometric mean
+slope acts as a scale: it is what the law does to the volume of motions, which the spectrum's determinant stands for.
+What is left is taken out of the data. A law with memory has no slope of an instant; of it goes, band by band, what is
+correlated with the motion.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class Straightener:
         return self._up
 
     def straight_mps2(self, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
-        """Undo, to first order, what effects do to samples that no linear response describes.
+        """Undo what effects do to samples that no linear response describes: bends exactly, delays to first order.
 
         Returns
         -------

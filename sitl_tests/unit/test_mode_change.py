@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from companion.core.mode.kalman import Kalman
 from companion.core.mode.layout import ROWS, make_layout, make_noise
@@ -81,18 +82,37 @@ def test_what_was_learned_of_a_wandering_bias_ages_and_what_cannot_move_stays_le
     kalman = Kalman(LAYOUT, restless, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, 8)
     sigma = LAYOUT.constant_sigma
     kalman._memory.information[1:, 1:] = np.diag(100.0 / sigma**2)
-    blind = _nothing_measured(1000)
-    kalman.run(blind.span(0, 25))
-    learned = np.sqrt(np.diag(kalman.constants_covariance)) / sigma
-    kalman.run(blind.span(25, 1000))
-    later = np.sqrt(np.diag(kalman.constants_covariance)) / sigma
+    kalman._memory.information[0, 1:] = kalman._memory.information[1:, 0] = -100.0 / sigma  # each is one sigma
     ages = np.array([name in ("root.bp", "root.br") for name in LAYOUT.constants])
-    moves = np.array([name.startswith("root.") for name in LAYOUT.constants]) & ~ages  # considered: never learned
+    stays = ~np.array([name.startswith("root.") for name in LAYOUT.constants])  # those of the root are not learned
     assert ages.sum() == 2
-    np.testing.assert_allclose(learned[~moves], 101.0**-0.5, rtol=1e-6)
-    np.testing.assert_allclose(later[~moves & ~ages], 101.0**-0.5, rtol=1e-6)
-    # information falls with exp(-2 t / tau), at the end of every tenth of a second but the last
-    np.testing.assert_allclose(later[ages], (1.0 + 100.0 * math.exp(-2.0 * 3.9)) ** -0.5, rtol=1e-6)
+    blind = _nothing_measured(500)
+    for first, last in ((0, 25), (25, 50), (50, 75), (75, 325), (325, 500)):
+        kalman.run(blind.span(first, last))
+        age_s = (last - 25) * STEP_S  # since what was learned was first used
+        estimate, spread = kalman.constants / sigma, np.diag(kalman.constants_covariance) / sigma**2
+        np.testing.assert_allclose(estimate[stays], 100.0 / 101.0, rtol=1e-9)
+        np.testing.assert_allclose(spread[stays], 1.0 / 101.0, rtol=1e-9)
+        # a stationary Ornstein-Uhlenbeck process that was seen once
+        np.testing.assert_allclose(estimate[ages], 100.0 / 101.0 * math.exp(-age_s), rtol=1e-9)
+        np.testing.assert_allclose(spread[ages], 1.0 - 100.0 / 101.0 * math.exp(-2.0 * age_s), rtol=1e-9)
+
+
+def test_a_state_that_hangs_on_a_bias_is_neither_moved_nor_made_surer_when_the_bias_ages() -> None:
+    kalman = _filter()
+    column = LAYOUT.constants.index("root.bp") + 1
+    sigma = LAYOUT.constant_sigma[column - 1]
+    kalman.columns[:, 1:] = 0.0
+    kalman.columns[3, column] = 2.0 / sigma
+    kalman._memory.information[column, column] = 100.0 / sigma**2
+    kalman._memory.information[0, column] = kalman._memory.information[column, 0] = -100.0 / sigma
+    kalman._solve()
+    state, variance = kalman.state[3], kalman.total_covariance[3, 3]
+    for _ in range(50):
+        kalman._age()
+    kalman._solve()
+    assert kalman.state[3] == pytest.approx(state, rel=1e-9)
+    assert kalman.total_covariance[3, 3] == pytest.approx(variance, rel=1e-9)
 
 
 def _nothing_measured(count: int) -> Cells:

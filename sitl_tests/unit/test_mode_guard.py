@@ -105,7 +105,7 @@ for name in sys.argv[1:]:
     airframe = load_airframe(name)
     warm_up(airframe, Settings())
     warm, state, now_ns = compiled(), start(airframe, Settings()), HOST_EPOCH_NS
-    for record in flight_records(build_flight(airframe, 3, 3.0)):
+    for record in flight_records(build_flight(airframe, 3, 12.5)):
         while now_ns <= record.received_host_ns:
             state, _ = step(state, TimesyncReply(ClockName.BOOT, now_ns - 900_000, now_ns - 3_000_000_000, now_ns))
             state, _ = step(state, Tick(now_ns))

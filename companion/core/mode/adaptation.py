@@ -14,7 +14,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from companion.core.mode.channels import COLUMNS, ROLL, STATIC, Channels
-from companion.core.mode.drift import at_end, evened, likeliest, when_evened
+from companion.core.mode.drift import at_end, evened, growing, likeliest, when_evened
 from companion.core.mode.floor import Floor
 from companion.core.mode.layout import P_ROOT, Layout, Noise
 from companion.core.mode.model import Parameters
@@ -85,7 +85,7 @@ class Adaptation:
         self.fits = 0
         self._cut = 0.0  # how much the edges of the last cells cut samples
         self._contradicted = False
-        self._rates = [0.0, 0.0]  # of both families' frequencies, 1/s
+        self._rates = [(0.0, 0.0), (0.0, 0.0)]  # of both families' frequencies, 1/s, and their sigmas
         self._only = 0  # the tip that is there, where one is missing
 
     @property
@@ -174,9 +174,11 @@ class Adaptation:
         start = np.concatenate([self.parameters[k].logs() for k in which])
         band = self._band(which)
         length_s = len(samples) * self._step_s
+        rate, rate_sigma = self._rates[which[0]]
         if elapsed_s > _EARLY_S:
-            self._rates[which[0]] = self._drifting(samples, band, floor, prior, start, self._rates[which[0]])
-        rate = self._rates[which[0]]
+            rate, rate_sigma = self._drifting(samples, band, floor, prior, start, rate)
+        for k in which:
+            self._rates[k] = rate, rate_sigma
         long, start = (
             make_stretch(evened(samples, rate, self._step_s), self._step_s, band, floor),
             when_evened(start, rate, length_s),
@@ -186,7 +188,8 @@ class Adaptation:
         else:
             best = self._improved(long, prior, start, which[0])
         best = _without_idle_seconds(long, prior, best, -np.inf if self._contradicted else _SECOND_EVIDENCE)
-        best = dataclasses.replace(best, logs=at_end(best.logs, rate, length_s))
+        by_rate = 0.5 * length_s * rate_sigma * growing(len(start))
+        best = Fit(at_end(best.logs, rate, length_s), np.hypot(best.log_sigma, by_rate), best.cost)
         out, at = [], 0
         for k in which:
             piece = slice(at, at + PARAMETERS)
@@ -196,8 +199,8 @@ class Adaptation:
 
     def _drifting(
         self, samples: Floats, band: tuple[float, float, float], floor: Floor, prior: Prior, start: Floats, rate: float
-    ) -> float:
-        """Rate of the frequencies, one step on from the one that was believed."""
+    ) -> tuple[float, float]:
+        """Rate of the frequencies, one step on from the one that was believed, and its sigma."""
         count = len(samples) // self._piece
         newest = samples[len(samples) - count * self._piece :].reshape(count, self._piece)
         pieces = make_stretches(newest, self._step_s, band, floor)

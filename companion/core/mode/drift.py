@@ -43,12 +43,12 @@ def evened(samples: Floats, rate_per_s: float, step_s: float) -> Floats:
 
 def at_end(logs: Floats, rate_per_s: float, length_s: float) -> Floats:
     """Parameters (p,) at the end of a stretch from those that it has when evened."""
-    return logs + _growth(rate_per_s, length_s) * _growing(len(logs))
+    return logs + _growth(rate_per_s, length_s) * growing(len(logs))
 
 
 def when_evened(logs: Floats, rate_per_s: float, length_s: float) -> Floats:
     """The way back of :func:`at_end`."""
-    return logs - _growth(rate_per_s, length_s) * _growing(len(logs))
+    return logs - _growth(rate_per_s, length_s) * growing(len(logs))
 
 
 def _growth(rate_per_s: float, length_s: float) -> float:
@@ -56,14 +56,16 @@ def _growth(rate_per_s: float, length_s: float) -> float:
     return float(np.log(total / -np.expm1(-total))) if abs(total) > _NO_GROWTH else 0.5 * total
 
 
-def _growing(size: int) -> Floats:
+def growing(size: int) -> Floats:
     """One for each frequency among ``size`` parameters."""
     grows = np.zeros(size)
     grows[FREQUENCY::PARAMETERS], grows[FREQUENCY_2::PARAMETERS] = 1.0, 1.0
     return grows
 
 
-def likeliest(pieces: list[Stretch], apart_s: float, prior: Prior, logs: Floats, rate_per_s: float) -> float:
+def likeliest(
+    pieces: list[Stretch], apart_s: float, prior: Prior, logs: Floats, rate_per_s: float
+) -> tuple[float, float]:
     """One scoring step from a rate to the likeliest, drawn to none by as much as there may be no drift.
 
     Parameters
@@ -78,13 +80,18 @@ def likeliest(pieces: list[Stretch], apart_s: float, prior: Prior, logs: Floats,
         Parameters in the middle of all pieces; each family's frequencies grow at the rate.
     rate_per_s : float
         Where the step begins.
+
+    Returns
+    -------
+    float, float
+        The rate, and its sigma: that there may be no drift is part of it.
     """
     size = len(logs)
     silent = prior._replace(sigma=np.full(size, np.inf))
     gradient, information = np.zeros(size + 1), np.zeros((size + 1, size + 1))
     into = np.eye(size + 1)[:, :size]  # how a piece's parameters hang on those of the middle and the rate
     for number, piece in enumerate(pieces):
-        into[size] = (number - 0.5 * (len(pieces) - 1)) * apart_s * _growing(size)
+        into[size] = (number - 0.5 * (len(pieces) - 1)) * apart_s * growing(size)
         slope, known = slopes(piece, silent, logs + rate_per_s * into[size])
         gradient += into @ slope
         information += into @ known @ into.T
@@ -94,7 +101,9 @@ def likeliest(pieces: list[Stretch], apart_s: float, prior: Prior, logs: Floats,
     sigma = np.sqrt(np.linalg.inv(information)[size, size])
     found = rate_per_s + float(np.clip(step, -_STEP_PER_S, _STEP_PER_S))
     evidence = 0.5 * (found / sigma) ** 2 + np.log(sigma / _SIGMA_PER_S) - _DOUBT
-    return float(np.clip(found / (1.0 + np.exp(-evidence)), -_FASTEST_PER_S, _FASTEST_PER_S))
+    believed = 1.0 / (1.0 + np.exp(-evidence))
+    spread = np.sqrt(believed * (sigma**2 + (1.0 - believed) * found**2))
+    return float(np.clip(believed * found, -_FASTEST_PER_S, _FASTEST_PER_S)), float(spread)
 
 
 def _windowed_sinc() -> Floats:

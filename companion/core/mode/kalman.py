@@ -28,7 +28,7 @@ _SOLVE_EVERY = 25
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
 # that is not white, and what that would teach about its scale is wrong. The biases of its rates are learned.
 _CONSIDERED = frozenset(f"root.{error}" for error in SENSOR_ERRORS)
-_WANDERING = frozenset(f"root.{error}" for error in ROOT_ERRORS)  # what was learned of them ages
+_WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)  # what was learned of them ages
 
 
 class Kalman:
@@ -64,8 +64,8 @@ class Kalman:
         self._prior = np.diag(1.0 / layout.constant_sigma**2)
         estimated = np.array([name not in _CONSIDERED for name in layout.constants], dtype=bool)
         self._estimated, self._considered = np.flatnonzero(estimated), np.flatnonzero(~estimated)
-        wandering = np.array([False, *(name in _WANDERING for name in layout.constants)])
-        self._retained = np.where(wandering, np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s), 1.0)
+        self._wandering = [column for name in _WANDERING if (column := layout.column(name)) is not None]
+        self._retained = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
         self._weights = np.concatenate([[1.0], self.constants])
         self._unsolved = self.steps = 0
         self.finite = True
@@ -176,7 +176,7 @@ class Kalman:
             self._unsolved += last - first
             if self._unsolved >= _SOLVE_EVERY:
                 self._solve()
-                self._memory.information[:] *= np.outer(self._retained, self._retained)
+                self._age()
             first = last
 
     def use(self, model: StepModel) -> None:
@@ -246,6 +246,23 @@ class Kalman:
             turned = state @ self.history.transition[self.history.by[at]]
             self.history.by[at] = self._kept_motion(turned)
             self.history.drawn[at] = self.history.drawn[at] @ state.T
+
+    def _age(self) -> None:
+        """Let what wanders have wandered since the last solution: of old it was ``r`` times the new, and some noise.
+
+        The noise is integrated out of what was gathered; what the state owes to it becomes the state's own variance.
+        """
+        gathered, r = self._memory.information, self._retained
+        for column in self._wandering:
+            noise = (1.0 - r * r) * self.layout.constant_sigma[column - 1] ** 2
+            known, owed = gathered[column].copy(), self.columns[:-1, column].copy()
+            gain = noise / (1.0 + noise * known[column])
+            self.columns[:-1] -= gain * np.outer(owed, known)
+            self.covariance += gain * np.outer(owed, owed)
+            gathered -= gain * np.outer(known, known)
+            gathered[column, :] *= r
+            gathered[:, column] *= r
+            self.columns[:-1, column] *= r
 
     def _solve(self) -> None:
         self._unsolved = 0

@@ -40,7 +40,9 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
         return False
     innovation = measured[use] - sense[use] @ columns
     _at_prediction(fixed, use, innovation, innovation @ weights)
-    whitened, _ = lapack.dtrtrs(root, np.hstack([g, innovation, drawn]), lower=1)
+    whitened = np.hstack([g, innovation, drawn])
+    if len(use):  # LAPACK complains aloud of a system without rows
+        whitened, _ = lapack.dtrtrs(root, whitened, lower=1)
     g, innovation, drawn = whitened[:, :n], whitened[:, n:-n], whitened[:, -n:]
     _remember(history, at, g, innovation, drawn)
     fade = 1.0 - fixed.step_s

@@ -1,9 +1,9 @@
 """Where each state and each constant error lives, and the constants' priors.
 
 The *fast* state is what moves (modes, gust loads, rigid roll, drifting biases); the *constants* are errors that do not
-move in a flight (scale, misalignment, stamp offset, slope factor, trim). The filter carries the fast state together
-with its exact sensitivity to every constant (Friedland's separated bias estimation, IEEE TAC 14, 1969), so that a
-constant costs one column instead of one state.
+move in a flight (scale, misalignment, stamp offset, slope factor, trim; the biases of the root's rates wander slowly,
+and what is known of them ages). The filter carries the fast state together with its exact sensitivity to every constant
+(Friedland's separated bias estimation, IEEE TAC 14, 1969), so that a constant costs one column instead of one state.
 
 Rows of a measurement: of both tips the mean and the first moment of the vertical axis, the bending slope seen by the
 lateral axis and the roll rate; then the root's roll rate.
