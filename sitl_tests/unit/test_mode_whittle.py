@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.core.mode.discretise import stationary_covariance, van_loan
+from companion.core.mode.drift import evened, likeliest
 from companion.core.mode.spectrum import acceleration_density, acceleration_slopes, make_grid
 from companion.core.mode.stretch import Stretch, make_stretch, make_stretches
 from companion.core.mode.whittle import Prior, expected_power, fit, seek_peak
@@ -125,3 +126,16 @@ def test_a_peak_that_the_model_has_not_is_found() -> None:
     assert moved[5] == pytest.approx(LOGS[5], abs=0.05)
     _, nothing = seek_peak(stretch, prior, LOGS, 5)
     assert nothing < 8
+
+
+@pytest.mark.parametrize("rate_per_s", [0.01, -0.01, 0.0])
+def test_the_rate_of_a_drift_is_found_and_none_where_there_is_none(rate_per_s: float) -> None:
+    """Steady samples on a time that runs ever faster (which all but the load notices), from a believed rate of none."""
+    for seed in range(3):
+        samples = evened(_simulate(24.0, seed), -rate_per_s, STEP_S)
+        pieces = make_stretches(samples.reshape(6, -1), STEP_S, (0.25, 11.0, 120.0), _floor)
+        rate = 0.0
+        for _ in range(6):
+            rate, sigma = likeliest(pieces, 4.0, _prior(), LOGS, rate)
+        assert rate == pytest.approx(rate_per_s, abs=max(4.0 * sigma, 1e-3))
+        assert 1e-5 < sigma < 4e-3
