@@ -169,7 +169,8 @@ class Adaptation:
         return rows, seen
 
     def _fit_family(self, rows: Floats, which: tuple[int, ...], elapsed_s: float) -> list[ModeParameters]:
-        samples, floor = self._channels.of(rows, which, self._only, self.parameters, self._cut)
+        known = (self.parameters, self._cut, self._bend_per_g_m)
+        samples, floor = self._channels.of(rows, which, self._only, *known)
         prior = _join([self._prior[k] for k in which])
         start = np.concatenate([self.parameters[k].logs() for k in which])
         band = self._band(which)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.mode.floor import DERIVATIVE, EDGE, Floor
+from companion.core.mode.floor import DERIVATIVE, EDGE, Bend, Floor
 from companion.core.mode.layout import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.mode.model import Parameters
-from companion.core.mode.parameters import ModeParameters
+from companion.core.mode.rigid import GRAVITY_MPS2
 from companion.core.mode.spectrum import load_density
 from companion.records import Floats
 
@@ -27,7 +27,7 @@ class Channels:
         self._roll = noise.own[P_ROOT] * 2.0 * step_s * self._lever_m**2
 
     def of(
-        self, rows: Floats, families: tuple[int, ...], tip: int, parameters: Parameters, cut: float
+        self, rows: Floats, families: tuple[int, ...], tip: int, parameters: Parameters, cut: float, bend_per_g_m: float
     ) -> tuple[Floats, Floor]:
         """Samples (n,) and their floor.
 
@@ -43,22 +43,25 @@ class Channels:
             As known by now.
         cut : float
             How much the edges of cells cut samples.
+        bend_per_g_m : float
+            As known by now.
         """
-        cut_density = self._cut_density(parameters, cut)
+        cut_density, step_s = self._cut_density(parameters, cut), self._step_s
+        bend = Bend(parameters[0].frequency_hz, parameters[0].damping, bend_per_g_m / GRAVITY_MPS2)
         if families == (0,):
-            known = _answer(rows[:, STATIC], parameters[0], self._step_s)
-            white = float(self._tips.sum() / 4.0 + self._root)
-            floor = Floor(white, 0.0, 0.5 * cut_density, self._wander(_MEAN), self._step_s)
+            known = _answer(rows[:, STATIC], bend, step_s)
+            white = float(self._tips.sum() / 4.0)
+            floor = Floor(white, self._root, bend, 0.0, 0.5 * cut_density, self._wander(_MEAN), step_s)
             return 0.5 * (rows[:, 0] + rows[:, 1]) - known, floor
-        lift = self._lever_m * np.convolve(rows[:, ROLL], DERIVATIVE / self._step_s, mode="same")  # of the rigid roll
+        lift = self._lever_m * np.convolve(rows[:, ROLL], DERIVATIVE / step_s, mode="same")  # of the rigid roll
         lift[:EDGE], lift[-EDGE:] = 0.0, 0.0
         if families == (1,):
             white = float(self._tips.sum() / 4.0)
-            floor = Floor(white, self._roll, 0.5 * cut_density, self._wander(_HALF_DIFFERENCE), self._step_s)
+            floor = Floor(white, 0.0, bend, self._roll, 0.5 * cut_density, self._wander(_HALF_DIFFERENCE), step_s)
             return 0.5 * (rows[:, 1] - rows[:, 0]) - lift, floor
-        known = _answer(rows[:, STATIC], parameters[0], self._step_s)
+        known = _answer(rows[:, STATIC], bend, step_s)
         alone = (2.0, 0.0) if tip == 0 else (0.0, 2.0)
-        floor = Floor(float(self._tips[tip] + self._root), self._roll, cut_density, self._wander(alone), self._step_s)
+        floor = Floor(float(self._tips[tip]), self._root, bend, self._roll, cut_density, self._wander(alone), step_s)
         return rows[:, tip] - known - (2 * tip - 1) * lift, floor
 
     def _wander(self, signs: tuple[float, float]) -> float:
@@ -80,11 +83,9 @@ class Channels:
         return cut * load * self._noise.sample_s / (3.0 * self._step_s)
 
 
-def _answer(static_m: Floats, mode: ModeParameters, step_s: float) -> Floats:
-    """Vertical reading that the load factor's known bend brings about: ``omega^2 H(omega)`` of it."""
+def _answer(static_m: Floats, bend: Bend, step_s: float) -> Floats:
+    """Vertical reading that the load factor's known bend brings about."""
     ramp = np.linspace(static_m[0], static_m[-1], len(static_m))
-    square = np.fft.rfftfreq(len(static_m), step_s) ** 2
-    own = mode.frequency_hz**2
-    response = own / (own - square + 2j * mode.damping * mode.frequency_hz * np.sqrt(square))
-    lifted = np.fft.rfft(static_m - ramp) * (4.0 * np.pi**2) * square * response
+    frequency_hz: Floats = np.asarray(np.fft.rfftfreq(len(static_m), step_s), dtype=np.float64)
+    lifted = bend.reading(frequency_hz) * np.fft.rfft(static_m - ramp)
     return np.asarray(np.fft.irfft(lifted, len(static_m)), dtype=np.float64)
