@@ -64,7 +64,8 @@ class Kalman:
         self._prior = np.diag(1.0 / layout.constant_sigma**2)
         estimated = np.array([name not in _CONSIDERED for name in layout.constants], dtype=bool)
         self._estimated, self._considered = np.flatnonzero(estimated), np.flatnonzero(~estimated)
-        self._wandering = [column for name in _WANDERING if (column := layout.column(name)) is not None]
+        wandering = [column for name in _WANDERING if (column := layout.column(name)) is not None]
+        self._wandering = np.array(wandering, np.int64)
         self._retained = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
         self._weights = np.concatenate([[1.0], self.constants])
         self._unsolved = self.steps = 0
@@ -248,21 +249,8 @@ class Kalman:
             self.history.drawn[at] = self.history.drawn[at] @ state.T
 
     def _age(self) -> None:
-        """Let what wanders have wandered since the last solution: of old it was ``r`` times the new, and some noise.
-
-        The noise is integrated out of what was gathered; what the state owes to it becomes the state's own variance.
-        """
-        gathered, r = self._memory.information, self._retained
-        for column in self._wandering:
-            noise = (1.0 - r * r) * self.layout.constant_sigma[column - 1] ** 2
-            known, owed = gathered[column].copy(), self.columns[:-1, column].copy()
-            gain = noise / (1.0 + noise * known[column])
-            self.columns[:-1] -= gain * np.outer(owed, known)
-            self.covariance += gain * np.outer(owed, owed)
-            gathered -= gain * np.outer(known, known)
-            gathered[column, :] *= r
-            gathered[:, column] *= r
-            self.columns[:-1, column] *= r
+        sigma = self.layout.constant_sigma
+        _wander(self._memory.information, self.columns, self.covariance, self._wandering, sigma, self._retained)
 
     def _solve(self) -> None:
         self._unsolved = 0
@@ -277,6 +265,24 @@ class Kalman:
             self.constants_covariance,
         )
         self._weights[1:] = self.constants
+
+
+@compiled
+def _wander(gathered: Floats, columns: Floats, covariance: Floats, those: Ints, sigma: Floats, r: float) -> None:
+    """Let what wanders have wandered since the last solution: of old it was ``r`` times the new, and some noise.
+
+    The noise is integrated out of what was gathered; what the state owes to it becomes the state's own variance.
+    """
+    for column in those:
+        noise = (1.0 - r * r) * sigma[column - 1] ** 2
+        known, owed = gathered[column].copy(), columns[:-1, column].copy()
+        gain = noise / (1.0 + noise * known[column])
+        columns[:-1] -= gain * np.outer(owed, known)
+        covariance += gain * np.outer(owed, owed)
+        gathered -= gain * np.outer(known, known)
+        gathered[column, :] *= r
+        gathered[:, column] *= r
+        columns[:-1, column] *= r
 
 
 @compiled
