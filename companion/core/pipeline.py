@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from companion.core.clock.alignment import SIGMAS, Alignment
+from companion.core.clock.alignment import SIGMAS
 from companion.core.clock.bank import ClockBank
+from companion.core.clock.silent import SilentNodes
 from companion.core.delivery import Delivery
 from companion.core.mode.tracker import WingTracker
 from companion.core.publishing import Publishing
@@ -59,7 +60,6 @@ _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, an
 _WARNING = 4
 _BY_PIN = "exposures stamped by the autopilot"
 _BLIND = "shots bring no image pairs: trigger, cameras?"
-_PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered
 
 
 @dataclass(slots=True)
@@ -76,8 +76,7 @@ class PipelineState:
     feedback: Feedback
     delivery: Delivery = field(default_factory=Delivery)
     filters: VehicleFilters = field(default_factory=VehicleFilters)
-    alignments: dict[ClockName, Alignment] = field(default_factory=dict)
-    unanswered_ns: dict[ClockName, int] = field(default_factory=dict)
+    silent: SilentNodes = field(default_factory=SilentNodes)
     validity: Validity | None = None  # of what the tracker says; None until there is something
     vehicle: VehicleState | None = None
     counters: Counter[str] = field(default_factory=Counter)
@@ -153,7 +152,7 @@ def _adapt_to_delivery(state: PipelineState, now_ns: int) -> list[OutputRecord]:
 
 def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
     batch = state.filters.undone(batch)
-    _note_silent(state, batch)
+    state.silent.note(batch, state.airframe.sensor(batch.station), state.airframe.root)
     if batch.clock is not ClockName.HOST:
         converted = state.clocks.to_host(batch.clock, batch.t_ns, batch.received_host_ns)
         if isinstance(converted, Reject):
@@ -162,32 +161,18 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
         clock, t_ns = ClockName.HOST, converted[0]
         batch = ImuBatch(batch.station, clock, t_ns, batch.values, batch.axes, batch.received_host_ns)
     if batch.station is Station.ROOT:
-        for alignment in state.alignments.values():
-            alignment.add_root(batch.t_ns, batch.values)
+        state.silent.note_root(batch.t_ns, batch.values)
     return state.tracker.add(batch)
-
-
-def _note_silent(state: PipelineState, batch: ImuBatch) -> None:
-    """A node that does not answer TIMESYNC is aligned by the motion that it shares with the root."""
-    clock = batch.clock
-    if clock not in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT):
-        return
-    since_ns = state.unanswered_ns.setdefault(clock, batch.received_host_ns)
-    if batch.received_host_ns - since_ns >= _PATIENCE_NS and Alignment.possible(batch.axes):
-        alignment = state.alignments.setdefault(clock, Alignment(clock))
-        alignment.add_node(batch)
-        alignment.sensors(state.airframe.sensor(batch.station), state.airframe.root)
 
 
 def _align(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Let what the motion tells of silent nodes' clocks count as exchanges."""
     said: list[OutputRecord] = []
-    for clock, alignment in state.alignments.items():
-        for exchange in alignment.exchanges(now_ns):
-            before = state.clocks.state(clock).synced
-            after = state.clocks.exchange(exchange)
-            if after.synced and not before:
-                said += [after, *_adopt_alignment(state, clock, now_ns)]
+    for exchange in state.silent.exchanges(now_ns):
+        before = state.clocks.state(exchange.clock).synced
+        after = state.clocks.exchange(exchange)
+        if after.synced and not before:
+            said += [after, *_adopt_alignment(state, exchange.clock, now_ns)]
     return said
 
 
@@ -224,8 +209,7 @@ def _together(run: list[ImuBatch]) -> ImuBatch:
 
 
 def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecord]:
-    state.alignments.pop(reply.clock, None)
-    state.unanswered_ns[reply.clock] = reply.received_host_ns
+    state.silent.answered(reply.clock, reply.received_host_ns)
     before, restarts = state.clocks.synced(reply.clock), state.clocks.restarts(reply.clock)
     after = state.clocks.exchange(reply)
     if state.clocks.restarts(reply.clock) != restarts:  # nothing announced it: the exchanges show it
@@ -235,7 +219,7 @@ def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecor
 
 def _on_restart(state: PipelineState, restart: ClockRestart) -> list[OutputRecord]:
     state.clocks.restart(restart)
-    state.alignments.pop(restart.clock, None)
+    state.silent.restarted(restart.clock)
     state.tracker.restarted(_kept_by(state.airframe, restart.clock))
     return [Notice(4, f"{restart.clock} clock restarted; waiting for sync", restart.seen_host_ns)]
 
