@@ -48,7 +48,8 @@ def belief_for(airframe: Airframe, seen: Sequence[Observations]) -> Belief:
     sides = sorted({side for one in seen for side in one.sides})
     varies = any(float(one.load_factor.std()) > _LOAD_VARIES for one in seen)
     inputs = {name: float(values.std()) for one in seen for name, values in one.inputs.items()}
-    return believe(airframe, sides, any(one.toe is not None for one in seen), varies, len(seen), inputs)
+    with_range, has_root = any(one.toe is not None for one in seen), any(one.has_root for one in seen)
+    return believe(airframe, sides, with_range, varies, len(seen), inputs, has_root)
 
 
 def _pieces(whole: Observations) -> list[Observations]:

@@ -26,7 +26,7 @@ _INPUT_MPS2 = 10.0  # what a measured input may do to the wing at most
 _UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells
 _UNKNOWN_NOISE = 3.0  # of a sensor's noise: data sheets say nothing of how it is mounted
 _CORNER_SIGMA = 1.0  # of its logarithm: what colour a day's gusts have is nobody's error
-_COHERENCE = 1.5  # of atanh: nearly anything from -1 to 1
+_COHERENCE = 1.2  # of asinh atanh: anything from -1 to 1
 _MATCH_SIGMA_PX = 0.3
 _OWN = "#"
 _GAIN = "gain:"
@@ -96,6 +96,7 @@ def believe(
     load_varies: bool,
     recordings: int = 1,
     inputs: Mapping[str, float] = MappingProxyType({}),
+    has_root: bool = False,
 ) -> Belief:
     """List the nuisances of an airframe that these recordings can have an opinion about.
 
@@ -113,6 +114,11 @@ def believe(
         found.append(Nuisance(f"{name}.scale", sensor.accel_scale_sigma))
         found.append(Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s))
         found.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))
+    if has_root:
+        root = airframe.root
+        found.append(Nuisance("root.scale", root.accel_scale_sigma))
+        found.append(Nuisance("root.rate_scale", root.gyro_scale_sigma))
+        found.append(Nuisance("root.bias_mps2", root.accel_bias_sigma_mps2))
     if with_range:
         found += _of_cameras(airframe, load_varies)
     found += [Nuisance(f"{_GAIN}{name}", _INPUT_MPS2 / rms) for name, rms in inputs.items() if rms > 0.0]

@@ -20,7 +20,15 @@ from scipy.stats import chi2, gamma, t
 from companion.core.wing.effect import Effect
 from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.fit import Fit, derivatives
-from companion.diagnosis.latent import LatentForce, LatentSense, LatentSpread, LatentToe, unnamed
+from companion.diagnosis.latent import (
+    LatentFall,
+    LatentForce,
+    LatentSense,
+    LatentSpread,
+    LatentToe,
+    LatentWarp,
+    unnamed,
+)
 from companion.diagnosis.part import Part
 from companion.diagnosis.peaks import peaks
 from companion.diagnosis.scores import Column
@@ -136,13 +144,18 @@ def _laws(models: Sequence[SuperModel], fitted: Fit) -> list[_Family]:
     """Forces, sensors and ranges by law."""
     kinds = unnamed()
     forces = [kind for kind in kinds if issubclass(kind, LatentForce)]
-    sensors = [kind for kind in kinds if issubclass(kind, LatentSense)]
+    stepped = any(entry.name == "quantisation" for model in models for entry in model.seen.in_samples)
+    # a smooth law is not told from a staircase, which has no slope to speak of
+    sensors = [kind for kind in kinds if issubclass(kind, LatentSense) and not stepped]
+    timing = [kind for kind in kinds if issubclass(kind, (LatentFall, LatentWarp))]
     toe = [kind for kind in kinds if issubclass(kind, LatentToe)]
     spread = [kind for kind in kinds if issubclass(kind, LatentSpread)]
-    wider = scatter(models, fitted.found, [kind.from_values({"strength": 1e-3}) for kind in sensors])
+    slight = [kind.from_values({"strength": 1e-3}) for kind in sensors]
+    wider = scatter(models, fitted.found, slight) if slight else np.zeros(0)
     families = [
         _family(models, fitted, forces, "all forces together"),
         dataclasses.replace(_family(models, fitted, sensors, "all sensors together"), wider=wider),
+        _family(models, fitted, timing),
     ]
     if any(model.seen.toe is not None for model in models):
         families.append(_family(models, fitted, toe, "all range residuals together"))

@@ -53,6 +53,7 @@ class _Tried:
     fitted: Fit
     log_bayes_factor: float
     bic: float
+    worth: float
 
 
 class Extension:
@@ -131,8 +132,10 @@ class Extension:
                 fitted = fit(self._models, fitted.parts, fitted.values, _TO_THE_END)
             if candidate.part.effect.one_way and fitted.values[len(path.fitted.values)] <= 0.0:
                 continue
-            factor = fitted.log_evidence - path.fitted.log_evidence - candidate.part.looks
-            tried.append(_Tried(candidate, fitted, factor, self._bic(path.fitted, fitted)))
+            # how many frequencies or instants were looked at is paid for by the prior of the one that was fitted
+            factor = fitted.log_evidence - path.fitted.log_evidence
+            worth = worth_of(self._models, fitted, path.fitted)
+            tried.append(_Tried(candidate, fitted, factor, self._bic(path.fitted, fitted), worth))
         return sorted(tried, key=lambda entry: -entry.log_bayes_factor)
 
     def _fitted(self, path: Path, candidate: Candidate, led: tuple[Part, ...] = ()) -> Fit | None:
@@ -169,7 +172,7 @@ class Extension:
             parts = tuple(part for i, part in enumerate(kept.fitted.parts) if i != index)
             self._progress(f"do without {cause.part.effect.name}", 0.0)
             without = fit(self._models, parts, kept.fitted.values[: len(null.values)])
-            factor = kept.fitted.log_evidence - without.log_evidence - cause.part.looks
+            factor = kept.fitted.log_evidence - without.log_evidence
             others = tuple(entry for i, entry in enumerate(kept.causes) if i != index)
             if factor < ENOUGH_MORE and others:
                 kept = Path(without, restated(others, without))
@@ -185,6 +188,17 @@ class Extension:
 def log_count(models: Sequence[SuperModel]) -> float:
     """Logarithm of how many numbers the accelerations are, which BIC charges for each parameter."""
     return math.log(sum(len(model.band_hz) * 2 * len(model.seen.sides) for model in models))
+
+
+def worth_of(models: Sequence[SuperModel], fitted: Fit, null: Fit) -> float:
+    """What the parts of a fit explain beyond ``null``, half a difference of BIC, with what was looked at paid for.
+
+    How far effects may physically go is left aside: it would weigh the prior of a law that nobody knows against that of
+    a name. Nuisances keep theirs.
+    """
+    count, extra = len(null.values), len(fitted.values) - len(null.values)
+    gained = fitted.log_likelihood - null.log_likelihood - (fitted.doubt(count) - null.doubt(count))
+    return gained - 0.5 * extra * log_count(models) - sum(part.looks for part in fitted.parts)
 
 
 def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
@@ -234,11 +248,19 @@ def begun(candidate: Candidate, most: float) -> Part:
 
 
 def _alike(best: _Tried, tried: Sequence[_Tried], screening: Screening) -> tuple[str, ...]:
-    """Names that this recording cannot tell from the best: scores that are one, or evidence too close to call."""
+    """Names that this recording cannot tell from the best: scores that are one, or evidence too close to call.
+
+    So is what the recording itself says for either, where it is the prior of a strength that ranks the two.
+    """
     own = best.candidate.name, best.candidate.part.channel
     mine = [(one.name, one.part.channel) for one in screening.candidates].index(own)
     refitted = {entry.candidate.name: entry.log_bayes_factor for entry in tried}
     alike = {name for name, factor in refitted.items() if best.log_bayes_factor - factor < _TOO_CLOSE}
+    alike |= {
+        entry.candidate.name
+        for entry in tried
+        if best.worth - entry.worth < _TOO_CLOSE and best.log_bayes_factor - entry.log_bayes_factor < _CONCEIVABLE
+    }
     for other, rho in zip(screening.candidates, screening.correlation[mine], strict=True):
         factor = refitted.get(other.name, other.log_odds)
         if abs(rho) > SAME and best.log_bayes_factor - factor < _CONCEIVABLE:

@@ -22,7 +22,10 @@ from companion.records import Floats
 
 _STEP = 1e-4
 _ENOUGH = 0.02
-_HALVINGS = 7
+_TRIES = 9
+_DAMPED_TRIES = 2  # then the step is shortened as well
+_DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
+_FARTHEST = 3.0  # prior sigmas in one step
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +61,11 @@ class Fit:
     columns: tuple[tuple[Column, ...], ...]
     converged: bool
 
+    def doubt(self, count: int) -> float:
+        """Minus the log prior of the first ``count`` parameters, which are the airframe's, up to a constant."""
+        away = (self.values[:count] - self.centres[:count]) / self.sigmas[:count]
+        return 0.5 * float(np.sum(away**2))
+
 
 def fit(
     models: Sequence[SuperModel],
@@ -79,17 +87,16 @@ def fit(
         count = min(len(start), len(belief.nuisances))
         values[:count] = start[:count]
     found = expect(models, values, parts)
-    score, converged = log_posterior(models, found, values, centres, sigmas), False
+    score, converged, damping = log_posterior(models, found, values, centres, sigmas), False, 0.0
     columns = derivatives(models, values, parts, found, sigmas)
     for _ in range(rounds):
         gradient, information = _posterior_scores(models, values, found, columns, centres, sigmas)
-        move: Floats = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
-        better = _climb(models, parts, found, values, move, score, centres, sigmas)
+        better = _climb(models, parts, found, values, (gradient, information), score, centres, sigmas, damping)
         if better is None:
-            converged = float(gradient @ move) < 1.0
+            converged = float(gradient @ np.linalg.solve(information, gradient)) < 1.0
             break
-        gained = better[2] - score
-        values = better[0]
+        gained = better[1] - score
+        values, damping = better[0], better[2]
         found = expect(models, values, parts)
         score = log_posterior(models, found, values, centres, sigmas)
         columns = derivatives(models, values, parts, found, sigmas)
@@ -194,17 +201,30 @@ def derivatives(
         alone = (i < len(keys) and keys[i].startswith("match")) or (
             owner is not None and (owner.name == "exposure-jitter" or isinstance(owner, LatentSpread))
         )
-        there = values.copy()
-        there[i] += _STEP * sigmas[i]
-        moved = placed(belief, there, parts)
         for model, one, mine in zip(models, found, columns, strict=True):
             if i < len(keys) and not belief.concerns(i, model.recording):
                 mine.append(Column())
                 continue
-            other = model.expect(there[: len(keys)], moved, one)
+            other, step = _beside(model, one, values, i, float(sigmas[i]), parts)
             shift = model.time_shift(owner) if owner is not None else model.delay_shift(keys[i])
-            mine.append(column(one, other, _STEP * float(sigmas[i]), alone, shift))
+            warps = owner is not None and shift is not None and type(owner).response is Effect.response
+            mine.append(column(one, other, step, alone, shift, warps))
     return columns
+
+
+def _beside(
+    model: SuperModel, found: Expectation, values: Floats, i: int, sigma: float, parts: Sequence[Part]
+) -> tuple[Expectation, float]:
+    """An expectation with one parameter a little further on, or back where further on nothing is physical."""
+    count = len(model.belief.nuisances)
+    for step in (_STEP * sigma, -_STEP * sigma):
+        there = values.copy()
+        there[i] += step
+        try:
+            return model.expect(there[:count], placed(model.belief, there, parts), found), step
+        except ValueError as error:
+            edge = error
+    raise edge
 
 
 def _climb(
@@ -212,23 +232,31 @@ def _climb(
     parts: Sequence[Part],
     near: Sequence[Expectation],
     values: Floats,
-    move: Floats,
+    slope: tuple[Floats, Floats],
     score: float,
     centres: Floats,
     sigmas: Floats,
-) -> tuple[Floats, tuple[Expectation, ...], float] | None:
-    """Go along ``move`` as far as the posterior grows; None if it does not."""
-    share = min(1.0, 3.0 / max(float(np.max(np.abs(move) / np.maximum(sigmas, 1e-12))), 3.0))
-    for _ in range(_HALVINGS):
-        there = values + share * move
+    damping: float,
+) -> tuple[Floats, float, float] | None:
+    """One step up the posterior by its ``slope`` (gradient, information): where to, how high, and the damping there.
+
+    Levenberg's: what the data hardly tell (a coherence near one) is held back by its prior, and the rest moves on.
+    None if nothing grows.
+    """
+    gradient, information = slope
+    for k in range(_TRIES):
+        move = np.linalg.solve(information + damping * np.diag(1.0 / sigmas**2), gradient)
+        move *= 0.4 ** max(0, k - _DAMPED_TRIES)
+        move *= min(1.0, _FARTHEST / max(float(np.max(np.abs(move) / np.maximum(sigmas, 1e-12))), _FARTHEST))
+        there: Floats = np.asarray(values + move, dtype=np.float64)
         try:
-            found = expect(models, there, parts, near)
-            gained = log_posterior(models, found, there, centres, sigmas)
+            reached = log_posterior(models, expect(models, there, parts, near), there, centres, sigmas)
         except (ValueError, FloatingPointError, np.linalg.LinAlgError):
-            gained = -np.inf  # beyond what is physical
-        if gained > score:
-            return there, found, gained
-        share *= 0.4
+            reached = -np.inf  # beyond what is physical
+        if reached > score:
+            softer = damping / _SOFTER if k == 0 else damping
+            return there, reached, softer if softer >= _UNDAMPED else 0.0
+        damping = max(_HARDER * damping, _DAMPING)
     return None
 
 

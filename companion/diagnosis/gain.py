@@ -36,17 +36,23 @@ class HeldOut:
         95 % of the share of that error's square which is gone.
     range_rms_m : dict of float to (float, float)
         The same at each distance, before and after.
+    believed : float
+        How much likelier the airframe's parameters are by their priors with the effects than without, in nat.
     """
 
     log_score: dict[str, tuple[float, float, float]]
     toe_rms_rad: tuple[float, float] | None
     toe_interval: tuple[float, float] | None
     range_rms_m: dict[float, tuple[float, float]]
+    believed: float
 
     @property
     def improves(self) -> bool:
-        """Whether the total log score is better."""
-        return self.log_score["total"][0] > 0.0
+        """Whether the total log score is better, beliefs included.
+
+        An airframe parameter that has gone far beyond its prior foretells as well as the effect for which it stands.
+        """
+        return self.log_score["total"][0] + self.believed > 0.0
 
 
 def held_out(
@@ -74,7 +80,8 @@ def held_out(
             old, new = _judge(block, first), _judge(block, second)
             scores.append({name: new[0][name] - old[0][name] for name in new[0]})
             residuals.append((old[1], new[1]))
-    return _summary(scores, residuals, models)
+    own = len(models[0].belief.nuisances)
+    return _summary(scores, residuals, models, before.doubt(own) - after.doubt(own))
 
 
 def _blocks(model: SuperModel, count: int) -> list[SuperModel]:
@@ -94,7 +101,10 @@ def _judge(block: SuperModel, fitted: Fit) -> tuple[dict[str, float], Floats]:
 
 
 def _summary(
-    scores: Sequence[dict[str, float]], residuals: Sequence[tuple[Floats, Floats]], models: Sequence[SuperModel]
+    scores: Sequence[dict[str, float]],
+    residuals: Sequence[tuple[Floats, Floats]],
+    models: Sequence[SuperModel],
+    believed: float,
 ) -> HeldOut:
     rng = np.random.default_rng(7)
     draws = rng.integers(0, len(scores), (_DRAWS, len(scores)))
@@ -107,10 +117,10 @@ def _summary(
         gains[name] = (float(values.sum()), float(low), float(high))
     squares = np.array([[float(np.sum(old**2)), float(np.sum(new**2)), len(old)] for old, new in residuals])
     if not squares[:, 2].sum():
-        return HeldOut(gains, None, None, {})
+        return HeldOut(gains, None, None, {}, believed)
     rms = np.sqrt(squares[:, :2].sum(0) / squares[:, 2].sum())
     again = squares[draws].sum(1)
     low, high = np.percentile(1.0 - again[:, 1] / again[:, 0], [2.5, 97.5])
     baseline_m = models[0].baseline_m
     metres = {d: (float(d**2 / baseline_m * rms[0]), float(d**2 / baseline_m * rms[1])) for d in DISTANCES_M}
-    return HeldOut(gains, (float(rms[0]), float(rms[1])), (float(low), float(high)), metres)
+    return HeldOut(gains, (float(rms[0]), float(rms[1])), (float(low), float(high)), metres, believed)

@@ -170,6 +170,38 @@ class LatentPhase(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class LatentFall(Effect):
+    """A gain that falls with the square of frequency, on both sides alike or against each other, and turns no phase."""
+
+    name: ClassVar[str] = "latent-fall"
+    group: ClassVar[Group] = Group.SENSING
+    against: ClassVar[bool] = False
+
+    fall: float = parameter("", 0.2, "logarithm of what is lost at the top of the band")
+
+    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
+        """Damp whatever the station shows."""
+        if station is Station.ROOT:
+            return None
+        sign = -1.0 if self.against and station is Station.LEFT else 1.0
+        return np.exp(-sign * self.fall * (f_hz / max(float(f_hz[-1]), 1e-9)) ** 2).astype(np.complex128)
+
+
+@dataclass(frozen=True, slots=True)
+class LatentWarp(Effect):
+    """One side is ever later: by nothing in the middle of the recording, as it may be late throughout anyway."""
+
+    name: ClassVar[str] = "latent-warp"
+    group: ClassVar[Group] = Group.SENSING
+
+    late_s: float = parameter("s", 0.002, "at the end, and as early at the start")
+
+    def sample_time(self, station: Station, t_s: Floats) -> Floats:
+        """The instant that a stamp shows, on the right side."""
+        return t_s - self.late_s * _across(t_s) if station is Station.RIGHT else t_s
+
+
+@dataclass(frozen=True, slots=True)
 class LatentLine(Effect):
     """One frequency in both sides' readings, alike or against each other."""
 
@@ -209,6 +241,8 @@ TOE = (
     "time squared",
     "antisymmetric deflection",
     "antisymmetric rate",
+    "deflection of a further mode",
+    "rate of a further mode",
 )
 SPREAD = ("deflection", "its rate", "inverse distance", "time")
 
@@ -223,7 +257,7 @@ def followed(
     toe : ToeData
         The exposures.
     modal, rates : (n, k)
-        Smoothed first modes at the exposures.
+        Smoothed modes at the exposures.
     load_factor, expected_rad : (k,)
         Of the wing, and of the model: how the axes diverge and where the point is, together.
     """
@@ -231,6 +265,7 @@ def followed(
     x, nearness = _across(toe.t_s), toe.inverse_m - toe.inverse_m.mean()
     values = [q, rate, q**2, q**3, rate**2, q * x, rate * x, load_factor]
     values += [expected_rad, nearness, nearness**2, q * nearness, x, x**2, *modal[1:2], *rates[1:2]]
+    values += [*modal[2:3], *rates[2:3]]
     offered = {}
     for name, one in zip(TOE, values, strict=False):
         one = one if name == "the whole reading" else one - np.mean(one)
@@ -266,6 +301,9 @@ def unnamed() -> list[type[Effect]]:
             for base, what in ((LatentRest, "at rest"), (LatentPhase, "phase growing with frequency"))
             for side in (Station.LEFT, Station.RIGHT)
         ),
+        _kind(LatentFall, "gain falling with frequency"),
+        _kind(LatentFall, "gain falling with frequency, left against right", against=True),
+        _kind(LatentWarp, "right side ever later"),
         *(_kind(LatentToe, f"range residual against {name}", follows=name) for name in TOE),
         *(_kind(LatentSpread, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
     ]

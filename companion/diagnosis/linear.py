@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.wing.effect import Effect
+from companion.core.wing.lowpass import Butterworth2
 from companion.core.wing.structure import SLOT_NAMES, Structure, structure_of
 from companion.diagnosis.matrices import Complexes, adjoint, full, inverse, product
 from companion.params.airframe import Airframe
@@ -15,6 +16,7 @@ from companion.records import Floats, Side, Station
 
 ADDED = "added"
 """Stands for a mode that an effect has appended, in the names of nuisances."""
+_TOGETHER = 5.0  # tanh sinh of it is 1 to the last digit
 STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
 
 
@@ -55,11 +57,15 @@ class Spectra:
     ) -> Linear:
         """Spectra of a structure under effects and nuisances; ``scale`` (c,) is on the accelerometers beside them."""
         inertia = -(self._omega**2) * structure.lift[list(self.sides)][..., None]
-        gains: Complexes = np.stack([scale[i] * self._response(i, effects, deviation) for i in range(len(self.sides))])
+        gains = scale[:, None] * self.responses(effects, deviation)
         noise = np.diag([self._noise(side, deviation) for side in self.sides]) + self._root_noise
         load = self._load(structure, effects, deviation)
         seen: Complexes = gains[:, None] * inertia
         return Linear(receptance(structure, self._omega), load, seen, noise)
+
+    def responses(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
+        """What the accelerometers show of what they feel, (c, f)."""
+        return np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
 
     def _load(self, structure: Structure, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         believed, level = len(self._level), np.empty(structure.count)
@@ -82,7 +88,8 @@ class Spectra:
             slot = structure.slots[i]
             first = slot % 2 if structure.count > 1 and slot % 2 < len(self._level) else 0
             name = SLOT_NAMES[slot] if i < len(self._level) else ADDED
-            shared = float(np.tanh(deviation.get(f"{name}.coherence", 0.0)))
+            # one gust may well load both: full coherence lies a few prior sigmas away, and not at infinity
+            shared = float(np.tanh(np.sinh(np.clip(deviation.get(f"{name}.coherence", 0.0), -_TOGETHER, _TOGETHER))))
             if i != first and shared:
                 load = full(load).copy()
                 both = shared * np.sqrt(load[first, first] * load[i, i])
@@ -145,5 +152,4 @@ def receptance(structure: Structure, omega: Floats) -> Complexes:
 def _butterworth(f_hz: Floats, corner_hz: float) -> Complexes:
     if not corner_hz:
         return np.ones(len(f_hz), dtype=np.complex128)
-    s = 1j * f_hz / corner_hz
-    return np.asarray(1.0 / (1.0 + np.sqrt(2.0) * s + s * s))
+    return Butterworth2(corner_hz).response(f_hz)

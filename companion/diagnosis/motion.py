@@ -34,7 +34,8 @@ class Motion:
     """One model's view of the accelerations; what is dear is made when it is asked for, once.
 
     ``key`` equals another's where the two models are the same here; ``measured_mps2`` (n, m) are modal loads that were
-    recorded. Frequencies run from 0 to the top of the band, which begins at index ``low``.
+    recorded, ``leaked_mps2`` (c, m) what the rigid aircraft leaves in the accelerations. Frequencies run from 0 to the
+    top of the band, which begins at index ``low``.
     """
 
     def __init__(
@@ -45,11 +46,14 @@ class Motion:
         grid: Grid,
         linear_of: Callable[..., Linear],
         measured_mps2: Floats | None = None,
+        leaked_mps2: Floats | None = None,
     ) -> None:
         self.key = key
         self._grid, self._transforms, self._low = grid, grid.transforms, grid.low
         effects = tuple(part.effect for part in parts)
         self._up_mps2, scale = grid.straightener.straight_mps2(effects)
+        if leaked_mps2 is not None:
+            self._up_mps2 = self._up_mps2 - leaked_mps2
         self._bent = self._up_mps2 is not grid.straightener.recorded_mps2
         self._measured = None if measured_mps2 is None else grid.transforms.spectrum(measured_mps2)
         self._push: Complexes | None = self._measured
@@ -69,7 +73,10 @@ class Motion:
         self.inverse = inverse(self.spectrum)
 
     def _linearise(self, wing: WingModel, parts: Sequence[Part], linear_of: Callable[[Structure], Linear]) -> None:
-        """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data."""
+        """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
+
+        A second pass sees what the rest of the first has moved: a wing that is softer one way sags with its amplitude.
+        """
         for _ in range(_PASSES):
             push = self._grid.straightener.push(wing, parts, *self._smoothed(self._modal(self._smoother())))
             stiffness = wing.structure.stiffness_radps2 - push.per_q
@@ -77,9 +84,9 @@ class Motion:
             if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
                 raise ValueError("these forces make the wing unstable")
             self._take(linear_of(replace(wing.structure, stiffness_radps2=stiffness, damping_radps=damping)))
-        if np.any(push.rest_mps2):
-            rest = self._transforms.spectrum(push.rest_mps2)
-            self._push = rest if self._measured is None else rest + self._measured
+            if np.any(push.rest_mps2):
+                rest = self._transforms.spectrum(push.rest_mps2)
+                self._push = rest if self._measured is None else rest + self._measured
 
     @cached_property
     def smoother(self) -> Complexes:

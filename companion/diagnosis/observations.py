@@ -14,26 +14,30 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from companion.core.wing.sensing import GRAVITY_MPS2
+from companion.diagnosis.rigid import lateral_force, turned, unfiltered, upright
 from companion.diagnosis.samples import SampleFinding, bridged, find_in_samples, together
-from companion.diagnosis.transforms import fast_length
+from companion.diagnosis.transforms import TAPER, fast_length
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
-from companion.records import Floats, Side
+from companion.records import Bools, Floats, Side
 
 _SHORTEST_S = 8.0
 _LONGEST_GAP_S = 0.02
 _MARGIN_S = 1.0
 _INPUT = "input_"
 _CROWDED = 0.2
-_HARDLY = 0.02  # power share that a filter lets through, below which it is not undone
 
 
 @dataclass(frozen=True, slots=True)
 class RawStream:
-    """One station's samples as recorded: ``t_s`` (n,) increasing, vertical specific force (n,) in body FRD."""
+    """One station's samples as recorded: ``t_s`` (n,) increasing, specific force (n,) in its own FRD axes.
+
+    ``force_y_mps2`` where a tip's lateral axis was recorded: it tells how far the wing turns the vertical one.
+    """
 
     t_s: Floats
     force_z_mps2: Floats
+    force_y_mps2: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +53,7 @@ class RawRanges:
 class RawRecording:
     """The channels of one recording as they came, before any grid.
 
-    ``rigid`` has the root's further axes by letter: x, y in m/s^2, p, q, r in rad/s.
+    ``rigid`` has the root's further axes by letter: x, y in m/s^2, p, q, r in rad/s. Nothing is taken off the tips yet.
     """
 
     tips: Mapping[Side, RawStream]
@@ -90,7 +94,7 @@ class Observations:
     sides : tuple of Side
         Which tips have an accelerometer, in the order of the columns.
     up_mps2 : (m, c)
-        Upward acceleration of each tip against the root (or against its own mean without a root), mean removed.
+        Upward acceleration of each tip against the rigid aircraft (or its own mean without a root), mean removed.
     mean_force_mps2 : (c,)
         Mean of the vertical specific force plus gravity times the mean load factor: what a biased sensor shows.
     has_root : bool
@@ -103,6 +107,8 @@ class Observations:
         The root's further axes by letter (x, y, p, q, r), where they were recorded.
     fine_mps2 : (M, c) or None
         ``up_mps2`` at the sensors' own rate ``fine_hz``, over the same time: what is crooked bends the whole band.
+    turning_mps2 : (m, c) or None
+        What the aircraft's turning adds to the vertical specific force of each tip; it is out of ``up_mps2``.
     inputs : dict of str to (m,)
         Measured forces (input_n) and base accelerations (input_mps2), their means removed.
     share : float
@@ -123,6 +129,7 @@ class Observations:
     covariates: dict[str, Floats]
     toe: ToeData | None
     rigid: dict[str, Floats] = field(default_factory=dict)
+    turning_mps2: Floats | None = None
     inputs: dict[str, Floats] = field(default_factory=dict)
     fine_mps2: Floats | None = None
     fine_hz: float = 0.0
@@ -156,6 +163,7 @@ class Observations:
             load_factor=self.load_factor[first:last],
             covariates={name: values[first:last] for name, values in self.covariates.items()},
             rigid={name: values[first:last] for name, values in self.rigid.items()},
+            turning_mps2=None if self.turning_mps2 is None else self.turning_mps2[first:last],
             inputs={name: values[first:last] for name, values in self.inputs.items()},
             fine_mps2=self._fine(first, last),
             share=self.share * (last - first) / len(self.up_mps2),
@@ -193,9 +201,18 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     faults = {side: _faults(raw.tips[side], start_s, stop_s, airframe, side) for side in sides}
     mended = {side: _mended(raw.tips[side], faults[side]) for side in sides}
     tips = np.stack([_on_grid(mended[side], fine_t) for side in sides], 1)
-    root = np.full(len(fine_t), -GRAVITY_MPS2)
+    root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
     if raw.root:
-        root = _unfiltered(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
+        root = unfiltered(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
+        felt = turned(raw.rigid, fine_t, fine_hz, airframe, sides)
+        lateral = lateral_force(raw.rigid, fine_t, fine_hz, airframe)
+        for i, side in enumerate(sides):
+            recorded = raw.tips[side].force_y_mps2
+            if recorded is not None and lateral is not None:
+                own = _on_grid(RawStream(raw.tips[side].t_s, recorded), fine_t)
+                tips[:, i] = upright(own, tips[:, i], lateral + felt[i, 1])
+        turning = felt[:, 2].T
+        tips -= turning
     up = root[:, None] - tips
     load = -root / GRAVITY_MPS2
     grid_t = start_s + np.arange(keep) / rate_hz
@@ -211,6 +228,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         {name: (values - units[name][0]) / units[name][1] for name, values in channels.items() if name in units},
         _toe(raw.ranges, airframe, start_s, stop_s),
         {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
+        None if turning is None else _resample(turning, keep),
         {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
         up - up.mean(0),
         fine_hz,
@@ -271,18 +289,6 @@ def _on_grid(stream: RawStream, t_s: Floats) -> Floats:
     return np.asarray(CubicSpline(stream.t_s, stream.force_z_mps2)(t_s))
 
 
-def _unfiltered(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
-    """Undo the root's low-pass (2nd-order Butterworth) where something came through it."""
-    if not corner_hz:
-        return values
-    # about the line between the ends, which keeps the transform from seeing a step there
-    line = np.linspace(values[0], values[-1], len(values))
-    f_hz = np.fft.rfftfreq(len(values), 1.0 / rate_hz) / corner_hz
-    passed = 1.0 / (1.0 + np.sqrt(2.0) * 1j * f_hz - f_hz**2)
-    back = passed.conj() * (1.0 + _HARDLY) / (np.abs(passed) ** 2 + _HARDLY)
-    return np.asarray(line + np.fft.irfft(back * np.fft.rfft(values - line), len(values)))
-
-
 def _coarse(count: int, fine_hz: float, top_hz: float) -> tuple[float, int]:
     keep = fast_length(math.ceil(count * 2.2 * top_hz / fine_hz), up=True)
     if keep > count:
@@ -321,7 +327,7 @@ def _toe(ranges: RawRanges | None, airframe: Airframe, start_s: float, stop_s: f
     if ranges is None or left is None or right is None:
         return None
     baseline_m = right.position_m[1] - left.position_m[1]
-    inside = (ranges.t_s > start_s + _MARGIN_S) & (ranges.t_s < stop_s - _MARGIN_S) & (ranges.range_m != 0.0)
+    inside = _amid(ranges.t_s, start_s, stop_s) & (ranges.range_m != 0.0)
     inverse = 1.0 / ranges.range_m[inside]  # of an infinite range it is 0, which is what was measured
     t_s = ranges.t_s[inside] - start_s
     if len(t_s) < 20:
@@ -333,8 +339,14 @@ def _toe(ranges: RawRanges | None, airframe: Airframe, start_s: float, stop_s: f
     return ToeData(t_s, baseline_m * (inverse - reference), reference, known)
 
 
+def _amid(t_s: Floats, start_s: float, stop_s: float) -> Bools:
+    """Which instants are far enough from the ends, where the smoothed wing is not known: as far as the taper fades."""
+    margin_s = max(_MARGIN_S, TAPER * (stop_s - start_s))
+    return np.asarray((t_s > start_s + margin_s) & (t_s < stop_s - margin_s))
+
+
 def _toe_within(toe: ToeData, start_s: float, stop_s: float) -> ToeData | None:
-    inside = (toe.t_s > start_s + _MARGIN_S) & (toe.t_s < stop_s - _MARGIN_S)
+    inside = _amid(toe.t_s, start_s, stop_s)
     if inside.sum() < 5:
         return None
     return ToeData(toe.t_s[inside], toe.toe_rad[inside], toe.inverse_m[inside], toe.has_reference)

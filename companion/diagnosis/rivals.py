@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.diagnosis.adequacy import Check
-from companion.diagnosis.extend import SAME, UNPREJUDICED, Path, begun, log_count
+from companion.diagnosis.extend import SAME, UNPREJUDICED, Path, begun, worth_of
 from companion.diagnosis.fit import Fit, fit
 from companion.diagnosis.latent import lines, unnamed
 from companion.diagnosis.leads import find_leads
@@ -53,13 +53,13 @@ def strongest_rival(models: Sequence[SuperModel], null: Fit, before: Sequence[Ch
     mine = {part.effect.name for part in named}
     own = [i for i, one in enumerate(screening.candidates) if one.name in mine]
     alike = np.abs(screening.correlation[own]).max(axis=0) if own else np.zeros(len(screening.candidates))
-    worth = _worth(models, path.fitted, null)
+    worth = worth_of(models, path.fitted, null)
     enough = _OUT_OF_REACH * worth
     leading = [
         one for one, rho in zip(screening.candidates, alike, strict=True) if one.log_odds > enough and rho < SAME
     ]
     rivals = [
-        Rival(one.name, _worth(models, fitted, null) - worth)
+        Rival(one.name, worth_of(models, fitted, null) - worth)
         for one in sorted(leading, key=lambda entry: -entry.log_odds)[:_REFITTED]
         if (fitted := _refitted(models, null, one)) is not None
     ]
@@ -74,18 +74,6 @@ def _offered(models: Sequence[SuperModel], null: Fit, before: Sequence[Check]) -
     for lead in find_leads(models, null).get("tone", ()):
         parts += [Part(kind.from_values(lead.values), looks=lead.looks) for kind in lines()]
     return parts
-
-
-def _worth(models: Sequence[SuperModel], fitted: Fit, null: Fit) -> float:
-    """What the parts of a fit explain beyond ``null``, half a difference of BIC, with what was looked at paid for.
-
-    How far effects may physically go is left aside: it would weigh the prior of a law that nobody knows against that of
-    a name. Nuisances keep theirs.
-    """
-    count, extra = len(null.values), len(fitted.values) - len(null.values)
-    prior = [0.5 * float(np.sum(((one.values - one.centres) / one.sigmas)[:count] ** 2)) for one in (fitted, null)]
-    gained = fitted.log_likelihood - null.log_likelihood - (prior[0] - prior[1])
-    return gained - 0.5 * extra * log_count(models) - sum(part.looks for part in fitted.parts)
 
 
 def _refitted(models: Sequence[SuperModel], base: Fit, candidate: Candidate) -> Fit | None:

@@ -19,7 +19,7 @@ from companion.records import Floats
 SEEN_IN_SAMPLES = frozenset({"saturation", "quantisation", "dropout-jitter"})
 _FEWEST = 8
 _PILE = 4.0
-_COARSE = 0.5  # of the believed noise's variance
+_COARSE = 0.25  # of the believed noise's variance: 1 dB
 _OFF_LATTICE = 0.1
 _LOST = 0.005
 _LONGEST_LOSS = 10.0

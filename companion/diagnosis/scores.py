@@ -33,10 +33,14 @@ class Column:
     toe_variance: Floats | None = None
     rest: Floats | None = None
     shift_s: Floats | None = None
-    """How a unit of the parameter shifts the time that the channels show, (c, m); with a mean it warps the samples."""
+    """How a unit of the parameter shifts the time that the channels show, (c, m)."""
+    warps: bool = False
+    """Whether the shift is undone in the samples, and no matter of their spectrum."""
 
 
-def column(found: Expectation, there: Expectation, step: float, alone: bool, shift_s: Floats | None) -> Column:
+def column(
+    found: Expectation, there: Expectation, step: float, alone: bool, shift_s: Floats | None, warps: bool
+) -> Column:
     """Difference of two expectations ``step`` apart; ``alone`` for what changes the toe's noise and nothing else."""
     power = mean = toe = noise = rest = None
     if there.motion is not found.motion:
@@ -45,13 +49,12 @@ def column(found: Expectation, there: Expectation, step: float, alone: bool, shi
             change = there.spectrum - found.spectrum
             power = packed(product(product(adjoint(white), change), white)) / step
         if there.residual is not found.residual:
-            moved = apply(adjoint(white), there.residual - found.residual) / step
-            mean = np.concatenate([moved.real.ravel(), moved.imag.ravel()])
+            mean = _whitened(found, (there.residual - found.residual) / step)
     if len(found.toe_residual_rad):
         toe = (there.toe_residual_rad - found.toe_residual_rad) / step
         noise = (there.toe_variance - found.toe_variance) / step if alone else None
     rest = (there.rest_residual - found.rest_residual) / step
-    return Column(power, mean, toe, noise, rest, shift_s)
+    return Column(power, mean, toe, noise, rest, shift_s, warps)
 
 
 def scores(model: SuperModel, found: Expectation, columns: Sequence[Column]) -> tuple[Floats, Floats]:
@@ -102,17 +105,19 @@ def _add_warps(model: SuperModel, found: Expectation, columns: Sequence[Column],
     With S the spectral matrix, shifts of channels c and d by a and b are worth
     2 weight omega^2 (S^-1_cd S_dc - [c = d]) times the mean of a b: only what both sides agree on shows a shift. A warp
     of the samples is a change of the mean, a constant delay one of the spectrum; their columns have no product, but a
-    warp's constant part is a delay.
+    warp's constant part is a delay. What is late of the rigid aircraft's motion is no matter of chance: it stays.
     """
-    shifts = [(i, one.shift_s, one.mean is not None) for i, one in enumerate(columns) if one.shift_s is not None]
+    shifts = [(i, one.shift_s, one.warps) for i, one in enumerate(columns) if one.shift_s is not None]
     if not any(warps for _, _, warps in shifts):
         return
     agreed = 2.0 * model.weight * np.sum((2.0 * np.pi * model.band_hz) ** 2 * _agreement(found), axis=2)
+    rigid = {i: _whitened(found, model.rigid_shifted(shift)) for i, shift, _ in shifts}
     for i, first, warps_i in shifts:
         for j, second, warps_j in shifts:
             if warps_i or warps_j:
                 expected = float(np.sum(agreed * (first @ second.T))) / first.shape[1]
-                information[i, j] += expected - 2.0 * model.weight * _product(columns[i].mean, columns[j].mean)
+                by_chance = _product(columns[i].mean, columns[j].mean) - _product(rigid[i], rigid[j])
+                information[i, j] += expected - 2.0 * model.weight * by_chance
 
 
 def _agreement(found: Expectation) -> Floats:
@@ -120,6 +125,13 @@ def _agreement(found: Expectation) -> Floats:
     own = np.arange(len(agreement))
     agreement[own, own] -= 1.0
     return agreement
+
+
+def _whitened(found: Expectation, values: Complexes | None) -> Floats | None:
+    if values is None:
+        return None
+    white = apply(adjoint(found.motion.whitener), values)
+    return np.concatenate([white.real.ravel(), white.imag.ravel()])
 
 
 def _product(first: Floats | None, second: Floats | None) -> float:

@@ -52,6 +52,7 @@ class Straightener:
         self._up: Floats = np.ascontiguousarray(seen.up_mps2.T)
         self._signs = _signs(len(self._weight))  # up and down alike, so that a law's curvature is no slope
         self._fine = _Fine(seen, self._weight)
+        self._rigid = _rigid_mps2(seen)
         self._kept: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
 
     @property
@@ -59,8 +60,13 @@ class Straightener:
         """The accelerations as recorded, (c, m)."""
         return self._up
 
+    @property
+    def rigid_mps2(self) -> tuple[Floats, Floats] | None:
+        """Vertical specific force of the rigid aircraft at the root (m,) and what its turning adds at tips (c, m)."""
+        return self._rigid
+
     def straight_mps2(self, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
-        """Undo what effects do to samples that no linear response describes: bends exactly, delays to first order.
+        """Undo what effects do to samples that no linear response describes: bends first, then delays in their order.
 
         Returns
         -------
@@ -69,13 +75,13 @@ class Straightener:
         """
         up, scale = self._up, np.ones(len(self._up))
         mine = [one for one in effects if type(one).response is Effect.response and _acts_on_samples(one)]
-        for effect in mine:
-            if _shifts_samples(effect):
-                up = up - np.stack([self._shifted(effect, side, i) for i, side in enumerate(self._seen.sides)])
         bending = tuple(effect for effect in mine if not _shifts_samples(effect))
         if bending:
             change, scale = self._bent_by(bending)
-            up = up - (change - (scale[:, None] - 1.0) * (self._up - change))
+            up = up - (change - (scale[:, None] - 1.0) * (up - change))
+        for effect in mine:
+            if _shifts_samples(effect):
+                up = np.stack([self._on_time(effect, i, row) for i, row in enumerate(up)])
         return up, scale
 
     def bending_mps2(self, effect: Effect) -> Floats:
@@ -172,12 +178,15 @@ class Straightener:
         follows = np.zeros(len(self._seen.up_mps2)) if channel is None else channel
         return part.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
 
-    def _shifted(self, effect: Effect, side: Side, channel: int) -> Floats:
-        """What an effect on sample times has added to what a station shows, (m,)."""
-        station, t_s, up = STATIONS[side], self._seen.t_s, self._up[channel]
-        # what is shown at t is taken back to where it belongs: up - (shown - up) is up at the mirrored instant
-        mirrored = 2.0 * t_s - effect.sample_time(station, t_s)
-        return np.asarray(up - self._transforms.at(np.fft.rfft(up), mirrored))
+    def _on_time(self, effect: Effect, channel: int, up: Floats) -> Floats:
+        """What a station shows, (m,), taken back to where it belongs: read at the mirrored instants."""
+        station, t_s = STATIONS[self._seen.sides[channel]], self._seen.t_s
+        stamped = effect.sample_time(station, t_s)
+        if stamped is t_s:
+            return up
+        # the sensor is late with all that it reads, the rigid aircraft's motion included
+        rigid = np.zeros(len(up)) if self._rigid is None else self._rigid[0] + self._rigid[1][channel]
+        return np.asarray(rigid + self._transforms.at(np.fft.rfft(up - rigid), 2.0 * t_s - stamped))
 
     def _bent_by(self, effects: tuple[Effect, ...]) -> tuple[Floats, Floats]:
         """What effects have added to all channels, (c, m), and the scales they amount to, (c,); the last are kept."""
@@ -266,6 +275,13 @@ class _Fine:
             return values
         spectrum = np.fft.rfft(values)[: count // 2 + 1]
         return np.asarray(np.fft.irfft(spectrum, count) * (count / len(values)))
+
+
+def _rigid_mps2(seen: Observations) -> tuple[Floats, Floats] | None:
+    if seen.turning_mps2 is None:
+        return None
+    turning = seen.turning_mps2 - seen.turning_mps2.mean(0)
+    return GRAVITY_MPS2 * (np.mean(seen.load_factor) - seen.load_factor), np.ascontiguousarray(turning.T)
 
 
 def _signs(count: int) -> Floats:

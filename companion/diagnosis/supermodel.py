@@ -51,6 +51,10 @@ class SuperModel:
         up = straightener.recorded_mps2
         recorded = self.transforms.spectrum(up)[:, :top], self.transforms.tapered(up)[:, self._low : top]
         self._grid = Grid(straightener, self.transforms, self._low, recorded)
+        self._rigid: tuple[Complexes, Complexes] | None = None
+        if straightener.rigid_mps2 is not None:
+            heave, turning = (self.transforms.spectrum(values)[..., :top] for values in straightener.rigid_mps2)
+            self._rigid = heave, turning
         self._toe: ToeModel | None = None
         if seen.toe is not None:
             self._toe = ToeModel(belief, seen, seen.toe, self.transforms, all_hz[:top])
@@ -152,6 +156,13 @@ class SuperModel:
         late = [-1.0 if key.partition("#")[0] == f"{side.name.lower()}.delay_s" else 0.0 for side in self.seen.sides]
         return np.outer(late, np.ones(len(self.seen.t_s))) if any(late) else None
 
+    def rigid_shifted(self, shift_s: Floats) -> Complexes | None:
+        """What shifts in time (c, m) do to the rigid aircraft's motion: tapered and in the band, (c, b)."""
+        if self._rigid is None:
+            return None
+        rate = 2j * np.pi * self.transforms.f_hz[: self._rigid[0].shape[-1]] * (self._rigid[0] + self._rigid[1])
+        return self.in_band(self.transforms.in_time(rate) * shift_s)
+
     def _motion(
         self, wing: WingModel, parts: Sequence[Part], deviation: Mapping[str, float], near: Expectation | None
     ) -> Motion:
@@ -163,6 +174,7 @@ class SuperModel:
             return near.motion
         effects = tuple(part.effect for part in inner)
         measured = self._grid.straightener.measured_mps2(wing, input_gains(deviation))
+        leaked = self._leaked_mps2(effects, deviation)
         return Motion(
             key,
             wing,
@@ -170,7 +182,17 @@ class SuperModel:
             self._grid,
             lambda shape, scale: self._spectra.linear(shape, scale, effects, deviation),
             measured,
+            leaked,
         )
+
+    def _leaked_mps2(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Floats | None:
+        """What the sensors' errors leave of the rigid aircraft's motion in the accelerations, (c, m)."""
+        if self._rigid is None:
+            return None
+        heave, turning = self._rigid
+        left = (1.0 - self._spectra.responses(effects, deviation)) * (heave + turning)
+        left += deviation.get("root.scale", 0.0) * heave + deviation.get("root.rate_scale", 0.0) * turning
+        return self.transforms.in_time(left)
 
     def _rest(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> tuple[Floats, Floats]:
         shown = self.seen.mean_force_mps2.copy()
@@ -178,6 +200,7 @@ class SuperModel:
             name = side.name.lower()
             shown[i] -= deviation.get(f"{name}.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get(f"{name}.scale", 0.0)
             shown[i] -= sum(effect.bias(STATIONS[side]) for effect in effects)
+            shown[i] += deviation.get("root.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get("root.scale", 0.0)
         # without a root sensor the mean load factor itself is in doubt, on both sides alike
         doubt = 1e-3 if self.seen.has_root else 3e-3 * GRAVITY_MPS2
         return shown, np.full(len(shown), doubt**2 / self.seen.share)

@@ -17,6 +17,7 @@ from companion.diagnosis.transforms import Transforms
 from companion.records import Floats, Side
 
 _FINER = 8
+_FOLLOWED = 3  # modes
 
 
 class ToeModel:
@@ -60,7 +61,7 @@ class ToeModel:
             variance += (jitter_s * self._bending(motion, row * (1j * self._omega), late_s)) ** 2
         spread = [effect for effect in effects if isinstance(effect, LatentSpread)]
         if spread:
-            offered = growing(toe, *self._first_modes(motion))
+            offered = growing(toe, *self._modes(motion))
             variance = variance * (1.0 + sum(effect.growth(offered) for effect in spread))
         return residual, variance
 
@@ -72,14 +73,14 @@ class ToeModel:
         toe = self._toe
         load = np.interp(toe.t_s, self._seen.t_s, self._seen.load_factor)
         whole = self.baseline_m * toe.inverse_m + expected
-        offered = followed(toe, *self._first_modes(motion), load, whole)
+        offered = followed(toe, *self._modes(motion), load, whole)
         return sum(effect.added(offered) for effect in unnamed)
 
-    def _first_modes(self, motion: Motion) -> tuple[Floats, Floats]:
-        """Smoothed deflection and speed of the first modes at the exposures, (2, k) each."""
+    def _modes(self, motion: Motion) -> tuple[Floats, Floats]:
+        """Smoothed deflection and speed of the first modes, and of one more, at the exposures, (n, k) each."""
         t_s = self._seen.t_s
         deflection, speed = (
-            np.stack([np.interp(self._toe.t_s, t_s, row) for row in one[:2]]) for one in motion.in_time
+            np.stack([np.interp(self._toe.t_s, t_s, row) for row in one[:_FOLLOWED]]) for one in motion.in_time
         )
         return deflection, speed
 

@@ -7,7 +7,8 @@ import numpy as np
 from companion.diagnosis.matrices import Complexes
 from companion.records import Floats
 
-_TAPER = 0.05  # share of the recording over which each end fades
+TAPER = 0.05
+"""Share of a recording over which each end fades."""
 _FINER = 2
 _POINTS = np.arange(-4.0, 5.0)
 
@@ -18,7 +19,7 @@ class Transforms:
     def __init__(self, count: int, dt_s: float, start_s: float) -> None:
         self.count, self.dt_s, self.start_s = count, dt_s, start_s
         self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
-        self.taper = _tukey(count, _TAPER)
+        self.taper = _tukey(count, TAPER)
         self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
         # neighbouring bins of a tapered periodogram share information: count them once
         self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))

@@ -11,6 +11,7 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.adequacy import check
 from companion.diagnosis.begin import begin
 from companion.diagnosis.belief import believe
+from companion.diagnosis.directions import judge_directions
 from companion.diagnosis.fit import fit
 from companion.diagnosis.latent import laws
 from companion.diagnosis.observations import Observations
@@ -107,6 +108,21 @@ def test_a_clock_that_runs_away_is_told_with_its_sigma() -> None:
     value, sigma = float(found.values[-1]), float(np.sqrt(found.covariance[-1, -1]))
     assert value > 3.0 * sigma
     assert abs(value - skew) < 3.0 * sigma
+
+
+@pytest.mark.slow
+def test_a_clock_that_was_named_leaves_no_warp_and_no_crooked_sensor() -> None:
+    """Other laws of the samples are held against the stream as the named one has set it right."""
+    skew, plain = 0.02, drawn(31)
+    t_s = np.arange(COUNT) / RATE_HZ
+    up = plain.seen.up_mps2.copy()
+    fine = np.fft.irfft(np.fft.rfft(up[:, 1]), 32 * COUNT) * 32.0
+    up[:, 1] = np.interp(t_s - skew / 60.0 * t_s, np.arange(32 * COUNT) / (32 * RATE_HZ), fine)
+    model = model_of(up)
+    part = Part(catalogue()["clock-skew"].from_values({"skew_s_per_min": skew}))
+    found = judge_directions([model], fit([model], [part], fit([model], ()).values))
+    for name in ("right side ever later", "all sensors together"):
+        assert abs(found[name]) < 4.2
 
 
 def test_a_fit_begins_anywhere() -> None:

@@ -60,6 +60,20 @@ def test_the_spectrum_of_one_mode_is_the_oscillators(airframe: Airframe, drawn: 
     assert symmetric == pytest.approx(expected, rel=0.02)  # the load's level is a sum over bins
 
 
+def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: SuperModel) -> None:
+    """Mean force -k kappa <w^2> of either half: it rests at -kappa <w^2>, with k (1 - 2 kappa^2 <w^2>)."""
+    kappa, nothing = 14.0, np.zeros(len(drawn.belief.nuisances))
+    straight = drawn.expect(nothing)
+    bent = drawn.expect(nothing, [Part(catalogue()["quadratic-stiffness"].from_values({"kappa_per_m": kappa}))])
+    moved = bent.motion.in_time[0]
+    middle = moved[:, len(moved[0]) // 4 : -len(moved[0]) // 4]
+    square = float(np.sum(np.var(middle, axis=1)))  # of a half: both modes'
+    assert float(np.mean(middle[0])) == pytest.approx(-kappa * square, rel=0.15)
+    softer = abs(straight.motion.linear.receptance[0, 0]) / abs(bent.motion.linear.receptance[..., 0].ravel()[0])
+    whole = float(np.sum(np.var(moved, axis=1)))
+    assert 1.0 - softer == pytest.approx(2.0 * kappa**2 * whole, rel=0.25)
+
+
 def test_the_gradient_is_the_slope_of_the_likelihood(drawn: SuperModel) -> None:
     parts = (Part(catalogue()["stream-delay"](0.0004)), Part(catalogue()["frequency-shift"](0.01)))
     _, sigmas = priors(drawn.belief, parts)

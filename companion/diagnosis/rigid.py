@@ -1,0 +1,85 @@
+"""What the rigid aircraft does to a tip's specific force, from the root's IMU; what a tip that is turned would read.
+
+``rigid`` are the root's further axes by letter, each with its own stamps: x, y in m/s^2, p, q, r in rad/s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from companion.core.wing.lowpass import Butterworth2, Complexes
+from companion.params.airframe import Airframe
+from companion.records import Floats, Side
+
+_Channels = Mapping[str, tuple[Floats, Floats]]
+
+_HARDLY = 0.02  # power share that a filter lets through, below which it is not undone
+_LEAST_FORCE_MPS2 = 3.0  # near weightlessness a lateral force tells no turn
+_WHOLE_HZ, _NOTHING_HZ = 6.0, 16.0  # manoeuvres are slower, and the noise of a gyro's derivative grows with frequency
+
+
+def unfiltered(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
+    """Undo a sensor's low-pass (2nd-order Butterworth) where something came through it; a corner of 0 is none."""
+    if not corner_hz:
+        return values
+    passed = Butterworth2(corner_hz).response(np.asarray(np.fft.rfftfreq(len(values), 1.0 / rate_hz)))
+    return _filtered(values, passed.conj() * (1.0 + _HARDLY) / (np.abs(passed) ** 2 + _HARDLY))
+
+
+def calm(values: Floats, rate_hz: float) -> Floats:
+    """Keep of a rate what manoeuvres can be."""
+    f_hz = np.fft.rfftfreq(len(values), 1.0 / rate_hz)
+    fade = np.clip((_NOTHING_HZ - f_hz) / (_NOTHING_HZ - _WHOLE_HZ), 0.0, 1.0)
+    return _filtered(values, 0.5 - 0.5 * np.cos(np.pi * fade))
+
+
+def turned(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe, sides: Sequence[Side]) -> Floats:
+    """What the aircraft's turning adds to the specific force of tips, (c, 3, m)."""
+    rates = np.zeros((3, len(t_s)))
+    for row, letter in enumerate("pqr"):
+        if letter in rigid:
+            recorded = np.interp(t_s, *rigid[letter])
+            rates[row] = calm(unfiltered(recorded, rate_hz, airframe.root.lowpass_gyro_hz), rate_hz)
+    tips = [(airframe.left, airframe.right)[side].position_m for side in sides]
+    arms = [np.subtract(tip, airframe.root.position_m) for tip in tips]
+    return np.stack([rotation_force(rates, rate_hz, arm) for arm in arms])
+
+
+def lateral_force(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe) -> Floats | None:
+    """The root's lateral specific force, (m,)."""
+    if "y" not in rigid:
+        return None
+    return calm(unfiltered(np.interp(t_s, *rigid["y"]), rate_hz, airframe.root.lowpass_accel_hz), rate_hz)
+
+
+def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats:
+    """Add to the root's specific force what is felt at ``arm_m`` (3,) from it, body FRD, (3, m).
+
+    ``domega/dt x r + omega x (omega x r)`` of body rates p, q, r (3, m).
+    """
+    turn = np.gradient(rates_radps, 1.0 / rate_hz, axis=1)
+    arm = arm_m[:, None]
+    around = np.cross(rates_radps, arm, axis=0)
+    return np.asarray(np.cross(turn, arm, axis=0) + np.cross(rates_radps, around, axis=0))
+
+
+def upright(force_y: Floats, force_z: Floats, rigid_y: Floats) -> Floats:
+    """Vertical specific force, in the aircraft's axes, of a tip that the wing has turned about x, (m,).
+
+    Bending makes no lateral force: what the tip reads of ``y`` beside the rigid aircraft's tells its turn,
+    ``tan A = (y - y_rigid) / z``; in between where it is weightless.
+    """
+    tells = np.abs(force_z) > _LEAST_FORCE_MPS2
+    if not tells.any():
+        return force_z
+    at = np.arange(len(force_z))
+    turn = np.interp(at, at[tells], np.arctan((force_y - rigid_y)[tells] / force_z[tells]))
+    return np.asarray((force_z + np.sin(turn) * rigid_y) / np.cos(turn))
+
+
+def _filtered(values: Floats, gain: Floats | Complexes) -> Floats:
+    # about the line between the ends, which keeps the transform from seeing a step there
+    line = np.linspace(values[0], values[-1], len(values))
+    return np.asarray(line + np.fft.irfft(gain * np.fft.rfft(values - line), len(values)))
