@@ -62,7 +62,7 @@ def _figures(name: str, rows: Rows) -> dict[str, Any]:
             )
             for strength in strengths
         }
-    ratios = [row["gain"] / row["oracle_gain"] for row in rows if row.get("oracle_gain", 0.0) > 0.0]
+    ratios = [row["gain"] / row["oracle_gain"] for row in rows if (row.get("oracle_gain") or 0.0) > 0.0]
     if ratios:
         figures["held-out gain against the oracle's"] = {"median": float(np.median(ratios)), "worst": min(ratios)}
     return {**figures, **seconds}

@@ -22,10 +22,29 @@ def test_wilsons_interval_is_where_the_share_is_two_sigma_off(counted: int, tota
 def test_hidden_effects_are_as_strong_as_asked_in_loud_and_in_quiet_flights() -> None:
     rng = np.random.default_rng(1)
     for name in SIGMA:
-        label = hide([name], (8.0, 8.0), rng, 10.0)
-        if name != "damping-shift":  # told in its logarithm
-            assert label.strength(name, 10.0) == pytest.approx(8.0)
+        for snr_db in (10.0, 20.0):
+            assert hide([name], (8.0, 8.0), rng, snr_db).strength(name, snr_db) == pytest.approx(8.0)
     assert sigma_of("cubic-stiffness", 20.0, 2.0) == pytest.approx(sigma_of("cubic-stiffness") / 4.0)
+
+
+def test_close_modes_differ_in_strength_though_none_can_be_as_strong_as_others() -> None:
+    rng = np.random.default_rng(2)
+    labels = [hide(["close-mode"], (8.0, 14.0), rng) for _ in range(40)]
+    below = [label for label in labels if label.extra["close-mode.ratio"] < 0.0]
+    assert 8 < len(below) < 32
+    for side in (below, [label for label in labels if label not in below]):
+        strengths = [label.strength("close-mode", 20.0) for label in side]
+        assert min(strengths) >= 8.0 - 1e-9
+        assert len({label.effects["close-mode"] for label in side}) == len(side)
+    assert np.ptp([label.strength("close-mode", 20.0) for label in below]) > 0.5
+
+
+def test_what_noise_hides_is_hidden_larger_in_noise() -> None:
+    for name in ("camera-asymmetry", "quantisation"):
+        quiet, loud = (
+            hide([name], (8.0, 8.0), np.random.default_rng(3), snr_db).effects[name] for snr_db in (20.0, 10.0)
+        )
+        assert abs(loud) > 2.0 * abs(quiet)
 
 
 def test_the_acceptance_plan_holds_what_is_promised() -> None:
