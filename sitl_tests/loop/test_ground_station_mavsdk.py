@@ -64,6 +64,14 @@ def in_real_time(air: Air) -> Iterator[None]:
         thread.join()
 
 
+def read(client: Any, name: str) -> float:
+    """Ask again where a late refusal, of a set that was sent twice, passes for the answer to this question."""
+    for _ in range(3):
+        with contextlib.suppress(param.ParamError):
+            return float(client.get_param_float(name))
+    raise AssertionError(f"{name} is not told")
+
+
 @pytest.mark.realtime
 def test_mavsdk_lists_reads_and_sets_under_loss() -> None:
     station = Sdk()
@@ -83,10 +91,10 @@ def test_mavsdk_lists_reads_and_sets_under_loss() -> None:
             value = listed.get(row.name, listed.get(row.name.encode()))
             assert np.float32(value) == np.float32(row.default)
         client.set_param_float("TRG_RATE", 12.5)
-        assert client.get_param_float("TRG_RATE") == 12.5
+        assert read(client, "TRG_RATE") == 12.5
         with pytest.raises(param.ParamError, match="VALUE_OUT_OF_RANGE"):
             client.set_param_float("TRG_RATE", 500.0)
-        assert client.get_param_float("TRG_RATE") == 12.5
+        assert read(client, "TRG_RATE") == 12.5
     changes = [record for record in air.records if isinstance(record, ParameterChange)]
     assert [(change.name, change.value) for change in changes] == [("TRG_RATE", 12.5)]
     assert air.lost > 0
