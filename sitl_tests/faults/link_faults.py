@@ -216,7 +216,7 @@ def killed(name: str) -> LinkOutcome:
         (worker,) = [worker for worker in service._workers if worker.name == "inertial"]
         assert worker.process is not None
         worker.process.kill()
-        worker.process.join(5.0)
+        worker.process.join(30.0)
         killed_s = time.monotonic()
         service.tend()
         while vehicle.link.recv_match(blocking=False) is not None:

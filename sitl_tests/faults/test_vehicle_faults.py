@@ -69,6 +69,6 @@ def test_the_table_is_put_between_its_marks_and_replaced(tmp_path: Path) -> None
 @pytest.mark.parametrize("make", [link_faults.SerialCable, link_faults.TcpCable, link_faults.UdpCable])
 def test_a_link_that_breaks_comes_back_with_true_samples(make: Any) -> None:
     outcome = link_faults.broken("", "", make)
-    assert outcome.recovery_s < 5.0
+    assert outcome.recovery_s < 10.0
     assert outcome.wrong == 0
     assert outcome.lost < 100, "what was sent before it broke had arrived"

@@ -77,8 +77,8 @@ def test_mavsdk_lists_reads_and_sets_under_loss() -> None:
     station = Sdk()
     air = Air(station, loss=0.1)
     with in_real_time(air):
-        system = station.sdk.first_autopilot(10.0)
-        ends = time.monotonic() + 10.0
+        system = station.sdk.first_autopilot(60.0)
+        ends = time.monotonic() + 60.0
         while COMPANION not in system.component_ids() and time.monotonic() < ends:
             time.sleep(0.1)
         client = param.Param(system)

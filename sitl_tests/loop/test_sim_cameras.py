@@ -56,7 +56,7 @@ def _plan(plan_id: int) -> TriggerPlan:
     return TriggerPlan(plan_id, Firing.PEAK, now, now, 0, 0.0, now, now)
 
 
-def _collect(pair: SimCameraPair, count: int, within_s: float = 5.0) -> list[Frame]:
+def _collect(pair: SimCameraPair, count: int, within_s: float = 30.0) -> list[Frame]:
     frames: list[Frame] = []
     deadline = time.monotonic() + within_s
     while len(frames) < count and time.monotonic() < deadline:
@@ -237,7 +237,7 @@ def live(tmp_path: Path) -> Iterator[_Live]:
     yield _Live(config, process, line)
     line.close()
     process.terminate()
-    process.join(5.0)
+    process.join(30.0)
     assert not process.is_alive()
     assert not config.line_path.exists()
 
@@ -290,7 +290,7 @@ def test_a_restarted_client_gets_frames_and_a_dead_server_is_a_device_error(live
     live.process.terminate()
     with pytest.raises(DeviceError, match=r"closed|gone"):
         _collect(pair, 1)
-    live.process.join(5.0)
+    live.process.join(30.0)
     with pytest.raises(DeviceError, match="no simulated camera listens"):
         live.line.fire(_plan(1))
     pair.close()

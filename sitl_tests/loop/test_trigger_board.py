@@ -45,30 +45,33 @@ def bench(firmware: Path, tmp_path: Path) -> Iterator[Board]:
 def test_the_edge_comes_when_it_was_planned(bench: Board) -> None:
     """Planned against true edge, by the firmware's own look at the host's clock; a table for who reads with -s."""
     trigger = SerialBoardTrigger(bench.port)
-    planned, told, refused = [], [], 0
+    planned, told, refused, unheard = [], [], 0, 0
     for k in range(100):
         plan = _plan(k, time.monotonic_ns() + 2_000_000)
         while time.monotonic_ns() < plan.command_host_ns:
             time.sleep(0.0002)
         try:
             shot = trigger.fire(plan)
-        except DeviceError:  # a busy machine let us sleep past the lead: said, and not fired late
-            refused += 1
+        except DeviceError as error:  # a busy machine let us sleep past the lead, or past the answer
+            late = "late" in str(error)
+            refused, unheard = refused + late, unheard + (not late)
             continue
         assert shot.plan_id == k
         planned.append(plan.command_host_ns + LEAD_NS)
         told.append(shot.fired_host_ns)
         time.sleep(0.01)
     trigger.close()
-    true = bench.edges_ns()
-    assert len(true) == 100 - refused
-    assert refused < 50
+    edges = bench.edges_ns()
+    assert len(planned) <= len(edges) <= len(planned) + unheard, "what was refused was not fired"
+    assert len(planned) > 50
+    true = edges[np.abs(edges[:, None] - np.array(planned)).argmin(axis=0)]
+    assert len(np.unique(true)) == len(planned)
     late_us = 1e-3 * (true - np.array(planned))
     report_us = 1e-3 * np.abs(true - np.array(told))
     for name, values in (("edge after plan", late_us), ("report against edge", report_us)):
         median, p99 = np.percentile(values, [50, 99])
         print(f"{name:20s} median {median:7.1f}  p99 {p99:7.1f}  max {values.max():7.1f} us")
-    print(f"refused as too late: {refused} of 100")
+    print(f"refused as too late: {refused} of 100, answer not heard in time: {unheard}")
     assert np.median(np.abs(late_us)) < 300.0
     assert np.median(report_us) < 300.0
 
@@ -106,7 +109,7 @@ def test_garbage_and_wrong_checksums_are_answered_and_do_nothing(bench: Board) -
 
 
 def _read_line(file: int) -> bytes:
-    got, until = b"", time.monotonic() + 5.0
+    got, until = b"", time.monotonic() + 30.0
     while not got.endswith(b"\n"):
         assert time.monotonic() < until, f"no answer, only {got!r}"
         try:

@@ -115,7 +115,7 @@ def test_a_skip_withdraws_what_waits(process: TriggerProcess) -> None:
 
 def test_an_expired_plan_is_reported_and_not_fired(process: TriggerProcess) -> None:
     process.send(plan(400, -50 * MS, life_ns=10 * MS))
-    (found,) = reports(process, 1.0, enough=1)
+    (found,) = reports(process, 30.0, enough=1)
     assert isinstance(found, Rejected)
     assert found.reason is Reject.PLAN_EXPIRED
     assert "400" in found.what
@@ -123,7 +123,7 @@ def test_an_expired_plan_is_reported_and_not_fired(process: TriggerProcess) -> N
 
 def test_a_late_but_living_plan_is_fired_at_once(process: TriggerProcess) -> None:
     process.send(plan(410, -5 * MS))
-    (shot,) = reports(process, 1.0, enough=1)
+    (shot,) = reports(process, 30.0, enough=1)
     assert isinstance(shot, Shot)
     assert shot.plan_id == 410
 
@@ -145,7 +145,7 @@ def test_most_shots_are_within_a_fifth_of_a_millisecond_of_the_plan(process: Tri
     late = []
     for i in range(40):
         process.send(plan(600 + i, 6 * MS))
-        late += [shot.fired_host_ns - shot.planned_host_ns for shot in reports(process, 1.0, enough=1)]
+        late += [shot.fired_host_ns - shot.planned_host_ns for shot in reports(process, 30.0, enough=1)]
     assert len(late) == 40
     assert min(late) >= 0
     assert np.median(late) < 0.2 * MS
@@ -157,7 +157,7 @@ def test_a_line_that_fails_is_reported_and_the_next_plan_is_served() -> None:
         found = []
         for i in range(4):
             process.send(plan(i, 5 * MS))
-            found += reports(process, 1.0, enough=1)
+            found += reports(process, 30.0, enough=1)
     assert [type(report) for report in found] == [Shot, Rejected, Shot, Rejected]
     assert isinstance(found[1], Rejected)
     assert found[1].reason is Reject.DEVICE_FAILED
@@ -177,7 +177,7 @@ def test_a_dead_process_drops_plans_and_blocks_nobody() -> None:
         assert not process.wait_ready().fifo
         assert process.pid is not None
         os.kill(process.pid, signal.SIGKILL)
-        end = time.monotonic() + 5.0
+        end = time.monotonic() + 30.0
         while process.alive and time.monotonic() < end:
             time.sleep(0.01)
         assert not process.alive
@@ -192,7 +192,7 @@ def test_closing_ends_it_soon() -> None:
     began = time.monotonic()
     process.close()
     assert not process.alive
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < 10.0
 
 
 _PARENT = """
@@ -218,7 +218,7 @@ def test_it_ends_when_the_parent_is_killed(tmp_path: Path) -> None:
     parent.kill()
     parent.wait()
     parent.stdout.close()
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 30.0
     while _runs(child) and time.monotonic() < end:
         time.sleep(0.02)
     assert not _runs(child)

@@ -88,16 +88,19 @@ class Node:
                 self.heard += [(message, now_ns) for message in self.parser.parse_buffer(data) or []]
         return [message for message, _ in self.heard[began:]]
 
-    def ask_time(self, system: int = 0, component: int = 0) -> list[tuple[Any, int, int]]:
+    def ask_time(self, system: int = 0, component: int = 0, within_s: float = 5.0) -> list[tuple[Any, int, int]]:
         """Send a TIMESYNC request; give its answers with the instants of asking and hearing."""
-        asked_ns = time.monotonic_ns()
+        asked_ns, ends = time.monotonic_ns(), time.monotonic() + within_s
         self.write(timesync(0, asked_ns, system, component))
-        self.listen(0.05)
-        return [
-            (message, asked_ns, heard_ns)
-            for message, heard_ns in self.heard
-            if message.get_type() == "TIMESYNC" and message.ts1 == asked_ns
-        ]
+        answers: list[tuple[Any, int, int]] = []
+        while not answers and time.monotonic() < ends:
+            self.listen(0.05)
+            answers = [
+                (message, asked_ns, heard_ns)
+                for message, heard_ns in self.heard
+                if message.get_type() == "TIMESYNC" and message.ts1 == asked_ns
+            ]
+        return answers
 
     def counters(self) -> dict[str, int]:
         """The newest NAMED_VALUE_INTs."""
