@@ -14,8 +14,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from companion.core.wing.sensing import GRAVITY_MPS2
+from companion.diagnosis.cut import restored
 from companion.diagnosis.rigid import lateral_force, turned, unfiltered, upright
-from companion.diagnosis.samples import SampleFinding, bridged, find_in_samples, together
+from companion.diagnosis.samples import SampleFinding, bridged, cut_sides, find_in_samples, together
 from companion.diagnosis.transforms import TAPER, fast_length
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
@@ -114,7 +115,7 @@ class Observations:
     share : float
         How much of its recording this part is: what is known of the whole (the mean) counts for that much here.
     in_samples : tuple of SampleFinding
-        What the tips' samples themselves show; cut peaks have been bridged.
+        What the tips' samples themselves show; cut peaks have been restored.
     notes : tuple of str
     start_s, centre_s : float
         Where this part begins in its recording, and the middle of the whole.
@@ -201,6 +202,9 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     faults = {side: _faults(raw.tips[side], start_s, stop_s, airframe, side) for side in sides}
     mended = {side: _mended(raw.tips[side], faults[side]) for side in sides}
     tips = np.stack([_on_grid(mended[side], fine_t) for side in sides], 1)
+    cut = {side: cut_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides}
+    if any(np.any(mine) for mine in cut.values()):
+        tips = _restored(tips, [raw.tips[side] for side in sides], [cut[side] for side in sides], fine_t)
     root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
     if raw.root:
         root = unfiltered(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
@@ -276,6 +280,16 @@ def _faults(stream: RawStream, start_s: float, stop_s: float, airframe: Airframe
 
 def _mended(stream: RawStream, faults: Sequence[SampleFinding]) -> RawStream:
     return RawStream(stream.t_s, bridged(stream.t_s, stream.force_z_mps2, faults))
+
+
+def _restored(tips: Floats, streams: Sequence[RawStream], cut: Sequence[Floats], t_s: Floats) -> Floats:
+    """Tips (m, c) on their grid with what was cut drawn anew."""
+    limits, beyond = tips.T.copy(), np.zeros(tips.T.shape)
+    for i, (stream, mine) in enumerate(zip(streams, cut, strict=True)):
+        nearest = np.clip(np.searchsorted(0.5 * (stream.t_s[1:] + stream.t_s[:-1]), t_s), 0, len(stream.t_s) - 1)
+        beyond[i] = mine[nearest]
+        limits[i] = np.where(beyond[i] != 0.0, stream.force_z_mps2[nearest], limits[i])
+    return np.ascontiguousarray(restored(limits, beyond, tips.T).T)
 
 
 def _on_grid(stream: RawStream, t_s: Floats) -> Floats:

@@ -106,19 +106,26 @@ def unsteady(t_s: Floats) -> SampleFinding | None:
     return SampleFinding("dropout-jitter", {"jitter_s": jitter, "lost": lost}, sigmas, text, _CERTAIN)
 
 
+def cut_sides(values: Floats, findings: Sequence[SampleFinding]) -> Floats:
+    """1 where a sample was cut from above (the truth is at least what it shows), -1 where from below, else 0, (n,)."""
+    sides = np.zeros(len(values))
+    if any(finding.name == "saturation" for finding in findings):
+        # a range may be cut on one side only, and need not lie evenly about 0
+        if _pile(-values):
+            sides[values < values.min() + 1e-6 * abs(values.min())] = -1.0
+        if _pile(values):
+            sides[values > values.max() - 1e-6 * abs(values.max())] = 1.0
+    return sides
+
+
 def bridged(t_s: Floats, values: Floats, findings: Sequence[SampleFinding]) -> Floats:
     """Where samples were cut, a spline through the others, never inside the range."""
-    if not any(finding.name == "saturation" for finding in findings):
-        return values
-    # a range may be cut on one side only, and need not lie evenly about 0
-    nothing = np.zeros(len(values), dtype=bool)
-    high = values > values.max() - 1e-6 * abs(values.max()) if _pile(values) else nothing
-    low = values < values.min() + 1e-6 * abs(values.min()) if _pile(-values) else nothing
-    cut = high | low
-    if cut.all():
+    sides = cut_sides(values, findings)
+    cut = sides != 0.0
+    if not cut.any() or cut.all():
         return values
     spline = CubicSpline(t_s[~cut], values[~cut])(t_s)
-    mended = np.where(high, np.maximum(spline, values), np.where(low, np.minimum(spline, values), values))
+    mended = np.where(sides > 0.0, np.maximum(spline, values), np.where(cut, np.minimum(spline, values), values))
     return np.asarray(mended)
 
 

@@ -17,7 +17,9 @@ class Saturation(Effect):
 
     name: ClassVar[str] = "saturation"
     group: ClassVar[Group] = Group.SENSING
-    advice: ClassVar[str] = "choose a larger range of the accelerometer; cut samples were bridged by a spline"
+    advice: ClassVar[str] = (
+        "choose a larger range of the accelerometer; cut samples were drawn anew as the others make them likely"
+    )
 
     inverse_s2pm: float = parameter("s^2/m", 0.02, "one over the range")
 
