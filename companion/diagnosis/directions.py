@@ -41,15 +41,17 @@ _BANDS = 14
 _KNOWN = 1e-3  # share of a direction's information that must be left once the fit is projected out
 _ITS_OWN = 0.03  # of a family: what is less than this beside its other members shows their errors, and nothing else
 _STRAIGHT = 1e-3  # skewness that is none
+_LAPLACE, _EXPONENTIAL = 3.0, 6.0  # excess kurtosis of one product of two complex normals, and of a square
+_SMALL = 0.5  # sigmas below which a tail is the normal one
 
 
 @dataclass(frozen=True, slots=True)
 class _Family:
     """Directions that belong together.
 
-    ``columns`` by recording; ``skewness`` of each score by chance, and how much ``wider`` it scatters than its column
-    says. Of a family with a ``title`` the whole is tested; one that is ``scanned`` counts with its strongest only,
-    which pays for the looking.
+    ``columns`` by recording; ``skewness`` and excess ``kurtosis`` of each score by chance, and how much ``wider`` it
+    scatters than its column says. Of a family with a ``title`` the whole is tested; one that is ``scanned`` counts with
+    its strongest only, which pays for the looking.
     """
 
     names: list[str]
@@ -58,6 +60,7 @@ class _Family:
     skewness: Floats | None = None
     wider: Floats | None = None
     scanned: bool = False
+    kurtosis: Floats | None = None
 
 
 def judge_directions(models: Sequence[SuperModel], fitted: Fit) -> dict[str, float]:
@@ -91,6 +94,9 @@ def _strengths(family: _Family, score: Floats, left: Floats) -> dict[str, float]
     z = score / np.sqrt(np.where(telling, spread, 1.0))
     if family.skewness is not None:
         z = np.array([straightened(one, skew) for one, skew in zip(z.tolist(), family.skewness.tolist(), strict=True)])
+    if family.kurtosis is not None:
+        even = np.abs(family.skewness) < _STRAIGHT if family.skewness is not None else np.ones(len(z), dtype=bool)
+        z[even] = [of_products(one, bins) for one, bins in zip(z[even], _LAPLACE / family.kurtosis[even], strict=True)]
     if family.wider is not None:
         z = np.array([of_student(one, DRAWS - 1) for one in z.tolist()])
     mine = np.flatnonzero(telling)
@@ -98,7 +104,8 @@ def _strengths(family: _Family, score: Floats, left: Floats) -> dict[str, float]
         return _best(family, z, mine)
     strengths = {family.names[i]: float(z[i]) for i in mine}
     if family.title and len(mine) > 1:
-        strengths[family.title] = _together(score[mine], left[np.ix_(mine, mine)])
+        longer = 0.0 if family.kurtosis is None else float(np.sum(family.kurtosis[mine]))
+        strengths[family.title] = _together(score[mine], left[np.ix_(mine, mine)], longer)
     return strengths
 
 
@@ -115,12 +122,15 @@ def _log_tail(z: float) -> float:
     return float(chi2.logsf(z**2, 1))
 
 
-def _together(score: Floats, left: Floats) -> float:
+def _together(score: Floats, left: Floats, kurtosis: float) -> float:
+    """Of a family as a whole: the sum of its squares, whose variance by chance each one's excess kurtosis adds to."""
     unit = 1.0 / np.sqrt(np.diag(left))
     values, vectors = np.linalg.eigh(left * np.outer(unit, unit))
     kept = values > _ITS_OWN
     along = vectors[:, kept].T @ (score * unit)
-    return normal_of(float(chi2.logsf(np.sum(along**2 / values[kept]), int(kept.sum()))))
+    count = int(kept.sum())
+    beyond = float(np.sum(along**2 / values[kept])) - count
+    return normal_of(float(chi2.logsf(count + beyond / math.sqrt(1.0 + 0.5 * kurtosis / count), count)))
 
 
 def straightened(z: float, skewness: float) -> float:
@@ -133,6 +143,21 @@ def straightened(z: float, skewness: float) -> float:
     shape = 4.0 / skewness**2
     log_tail = float(gamma.logsf(shape + abs(z) * math.sqrt(shape), shape))
     return math.copysign(normal_of(min(log_tail + math.log(2.0), 0.0)), z)
+
+
+def of_products(z: float, bins: float) -> float:
+    """Equivalent of a standard normal of a sum over ``bins`` of products of two independent complex normals.
+
+    Either part of such a product follows Laplace's law: of few, the sum has longer tails. By the saddle point
+    (Barndorff-Nielsen's r*, Biometrika 73 (1986) 307), with K(t) = -n log(1 - t^2/2n).
+    """
+    if abs(z) < _SMALL:
+        return z
+    t = (math.sqrt(1.0 + 2.0 * z**2 / bins) - 1.0) * bins / abs(z)
+    left = 1.0 - t**2 / (2.0 * bins)
+    root = math.sqrt(2.0 * (t * abs(z) + bins * math.log(left)))
+    slope = t * math.sqrt((2.0 - left) / left**2)
+    return math.copysign(root + math.log(slope / root) / root, z)
 
 
 def of_student(z: float, freedom: int) -> float:
@@ -197,6 +222,7 @@ def _spectral(models: Sequence[SuperModel]) -> _Family:
     """Indicator of a band in each entry of the whitened spectral matrix."""
     names: list[str] = []
     skewness: list[float] = []
+    kurtosis: list[float] = []
     columns: list[list[Column]] = [[] for _ in models]
     top_hz = max(float(model.band_hz[-1]) for model in models)
     edges = np.geomspace(float(models[0].band_hz[0]), top_hz * 1.0001, _BANDS + 1)
@@ -206,13 +232,15 @@ def _spectral(models: Sequence[SuperModel]) -> _Family:
             continue
         for k, what in enumerate(_entries(models[0])):
             names.append(f"{what} near {np.sqrt(low * high):.1f} Hz")
-            skewness.append(2.0 / math.sqrt(bins) if what.endswith("spectrum") else 0.0)
+            own = what.endswith("spectrum")
+            skewness.append(2.0 / math.sqrt(bins) if own else 0.0)
+            kurtosis.append((_EXPONENTIAL if own else _LAPLACE) / bins)
             for model, mine in zip(models, columns, strict=True):
                 inside = _inside(model, low, high).astype(float)
                 packed = np.zeros(len(_entries(model)) * len(inside))
                 packed[k * len(inside) : (k + 1) * len(inside)] = inside
                 mine.append(Column(power=packed))
-    return _Family(names, columns, "all spectra together", np.array(skewness))
+    return _Family(names, columns, "all spectra together", np.array(skewness), kurtosis=np.array(kurtosis))
 
 
 def _inside(model: SuperModel, low: float, high: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

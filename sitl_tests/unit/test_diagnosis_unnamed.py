@@ -10,7 +10,7 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.adequacy import outliers
 from companion.diagnosis.astray import astray
 from companion.diagnosis.belief import believe
-from companion.diagnosis.directions import judge_directions, of_student, straightened
+from companion.diagnosis.directions import _together, judge_directions, of_products, of_student, straightened
 from companion.diagnosis.fit import fit
 from companion.diagnosis.leads import mount_lead
 from companion.diagnosis.observations import Observations
@@ -65,6 +65,31 @@ def test_a_score_over_a_scatter_from_few_draws_gets_the_strength_that_its_chance
     assert of_student(-3.5, 9) == -of_student(3.5, 9) < 0.0
     expected = 20_000 * 2.0 * norm.sf(3.0)
     assert np.sum(np.abs(z) > 3.0) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
+
+
+@pytest.mark.parametrize("count", [8, 30])
+def test_a_sum_of_few_products_gets_the_strength_that_its_chance_is_worth(count: int) -> None:
+    """Either part of a product of two complex normals is a difference of two exponentials, half of each."""
+    rng = np.random.default_rng(6)
+    raw = (rng.gamma(count, size=400_000) - rng.gamma(count, size=400_000)) / np.sqrt(2.0 * count)
+    z = np.array([of_products(one, count) for one in raw[np.abs(raw) > 3.0].tolist()])
+    assert of_products(-4.0, count) == -of_products(4.0, count) > -4.0
+    assert of_products(4.0, 1e6) == pytest.approx(4.0, abs=1e-3)
+    expected = 400_000 * 2.0 * norm.sf(3.2)
+    assert np.sum(np.abs(z) > 3.2) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
+    assert np.sum(np.abs(raw) > 3.2) > expected + 4.0 * np.sqrt(expected)
+
+
+def test_a_family_of_scores_with_long_tails_gets_the_strength_that_its_chance_is_worth() -> None:
+    """Twenty sums of five products each: as a whole they scatter more than twenty normals."""
+    rng = np.random.default_rng(7)
+    scores = (rng.gamma(5, size=(20_000, 20)) - rng.gamma(5, size=(20_000, 20))) / np.sqrt(10.0)
+    strongest = scores[np.argsort(-np.sum(scores**2, axis=1))[:700]]
+    z = np.array([_together(one, np.eye(20), 20 * 3.0 / 5.0) for one in strongest])
+    plain = np.array([_together(one, np.eye(20), 0.0) for one in strongest])
+    expected = 20_000 * 2.0 * norm.sf(2.5)
+    assert np.sum(z > 2.5) == pytest.approx(expected, rel=0.4)
+    assert np.sum(plain > 2.5) > 1.6 * expected
 
 
 @pytest.mark.slow
