@@ -237,13 +237,18 @@ def _behind(path: Path, best: Path) -> float:
 
 
 def begun(candidate: Candidate, most: float) -> Part:
-    """Start a refit at a small step in the direction of the score, on the side where the effect can be."""
+    """Start a refit at a small step in the direction of the score, on the side where the effect can be.
+
+    What the data have led to, a frequency or instants, begins as strong as the score says: from less, the fit would
+    move these astray before the strength has grown.
+    """
     declared = candidate.part.effect.parameters()
     values = {entry.name: float(getattr(candidate.part.effect, entry.name)) for entry in declared}
     information = candidate.information + np.eye(len(declared))
     step = np.linalg.solve(information, candidate.score)
-    for entry, share in zip(declared, step.tolist(), strict=True):
-        values[entry.name] += most * entry.sigma * max(min(share, 1.0), -1.0)
+    steps = step / _FIRST_STEPS[0] if candidate.part.looks else np.clip(step, -1.0, 1.0)
+    for entry, share in zip(declared, steps.tolist(), strict=True):
+        values[entry.name] += most * entry.sigma * share
     return candidate.part.with_values(values)
 
 

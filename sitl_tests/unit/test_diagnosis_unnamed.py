@@ -119,6 +119,9 @@ def test_kicks_are_named_though_no_block_foretells_another_ones() -> None:
     model = model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
     found = diagnose([model], [catalogue()["impulsive-forcing"]])
     assert [cause.part.effect.name for cause in found.causes] == ["impulsive-forcing"]
+    (cause,) = found.causes
+    for value, sigma in zip(cause.values[::3], cause.sigmas[::3], strict=True):
+        assert abs(value - label.effects["impulsive-forcing"]) < 4.0 * sigma < 0.2
 
 
 @pytest.mark.slow
