@@ -19,8 +19,9 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
 from companion.records import Side
 from sitl_tests.trials.belief import airframe_text
-from sitl_tests.trials.cases import SEEN, SIGMA, Hidden, Tables, fly, noise_density
+from sitl_tests.trials.cases import AIRSPEED_RMS_MPS, SEEN, SIGMA, Hidden, Tables, fly, noise_density
 from tools.trial_oracle import oracle_gain
 from tools.trial_plan import STRONG, Trial, acceptance, nothing, several, singles
 from tools.trial_report import draw, summary, table
@@ -90,7 +91,7 @@ def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]
     kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in trial.label.effects)]
     model = model_of(tables, airframe)
     found = diagnose([model], kinds)
-    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db)
+    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db, swings(tables))
     if trial.oracle and not leave_out and found.gain is not None:
         row["oracle_gain"] = oracle_gain(model, found.null, trial.label)
     if leave_out and found.causes:
@@ -118,8 +119,25 @@ def model_of(tables: Tables, airframe: Airframe) -> SuperModel:
     return SuperModel(belief_for(airframe, [seen]), seen, _TOP_HZ)
 
 
-def judge(label: Hidden, found: Diagnosis, seconds: float, snr_db: float = 20.0) -> dict[str, Any]:
-    """Open the label and compare."""
+def swings(tables: Tables) -> dict[str, float]:
+    """How large the rms of a channel is in this very recording, in the units of the effect that follows it.
+
+    A channel counts by its rms over the recording, and slow waves of unit rms have another one in a minute.
+    """
+    return {
+        "covariate-frequency": float(np.std(tables.roller)),
+        "airspeed-dependence": float(np.std(tables.airspeed)) / AIRSPEED_RMS_MPS,
+    }
+
+
+def judge(
+    label: Hidden,
+    found: Diagnosis,
+    seconds: float,
+    snr_db: float = 20.0,
+    units: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Open the label and compare; ``units`` by effect: what one unit of its magnitude is in the diagnosis' own."""
     named = [cause.part.effect.name for cause in found.causes]
     groups = [{cause.part.effect.name, *cause.group} for cause in found.causes]
     hidden = sorted(label.effects)
@@ -140,21 +158,21 @@ def judge(label: Hidden, found: Diagnosis, seconds: float, snr_db: float = 20.0)
         "z": [cause.z for cause in found.causes],
         "right": bool(right and found.verdict in ("explained", "adequate")),
         "exact": bool(exact and found.verdict in ("explained", "adequate")),
-        "inside_95": _inside(label, found) if exact and len(hidden) == 1 else None,
+        "inside_95": _inside(label, found, units) if exact and len(hidden) == 1 else None,
         "gain": found.gain.log_score["total"][0] if found.gain is not None else None,
         "worst_checks": [[entry.name, entry.z] for entry in found.after[:3]],
         "cpu_s": seconds,
     }
 
 
-def _inside(label: Hidden, found: Diagnosis) -> bool | None:
+def _inside(label: Hidden, found: Diagnosis, units: Mapping[str, float]) -> bool | None:
     """Whether the hidden magnitude lies in the interval of the parameter that it is."""
     ((name, truth),) = label.effects.items()
     cause = found.causes[0]
     if name in SEEN or name in ("tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"):
         return None  # told by amplitude and phase, or seen without a fit
     which = label.side if name in ("accel-scale", "accel-bias") else 0
-    return abs(cause.values[which] - truth) < 1.96 * cause.sigmas[which]
+    return abs(cause.values[which] - truth * units.get(name, 1.0)) < 1.96 * cause.sigmas[which]
 
 
 def _plan(options: argparse.Namespace) -> list[list[Trial]]:

@@ -18,6 +18,7 @@ from sitl_tests.trials.wing import GRAVITY, Array, World, airspeed, integrate, r
 BASELINE_M = 1.98
 FOCAL_PX = 800.0
 MATCH_PX = 0.3
+AIRSPEED_RMS_MPS = 2.0
 BELIEF: dict[str, Any] = {
     "frequency_hz": (5.0, 6.4),
     "frequency_sigma": 0.01,
@@ -347,7 +348,7 @@ def _record(
         FOCAL_PX * BASELINE_M / disparity,
         reference,
         np.array([roller(t) for t in stamps]),
-        17.0 + 2.0 * np.array([airspeed(t) for t in stamps]),
+        17.0 + AIRSPEED_RMS_MPS * np.array([airspeed(t) for t in stamps]),
     )
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from sitl_tests.trials.cases import SIGMA, hide, sigma_of
+from companion.core.wing.effects import catalogue
+from sitl_tests.trials.cases import SIGMA, Hidden, Tables, hide, sigma_of
 from tools.trial_plan import acceptance
 from tools.trial_results import results, wilson
+from tools.trials import judge, swings
 
 
 @pytest.mark.parametrize(("counted", "total"), [(0, 300), (14, 16), (9, 10)])
@@ -45,6 +50,25 @@ def test_what_noise_hides_is_hidden_larger_in_noise() -> None:
             hide([name], (8.0, 8.0), np.random.default_rng(3), snr_db).effects[name] for snr_db in (20.0, 10.0)
         )
         assert abs(loud) > 2.0 * abs(quiet)
+
+
+def test_what_follows_a_channel_is_judged_by_the_rms_that_it_has_in_the_recording() -> None:
+    """A wave of unit rms whose peak alone falls into the minute has less: so has what it moves per rms."""
+    t_s = np.linspace(-0.5, 0.5, 1001)
+    wave = np.sqrt(2.0) * np.cos(t_s)
+    nothing = np.zeros(0)
+    tables = Tables(t_s, nothing, nothing, nothing, nothing, wave, 17.0 + 2.0 * wave)
+    units = swings(tables)
+    for name, channel in (("airspeed-dependence", "airspeed_mps"), ("covariate-frequency", "roller_v")):
+        part: Any = SimpleNamespace(effect=catalogue()[name](), channel=channel)
+        per_rms = 0.04 * float(np.std(wave))
+        cause = SimpleNamespace(part=part, group=(), z=9.0, values=(per_rms,), sigmas=(0.004,))
+        found: Any = SimpleNamespace(
+            causes=(cause,), nearest="", nearest_causes=(), verdict="explained", gain=None, after=()
+        )
+        label = Hidden({name: 0.04})
+        assert judge(label, found, 1.0, 20.0, units)["inside_95"]
+        assert not judge(label, found, 1.0)["inside_95"]
 
 
 def test_the_acceptance_plan_holds_what_is_promised() -> None:
