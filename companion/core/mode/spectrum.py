@@ -100,14 +100,6 @@ def _summed(aliases: Floats) -> Floats:
     return summed
 
 
-@compiled
-def _added(rows: Floats, few: Floats, grid: Grid) -> Floats:
-    """Add to every row what its few points say of all others."""
-    for row in range(len(rows)):
-        rows[row] += (1.0 - grid.share) * few[row][grid.before] + grid.share * few[row][grid.before + 1]
-    return rows
-
-
 _Parts = tuple[float, float, float, float]
 
 
@@ -210,6 +202,15 @@ def _falls(corner: float, square: float, at_first: float, at_second: float) -> t
 if COMPILED:
 
     @compiled
+    def _added(rows: Floats, few: Floats, grid: Grid) -> Floats:
+        """Add to every row what its few points say of all others."""
+        for row in range(len(rows)):
+            for k in range(len(grid.before)):
+                at, share = grid.before[k], grid.share[k]
+                rows[row, k] += (1.0 - share) * few[row, at] + share * few[row, at + 1]
+        return rows
+
+    @compiled
     def _densities(values: Floats, points: Points, reference_hz: float) -> Floats:
         out = np.empty(len(points.square))
         for k in range(len(out)):
@@ -226,6 +227,10 @@ if COMPILED:
         return out
 
 else:
+
+    def _added(rows: Floats, few: Floats, grid: Grid) -> Floats:
+        rows += (1.0 - grid.share) * few[:, grid.before] + grid.share * few[:, grid.before + 1]
+        return rows
 
     def _densities(values: Floats, points: Points, reference_hz: float) -> Floats:
         return np.asarray(_density_at(values, points.square, points.cell, reference_hz))  # type: ignore[arg-type]
