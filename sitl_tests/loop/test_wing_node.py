@@ -167,8 +167,11 @@ def until_quiet(node: Node) -> None:
 
 
 def test_a_loop_that_comes_late_loses_readings_and_counts_every_one(start: Callable[..., Node]) -> None:
-    node = start(rate_hz=1000, stall_ms=150)  # the FIFO holds 64
-    node.listen(4.5)
+    for _ in range(10):
+        node = start(rate_hz=1000, stall_ms=150)  # the FIFO holds 64
+        node.listen(4.5)
+        if node.counters()["line_lost"] == 0:  # this reader was not held up
+            break
     told = lost_before_news(node, "loop_lost")
     assert told[-1][0] >= 3 * (150 - 64 - 30)
     # the news may leave before the samples that show the newest loss
@@ -201,22 +204,22 @@ def test_the_companion_keeps_the_nodes_time_within_its_bound(start: Callable[...
     greeting = mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 1, 1))
     pilot.decoder.decode_chunk(RawChunk(0, clock.now_ns(), bytes(greeting)))
     bank, errors, bounds, count = ClockBank(), [], [], 0
-    ends = time.monotonic() + 6.0
-    while time.monotonic() < ends:
+    ends = time.monotonic() + 60.0
+    while count < 5000 and time.monotonic() < ends:
         for record in pilot.poll(0.002):
             if isinstance(record, TimesyncReply):
                 bank.exchange(record)
             elif isinstance(record, ImuBatch) and record.station is Station.LEFT:
-                count += len(record.t_ns)
                 answer = bank.to_host(ClockName.NODE_LEFT, record.t_ns, record.received_host_ns)
                 if isinstance(answer, tuple):
+                    count += len(record.t_ns)
                     true_ns = record.t_ns / (1.0 + node.skew) + node.start_ns
                     errors.append(float(np.abs(answer[0] - true_ns).max()))
                     bounds.append(answer[1])
     state = bank.state(ClockName.NODE_LEFT, clock.now_ns())
     print(f"clock error median {np.median(errors[-200:]) / 1e3:.0f} us, bound {np.median(bounds) / 1e3:.0f} us")
     assert state.synced
-    assert count > 5000
+    assert count >= 5000
     assert np.mean(np.array(errors) <= np.array(bounds)) >= 0.999
     assert np.median(errors[-200:]) < 0.3e6  # in the end; the first questions may have been held up on their way
 
