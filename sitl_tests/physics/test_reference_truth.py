@@ -170,6 +170,11 @@ def test_chunks_hold_every_sample_once_on_the_host_clock() -> None:
     assert any(a.t_ns[0] > b.t_ns[0] for a, b in pairwise(batches))  # arrival is not in order
 
 
+def silent(y_m: float) -> SensorSpec:
+    """What is known to this sensor is known through its biases."""
+    return SensorSpec(y_m, accel_noise_mps2_rthz=2e-5)
+
+
 CASES = {
     "6-axis, white": spec(gust=WHITE),
     "6-axis, Dryden": spec(gust=DRYDEN),
@@ -178,6 +183,13 @@ CASES = {
     "second mode": spec(second_symmetric=ModeSpec(27.0, 0.02, 5e-5, 4.78)),
     "flight": spec(motion=flight(1)),
     "drift": spec(drift_per_s=0.01),
+    "biases alone": spec(
+        symmetric=replace(MODE, rms_m=3.0 * MODE.rms_m),
+        antisymmetric=replace(MODE, frequency_hz=6.4, rms_m=3.0 * MODE.rms_m),
+        root=silent(0.0),
+        left=silent(-1.0),
+        right=silent(1.0),
+    ),
 }
 
 

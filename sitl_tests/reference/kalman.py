@@ -78,7 +78,7 @@ def filtered(
         rough = (step.H @ best)[..., 0] + data.excess[k][:, None] * system.push_view
         bowed, slant = errors.bowed(k, rough, theta)
         M = data.gains[k] + slant
-        H = M @ step.H + data.bias_gains[k]
+        H = M @ step.H + data.bias_gains[k] + errors.bias_bowed(rough, theta)
         transposed = M.swapaxes(1, 2)
         drive = np.zeros((seeds, 1 + c))  # load factor excess that each column sees
         drive[:, 0], drive[:, 1:] = data.excess[k], errors.load[k]

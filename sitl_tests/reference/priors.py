@@ -84,6 +84,21 @@ class Sensitivity:
             if column is not None:
                 self.load[:, :, column] = load
 
+    def bias_bowed(self, basis: Floats, theta: Floats) -> Floats:
+        """Give what the tips' vertical biases do to the rows beside their linear form, (S, m, states).
+
+        The lateral axis sees the slope through the force as it is, ``y = F_y / cos A + e tan A (z - b)``. With ``z``
+        as it was read, the bias would make an acceleration of a slope that is off, and show where the tip rests:
+        0.02 m/s^2 look like 0.08 mrad at 3 Hz, which is all that is unknown of it.
+        """
+        gains = np.zeros((len(basis), len(self.rows), self.layout.size))
+        for at, (kind, station) in enumerate(self.rows):
+            if kind == "y":
+                A = self._trim_rad() + self._bend(station, "q", basis) + self._turn_by(station, basis, theta)
+                column = self.layout.bias("z_left" if station == 1 else "z_right")
+                gains[:, at, column] = -_E[station] * (np.tan(A) - np.tan(self._trim_rad()))
+        return gains
+
     def bowed(self, k: int, basis: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """Give what the rows of step ``k`` read beside their linear form, (S, m), and its gradient, (S, m, basis).
 
