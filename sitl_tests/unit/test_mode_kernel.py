@@ -10,19 +10,25 @@ import pytest
 from companion.core.mode import kernel_loops, kernel_numpy
 from companion.core.mode.kalman import Kalman
 from companion.core.mode.kernel import Data, Fixed, History, Memory, Step
-from companion.core.mode.layout import ROWS, make_layout, make_noise
+from companion.core.mode.layout import ROWS, Y_LEFT, make_layout, make_noise
 from companion.core.mode.model import build_model
 from companion.core.mode.parameters import prior_parameters
+from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 
 AIRFRAME = load_airframe("nadir-2m")
+EXACT_SCALES = replace(
+    AIRFRAME,
+    left=replace(AIRFRAME.left, accel_scale_sigma=0.0),
+    right=replace(AIRFRAME.right, accel_scale_sigma=0.0),
+)
 STEP_S = 0.004
 STEPS = 60
 
 
-def _filter() -> Kalman:
-    layout, wing = make_layout(AIRFRAME), AIRFRAME.wing
-    noise = make_noise(AIRFRAME, layout, STEP_S)
+def _filter(airframe: Airframe = AIRFRAME) -> Kalman:
+    layout, wing = make_layout(airframe), airframe.wing
+    noise = make_noise(airframe, layout, STEP_S)
     parameters = (prior_parameters(layout.symmetric, wing.gust), prior_parameters(layout.antisymmetric, wing.gust))
     model = build_model(layout, noise, parameters, (-0.99, 0.99), STEP_S)
     return Kalman(layout, noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, STEPS)
@@ -52,8 +58,9 @@ def _parts(kalman: Kalman) -> tuple[Fixed, Step, Memory, History]:
 
 @pytest.mark.parametrize("rough", [False, True])
 @pytest.mark.parametrize("missing", [0.0, 0.3, 1.0])
-def test_compiled_loops_and_numpy_agree(missing: float, rough: bool) -> None:
-    one, other = _filter(), _filter()
+@pytest.mark.parametrize("airframe", [AIRFRAME, EXACT_SCALES], ids=["uncertain scales", "exact scales"])
+def test_compiled_loops_and_numpy_agree(airframe: Airframe, missing: float, rough: bool) -> None:
+    one, other = _filter(airframe), _filter(airframe)
     data = _cells(len(one.constants), missing)
     for kalman, kernel in ((one, kernel_loops), (other, kernel_numpy)):
         fixed, step, memory, history = _parts(kalman)
@@ -66,6 +73,26 @@ def test_compiled_loops_and_numpy_agree(missing: float, rough: bool) -> None:
         for name in ("seen", "innovation", "drawn"):
             found, wanted = getattr(one.history, name)[at, :used], getattr(other.history, name)[at, :used]
             np.testing.assert_allclose(found, wanted, atol=1e-9 * max(np.abs(wanted).max(initial=0.0), 1e-6))
+
+
+def test_a_bias_of_the_vertical_force_turns_every_slope_that_is_seen() -> None:
+    """The lateral axis shows the slope as ``arctan(y / z)``, with the bias in ``z``."""
+    kalman = _filter(EXACT_SCALES)
+    fixed, step, _, _ = _parts(kalman)
+    data = _cells(len(kalman.constants), 0.0)
+    state = 0.01 * np.random.default_rng(3).standard_normal(kalman.layout.size + 1)
+    measured, sense = np.zeros((ROWS, 1 + len(kalman.constants))), np.zeros((ROWS, kalman.layout.size + 1))
+    kernel_numpy._turn(fixed, step, data, 5, state, measured, sense)
+    for side, place in enumerate(("left", "right")):
+        slope, z = (step.watch @ state)[side], data.vertical[5, side]
+        assert abs(slope) > 1e-3
+        seen = [np.arctan(z * np.tan(slope) / (z + bias)) for bias in (-0.01, 0.01)]
+        found = -measured[Y_LEFT + side, kalman.layout.column(f"{place}.bz")]  # prediction less reading
+        assert found == pytest.approx((seen[1] - seen[0]) / 0.02, rel=1e-3)
+
+
+def test_a_scale_as_uncertain_as_the_bias_says_the_same() -> None:
+    assert _filter().layout.column("left.bz") is None
 
 
 @pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])

@@ -322,6 +322,7 @@ def _fixed(layout: Layout, noise: Noise, step_s: float, trim_m: float, bend_per_
         own=noise.own,
         lateral_bias=np.array([biases.get(Y_LEFT + side, -1) for side in (0, 1)], np.int64),
         leaning=np.array([layout.column(f"{place}.mx") or 0 for place in ("left", "right")], np.int64),
+        force_bias=np.array([layout.column(f"{place}.bz") or 0 for place in ("left", "right")], np.int64),
         factor_rows=np.array([row for row, _ in factors], np.int64),
         factor_columns=np.array([column for _, column in factors], np.int64),
         own_rows=np.array([row for row, _, _ in own], np.int64),

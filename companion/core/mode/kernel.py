@@ -32,6 +32,8 @@ class Fixed(NamedTuple):
         States that hold the lateral biases; -1 where there is none.
     leaning : (2,) int64
         Columns of the tips' misalignment about the body's x axis, 0 where it is certain.
+    force_bias : (2,) int64
+        Columns of the tips' own vertical biases, 0 where they tell nothing.
     factor_rows, factor_columns : (f,) int64
         Where the slope factors show.
     own_rows, own_columns : (s,) int64
@@ -49,6 +51,7 @@ class Fixed(NamedTuple):
     own: Floats
     lateral_bias: Ints
     leaning: Ints
+    force_bias: Ints
     factor_rows: Ints
     factor_columns: Ints
     own_rows: Ints

@@ -182,6 +182,8 @@ def _innovate(
         r = work.at[_LATERAL + side]
         if r >= 0:
             out[at, r, 0] += data.tilted[k, side] * rate
+            if fixed.force_bias[side]:
+                out[at, r, fixed.force_bias[side]] += slope / data.vertical[k, side]
     for j in range(len(fixed.factor_rows)):
         r = work.at[fixed.factor_rows[j]]
         if r >= 0:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.params.airframe import Airframe, Mode, Sensor, Uncertain
 from companion.records import Floats
 
@@ -23,6 +24,7 @@ Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = ran
 FAMILY_STATES = 8
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
 ROOT_ERRORS = ("bp", "br")  # biases of its rates: the tips' centripetal force is reckoned from them
+TIP_ERRORS = ("bz",)  # a tip's own vertical bias: the lateral axis sees the slope times the vertical force
 
 _ABSENT_MPS2 = 10.0  # sigma of the root's force along an axis that it does not send
 _SECOND_RATIO = 5.5  # of an unknown second mode's frequency: 6.3 for a bare cantilever, less with a tip mass
@@ -156,9 +158,18 @@ def _constants(airframe: Airframe) -> list[tuple[str, float]]:
         named.append(("slope.second_antisymmetric", wing.second_antisymmetric.slope_factor_radpm.sigma))
     for place, sensor in (("left", airframe.left), ("right", airframe.right), ("root", airframe.root)):
         named += [(f"{place}.{error}", _error_sigma(sensor, error)) for error in SENSOR_ERRORS]
+    for place, sensor in (("left", airframe.left), ("right", airframe.right)):
+        named += [(f"{place}.{error}", _gain_bias_sigma(sensor)) for error in TIP_ERRORS]
     root = airframe.root
     named += [(f"root.{error}", root.gyro_bias_sigma_radps) for error in ROOT_ERRORS if error[-1] in root.sends]
     return named
+
+
+def _gain_bias_sigma(sensor: Sensor) -> float:
+    """Of a bias that makes every slope seen too large; a scale that is as uncertain says the same already."""
+    told = "y" in sensor.sends and "z" in sensor.sends
+    sigma = sensor.accel_bias_sigma_mps2
+    return sigma if told and sigma > sensor.accel_scale_sigma * GRAVITY_MPS2 else 0.0
 
 
 def _error_sigma(sensor: Sensor, error: str) -> float:
