@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.compiled import COMPILED
-from companion.core.mode.rigid import GRAVITY_MPS2
 from companion.core.pipeline import smoothed, start, step
 from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
+from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick, TimesyncReply, Validity

@@ -7,8 +7,8 @@ import numpy as np
 from companion.core.mode.floor import DERIVATIVE, EDGE, Bend, Floor
 from companion.core.mode.layout import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.mode.model import Parameters
-from companion.core.mode.rigid import GRAVITY_MPS2
 from companion.core.mode.spectrum import load_density
+from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.records import Floats
 
 COLUMNS, ROLL, STATIC = 4, 2, 3  # of the rows: both vertical ones, root roll rate, bend by the load factor

@@ -17,9 +17,9 @@ from companion.core.mode.averaging import VERTICAL
 from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout
 from companion.core.mode.sensitivity import Motion, columns_of, rate_of_change, sensitivities
 from companion.core.mode.stream import CHANNELS, Averages, Samples, Stream, averages
+from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.records import Axis, Bools, Floats, Ints
 
-GRAVITY_MPS2 = 9.80665
 _LEAST_FORCE_MPS2 = 1.0  # in free fall the lateral axis does not see the slope
 _SHAKEN = 5.0  # sigmas of the root's own first moment
 _LATERAL, _ROLL = 1, 3  # channels
