@@ -10,19 +10,19 @@ the way (stochastic EM: Celeux and Diebolt, Computational Statistics Quarterly 2
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import log_ndtr, ndtri, ndtri_exp
+from scipy.special import log_ndtr, ndtri_exp
 
 from companion.diagnosis.matrices import Complexes, adjoint, apply, inverse, triangle
 from companion.records import Floats
 
 _SEED = 20250103
-_SWEEPS = 100
+_SWEEPS = 160
 _RELEARNT, _LEARNT = 4, 0.3  # every so many sweeps, by that share
 _SHARE, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample
 _BAND = 40  # bins
+_FAINTEST = 1e-9  # of all power: what a spectrum has at least, where channels without noise are alike
 _WIDTH = 0.02  # of a frequency, to either side: what is smoothed over
 _FEWEST = 12  # bins to either side
-_INSIDE = 0.02  # of the samples between the limits: so far from them is where a channel's size is told
 
 
 def restored(values: Floats, beyond: Floats, bridged: Floats) -> Floats:
@@ -35,7 +35,7 @@ def restored(values: Floats, beyond: Floats, bridged: Floats) -> Floats:
     beyond : (c, m)
         1 where the truth is at least what was recorded, -1 where it is at most that, 0 where it is recorded.
     bridged : (c, m)
-        The same channels with the cut samples guessed, the largest where the truth may be largest.
+        The same channels with the cut samples guessed: there the sweeps begin.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def restored(values: Floats, beyond: Floats, bridged: Floats) -> Floats:
         The same with the cut samples beyond their limits.
     """
     rng = np.random.default_rng(_SEED)
-    drawn = np.stack([_guessed(*one) for one in zip(values, beyond, bridged, strict=True)])
+    drawn = bridged.copy()
     count, affected = values.shape[1], np.flatnonzero(np.any(beyond != 0.0, axis=1)).tolist()
     smooth, model = _Smoother(count), None
     for sweep in range(_SWEEPS):
@@ -69,7 +69,8 @@ class _Split:
 
     def __init__(self, spectra: Complexes, affected: list[int]) -> None:
         self.spectra = spectra
-        precision = inverse(spectra)[affected]
+        floor = _FAINTEST * float(np.mean(np.einsum("iif->if", spectra).real))
+        precision = inverse(spectra + floor * np.eye(len(spectra))[..., None])[affected]
         own = np.linalg.eigvalsh(np.moveaxis(precision[:, affected], -1, 0))[:, -1]
         bands = np.array_split(own, max(len(own) // _BAND, 1))
         self.white = _SHARE / max(float(np.mean(band)) for band in bands)
@@ -83,25 +84,6 @@ class _Split:
         noise = rng.standard_normal((2, len(self._affected), seen.shape[1]))
         white = np.sqrt(0.5) * (noise[0] + 1j * noise[1])
         return np.asarray(seen[self._affected] - apply(self._share, seen) + apply(self._spread, white))
-
-
-def _guessed(values: Floats, side: Floats, bridged: Floats) -> Floats:
-    """One channel with the tails that a Gaussian would have, in the order of what bridges them.
-
-    Its size is told by the samples between the limits. From the limits themselves the sweeps would take long.
-    """
-    shares = np.array([np.mean(side < 0.0), 1.0 - np.mean(side > 0.0)])
-    inner = shares + np.array([1.0, -1.0]) * _INSIDE * (shares[1] - shares[0])
-    low, high = np.quantile(values, inner).tolist()
-    spread = (high - low) / float(ndtri(inner[1]) - ndtri(inner[0]))
-    middle = low - spread * float(ndtri(inner[0]))
-    guessed = values.copy()
-    for sign in (-1.0, 1.0):
-        cut = np.flatnonzero(side == sign)
-        order = cut[np.argsort(-sign * bridged[cut], kind="stable")]
-        tail = middle - sign * spread * ndtri((np.arange(len(cut)) + 0.5) / len(values))
-        guessed[order] = values[order] + sign * np.maximum(sign * (tail - values[order]), 0.0)
-    return guessed
 
 
 def _beyond(limit: Floats, side: Floats, middle: Floats, spread: float, rng: np.random.Generator) -> Floats:
