@@ -4,7 +4,7 @@ Of a cut sample only its side is known. A spline through its neighbours, which n
 is too smooth and too low: it looks like a crooked sensor beside the cut one. Instead the cut samples are drawn from
 their posterior (Gibbs): they are Gaussian like the rest, of the spectral matrix of all channels, and lie beyond the
 limit. Drawn and not expected, for an expectation has less power than what it stands for; and the spectra are learnt on
-the way (stochastic EM: Celeux and Diebolt, Computational Statistics Quarterly 2 (1985) 73).
+the way (stochastic approximation of EM: Delyon, Lavielle and Moulines, Ann. Statist. 27 (1999) 94).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from companion.records import Floats
 _SEED = 20250103
 _SWEEPS = 160
 _RELEARNT, _LEARNT = 4, 0.3  # every so many sweeps, by that share
+_SETTLED = 60  # sweeps; from then on the spectra are averaged
 _SHARE, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample
 _BAND = 40  # bins
 _FAINTEST = 1e-9  # of all power: what a spectrum has at least, where channels without noise are alike
@@ -51,7 +52,8 @@ def restored(values: Floats, beyond: Floats, bridged: Floats) -> Floats:
         seen = np.fft.rfft(drawn - mean, norm="ortho")
         if sweep % _RELEARNT == 0:
             new = smooth(seen[:, None] * seen.conj()[None])
-            model = _Split(new if model is None else model.spectra + _LEARNT * (new - model.spectra), affected)
+            share = min(_LEARNT, _RELEARNT / max(sweep - _SETTLED, _RELEARNT))
+            model = _Split(new if model is None else model.spectra + share * (new - model.spectra), affected)
         assert model is not None
         for i, wave in zip(affected, model.draw(seen, rng), strict=True):
             cut = beyond[i] != 0.0
