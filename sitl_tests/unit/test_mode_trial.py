@@ -95,15 +95,19 @@ def test_new_parameters_are_taken_unless_they_make_the_measurements_a_surprise(
             family[index] += change
     offered = tuple(old.with_logs(new, old.log_sigma) for old, new in zip(before, logs, strict=True))
 
+    contradicted = []
+
     def fitted(adaptation: Adaptation, elapsed_s: float) -> bool:
         adaptation.parameters = offered
+        contradicted.append(adaptation._contradicted)
         return True
 
     monkeypatch.setattr(Adaptation, "_fit_all", fitted)
-    for _ in _flown(tracker, 1.6, holes=False, from_s=1.4):
+    for _ in _flown(tracker, 2.1, holes=False, from_s=1.4):
         pass
     assert tracker._kalman.model.parameters == (offered if taken else before)
     assert tracker._adaptation.parameters == tracker._kalman.model.parameters
+    assert contradicted == [False, not taken], "the next fit knows that a second mode without evidence may be missing"
 
 
 def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None:

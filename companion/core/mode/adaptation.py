@@ -108,8 +108,9 @@ class Adaptation:
     def take(self, cells: Cells, contradicted: bool = False) -> bool:
         """Take cells; say whether there are new parameters.
 
-        ``contradicted``: the filter cannot explain what it measures. A second mode then needs no evidence from the
-        vertical axes: a gyro, which the fit does not see, shows one a hundred times better.
+        ``contradicted``: the filter cannot explain what it measures, or could not with the parameters found last. A
+        second mode then needs no evidence from the vertical axes: a gyro, which the fit does not see, shows one a
+        hundred times better.
         """
         self._contradicted = contradicted
         size = len(self._rows)

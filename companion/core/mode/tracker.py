@@ -84,6 +84,7 @@ class WingTracker:
         """Begin anew, at the airframe's beliefs."""
         self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
         self._kalman = self._fresh(self._model(self._adaptation.parameters))
+        self._refused = False  # whether the last parameters that were found made the measurements a surprise
         self._adaptation.learn(self._kalman.constants, self._kalman.bend_per_g_m)
         self._recent: list[Cells] = []  # on which new parameters are tried
         self._untried = 0  # cells in these
@@ -165,7 +166,7 @@ class WingTracker:
             if self._settings.adapt:
                 self._recent.append(part)
                 self._untried += len(part)
-                if self._adaptation.take(part, self._kalman.surprise > SURPRISED):
+                if self._adaptation.take(part, self._refused or self._kalman.surprise > SURPRISED):
                     self._readapt()
                 elif not self._adaptation.early and self._untried * self._step_s > _TRIAL_S:
                     self._mark()  # without enough samples there was no fit, and the cells must not pile up
@@ -189,7 +190,8 @@ class WingTracker:
         if early or not _alike(model.parameters, self._kalman.model.parameters):
             tried = self._fresh(model) if early else self._begun.fork(model)
             tried.run(join(self._recent))
-            if not tried.finite or tried.surprise > max(SURPRISED, self._kalman.surprise):
+            self._refused = not tried.finite or tried.surprise > max(SURPRISED, self._kalman.surprise)
+            if self._refused:
                 model = self._kalman.model
                 self._adaptation.parameters = model.parameters
             elif early:
