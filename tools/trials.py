@@ -151,6 +151,7 @@ def judge(
         "sigmas": {name: label.strength(name, snr_db) for name in label.effects if name in SIGMA},
         "seal": label.seal,
         "verdict": str(found.verdict),
+        "reason": found.reason,
         "named": named,
         "groups": [sorted(group) for group in groups],
         "nearest": found.nearest,

@@ -64,7 +64,7 @@ def test_what_follows_a_channel_is_judged_by_the_rms_that_it_has_in_the_recordin
         per_rms = 0.04 * float(np.std(wave))
         cause = SimpleNamespace(part=part, group=(), z=9.0, values=(per_rms,), sigmas=(0.004,))
         found: Any = SimpleNamespace(
-            causes=(cause,), nearest="", nearest_causes=(), verdict="explained", gain=None, after=()
+            causes=(cause,), nearest="", nearest_causes=(), verdict="explained", reason="", gain=None, after=()
         )
         label = Hidden({name: 0.04})
         assert judge(label, found, 1.0, 20.0, units)["inside_95"]
