@@ -83,16 +83,22 @@ def test_a_bias_of_the_vertical_force_turns_every_slope_that_is_seen() -> None:
     state = 0.01 * np.random.default_rng(3).standard_normal(kalman.layout.size + 1)
     measured, sense = np.zeros((ROWS, 1 + len(kalman.constants))), np.zeros((ROWS, kalman.layout.size + 1))
     kernel_numpy._turn(fixed, step, data, 5, state, measured, sense)
-    for side, place in enumerate(("left", "right")):
+    left, right, root = 0.011, -0.007, 0.004  # biases
+    sensors = (EXACT_SCALES.left, EXACT_SCALES.right, EXACT_SCALES.root)
+    weight = np.array([sensor.accel_bias_sigma_mps2**-2 for sensor in sensors])
+    common = weight @ (left, right, root) / weight.sum()
+    for side, own in enumerate((left, right)):
         slope, z = (step.watch @ state)[side], data.vertical[5, side]
         assert abs(slope) > 1e-3
-        seen = [np.arctan(z * np.tan(slope) / (z + bias)) for bias in (-0.01, 0.01)]
-        found = -measured[Y_LEFT + side, kalman.layout.column(f"{place}.bz")]  # prediction less reading
-        assert found == pytest.approx((seen[1] - seen[0]) / 0.02, rel=1e-3)
+        turned = np.arctan(z * np.tan(slope) / (z + own)) - slope
+        row = Y_LEFT + side
+        found = sense[row, fixed.vertical_bias] @ (left - root, right - root)
+        found -= measured[row, kalman.layout.column("bz")] * common  # prediction less reading
+        assert found == pytest.approx(turned, rel=3e-3)
 
 
 def test_a_scale_as_uncertain_as_the_bias_says_the_same() -> None:
-    assert _filter().layout.column("left.bz") is None
+    assert _filter().layout.column("bz") is None
 
 
 @pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])

@@ -17,7 +17,7 @@ import numpy as np
 from companion.core.compiled import COMPILED, compiled
 from companion.core.mode import kernel_loops, kernel_numpy
 from companion.core.mode.kernel import Data, Fixed, Memory, Step, make_history
-from companion.core.mode.layout import P_LEFT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Layout, Noise
+from companion.core.mode.layout import P_LEFT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT, Layout, Noise
 from companion.core.mode.model import Parameters, StepModel, stationary
 from companion.core.mode.rigid import Cells
 from companion.core.mode.sensitivity import own_scales
@@ -322,7 +322,9 @@ def _fixed(layout: Layout, noise: Noise, step_s: float, trim_m: float, bend_per_
         own=noise.own,
         lateral_bias=np.array([biases.get(Y_LEFT + side, -1) for side in (0, 1)], np.int64),
         leaning=np.array([layout.column(f"{place}.mx") or 0 for place in ("left", "right")], np.int64),
-        force_bias=np.array([layout.column(f"{place}.bz") or 0 for place in ("left", "right")], np.int64),
+        vertical_bias=np.array([biases.get(Z_LEFT + side, -1) for side in (0, 1)], np.int64),
+        own_bias=noise.own_bias,
+        force_bias=layout.column("bz") or 0,
         factor_rows=np.array([row for row, _ in factors], np.int64),
         factor_columns=np.array([column for _, column in factors], np.int64),
         own_rows=np.array([row for row, _, _ in own], np.int64),

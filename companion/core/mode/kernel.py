@@ -32,8 +32,12 @@ class Fixed(NamedTuple):
         States that hold the lateral biases; -1 where there is none.
     leaning : (2,) int64
         Columns of the tips' misalignment about the body's x axis, 0 where it is certain.
-    force_bias : (2,) int64
-        Columns of the tips' own vertical biases, 0 where they tell nothing.
+    vertical_bias : (2,) int64
+        States that hold the vertical biases; -1 where there is none.
+    own_bias : (2, 2) float64
+        See :class:`companion.core.mode.layout.Noise`.
+    force_bias : int
+        Column of what the vertical biases have in common, 0 where it tells nothing.
     factor_rows, factor_columns : (f,) int64
         Where the slope factors show.
     own_rows, own_columns : (s,) int64
@@ -51,7 +55,9 @@ class Fixed(NamedTuple):
     own: Floats
     lateral_bias: Ints
     leaning: Ints
-    force_bias: Ints
+    vertical_bias: Ints
+    own_bias: Floats
+    force_bias: int
     factor_rows: Ints
     factor_columns: Ints
     own_rows: Ints

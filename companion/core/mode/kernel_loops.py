@@ -159,6 +159,11 @@ def _sense(fixed: Fixed, step: Step, data: Data, k: int, work: _Work, used: int)
         r, bias = work.at[_LATERAL + side], fixed.lateral_bias[side]
         if r >= 0 and bias >= 0:
             work.sense[r, bias] = data.lateral_gain[k, side]
+        if r >= 0 and fixed.force_bias:
+            # the slope seen is lateral over vertical force
+            for other in range(2):
+                share = work.watched[side] / data.vertical[k, side] * fixed.own_bias[side, other]
+                work.sense[r, fixed.vertical_bias[other]] -= share
 
 
 @compiled_loops
@@ -182,8 +187,8 @@ def _innovate(
         r = work.at[_LATERAL + side]
         if r >= 0:
             out[at, r, 0] += data.tilted[k, side] * rate
-            if fixed.force_bias[side]:
-                out[at, r, fixed.force_bias[side]] += slope / data.vertical[k, side]
+            if fixed.force_bias:
+                out[at, r, fixed.force_bias] += slope / data.vertical[k, side]
     for j in range(len(fixed.factor_rows)):
         r = work.at[fixed.factor_rows[j]]
         if r >= 0:

@@ -79,9 +79,11 @@ def _turn(fixed: Fixed, step: Step, data: Data, k: int, state: Floats, measured:
             # gravity along the lateral axis, by the believed tilt: the axis itself would have told it
             measured[Z_LEFT + side, column] += (1.0 - 2.0 * side) * vertical[side] * slope[side]
     measured[across, 0] += data.tilted[k] * rate
-    for side, column in enumerate(fixed.force_bias.tolist()):
-        if column and data.present[k, Y_LEFT + side]:
-            measured[Y_LEFT + side, column] += slope[side] / vertical[side]
+    for side in (0, 1) if fixed.force_bias else ():
+        if data.present[k, Y_LEFT + side]:
+            # the slope seen is lateral over vertical force
+            measured[Y_LEFT + side, fixed.force_bias] += slope[side] / vertical[side]
+            sense[Y_LEFT + side, fixed.vertical_bias] -= slope[side] / vertical[side] * fixed.own_bias[side]
     sense[up] -= (vertical * slope + data.lateral[k])[:, None] * step.watch[:2]
     for side, bias in enumerate(fixed.lateral_bias.tolist()):
         if bias >= 0:

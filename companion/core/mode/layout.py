@@ -24,7 +24,6 @@ Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = ran
 FAMILY_STATES = 8
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
 ROOT_ERRORS = ("bp", "br")  # biases of its rates: the tips' centripetal force is reckoned from them
-TIP_ERRORS = ("bz",)  # a tip's own vertical bias: the lateral axis sees the slope times the vertical force
 
 _ABSENT_MPS2 = 10.0  # sigma of the root's force along an axis that it does not send
 _SECOND_RATIO = 5.5  # of an unknown second mode's frequency: 6.3 for a bare cantilever, less with a tip mass
@@ -158,18 +157,25 @@ def _constants(airframe: Airframe) -> list[tuple[str, float]]:
         named.append(("slope.second_antisymmetric", wing.second_antisymmetric.slope_factor_radpm.sigma))
     for place, sensor in (("left", airframe.left), ("right", airframe.right), ("root", airframe.root)):
         named += [(f"{place}.{error}", _error_sigma(sensor, error)) for error in SENSOR_ERRORS]
-    for place, sensor in (("left", airframe.left), ("right", airframe.right)):
-        named += [(f"{place}.{error}", _gain_bias_sigma(sensor)) for error in TIP_ERRORS]
+    named.append(("bz", _common_bias_sigma(airframe)))
     root = airframe.root
     named += [(f"root.{error}", root.gyro_bias_sigma_radps) for error in ROOT_ERRORS if error[-1] in root.sends]
     return named
 
 
-def _gain_bias_sigma(sensor: Sensor) -> float:
-    """Of a bias that makes every slope seen too large; a scale that is as uncertain says the same already."""
-    told = "y" in sensor.sends and "z" in sensor.sends
-    sigma = sensor.accel_bias_sigma_mps2
-    return sigma if told and sigma > sensor.accel_scale_sigma * GRAVITY_MPS2 else 0.0
+def _common_bias_sigma(airframe: Airframe) -> float:
+    """Of what the vertical biases have in common, their mean weighted by how well each is known; 0 where not wanted.
+
+    The lateral axis shows slope times force, so that a tip's vertical bias makes every slope too large. The states hold
+    biases against the root; with their common part they are each one's own. A scale error that is as uncertain says
+    the same already.
+    """
+    tips = (airframe.left, airframe.right)
+    told = all("y" in tip.sends and "z" in tip.sends for tip in tips)
+    sigmas = [sensor.accel_bias_sigma_mps2 for sensor in (*tips, airframe.root)]
+    if not told or min(sigmas) <= max(tip.accel_scale_sigma for tip in tips) * GRAVITY_MPS2:
+        return 0.0
+    return float(np.sum(np.power(sigmas, -2.0)) ** -0.5)
 
 
 def _error_sigma(sensor: Sensor, error: str) -> float:
@@ -195,6 +201,9 @@ class Noise:
         Variance that the root's accelerometer adds to both tips at once.
     bias_prior : (b, b) float64
         Prior covariance of the biases.
+    own_bias : (2, 2) float64
+        Of each tip's own vertical bias beside what all three have in common, the shares of the states that hold left's
+        and right's against the root.
     bias_time_s : float
         Their correlation time.
     sample_s : float
@@ -205,6 +214,7 @@ class Noise:
     root_z: float
     root_y: float
     bias_prior: Floats
+    own_bias: Floats
     bias_time_s: float
     sample_s: float
 
@@ -225,9 +235,19 @@ def make_noise(airframe: Airframe, layout: Layout, step_s: float) -> Noise:
         root_z=root_accel if "z" in root.sends else _ABSENT_MPS2**2,
         root_y=root_accel if "y" in root.sends else _ABSENT_MPS2**2,
         bias_prior=_bias_prior(airframe, layout),
+        own_bias=_own_bias(airframe),
         bias_time_s=max(min(sensor.bias_time_s for sensor in (root, *tips)), step_s),
         sample_s=1.0 / min(sensor.rate_hz for sensor in tips),
     )
+
+
+def _own_bias(airframe: Airframe) -> Floats:
+    """``b_left = common + (w_right + w_root) (b_left - b_root) - w_right (b_right - b_root)``, and so for the right."""
+    sigmas = np.array([sensor.accel_bias_sigma_mps2 for sensor in (airframe.left, airframe.right, airframe.root)])
+    if not sigmas.all():
+        return np.zeros((2, 2))
+    left, right, root = sigmas**-2.0 / np.sum(sigmas**-2.0)
+    return np.array([[right + root, -right], [-left, left + root]])
 
 
 def _undone_gain(root: Sensor, step_s: float) -> float:
