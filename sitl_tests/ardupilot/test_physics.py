@@ -121,14 +121,13 @@ def test_frames_come_at_1200_hz_of_the_hosts_clock() -> None:
         keep_pace(process.pid or 0)
         link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         link.settimeout(5.0)
-        stamps, began_ns = array("d"), 0
+        stamps, came_ns = array("d"), array("q")
         for frame in range(4 * RATE_HZ):
             link.sendto(
                 packet(CAMERA_ON_PWM if frame == RATE_HZ else CAMERA_OFF_PWM, frame), ("127.0.0.1", ports.physics)
             )
             stamps.append(json.loads(link.recv(4096))["timestamp"])
-            began_ns = began_ns or time.monotonic_ns()
-        passed_s = (time.monotonic_ns() - began_ns) * 1e-9
+            came_ns.append(time.monotonic_ns())
         link.close()
         assert ours.poll(5), "the clock was never pinned"
         assert ours.recv()[0] == "started"
@@ -140,5 +139,8 @@ def test_frames_come_at_1200_hz_of_the_hosts_clock() -> None:
         process.join()
     assert kind == "report"
     assert np.allclose(np.diff(stamps), 1 / RATE_HZ, atol=2e-6)
-    assert passed_s == pytest.approx(stamps[-1] - stamps[0], abs=0.1)
+    late_s = 1e-9 * (np.array(came_ns) - came_ns[0]) - (np.array(stamps) - stamps[0])
+    assert late_s.min() > -0.1, "no frame comes before its time"
+    # a busy machine may hold frames up, but most tenths of a second last a tenth of a second
+    assert np.median(np.diff(late_s[:: RATE_HZ // 10])) == pytest.approx(0.0, abs=0.002)
     assert [channel for _, channel in report["edges"]] == list(CAMERA_CHANNELS)
