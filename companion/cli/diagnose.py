@@ -11,6 +11,7 @@ from companion.adapters.recordings.mapping import TestKind, load_mapping
 from companion.cli import flights, measured
 from companion.cli.diagnose_apply import extended
 from companion.cli.diagnose_models import models_of
+from companion.cli.effect_list import add_effect_list
 from companion.cli.evidence import airframe_of
 from companion.cli.report_html import write_report
 from companion.core.wing.effects import catalogue
@@ -38,6 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--apply", metavar="FILE", nargs="?", const="", help="write the airframe with the named effects"
     )
     parser.add_argument("--max-causes", type=int, default=3, metavar="N", help="name at most N effects (default 3)")
+    add_effect_list(
+        parser,
+        "The {count} causes that a diagnosis can name, with the prior sigma of the first parameter (what was believed "
+        "before the recording). Anything else comes out as unexplained.",
+    )
 
 
 def execute(options: argparse.Namespace) -> int:

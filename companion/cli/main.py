@@ -10,6 +10,7 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
+from importlib import metadata
 
 from companion.errors import SpanwiseError
 
@@ -32,6 +33,7 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="spanwise", description="Stereo ranges that stay true while the wing bends.", allow_abbrev=False
     )
+    parser.add_argument("--version", action="version", version=f"spanwise {metadata.version('spanwise')}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
     for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text, allow_abbrev=False)

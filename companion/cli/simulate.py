@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from companion.cli.effect_list import add_effect_list
 from companion.core.wing.effects import catalogue
 from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
@@ -25,6 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="hide a named effect in the truth; VALUE is its first parameter (its prior sigma when left out)",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="accel.csv and range.csv go here")
+    add_effect_list(
+        parser,
+        "The {count} effects that --effect hides. VALUE is the first parameter in the unit shown; the number shown is "
+        "its prior sigma, which is taken where VALUE is left out. Those that follow a recorded channel cannot be flown "
+        "here.",
+    )
 
 
 def execute(options: argparse.Namespace) -> int:
