@@ -1,7 +1,7 @@
 """Serve the simulated vehicle on UDP, to fly mission_scripts against it: it takes orders and may run faster than real.
 
 ``python -m tools.simulated_vehicle --link udpout:127.0.0.1:14540 --ranges`` and, in another shell, any mission with
-``--connect udpin://127.0.0.1:14540``. With ``spanwise run`` on a second ``--link`` (at speed 1, without ``--ranges``)
+``--connect udpin:127.0.0.1:14540``. With ``spanwise run`` on a second ``--link`` (at speed 1, without ``--ranges``)
 the real service is in the loop; it has no cameras there, so no ranges either.
 """
 

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument(
         "--connect", action="append", required=True, metavar="LINK",
-        help="MAVLink link in mavutil's spelling (udpin:0.0.0.0:14550, /dev/ttyAMA0,921600); may be repeated",
+        help="MAVLink link: udpin:0.0.0.0:14550, udpout:host:port, tcp:host:port, /dev/ttyAMA0,921600; may be repeated",
     )  # fmt: skip
     parser.add_argument("--airframe", required=True, metavar="NAME", help="name or path of an airframe file")
     parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record everything that goes in and out")

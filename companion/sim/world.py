@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.errors import DeviceError, LinkError
 from companion.params.airframe import Airframe, NamedEffect
+from companion.params.links import LinkKind, parse_link
 from companion.sim.autopilot import SimAutopilot, Trigger
 from companion.sim.cameras import PLAN_UNKNOWN, SimTriggerLine
 from companion.sim.faults import Faults, Wire
@@ -85,19 +86,18 @@ class Link:
     """A UDP socket that remembers its peer."""
 
     def __init__(self, connection: str) -> None:
-        kind, _, rest = connection.partition(":")
-        host, _, port = rest.rpartition(":")
-        if kind not in ("udpin", "udpout") or not port.isdigit():
+        address = parse_link(connection)
+        if address.kind not in (LinkKind.UDP_LISTEN, LinkKind.UDP_CALL):
             raise LinkError(f"the simulated vehicle speaks udpin:host:port or udpout:host:port, not '{connection}'")
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._peer: tuple[str, int] | None = None
         try:
-            if kind == "udpin":
-                self._socket.bind((host, int(port)))
+            if address.kind is LinkKind.UDP_LISTEN:
+                self._socket.bind((address.host, address.port))
             else:
                 self._socket.bind(("", 0))
-                self._peer = (host, int(port))
+                self._peer = (address.host, address.port)
         except OSError as error:
             self._socket.close()
             raise LinkError(f"cannot open {connection}: {error.strerror}") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from companion.params.links import LinkAddress, parse_link
 from mission_scripts.common.guard import Limits
 from mission_scripts.common.outcome import MEANING, Response
 
@@ -16,8 +17,8 @@ def parser_for(name: str, text: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument(
-        "--connect", required=True, metavar="URL",
-        help="MAVSDK's spelling: udpin://0.0.0.0:14540, tcpout://host:port, serial:///dev/ttyUSB0:57600",
+        "--connect", required=True, type=_link, metavar="LINK",
+        help="MAVLink link: udpin:0.0.0.0:14540, tcp:host:port, /dev/ttyUSB0,57600 (or as MAVSDK spells it)",
     )  # fmt: skip
     parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="name or path of the airframe file")
     parser.add_argument("--companion", type=int, default=191, metavar="ID", help="MAVLink component of the service")
@@ -34,12 +35,19 @@ def parser_for(name: str, text: str) -> argparse.ArgumentParser:
     return parser
 
 
+def _link(text: str) -> LinkAddress:
+    try:
+        return parse_link(text)
+    except Exception as error:  # argparse prints this sentence, and no other kind of exception's
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
 def _recording(group: argparse._ArgumentGroup, name: str) -> None:
     group.add_argument("--out", type=Path, default=Path("out/missions") / name, metavar="FOLDER")
     group.add_argument("--no-tap", action="store_true", help="do not write flight.tlog from this link")
     group.add_argument(
         "--service", metavar="LINK",
-        help="also run `spanwise run --record` on this link (mavutil's spelling) for the length of the mission",
+        help="also run `spanwise run --record` on this link for the length of the mission",
     )  # fmt: skip
 
 

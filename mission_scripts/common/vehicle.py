@@ -15,6 +15,7 @@ from mavsdk.plugins.action.action import Action
 from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkMessage
 from mavsdk.plugins.mission_raw.mission_raw import MissionRaw
 
+from companion.params.links import LinkAddress
 from mission_scripts.common.outcome import Aborted, Exit, MissionError, Refused
 from mission_scripts.common.places import Place, Route
 from mission_scripts.common.recording import Tap
@@ -40,9 +41,8 @@ class Vehicle:
 
     Parameters
     ----------
-    url : str
-        As MAVSDK spells it: ``udpin://0.0.0.0:14540``, ``udpout://host:port``, ``tcpout://host:port``,
-        ``serial:///dev/ttyUSB0:57600``.
+    link : LinkAddress
+        To the autopilot.
     watch : Watch
         Told what is heard.
     tap : Tap, optional
@@ -59,12 +59,12 @@ class Vehicle:
         The link cannot be opened, or no autopilot spoke in time.
     """
 
-    def __init__(self, url: str, watch: Watch, tap: Tap | None, timeout_s: float, interrupted: Event) -> None:
+    def __init__(self, link: LinkAddress, watch: Watch, tap: Tap | None, timeout_s: float, interrupted: Event) -> None:
         log_subscribe(lambda *_: True)  # its log would run through our progress lines
         kind = mavsdk.ComponentType.GROUND_STATION
         self._sdk = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(kind))
         try:
-            self._system = self._open(url, tap, timeout_s, interrupted)
+            self._system = self._open(link, tap, timeout_s, interrupted)
         except MissionError:
             self._sdk.destroy()
             raise
@@ -74,11 +74,11 @@ class Vehicle:
             self._direct.subscribe_message(name, lambda message, _: watch.take(message))
         self._system_id = self._system.get_system_id()
 
-    def _open(self, url: str, tap: Tap | None, timeout_s: float, interrupted: Event) -> Any:
+    def _open(self, link: LinkAddress, tap: Tap | None, timeout_s: float, interrupted: Event) -> Any:
         on = mavsdk.ForwardingOption.ON
-        result = self._sdk.add_any_connection_with_forwarding(url, on)
+        result = self._sdk.add_any_connection_with_forwarding(link.mavsdk_url, on)
         if result != mavsdk.ConnectionResult.SUCCESS:
-            raise Refused(f"--connect {url}: {mavsdk.ConnectionResult(result).name.lower().replace('_', ' ')}")
+            raise Refused(f"--connect {link}: {mavsdk.ConnectionResult(result).name.lower().replace('_', ' ')}")
         if tap is not None:
             # what comes on one connection is forwarded to all others: to this one, whose bytes are ours
             self._sdk.add_any_connection_with_forwarding("raw://", on)
@@ -89,7 +89,7 @@ class Vehicle:
                 raise Aborted("Ctrl-C", code=Exit.INTERRUPTED)
             system = self._sdk.first_autopilot(_LOOK_S)
         if system is None:
-            raise Refused(f"no autopilot on {url} within {timeout_s:g} s: is it powered, and is the link free?")
+            raise Refused(f"no autopilot on {link} within {timeout_s:g} s: is it powered, and is the link free?")
         return system
 
     def close(self) -> None:

@@ -1,7 +1,6 @@
 """Links: bytes in and out of UDP, TCP and serial connections, in bulk and without ever blocking.
 
-Spelled as pymavlink's mavutil spells them: ``udpin:host:port`` (also ``udp:``), ``udpout:host:port``,
-``tcp:host:port``, ``tcpin:host:port``, and a serial device path with ``,baud`` (115200 where it is left out).
+How a link is spelled is told by :mod:`companion.params.links`.
 """
 
 from __future__ import annotations
@@ -12,14 +11,11 @@ from companion.adapters.mavlink.serial_link import SerialTransport
 from companion.adapters.mavlink.signing import SignedTransport, Signing
 from companion.adapters.mavlink.tcp import TcpClient, TcpServer
 from companion.adapters.mavlink.udp import UdpIn, UdpOut
-from companion.errors import LinkError
+from companion.params.links import LinkAddress, LinkKind, parse_link
 from companion.ports import Clock
 from companion.records import RawChunk
 
 CHUNK_BYTES = 65536
-_SPELLINGS = (
-    "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or a serial device such as /dev/ttyAMA0,921600"
-)
 
 
 class Transport(Protocol):
@@ -91,36 +87,22 @@ def open_link(spelling: str, clock: Clock, number: int = 0, signing: Signing | N
     LinkError
         The spelling is wrong, or the connection cannot be opened; the message says what to do.
     """
-    transport = _open_transport(spelling)
+    address = parse_link(spelling)
+    transport = _open_transport(address)
     if signing is not None:
         transport = SignedTransport(transport, signing, number)
-    return Link(number, spelling, transport, clock, knocks=spelling.startswith("udpout:"))
+    return Link(number, str(address), transport, clock, knocks=address.kind is LinkKind.UDP_CALL)
 
 
-def _open_transport(spelling: str) -> Transport:
-    scheme, _, rest = spelling.partition(":")
-    if scheme in ("udp", "udpin"):
-        return UdpIn(*_address(spelling, rest))
-    if scheme == "udpout":
-        return UdpOut(*_address(spelling, rest))
-    if scheme == "tcp":
-        return TcpClient(*_address(spelling, rest))
-    if scheme == "tcpin":
-        return TcpServer(*_address(spelling, rest))
-    if spelling.startswith(("/", "./")):
-        return SerialTransport(*_device(spelling))
-    raise LinkError(f"'{spelling}' is not a connection; use {_SPELLINGS}")
-
-
-def _address(spelling: str, rest: str) -> tuple[str, int]:
-    host, _, port = rest.rpartition(":")
-    if not host or not port.isdigit() or not 0 <= int(port) <= 65535:
-        raise LinkError(f"'{spelling}' needs a host and a port, as in udpin:0.0.0.0:14550")
-    return host, int(port)
-
-
-def _device(spelling: str) -> tuple[str, int]:
-    path, comma, baud = spelling.partition(",")
-    if comma and not (baud.isdigit() and int(baud) > 0):
-        raise LinkError(f"'{spelling}': the baud rate must be a number, as in {path},921600")
-    return path, int(baud) if comma else 115200
+def _open_transport(address: LinkAddress) -> Transport:
+    match address.kind:
+        case LinkKind.UDP_LISTEN:
+            return UdpIn(address.host, address.port)
+        case LinkKind.UDP_CALL:
+            return UdpOut(address.host, address.port)
+        case LinkKind.TCP_CALL:
+            return TcpClient(address.host, address.port)
+        case LinkKind.TCP_LISTEN:
+            return TcpServer(address.host, address.port)
+        case LinkKind.SERIAL:
+            return SerialTransport(address.host, address.port)
