@@ -11,6 +11,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from typing import Any
 
 from companion.errors import SpanwiseError
 
@@ -24,6 +25,7 @@ _COMMANDS = {
     "diagnose": "what the simulation gets wrong on a recording, why, and what it is worth",
     "calibrate": "the stereo rig from images of a board, the cameras' mounting, the trigger latency",
     "identify": "wing modes from a ground vibration test or a flight, written as an airframe",
+    "new-airframe": "the first airframe file of an aircraft, from span, frequency, mass and cameras",
     "params": "the settings table: show, check or write config/PARAMETERS.md",
 }
 
@@ -38,15 +40,19 @@ def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
         if only in (None, name):
-            importlib.import_module(f"companion.cli.{name}").add_arguments(command)
+            _module(name).add_arguments(command)
     return parser
+
+
+def _module(command: str) -> Any:
+    return importlib.import_module(f"companion.cli.{command.replace('-', '_')}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; never a traceback for a bad input."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     options = build_parser(given[0] if given else "").parse_args(given)
-    module = importlib.import_module(f"companion.cli.{options.command}")
+    module = _module(options.command)
     try:
         code: int = module.execute(options)
     except SpanwiseError as error:

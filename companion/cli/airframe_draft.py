@@ -1,0 +1,213 @@
+"""The first airframe file of an aircraft, drafted from what its builder can measure in an hour.
+
+Everything that is not asked follows from beam theory, with a sigma as wide as the formula is rough. The formulas are
+written into the file beside the values, so that whoever measures better knows what to replace.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.core.wing.sensing import GRAVITY_MPS2
+
+SLOPE_FACTOR = 1.38
+"""Tip slope of a cantilever's first mode times its length over its tip deflection (uniform beam: 1.3765)."""
+STATIC_BEND = 1.545
+"""Tip deflection of a uniform cantilever under its own weight times omega^2 / g: (1.8751^4 = 12.362) / 8."""
+_SLOPE_SPREAD = 0.05  # 1.33 under an even static load to 1.50 under a tip load
+_STATIC_SPREAD = 0.3  # taper, and lift that is denser at the root
+_FREQUENCY_SPREAD = 0.1  # a tap test on the bench holds the fuselage, flight does not
+_ANTISYMMETRIC_RATIO, _ANTISYMMETRIC_SPREAD = 1.28, 0.15
+_DAMPING, _DAMPING_SIGMA = 0.03, 0.02
+_GUST_PER_G, _GUST_SPREAD = 1.0 / 3.0, 0.8
+_MOUNT_SIGMA_RAD = 0.01
+_FOCAL_SPREAD = 0.02
+_TRUST = 0.03
+"""sigma / range above which no range is trusted by default (RNG_TRUST)."""
+
+_AXES = {"down": '["y", "-x", "z"]', "forward": '["y", "z", "x"]'}
+_ORIENTATION = {"down": 25, "forward": 0, "none": 25}
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What the builder knows.
+
+    Attributes
+    ----------
+    frequency_hz, frequency_sigma_hz : float
+        Of the first symmetric bending mode.
+    wing_mass_kg : float
+        Both halves together, with what sits in them.
+    hanging : bool
+        The stereo calibration is made with the wing hanging by its own weight, the fuselage supported.
+    looks : str
+        ``down``, ``forward`` or ``none``.
+    station_y_m : float
+        From the centreline to node and camera.
+    tip_axes : str
+        Axes of a node that are measured, letters of "xyzpqr".
+    """
+
+    name: str
+    semispan_m: float
+    frequency_hz: float
+    frequency_sigma_hz: float
+    antisymmetric_hz: float
+    mass_kg: float
+    wing_mass_kg: float
+    hanging: bool
+    looks: str
+    focal_px: float
+    width_px: int
+    height_px: int
+    station_y_m: float
+    tip_axes: str
+    imu_rate_hz: float
+    accel_filter_hz: float
+    node_rate_hz: float
+
+
+def default_frequency_sigma_hz(frequency_hz: float) -> float:
+    """How far a tap test on the bench is trusted."""
+    return _FREQUENCY_SPREAD * frequency_hz
+
+
+def default_antisymmetric_hz(frequency_hz: float) -> float:
+    """Antisymmetric first bending, from the symmetric one: the ratio of the airframes in ``config``."""
+    return _ANTISYMMETRIC_RATIO * frequency_hz
+
+
+def bend_per_g_m(measured: Measured) -> float:
+    """Tip deflection that one further g adds: the fuselage hangs on the wing, whose own weight is borne where it is."""
+    return _own_weight_bend_m(measured) * (measured.mass_kg / measured.wing_mass_kg - 1.0)
+
+
+def trim_bend_m(measured: Measured) -> float:
+    """Tip deflection in level flight from the wing as calibrated."""
+    return bend_per_g_m(measured) + (_own_weight_bend_m(measured) if measured.hanging else 0.0)
+
+
+def trusted_to_m(measured: Measured) -> float:
+    """Range at which the trim bend's sigma alone uses up the trusted share of the range, matches not counted."""
+    toe_sigma_rad = 2.0 * SLOPE_FACTOR / measured.semispan_m * _relative_sigma(measured) * trim_bend_m(measured)
+    return _TRUST * 2.0 * measured.station_y_m / toe_sigma_rad
+
+
+def _own_weight_bend_m(measured: Measured) -> float:
+    return STATIC_BEND * GRAVITY_MPS2 / (math.tau * measured.frequency_hz) ** 2
+
+
+def _relative_sigma(measured: Measured) -> float:
+    return math.hypot(_STATIC_SPREAD, 2.0 * measured.frequency_sigma_hz / measured.frequency_hz)
+
+
+def draft(measured: Measured) -> str:
+    """The airframe file as TOML, commented."""
+    parts = [_head(measured), _wing(measured), _root(measured)]
+    parts += [_node(measured, side, component) for side, component in (("left", 200), ("right", 201))]
+    if measured.looks != "none":
+        parts += [_camera(measured, side) for side in ("left", "right")]
+    return "\n".join(parts)
+
+
+def _head(m: Measured) -> str:
+    eyes = "no cameras" if m.looks == "none" else f"two cameras looking {m.looks}"
+    return f"""\
+# Drafted by `spanwise new-airframe` from measurements of an hour; config/README.md explains every key.
+# Every sigma is wide on purpose: what is not known goes into the sigma of every range, and a range that
+# cannot be trusted is not published. Replace a value by a measured one, and its sigma by that of the measurement.
+name = "{m.name}"
+description = "{2 * m.semispan_m:g} m span, {m.mass_kg:g} kg, {m.frequency_hz:g} Hz wing, {eyes}"
+orientation = {_ORIENTATION[m.looks]}  # of the range: 25 down, 0 forward
+"""
+
+
+def _wing(m: Measured) -> str:
+    per_g, trim, spread = bend_per_g_m(m), trim_bend_m(m), _relative_sigma(m)
+    slope = SLOPE_FACTOR / m.semispan_m
+    gust = _GUST_PER_G * per_g
+    masses = f"{m.mass_kg:g} and {m.wing_mass_kg:g} kg"
+    percent = f"{100 * spread:.0f} %: {100 * _STATIC_SPREAD:.0f} %"
+    droop = (
+        f"and {STATIC_BEND} g / omega^2 for the wing that hung when calibrated" if m.hanging else "laid straight before"
+    )
+    return f"""\
+[wing]
+semispan_m = {m.semispan_m!r}
+# load over stiffness of a uniform beam: {STATIC_BEND} g / omega^2 (mass / wing mass - 1), {masses};
+# sigma {percent} for taper and the shape of the lift, and twice the frequency's
+bend_per_g_m = {_uncertain(per_g, spread * per_g)}
+# the same at 1 g, {droop}. The largest slow error of all:
+# fly level over ground of known height once (python -m mission_scripts.calibrate_target), write what it says
+trim_bend_m = {_uncertain(trim, spread * trim)}
+
+[wing.symmetric]
+frequency_hz = {_uncertain(m.frequency_hz, m.frequency_sigma_hz)}
+damping = {_uncertain(_DAMPING, _DAMPING_SIGMA)}  # structure 1 to 2 %, air the rest
+slope_factor_radpm = {_uncertain(slope, _SLOPE_SPREAD * slope)}  # {SLOPE_FACTOR} / semispan, a cantilever's first mode
+
+[wing.antisymmetric]
+frequency_hz = {_uncertain(m.antisymmetric_hz, _ANTISYMMETRIC_SPREAD * m.antisymmetric_hz)}
+damping = {_uncertain(_DAMPING, _DAMPING_SIGMA)}
+slope_factor_radpm = {_uncertain(slope, _SLOPE_SPREAD * slope)}
+
+[wing.gust]
+deflection_rms_m = {_uncertain(gust, _GUST_SPREAD * gust)}  # a third of what 1 g bends
+corners_hz = [2.0, 20.0]
+"""
+
+
+def _root(m: Measured) -> str:
+    return f"""\
+[root]  # the autopilot's IMU
+position_m = [0.0, 0.0, 0.0]
+rate_hz = {m.imu_rate_hz!r}
+lowpass_accel_hz = {m.accel_filter_hz!r}  # INS_ACCEL_FILTER and INS_GYRO_FILTER; read from the vehicle when it is there
+lowpass_gyro_hz = {m.accel_filter_hz!r}
+accel_scale_sigma = 0.005
+gyro_scale_sigma = 0.003
+misalignment_sigma_rad = 0.01  # aligned by eye
+source = {{ message = "HIGHRES_IMU", component = 1, clock = "boot" }}
+"""
+
+
+def _node(m: Measured, side: str, component: int) -> str:
+    y_m = -m.station_y_m if side == "left" else m.station_y_m
+    return f"""\
+[{side}]  # the {side} wing node
+position_m = [0.0, {y_m!r}, 0.0]  # x forward, y right, z down, from the autopilot's IMU
+rate_hz = {m.node_rate_hz!r}
+sends = "{m.tip_axes}"
+accel_scale_sigma = 0.01
+gyro_scale_sigma = 0.01
+misalignment_sigma_rad = 0.01  # aligned by eye
+time_offset_sigma_s = 0.0002
+source = {{ message = "HIGHRES_IMU", component = {component}, clock = "node_{side}" }}
+"""
+
+
+def _camera(m: Measured, side: str) -> str:
+    y_m = -m.station_y_m if side == "left" else m.station_y_m
+    return f"""\
+[{side}_camera]  # until `spanwise calibrate stereo` has measured lens and mounting
+width_px = {m.width_px}
+height_px = {m.height_px}
+focal_px = {_uncertain(m.focal_px, _FOCAL_SPREAD * m.focal_px)}  # data sheet
+principal_px = [{0.5 * (m.width_px - 1)!r}, {0.5 * (m.height_px - 1)!r}]
+position_m = [0.0, {y_m!r}, 0.0]
+axes = {_AXES[m.looks]}  # body directions of camera x (right), y (down), z (forward)
+rotation_sigma_rad = {_MOUNT_SIGMA_RAD}  # mounted by eye
+exposure_s = 0.002
+latency_s = {{ value = 0.008, sigma = 0.004 }}  # trigger command to start of exposure; learned in flight
+"""
+
+
+def _uncertain(value: float, sigma: float) -> str:
+    return f"{{ value = {_rounded(value)}, sigma = {_rounded(sigma)} }}"
+
+
+def _rounded(value: float) -> str:
+    """Four figures are more than any of this is known to; TOML wants a digit on both sides of the point."""
+    return repr(float(f"{value:.4g}"))
