@@ -3,9 +3,10 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.stamp
+SECONDS ?= 120
 WAITING := sitl_tests/loop/test_missions.py
 
-.PHONY: demo test long check warm fast lint types architecture generated bench trials lock clean help
+.PHONY: demo test long check warm fuzz fast lint types architecture generated bench trials lock clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -51,6 +52,9 @@ warm: $(STAMP)   ## compile the inner loops ahead of their first use
 
 bench: $(STAMP)  ## speed, memory and accuracy figures, side by side with the alternatives
 	$(BIN)/python -m tools.bench
+
+fuzz: $(STAMP)   ## hostile inputs to every reader, the decoder and the service for SECONDS=120; findings stay in out/fuzz
+	$(BIN)/python -m sitl_tests.fuzz --seconds $(SECONDS) --jobs 2
 
 trials: $(STAMP) ## blind trials of the diagnosis: table and confusion matrix in out/trials
 	$(BIN)/python -m tools.trials

@@ -1,0 +1,230 @@
+"""Runs cases in a child with a time and a memory limit; whatever is no data and no refusal is a finding."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import signal
+import time
+import traceback
+import warnings
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+
+from sitl_tests.fuzz.target import Ending, Target
+
+TIME_LIMIT_S = 10
+MEMORY_LIMIT_BYTES = 1 << 30
+_PATIENCE_S = 60.0
+_LOADING_S = 300.0
+
+
+class TooSlow(BaseException):
+    """The time limit; no Exception, so that no reader takes it for damage."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A case that ended in neither data nor a refusal."""
+
+    target: str
+    seed: int
+    number: int
+    problem: str
+
+
+@dataclass(slots=True)
+class Result:
+    """What came of a target's cases; ``slowest_s`` is the most processor time of one case."""
+
+    target: str
+    cases: int = 0
+    slowest_s: float = 0.0
+    endings: Counter[str] = field(default_factory=Counter)
+    counts: Counter[str] = field(default_factory=Counter)
+    findings: list[Finding] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What the child says: a case begins, or has ended."""
+
+    number: int
+    ending: str = ""
+    problem: str = ""
+    took_s: float = 0.0
+    counts: Counter[str] = field(default_factory=Counter)
+    alive: bool = True
+
+
+def make_case(target: Target, seed: int, number: int) -> bytes:
+    """The input of a case; the same for the same target, seed and number."""
+    return target.case(np.random.default_rng([seed, zlib.crc32(target.name.encode()), number]))
+
+
+def fuzz(
+    make: Callable[[], Target],
+    seed: int,
+    *,
+    cases: int | None = None,
+    seconds: float | None = None,
+    folder: Path | None = None,
+    most_findings: int = 20,
+) -> Result:
+    """Run a target's cases until the count, the time or the patience with findings is over.
+
+    Parameters
+    ----------
+    make : callable
+        Gives the target; it is called in the child too, so it must be picklable.
+    folder : Path, optional
+        Where inputs of findings are kept, with what they led to.
+    """
+    target = make()
+    result = Result(target.name)
+    began = time.monotonic()
+    next_case = 0
+
+    def going() -> bool:
+        short = cases is None or next_case < cases
+        return (
+            short and (seconds is None or time.monotonic() - began < seconds) and len(result.findings) < most_findings
+        )
+
+    while going():
+        child = _Child(make, seed, next_case)
+        try:
+            while going():
+                told = child.next_case()
+                next_case = told.number + 1
+                result.cases += 1
+                result.slowest_s = max(result.slowest_s, told.took_s)
+                result.counts += told.counts
+                if told.problem:
+                    finding = Finding(target.name, seed, told.number, told.problem)
+                    result.findings.append(finding)
+                    if folder is not None:
+                        _keep(folder, finding, make_case(target, seed, told.number))
+                    if not told.alive:
+                        break
+                else:
+                    result.endings[told.ending] += 1
+        finally:
+            child.end()
+    return result
+
+
+class _Child:
+    """The process that runs the cases, as its parent sees it."""
+
+    def __init__(self, make: Callable[[], Target], seed: int, first: int) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._ours, theirs = spawn.Pipe()
+        self._process = spawn.Process(target=_run_cases, args=(make, seed, first, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._number = first
+        self._patience_s = _LOADING_S
+
+    def next_case(self) -> _Told:
+        """Let one case run and say how it ended."""
+        number = self._number
+        self._number += 1
+        try:
+            self._ours.send(True)
+            while self._ours.poll(self._patience_s):
+                self._patience_s = _PATIENCE_S
+                told: _Told = self._ours.recv()
+                if told.ending or told.problem:
+                    return told
+            problem = f"no end after {self._patience_s:.0f} s, not even by an alarm"
+            return _Told(number, problem=problem, took_s=self._patience_s, alive=False)
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            self._process.join(_PATIENCE_S)
+            if self._patience_s == _LOADING_S:
+                raise RuntimeError(f"the target does not start: code {self._process.exitcode}") from None
+            return _Told(number, problem=f"the process ended with code {self._process.exitcode}", alive=False)
+
+    def end(self) -> None:
+        """Stop it, wherever it is."""
+        self._ours.close()
+        self._process.kill()
+        self._process.join()
+
+
+def _run_cases(make: Callable[[], Target], seed: int, first: int, pipe: Connection) -> None:
+    """The child's life: one case for every word from the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGPROF, _alarm)
+    warnings.simplefilter("ignore")
+    target = make()
+    target.warm()
+    _be_quiet()
+    _limit_memory()
+    number = first
+    try:
+        while pipe.recv():
+            pipe.send(_Told(number))
+            pipe.send(run_case(target, make_case(target, seed, number), number))
+            number += 1
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        pass
+
+
+def run_case(target: Target, data: bytes, number: int = 0) -> _Told:
+    """Run one input under the time limit, and put what it raises into words."""
+    target.counts = Counter()
+    ending, problem, began = "", "", time.process_time()
+    signal.setitimer(signal.ITIMER_PROF, TIME_LIMIT_S)  # processor time: a busy machine is no finding
+    try:
+        ending = str(target.run(data))
+    except (Exception, TooSlow):
+        problem = traceback.format_exc(limit=-8)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+    return _Told(number, ending, problem, time.process_time() - began, target.counts)
+
+
+def _alarm(number: int, frame: object) -> None:
+    raise TooSlow(f"more than {TIME_LIMIT_S} s")
+
+
+def _be_quiet() -> None:
+    """What libraries say of damaged files belongs to nobody."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+
+
+def _limit_memory() -> None:
+    """Allow so much address space beyond what is in use now."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    limit = pages * resource.getpagesize() + MEMORY_LIMIT_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+def _keep(folder: Path, finding: Finding, data: bytes) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    stem = f"{finding.target}-{finding.seed}-{finding.number}"
+    (folder / f"{stem}.bin").write_bytes(data)
+    (folder / f"{stem}.txt").write_text(finding.problem, encoding="utf-8", errors="backslashreplace")
+
+
+def table(results: list[Result]) -> str:
+    """The counts, a line for each target."""
+    lines = [f"{'target':12s}{'cases':>9s}{'data':>9s}{'refusals':>10s}{'findings':>10s}{'slowest, s':>12s}"]
+    for entry in results:
+        data, refusals = entry.endings[Ending.DATA], entry.endings[Ending.REFUSAL]
+        lines.append(
+            f"{entry.target:12s}{entry.cases:9d}{data:9d}{refusals:10d}{len(entry.findings):10d}{entry.slowest_s:12.2f}"
+        )
+    for entry in results:
+        lines += [f"{entry.target}: {count} {what}" for what, count in sorted(entry.counts.items())]
+    return "\n".join(lines)

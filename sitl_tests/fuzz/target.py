@@ -1,0 +1,46 @@
+"""What is fuzzed: a target makes an input from a random generator and runs it."""
+
+from __future__ import annotations
+
+import enum
+from collections import Counter
+from typing import Protocol
+
+import numpy as np
+
+
+class Ending(enum.StrEnum):
+    """How a case may end; anything else is a finding."""
+
+    DATA = "data"
+    REFUSAL = "refusal"
+
+
+class Violation(AssertionError):
+    """A property does not hold though nothing was raised."""
+
+
+class Target(Protocol):
+    """One kind of input.
+
+    Attributes
+    ----------
+    name : str
+    counts : Counter
+        What the cases met with beside their endings; for the report alone.
+    """
+
+    name: str
+    counts: Counter[str]
+
+    def warm(self) -> None:
+        """Load and compile whatever the first case would otherwise be charged for."""
+        ...
+
+    def case(self, rng: np.random.Generator) -> bytes:
+        """Make an input; equal generators give equal inputs."""
+        ...
+
+    def run(self, data: bytes) -> Ending:
+        """Use the input as a user would; raises for a finding."""
+        ...
