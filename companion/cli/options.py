@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 
 from companion.errors import ConfigError
-from companion.params.persist import load_stored
+from companion.params.persist import Stored, load_stored
 from companion.params.settings import Settings
 
 
@@ -26,6 +26,9 @@ def read_settings(options: argparse.Namespace) -> Settings:
     settings = Settings()
     for name, value in _from_file(options.settings).items():
         settings = settings.replace(name, value)
+    clash = settings.conflict()
+    if clash is not None:
+        raise ConfigError(f"{options.settings}: {clash.text}")
     settings = _stored(getattr(options, "parameters", None), settings)
     for change in options.changes:
         name, equals, text = change.partition("=")
@@ -36,6 +39,9 @@ def read_settings(options: argparse.Namespace) -> Settings:
         if not equals:
             raise ConfigError(f"--set {change}: give NAME=VALUE")
         settings = settings.replace(name.strip(), value)
+    clash = settings.conflict()
+    if clash is not None:
+        raise ConfigError(f"{clash.text}: change one of them (--set, --settings)")
     return settings
 
 
@@ -46,10 +52,13 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
     stored = load_stored(path)
     for problem in stored.problems:
         print(problem, file=sys.stderr)
-    if stored.values:
-        told = ", ".join(f"{name} {value:g}" for name, value in sorted(stored.values.items()))
+    values, problems = settings.agreeing(stored.values)
+    for problem in problems:
+        print(f"{path}: {problem}", file=sys.stderr)
+    if values:
+        told = ", ".join(f"{name} {value:g}" for name, value in sorted(values.items()))
         print(f"set from a ground station: {told} (kept in {path})", file=sys.stderr)
-    return stored.over(settings)
+    return Stored(values).over(settings)
 
 
 def state_file(name: str) -> Path:

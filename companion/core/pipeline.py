@@ -20,6 +20,7 @@ from companion.core.clock.silent import SilentNodes
 from companion.core.delivery import Delivery
 from companion.core.mode.tracker import WingTracker
 from companion.core.publishing import Publishing
+from companion.core.silence import RangeSilence
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.trigger.blur import Motion
@@ -77,6 +78,7 @@ class PipelineState:
     delivery: Delivery = field(default_factory=Delivery)
     filters: VehicleFilters = field(default_factory=VehicleFilters)
     silent: SilentNodes = field(default_factory=SilentNodes)
+    silence: RangeSilence = field(default_factory=RangeSilence)
     validity: Validity | None = None  # of what the tracker says; None until there is something
     vehicle: VehicleState | None = None
     counters: Counter[str] = field(default_factory=Counter)
@@ -110,7 +112,9 @@ def step(state: PipelineState, record: Record) -> tuple[PipelineState, list[Outp
     if handler is None:
         return state, []
     outputs = handler(state, record)
+    state.silence.note(record)
     for output in outputs:
+        state.silence.note(output)
         if isinstance(output, Rejected):
             state.counters[str(output.reason)] += output.count
     return state, outputs
@@ -321,6 +325,8 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         airspeed_mps = state.vehicle.airspeed_mps if state.vehicle else 0.0
         outputs += state.correction.due(state.tracker, now_ns, climb_mps, airspeed_mps)
     outputs += state.publishing.tick(now_ns, outputs, state.tracker.describe, state.validity, state.settings)
+    if state.correction is not None and state.validity is not None:
+        state.silence.tick(now_ns, usable=_tracked(state) and _unlearned(state) is None)
     if now_ns >= state.next_status_ns:
         state.next_status_ns = now_ns + _STATUS_PERIOD_NS
         outputs += _status(state, now_ns)
@@ -339,10 +345,11 @@ def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     health, reason = _health(state, now_ns)
     clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
     latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
+    say = reason if reason == _BLIND else state.silence.due(reason, state.settings, now_ns)
     return [
         *clocks,
         *([] if latency is None else [latency]),
-        *([Notice(_WARNING, reason, now_ns)] if reason == _BLIND else []),
+        *([] if say is None else [Notice(_WARNING, say, now_ns)]),
         ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items()))),
     ]
 
@@ -360,11 +367,25 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
         return Health.CRITICAL, f"lost sync with {', '.join(unsynced)}"
     if state.scheduling is not None and state.scheduling.blind(now_ns):
         return Health.CRITICAL, _BLIND
-    if state.validity in (Validity.TRACKING, Validity.CALM):
-        return Health.ACTIVE, str(state.validity)
+    if _tracked(state):
+        early = _unlearned(state)
+        if early is not None:
+            return Health.STANDBY, f"{state.validity}; no range yet: {early}"
+        silence = state.silence.reason(state.settings) if state.correction is not None else None
+        return (Health.ACTIVE, str(state.validity)) if silence is None else (Health.STANDBY, silence)
     if state.validity is Validity.SETTLING:
         return Health.STANDBY, str(state.validity)
     return Health.CRITICAL, str(state.validity)
+
+
+def _tracked(state: PipelineState) -> bool:
+    """Whether the wing is known well enough for ranges."""
+    return state.validity in (Validity.TRACKING, Validity.CALM)
+
+
+def _unlearned(state: PipelineState) -> Reject | None:
+    """Why the tracker would withhold every range for now, on an airframe that has cameras."""
+    return state.tracker.distrust if state.correction is not None else None
 
 
 def smoothed(state: PipelineState, t_host_ns: int) -> Deflection | Reject:

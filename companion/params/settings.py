@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -68,6 +68,14 @@ def _tunable(
 
 
 @dataclass(frozen=True, slots=True)
+class Conflict:
+    """Settings, by MAVLink name, that are each in range and together leave nothing to publish; and why, in words."""
+
+    names: tuple[str, ...]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """The values in force. Attribute names carry the unit; see :func:`tunables` for the rest of each row."""
 
@@ -104,7 +112,9 @@ class Settings:
     trigger_policy: int = _tunable(
         "TRG_POLICY", "", 0, 2, 0, "When to fire", choices=("peaks, timer when calm", "timer", "off")
     )
-    trigger_rate_hz: float = _tunable("TRG_RATE", "Hz", 0.5, 30, 10, "Most shots per second")
+    trigger_rate_hz: float = _tunable(
+        "TRG_RATE", "Hz", 1, 30, 10, "Most shots per second; ranges over 2 s apart would not vouch for each other"
+    )
     trigger_sigma_s: float = _tunable(
         "TRG_SIGMA", "s", 0.0005, 0.05, 0.025, "Skip a peak whose time is less certain than this"
     )
@@ -117,7 +127,9 @@ class Settings:
     min_range_m: float = _tunable("RNG_MIN", "m", 0.5, 100, 4, "Shortest range that is published")
     max_range_m: float = _tunable("RNG_MAX", "m", 5, 500, 200, "Longest range that is published")
     trust_ratio: float = _tunable("RNG_TRUST", "", 0.005, 0.2, 0.03, "Largest sigma/range that is trusted")
-    min_matches: int = _tunable("RNG_MATCHES", "", 4, 500, 12, "Fewest matches for a range")
+    min_matches: int = _tunable(
+        "RNG_MATCHES", "", 4, 100, 12, "Fewest matches for a range; of 200 corners that are tried, about half match"
+    )
     product: int = _tunable(
         "RNG_PRODUCT", "", 0, 2, 0, "Which range is published", choices=("median", "nearest", "centre")
     )
@@ -168,6 +180,27 @@ class Settings:
                 change: dict[str, Any] = {row.attribute: int(value) if row.integer else float(value)}
                 return dataclasses.replace(self, **change)
         raise ConfigError(f"no parameter '{name}'")
+
+    def conflict(self, reserved: Collection[int] = ()) -> Conflict | None:
+        """Say which settings contradict each other; ``reserved`` are component ids that belong to others."""
+        if self.min_range_m >= self.max_range_m:
+            text = f"RNG_MIN {self.min_range_m:g} m must be below RNG_MAX {self.max_range_m:g} m"
+            return Conflict(("RNG_MIN", "RNG_MAX"), text)
+        if self.component_id in reserved:
+            return Conflict(("SW_COMPID",), f"SW_COMPID {self.component_id} is a sensor's component id")
+        return None
+
+    def agreeing(self, values: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
+        """Leave out of stored values those that would contradict the rest, with a sentence for each contradiction."""
+        settings = self
+        for name, value in values.items():
+            settings = settings.replace(name, value)
+        clash = settings.conflict()
+        dropped = [] if clash is None else sorted(values.keys() & set(clash.names))
+        if clash is None or not dropped:
+            return dict(values), []
+        rest, problems = self.agreeing({name: value for name, value in values.items() if name not in dropped})
+        return rest, [f"{clash.text}: {', '.join(dropped)} not used", *problems]
 
 
 def tunables() -> Iterator[Tunable]:

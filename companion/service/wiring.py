@@ -23,11 +23,11 @@ from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
 from companion.core.warming import warm_up
-from companion.errors import SpanwiseError
+from companion.errors import ConfigError, SpanwiseError
 from companion.params.persist import Keeper, load_stored
 from companion.params.settings import Settings, tunables
 from companion.ports import Clock, Recorder
-from companion.records import Record, Rejected, Shot, TriggerPlan
+from companion.records import Record, Rejected, Shot, Station, TriggerPlan
 from companion.service import inertial, vision
 from companion.service.channel import Receiver, Sender, channel
 from companion.service.config import ServiceConfig
@@ -45,6 +45,7 @@ class Service(Supervisor):
 
     def __init__(self, config: ServiceConfig) -> None:
         super().__init__(MonotonicClock())
+        _check_settings(config)
         _try_links(config)
         self._scratch = tempfile.TemporaryDirectory(prefix="spanwise-")
         if config.parameters is None:  # what is set must outlive a restart of the process, if not of the service
@@ -127,8 +128,8 @@ def _ignore_interrupt() -> None:
 
 
 def _stored(config: ServiceConfig) -> dict[str, float]:
-    """What a ground station has set up to now, by MAVLink name."""
-    return {} if config.parameters is None else load_stored(config.parameters).values
+    """What a ground station has set up to now, by MAVLink name, less what contradicts itself."""
+    return {} if config.parameters is None else Settings().agreeing(load_stored(config.parameters).values)[0]
 
 
 def resumed(settings: Settings, at_start: Mapping[str, float], now: Mapping[str, float]) -> Settings:
@@ -186,10 +187,21 @@ def _unheard(record: Record) -> None:
 
 def _component(config: ServiceConfig, signing: Signing | None) -> OwnComponent:
     """Our own MAVLink component, which keeps its parameters where that is asked for."""
-    parameters = ParameterServer(config.settings)
+    reserved = _sensor_components(config)
+    parameters = ParameterServer(config.settings, reserved=reserved)
     if config.parameters is not None:
-        parameters = ParameterServer(config.settings, Keeper(config.parameters), _stored(config))
+        parameters = ParameterServer(config.settings, Keeper(config.parameters), _stored(config), reserved)
     return OwnComponent(parameters, signing=signing)
+
+
+def _sensor_components(config: ServiceConfig) -> frozenset[int]:
+    return frozenset(config.airframe.sensor(station).source.component for station in Station)
+
+
+def _check_settings(config: ServiceConfig) -> None:
+    clash = config.settings.conflict(_sensor_components(config))
+    if clash is not None:
+        raise ConfigError(f"{clash.text}: change it (--set, --settings)")
 
 
 def _trigger_process(config: ServiceConfig, line: socket.socket, stop: Event) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Protocol
 
 from companion.adapters.mavlink.dialect import mavlink
@@ -68,6 +68,8 @@ class ParameterServer:
         Told every value that was set (by name) after each change; None keeps nothing.
     kept
         Values that were stored before, so that they stay stored.
+    reserved
+        Component ids of others, which ours must not become.
     """
 
     def __init__(
@@ -75,8 +77,11 @@ class ParameterServer:
         settings: Settings,
         store: Store | None = None,
         kept: Mapping[str, float] | None = None,
+        reserved: Collection[int] = (),
     ) -> None:
         self.settings = settings
+        self._next = settings  # with what acts from the next start on
+        self._reserved = reserved
         self.refused = 0
         self._component = settings.component_id
         self._rows: tuple[Tunable, ...] = tuple(tunables())
@@ -158,6 +163,9 @@ class ParameterServer:
         problem = row.check(value)
         if message.param_type != _REAL32:
             problem = f"{row.name} is REAL32, not type {message.param_type}"
+        if problem is None:
+            clash = self._next.replace(row.name, value).conflict(self._reserved)
+            problem = None if clash is None else clash.text
         if problem is not None:
             self.refused += 1
             self._say(_WARNING, problem, heard.received_host_ns)
@@ -168,6 +176,7 @@ class ParameterServer:
 
     def _accept(self, row: Tunable, value: float, now_host_ns: int) -> None:
         self._values[row.name] = self._kept[row.name] = value
+        self._next = self._next.replace(row.name, value)
         if row.live:
             self.settings = self.settings.replace(row.name, value)
             self._changes.append(ParameterChange(row.name, value, now_host_ns))
