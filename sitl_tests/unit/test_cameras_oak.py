@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import http.server
+import os
+import subprocess
+import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
+from companion.adapters.cameras import oak
 from companion.adapters.cameras.oak import (
     OakPair,
     OakReplayPair,
@@ -107,6 +113,87 @@ def test_long_up_times_keep_their_microseconds() -> None:
 def test_the_library_s_clock_is_the_host_s() -> None:
     before, there, after = time.monotonic(), dai.Clock.now().total_seconds(), time.monotonic()
     assert before - 1e-5 <= there <= after + 1e-5
+
+
+# ------------------------------------------------------------------------------------------------ left alone
+
+
+def test_no_pipeline_of_ours_calibrates_the_device(videos: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """By itself the library would, at each start of a pipeline with a calibrated pair, and write it to the device."""
+    off = dai.Pipeline.AutoCalibrationMode.OFF
+    assert dai.Pipeline(createImplicitDevice=False).getAutoCalibrationMode() is not off, "the library's own way"
+    replayed = OakReplayPair(*videos, OakTiming())
+    replayed.close()
+    monkeypatch.setattr(oak, "library", lambda: WithoutDevice())
+    monkeypatch.setattr(oak, "camera_queue", lambda *_: None)
+    monkeypatch.setattr(OakPair, "_start", lambda _: None)
+    one = OakPair(OakSensor("", "CAM_B"), OakSensor("", "CAM_C"), (64, 48), OakTiming())
+    two = OakPair(OakSensor("a", "CAM_B"), OakSensor("b", "CAM_B"), (64, 48), OakTiming())
+    pipelines = [pipeline for pair in (replayed, one, two) for pipeline in pair._pipelines.values()]
+    assert len(pipelines) == 4
+    assert {pipeline.getAutoCalibrationMode() for pipeline in pipelines} == {off}
+
+
+class WithoutDevice:
+    """The library, with pipelines that need no device."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(dai, name)
+
+    def Device(self, *_: object) -> None:
+        """None is there."""
+
+    def DeviceInfo(self, *_: object) -> None:
+        """None is there."""
+
+    @property
+    def Pipeline(self) -> Any:
+        class Pipeline(dai.Pipeline):  # type: ignore[misc]
+            def __init__(self, _device: object) -> None:
+                super().__init__(createImplicitDevice=False)
+
+            def create(self, *_: object) -> None:
+                """A camera needs a device."""
+
+        return Pipeline
+
+
+_FLIGHT = "import time; pipeline = dai.Pipeline(createImplicitDevice=False); pipeline.start(); time.sleep(0.5)"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("opened", "chatty"),
+    [
+        ("import depthai as dai", True),  # the library's own way, which shows that this test would hear it
+        ("from companion.adapters.cameras.oak import library; dai = library()", False),
+    ],
+    ids=["by itself", "ours"],
+)
+def test_the_library_tells_its_maker_nothing(opened: str, chatty: bool, tmp_path: Path) -> None:
+    heard: list[bytes] = []
+
+    class Maker(http.server.BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            heard.append(self.rfile.read(int(self.headers["content-length"] or 0)))
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Maker) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        surroundings = {key: value for key, value in os.environ.items() if key != "DEPTHAI_TELEMETRY"}
+        surroundings |= {
+            "DEPTHAI_TELEMETRY_URL": f"http://127.0.0.1:{server.server_port}",
+            "DEPTHAI_CACHE_DIR": str(tmp_path),
+            "HOME": str(tmp_path),
+        }
+        subprocess.run([sys.executable, "-c", f"{opened}; {_FLIGHT}"], env=surroundings, check=True, timeout=60)
+        time.sleep(0.5)
+        server.shutdown()
+    assert bool(heard) == chatty
 
 
 # ------------------------------------------------------------------------------------------------ set-up

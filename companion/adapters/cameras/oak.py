@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import importlib
+import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,7 +143,7 @@ class OakPair(QueuePair):
             device = dai.Device(dai.DeviceInfo(sensor.device)) if sensor.device else dai.Device()
             if self._timing.external and self._soft is None:
                 listen_to_line(device, dai)
-            self._pipelines[sensor.device] = dai.Pipeline(device)
+            self._pipelines[sensor.device] = untouched(dai.Pipeline(device), dai)
             if self._soft is not None:
                 self._fire.append(fire_queue(self._pipelines[sensor.device], self._soft, dai))
         node = self._pipelines[sensor.device].create(dai.node.Camera)
@@ -170,7 +171,7 @@ class OakReplayPair(QueuePair):
     def __init__(self, left: Path, right: Path, timing: OakTiming) -> None:
         super().__init__(timing)
         dai = self._dai
-        pipeline = dai.Pipeline(createImplicitDevice=False)
+        pipeline = untouched(dai.Pipeline(createImplicitDevice=False), dai)
         self._pipelines["replay"] = pipeline
         self._waiting: dict[int, Frame] = {}
         for path in (left, right):
@@ -243,8 +244,25 @@ def frame_of(image: Any, side: Side, timing: OakTiming, dai: Any) -> Frame:
     )
 
 
+def untouched(pipeline: Any, dai: Any) -> Any:
+    """The pipeline, forbidden to calibrate the device.
+
+    Where a calibrated pair of cameras is in it, DepthAI 3.6 and later would put a node in that calibrates when the
+    pipeline starts, and writes the result to the device. On a wing that bends it would calibrate the bend.
+    """
+    pipeline.setAutoCalibrationMode(dai.Pipeline.AutoCalibrationMode.OFF)
+    return pipeline
+
+
 def library() -> Any:
-    """The ``depthai`` module; :class:`DeviceError` where it is not installed."""
+    """The ``depthai`` module, which tells its maker nothing unless the user says so (``DEPTHAI_TELEMETRY=1``).
+
+    Raises
+    ------
+    DeviceError
+        It is not installed.
+    """
+    os.environ.setdefault("DEPTHAI_TELEMETRY", "0")  # read when it is imported
     try:
         return importlib.import_module("depthai")
     except ImportError as error:
