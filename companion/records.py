@@ -91,6 +91,8 @@ class Reject(enum.StrEnum):
     FRAME_LOST = "exposure whose image never came"
     FOREIGN_SOURCE = "message from a component that is not mapped"
     CRC = "checksum wrong"
+    IMPLAUSIBLE = "parameter outside its plausible range"
+    INTERNAL_ERROR = "internal error"
 
 
 class Validity(enum.StrEnum):

@@ -18,6 +18,7 @@ from companion.adapters.mavlink.signing import load_signing
 from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
 from companion.cli.checks.examine import Examination, read_log
 from companion.cli.checks.link import check_computer, check_link
+from companion.cli.checks.parameters import check_parameters
 from companion.cli.checks.ranging import check_ranging
 from companion.cli.checks.timing import check_clocks, check_filters, check_rates
 from companion.cli.checks.wing import check_cameras, check_nodes
@@ -30,6 +31,7 @@ _TRIES = 3
 _ANSWER_NS = 1_000_000_000
 _CHECKS = (
     check_link,
+    check_parameters,
     check_rates,
     check_filters,
     check_clocks,

@@ -30,6 +30,7 @@ from companion.core.vehicle_filters import VehicleFilters
 from companion.core.wing.folding import folded
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
+from companion.params.vehicle import implausible
 from companion.records import (
     AutopilotParameter,
     CameraFeedback,
@@ -85,14 +86,23 @@ class PipelineState:
     waiting: dict[Station, list[ImuBatch]] = field(default_factory=dict)
     next_track_ns: int = 0
     next_status_ns: int = 0
+    hub: ClockName | None = None
+    now_ns: int = 0  # of the last tick, for what has no time of its own
+    next_error_ns: int = 0
 
 
-def start(airframe: Airframe, settings: Settings, hub: ClockName | None = None) -> PipelineState:
-    """Begin with the airframe's beliefs; ``hub`` names the only clock of a log that has just one."""
+def start(
+    airframe: Airframe, settings: Settings, hub: ClockName | None = None, clocks: ClockBank | None = None
+) -> PipelineState:
+    """Begin with the airframe's beliefs.
+
+    ``hub`` names the only clock of a log that has just one; ``clocks`` is what is known of them from before.
+    """
     airframe = folded(airframe)
-    clocks = ClockBank()
-    if hub is not None:
-        clocks.identity(hub)
+    if clocks is None:
+        clocks = ClockBank()
+        if hub is not None:
+            clocks.identity(hub)
     has_cameras = airframe.left_camera is not None and airframe.right_camera is not None
     return PipelineState(
         airframe=airframe,
@@ -103,6 +113,7 @@ def start(airframe: Airframe, settings: Settings, hub: ClockName | None = None) 
         correction=Correction.create(airframe, settings) if has_cameras else None,
         publishing=Publishing(airframe.orientation),
         feedback=Feedback(airframe, clocks),
+        hub=hub,
     )
 
 
@@ -144,14 +155,21 @@ def _take_samples(state: PipelineState) -> list[OutputRecord]:
 def _adapt_to_delivery(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Take the rates that really come for those that the airframe file believes."""
     said: list[OutputRecord] = []
-    for station, rate_hz in state.delivery.changed(state.airframe):
-        name, sensor = station.name.lower(), state.airframe.sensor(station)
+    airframe = state.airframe
+    for station, rate_hz in state.delivery.changed(airframe):
+        name, sensor = station.name.lower(), airframe.sensor(station)
         changed: dict[str, Any] = {name: dataclasses.replace(sensor, rate_hz=rate_hz)}
-        state.airframe = dataclasses.replace(state.airframe, **changed)
+        airframe = dataclasses.replace(airframe, **changed)
         said.append(Notice(4, f"{name} comes at {rate_hz:.0f} Hz, not {sensor.rate_hz:.0f}: tracker restarted", now_ns))
     if said:
-        state.tracker = WingTracker(state.airframe, state.settings)
+        _rebuild(state, airframe)
     return said
+
+
+def _rebuild(state: PipelineState, airframe: Airframe) -> None:
+    """Start the tracker with another airframe; one that no tracker can be built for does not stay."""
+    state.tracker = WingTracker(airframe, state.settings)
+    state.airframe = airframe
 
 
 def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
@@ -187,8 +205,7 @@ def _adopt_alignment(state: PipelineState, clock: ClockName, now_ns: int) -> lis
         sensor = getattr(state.airframe, name)
         if sensor.source.clock is clock and sensor.time_offset_sigma_s < sigma_s:
             changed: dict[str, Any] = {name: dataclasses.replace(sensor, time_offset_sigma_s=sigma_s)}
-            state.airframe = dataclasses.replace(state.airframe, **changed)
-            state.tracker = WingTracker(state.airframe, state.settings)
+            _rebuild(state, dataclasses.replace(state.airframe, **changed))
     return [Notice(4, f"{clock} answers no TIMESYNC: aligned by motion, sigma {1e3 * sigma_s:.1f} ms", now_ns)]
 
 
@@ -245,21 +262,25 @@ def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecor
 
 def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter) -> list[OutputRecord]:
     """The autopilot's filters are its own affair: take what it says over what the airframe file believes."""
-    filters = state.filters
+    filters, at_ns = state.filters, parameter.received_host_ns
+    why = implausible(parameter.name, parameter.value)
+    fresh = filters.note_refusal(parameter.name, why)
+    if why is not None:
+        refused = Rejected(Reject.IMPLAUSIBLE, f"parameter {parameter.name}", at_ns)
+        return [refused, Notice(_WARNING, why, at_ns)] if fresh else [refused]
     before = (filters.gyro_delay_s, filters.stamp_shift_ns)
     if not filters.take(parameter.name, parameter.value):
         return []
     airframe = filters.applied(state.airframe)
     said: list[OutputRecord] = []
     if airframe != state.airframe:
-        state.airframe = airframe
-        state.tracker = WingTracker(state.airframe, state.settings)
+        _rebuild(state, airframe)
         text = f"{parameter.name} is {parameter.value:g} Hz on the vehicle: tracker restarted with it"
-        said.append(Notice(4, text, parameter.received_host_ns))
+        said.append(Notice(4, text, at_ns))
     if (filters.gyro_delay_s, filters.stamp_shift_ns) != before:
         delays_ms = f"rates {1e3 * filters.gyro_delay_s:.2f} ms, stamps {1e-6 * filters.stamp_shift_ns:+.2f} ms"
         text = f"{parameter.name} {parameter.value:g}: undone ({delays_ms})"
-        said.append(Notice(6, text, parameter.received_host_ns))
+        said.append(Notice(6, text, at_ns))
     return said
 
 

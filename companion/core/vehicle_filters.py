@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from companion.params.airframe import Airframe, Sensor
+from companion.params.vehicle import implausible
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Station
 
 NAMES = (
@@ -41,22 +42,36 @@ _STATIONS = ("root", "left", "right")
 
 @dataclass(slots=True)
 class VehicleFilters:
-    """Parameters as far as the vehicle has told them, and the last sample of each station for the notches' inverse."""
+    """Parameters as far as the vehicle has told them, and the last sample of each station for the notches' inverse.
+
+    A value outside the range of :data:`companion.params.vehicle.VEHICLE_PARAMETERS` is not taken: what was told before
+    it, or else the airframe file's belief, goes on.
+    """
 
     values: dict[str, float] = field(default_factory=dict)
     gyro_delay_s: float = 0.0
     stamp_shift_ns: int = 0
+    _refused: set[str] = field(default_factory=set)
     _last: dict[Station, tuple[int, Floats]] = field(default_factory=dict)
 
     def take(self, name: str, value: float) -> bool:
-        """Take note of a parameter; whether it is one that matters, and new."""
-        if name not in NAMES or self.values.get(name) == value:
+        """Take note of a parameter; whether it is one that matters, plausible and new."""
+        if name not in NAMES or self.values.get(name) == value or implausible(name, value) is not None:
             return False
         self.values[name] = value
         self.gyro_delay_s = sum(self._notch_delay_s(notch) for notch in ("HNTCH", "HNTC2"))
         rate_hz = self.values.get("IMU_INTEG_RATE", 0.0)
         self.stamp_shift_ns = -round(0.5e9 / rate_hz) if rate_hz > 0 else 0
         return True
+
+    def note_refusal(self, name: str, why: str | None) -> bool:
+        """Take note of why a value is not believed (None: it is); whether that is news since its last good value."""
+        if why is None:
+            self._refused.discard(name)
+            return False
+        fresh = name not in self._refused
+        self._refused.add(name)
+        return fresh
 
     def applied(self, airframe: Airframe) -> Airframe:
         """The airframe with the vehicle's low-passes for every sensor that its autopilot sends.

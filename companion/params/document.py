@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from companion.params.settings import Tunable, tunables
+from companion.params.vehicle import VEHICLE_PARAMETERS, VehicleParameter
 
 _HEAD = """# Parameters
 
@@ -16,10 +17,25 @@ Set them from a ground station (the service is its own MAVLink component), in a 
 |---|---|---|---|---|---|
 """
 
+_VEHICLE = """
+## The vehicle's own
+
+Read from the autopilot. A value outside its range is said once (STATUSTEXT) and not used: what the vehicle told before,
+or else the airframe file, holds. The table is `companion/params/vehicle.py`.
+
+| name | believed | what for |
+|---|---|---|
+"""
+
 
 def parameters_page() -> str:
     """The whole page as Markdown."""
-    return _HEAD + "\n".join(_row(row) for row in tunables()) + "\n"
+    ours = "\n".join(_row(row) for row in tunables())
+    return _HEAD + ours + "\n" + _VEHICLE + "\n".join(map(_vehicle_row, VEHICLE_PARAMETERS.values())) + "\n"
+
+
+def _vehicle_row(row: VehicleParameter) -> str:
+    return f"| `{row.name}` | {row} | {row.purpose} |"
 
 
 def _row(row: Tunable) -> str:

@@ -22,6 +22,7 @@ from companion.adapters.mavlink.translate import WHOLE_TYPES, Heard, parameter_e
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
+from companion.params.vehicle import implausible
 from companion.ports import Clock
 from companion.records import (
     AutopilotParameter,
@@ -190,7 +191,7 @@ class MavlinkAutopilot:
             if self._listener is not None:
                 self._listener(heard)
         for record in decoded.records:
-            if isinstance(record, AutopilotParameter):
+            if isinstance(record, AutopilotParameter) and implausible(record.name, record.value) is None:
                 if record.name == "SCHED_LOOP_RATE":
                     self.rates.loop_rate(record.value)
                 elif record.name == "IMU_INTEG_RATE":

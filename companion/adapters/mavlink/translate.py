@@ -14,6 +14,7 @@ from companion.adapters.mavlink.dialect import mavlink
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT, Mapping
 from companion.adapters.mavlink.restart import ClockWatch, Followed
 from companion.adapters.mavlink.tally import Tally
+from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.records import (
     AutopilotParameter,
     CameraFeedback,
@@ -192,7 +193,7 @@ class Translator:
         if not message.param_id.startswith(PARAMETER_PREFIXES):
             return
         value = parameter_value(message, bytewise=self.px4)
-        if math.isfinite(value):
+        if math.isfinite(value) or message.param_id in VEHICLE_PARAMETERS:  # the pipeline says what is wrong with it
             yield AutopilotParameter(message.param_id, value, heard.received_host_ns)
         else:
             self._tally.add(Reject.NOT_FINITE, f"parameter {message.param_id}")

@@ -21,6 +21,7 @@ from companion.adapters.recordings.dataflash import DataflashLog
 from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, timed
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
+from companion.params.vehicle import implausible
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
 
 _IMU_OF_MESSAGE = {"RAW_IMU": 0, "HIGHRES_IMU": 0, "SCALED_IMU": 0, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
@@ -83,7 +84,7 @@ class BinRecording(LoggedRecording):
 
     def _as_logged(self, sensor: Sensor, stream: Stream, raw: bool) -> Sensor:
         steps = np.diff(stream.t_ns)
-        filters = [0.0, 0.0] if raw else [self._parameters.get(f"INS_{k}_FILTER", 0.0) for k in ("ACCEL", "GYRO")]
+        filters = (0.0, 0.0) if raw else (self._filter("ACCEL", sensor), self._filter("GYRO", sensor))
         return dataclasses.replace(
             sensor,
             rate_hz=1e9 / float(np.mean(steps)) if steps.size else sensor.rate_hz,
@@ -91,6 +92,16 @@ class BinRecording(LoggedRecording):
             lowpass_gyro_hz=filters[1],
             source=dataclasses.replace(sensor.source, stamp_offset_s=0.0),
         )
+
+    def _filter(self, kind: str, sensor: Sensor) -> float:
+        """The low-pass as logged; what cannot be is said, and the airframe's taken."""
+        name = f"INS_{kind}_FILTER"
+        logged_hz = self._parameters.get(name, 0.0)
+        why = implausible(name, logged_hz)
+        if why is None:
+            return logged_hz
+        self.notes.add(f"{self.path.name}: {why}")
+        return sensor.lowpass_accel_hz if kind == "ACCEL" else sensor.lowpass_gyro_hz
 
     def _say_what_is_wrong(self) -> None:
         if self.log.cut_bytes:

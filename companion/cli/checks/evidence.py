@@ -10,6 +10,7 @@ from companion.adapters.mavlink.dialect import mavlink
 from companion.cli.fates import Fates
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
+from companion.params.vehicle import implausible
 from companion.records import Axis, ClockName, ClockState, Station
 
 
@@ -128,11 +129,14 @@ class Evidence:
         return max(wing.symmetric.frequency_hz.value, wing.antisymmetric.frequency_hz.value)
 
     def parameter(self, *names: str) -> tuple[str, float] | None:
-        """The first of these names that the vehicle has, with its value; versions differ in names."""
-        return next(((name, self.parameters[name]) for name in names if name in self.parameters), None)
+        """The first of these names that the vehicle has with a value that can be; versions differ in names."""
+        told = ((name, self.parameters[name]) for name in names if name in self.parameters)
+        return next((entry for entry in told if implausible(*entry) is None), None)
 
     def missing(self, subject: str, what: str) -> Finding:
-        """A finding about something that was not told."""
+        """A finding about something that was not told, or not so that it can be believed."""
+        if what in self.parameters:
+            return Finding(subject, Level.UNKNOWN, f"{what}: not known, for {self.parameters[what]:g} cannot be")
         return Finding(
             subject, Level.UNKNOWN, f"{what}: not " + ("answered by the autopilot" if self.live else "logged")
         )

@@ -1,0 +1,91 @@
+"""The autopilot's parameters that Spanwise uses, each with the range outside which its value is not believed.
+
+A value may be a misprint, a damaged message or somebody's attack. Outside its range it is said once and not used: what
+the vehicle told before, or else the airframe file, stays in force. The ranges are those of ArduPilot's and PX4's own
+parameter lists (the scheduler's is the one to which ArduPilot clips), except for the low-passes: there a cutoff
+below 1 Hz, which ArduPilot allows, would leave nothing of a wing's mode to be undone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_LONGEST_RANGE_M = 1000.0
+_TYPES = 127.0  # INT8
+_ORIENTATIONS = 101.0
+_BITS_16 = 65535.0
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleParameter:
+    """One parameter of the autopilot: what it is for, and from where to where its value is believed.
+
+    ``may_be_off`` says that 0 is believed too, and switches off what the parameter sets.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    purpose: str
+    may_be_off: bool = False
+
+    def plausible(self, value: float) -> bool:
+        """Whether a value is believed; not-a-number and infinity never are."""
+        return self.low <= value <= self.high or (self.may_be_off and value == 0.0)
+
+    def __str__(self) -> str:
+        off = " or 0" if self.may_be_off and self.low > 0.0 else ""
+        return f"{self.low:g} to {self.high:g}{off}{' ' if self.unit else ''}{self.unit}"
+
+
+def _notch(name: str) -> tuple[VehicleParameter, ...]:
+    return (
+        VehicleParameter(f"INS_{name}_ENABLE", "", 0, 1, "whether rates go through this notch"),
+        VehicleParameter(f"INS_{name}_FREQ", "Hz", 10, 495, "its centre, from which its delay follows"),
+        VehicleParameter(f"INS_{name}_BW", "Hz", 5, 250, "its width, likewise"),
+        VehicleParameter(f"INS_{name}_ATT", "dB", 5, 50, "its depth, likewise"),
+        VehicleParameter(f"INS_{name}_HMNCS", "", 0, _BITS_16, "its harmonics as bits, likewise"),
+    )
+
+
+def _rival(number: int) -> tuple[VehicleParameter, ...]:
+    return (
+        VehicleParameter(f"RNGFND{number}_TYPE", "", 0, _TYPES, "whether another range finder may replace ours"),
+        VehicleParameter(f"RNGFND{number}_ORIENT", "", 0, _ORIENTATIONS, "where it looks"),
+    )
+
+
+_ROWS = (
+    VehicleParameter("INS_ACCEL_FILTER", "Hz", 1, 256, "low-pass of the accelerometers, undone", may_be_off=True),
+    VehicleParameter("INS_GYRO_FILTER", "Hz", 1, 256, "low-pass of the rates, undone", may_be_off=True),
+    *_notch("HNTCH"),
+    *_notch("HNTC2"),
+    VehicleParameter("IMU_INTEG_RATE", "Hz", 100, 1000, "PX4's integration: half of it is taken off the stamps"),
+    VehicleParameter("IMU_ACCEL_CUTOFF", "Hz", 0, 1000, "tells the doctor that it is PX4"),
+    VehicleParameter("IMU_GYRO_CUTOFF", "Hz", 0, 1000, "likewise"),
+    VehicleParameter("SCHED_LOOP_RATE", "Hz", 50, 2000, "how fast inertial messages can come"),
+    VehicleParameter("RNGFND1_TYPE", "", 0, _TYPES, "whether our ranges are used"),
+    VehicleParameter("RNGFND1_ORIENT", "", 0, _ORIENTATIONS, "for which direction"),
+    VehicleParameter("RNGFND1_MIN", "m", 0, _LONGEST_RANGE_M, "from where"),
+    VehicleParameter("RNGFND1_MAX", "m", 0, _LONGEST_RANGE_M, "to where"),
+    VehicleParameter("RNGFND1_MIN_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "from where, before ArduPilot 4.7"),
+    VehicleParameter("RNGFND1_MAX_CM", "cm", 0, 100 * _LONGEST_RANGE_M, "to where, before ArduPilot 4.7"),
+    *_rival(2),
+    *_rival(3),
+    *_rival(4),
+    VehicleParameter("PRX1_TYPE", "", 0, _TYPES, "whether our obstacle sectors are used"),
+    VehicleParameter("PRX_TYPE", "", 0, _TYPES, "likewise, in old versions"),
+    VehicleParameter("CAM1_DURATION", "s", 0, 5, "how fast the autopilot's left camera can be fired"),
+    VehicleParameter("CAM2_DURATION", "s", 0, 5, "likewise the right one"),
+)
+VEHICLE_PARAMETERS: dict[str, VehicleParameter] = {row.name: row for row in _ROWS}
+"""The one table: every parameter of a vehicle that is used anywhere, by its name."""
+
+
+def implausible(name: str, value: float) -> str | None:
+    """The sentence that says why a value is not used; None where it is, or where the parameter is none of ours."""
+    row = VEHICLE_PARAMETERS.get(name)
+    if row is None or row.plausible(value):
+        return None
+    return f"{name} {value:g} on the vehicle is not {row}: ignored, the airframe's value or the last one holds"
