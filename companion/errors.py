@@ -11,8 +11,11 @@ SpanwiseError                   the base; ``str()`` says what was wrong, where, 
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
+
+_LONGEST_TEXT = 200
 
 
 class SpanwiseError(Exception):
@@ -47,3 +50,11 @@ class LinkError(SpanwiseError):
 
 class DeviceError(SpanwiseError):
     """A camera, trigger or clock device failed."""
+
+
+def described(error: Exception) -> str:
+    """What an exception says and where it was raised, on one line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    said = " ".join(str(error).split())[:_LONGEST_TEXT]
+    return f"{type(error).__name__}{': ' if said else ''}{said}{where}"

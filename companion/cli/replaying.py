@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from companion.adapters.mavlink.decode import Decoder
-from companion.core.pipeline import PipelineState, start, step
+from companion.core.containment import contained
+from companion.core.pipeline import PipelineState, start
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -64,7 +65,7 @@ def drive(
     """Step through the inputs; yield every output. ``each`` sees the state after each input."""
     state = start(airframe, settings, hub)
     for record in inputs:
-        state, outputs = step(state, record)
+        state, outputs = contained(state, record)
         yield from outputs
         if each is not None:
             each(state, record)

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
 from typing import Protocol
 
-from companion.core.pipeline import PipelineState, step
+from companion.core.containment import contained
+from companion.core.pipeline import PipelineState
+from companion.errors import described
 from companion.ports import Autopilot, Clock, Recorder
 from companion.records import (
     ClockState,
@@ -30,7 +32,8 @@ from companion.records import (
 
 TICK_NS = 10_000_000
 _POLL_S = 0.002
-_WARNING = 4
+_ERROR, _WARNING = 3, 4
+_SECOND_NS = 1_000_000_000
 _PUBLISHED = (ClockState, CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
 _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange, TriggerLatency)
 _UNFIRED = (Reject.PLAN_EXPIRED, Reject.DEVICE_FAILED)
@@ -70,6 +73,7 @@ class InertialLoop:
     fires_by_link: bool = False
     tell_vision: Callable[[Record], object] = lambda _: None
     next_tick_ns: int = 0
+    next_error_ns: int = 0
     outputs: list[Record] = field(default_factory=list)
 
     def turn(self) -> None:
@@ -96,7 +100,7 @@ class InertialLoop:
             self.tell_vision(record)
         if isinstance(record, Shot) or (isinstance(record, Rejected) and record.reason in _UNFIRED):
             self.show(record)
-        self.state, outputs = step(self.state, record)
+        self.state, outputs = contained(self.state, record)
         for output in outputs:
             self._route(output)
 
@@ -106,9 +110,21 @@ class InertialLoop:
             self.shots.send(output)
             self.tell_vision(output)
         if isinstance(output, _PUBLISHED):
-            self.autopilot.publish(output)
+            self._publish(output)
         if isinstance(output, _SHOWN):
             self.show(output)
+
+    def _publish(self, output: Record) -> None:
+        """Send it; what cannot be sent is said, at most once a second, and the next goes out."""
+        try:
+            self.autopilot.publish(output)
+        except Exception as error:  # whatever it is: the wing is tracked on
+            now_ns = self.clock.now_ns()
+            if now_ns >= self.next_error_ns:
+                self.next_error_ns = now_ns + _SECOND_NS
+                name = type(output).__name__
+                text = f"internal error: {name} not sent: {described(error)}"
+                self._route(Notice(_ERROR, text, now_ns))
 
 
 def run(loop: InertialLoop, stop: Event) -> None:

@@ -37,7 +37,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"numpy", "scipy"}),
     ),
     "companion.service": (
-        frozenset({"service", "core.pipeline", "ports", "params", "records", "errors"}),
+        frozenset({"service", "core.pipeline", "core.containment", "ports", "params", "records", "errors"}),
         frozenset({"numpy"}),
     ),
     "companion.service.wiring": (

@@ -24,8 +24,9 @@ from companion.adapters.mavlink.restart import ClockWatch
 from companion.adapters.mavlink.scan import Frame, ScanCounters, Scanner, sender
 from companion.adapters.mavlink.tally import Tally
 from companion.adapters.mavlink.translate import Echo, Heard, Translator
+from companion.errors import described
 from companion.params.airframe import Airframe
-from companion.records import ClockRestart, ImuBatch, RawChunk, Record, Reject
+from companion.records import ClockRestart, ImuBatch, Notice, RawChunk, Record, Reject
 
 OUTGOING = 128
 """Added to the link number of chunks that we sent."""
@@ -54,6 +55,7 @@ _RARE_NAMES = (
     "VFR_HUD",
 )
 RARE = frozenset(ID_OF[name] for name in _RARE_NAMES)
+_ERROR = 3
 _TUNNEL = ID_OF["TUNNEL"]
 _TUNNEL_KIND = TUNNEL_IMU_TYPE.to_bytes(2, "little")
 
@@ -118,7 +120,23 @@ class Decoder:
         return self.decode(chunk).records
 
     def decode(self, chunk: RawChunk) -> Decoded:
-        """As :meth:`decode_chunk`, with the rare messages themselves."""
+        """As :meth:`decode_chunk`, with the rare messages themselves.
+
+        A chunk that raises all the same, which is a defect, is refused, counted and told; the scanner of its link
+        begins anew, lest what raised comes again with the next.
+        """
+        try:
+            return self._decode(chunk)
+        except Exception as error:
+            self._scanner(chunk.link).forget()
+            self.tally.add(Reject.INTERNAL_ERROR, f"bytes of link {chunk.link}")
+            due = self.tally.due(chunk.received_host_ns)
+            if any(refused.reason is Reject.INTERNAL_ERROR for refused in due):  # at most once a second
+                text = f"internal error: bytes of link {chunk.link} refused: {described(error)}"
+                return Decoded([*due, Notice(_ERROR, text, chunk.received_host_ns)])
+            return Decoded([*due])
+
+    def _decode(self, chunk: RawChunk) -> Decoded:
         found = self._scanner(chunk.link).scan(chunk.data, self.system_id)
         out = Decoded()
         many: dict[int, list[bytes]] = {}

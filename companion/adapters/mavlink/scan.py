@@ -72,6 +72,10 @@ class Scanner:
         """Bytes of an unfinished frame that wait for the next chunk."""
         return len(self._tail)
 
+    def forget(self) -> None:
+        """Drop the bytes of an unfinished frame."""
+        self._tail = b""
+
     def scan(self, data: bytes, system: int | None = None) -> Found:
         """Find the frames of the next bytes of this link; ``system`` is the one whose samples are read in bulk."""
         buffer = self._tail + data if self._tail else data
