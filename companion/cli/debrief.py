@@ -20,18 +20,15 @@ from companion.cli.fates import Fates
 from companion.cli.judge import Judge, Reading
 from companion.cli.replaying import drive, own_inputs
 from companion.cli.scoring import Scored, range_summary, toe_summary
+from companion.cli.shots import Pull, Seen, Stage, Studios
 from companion.cli.verdicts import honesty, peak_errors_s, targets, trigger_summary, wing_blur_px
-from companion.core.pipeline import VisionState
-from companion.core.stereo.matching import match_pair
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
     Axis,
-    ClockName,
     CorrectedRange,
     Deflection,
     Floats,
-    FramePair,
     ImuBatch,
     MatchSet,
     Record,
@@ -43,10 +40,7 @@ from companion.records import (
     Tick,
     TriggerPlan,
 )
-from companion.sim.cameras import Shutters, render_pair
 from companion.sim.flight import Flight
-from companion.sim.renderer import Renderer
-from companion.sim.scene import Scene
 
 SETTLED_S = 10.0
 WAYS = ("rigid", "rigid_in_trim", "tilt_only", "corrected", "oracle")
@@ -81,11 +75,9 @@ class Debrief:
 
 def debrief(
     flight: Flight,
-    scene: Scene,
+    stage: Stage,
     recording: Path,
-    start_host_ns: int,
     report: dict[str, Any],
-    settings: Settings,
     *,
     compare: bool,
     say: Callable[[str], None],
@@ -94,30 +86,28 @@ def debrief(
 
     Parameters
     ----------
-    flight, scene
+    flight
         The truth.
+    stage
+        What was filmed, the settings in force, and the host time of boot time 0.
     recording
         What the service recorded.
-    start_host_ns
-        Host time of boot time 0.
     report
         What the autopilot's side received.
-    settings
-        In force during the flight.
     compare
         Also replay with vertical accelerometers alone, and render at random instants.
     say
         Progress.
     """
-    opened = open_recording(recording)
-    judge = Judge(flight, Renderer(flight.real.actual, flight.truth, scene, flight.seed), settings, start_host_ns)
+    opened, settings = open_recording(recording), stage.settings
+    judge = Judge(flight, stage.renderer(), settings, stage.start_host_ns)
     inputs = list(own_inputs(opened.records(), opened.airframe, settings))
     flown = collect(opened.records())
     shots = judged(judge, flown)
     ways = dict(shots.ways)
     blur = {"at_plan": wing_blur_px(judge, [flown.matches[pair_id] for pair_id in shots.ids])}
     if compare:
-        others, blur["at_random"] = _compared(judge, inputs, say)
+        others, blur["at_random"] = _compared(judge, stage, inputs, say)
         ways |= others
     plain: dict[str, Any] = {
         "airframe": flight.airframe.name,
@@ -136,13 +126,16 @@ def debrief(
     return Debrief(plain, _series(judge, flown, shots, ways, blur))
 
 
-def _compared(judge: Judge, inputs: list[Record], say: Callable[[str], None]) -> tuple[dict[str, Scored], Floats]:
+def _compared(
+    judge: Judge, stage: Stage, inputs: list[Record], say: Callable[[str], None]
+) -> tuple[dict[str, Scored], Floats]:
     """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result)."""
     airframe, settings = judge.flight.airframe, judge.settings
     say("replaying with vertical accelerometers alone ...")
     vertical = judged(judge, _replayed(vertical_only(inputs), airframe, settings))
     say("rendering the same flight at random instants ...")
-    extra = _random_shots(judge)
+    with Studios(stage) as studios:
+        extra = matches_of(studios.all(_random_pulls(judge)))
     random = judged(judge, _replayed(with_matches(inputs, extra), airframe, settings))
     ways = {"vertical_only": vertical.ways["corrected"], "random_instants": random.ways["corrected"]}
     return ways, wing_blur_px(judge, extra)
@@ -201,29 +194,24 @@ def vertical_only(inputs: Iterable[Record]) -> Iterator[Record]:
         yield record
 
 
-def _random_shots(judge: Judge) -> list[MatchSet]:
-    """Pairs exposed at instants that know nothing of the wing."""
+def _random_pulls(judge: Judge) -> list[Pull]:
+    """Pulls of the line at instants that know nothing of the wing."""
     flight = judge.flight
     rng = np.random.default_rng([flight.seed, _RANDOM_SEED])
-    count = int((flight.duration_s - SETTLED_S - 1.0) * _RANDOM_RATE_HZ)
-    return rendered_shots(judge, SETTLED_S + (np.arange(count) + rng.uniform(0, 1, count)) / _RANDOM_RATE_HZ)
+    count = max(int((flight.duration_s - SETTLED_S - 1.0) * _RANDOM_RATE_HZ), 0)
+    edges_s = SETTLED_S + (np.arange(count) + rng.uniform(0, 1, count)) / _RANDOM_RATE_HZ
+    return pulls(edges_s, judge.start_host_ns)
 
 
-def rendered_shots(judge: Judge, edges_s: Floats) -> list[MatchSet]:
-    """Pairs whose shutters are pulled at ``edges_s`` (boot time), rendered and matched as the vision process would."""
-    flight, start_host_ns = judge.flight, judge.start_host_ns
-    shutters = Shutters(flight.real.actual, flight.seed)
-    vision = VisionState.create(flight.airframe, judge.settings)
-    found = []
-    for shot, edge_s in enumerate(edges_s):
-        pair = render_pair(judge.renderer, shutters, int(edge_s * 1e9), shot)
-        left, right = (
-            dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + start_host_ns)
-            for frame in (pair.left, pair.right)
-        )
-        arrived_ns = right.mid_exposure_ns + _ARRIVAL_NS
-        found.append(match_pair(FramePair(shot, left, right), vision.rig, vision.search, arrived_ns))
-    return found
+def pulls(edges_s: Floats, start_host_ns: int) -> list[Pull]:
+    """Pulls of the line at ``edges_s`` (boot time), whose matches are ready a tenth of a second later."""
+    edges_ns = [start_host_ns + int(edge_s * 1e9) for edge_s in edges_s]
+    return [Pull(shot, edge_ns, edge_ns + _ARRIVAL_NS) for shot, edge_ns in enumerate(edges_ns)]
+
+
+def matches_of(shots: Iterable[Seen]) -> list[MatchSet]:
+    """The matches of many shots."""
+    return [record for seen in shots for record in seen if isinstance(record, MatchSet)]
 
 
 def with_matches(inputs: Iterable[Record], extra: Iterable[MatchSet]) -> Iterator[Record]:

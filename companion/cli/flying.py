@@ -5,28 +5,54 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from typing import Protocol
 
 from rich.live import Live
 
 from companion.cli.view import View, console
 from companion.errors import DeviceError
 from companion.records import Record
-from companion.service.config import ServiceConfig
-from companion.service.wiring import Service
 
 _DRAW_S = 0.25
 _LINE_S = 5.0
 
 
+class RunningService(Protocol):
+    """A service that runs: the live one's processes, or the one in lock-step with its vehicle."""
+
+    def shown(self) -> list[Record]:
+        """What is to be seen, since the last call."""
+        ...
+
+    def tend(self) -> list[str]:
+        """Look after what runs; sentences of what had to be done."""
+        ...
+
+    def failed(self) -> list[str]:
+        """What cannot be mended."""
+        ...
+
+    def __enter__(self) -> object:
+        """Start it."""
+        ...
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        ...
+
+
 def fly(
-    config: ServiceConfig,
+    service: RunningService,
     view: View,
     ended: Callable[[], bool],
     *,
     live: bool,
     each: Callable[[Record], None] | None = None,
-) -> Service:
+    wait: Callable[[float], None] = time.sleep,
+) -> None:
     """Run until ``ended`` says so; show a live view, or a line every few seconds where there is no terminal.
+
+    ``wait`` lets some seconds pass between two looks.
 
     Raises
     ------
@@ -34,7 +60,6 @@ def fly(
         A process of the service died again and again.
     """
     began = time.monotonic()
-    service = Service(config)
     with (
         service,
         Live(console=console(), refresh_per_second=1 / _DRAW_S, transient=True) if live else _Lines() as screen,
@@ -55,8 +80,7 @@ def fly(
             elif elapsed_s >= next_line_s:
                 next_line_s = elapsed_s + _LINE_S
                 print(view.line(elapsed_s), file=sys.stderr, flush=True)
-            time.sleep(_DRAW_S)
-    return service
+            wait(_DRAW_S)
 
 
 class _Lines:

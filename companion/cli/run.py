@@ -21,6 +21,7 @@ from companion.params.files import load_airframe
 from companion.params.learned import keep_latency, load_latency, with_latency
 from companion.records import Record, TriggerLatency
 from companion.service.config import ServiceConfig
+from companion.service.wiring import Service
 
 _KEEP_NS = 30_000_000_000
 
@@ -147,7 +148,7 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> None:
     began = time.monotonic()
     keeper = LatencyKeeper(_latency_file(options), _path(options))
     try:
-        fly(config, view, lambda: bool(stopped) or time.monotonic() >= ends, live=live, each=keeper.take)
+        fly(Service(config), view, lambda: bool(stopped) or time.monotonic() >= ends, live=live, each=keeper.take)
     finally:
         keeper.keep()
     print(view.line(time.monotonic() - began).strip())

@@ -26,7 +26,10 @@ _RECENT = 4
 
 @dataclass(slots=True)
 class View:
-    """Collects records; :meth:`render` draws them. Plain lines are used where there is no terminal."""
+    """Collects records; :meth:`render` draws them. Plain lines are used where there is no terminal.
+
+    ``progress`` stands in the place of the seconds that have passed, where those mean nothing.
+    """
 
     title: str
     mode: ModeState | None = None
@@ -36,6 +39,7 @@ class View:
     fates: Fates = field(default_factory=Fates)
     ranges: Counter[str] = field(default_factory=Counter)
     recent: list[str] = field(default_factory=list)
+    progress: str = ""
 
     def take(self, record: Record) -> None:
         """Remember what the next drawing needs."""
@@ -63,12 +67,14 @@ class View:
         table.add_column()
         for name, text in self._rows():
             table.add_row(name, text)
-        head = Text(f"{self.title}   {elapsed_s:5.1f} s", style="bold cyan")
+        head = Text(f"{self.title}   {self.progress or f'{elapsed_s:5.1f} s'}", style="bold cyan")
         return Group(head, table, *(Text(f"  {line}", style="yellow") for line in self.recent))
 
     def line(self, elapsed_s: float) -> str:
         """One line for a log or a pipe."""
-        return f"{elapsed_s:6.1f} s  " + " | ".join(f"{name} {text}" for name, text in self._rows())
+        return f"{self.progress or f'{elapsed_s:6.1f} s'}  " + " | ".join(
+            f"{name} {text}" for name, text in self._rows()
+        )
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("state", f"{self.status.health.value}: {self.status.reason}" if self.status else "starting")]

@@ -9,7 +9,7 @@ from typing import Protocol
 class Port(Protocol):
     """One end of a link, as :class:`companion.sim.world.Link` is."""
 
-    def send(self, frames: list[bytes]) -> None:
+    def send(self, frames: list[bytes], /) -> object:
         """Frames from the vehicle."""
         ...
 

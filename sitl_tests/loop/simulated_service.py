@@ -1,12 +1,11 @@
 """The service's own loop against the simulated vehicle, in simulated time: no process, no socket, no waiting.
 
-The clock, the wire and the cameras are this file's; the autopilot adapter, the decoder, the loop, the pipeline and the
-simulated vehicle are the real ones. Every look at the clock costs 20 us, and the vehicle lives on meanwhile.
+The cameras are this file's; the autopilot adapter, the decoder, the loop, the pipeline and the simulated vehicle are
+the real ones, on the clock and the wire of ``companion.sim.lockstep``.
 """
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,76 +25,15 @@ from companion.records import ClockName, Firing, MatchSet, Record, Rejected, Sho
 from companion.service.inertial import InertialLoop
 from companion.sim.faults import Faults
 from companion.sim.flight import Flight
+from companion.sim.lockstep import EPOCH_NS, LockStepClock, MemoryWire
 from companion.sim.world import World, WorldOptions
 from sitl_tests.unit.stereo_cases import ground_below, seen
 
-EPOCH_NS = 5_000_000_000_000
 GROUND_M = 40.0
 MS = 1_000_000
-_LOOK_NS = 20_000
 _EXPOSURE_NS = 2 * MS
 _LATENCY_NS = 8 * MS
 _VISION_NS = 60 * MS
-
-
-class Wire:
-    """Bytes between vehicle and companion; both a transport of the one and the link of the other."""
-
-    def __init__(self) -> None:
-        self.to_companion: deque[bytes] = deque()
-        self.to_vehicle: deque[bytes] = deque()
-        self._ready, writing = os.pipe()
-        os.write(writing, b"!")  # never read: whoever waits on it goes on at once
-        os.close(writing)
-
-    def fileno(self) -> int:
-        return self._ready
-
-    def receive(self, limit: int, now_host_ns: int) -> bytes:
-        del limit, now_host_ns
-        data = b"".join(self.to_companion)
-        self.to_companion.clear()
-        return data
-
-    def send(self, data: Any) -> bool:
-        """Frames as bytes from the companion, as lists of bytes from the vehicle."""
-        if isinstance(data, bytes):
-            self.to_vehicle.append(data)
-        else:
-            self.to_companion.extend(data)
-        return True
-
-    def drain(self) -> bytes:
-        data = b"".join(self.to_vehicle)
-        self.to_vehicle.clear()
-        return data
-
-    def close(self) -> None:
-        if self._ready >= 0:
-            os.close(self._ready)
-            self._ready = -1
-
-
-class SimulatedTime:
-    """The companion's clock; the vehicle is turned every millisecond that passes on it."""
-
-    def __init__(self, world: World) -> None:
-        self.world = world
-        self._now_ns = EPOCH_NS
-        self._turned_ns = EPOCH_NS
-
-    def now_ns(self) -> int:
-        self._pass_until(self._now_ns + _LOOK_NS)
-        return self._now_ns
-
-    def sleep_until(self, target_host_ns: int) -> None:
-        self._pass_until(max(self._now_ns, target_host_ns))
-
-    def _pass_until(self, host_ns: int) -> None:
-        self._now_ns = host_ns
-        while self._turned_ns + MS <= host_ns:
-            self._turned_ns += MS
-            self.world.turn(self._turned_ns - EPOCH_NS, self._turned_ns)
 
 
 @dataclass
@@ -103,7 +41,7 @@ class Cameras:
     """Trigger, cameras and vision at once: exact matches of level ground, as the truly bent wing sees it."""
 
     flight: Flight
-    clock: SimulatedTime
+    clock: LockStepClock
     plan: TriggerPlan | None = None
     coming: deque[MatchSet] = field(default_factory=deque)
     made: int = 0
@@ -195,10 +133,10 @@ class SimulatedService:
         px4: bool = False,
     ) -> None:
         airframe, settings = airframe or flight.airframe, settings or Settings()
-        self.wire = Wire()
+        self.wire = MemoryWire()
         options = WorldOptions(faults=faults or Faults(), parameters=parameters or {}, px4=px4)
-        self.world = World(flight, options, self.wire)  # type: ignore[arg-type]
-        self.clock = SimulatedTime(self.world)
+        self.world = World(flight, options, self.wire)
+        self.clock = LockStepClock(self.world)
         link = Link(0, "simulated", self.wire, self.clock)
         self.autopilot = MavlinkAutopilot([link], airframe, settings, self.clock)
         self.cameras = Cameras(flight, self.clock)

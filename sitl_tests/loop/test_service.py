@@ -1,4 +1,4 @@
-"""The service against the simulated vehicle: in simulated time, and once for real through ``spanwise demo``."""
+"""The service against the simulated vehicle: in simulated time, and once for real (``spanwise demo --realtime``)."""
 
 from __future__ import annotations
 
@@ -82,10 +82,10 @@ def test_the_heartbeat_and_the_plans_tell_how_it_stands(service: SimulatedServic
 @pytest.mark.long
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
-def test_the_demo_flies_and_its_recording_replays_to_what_was_published(
+def test_the_demo_flies_in_real_time_and_its_recording_replays_to_what_was_published(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["demo", "--duration", "25", "--no-compare", "--json", "--out", str(tmp_path)]) == 0
+    assert main(["demo", "--realtime", "--duration", "25", "--no-compare", "--json", "--out", str(tmp_path)]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary == json.loads((tmp_path / "summary.json").read_text())
     assert (tmp_path / "summary.png").stat().st_size > 10_000

@@ -22,8 +22,8 @@ from companion.params.settings import Settings
 from companion.records import ClockName, ClockRestart, TimesyncReply
 from companion.sim.faults import Faults
 from companion.sim.flight import Flight, build_flight
+from companion.sim.lockstep import EPOCH_NS, LockStepClock, MemoryWire
 from companion.sim.world import World, WorldOptions
-from sitl_tests.loop.simulated_service import EPOCH_NS, SimulatedTime, Wire
 
 DURATION_S, REBOOT_S, SILENT_S = 120.0, 60.0, 1.0
 LOSS, JITTER_S = 0.2, 0.03
@@ -31,7 +31,7 @@ SKEW = 10e-3 / 60.0
 _LOOK_NS = 5_000_000
 
 
-class FastTime(SimulatedTime):
+class FastTime(LockStepClock):
     """The vehicle's clock runs ahead of the companion's."""
 
     def boot_ns(self, host_ns: int) -> int:
@@ -83,8 +83,8 @@ def _row(name: str, flight: Flight, loop_hz: float, jitter_s: float, duration_s:
 
 
 def _fly(flight: Flight, faults: Faults, loop_hz: float, duration_s: float) -> Watched:
-    wire = Wire()
-    world = World(flight, WorldOptions(faults=faults, parameters={"SCHED_LOOP_RATE": loop_hz}), wire)  # type: ignore[arg-type]
+    wire = MemoryWire()
+    world = World(flight, WorldOptions(faults=faults, parameters={"SCHED_LOOP_RATE": loop_hz}), wire)
     clock = FastTime(world)
     pilot = MavlinkAutopilot([Link(0, "simulated", wire, clock)], flight.airframe, Settings(), clock)
     bank, seen, synced, next_ns, now_ns = ClockBank(), Watched(), False, 0, EPOCH_NS

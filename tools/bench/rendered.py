@@ -14,12 +14,12 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.stats import chi2
 
-from companion.cli.debrief import SETTLED_S, collect, judged, rendered_shots
+from companion.cli.debrief import SETTLED_S, collect, judged, matches_of, pulls
 from companion.cli.judge import Judge
+from companion.cli.shots import Stage, Studio
 from companion.core.pipeline import start, step
 from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
 from companion.core.stereo.geometry import Rig
@@ -30,11 +30,8 @@ from companion.params.settings import Settings
 from companion.records import CorrectedRange, Floats, MatchSet, Record
 from companion.sim.flight import build_flight
 from companion.sim.offline import HOST_EPOCH_NS
-from companion.sim.renderer import Renderer
-from companion.sim.scene import ground_scene, obstacle_scene
 from tools.bench.slow import in_order
 
-_DOWN = 25
 _FIRST_S, _LAST_S = 0.5, 0.6  # from the start, before the end
 _NO_SHOTS = 2
 
@@ -67,12 +64,11 @@ def run(airframe: Airframe, seeds: Iterable[int], duration_s: float = 27.0, rate
 
 def one(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flown:
     """One flight."""
-    cv2.setNumThreads(1)
     flight = build_flight(airframe, seed, duration_s)
-    scene = ground_scene(seed) if airframe.orientation == _DOWN else obstacle_scene(flight.truth, seed)
-    renderer = Renderer(flight.real.actual, flight.truth, scene, seed)
-    judge = Judge(flight, renderer, Settings(), HOST_EPOCH_NS)
-    shots = rendered_shots(judge, np.arange(_FIRST_S, duration_s - _LAST_S, 1.0 / rate_hz))
+    stage = Stage.of(flight, Settings(), HOST_EPOCH_NS)
+    judge, studio = Judge(flight, stage.renderer(), stage.settings, HOST_EPOCH_NS), Studio(stage)
+    edges_s = np.arange(_FIRST_S, duration_s - _LAST_S, 1.0 / rate_hz)
+    shots = matches_of(studio.shoot(pull) for pull in pulls(edges_s, HOST_EPOCH_NS))
     state = start(airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
     records: list[Record] = []
     for record in in_order(flight, shots):

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from companion.adapters.triggers.wire import LARGEST, Report, pack_report, unpack_plan
 from companion.errors import DeviceError
 from companion.ports import Trigger
-from companion.records import Firing, Reject, Rejected, TriggerPlan
+from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
 
 SPIN_NS = 300_000
 """A sleeping process wakes late by up to some 200 us even when real-time; the rest is spun."""
@@ -19,33 +19,64 @@ _IDLE_S = 0.1
 _MEMORY_NS = 2_000_000_000
 
 
-class FiringLoop:
-    """One trigger line and the plan that waits for it.
+class WaitingPlan:
+    """The plan that waits for its instant, and the rules of the line, whatever clock it hangs on.
 
     A plan replaces the one that waits; a SKIP plan withdraws it. An id that was fired within two seconds is not fired
     again, nor one that was planned before the last shot: it was to replace that shot's plan, and came too late. A plan
-    past its expiry is reported as ``PLAN_EXPIRED``, what is no plan as ``CRC``, a line that fails as ``DEVICE_FAILED``;
-    none of them ends the loop.
+    past its expiry is reported as ``PLAN_EXPIRED``, a line that fails as ``DEVICE_FAILED``.
+    """
+
+    def __init__(self) -> None:
+        self.plan: TriggerPlan | None = None
+        self._fired_ns: dict[int, int] = {}
+        self._last_ns = 0
+
+    def take(self, plan: TriggerPlan) -> None:
+        """Let a plan wait in the place of the one before, if the rules allow it."""
+        if plan.plan_id in self._fired_ns:
+            return
+        if plan.planned_host_ns <= self._last_ns:
+            self._fired_ns[plan.plan_id] = self._last_ns
+        else:
+            self.plan = None if plan.firing is Firing.SKIP else plan
+
+    def fire(self, trigger: Trigger, now_host_ns: int) -> Shot | Rejected:
+        """Pull the line for the plan that waits; what came of it."""
+        plan, self.plan = self.plan, None
+        assert plan is not None
+        if now_host_ns > plan.expires_host_ns:
+            return Rejected(Reject.PLAN_EXPIRED, f"plan {plan.plan_id}", now_host_ns)
+        try:
+            shot = trigger.fire(plan)
+        except (DeviceError, OSError) as error:
+            return Rejected(Reject.DEVICE_FAILED, str(error), now_host_ns)
+        self._fired_ns = {old: at for old, at in self._fired_ns.items() if at > now_host_ns - _MEMORY_NS}
+        self._fired_ns[plan.plan_id] = self._last_ns = shot.fired_host_ns
+        return shot
+
+
+class FiringLoop:
+    """One trigger line and the plan that waits for it (:class:`WaitingPlan`), on the monotonic clock.
+
+    What is no plan is reported as ``CRC``; nothing ends the loop.
     """
 
     def __init__(self, trigger: Trigger, end: socket.socket, stopped: Callable[[], bool]) -> None:
         self._trigger = trigger
         self._end = end
         self._stopped = stopped
-        self._waiting: TriggerPlan | None = None
-        self._fired_ns: dict[int, int] = {}
-        self._last_ns = 0
+        self._waiting = WaitingPlan()
 
     def run(self) -> None:
         """Serve until told to stop, or until the other end is closed."""
         while not self._stopped():
-            plan = self._waiting
+            plan = self._waiting.plan
             spare_ns = _IDLE_S * 1e9 if plan is None else plan.command_host_ns - SPIN_NS - time.monotonic_ns()
             if spare_ns > 0:
                 if not self._listen(min(spare_ns * 1e-9, _IDLE_S)):
                     return
             elif plan is not None:
-                self._waiting = None
                 self._serve(plan)
                 if not self._listen(0.0):
                     return
@@ -74,25 +105,10 @@ class FiringLoop:
         plan = unpack_plan(message)
         if plan is None:
             self.report(Rejected(Reject.CRC, "message to the trigger process", time.monotonic_ns()))
-        elif plan.plan_id in self._fired_ns:
-            return
-        elif plan.planned_host_ns <= self._last_ns:
-            self._fired_ns[plan.plan_id] = self._last_ns
         else:
-            self._waiting = None if plan.firing is Firing.SKIP else plan
+            self._waiting.take(plan)
 
     def _serve(self, plan: TriggerPlan) -> None:
-        target_ns = plan.command_host_ns
-        while (now_ns := time.monotonic_ns()) < target_ns:
+        while (now_ns := time.monotonic_ns()) < plan.command_host_ns:
             pass
-        if now_ns > plan.expires_host_ns:
-            self.report(Rejected(Reject.PLAN_EXPIRED, f"plan {plan.plan_id}", now_ns))
-            return
-        try:
-            shot = self._trigger.fire(plan)
-        except (DeviceError, OSError) as error:
-            self.report(Rejected(Reject.DEVICE_FAILED, str(error), now_ns))
-            return
-        self._fired_ns = {old: at for old, at in self._fired_ns.items() if at > now_ns - _MEMORY_NS}
-        self._fired_ns[plan.plan_id] = self._last_ns = shot.fired_host_ns
-        self.report(shot)
+        self.report(self._waiting.fire(self._trigger, now_ns))
