@@ -9,17 +9,17 @@ import tomllib
 import types
 import typing
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from companion.errors import ConfigError, UnknownAirframe
 from companion.params.airframe import Airframe, Uncertain
+from companion.params.shipped import shipped
 
 
 def known_airframes() -> list[str]:
     """Names of the airframes that travel with Spanwise."""
-    folder = resources.files("config") / "airframes"
+    folder = shipped("airframes")
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
@@ -40,7 +40,7 @@ def load_airframe(name_or_path: str) -> Airframe:
         return parse_airframe(path.read_text(encoding="utf-8"), str(path))
     if name_or_path not in known_airframes():
         raise UnknownAirframe(name_or_path, known_airframes())
-    entry = resources.files("config") / "airframes" / f"{name_or_path}.toml"
+    entry = shipped("airframes") / f"{name_or_path}.toml"
     return parse_airframe(entry.read_text(encoding="utf-8"), f"{name_or_path}.toml")
 
 

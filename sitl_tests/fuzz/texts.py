@@ -7,7 +7,6 @@ import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from companion.errors import SpanwiseError
 from companion.params.files import dump_airframe, known_airframes, load_airframe, parse_airframe
 from companion.params.learned import load_latency
 from companion.params.settings import Settings, tunables
+from companion.params.shipped import shipped
 from sitl_tests.fuzz import corpora, mutators
 from sitl_tests.fuzz.recordings import ending, read_all
 from sitl_tests.fuzz.target import Ending, Violation
@@ -57,12 +57,12 @@ _SPELLINGS = (
 
 
 def _airframes() -> list[bytes]:
-    folder = resources.files("config") / "airframes"
+    folder = shipped("airframes")
     return [(folder / f"{name}.toml").read_bytes() for name in known_airframes()]
 
 
 def _mappings() -> list[bytes]:
-    folder = resources.files("config") / "mappings"
+    folder = shipped("mappings")
     return [entry.read_bytes() for entry in folder.iterdir() if entry.name.endswith(".toml")]
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-import config
 from companion.adapters.mavlink.mapping import build_mapping
 from companion.adapters.recordings.csv import CsvRecording
 from companion.errors import TableError
@@ -20,6 +19,7 @@ from companion.params.files import dump_airframe, known_airframes, load_airframe
 from companion.records import Station
 
 NAMES = ("forward-2m", "nadir-2m", "paper-beam", "paper-flying-wing", "sitl-plane")
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 AXIS = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 
@@ -113,7 +113,7 @@ def test_sitl_plane_takes_the_three_imus_as_stations_and_undoes_what_ardupilot_d
 
 
 def test_the_readme_tells_every_key() -> None:
-    text = (Path(config.__file__).parent / "README.md").read_text()
+    text = (CONFIG / "README.md").read_text()
     kinds = [kind for kind in vars(schema).values() if dataclasses.is_dataclass(kind) and kind is not Uncertain]
     names = {entry.name for kind in kinds for entry in dataclasses.fields(kind)}
     missing = [name for name in sorted(names) if not re.search(rf"\b{name}\b", text)]
@@ -122,7 +122,7 @@ def test_the_readme_tells_every_key() -> None:
 
 
 def test_the_readmes_csv_example_and_its_error_are_true(tmp_path: Path) -> None:
-    text = (Path(config.__file__).parent / "README.md").read_text()
+    text = (CONFIG / "README.md").read_text()
     (example,) = re.findall(r"```\n(t_s,.*?)```", text, re.DOTALL)
     (tmp_path / "accel.csv").write_text(example)
     recording = CsvRecording(tmp_path, load_airframe("nadir-2m"))

@@ -10,13 +10,13 @@ import enum
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from companion.adapters.recordings.units import conversion, unit_of
 from companion.errors import ConfigError
 from companion.params.airframe import Uncertain
+from companion.params.shipped import shipped
 
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
@@ -94,7 +94,7 @@ class TableMapping:
 
 def known_mappings() -> list[str]:
     """Names of the mappings that travel with Spanwise."""
-    folder = resources.files("config") / "mappings"
+    folder = shipped("mappings")
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
@@ -111,7 +111,7 @@ def load_mapping(name_or_path: str) -> TableMapping:
             raise ConfigError(
                 f"no mapping '{name_or_path}'; known: {', '.join(known_mappings())} (or give the path of a .toml file)"
             )
-        entry = resources.files("config") / "mappings" / f"{name_or_path}.toml"
+        entry = shipped("mappings") / f"{name_or_path}.toml"
         return parse_mapping(entry.read_text(encoding="utf-8"), f"{name_or_path}.toml")
     path = Path(name_or_path)
     if not path.is_file():

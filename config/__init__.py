@@ -1,1 +1,0 @@
-"""Airframes and defaults, as package data."""

@@ -1,0 +1,71 @@
+"""What is installed: one package, complete without the checkout that it was built from."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from companion.params.files import known_airframes
+from companion.params.shipped import shipped
+
+ROOT = Path(__file__).resolve().parents[2]
+_NEEDED = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
+_LOOK = """
+import companion
+from companion.params.files import known_airframes, load_airframe
+from companion.adapters.recordings.mapping import known_mappings, load_mapping
+print(companion.__file__)
+print(*(load_airframe(name).name for name in known_airframes()))
+print(len([load_mapping(name) for name in known_mappings()]))
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("setuptools")
+    checkout, out = tmp_path_factory.mktemp("checkout"), tmp_path_factory.mktemp("wheel")
+    for folder in ("companion", "config", "mission_scripts", "tools"):
+        shutil.copytree(ROOT / folder, checkout / folder, ignore=shutil.ignore_patterns("__pycache__", ".build"))
+    for name in _NEEDED:
+        shutil.copy(ROOT / name, checkout)
+    options = ("--no-deps", "--no-build-isolation", "--disable-pip-version-check", "-q", "-w", str(out))
+    subprocess.run([sys.executable, "-m", "pip", "wheel", *options, str(checkout)], check=True, timeout=120)
+    (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.mark.slow
+def test_the_wheel_installs_one_package_with_its_configuration_inside(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"companion"}
+    ours = {str(path.relative_to(ROOT)) for path in (ROOT / "companion").rglob("*.py")}
+    assert ours <= set(names)
+    files = {f"companion/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*.toml")}
+    assert len(files) > 5
+    assert files <= set(names)
+
+
+@pytest.mark.slow
+def test_airframes_and_mappings_are_read_from_the_wheel_alone(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
+    surroundings = {**os.environ, "PYTHONPATH": str(tmp_path / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", _LOOK],
+        cwd=tmp_path, env=surroundings, capture_output=True, text=True, timeout=60, check=True,
+    )  # fmt: skip
+    where, names, mappings = done.stdout.splitlines()
+    assert Path(where).is_relative_to(tmp_path / "site")
+    assert names.split() == known_airframes()
+    assert int(mappings) >= 3
+
+
+def test_a_checkout_reads_what_lies_in_its_config_folder() -> None:
+    here = {entry.name for entry in shipped("airframes").iterdir()}
+    assert here == {path.name for path in (ROOT / "config" / "airframes").iterdir()}
