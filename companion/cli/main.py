@@ -19,6 +19,7 @@ _COMMANDS = {
     "run": "the live service beside an autopilot",
     "demo": "a simulated aircraft and the live service: corrected against uncorrected ranges",
     "simulate": "fly the simulated aircraft into a recording",
+    "vehicle": "the simulated aircraft on a link: try run and doctor without hardware",
     "replay": "estimate again from a recording",
     "paper": "reproduce and audit the paper, table by table and figure by figure",
     "doctor": "look at a live vehicle or a log: what is wrong, and the exact fix",

@@ -14,6 +14,7 @@ from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
 from companion.cli.flying import fly
 from companion.cli.options import add_settings, read_settings, state_file
+from companion.cli.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
 from companion.cli.view import View
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
@@ -38,9 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--parameters", type=Path, metavar="FILE",
         help="where what a ground station sets is kept (default: ~/.local/state/spanwise/<airframe>.parameters)",
     )  # fmt: skip
-    parser.add_argument("--cameras", metavar="PAIR", help="left and right camera: " + "; ".join(cameras.SPELLINGS))
     parser.add_argument(
-        "--trigger", default="none", metavar="LINE", help="what fires the cameras: " + "; ".join(triggers.SPELLINGS)
+        "--cameras", metavar="PAIR", help="left and right camera: " + "; ".join((*cameras.SPELLINGS, SPELLING))
+    )
+    parser.add_argument(
+        "--trigger",
+        default="none",
+        metavar="LINE",
+        help="what fires the cameras: " + "; ".join((*triggers.SPELLINGS, "sim:FOLDER")),
     )
     parser.add_argument("--record-images", action="store_true", help="record every image too (PNG, lossless)")
     parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
@@ -65,12 +71,14 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         options.parameters = state_file(f"{Path(options.airframe).stem}.parameters")
     if options.record_images and (options.record is None or options.cameras is None):
         raise ConfigError("--record-images needs --record and --cameras")
-    trigger = triggers.trigger_factory(options.trigger)
+    trigger = simulated_trigger(options.trigger) or triggers.trigger_factory(options.trigger)
     airframe = _with_kept_latency(load_airframe(options.airframe), options)
     eyes = None
     if options.cameras is not None:
         soft = soft_line(trigger)
-        eyes = cameras.camera_factory(options.cameras, airframe, triggered=trigger is not None, soft=soft)
+        eyes = simulated_cameras(options.cameras) or cameras.camera_factory(
+            options.cameras, airframe, triggered=trigger is not None, soft=soft
+        )
     return ServiceConfig(
         airframe=airframe,
         settings=read_settings(options),
@@ -133,7 +141,7 @@ def try_devices(config: ServiceConfig) -> None:
         A device or its library is absent.
     """
     for factory in (config.cameras, None if link_firing(config.trigger) else config.trigger):
-        if factory is not None:
+        if factory is not None and not opens_at_take_off(factory):
             factory().close()
 
 

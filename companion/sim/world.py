@@ -196,18 +196,23 @@ class World:
 
 
 def serve(
-    flight: Flight, options: WorldOptions, control: Control | None = None, on_trigger: Trigger | None = None
+    flight: Flight,
+    options: WorldOptions,
+    control: Control | None = None,
+    on_trigger: Trigger | None = None,
+    link: Port | None = None,
 ) -> dict[str, Any]:
     """Play a flight in real time until it ends or the control says anything.
 
-    Through ``control`` go ``("started", host monotonic ns of boot time 0)`` and at the end ``("report", report)``.
+    ``link`` stands in for the connection of the options. Through ``control`` go ``("started", host monotonic ns of boot
+    time 0)`` and at the end ``("report", report)``.
 
     Returns
     -------
     dict
         :meth:`World.report`, with ``start_host_ns``, ``flown_s``, ``cpu_s`` and how late the loop woke (ms).
     """
-    link = Link(options.connection)
+    link = link or Link(options.connection)
     try:
         world = World(flight, options, link, on_trigger)
         _await_companion(world, options.wait_s)

@@ -1,0 +1,109 @@
+"""The README's tour without hardware: its commands as they are written there, one after the other, only shorter."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from companion.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
+_RUN_S = "--for 30"
+
+
+def tour() -> list[str]:
+    """The commands of the section, without their remarks."""
+    section = (ROOT / "README.md").read_text().partition("## A tour without hardware")[2].partition("\n## ")[0]
+    block = section.split("```")[1]
+    return [line.partition("#")[0].strip() for line in block.splitlines() if line.strip()]
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def words(command: str) -> list[str]:
+    program, *rest = shlex.split(command)
+    assert program == "spanwise"
+    return [sys.executable, "-m", "companion.cli", *rest]
+
+
+@contextlib.contextmanager
+def started(command: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(folder / "state")}
+    process = subprocess.Popen(words(command), cwd=folder, env=environment, text=True, stdout=subprocess.PIPE)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+
+
+def run(command: str, folder: Path, timeout_s: float) -> tuple[int, str]:
+    with started(command, folder) as process:
+        said, _ = process.communicate(timeout=timeout_s)
+        return process.returncode, said
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+def test_the_tour_goes_as_the_readme_says(tmp_path: Path) -> None:
+    vehicle, doctor, service, replay, diagnose = tour()
+    port = free_port()
+    assert re.search(r"--for \d+", service)
+    service = re.sub(r"--for \d+", _RUN_S, service).replace("14550", str(port))
+    (tmp_path / "out").mkdir()
+    with started(f"{vehicle} --duration 80 --connect udpout:127.0.0.1:{port}", tmp_path) as flying:
+        code, said = run(doctor.replace("14550", str(port)) + " --for 5", tmp_path, 60.0)
+        assert re.search(r"^ok +rate +root HIGHRES_IMU at 3\d\d Hz", said, re.MULTILINE), said
+        assert (code == 0) == ("nothing to fix" in said)
+        code, said = run(service, tmp_path, 300.0)
+        assert code == 0, said
+        assert "trusted" in said, "ranges were published"
+        flying.send_signal(signal.SIGINT)
+        heard, _ = flying.communicate(timeout=30)
+    assert re.search(r"received .*\d+ DISTANCE_SENSOR", heard), heard
+    code, said = run(replay, tmp_path, 120.0)
+    assert code == 0
+    assert "identical to what was published" in said
+    code, said = run(diagnose, tmp_path, 300.0)
+    assert code in (0, 3)
+    assert said.startswith("verdict: ")
+    assert (tmp_path / "out" / "tour.html").read_text().startswith("<!")
+
+
+def test_a_simulated_pair_that_nobody_serves_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    away = tmp_path / "nowhere"
+    words = ["--connect=udpin:127.0.0.1:0", "--airframe=nadir-2m", f"--parameters={tmp_path / 'kept'}"]
+    assert main(["run", *words, f"--cameras=sim:{away}"]) == 1
+    assert f"start spanwise vehicle --cameras {away} first" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ("--duration=0", "give 1 to 3600 s"),
+        ("--airframe=sitl-plane", "no camera pair"),
+        ("--connect=tcp:127.0.0.1:1", "udpin:host:port"),
+    ],
+)
+def test_a_vehicle_that_cannot_be_flown_is_one_sentence(
+    option: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["vehicle", "--duration=1", f"--cameras={tmp_path}", option]) == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("spanwise vehicle: ")
+    assert says in error
