@@ -22,7 +22,7 @@ from companion.cli.replaying import drive, foreign_inputs
 from companion.cli.stations import StationAnalysis
 from companion.core.mode.tone import Tone
 from companion.params.files import load_airframe
-from companion.records import Firing, ImuBatch, Record, Station, TriggerPlan
+from companion.records import Firing, ImuBatch, ModeState, Record, Station, TriggerPlan, Validity
 
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
 RECORDINGS = DATA / "recordings"
@@ -30,6 +30,8 @@ WINDOW_S = 4.0
 INJECTED_MPS2 = {Station.LEFT: 4.0, Station.RIGHT: 3.6}
 QUIET = ("ground.tlog", "flight_clean.tlog")
 NOTHING_FOUND = 3
+LEARNED_NS = 30_000_000_000  # take-off and the first turn are over
+CLEAR_M = 0.0006  # 1.3 m/s^2 at 7.3 Hz, a third of what is injected
 
 pytestmark = [
     pytest.mark.skipif(not RECORDINGS.is_dir(), reason=f"no recorded flights in {RECORDINGS}"),
@@ -88,6 +90,23 @@ def test_the_amplitude_is_that_of_the_raw_accelerometer(
     raw_ns, raw = raw_accelerometer(onboard, int(tip))
     ratios = [tone.amplitude_mps2 / raw_sine(raw_ns, raw[:, 2], tone)[0] for tone in flight.tones[tip]]
     assert np.median(ratios) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["flight.tlog", "flight.BIN"])
+def test_two_logs_of_one_flight_agree_on_the_wing(name: str) -> None:
+    """One is filtered and sent at 333 Hz, the other raw at 1 kHz; the sines are at 7.296 to 7.314 Hz in both."""
+    recording = open_recording(RECORDINGS / name, load_airframe("sitl-plane"))
+    outputs = drive(foreign_inputs(recording.records()), recording.airframe, recording.settings, recording.hub)
+    states = [output for output in outputs if isinstance(output, ModeState)]
+    states = [state for state in states if state.t_host_ns - states[0].t_host_ns > LEARNED_NS]
+    assert sum(state.validity is Validity.TRACKING for state in states) > 0.95 * len(states)
+    for state in states:
+        modes = [mode for mode in (state.symmetric, state.antisymmetric) if mode.rms_m > CLEAR_M]
+        assert modes, "one of both swings at any time"
+        for mode in modes:
+            assert abs(mode.frequency_hz - 7.305) < max(0.05, 3.0 * mode.frequency_sigma_hz)
+            assert mode.frequency_sigma_hz < 0.08
+            assert mode.amplitude_sigma_m < 0.5 * CLEAR_M
 
 
 @pytest.mark.parametrize("name", QUIET)

@@ -5,10 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.mode.drift import at_end, evened, when_evened
-from companion.core.mode.parameters import FREQUENCY, FREQUENCY_2, PARAMETERS
+from companion.core.mode.drift import at_end, evened, likeliest, when_evened
+from companion.core.mode.layout import make_layout
+from companion.core.mode.parameters import FREQUENCY, FREQUENCY_2, LIMITS, PARAMETERS, prior_parameters
+from companion.core.mode.stretch import make_stretch, make_stretches
+from companion.core.mode.whittle import Prior, fit
+from companion.records import Floats
+from sitl_tests.unit.mode_samples import plain_airframe
 
-STEP_S, LENGTH_S = 0.004, 20.0
+STEP_S, LENGTH_S, PIECE_S = 0.004, 20.0, 4.0
+BAND_HZ = (0.25, 11.0, 120.0)
+SENSOR_MPS2 = 0.02
 TIME_S = (np.arange(round(LENGTH_S / STEP_S)) + 0.5) * STEP_S
 
 
@@ -40,3 +47,28 @@ def test_there_and_back_is_where_it_began_and_only_frequencies_move(rate_per_s: 
 def test_what_does_not_drift_stays_as_it_is() -> None:
     samples = np.random.default_rng(4).normal(size=1000)
     assert evened(samples, 0.0, STEP_S) is samples
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("apart_hz", [0.0, 0.01, 0.03])
+def test_lines_that_beat_stay_where_they_are(seed: int, apart_hz: float) -> None:
+    """Two tips, each with a sine of its own: fit and rate, by turns, must not run away from the steady frequency."""
+    rng = np.random.default_rng(seed)
+    samples = 2.0 * np.sin(2.0 * np.pi * 5.0 * TIME_S + seed) + 1.8 * np.sin(2.0 * np.pi * (5.0 + apart_hz) * TIME_S)
+    samples += rng.normal(0.0, SENSOR_MPS2, len(TIME_S))
+    airframe = plain_airframe()
+    family = prior_parameters(make_layout(airframe).symmetric, airframe.wing.gust)
+    low, high = np.log(LIMITS)
+    prior = Prior(family.logs(), family.log_sigma, low, high, np.array([family.reference_hz]))
+    pieces = make_stretches(samples.reshape(-1, round(PIECE_S / STEP_S)), STEP_S, BAND_HZ, floor)
+    logs, rate = family.logs(), 0.0
+    for _ in range(8):
+        even = make_stretch(evened(samples, rate, STEP_S), STEP_S, BAND_HZ, floor)
+        logs = at_end(fit(even, prior, when_evened(logs, rate, LENGTH_S), 6).logs, rate, LENGTH_S)
+        assert np.exp(logs[FREQUENCY]) == pytest.approx(5.0 + 0.5 * apart_hz, abs=2.0 / LENGTH_S), "two bins"
+        rate, _ = likeliest(pieces, PIECE_S, prior, when_evened(logs, rate, LENGTH_S), rate)
+
+
+def floor(frequency_hz: Floats) -> Floats:
+    """Of a sensor with white noise."""
+    return np.full(len(frequency_hz), 2.0 * STEP_S * SENSOR_MPS2**2)

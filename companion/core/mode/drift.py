@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.mode.parameters import FREQUENCY, FREQUENCY_2, PARAMETERS
+from companion.core.mode.parameters import DAMPING, FREQUENCY, FREQUENCY_2, PARAMETERS
 from companion.core.mode.stretch import Stretch
 from companion.core.mode.whittle import Prior, slopes
 from companion.records import Floats
@@ -84,8 +84,12 @@ def likeliest(
     Returns
     -------
     float, float
-        The rate, and its sigma: that there may be no drift is part of it.
+        The rate, and its sigma: that there may be no drift is part of it. None of either where a mode rings on for
+        longer than a piece: it is a line there, whose few bins hang together and pass for many witnesses of a drift.
+        A line that does drift is smeared over the whole stretch, and is fitted with the damping to be looked at.
     """
+    if _rings_on(logs, apart_s):
+        return 0.0, 0.0
     size = len(logs)
     silent = prior._replace(sigma=np.full(size, np.inf))
     gradient, information = np.zeros(size + 1), np.zeros((size + 1, size + 1))
@@ -104,6 +108,12 @@ def likeliest(
     believed = 1.0 / (1.0 + np.exp(-evidence))
     spread = np.sqrt(believed * (sigma**2 + (1.0 - believed) * found**2))
     return float(np.clip(believed * found, -_FASTEST_PER_S, _FASTEST_PER_S)), float(spread)
+
+
+def _rings_on(logs: Floats, length_s: float) -> bool:
+    """Whether a first mode decays by less than ``e`` in this time."""
+    rate_hz = np.exp(logs[FREQUENCY::PARAMETERS] + logs[DAMPING::PARAMETERS])
+    return bool(np.min(2.0 * np.pi * rate_hz) * length_s < 1.0)
 
 
 def _windowed_sinc() -> Floats:
