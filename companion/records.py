@@ -77,6 +77,7 @@ class Reject(enum.StrEnum):
     TOO_LATE = "sample older than the reorder window"
     NOT_FINITE = "value not finite"
     TIME_BACKWARDS = "time went backwards"
+    NO_PAIRS = "no image pairs"
     NO_MATCHES = "too few matches"
     SIGMA_TOO_LARGE = "sigma too large"
     OUT_OF_RANGE = "range outside its limits"
@@ -320,6 +321,11 @@ class ModeEstimate:
     instantaneous_hz: float
     instantaneous_sigma_hz: float
     rms_m: float
+
+    @property
+    def swings(self) -> bool:
+        """Whether the swing stands out from what is not known of it."""
+        return self.rms_m > self.amplitude_sigma_m
 
 
 @dataclass(frozen=True, slots=True)

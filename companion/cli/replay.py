@@ -179,7 +179,7 @@ def _wing(tally: Tally) -> dict[str, Any]:
     if mode is None:
         return {"validity": shares, "symmetric": None, "antisymmetric": None}
     members = {"symmetric": mode.symmetric, "antisymmetric": mode.antisymmetric}
-    keys = ("frequency_hz", "frequency_sigma_hz", "damping", "damping_sigma", "rms_m")
+    keys = ("frequency_hz", "frequency_sigma_hz", "damping", "damping_sigma", "rms_m", "amplitude_sigma_m", "swings")
     return {"validity": shares} | {name: {k: getattr(m, k) for k in keys} for name, m in members.items()}
 
 
@@ -204,9 +204,13 @@ def _wing_text(wing: dict[str, Any]) -> str:
     shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in wing["validity"].items()) or "never seen"
     if wing["symmetric"] is None:
         return f"no mode tracked ({shares})"
-    parts = [
-        f"{name} {mode['frequency_hz']:.3f} ±{mode['frequency_sigma_hz']:.3f} Hz, rms {1e3 * mode['rms_m']:.2f} mm"
-        for name, mode in wing.items()
-        if name != "validity"
-    ]
+    parts = [f"{name} {_mode_text(mode)}" for name, mode in wing.items() if name != "validity"]
     return "; ".join(parts) + f" ({shares})"
+
+
+def _mode_text(mode: dict[str, Any]) -> str:
+    """A frequency only where there is a swing that has one."""
+    rms_mm, sigma_mm = 1e3 * mode["rms_m"], 1e3 * mode["amplitude_sigma_m"]
+    if not mode["swings"]:
+        return f"no swing told ({rms_mm:.2f} ±{sigma_mm:.2f} mm)"
+    return f"{mode['frequency_hz']:.3f} ±{mode['frequency_sigma_hz']:.3f} Hz, rms {rms_mm:.2f} ±{sigma_mm:.2f} mm"

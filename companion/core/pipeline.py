@@ -393,7 +393,7 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
         if early is not None:
             return Health.STANDBY, f"{state.validity}; no range yet: {early}"
         silence = state.silence.reason(state.settings) if state.correction is not None else None
-        return (Health.ACTIVE, str(state.validity)) if silence is None else (Health.STANDBY, silence)
+        return (Health.ACTIVE, _motion_told(state)) if silence is None else (Health.STANDBY, silence)
     if state.validity is Validity.SETTLING:
         return Health.STANDBY, str(state.validity)
     return Health.CRITICAL, str(state.validity)
@@ -407,6 +407,15 @@ def _tracked(state: PipelineState) -> bool:
 def _unlearned(state: PipelineState) -> Reject | None:
     """Why the tracker would withhold every range for now, on an airframe that has cameras."""
     return state.tracker.distrust if state.correction is not None else None
+
+
+def _motion_told(state: PipelineState) -> str:
+    """``tracking`` only where the stronger mode's swing stands out from its own sigma."""
+    mode = state.tracker.describe()
+    if state.validity is not Validity.TRACKING or mode is None:
+        return str(state.validity)
+    strongest = max(mode.symmetric, mode.antisymmetric, key=lambda one: one.rms_m)
+    return str(state.validity) if strongest.swings else "swing within its uncertainty"
 
 
 def smoothed(state: PipelineState, t_host_ns: int) -> Deflection | Reject:

@@ -9,6 +9,7 @@ from companion.params.settings import Settings
 from companion.records import CorrectedRange, ModeState, NoRange, OutputRecord, Reject, Validity
 
 _RANGE_STALE_NS = 400_000_000  # under ArduPilot's 500 ms, so that an old number never lingers
+_NEWS_NS = 2_000_000_000
 
 
 @dataclass(slots=True)
@@ -19,7 +20,8 @@ class Publishing:
     next_mode_ns: int = 0
     next_fill_ns: int = 0
     last_trusted_ns: int = 0
-    last_reject: Reject = Reject.NOT_SETTLED
+    last_reject: Reject | None = None  # of the newest range, None where that was trusted or is too long ago
+    last_measured_ns: int = 0
 
     def tick(
         self,
@@ -40,18 +42,20 @@ class Publishing:
             outputs.append(mode)
         if now_ns - self.last_trusted_ns > _RANGE_STALE_NS and now_ns >= self.next_fill_ns:
             self.next_fill_ns = now_ns + int(1e9 / settings.publish_rate_hz)
-            outputs.append(NoRange(now_ns, self.orientation, self._reason(validity)))
+            outputs.append(NoRange(now_ns, self.orientation, self._reason(validity, now_ns)))
         return outputs
 
     def _note(self, measured: CorrectedRange, now_ns: int) -> None:
+        self.last_measured_ns, self.last_reject = now_ns, measured.reject
         if measured.trusted:
             self.last_trusted_ns = now_ns
-        elif measured.reject is not None:
-            self.last_reject = measured.reject
 
-    def _reason(self, validity: Validity | None) -> Reject:
+    def _reason(self, validity: Validity | None, now_ns: int) -> Reject:
+        """Why there is no range now: what was said of an older one is no news."""
         if validity is None:
             return Reject.CLOCK_UNSYNCED
         if validity is Validity.STALE:
             return Reject.STALE
-        return self.last_reject
+        if self.last_reject is not None and now_ns - self.last_measured_ns <= _NEWS_NS:
+            return self.last_reject
+        return Reject.NOT_SETTLED if validity is Validity.SETTLING else Reject.NO_PAIRS

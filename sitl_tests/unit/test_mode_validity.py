@@ -13,7 +13,7 @@ from companion.core.mode.parameters import FREQUENCY, ModeParameters, prior_para
 from companion.core.mode.tracker import WingTracker
 from companion.core.mode.validity import judge
 from companion.params.settings import Settings
-from companion.records import Station, Validity
+from companion.records import Axis, Station, Validity
 from sitl_tests.unit.mode_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 GOOD = {
@@ -82,3 +82,27 @@ def test_the_level_of_a_sine_is_its_amplitude_over_root_two(amplitude_m: float) 
     # the first second's block is of a filter that was still finding it; the median of three leaves that out
     assert state.symmetric.rms_m == pytest.approx(amplitude_m / math.sqrt(2.0), rel=0.03)
     assert state.antisymmetric.rms_m < 0.1 * amplitude_m
+
+
+def test_an_unknown_trim_bend_is_no_uncertainty_of_the_swing() -> None:
+    """With vertical axes alone nobody knows how far the wing is bent at rest, and everybody sees how far it swings."""
+    airframe = plain_airframe()
+    trim_m = 0.02
+    unknown = dataclasses.replace(airframe.wing.trim_bend_m, sigma=trim_m)
+    wing = dataclasses.replace(airframe.wing, trim_bend_m=unknown)
+    sensors = {
+        name: dataclasses.replace(airframe.sensor(Station[name.upper()]), sends="z") for name in ("left", "right")
+    }
+    tracker = WingTracker(dataclasses.replace(airframe, wing=wing, **sensors), Settings())
+    t_ns, values = swinging(4.0, 0.004)
+    for station in Station:
+        axes = Axis.ALL if station is Station.ROOT else Axis.Z
+        tracker.add(dataclasses.replace(batch(station, t_ns, values[station]), axes=axes))
+    state = tracker.advance(int(t_ns[-1]) + 20 * MS)
+    assert state is not None
+    swing = state.symmetric
+    assert swing.amplitude_m == pytest.approx(0.004, rel=0.1)
+    assert swing.amplitude_sigma_m < 0.001
+    assert swing.phase_sigma_rad < 0.25
+    assert swing.swings
+    assert state.q_sigma_m[0] > 0.5 * trim_m, "the deflection itself stays unknown by its trim"

@@ -177,3 +177,23 @@ def test_the_mode_goes_out_at_the_rate_for_graphs(rate_hz: float, expected: int)
     calm = functools.partial(mode, Validity.CALM)
     said = [o for k in range(200) for o in publishing.tick(10 * S + k * 10 * MS, [], calm, Validity.CALM, settings)]
     assert sum(isinstance(output, ModeState) for output in said) == expected
+
+
+def reasons(publishing: Publishing, validity: Validity, seconds: range) -> list[Reject]:
+    """Why there was no range at these seconds, when nothing was measured."""
+    outputs = [publishing.tick(second * S, [], nothing, validity, Settings()) for second in seconds]
+    return [output.reject for group in outputs for output in group if isinstance(output, NoRange)]
+
+
+def test_without_cameras_the_reason_for_no_range_is_not_the_tracker() -> None:
+    publishing = Publishing(DOWN)
+    assert reasons(publishing, Validity.SETTLING, range(10, 12)) == [Reject.NOT_SETTLED] * 2
+    assert reasons(publishing, Validity.TRACKING, range(12, 15)) == [Reject.NO_PAIRS] * 3
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_what_was_said_of_a_range_long_ago_is_not_said_of_now(good: bool) -> None:
+    publishing = Publishing(DOWN)
+    publishing.tick(10 * S, [measured(40.0, 10 * S, trusted=False)], nothing, Validity.TRACKING, Settings())
+    publishing.tick(11 * S, [measured(40.0, 11 * S, trusted=good)], nothing, Validity.TRACKING, Settings())
+    assert reasons(publishing, Validity.TRACKING, range(14, 16)) == [Reject.NO_PAIRS] * 2

@@ -84,7 +84,8 @@ def mode_estimate(
 ) -> ModeEstimate:
     """Describe one mode as ``q = static + amplitude cos(phase)``, ``q' = -omega amplitude sin(phase)``.
 
-    The instantaneous frequency is the phase's rate by the modal equation, gust load included.
+    ``covariance`` is of the deflection less the static bend. The instantaneous frequency is the phase's rate by the
+    modal equation, gust load included.
     """
     relative = parameters.log_sigma
     frequency_sigma = parameters.frequency_hz * float(relative[FREQUENCY])

@@ -149,6 +149,14 @@ class Kalman:
         return total
 
     @property
+    def swing_covariance(self) -> Floats:
+        """The same with the symmetric deflection counted from the static bend: what is unknown of this is no swing."""
+        v = self.columns[:-1, 1:].copy()
+        v[self.layout.symmetric.q] -= self.columns[-1, 1:]
+        total: Floats = self.covariance + v @ self.constants_covariance @ v.T
+        return total
+
+    @property
     def surprise(self) -> float:
         """Mean square of the last second's normalised innovations: one where the model is right."""
         square, count = self._memory.surprise

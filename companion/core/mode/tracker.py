@@ -227,11 +227,11 @@ class WingTracker:
         if not self._rates:
             return None
         kalman, layout = self._kalman, self._layout
-        state, covariance = kalman.state, kalman.total_covariance
+        state, covariance, swing = kalman.state, kalman.total_covariance, kalman.swing_covariance
         rms = self._level.rms_m()
         static = (kalman.static_m, 0.0)
         symmetric, antisymmetric = (
-            mode_estimate(family, parameters, state, covariance, static[k], float(rms[k]))
+            mode_estimate(family, parameters, state, swing, static[k], float(rms[k]))
             for k, (family, parameters) in enumerate(zip(layout.families, self._adaptation.parameters, strict=True))
         )
         q = [family.q for family in layout.families]
