@@ -18,6 +18,7 @@ from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.writer import About, McapWriter
 from companion.cli.options import add_settings, read_settings
+from companion.cli.progress import Progress, length_ns
 from companion.cli.replaying import drive, foreign_inputs, own_inputs
 from companion.cli.stations import StationAnalysis
 from companion.params.files import load_airframe
@@ -48,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own; see config/airframes")
     parser.add_argument("--json", action="store_true", help="the result as JSON on standard output")
     parser.add_argument("--out", type=Path, metavar="FILE.mcap", help="write the outputs as a recording")
+    parser.add_argument("--plain", action="store_true", help="progress as a line every few seconds (standard error)")
     add_settings(parser)
 
 
@@ -95,12 +97,14 @@ def execute(options: argparse.Namespace) -> int:
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
     recorded = _outputs_of(recording) if own and same_beliefs else None
-    for output in _replayed(recording, settings, own, stations):
+    progress = Progress("replaying", length_ns(recording), plain=options.plain)
+    for output in _replayed(recording, settings, own, stations, progress):
         tally.take(output)
         if writer is not None:
             writer.write(output)
         if recorded is not None and isinstance(output, _OUTPUTS):
             tally.compare(next(recorded, None), output)
+    progress.close()
     if writer is not None:
         writer.close()
     _left_over(tally, recorded, recording.replayable)
@@ -122,7 +126,9 @@ def _plain(record: Record | None) -> Any:
     return None if record is None else codec_of(kind).encode(record)
 
 
-def _replayed(recording: Recording, settings: Settings, own: bool, stations: StationAnalysis) -> Iterator[Record]:
+def _replayed(
+    recording: Recording, settings: Settings, own: bool, stations: StationAnalysis, progress: Progress
+) -> Iterator[Record]:
     records = recording.records()
     inputs = own_inputs(records, recording.airframe, settings) if own else foreign_inputs(records)
     hub = None if recording.hub is ClockName.HOST else recording.hub
@@ -131,6 +137,7 @@ def _replayed(recording: Recording, settings: Settings, own: bool, stations: Sta
         for record in inputs:
             if isinstance(record, ImuBatch):
                 stations.add(record)
+                progress.at(record.received_host_ns)
             yield record
 
     return drive(watched(), recording.airframe, settings, hub)
