@@ -68,6 +68,11 @@ def held() -> Iterator[Held]:
         yield keeper
 
 
+def beat(component: int, system: int = 1) -> bytes:
+    """A heartbeat."""
+    return bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(mavlink.MAVLink(None, system, component)))
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -130,9 +135,10 @@ def test_a_listener_learns_its_peers_and_tells_all_of_them(held: Held) -> None:
     assert not link.write(b"nobody yet")
     assert link.unsent == 1
     pilot, node = held.udp(), held.udp()
-    pilot.sendto(b"pilot", ("127.0.0.1", port))
-    node.sendto(b"node", ("127.0.0.1", port))
-    assert sorted([read(link, 9)]) == [b"pilotnode"]
+    frames = [beat(1), beat(200)]
+    for sender, frame in zip((pilot, node), frames, strict=True):
+        sender.sendto(frame, ("127.0.0.1", port))
+    assert read(link, len(b"".join(frames))) == b"".join(frames)
     assert link.write(b"hello")
     assert pilot.recv(100) == node.recv(100) == b"hello"
 
@@ -142,8 +148,8 @@ def test_invented_peers_do_not_grow_without_bound_nor_push_out_who_speaks(held: 
     held.stack.callback(transport.close)
     pilot = held.udp()
     for _ in range(40):
-        held.udp().sendto(b"x", ("127.0.0.1", transport.port))
-        pilot.sendto(b"p", ("127.0.0.1", transport.port))
+        held.udp().sendto(beat(77), ("127.0.0.1", transport.port))
+        pilot.sendto(beat(1), ("127.0.0.1", transport.port))
         time.sleep(0.001)
         transport.receive(CHUNK_BYTES, 0)
     assert len(transport.peers) <= 16
@@ -154,8 +160,8 @@ def test_a_peer_that_goes_away_disturbs_nobody(held: Held) -> None:
     link, port = listening(held)
     gone, stays = held.udp(), held.udp()
     for peer in (gone, stays):
-        peer.sendto(b"hi", ("127.0.0.1", port))
-    read(link, 4)
+        peer.sendto(beat(1), ("127.0.0.1", port))
+    read(link, 2 * len(beat(1)))
     gone.close()
     for _ in range(5):
         assert link.write(b"beat")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from companion.adapters.mavlink import encode
+from companion.adapters.mavlink.absence import Absence
 from companion.adapters.mavlink.component import OwnComponent
 from companion.adapters.mavlink.decode import OUTGOING, Decoded, Decoder
 from companion.adapters.mavlink.dialect import ID_OF, mavlink
@@ -97,6 +98,9 @@ class MavlinkAutopilot:
         self._links = list(links)
         self._settings = settings
         self._clock = clock
+        for link in self._links:
+            if link.senders is not None:
+                link.senders.guarded = frozenset(self.decoder.mapping.clocks)
         self._gather_ns = round(gather_s * _SECOND_NS)
         self._listener = listener
         self.component = OwnComponent(ParameterServer(settings)) if component is None else component
@@ -113,6 +117,7 @@ class MavlinkAutopilot:
         self._boot_offset_ns = 0
         self._ranges = RangeOutputs(settings, airframe.orientation)
         self._texts = 0
+        self._absence = Absence()
         self._held: deque[Notice] = deque(maxlen=_MOST_HELD)  # until somebody is there to read them
         self._graphed_host_ns: dict[type, int] = {}
 
@@ -143,11 +148,26 @@ class MavlinkAutopilot:
             self._read_host_ns = self._clock.now_ns()
         yield from self._unfired
         self._unfired.clear()
+        if self.decoder.system_id is None:
+            yield from self._complain()
+        yield from self._refusals()
         yield from self.rates.notices()
         for event in self.component.events():
             if isinstance(event, ParameterChange):
                 self.adopt(self.component.parameters.settings)
             yield event
+
+    def _refusals(self) -> Iterator[Record]:
+        for link in self._links:
+            if link.senders is not None:
+                link.senders.system = self.decoder.system_id
+                yield from link.senders.refusals(self._clock.now_ns())
+
+    def _complain(self) -> Iterator[Notice]:
+        junk = any(self.decoder.counters(link.number).skipped_bytes for link in self._links)
+        notice = self._absence.due(self._clock.now_ns(), junk=junk)
+        if notice is not None:
+            yield notice
 
     def _wait(self, timeout_s: float) -> bool:
         """Wait for bytes; whether it is time to read them."""
@@ -186,6 +206,8 @@ class MavlinkAutopilot:
                 self._parameters.arrived(heard.message.param_id)
                 if heard.message.param_type in WHOLE_TYPES:
                     self._whole.add(heard.message.param_id)
+            elif heard.name == "HEARTBEAT":
+                self._absence.beat(heard.system, heard.component)
             if self.decoder.system_id is not None:
                 self.component.hear(heard, self.decoder.system_id)
             if self._listener is not None:
@@ -275,7 +297,8 @@ class MavlinkAutopilot:
             self.command(request.command, *request.parameters)
         elif isinstance(record, Notice):
             if self.decoder.system_id is None:
-                self._held.append(record)
+                if not self._absence.is_mine(record):
+                    self._held.append(record)
             else:
                 self._tell(record)
         elif isinstance(record, ServiceStatus):

@@ -8,13 +8,14 @@ there alone (:mod:`companion.adapters.mavlink.layouts`, :mod:`companion.adapters
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from fastcrc.crc16 import mcrf4xx
 
-from companion.adapters.mavlink.dialect import CRC_EXTRA, ID_OF
+from companion.adapters.mavlink.dialect import CRC_EXTRA, ID_OF, payload_size
 from companion.adapters.mavlink.layouts import IMPLAUSIBLE_STAMP_US, INTEGER_SCALE
 from companion.adapters.mavlink.mapping import Mapped
 from companion.records import Floats, Ints
@@ -69,6 +70,8 @@ class _Plan(NamedTuple):
     ----------
     extra : (ids,) int64
         CRC extra of every message id, -1 where it is unknown.
+    longest : (256,) int64
+        Payload of MAVLink 1 by message id.
     limit_us : int
         From here on a stamp is odd.
     number : (sources, 8) int64
@@ -78,6 +81,7 @@ class _Plan(NamedTuple):
     """
 
     extra: Ints
+    longest: Ints
     limit_us: int
     number: Ints
     factor: Floats
@@ -125,6 +129,23 @@ class Bulk:
         return numbers[0], numbers[1:_COUNTED], runs
 
 
+@functools.cache
+def _known() -> tuple[Ints, Ints]:
+    """CRC extra of every message id, and the longest payload of MAVLink 1, as :class:`_Plan` has them."""
+    extra = np.full(max(CRC_EXTRA) + 1, -1, np.int64)
+    extra[list(CRC_EXTRA)] = list(CRC_EXTRA.values())
+    longest = np.array([payload_size(identity) if identity in CRC_EXTRA else 0 for identity in range(256)])
+    return extra, longest
+
+
+def seek(buffer: bytes, start: int) -> int:
+    """The next place from ``start`` on with a whole frame, or one that is not complete; the end where there is none."""
+    counted, spans = np.zeros(_COUNTED, np.int64), np.empty((1, 4), np.int64)
+    rest = np.frombuffer(buffer, np.uint8)[start:]
+    position = _find(rest, *_known(), spans, counted)
+    return start + (int(spans[0, 3]) if counted[1] else position)
+
+
 def _plan(sources: Sequence[Mapped]) -> _Plan:
     number, factor = np.empty((len(sources), 8), np.int64), np.empty((len(sources), 6))
     for at, source in enumerate(sources):
@@ -133,9 +154,7 @@ def _plan(sources: Sequence[Mapped]) -> _Plan:
         unit = np.ones(6) if form == _HIGHRES else INTEGER_SCALE
         sends = np.array([int(source.sends) >> axis & 1 for axis in range(6)])
         factor[at] = unit[source.order] * source.signs * sends
-    extra = np.full(max(CRC_EXTRA) + 1, -1, np.int64)
-    extra[list(CRC_EXTRA)] = list(CRC_EXTRA.values())
-    return _Plan(extra, IMPLAUSIBLE_STAMP_US, number, factor)
+    return _Plan(*_known(), IMPLAUSIBLE_STAMP_US, number, factor)
 
 
 @_compiled
@@ -152,8 +171,8 @@ def _read(buffer: _Bytes, system: int, plan: _Plan) -> tuple[Ints, Ints, Floats]
     values : (n, 6) float64
     """
     counted = np.zeros(_COUNTED, np.int64)
-    spans = np.empty((len(buffer) // _SHORTEST, 3), np.int64)
-    counted[0] = _find(buffer, plan.extra, spans, counted)
+    spans = np.empty((len(buffer) // _SHORTEST, 4), np.int64)
+    counted[0] = _find(buffer, plan.extra, plan.longest, spans, counted)
     count = counted[1]
     of, rows = np.full(count, -1), np.zeros(len(plan.number), np.int64)
     for k in range(count):
@@ -175,14 +194,17 @@ def _read(buffer: _Bytes, system: int, plan: _Plan) -> tuple[Ints, Ints, Floats]
             rows[source] = 0
     for k in range(count):
         if of[k] < 0 or not rows[of[k]]:
-            found[at : at + 3] = spans[k]
+            found[at : at + 3] = spans[k, :3]
             at += 3
     return found[:at], t_ns, values
 
 
 @_compiled
-def _find(buffer: _Bytes, extras: Ints, spans: Ints, counted: Ints) -> int:
-    """The scanner's walk: see :class:`companion.adapters.mavlink.scan.Scanner`."""
+def _find(buffer: _Bytes, extras: Ints, longest: Ints, spans: Ints, counted: Ints) -> int:
+    """The scanner's walk, until ``spans`` are full: see :class:`companion.adapters.mavlink.scan.Scanner`.
+
+    Each span is a frame's key, the first byte of its payload, the one behind it, and the frame's first byte.
+    """
     position, end = 0, len(buffer)
     while position < end:
         newer = buffer[position] == _MAGIC_2
@@ -207,6 +229,11 @@ def _find(buffer: _Bytes, extras: Ints, spans: Ints, counted: Ints) -> int:
         after = stop + (15 if flags else 2)
         if after > end:
             break
+        if not newer and buffer[position + 1] > longest[key >> 16]:
+            counted[2] += 1
+            counted[4] += 1
+            position += 1
+            continue
         crc = _checksum(buffer, position + 1, stop)
         crc = (crc >> 8) ^ _CRC[0, (crc ^ extra) & 255]
         if crc != np.int64(buffer[stop]) | np.int64(buffer[stop + 1]) << 8:
@@ -215,8 +242,11 @@ def _find(buffer: _Bytes, extras: Ints, spans: Ints, counted: Ints) -> int:
             position += 1
             continue
         spans[counted[1], 0], spans[counted[1], 1], spans[counted[1], 2] = key, first, stop
+        spans[counted[1], 3] = position
         counted[1] += 1
         position = after
+        if counted[1] == len(spans):
+            break
     return position
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from companion.adapters.mavlink.senders import Senders
 from companion.adapters.mavlink.serial_link import SerialTransport
 from companion.adapters.mavlink.signing import SignedTransport, Signing
 from companion.adapters.mavlink.tcp import TcpClient, TcpServer
@@ -56,6 +57,11 @@ class Link:
         self.unsent = 0
         self._transport = transport
         self._clock = clock
+
+    @property
+    def senders(self) -> Senders | None:
+        """Who has which id, where many can reach this link."""
+        return getattr(self._transport, "senders", None)
 
     def fileno(self) -> int:
         """Descriptor to wait on, or -1 while the connection is down."""

@@ -10,17 +10,22 @@ from dataclasses import dataclass, field
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.adapters.mavlink.bulk import Bulk, Run
-from companion.adapters.mavlink.dialect import CRC_EXTRA
+from companion.adapters.mavlink.bulk import COMPILED, Bulk, Run, seek
+from companion.adapters.mavlink.dialect import CRC_EXTRA, payload_size
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _HEADER_1, _HEADER_2 = 6, 10
 _SIGNED = 0x01
 _SIGNATURE_BYTES = 13
 _SHORTEST_2 = _HEADER_2 + 2
-_MAGIC = re.compile(rb"[\xfd\xfe]")
+# where a frame may begin; the last bytes of a chunk may begin one whose header is not there yet
+_CANDIDATE = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.{0,8}\Z)", re.DOTALL)
 _LAST_BYTE: tuple[int, ...] = tuple(mcrf4xx(bytes([byte]), 0) for byte in range(256))
 _EXTRA_OF = {identity.to_bytes(3, "little"): extra for identity, extra in CRC_EXTRA.items()}
+# of MAVLink 1, which has no extensions: what is longer is no frame, and its checksum is not worth the time; -1: unknown
+_LONGEST = tuple(payload_size(identity) if identity in CRC_EXTRA else -1 for identity in range(256))
+_LARGEST_1 = _HEADER_1 + 255 + 2
+INCOMPLETE, NO_FRAME, UNKNOWN, DAMAGED = -1, -2, -3, -4
 
 Frame = tuple[int, bytes]
 """Sender and message id of a frame, see :func:`sender`, and its payload."""
@@ -108,43 +113,88 @@ class Scanner:
                         keep((number(buffer[position + 5 : position + 10], "little"), buffer[position + 10 : stop]))
                         position = stop + 2
                         continue
-            ahead = self._careful(buffer, position, end, frames)
-            if ahead < 0:
+            position, waits = self._careful(buffer, position, end, frames)
+            if waits:
                 break
-            position = ahead
         self.counters.frames += len(frames) - before
         return position
 
-    def _careful(self, buffer: bytes, start: int, end: int, frames: list[Frame]) -> int:
-        """Give the next position, or -1 where the candidate is not complete yet."""
-        magic = buffer[start]
-        if magic not in (_MAGIC_1, _MAGIC_2):
-            found = _MAGIC.search(buffer, start)
-            ahead = found.start() if found else end
-            self.counters.skipped_bytes += ahead - start
-            return ahead
-        header = _HEADER_2 if magic == _MAGIC_2 else _HEADER_1
-        if start + header > end:
-            return -1
-        flags = buffer[start + 2] if magic == _MAGIC_2 else 0
-        if flags & ~_SIGNED:
-            return self._step(start)
-        key = buffer[start + 5 : start + 10] if magic == _MAGIC_2 else buffer[start + 3 : start + 6] + b"\0\0"
-        extra = _EXTRA_OF.get(key[2:])
-        if extra is None:
-            self.counters.unknown += 1
-            return self._step(start)
-        stop = start + header + buffer[start + 1]
-        after = stop + 2 + (_SIGNATURE_BYTES if flags else 0)
-        if after > end:
-            return -1
-        state = mcrf4xx(buffer[start + 1 : stop])
-        if (state >> 8) ^ _LAST_BYTE[(state & 255) ^ extra] != buffer[stop] | buffer[stop + 1] << 8:
-            self.counters.crc_errors += 1
-            return self._step(start)
-        frames.append((int.from_bytes(key, "little"), buffer[start + header : stop]))
-        return after
+    def _careful(self, buffer: bytes, start: int, end: int, frames: list[Frame]) -> tuple[int, bool]:
+        """Give the place behind the next frame, or the first byte that has to wait and True."""
+        own, search, longest_of, at = self.counters, _CANDIDATE.search, _LONGEST, start
+        while at < end:
+            if buffer[at] == _MAGIC_1 and at + _LARGEST_1 <= end:  # a flood of these is the dearest
+                longest = longest_of[buffer[at + 5]]
+                if buffer[at + 1] > longest:
+                    own.unknown += longest < 0
+                    own.crc_errors += longest >= 0
+                    at += 1
+                    if buffer[at] != _MAGIC_1:
+                        candidate = search(buffer, at)
+                        at = candidate.start() if candidate else end
+                    continue
+            after = whole_frame(buffer, at)
+            if after > 0 or after == INCOMPLETE:
+                break
+            own.unknown += after == UNKNOWN
+            own.crc_errors += after == DAMAGED
+            candidate = search(buffer, at + 1)
+            at = candidate.start() if candidate else end
+        own.skipped_bytes += at - start
+        if at == end:
+            return end, False
+        if after == INCOMPLETE:
+            return at, True
+        first, key = (at + _HEADER_2, at + 5) if buffer[at] == _MAGIC_2 else (at + _HEADER_1, at + 3)
+        frames.append((int.from_bytes(buffer[key:first], "little"), buffer[first : first + buffer[at + 1]]))
+        return after, False
 
-    def _step(self, start: int) -> int:
-        self.counters.skipped_bytes += 1
-        return start + 1
+
+def next_frame(buffer: bytes, start: int) -> int:
+    """The next place from ``start`` on with a whole frame, or one that is not complete; the end where there is none."""
+    if COMPILED:
+        return seek(buffer, start)
+    at, end = next_candidate(buffer, start), len(buffer)
+    while at < end and whole_frame(buffer, at) < INCOMPLETE:
+        at = next_candidate(buffer, at + 1)
+    return at
+
+
+def next_candidate(buffer: bytes, start: int) -> int:
+    """The next place from ``start`` on where a frame may begin; the buffer's end where there is none."""
+    candidate = _CANDIDATE.search(buffer, start)
+    return candidate.start() if candidate else len(buffer)
+
+
+def whole_frame(buffer: bytes, start: int) -> int:
+    """Where the frame that begins at ``start`` ends, or why none does: one of the four negative words."""
+    end, magic, longest = len(buffer), buffer[start], 0
+    if magic == _MAGIC_2:
+        first = start + _HEADER_2
+        if first > end:
+            return INCOMPLETE
+        flags = buffer[start + 2]
+        if flags & ~_SIGNED:
+            return NO_FRAME
+        extra = _EXTRA_OF.get(buffer[start + 7 : first])
+        if extra is None:
+            return UNKNOWN
+    elif magic == _MAGIC_1:
+        first, flags = start + _HEADER_1, 0
+        if first > end:
+            return INCOMPLETE
+        longest = _LONGEST[buffer[start + 5]]
+        if longest < 0:
+            return UNKNOWN
+        extra = CRC_EXTRA[buffer[start + 5]]
+    else:
+        return NO_FRAME
+    stop = first + buffer[start + 1]
+    after = stop + 2 + (_SIGNATURE_BYTES if flags else 0)
+    if after > end:
+        return INCOMPLETE
+    if magic == _MAGIC_1 and buffer[start + 1] > longest:
+        return DAMAGED
+    state = mcrf4xx(buffer[start + 1 : stop])
+    whole = (state >> 8) ^ _LAST_BYTE[(state & 255) ^ extra] == buffer[stop] | buffer[stop + 1] << 8
+    return after if whole else DAMAGED

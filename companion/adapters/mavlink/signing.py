@@ -16,19 +16,21 @@ import hashlib
 import hmac
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
 from fastcrc.crc16 import mcrf4xx
 
 from companion.adapters.mavlink.dialect import CRC_EXTRA
+from companion.adapters.mavlink.scan import INCOMPLETE, next_frame, whole_frame
+from companion.adapters.mavlink.senders import Senders
+from companion.adapters.mavlink.udp import UdpIn
 from companion.errors import ConfigError
 from companion.ports import Clock
 from companion.records import Notice
 
-_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
-_HEADER_1, _HEADER_2 = 6, 10
+_MAGIC_2 = 0xFD
 _SIGNED = 0x01
 _SIGNATURE_BYTES = 13
 _KEY_BYTES = 32
@@ -157,6 +159,14 @@ class SignedTransport:
         self._signing = signing
         self._link = link
         self._tail = b""
+        self._judged_inside = isinstance(inner, UdpIn)  # it learns its peers from what is accepted
+        if isinstance(inner, UdpIn):
+            inner.judge = lambda frame: signing.judge(frame) is None
+
+    @property
+    def senders(self) -> Senders | None:
+        """Of the inner transport, where it has many."""
+        return getattr(self._inner, "senders", None)
 
     def fileno(self) -> int:
         """Descriptor to wait on, or -1 while there is none."""
@@ -165,7 +175,7 @@ class SignedTransport:
     def receive(self, limit: int, now_host_ns: int) -> bytes:
         """Give the accepted frames of what has arrived."""
         data = self._inner.receive(limit, now_host_ns)
-        return self._admit(data) if data else b""
+        return self._admit(data) if data and not self._judged_inside else data
 
     def send(self, data: bytes) -> bool:
         """Sign one frame and send it."""
@@ -177,44 +187,26 @@ class SignedTransport:
 
     def _admit(self, data: bytes) -> bytes:
         buffer = self._tail + data
-        accepted, end = [], 0
-        for frame, end in _frames(buffer):  # noqa: B007 (the last end is where the rest begins)
-            if frame and self._signing.judge(frame) is None:
-                accepted.append(frame)
+        frames, end = _frames(buffer)
         self._tail = buffer[end:]
+        accepted = [frame for frame in frames if self._signing.judge(frame) is None]
         return b"".join(accepted)
 
 
-def _frames(buffer: bytes) -> Iterator[tuple[bytes, int]]:
-    """Every frame with a right checksum, and the place behind it; what is no frame comes as an empty one.
-
-    What is not complete at the end is left for the next time.
-    """
+def _frames(buffer: bytes) -> tuple[list[bytes], int]:
+    """Every frame with a right checksum, and the place behind the last byte that need not wait for more."""
+    frames: list[bytes] = []
     at, end = 0, len(buffer)
     while at < end:
-        magic = buffer[at]
-        header = _HEADER_2 if magic == _MAGIC_2 else _HEADER_1
-        if magic not in (_MAGIC_1, _MAGIC_2):
-            at += 1
-        elif at + header > end:
-            return
+        after = whole_frame(buffer, at)
+        if after == INCOMPLETE:
+            return frames, at
+        if after > 0:
+            frames.append(buffer[at:after])
+            at = after
         else:
-            flags = buffer[at + 2] if magic == _MAGIC_2 else 0
-            body = at + header + buffer[at + 1]
-            after = body + 2 + (_SIGNATURE_BYTES if flags & _SIGNED else 0)
-            number = buffer[at + 7 : at + 10] if magic == _MAGIC_2 else buffer[at + 5 : at + 6]
-            extra = CRC_EXTRA.get(int.from_bytes(number, "little"))
-            if extra is not None and not flags & ~_SIGNED:
-                if after > end:
-                    return
-                if mcrf4xx(buffer[at + 1 : body] + bytes((extra,))) == int.from_bytes(
-                    buffer[body : body + 2], "little"
-                ):
-                    yield buffer[at:after], after
-                    at = after
-                    continue
-            at += 1
-        yield b"", at
+            at = next_frame(buffer, at + 1)
+    return frames, at
 
 
 # ------------------------------------------------------------------------------------------------ the key file

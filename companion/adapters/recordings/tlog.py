@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fastcrc.crc16 import mcrf4xx
 
 from companion.adapters.mavlink.decode import Decoder
-from companion.adapters.mavlink.dialect import CRC_EXTRA, NAME_OF
+from companion.adapters.mavlink.dialect import NAME_OF
+from companion.adapters.mavlink.scan import next_frame, whole_frame
 from companion.adapters.recordings.channels import CHANNELS
 from companion.adapters.recordings.recording import LoggedRecording
 from companion.errors import RecordingError
@@ -71,12 +71,13 @@ class TlogRecording(LoggedRecording):
         """Every frame with its UTC receive time in us; damage is stepped over and named in the notices."""
         data, end, at, skipped_from, last_us = self._data, len(self._data), 0, -1, 0
         while at < end:
+            if skipped_from >= 0 and at + _STAMP < end and whole_frame(data, at + _STAMP) < 0:
+                at = max(next_frame(data, at + _STAMP + 1) - _STAMP, at + 1)
+                continue
             size = _frame_bytes(data, at + _STAMP)
             after = at + _STAMP + size
             stamp_us = int.from_bytes(data[at : at + _STAMP], "big")
             good = size and after <= end and _plausible(stamp_us, last_us)
-            if good and skipped_from >= 0:
-                good = _checked(data, at + _STAMP, size)
             if good:
                 if skipped_from >= 0:
                     self.notes.add(
@@ -164,16 +165,3 @@ def _frame_bytes(data: bytes, at: int) -> int:
 
 def _plausible(stamp_us: int, last_us: int) -> bool:
     return abs(stamp_us - last_us) < _PLAUSIBLE_US if last_us else _EARLIEST_US < stamp_us < 4 * _EARLIEST_US
-
-
-def _checked(data: bytes, at: int, size: int) -> bool:
-    """Whether the checksum of a frame is right; needed where a frame was looked for among damaged bytes."""
-    if data[at] == _MAGIC_2:
-        message, signature = int.from_bytes(data[at + 7 : at + 10], "little"), 13 if data[at + 2] & 1 else 0
-    else:
-        message, signature = data[at + 5], 0
-    extra = CRC_EXTRA.get(message)
-    stop = at + size - signature - 2
-    if extra is None:
-        return False
-    return mcrf4xx(data[at + 1 : stop] + bytes([extra])) == data[stop] | data[stop + 1] << 8

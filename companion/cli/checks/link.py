@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.adapters.mavlink.absence import absence_text
 from companion.cli.checks.evidence import Evidence, Finding, Level
 
 _SUBJECT = "link"
@@ -20,11 +21,7 @@ def check_link(seen: Evidence) -> Iterator[Finding]:
         yield Finding(_SUBJECT, Level.UNKNOWN, "no MAVLink heartbeat is in this log (an autopilot's own log has none)")
         return
     if pilot is None:
-        others = ", ".join(f"{system}/{component}" for system, component in sorted(seen.beats))
-        heard = (
-            f"only {others} beat" if others else ("bytes, but no heartbeat: baud rate?" if seen.skipped_bytes else "")
-        )
-        text = "no autopilot heartbeat: " + (heard or "nothing arrives; check port, cable and SERIALn_PROTOCOL 2")
+        text = absence_text(seen.beats, junk=bool(seen.skipped_bytes))
         yield Finding(_SUBJECT, Level.FIX, text)
         return
     rate_hz = pilot.count / seen.seconds if seen.seconds else 0.0

@@ -1,0 +1,51 @@
+"""Says that no autopilot is heard, and what is heard in its place: nothing, bytes that are no frames, or others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from companion.records import Notice
+
+_PATIENCE_NS = 3_000_000_000
+_REPEAT_NS = 30_000_000_000
+_WARNING = 4
+
+
+def absence_text(others: Iterable[tuple[int, int]], *, junk: bool) -> str:
+    """The sentence; ``others`` are the (system, component) that beat, ``junk`` says that bytes come."""
+    heard = ", ".join(f"{system}/{component}" for system, component in sorted(others))
+    if heard:
+        return f"no autopilot heartbeat: only {heard} beat"
+    if junk:
+        return "no autopilot heartbeat: bytes, but no heartbeat: baud rate?"
+    return "no autopilot heartbeat: nothing arrives; check port, cable, baud rate and SERIALn_PROTOCOL 2"
+
+
+class Absence:
+    """Waits for the autopilot's first heartbeat, and complains after 3 s and then every 30 s."""
+
+    def __init__(self) -> None:
+        self._others: dict[tuple[int, int], None] = {}
+        self._began_host_ns: int | None = None
+        self._said_host_ns: int | None = None
+        self._text = ""
+
+    def beat(self, system: int, component: int) -> None:
+        """Take note of a heartbeat that is not the autopilot's."""
+        self._others[system, component] = None
+
+    def due(self, now_host_ns: int, *, junk: bool) -> Notice | None:
+        """The complaint, if it is time for one."""
+        if self._began_host_ns is None:
+            self._began_host_ns = now_host_ns
+        if now_host_ns - self._began_host_ns < _PATIENCE_NS:
+            return None
+        text = absence_text(self._others, junk=junk)
+        if text == self._text and self._said_host_ns is not None and now_host_ns - self._said_host_ns < _REPEAT_NS:
+            return None
+        self._text, self._said_host_ns = text, now_host_ns
+        return Notice(_WARNING, text, now_host_ns)
+
+    def is_mine(self, notice: Notice) -> bool:
+        """Whether this is such a complaint: of no use to who hears it once the autopilot is there."""
+        return notice.text == self._text

@@ -1,0 +1,100 @@
+"""Who speaks under which id on a link that many can reach: the first sender keeps its place while it lives."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from companion.records import Notice, Reject, Rejected
+
+Address = tuple[str, int]
+Key = tuple[int, int]
+
+_ALIVE_NS = 1_500_000_000
+_COPIES = 128
+_CONFIRMATIONS = 3
+_REPEAT_NS = 30_000_000_000
+_REPORT_NS = 1_000_000_000
+_ERROR = 3
+
+
+@dataclass(slots=True)
+class _Place:
+    """Who has an id, when it was heard last, and what it sent of late."""
+
+    address: Address
+    heard_host_ns: int
+    sent: deque[bytes] = field(default_factory=lambda: deque(maxlen=_COPIES))
+
+
+class Senders:
+    """Guards the ids of autopilot and sensors.
+
+    A router may bring the same frame twice, by another way: such a copy is refused like anything else from another
+    address, but nobody is warned of it.
+
+    Attributes
+    ----------
+    guarded : collection of int
+        Component ids.
+    system : int or None
+        The only system whose ids are guarded; None for all.
+    """
+
+    def __init__(self, guarded: Collection[int] = ()) -> None:
+        self.guarded = frozenset(guarded)
+        self.system: int | None = None
+        self._places: dict[Key, _Place] = {}
+        self._refused: Counter[tuple[Key, Address]] = Counter()
+        self._foreign: Counter[tuple[Key, Address]] = Counter()
+        self._said_host_ns: dict[Key, int] = {}
+        self._reported_host_ns = 0
+
+    def guards(self, key: Key) -> bool:
+        """Whether this id is one that matters."""
+        return key[1] in self.guarded and self.system in (None, key[0])
+
+    def has(self, address: Address, key: Key, frame: bytes, now_host_ns: int) -> bool:
+        """Whether the id is the sender's already; takes note of the frame."""
+        place = self._places.get(key)
+        if place is None or place.address != address:
+            return False
+        place.heard_host_ns = now_host_ns
+        place.sent.append(frame)
+        return True
+
+    def admit(self, address: Address, key: Key, frame: bytes, now_host_ns: int) -> bool:
+        """Give the id to who has it or comes first; refuse and count the frames of others."""
+        place = self._places.get(key)
+        if place is None or (place.address != address and now_host_ns - place.heard_host_ns > _ALIVE_NS):
+            place = self._places[key] = _Place(address, now_host_ns)
+        if place.address != address:
+            self._refused[key, address] += 1
+            self._foreign[key, address] += frame not in place.sent
+            return False
+        return self.has(address, key, frame, now_host_ns)
+
+    def holds_any(self, address: Address) -> bool:
+        """Whether a guarded id is this sender's."""
+        return any(place.address == address for place in self._places.values())
+
+    def refusals(self, now_host_ns: int) -> list[Notice | Rejected]:
+        """What was refused, once a second, and a sentence for each id, at most every 30 s."""
+        if not self._refused or now_host_ns - self._reported_host_ns < _REPORT_NS:
+            return []
+        self._reported_host_ns = now_host_ns
+        told: list[Notice | Rejected] = []
+        for (key, address), count in self._refused.items():
+            name, where = f"{key[0]}/{key[1]}", f"{address[0]}:{address[1]}"
+            told.append(Rejected(Reject.FOREIGN_SOURCE, f"second sender of {name}", now_host_ns, count))
+            said = self._said_host_ns.get(key)
+            if self._foreign[key, address] >= _CONFIRMATIONS and (said is None or now_host_ns - said >= _REPEAT_NS):
+                self._said_host_ns[key] = now_host_ns
+                first = self._places[key].address
+                text = f"id {name} is used twice: {where} is refused, {first[0]}:{first[1]} came first"
+                told.append(Notice(_ERROR, text, now_host_ns))
+        self._refused.clear()
+        if len(self._foreign) > _COPIES:
+            self._foreign.clear()
+        return told

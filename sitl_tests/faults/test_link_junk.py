@@ -1,0 +1,79 @@
+"""Bytes that are no frames cost little, wherever they arrive: half a second of processor a megabyte at most."""
+
+from __future__ import annotations
+
+import random
+import time
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.mapping import build_mapping
+from companion.adapters.mavlink.scan import Scanner
+from companion.adapters.mavlink.signing import SignedTransport, Signing
+from companion.adapters.recordings.tlog import TlogRecording
+from companion.params.files import load_airframe
+from sitl_tests.loop.ground_stations import TurnedClock, Wire
+
+MB, CHUNK = 1_000_000, 65_536
+MOST_S = 0.5
+
+
+def bad_frame(magic: int) -> bytes:
+    """As long as a frame can be, of a known message, every byte of it the beginning of another, its checksum wrong."""
+    head = bytes([0xFD, 255, 0, 0, 0, 1, 1, *(385).to_bytes(3, "little")])
+    return (head if magic == 0xFD else bytes([0xFE, 255, 0, 1, 1, 110])) + bytes([magic] * 255) + b"\1\2"
+
+
+def megabyte(pattern: bytes) -> bytes:
+    return (pattern * (MB // len(pattern) + 1))[:MB]
+
+
+JUNK = {
+    "random": random.Random(1).randbytes(MB),
+    "only 0xFD": megabyte(b"\xfd"),
+    "only 0xFE": megabyte(b"\xfe"),
+    "bad MAVLink 2 frames": megabyte(bad_frame(0xFD)),
+    "bad MAVLink 1 frames": megabyte(bad_frame(0xFE)),
+    "heartbeats of 128 bytes": megabyte(b"\xfd\x80\x00\x00\x00"),
+}
+WAYS = ["plain", *(["compiled"] if COMPILED else [])]
+
+
+def cost_s(begun_s: float) -> float:
+    return time.process_time() - begun_s
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("kind", JUNK)
+def test_in_the_scanner(kind: str, way: str) -> None:
+    bulk = Bulk(build_mapping(load_airframe("nadir-2m")).sources) if way == "compiled" else None
+    scanner, begun_s = Scanner(bulk), time.process_time()
+    frames = [frame for at in range(0, MB, CHUNK) for frame in scanner.scan(JUNK[kind][at : at + CHUNK], 1).frames]
+    assert cost_s(begun_s) < MOST_S
+    assert len(frames) < 10
+    assert scanner.counters.skipped_bytes > 0.99 * MB
+
+
+@pytest.mark.parametrize("kind", JUNK)
+def test_on_a_signed_link(kind: str) -> None:
+    clock, wire = TurnedClock(), Wire()
+    transport, begun_s = SignedTransport(wire, Signing(bytes(32), clock), 0), time.process_time()
+    for at in range(0, MB, CHUNK):
+        wire.inbox += JUNK[kind][at : at + CHUNK]
+        assert transport.receive(CHUNK, 0) == b""
+    assert cost_s(begun_s) < MOST_S
+
+
+@pytest.mark.parametrize("kind", JUNK)
+def test_in_a_log(kind: str, tmp_path: Path) -> None:
+    beat = bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 1, 1)))
+    good = (1_700_000_000_000_000).to_bytes(8, "big") + beat
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(good + JUNK[kind] + good)
+    begun_s = time.process_time()
+    recording = TlogRecording(path, load_airframe("sitl-plane"))
+    assert [frame for _, frame in recording.frames()] == [beat, beat]
+    assert cost_s(begun_s) < MOST_S

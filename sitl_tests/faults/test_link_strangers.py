@@ -1,0 +1,270 @@
+"""Who may speak on a UDP port: peers are made by frames of the vehicle, and an id is one sender's while it lives."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections import Counter
+from collections.abc import Iterator
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.autopilot import MavlinkAutopilot
+from companion.adapters.mavlink.link import Link
+from companion.adapters.mavlink.signing import SignedTransport, Signing
+from companion.adapters.mavlink.udp import UdpIn
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ImuBatch, Notice, Record, Reject, Rejected
+from sitl_tests.faults.test_signing_links import KEY, NOW
+from sitl_tests.loop.ground_stations import TurnedClock
+
+MS = 1_000_000
+NODE, PILOT = 200, 1
+
+
+class Talker:
+    """A socket that sends MAVLink under some id and keeps what it hears."""
+
+    def __init__(self, to: tuple[str, int], component: int, system: int = 1, key: bytes | None = None) -> None:
+        self._to = to
+        self.packer = mavlink.MAVLink(None, system, component)
+        if key is not None:
+            self.packer.signing.secret_key, self.packer.signing.timestamp = key, NOW
+            self.packer.signing.sign_outgoing = True
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.setblocking(False)
+
+    @property
+    def where(self) -> str:
+        return f"127.0.0.1:{self.socket.getsockname()[1]}"
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendto(data, self._to)
+
+    def frame(self, message: mavlink.MAVLink_message) -> bytes:
+        frame = bytes(message.pack(self.packer))
+        self.packer.seq = (self.packer.seq + 1) % 256
+        return frame
+
+    def beat(self, kind: int = 1, autopilot: int = 3) -> None:
+        self.send(self.frame(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 4, 3)))
+
+    def sample(self, t_us: int, z_mps2: float = -9.8) -> None:
+        self.send(self.sample_frame(t_us, z_mps2))
+
+    def sample_frame(self, t_us: int, z_mps2: float = -9.8) -> bytes:
+        return self.frame(mavlink.MAVLink_highres_imu_message(t_us, 0, 0, z_mps2, 0, 0, 0, *[0] * 7, 63))
+
+    def heard(self) -> int:
+        """Datagrams since the last call."""
+        count = 0
+        try:
+            while self.socket.recv(2048):
+                count += 1
+        except BlockingIOError:
+            return count
+        return count
+
+
+class Port:
+    """Our adapter on a UDP port, on a clock that is turned by hand."""
+
+    def __init__(self, signing: bool = False) -> None:
+        self.clock = TurnedClock()
+        self.udp = UdpIn("127.0.0.1", 0)
+        self.at = ("127.0.0.1", self.udp.port)
+        transport = SignedTransport(self.udp, Signing(KEY, self.clock, NOW), 0) if signing else self.udp
+        link = Link(0, "udpin", transport, self.clock)
+        self.pilot = MavlinkAutopilot([link], load_airframe("nadir-2m"), Settings(), self.clock)
+        self.records: list[Record] = []
+        self.talkers: list[Talker] = []
+
+    def talker(self, component: int, system: int = 1, key: bytes | None = None) -> Talker:
+        self.talkers.append(Talker(self.at, component, system, key))
+        return self.talkers[-1]
+
+    def run(self, seconds: float = 0.02) -> None:
+        """Poll every 10 ms of our clock; datagrams on this machine arrive at once."""
+        for _ in range(round(seconds / 0.01)):
+            self.clock.now += 10 * MS
+            self.records += self.pilot.poll(0.0)
+
+    def texts(self) -> list[str]:
+        return [record.text for record in self.records if isinstance(record, Notice)]
+
+    def samples(self) -> Counter[float]:
+        batches = [record for record in self.records if isinstance(record, ImuBatch)]
+        return Counter(round(float(row[2]), 1) for batch in batches for row in batch.values)
+
+    def close(self) -> None:
+        self.pilot.close()
+        for talker in self.talkers:
+            talker.socket.close()
+
+
+@pytest.fixture(params=[False, True], ids=["unsigned", "signed"])
+def signing(request: pytest.FixtureRequest) -> bool:
+    return bool(request.param)
+
+
+@pytest.fixture
+def port(signing: bool) -> Iterator[Port]:
+    made = Port(signing)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def key(signing: bool) -> bytes | None:
+    return KEY if signing else None
+
+
+def test_junk_from_seventeen_sockets_costs_the_autopilot_no_message(port: Port, key: bytes | None) -> None:
+    pilot = port.talker(PILOT, key=key)
+    junk = [port.talker(66) for _ in range(17)]
+    heard = 0
+    for _ in range(300):
+        pilot.beat()
+        for talker in junk:
+            talker.send(b"x")
+        port.run(0.01)
+        heard += pilot.heard()
+    assert port.udp.peers == [pilot.socket.getsockname()]
+    assert port.pilot._links[0].unsent <= 1, "before anybody was there"
+    assert heard >= 3 * 10, "TIMESYNC alone is asked ten times a second"
+    assert not any(talker.heard() for talker in junk)
+
+
+def test_whole_frames_of_another_system_make_no_peer_and_a_ground_station_does(port: Port, key: bytes | None) -> None:
+    pilot, other, station = port.talker(PILOT, key=key), port.talker(1, 77, key), port.talker(190, 255, key)
+    other.beat(autopilot=8)  # before the vehicle is known it might be anybody's
+    pilot.beat()
+    port.run()
+    for _ in range(50):
+        other.sample(1)
+        station.beat(kind=6, autopilot=8)
+        pilot.beat()
+        port.run(0.01)
+    other.heard()
+    port.run(0.5)
+    assert other.heard() == 0
+    assert station.heard() > 0
+    assert pilot.heard() > 0
+
+
+def test_an_unsigned_frame_makes_no_peer_where_signing_is_on() -> None:
+    port = Port(signing=True)
+    try:
+        pilot, stranger, thief = port.talker(PILOT, key=KEY), port.talker(PILOT), port.talker(PILOT, key=bytes(32))
+        for _ in range(20):
+            for talker in (stranger, thief, pilot):
+                talker.beat()
+            port.run(0.05)
+        assert port.udp.peers == [pilot.socket.getsockname()]
+        assert port.pilot.decoder.system_id == 1
+    finally:
+        port.close()
+
+
+def test_a_second_sender_of_a_nodes_id_is_refused_and_told_by_name(port: Port, key: bytes | None) -> None:
+    pilot, first = port.talker(PILOT, key=key), port.talker(NODE, key=key)
+    second = port.talker(NODE, key=key)
+    second.packer.signing.link_id = 7
+    pilot.beat()
+    port.run()
+    for number in range(400):
+        first.sample(1_000_000 + 5000 * number, -9.8)
+        if number > 20:
+            second.sample(90_000_000 + 5000 * number, -3.0)
+        port.run(0.01)
+    assert set(port.samples()) == {-9.8}
+    assert port.samples()[-9.8] == 400
+    told = [text for text in port.texts() if f"1/{NODE}" in text]
+    assert len(told) == 1, "calmly"
+    assert second.where in told[0]
+    assert first.where in told[0]
+    refused = [record for record in port.records if isinstance(record, Rejected) and str(NODE) in record.what]
+    assert sum(record.count for record in refused) > 300
+    assert {record.reason for record in refused} == {Reject.FOREIGN_SOURCE}
+
+
+def test_a_second_autopilot_is_refused_and_the_first_keeps_its_place_while_it_lives() -> None:
+    port = Port()
+    try:
+        first, second = port.talker(PILOT), port.talker(PILOT)
+        for _ in range(30):
+            first.beat()
+            second.beat(autopilot=12)
+            port.run(0.1)
+        assert not port.pilot.decoder.px4
+        assert [text for text in port.texts() if "1/1" in text and second.where in text]
+        for _ in range(30):
+            second.beat(autopilot=12)
+            port.run(0.1)
+        assert port.pilot.decoder.px4, "the first is gone"
+    finally:
+        port.close()
+
+
+def test_a_routed_copy_is_refused_without_a_warning() -> None:
+    port = Port()
+    try:
+        pilot, node, router = port.talker(PILOT), port.talker(NODE), port.talker(66)
+        pilot.beat()
+        port.run()
+        for number in range(100):
+            frame = node.sample_frame(1_000_000 + 5000 * number)
+            node.send(frame)
+            router.send(frame)
+            port.run(0.02)
+        assert port.samples()[-9.8] == 100
+        assert not [text for text in port.texts() if "used twice" in text]
+    finally:
+        port.close()
+
+
+def test_a_sender_that_comes_back_from_another_port_is_heard_again(port: Port, key: bytes | None) -> None:
+    pilot = port.talker(PILOT, key=key)
+    pilot.beat()
+    port.run()
+    for place in range(2):
+        node = port.talker(NODE, key=key)
+        node.packer.signing.timestamp = NOW + place * 400_000
+        for number in range(100):
+            node.sample(1_000_000 + 4_000_000 * place + 5000 * number, -9.0 - place)
+            port.run(0.01)
+        port.run(2.0)
+    assert port.samples() == {-9.0: 100, -10.0: 100}
+
+
+def test_a_frame_may_be_cut_by_a_datagram_while_others_speak(port: Port, key: bytes | None) -> None:
+    """A bridge cuts its serial stream anywhere."""
+    pilot, bridge, stranger = port.talker(PILOT, key=key), port.talker(NODE, key=key), port.talker(66)
+    pilot.beat()
+    port.run()
+    for number in range(50):
+        frame = bridge.sample_frame(1_000_000 + 5000 * number)
+        bridge.send(frame[: 7 + number % 30])
+        stranger.send(b"\xfd\x20")
+        pilot.beat()
+        bridge.send(frame[7 + number % 30 :])
+        port.run(0.02)
+    assert port.samples()[-9.8] == 50
+
+
+def test_a_flood_of_frames_is_sifted_in_little_time() -> None:
+    """A second of a 20-fold flood (some 50,000 frames) costs well under a second."""
+    udp = UdpIn("127.0.0.1", 0)
+    udp.senders.guarded = frozenset((1, NODE))
+    node = Talker(("127.0.0.1", udp.port), NODE)
+    frame = node.sample_frame(1)
+    begun_s, seen = time.process_time(), 0
+    for _ in range(500):
+        seen += len(udp._sifted(("127.0.0.1", 9), frame * 100, 0))
+    assert seen == 500 * 100 * len(frame)
+    assert time.process_time() - begun_s < 0.5
+    node.socket.close()
+    udp.close()
