@@ -71,16 +71,25 @@ def fly(
                 if each is not None:
                     each(record)
             for sentence in service.tend():
-                view.say(sentence)
+                view.say(sentence, here=True)
+            elapsed_s = time.monotonic() - began
+            if not live:
+                _print(view.sentences(), elapsed_s)
             if service.failed():
                 raise DeviceError(f"process {', '.join(service.failed())} keeps dying; its messages are above")
-            elapsed_s = time.monotonic() - began
             if live:
                 screen.update(view.render(elapsed_s))
             elif elapsed_s >= next_line_s:
                 next_line_s = elapsed_s + _LINE_S
+                refused = view.refusals()
+                _print([] if refused is None else [refused], elapsed_s)
                 print(view.line(elapsed_s), file=sys.stderr, flush=True)
             wait(_DRAW_S)
+
+
+def _print(sentences: list[str], elapsed_s: float) -> None:
+    for sentence in sentences:
+        print(f"{elapsed_s:6.1f} s  {sentence}", file=sys.stderr, flush=True)
 
 
 class _Lines:

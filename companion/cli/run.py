@@ -25,6 +25,7 @@ from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 
 _KEEP_NS = 30_000_000_000
+_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,8 +60,7 @@ def execute(options: argparse.Namespace) -> int:
     """Run until Ctrl-C or SIGTERM (or for the given time)."""
     config = service_config(options)
     try_devices(config)
-    serve(config, options)
-    return 0
+    return serve(config, options)
 
 
 def service_config(options: argparse.Namespace) -> ServiceConfig:
@@ -145,8 +145,8 @@ def try_devices(config: ServiceConfig) -> None:
             factory().close()
 
 
-def serve(config: ServiceConfig, options: argparse.Namespace) -> None:
-    """Run it in the foreground, and say at the end how it stood."""
+def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
+    """Run it in the foreground, and say at the end how it stood; 3 where no vehicle came in the time that was given."""
     ends = time.monotonic() + options.seconds if options.seconds else float("inf")
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -160,3 +160,7 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> None:
     finally:
         keeper.keep()
     print(view.line(time.monotonic() - began).strip())
+    if options.seconds and not stopped and not view.began:
+        print(f"spanwise run: nothing to estimate in {options.seconds:g} s", file=sys.stderr)
+        return _NOTHING
+    return 0

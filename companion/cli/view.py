@@ -13,11 +13,13 @@ from rich.text import Text
 from companion.cli.fates import Fates
 from companion.records import (
     CorrectedRange,
+    Health,
     ModeEstimate,
     ModeState,
     NoRange,
     Notice,
     Record,
+    Reject,
     ServiceStatus,
 )
 
@@ -29,6 +31,7 @@ class View:
     """Collects records; :meth:`render` draws them. Plain lines are used where there is no terminal.
 
     ``progress`` stands in the place of the seconds that have passed, where those mean nothing.
+    ``began`` says that the service ever got further than waiting for the vehicle.
     """
 
     title: str
@@ -40,6 +43,10 @@ class View:
     ranges: Counter[str] = field(default_factory=Counter)
     recent: list[str] = field(default_factory=list)
     progress: str = ""
+    unprinted: list[str] = field(default_factory=list)
+    began: bool = False
+    _said_here: list[str] = field(default_factory=list)
+    _refused: dict[str, int] = field(default_factory=dict)
 
     def take(self, record: Record) -> None:
         """Remember what the next drawing needs."""
@@ -53,12 +60,30 @@ class View:
             self.no_range = record
         elif isinstance(record, ServiceStatus):
             self.status = record
-        elif isinstance(record, Notice):
+            self.began |= record.health is not Health.BOOT
+        elif isinstance(record, Notice) and record.text not in self._said_here:
             self.say(record.text)
 
-    def say(self, sentence: str) -> None:
-        """Show a sentence among the recent ones."""
+    def say(self, sentence: str, *, here: bool = False) -> None:
+        """Show a sentence among the recent ones; one said ``here`` may come back as the ground heard it."""
+        if here:
+            self._said_here = [*self._said_here[-_RECENT + 1 :], sentence]
         self.recent = [*self.recent[-_RECENT + 1 :], sentence]
+        self.unprinted.append(sentence)
+
+    def sentences(self) -> list[str]:
+        """What was said since the last call, for who prints lines."""
+        taken, self.unprinted = self.unprinted, []
+        return taken
+
+    def refusals(self) -> str | None:
+        """One sentence of what was refused since the last call; None where nothing was."""
+        counters = {} if self.status is None else self.status.counters
+        now = {str(reason): counters[reason] for reason in Reject if counters.get(reason)}
+        fresh = {reason: count - self._refused.get(reason, 0) for reason, count in now.items()}
+        self._refused = now
+        parts = [f"{count} {reason}" for reason, count in sorted(fresh.items()) if count > 0]
+        return f"refused: {', '.join(parts)}" if parts else None
 
     def render(self, elapsed_s: float) -> Group:
         """The whole picture."""

@@ -13,9 +13,12 @@ from dataclasses import dataclass
 from multiprocessing.context import SpawnProcess
 from typing import Any
 
+from companion.lifetime import die_with_parent
 from companion.ports import Clock
 
-_STOP_S = 5.0
+_STOP_S = 1.2
+_LAST_STOP_S = 2.0
+_TERMINATED_S = 0.4
 _MOST_RESTARTS = 5
 _SECOND_NS = 1_000_000_000
 _STEADY_NS = 60 * _SECOND_NS
@@ -26,11 +29,16 @@ SPAWN = multiprocessing.get_context("spawn")
 
 @dataclass(slots=True)
 class Worker:
-    """One process: how to start it, and how often it had to be started again since it last ran for a minute."""
+    """One process: how to start it, and how often it had to be started again since it last ran for a minute.
+
+    ``optional`` is one that the others can do without, ``last`` one that ends after the others, whose records it takes.
+    """
 
     name: str
     target: Callable[..., None]
     arguments: tuple[Any, ...]
+    optional: bool = False
+    last: bool = False
     process: SpawnProcess | None = None
     restarts: int = 0
     proven: bool = False
@@ -41,7 +49,7 @@ class Worker:
         """Start a fresh process."""
         self.started_ns, self.again_ns = now_ns, None
         self.process = SPAWN.Process(
-            target=self.target, args=self.arguments, name=f"spanwise-{self.name}", daemon=False
+            target=_bound, args=(self.target, *self.arguments), name=f"spanwise-{self.name}", daemon=False
         )
         self.process.start()
 
@@ -59,6 +67,12 @@ class Worker:
         return min(_SECOND_NS << min(self.restarts - 1, 5), _LONGEST_PAUSE_NS) if self.restarts else 0
 
 
+def _bound(target: Callable[..., None], *arguments: Any) -> None:
+    """Be a worker that does not outlive the supervisor."""
+    die_with_parent()
+    target(*arguments)
+
+
 class Supervisor:
     """Owns the workers and the stop flag. Use as a context manager."""
 
@@ -67,9 +81,11 @@ class Supervisor:
         self._clock = clock
         self._workers: list[Worker] = []
 
-    def add(self, name: str, target: Callable[..., None], *arguments: Any) -> None:
-        """Register a worker; its target gets the arguments and the stop flag."""
-        self._workers.append(Worker(name, target, (*arguments, self.stop_flag)))
+    def add(
+        self, name: str, target: Callable[..., None], *arguments: Any, optional: bool = False, last: bool = False
+    ) -> None:
+        """Register a worker (see :class:`Worker`); its target gets the arguments and the stop flag."""
+        self._workers.append(Worker(name, target, (*arguments, self.stop_flag), optional, last))
 
     def __enter__(self) -> Supervisor:
         for worker in self._workers:
@@ -92,18 +108,29 @@ class Supervisor:
         return sentences
 
     def failed(self) -> list[str]:
-        """Workers that died for good."""
-        return [worker.name for worker in self._workers if worker.given_up and not worker.alive()]
+        """Workers that died for good and without whom there is no service."""
+        return [
+            worker.name for worker in self._workers if worker.given_up and not worker.alive() and not worker.optional
+        ]
 
     def stop(self) -> None:
-        """Ask all to end, wait, and end those that do not."""
+        """Ask all to end, and end those that do not; all is over within 3 s."""
         self.stop_flag.set()
-        for worker in self._workers:
-            if worker.process is not None:
-                worker.process.join(_STOP_S)
-                if worker.process.is_alive():
-                    worker.process.terminate()
-                    worker.process.join(1.0)
+        began_ns = self._clock.now_ns()
+        for last, allowed_s in ((False, _STOP_S), (True, _LAST_STOP_S)):
+            processes = [w.process for w in self._workers if w.last is last and w.process is not None]
+            self._await(processes, began_ns, allowed_s)
+            for process in processes:
+                if process.is_alive():
+                    process.terminate()
+            self._await(processes, began_ns, allowed_s + _TERMINATED_S)
+            for process in processes:
+                if process.is_alive():
+                    process.kill()
+
+    def _await(self, processes: list[SpawnProcess], began_ns: int, allowed_s: float) -> None:
+        for process in processes:
+            process.join(max(0.0, allowed_s - (self._clock.now_ns() - began_ns) * 1e-9))
 
 
 def _revived(worker: Worker, now_ns: int) -> list[str]:

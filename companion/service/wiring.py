@@ -17,7 +17,7 @@ from companion.adapters.mavlink.link import open_link
 from companion.adapters.mavlink.parameter_server import ParameterServer
 from companion.adapters.mavlink.signing import Signing, load_signing
 from companion.adapters.recordings.inlet import Inlet, recorder_channel
-from companion.adapters.recordings.recorder import run_recorder
+from companion.adapters.recordings.recorder import keep_recording
 from companion.adapters.recordings.writer import About
 from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
@@ -27,11 +27,13 @@ from companion.errors import ConfigError, SpanwiseError
 from companion.params.persist import Keeper, load_stored
 from companion.params.settings import Settings, tunables
 from companion.ports import Clock, Recorder
-from companion.records import Record, Rejected, Shot, Station, TriggerPlan
+from companion.records import Notice, Record, Rejected, Shot, Station, TriggerPlan
 from companion.service import inertial, vision
 from companion.service.channel import Receiver, Sender, channel
 from companion.service.config import ServiceConfig
 from companion.service.supervisor import Supervisor
+
+_WARNING = 4
 
 
 class Service(Supervisor):
@@ -72,11 +74,19 @@ class Service(Supervisor):
         )
         if ends:
             about = About.of(config.airframe, config.settings)
-            self.add("recorder", run_recorder, config.recording, about, ends)
+            self.add("recorder", _recorder_process, config.recording, about, ends, matches_in, optional=True, last=True)
+        self._say = matches_in
 
     def shown(self) -> list[Record]:
         """What the inertial process wants to be seen, since the last call."""
         return self._shown.receive()
+
+    def tend(self) -> list[str]:
+        """As the supervisor's; the ground hears of it too."""
+        sentences = super().tend()
+        for sentence in sentences:
+            self._say.send(_warning(sentence))
+        return sentences
 
     def stop(self) -> None:
         """End the processes, and forget what was to outlive them alone."""
@@ -208,6 +218,14 @@ def _trigger_process(config: ServiceConfig, line: socket.socket, stop: Event) ->
     _ignore_interrupt()
     assert config.trigger is not None
     serve_trigger(config.trigger, line, stop.is_set)
+
+
+def _warning(sentence: str) -> Notice:
+    return Notice(_WARNING, sentence, MonotonicClock().now_ns())
+
+
+def _recorder_process(path: Path, about: About, ends: list[socket.socket], say: Sender, stop: Event) -> None:
+    keep_recording(path, about, ends, lambda sentence: say.send(_warning(sentence)), stop)
 
 
 def _vision_process(

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import multiprocessing
 import os
-import signal
 import socket
 import time
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.errors import DeviceError
+from companion.lifetime import die_with_parent
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Side
 from companion.sim.boards import BoardRenderer, ShownBoard, shown
@@ -70,7 +70,7 @@ def uncalibrated(airframe: Airframe, seed: int) -> Airframe:
 
 def serve(config: BoardServerConfig) -> None:
     """Show the board to whoever has connected first, until they leave or the parent dies."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the taking of views; the parent ends us
+    die_with_parent()
     cv2.setNumThreads(1)
     parent = os.getppid()
     rig = Rig.from_airframe(config.airframe)

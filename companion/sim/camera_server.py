@@ -22,6 +22,7 @@ from pathlib import Path
 
 import cv2
 
+from companion.lifetime import die_with_parent
 from companion.params.airframe import Airframe
 from companion.records import Side
 from companion.sim.cameras import HEADER, MAGIC, PULSE, Shutters
@@ -183,7 +184,7 @@ class CameraServer:
 
 def serve(config: CameraServerConfig) -> None:
     """Run until terminated."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends us
+    die_with_parent()
     stop: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _frame: stop.append(number))
     parent = os.getppid()

@@ -15,6 +15,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.errors import DeviceError, LinkError
+from companion.lifetime import die_with_parent
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.links import LinkKind, parse_link
 from companion.sim.autopilot import SimAutopilot, Trigger
@@ -239,6 +240,7 @@ def serve_new(
     gust: GustKind = GustKind.AIRFRAME,
 ) -> None:
     """Entry of a process of its own: build the flight from its seed and serve it."""
+    die_with_parent()
     serve(build_flight(airframe, seed, duration_s, effects=effects, gust=gust), options, control)
 
 

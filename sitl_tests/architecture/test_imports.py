@@ -16,15 +16,26 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.records": (frozenset(), frozenset({"numpy"})),
     "companion.errors": (frozenset(), frozenset({"numpy"})),
     "companion.params": (frozenset({"params", "errors", "records"}), frozenset()),
+    "companion.lifetime": (frozenset(), frozenset()),
     "companion.ports": (frozenset({"records", "errors"}), frozenset()),
     "companion.core": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy"})),
     # the optional accelerator, in one file
     "companion.core.compiled": (frozenset(), frozenset({"numba"})),
     "companion.core.stereo": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy", "cv2"})),
-    "companion.adapters": (frozenset({"adapters", "ports", "records", "errors", "params"}), ANY),
+    "companion.adapters": (frozenset({"adapters", "lifetime", "ports", "records", "errors", "params"}), ANY),
     "companion.sim": (
         frozenset(
-            {"sim", "ports", "records", "errors", "params", "core.wing", "core.stereo.rotation", "core.stereo.geometry"}
+            {
+                "sim",
+                "lifetime",
+                "ports",
+                "records",
+                "errors",
+                "params",
+                "core.wing",
+                "core.stereo.rotation",
+                "core.stereo.geometry",
+            }
         ),
         frozenset({"numpy", "scipy", "cv2", "pymavlink"}),
     ),
@@ -37,11 +48,13 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"numpy", "scipy"}),
     ),
     "companion.service": (
-        frozenset({"service", "core.pipeline", "core.containment", "ports", "params", "records", "errors"}),
+        frozenset({"service", "core.pipeline", "core.containment", "lifetime", "ports", "params", "records", "errors"}),
         frozenset({"numpy"}),
     ),
     "companion.service.wiring": (
-        frozenset({"service", "core.pipeline", "core.warming", "ports", "params", "records", "errors", "adapters"}),
+        frozenset(
+            {"service", "core.pipeline", "core.warming", "lifetime", "ports", "params", "records", "errors", "adapters"}
+        ),
         frozenset({"numpy"}),
     ),
     "companion.cli": (ANY, ANY),
@@ -50,7 +63,14 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
 }
 
 # the rooms that may read a clock
-CLOCK_ROOMS = ("companion.adapters", "companion.service", "companion.sim", "companion.cli", "mission_scripts")
+CLOCK_ROOMS = (
+    "companion.adapters",
+    "companion.lifetime",
+    "companion.service",
+    "companion.sim",
+    "companion.cli",
+    "mission_scripts",
+)
 PURE_FORBIDDEN = {
     "time",
     "datetime",

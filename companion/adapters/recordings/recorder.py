@@ -6,7 +6,8 @@ import multiprocessing
 import selectors
 import signal
 import socket
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from companion.errors import RecordingError
 
 _IDLE_S = 0.25
 _IDLE_ROUNDS = 4
+_TRY_AGAIN_S = 30.0
 _JOIN_S = 10.0
 
 
@@ -31,20 +33,77 @@ def run_recorder(path: Path, about: About, ends: Sequence[socket.socket], stop: 
     Raises
     ------
     RecordingError
-        The file cannot be written.
+        The file cannot be written; one without records does not stay.
     """
+    terminated = _on_terminate()
+    with _listening(ends) as selector:
+        _write_file(path, about, selector, stop, terminated)
+
+
+def keep_recording(
+    path: Path, about: About, ends: Sequence[socket.socket], say: Callable[[str], object], stop: Event | None = None
+) -> None:
+    """As :func:`run_recorder`, for a service that flies on when its disk is full.
+
+    ``say`` is told why nothing is recorded; what comes is thrown away, and every half minute a file is tried again.
+    """
+    terminated = _on_terminate()
+    with _listening(ends) as selector:
+        while selector.get_map():
+            try:
+                _write_file(path, about, selector, stop, terminated)
+                return
+            except RecordingError as error:
+                say(f"not recording: {error}")
+            if _discard(selector, stop, terminated):
+                return
+
+
+def _on_terminate() -> list[int]:
+    """Leave Ctrl-C to the producers; the list is filled by SIGTERM."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     terminated: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: terminated.append(number))
+    return terminated
+
+
+def _listening(ends: Sequence[socket.socket]) -> selectors.BaseSelector:
+    selector = selectors.DefaultSelector()
+    for outlet in map(Outlet, ends):
+        selector.register(outlet, selectors.EVENT_READ)
+    return selector
+
+
+def _write_file(
+    path: Path, about: About, selector: selectors.BaseSelector, stop: Event | None, terminated: Sequence[int]
+) -> None:
     writer = McapWriter(free_path(path), about)
     try:
-        with selectors.DefaultSelector() as selector:
-            for outlet in map(Outlet, ends):
-                selector.register(outlet, selectors.EVENT_READ)
-            _record(writer, selector, stop, terminated)
+        _record(writer, selector, stop, terminated)
         writer.close()
     except OSError as error:
+        writer.abandon()
         raise RecordingError(f"{path}: cannot be written any further: {error.strerror}") from error
+
+
+def _discard(selector: selectors.BaseSelector, stop: Event | None, terminated: Sequence[int]) -> bool:
+    """Throw away what comes, so that nobody waits, until it is time to try again (False) or all is over (True)."""
+    again_s = time.monotonic() + _TRY_AGAIN_S
+    while time.monotonic() < again_s:
+        for key, _ in selector.select(_IDLE_S):
+            _take(selector, key.fileobj)
+        if terminated or not selector.get_map() or (stop is not None and stop.is_set()):
+            return True
+    return False
+
+
+def _take(selector: selectors.BaseSelector, outlet: object) -> Batch | None:
+    """Take one packet; give the batch that it completes, and listen no more to a producer that has ended."""
+    assert isinstance(outlet, Outlet)
+    batch = outlet.receive()
+    if batch is not None and batch.last:
+        selector.unregister(outlet)
+    return batch
 
 
 def _record(
@@ -59,14 +118,9 @@ def _record(
             if terminated or (stop is not None and stop.is_set() and idle_rounds >= _IDLE_ROUNDS):
                 return
         for key, _ in ready:
-            outlet = key.fileobj
-            assert isinstance(outlet, Outlet)
-            batch = outlet.receive()
-            if batch is None:
-                continue
-            _write(writer, batch)
-            if batch.last:
-                selector.unregister(outlet)
+            batch = _take(selector, key.fileobj)
+            if batch is not None:
+                _write(writer, batch)
 
 
 def _write(writer: McapWriter, batch: Batch) -> None:

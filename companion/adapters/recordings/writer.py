@@ -7,6 +7,7 @@ orderly end. The message's sequence number counts all records of the file.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import dataclass
 from importlib import metadata
@@ -70,17 +71,23 @@ class McapWriter:
             self._file = path.open("wb")
         except OSError as error:
             raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+        self._path = path
         self._format = about.image_format
+        self._flushed = 0
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
-        self._writer.start(profile="spanwise", library=f"spanwise {software_version()}")
         self._channels: dict[str, int] = {}
         self._sequence = 0
         self._latest_ns = 0
         self._chunk_start_ns: int | None = None
         self._dropped = 0
-        self._begin(about)
+        try:
+            self._begin(about)
+        except OSError as error:
+            self.abandon()
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
 
     def _begin(self, about: About) -> None:
+        self._writer.start(profile="spanwise", library=f"spanwise {software_version()}")
         facts = {
             "format": str(FORMAT_VERSION),
             "software": software_version(),
@@ -113,6 +120,14 @@ class McapWriter:
         """Close the chunk in progress and hand it to the operating system."""
         self._writer.flush()
         self._chunk_start_ns = None
+        self._flushed = self._sequence
+
+    def abandon(self) -> None:
+        """Let go of a file that cannot be written any further; one without any record in it is removed."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+        if not self._flushed:
+            self._path.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Finish the file; further calls do nothing."""

@@ -14,9 +14,10 @@ from collections.abc import Callable
 from multiprocessing.context import SpawnProcess
 
 from companion.adapters.triggers.firing import FiringLoop
-from companion.adapters.triggers.realtime import become_realtime, die_with_parent
+from companion.adapters.triggers.realtime import become_realtime
 from companion.adapters.triggers.wire import LARGEST, Realtime, Report, pack_plan, unpack_report
 from companion.errors import DeviceError
+from companion.lifetime import die_with_parent
 from companion.ports import Trigger
 from companion.records import Rejected, Shot, TriggerPlan
 
@@ -53,7 +54,7 @@ def serve_trigger(
     fifo : bool
         Ask for a real-time priority.
     """
-    die_with_parent()
+    die_with_parent(watch=False)  # the loop looks itself: no thread beside one that spins
     parent = os.getppid()
     trigger = factory()
     try:

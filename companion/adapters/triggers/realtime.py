@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import signal
 
 from companion.adapters.triggers.wire import Realtime
+from companion.lifetime import process_control
 
 _PRIORITY = 50
-_PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
+_PR_SET_TIMERSLACK = 29
 _MCL_CURRENT = 1  # not MCL_FUTURE: under a memlock limit that makes later allocations fail
 
 
@@ -19,13 +19,7 @@ def become_realtime(fifo: bool = True) -> Realtime:
     gc.collect()
     gc.freeze()
     gc.disable()
-    return Realtime(fifo and _fifo(), _locked(), _prctl(_PR_SET_TIMERSLACK, 1))
-
-
-def die_with_parent() -> None:
-    """Have the kernel end this process when its parent dies, however it dies; Ctrl-C is the parent's to handle."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    return Realtime(fifo and _fifo(), _locked(), process_control(_PR_SET_TIMERSLACK, 1))
 
 
 def _fifo() -> bool:
@@ -39,12 +33,5 @@ def _fifo() -> bool:
 def _locked() -> bool:
     try:
         return bool(ctypes.CDLL(None).mlockall(_MCL_CURRENT) == 0)
-    except (OSError, AttributeError):
-        return False
-
-
-def _prctl(option: int, value: int) -> bool:
-    try:
-        return bool(ctypes.CDLL(None).prctl(option, ctypes.c_ulong(value), 0, 0, 0) == 0)
     except (OSError, AttributeError):
         return False
