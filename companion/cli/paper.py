@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from companion.cli.audit.report import make_sections, plain, write
-from companion.cli.audit.trials import FULL, QUICK, SEED
+from companion.cli.audit.trials import FULL, QUICK, SEEDS
 from companion.errors import ConfigError
 
 
@@ -21,7 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes; default: all cores"
     )
-    parser.add_argument("--seed", type=int, default=SEED, help=f"of the simulated wings and drives; default: {SEED}")
+    parser.add_argument(
+        "--seeds",
+        type=_seeds,
+        metavar="N,N,...",
+        help="of the simulated wings and drives; the first one's experiments are all reported, the others show how far "
+        f"booms and wings differ (default: {','.join(map(str, SEEDS))}; with --quick: {SEEDS[0]})",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="the numbers also here; - for standard output")
 
 
@@ -30,7 +36,10 @@ def execute(options: argparse.Namespace) -> int:
     begun_s = time.monotonic()
     pace = QUICK if options.quick else FULL
     sections = make_sections(
-        pace, options.jobs, lambda text: print(f"  {text}", file=sys.stderr, flush=True), options.seed
+        pace,
+        options.jobs,
+        lambda text: print(f"  {text}", file=sys.stderr, flush=True),
+        options.seeds or SEEDS[: 1 if options.quick else None],
     )
     try:
         paths = write(sections, options.out)
@@ -43,5 +52,17 @@ def execute(options: argparse.Namespace) -> int:
         return 0
     for section in sections:
         print(f"{section.title}\n  {section.findings[0]}")
+    print(f"\n{sections[0].data['sentence']}")
     print(f"\n{', '.join(str(path) for path in paths)}: written in {time.monotonic() - begun_s:.0f} s")
     return 0
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    """Seeds as they are given, each once."""
+    try:
+        seeds = tuple(dict.fromkeys(int(entry) for entry in text.split(",")))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is no list of whole numbers, such as 5,6,7") from None
+    if min(seeds) < 0:
+        raise argparse.ArgumentTypeError(f"'{text}': a seed is not negative")
+    return seeds

@@ -11,7 +11,7 @@ from companion.cli.audit.bench import Setup, hang, target
 from companion.cli.audit.loop import fly
 from companion.cli.audit.rest_calibration import calibrate, settings_for
 from companion.cli.audit.shots import Flown
-from companion.cli.audit.trials import SEED, Pace, Trial, flight_plan
+from companion.cli.audit.trials import Pace, Trial, flight_plan
 from companion.core.stereo.geometry import Rig
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -41,7 +41,7 @@ class Outcome:
     slope_factor_gap: float
 
 
-def run(trial: Trial, pace: Pace, seed: int = SEED) -> Outcome:
+def run(trial: Trial, pace: Pace, seed: int) -> Outcome:
     """The whole of one experiment, in this process; everything follows from ``seed``."""
     import cv2
 

@@ -19,6 +19,7 @@ from companion.records import Side
 
 COLOURS = {"rigid": RED, "corrected": BLUE, "oracle": GREY}
 NAMES = {"rigid": "rigid", "corrected": "corrected", "oracle": "true extrinsics (oracle)"}
+_MEDIAN_SIGMA = 1.2533  # of a median over that of a mean, normal errors
 _WING = ("wing_checker", "wing_bucket", "wing_cone", "wing_60m")
 
 
@@ -59,6 +60,16 @@ def diverging_ranges_m(outcome: Outcome) -> dict[str, float]:
     """Median range of the shots at peaks whose cameras diverge, as in Table 3; every way."""
     shots = [shot for shot in outcome.flown.shots if shot.planned and shot.toe_rad > 0.0]
     return {way: _median_range_m(shots, way) for way in ("rigid", "corrected", "oracle")}
+
+
+def left_m(outcome: Outcome) -> tuple[float, float]:
+    """What the correction leaves at diverging peaks as Table 3 tells it, the median range less the true; its sigma."""
+    shots = [shot for shot in outcome.flown.shots if shot.planned and shot.toe_rad > 0.0]
+    ranges = [1.0 / reading.inverse_pm for shot in shots if (reading := shot.whole["corrected"]) is not None]
+    if not ranges:
+        return float("nan"), float("nan")
+    sigma_m = _MEDIAN_SIGMA * float(np.std(ranges)) / np.sqrt(len(ranges))
+    return float(np.median(ranges)) - outcome.trial.distance_m, float(sigma_m)
 
 
 def _median_range_m(shots: list[Scored], way: str) -> float:

@@ -29,17 +29,21 @@ from companion.cli.audit.findings import Section
 from companion.cli.audit.report_html import html
 from companion.cli.audit.report_markdown import markdown
 from companion.cli.audit.scores import Results, summary
-from companion.cli.audit.trials import REPEATED, SEED, Pace, Trial, trials
+from companion.cli.audit.trials import REPEATED, Pace, Trial, trials
 
 
-def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seed: int = SEED) -> list[Section]:
-    """Run the whole audit, the experiments in ``jobs`` processes meanwhile; ``told`` hears what is done."""
+def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seeds: Sequence[int]) -> list[Section]:
+    """Run the whole audit, the experiments in ``jobs`` processes meanwhile; ``told`` hears what is done.
+
+    Everything is run with the first of ``seeds``, what is to be repeated with the others too.
+    """
+    seed, *others = seeds
     # spawned, for a fork would copy the threads' locks of whatever was imported
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         running = [pool.submit(run, trial, pace, seed) for trial in trials()]
         again = {
             (trial.key, other): pool.submit(at_peaks, trial, pace, other)
-            for other in range(seed + 1, seed + 1 + pace.more_draws)
+            for other in others
             for trial in trials()
             if trial.key in REPEATED
         }

@@ -70,6 +70,7 @@ def summary(outcome: Outcome, planned: bool) -> dict[str, Any]:
         found[way] = errors(shot.whole[way] for shot in shots)
         if any(shot.upper for shot in shots):
             found[f"{way}_upper_third"] = errors(shot.upper.get(way) for shot in shots)
+    found["published_trusted"] = errors(shot.whole["published"] for shot in shots if shot.reject is None)
     found["removed"] = _removed(found["rigid"], found["corrected"])
     found["removed_of_in_trim"] = _removed(found["in_trim"], found["corrected"])
     return found

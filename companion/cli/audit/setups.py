@@ -30,7 +30,7 @@ def section(results: Results) -> Section:
         "Table 4 is a calculation in the paper; here a target is rendered at 60 m. The paper ranges nothing under "
         "random load; here both platforms do.",
         f"One wing, one boom and one aircraft are drawn from the airframes' priors (seed {results.seed}; another with "
-        "--seed): every row of one platform has the same errors of belief.",
+        "--seeds): every row of one platform has the same errors of belief.",
     )
     tables = (
         Table("What differs from the paper", ("", "the paper", "here", "because"), _differences(boom, wing)),
