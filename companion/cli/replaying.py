@@ -31,7 +31,7 @@ _DEVICES_REFUSALS = (Reject.DEVICE_FAILED, Reject.PLAN_EXPIRED, Reject.UNPAIRED,
 
 def own_inputs(records: Iterable[Record], airframe: Airframe, settings: Settings) -> Iterator[Record]:
     """The inputs of one of our own recordings, raw bytes decoded again, everything that was derived left out."""
-    decoder = Decoder(airframe, settings.component_id)
+    decoder = Decoder(airframe, settings.component_id, settings.system_id)
     for record in records:
         if isinstance(record, _OWN_INPUTS) or (isinstance(record, Rejected) and record.reason in _DEVICES_REFUSALS):
             yield record

@@ -83,6 +83,9 @@ class Settings:
     component_id: int = _tunable(
         "SW_COMPID", "", 2, 255, 191, "MAVLink component id of this service (1 is the autopilot)", live=False
     )
+    system_id: int = _tunable(
+        "SW_SYSID", "", 0, 255, 0, "MAVLink system id of the vehicle; 0 is the autopilot that is there", live=False
+    )
 
     # tracking
     smoother_lag_s: float = _tunable(

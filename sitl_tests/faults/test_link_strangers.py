@@ -16,9 +16,9 @@ from companion.adapters.mavlink.signing import SignedTransport, Signing
 from companion.adapters.mavlink.udp import UdpIn
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import ImuBatch, Notice, Record, Reject, Rejected
+from companion.records import ClockRestart, ImuBatch, Notice, Record, Reject, Rejected
 from sitl_tests.faults.test_signing_links import KEY, NOW
-from sitl_tests.loop.ground_stations import TurnedClock
+from sitl_tests.loop.ground_stations import TurnedClock, Wire
 
 MS = 1_000_000
 NODE, PILOT = 200, 1
@@ -268,3 +268,86 @@ def test_a_flood_of_frames_is_sifted_in_little_time() -> None:
     assert time.process_time() - begun_s < 0.5
     node.socket.close()
     udp.close()
+
+
+# ------------------------------------------------------------------------------------------ which autopilot is served
+
+
+class Choosing:
+    """An adapter that hears several autopilots on one wire, each answering TIMESYNC or not."""
+
+    def __init__(self, system: int = 0) -> None:
+        self.clock, self.wire = TurnedClock(), Wire()
+        settings = Settings().replace("SW_SYSID", float(system))
+        self.pilot = MavlinkAutopilot(
+            [Link(0, "wire", self.wire, self.clock)], load_airframe("nadir-2m"), settings, self.clock
+        )
+        self.records: list[Record] = []
+
+    def run(self, seconds: float, beating: tuple[int, ...], answering: tuple[int, ...] = ()) -> None:
+        for tick in range(round(seconds / 0.05)):
+            self.clock.now += 50 * MS
+            self.records += self.pilot.poll(0.0)
+            asked = [m for frame in self.wire.sent for m in mavlink.MAVLink(None).parse_buffer(frame) or []]
+            self.wire.sent.clear()
+            for system in beating:
+                packer = mavlink.MAVLink(None, system, PILOT)
+                if tick % 20 == 0:
+                    self.wire.inbox += mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(packer)
+                for message in asked:
+                    if system in answering and message.get_type() == "TIMESYNC" and message.tc1 == 0:
+                        answer = mavlink.MAVLink_timesync_message(self.clock.now + system * 1000 * MS, message.ts1)
+                        self.wire.inbox += answer.pack(packer)
+            self.records += self.pilot.poll(0.0)
+
+    def texts(self) -> list[str]:
+        return [record.text for record in self.records if isinstance(record, Notice)]
+
+    @property
+    def served(self) -> int | None:
+        return self.pilot.decoder.system_id
+
+
+def test_one_stray_heartbeat_does_not_own_the_service() -> None:
+    choosing = Choosing()
+    choosing.run(0.1, (77,))
+    choosing.run(4.0, (1,))
+    assert choosing.served == 77, "it might come back"
+    choosing.run(6.0, (1,))
+    assert choosing.served == 1
+    assert "autopilot 77/1 is silent: serving 1/1 now" in choosing.texts()
+    assert ClockRestart in {type(record) for record in choosing.records}
+
+
+def test_a_second_autopilot_is_told_and_changes_nothing_while_the_first_lives() -> None:
+    choosing = Choosing()
+    choosing.run(1.0, (1,))
+    choosing.run(30.0, (1, 77), (1, 77))
+    assert choosing.served == 1
+    assert sum("autopilot 77/1 is heard too" in text for text in choosing.texts()) == 1
+
+
+def test_who_answers_takes_the_place_of_who_only_beats() -> None:
+    choosing = Choosing()
+    choosing.run(1.0, (77,))
+    choosing.run(10.0, (77, 1), (1,))
+    assert choosing.served == 1
+
+
+def test_a_pause_of_all_moves_nothing() -> None:
+    choosing = Choosing()
+    choosing.run(3.0, (1, 77), (1, 77))
+    choosing.run(30.0, ())
+    choosing.run(3.0, (77, 1), (1, 77))
+    assert choosing.served == 1
+
+
+def test_the_configured_system_is_served_and_no_other() -> None:
+    choosing = Choosing(system=1)
+    choosing.run(20.0, (77,), (77,))
+    assert choosing.served is None
+    assert any("only 77/1 beat" in text for text in choosing.texts())
+    choosing.run(2.0, (77, 1), (77, 1))
+    assert choosing.served == 1
+    choosing.run(20.0, (77,), (77,))
+    assert choosing.served == 1

@@ -52,6 +52,8 @@ _STATE_RATE_HZ = 20.0
 _KNOCK_SYSTEM = 1
 _MOST_ANSWERS = 16
 _MOST_HELD = 16
+_MOST_OTHERS = 8
+_WARNING = 4
 
 
 class MavlinkAutopilot:
@@ -88,7 +90,7 @@ class MavlinkAutopilot:
         needed: tuple[str, ...] = NEEDED_PARAMETERS,
         firing: LinkFiring = CAMERAS,
     ) -> None:
-        self.decoder = Decoder(airframe, settings.component_id)
+        self.decoder = Decoder(airframe, settings.component_id, settings.system_id)
         self.health = Health.BOOT
         self.refused = 0
         self.requests_answered = 0
@@ -118,6 +120,7 @@ class MavlinkAutopilot:
         self._ranges = RangeOutputs(settings, airframe.orientation)
         self._texts = 0
         self._absence = Absence()
+        self._others: set[int | None] = set()  # further autopilots of which the operator knows
         self._held: deque[Notice] = deque(maxlen=_MOST_HELD)  # until somebody is there to read them
         self._graphed_host_ns: dict[type, int] = {}
 
@@ -142,8 +145,10 @@ class MavlinkAutopilot:
                 chunk = link.read()
                 if chunk is not None:
                     yield chunk
+                    served = self.decoder.system_id
                     decoded = self.decoder.decode(chunk)
                     self._attend(decoded, chunk.received_host_ns)
+                    yield from self._choices(served, chunk.received_host_ns)
                     yield from decoded.records
             self._read_host_ns = self._clock.now_ns()
         yield from self._unfired
@@ -156,6 +161,18 @@ class MavlinkAutopilot:
             if isinstance(event, ParameterChange):
                 self.adopt(self.component.parameters.settings)
             yield event
+
+    def _choices(self, served: int | None, now_host_ns: int) -> Iterator[Notice]:
+        """Say that another autopilot is there too, once for each, and that the served one has changed."""
+        now_served = self.decoder.system_id
+        if served not in (None, now_served):
+            yield Notice(_WARNING, f"autopilot {served}/1 is silent: serving {now_served}/1 now", now_host_ns)
+            self._others |= {served}
+        for system in sorted(self.decoder.other_systems - self._others)[:_MOST_OTHERS]:
+            self._others |= {system}
+            if now_served is not None and len(self._others) <= _MOST_OTHERS:
+                text = f"autopilot {system}/1 is heard too: serving {now_served}/1 (SW_SYSID chooses)"
+                yield Notice(_WARNING, text, now_host_ns)
 
     def _refusals(self) -> Iterator[Record]:
         for link in self._links:

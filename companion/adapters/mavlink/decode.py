@@ -78,16 +78,18 @@ class Decoder:
         Its sources say which messages are mapped; see :func:`build_mapping` for the errors.
     component_id
         Our own component id; frames that carry it with the vehicle's system id are echoes of ours.
+    system
+        The vehicle's system id where it is configured; 0 for the autopilot that is there.
     """
 
-    def __init__(self, airframe: Airframe, component_id: int) -> None:
+    def __init__(self, airframe: Airframe, component_id: int, system: int = 0) -> None:
         self.mapping = build_mapping(airframe)
         self.tally = Tally()
         self.delivered: dict[tuple[int, int], int] = {}
         self.echoes = 0
         self._component_id = component_id
         self._watch = ClockWatch()
-        self._translator = Translator(self.mapping, self._watch, self.tally)
+        self._translator = Translator(self.mapping, self._watch, self.tally, system)
         self._scanners: dict[int, Scanner] = {}
         self._messages = self.mapping.messages
         self._readers: dict[tuple[int, int], list[StationReader]] = {}
@@ -100,6 +102,11 @@ class Decoder:
     def system_id(self) -> int | None:
         """The vehicle's system id, once its autopilot was heard."""
         return self._translator.system
+
+    @property
+    def other_systems(self) -> frozenset[int]:
+        """Further systems whose autopilot was heard."""
+        return frozenset(self._translator.choice.others)
 
     @property
     def armed(self) -> bool:

@@ -63,6 +63,11 @@ class ClockWatch:
         """Begin to follow one more source of a clock."""
         return Followed(self._epochs.setdefault(clock, _Epoch()))
 
+    def restart(self, clock: ClockName, received_host_ns: int) -> None:
+        """Know from elsewhere that a clock begins anew."""
+        epoch = self._epochs.setdefault(clock, _Epoch())
+        epoch.number, epoch.since_host_ns = epoch.number + 1, received_host_ns
+
     def check(self, source: Followed, t_ns: Ints, received_host_ns: int, confirmations: int = CONFIRMATIONS) -> Verdict:
         """Judge the stamps of one batch, in arrival order."""
         stamps = t_ns.tolist()

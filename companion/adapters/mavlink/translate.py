@@ -14,6 +14,7 @@ from companion.adapters.mavlink.dialect import mavlink
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT, Mapping
 from companion.adapters.mavlink.restart import ClockWatch, Followed
 from companion.adapters.mavlink.tally import Tally
+from companion.adapters.mavlink.vehicle_choice import VehicleChoice
 from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.records import (
     AutopilotParameter,
@@ -78,8 +79,8 @@ def parameter_encoding(value: float, *, whole: bool) -> tuple[float, int]:
 class Translator:
     """Keeps the little state that rare messages need; driven by chunks alone, so that a replay repeats it."""
 
-    def __init__(self, mapping: Mapping, watch: ClockWatch, tally: Tally) -> None:
-        self.system: int | None = None
+    def __init__(self, mapping: Mapping, watch: ClockWatch, tally: Tally, system: int = 0) -> None:
+        self.choice = VehicleChoice(system)
         self._answers: dict[ClockName, Followed] = {}
         self.armed = False
         self._mapping = mapping
@@ -90,6 +91,11 @@ class Translator:
         self._last_state_ms: int | None = None
         self._images: dict[int, int] = {}
         self.px4 = False
+
+    @property
+    def system(self) -> int | None:
+        """The vehicle's system id, once its autopilot was heard."""
+        return self.choice.system
 
     def sent(self, message: Any) -> None:
         """Take note of a TIMESYNC request of ours."""
@@ -102,7 +108,11 @@ class Translator:
         """Give what one message means to the pipeline, if anything."""
         name = heard.name
         if name == "HEARTBEAT":
-            self._heartbeat(heard)
+            yield from self._heartbeat(heard)
+        elif name == "TIMESYNC" and heard.component == AUTOPILOT_COMPONENT and heard.message.ts1 in self._requests:
+            self.choice.answered(heard.system, heard.received_host_ns)
+            if heard.system == self.system:
+                yield from self._timesync(heard)
         elif heard.system != self.system:
             return
         elif name == "TIMESYNC":
@@ -118,13 +128,15 @@ class Translator:
         elif name == "CAMERA_FEEDBACK":
             yield from self._feedback(heard)
 
-    def _heartbeat(self, heard: Heard) -> None:
+    def _heartbeat(self, heard: Heard) -> Iterator[Record]:
         message = heard.message
         pilot = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and message.type != mavlink.MAV_TYPE_GCS
         if heard.component != AUTOPILOT_COMPONENT or not pilot:
             return
-        if self.system is None:
-            self.system = heard.system
+        if self.choice.beat(heard.system, heard.received_host_ns):
+            for clock in dict.fromkeys(self._mapping.clocks.values()):  # another vehicle, and other clocks
+                self._watch.restart(clock, heard.received_host_ns)
+                yield ClockRestart(clock, heard.received_host_ns)
         if heard.system == self.system:
             self.px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)

@@ -156,7 +156,7 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
     """
     recording = open_recording(path, airframe)
     seen = Evidence(airframe, settings, live=False)
-    decoder = Decoder(airframe, settings.component_id)
+    decoder = Decoder(airframe, settings.component_id, settings.system_id)
     spans: dict[Station, list[int]] = {}
     raw = isinstance(recording, TlogRecording)
     records = recording.chunks() if isinstance(recording, TlogRecording) else recording.records()

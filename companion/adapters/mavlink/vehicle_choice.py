@@ -1,0 +1,69 @@
+"""Which autopilot is served: the configured one, else the first that is heard, as long as it is really there."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+_SILENT_NS = 5_000_000_000
+_CONFIRMATIONS = 3
+
+
+class VehicleChoice:
+    """Follows the autopilots' heartbeats and who answers our TIMESYNC.
+
+    Another autopilot takes the place of one that has not beaten for 5 s, or that has not answered for 5 s while the
+    other does. It must have beaten, or answered, three times meanwhile, so that one stray frame moves nothing.
+
+    Parameters
+    ----------
+    configured : int
+        The only system that may be served; 0 for any.
+
+    Attributes
+    ----------
+    system : int or None
+        The one that is served.
+    others : set of int
+        Further systems whose autopilot was heard.
+    """
+
+    def __init__(self, configured: int = 0) -> None:
+        self.system: int | None = None
+        self.others: set[int] = set()
+        self._configured = configured
+        self._beat_host_ns = self._answer_host_ns = 0  # of the served one
+        self._beats: Counter[int] = Counter()  # of others, since the served one's last
+        self._answers: Counter[int] = Counter()  # likewise
+
+    def beat(self, system: int, now_host_ns: int) -> bool:
+        """Take note of an autopilot's heartbeat; True where it has taken the place of another."""
+        if self.system is None and self._configured in (0, system):
+            self._serve(system, now_host_ns)
+        if system == self.system:
+            self._beat_host_ns = now_host_ns
+            self._beats.clear()
+            return False
+        self.others.add(system)
+        if self.system is None or self._configured:
+            return False
+        self._beats[system] += 1
+        silent = now_host_ns - self._beat_host_ns > _SILENT_NS and self._beats[system] >= _CONFIRMATIONS
+        mute = now_host_ns - self._answer_host_ns > _SILENT_NS and self._answers[system] >= _CONFIRMATIONS
+        if silent or mute:
+            self.others ^= {system, self.system}
+            self._serve(system, now_host_ns)
+        return silent or mute
+
+    def answered(self, system: int, now_host_ns: int) -> None:
+        """Take note of an answer to our TIMESYNC from an autopilot."""
+        if system == self.system:
+            self._answer_host_ns = now_host_ns
+            self._answers.clear()
+        else:
+            self._answers[system] += 1
+
+    def _serve(self, system: int, now_host_ns: int) -> None:
+        self.system = system
+        self._beat_host_ns = self._answer_host_ns = now_host_ns
+        self._beats.clear()
+        self._answers.clear()
