@@ -18,19 +18,20 @@ The layout is a TOML file::
 
 from __future__ import annotations
 
-import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from companion.calibration.modes import Run
 from companion.errors import ConfigError, RecordingError
+from companion.params.toml import read_toml
 from companion.records import Floats
 
 _SIGNALS = "signalIn"
+_FASTEST_HZ = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +52,15 @@ class VibrationTest:
     runs: list[Run]
 
 
-def read_vibration_test(layout_path: Path, folder: Path) -> VibrationTest:
-    """Read layout and runs.
+def read_vibration_test(
+    layout_path: Path, folder: Path, read_matlab: Callable[[Path], Mapping[str, Any]]
+) -> VibrationTest:
+    """Read layout and runs; ``read_matlab`` gives the variables of a file by name.
 
     Raises
     ------
     ConfigError
-        The layout is missing, no TOML, or lacks a key.
+        The layout is missing, no TOML, or lacks a key, or a value of it is of the wrong kind.
     RecordingError
         A run's file is missing or has no such channel.
     """
@@ -68,9 +71,11 @@ def read_vibration_test(layout_path: Path, folder: Path) -> VibrationTest:
             for e in layout["points"]
         ]
         place = {point.number: index for index, point in enumerate(points)}
-        runs = [_run(layout, entry, place, folder) for entry in layout["runs"]]
+        runs = [_run(layout, entry, place, folder, read_matlab) for entry in layout["runs"]]
     except KeyError as error:
         raise ConfigError(f"{layout_path}: key {error} is missing") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{layout_path}: a value that cannot be: {error}") from error
     return VibrationTest(points, runs)
 
 
@@ -100,19 +105,28 @@ def frequency_response(force: Floats, answers: Floats, rate_hz: float, band_hz: 
     return Run("", np.arange(answers.shape[1]), frequency[inside], (answered / pushed[:, np.newaxis]).T)
 
 
-def _run(layout: dict[str, Any], entry: dict[str, Any], place: dict[int, int], folder: Path) -> Run:
+def _run(
+    layout: dict[str, Any],
+    entry: dict[str, Any],
+    place: dict[int, int],
+    folder: Path,
+    read_matlab: Callable[[Path], Mapping[str, Any]],
+) -> Run:
     path = folder / str(entry["file"])
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
-    try:
-        signals = np.asarray(loadmat(path, variable_names=[_SIGNALS])[_SIGNALS], dtype=np.float64)
-    except (KeyError, ValueError, NotImplementedError) as error:  # the last: scipy's answer to a v7.3 (HDF5) file
-        raise RecordingError(f"{path}: not a MATLAB v5 file with '{_SIGNALS}': {error}") from error
+    signals = read_matlab(path).get(_SIGNALS)
+    if signals is None or signals.dtype.kind not in "iuf" or signals.ndim != 2:
+        raise RecordingError(f"{path}: has no table of numbers '{_SIGNALS}'")
     force, sensors = layout["force"], layout["accelerometers"]
     wanted = [int(force["column"]), *(int(column) for column in sensors["columns"])]
-    if max(wanted) >= signals.shape[1]:
-        raise RecordingError(f"{path}: has {signals.shape[1]} channels, the layout asks for column {max(wanted)}")
+    worst = max(wanted, key=abs)
+    if not all(0 <= column < signals.shape[1] for column in wanted):
+        raise RecordingError(f"{path}: has {signals.shape[1]} channels, the layout asks for column {worst}")
+    signals = signals.astype(np.float64)
     low, high = layout["band_hz"]
+    if not 0.0 < float(layout["rate_hz"]) <= _FASTEST_HZ:
+        raise ValueError(f"rate_hz must be above 0 and at most {_FASTEST_HZ:g}")
     run = frequency_response(
         signals[:, wanted[0]] * float(force["newton_per_volt"]),
         signals[:, wanted[1:]] * float(sensors["mps2_per_volt"]),
@@ -126,7 +140,4 @@ def _run(layout: dict[str, Any], entry: dict[str, Any], place: dict[int, int], f
 def _layout(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise ConfigError(f"{path}: no such file; the layout of the test names points, channels and runs")
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    return read_toml(path)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.adapters.recordings.matlab_file import read_matlab
 from companion.adapters.recordings.opening import open_recording
 from companion.calibration.ambient import AmbientMode
 from companion.calibration.flight_modes import wing_motion
@@ -46,7 +47,7 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _from_test(options: argparse.Namespace, base: Airframe) -> int:
-    test = read_vibration_test(options.layout, options.folder)
+    test = read_vibration_test(options.layout, options.folder, read_matlab)
     modes = identify_runs(test.runs, len(test.points))
     if not modes:
         print("no mode came back in half of the runs")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import tomllib
 from pathlib import Path
 
 from companion.errors import ConfigError
 from companion.params.persist import Stored, load_stored
 from companion.params.settings import Settings
+from companion.params.toml import read_toml, settings_of
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
@@ -70,13 +70,4 @@ def state_file(name: str) -> Path:
 def _from_file(path: Path | None) -> dict[str, float]:
     if path is None:
         return {}
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot read settings {path}: {error.strerror}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from error
-    for name, value in table.items():
-        if not isinstance(value, int | float) or isinstance(value, bool):
-            raise ConfigError(f"{path}: '{name}' must be a number, not {value!r}")
-    return table
+    return settings_of(read_toml(path), str(path))

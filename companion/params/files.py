@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import math
-import tomllib
 import types
 import typing
 from collections.abc import Mapping
@@ -15,6 +13,9 @@ from typing import Any
 from companion.errors import ConfigError, UnknownAirframe
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.shipped import shipped
+from companion.params.toml import parse_toml, read_text
+
+_LARGEST = 1e300
 
 
 def known_airframes() -> list[str]:
@@ -37,7 +38,7 @@ def load_airframe(name_or_path: str) -> Airframe:
         path = Path(name_or_path)
         if not path.is_file():
             raise UnknownAirframe(name_or_path, known_airframes())
-        return parse_airframe(path.read_text(encoding="utf-8"), str(path))
+        return parse_airframe(read_text(path), str(path))
     if name_or_path not in known_airframes():
         raise UnknownAirframe(name_or_path, known_airframes())
     entry = shipped("airframes") / f"{name_or_path}.toml"
@@ -46,11 +47,7 @@ def load_airframe(name_or_path: str) -> Airframe:
 
 def parse_airframe(text: str, origin: str) -> Airframe:
     """Parse the text of an airframe file; ``origin`` is named in errors."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{origin}: not valid TOML: {error}") from error
-    airframe: Airframe = _build(Airframe, table, origin, "")
+    airframe: Airframe = _build(Airframe, parse_toml(text, origin), origin, "")
     return airframe
 
 
@@ -130,14 +127,14 @@ def _scalar(kind: Any, value: Any, origin: str, where: str) -> Any:
 
 
 def _number(value: Any, origin: str, where: str) -> float:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
     _expect(good, origin, where, "a finite number", value)
     return float(value)
 
 
 def _expect(good: bool, origin: str, where: str, expected: str, value: Any) -> None:
     if not good:
-        raise ConfigError(f"{origin}: '{where}' must be {expected}, not {value!r}")
+        raise ConfigError(f"{origin}: '{where}' must be {expected}, not {value!r:.80}")
 
 
 def _join(where: str, key: str) -> str:

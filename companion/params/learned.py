@@ -69,7 +69,7 @@ def load_latency(file: Path) -> KeptLatency | None:
         return KeptLatency(str(table["path"]), (left, right), int(table["shots"]))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ConfigError(f"{file}: not a latency that was kept here ({error}); delete it") from error
 
 

@@ -27,7 +27,7 @@ from sitl_tests.fuzz.mutators import Mutator
 from sitl_tests.fuzz.target import Ending, Violation
 from sitl_tests.unit import test_recordings_mcap as ours
 
-_TEXT_MAPPING = """
+TEXT_MAPPING = """
 [table]
 delimiter = "tab"
 header_line = 3
@@ -199,7 +199,7 @@ READERS: dict[str, Callable[[], Any]] = {
     ),
     "accel": lambda: ReaderTarget("accel", "accel.csv", corpora.accel_tables, _folder, _TABLE, _with_range),
     "range": lambda: ReaderTarget("range", "range.csv", corpora.range_tables, _folder, _TABLE, _with_accel),
-    "table": lambda: ReaderTarget("table", "a.txt", corpora.text_tables, _mapped(_TEXT_MAPPING), _TABLE),
+    "table": lambda: ReaderTarget("table", "a.txt", corpora.text_tables, _mapped(TEXT_MAPPING), _TABLE),
     "matlab": lambda: ReaderTarget(
         "matlab", "a.mat", corpora.matlab_files, _mapped(_MATLAB_MAPPING), (*mutators.PLAIN, *[structured.element] * 10)
     ),

@@ -140,8 +140,8 @@ class _Child:
         try:
             self._ours.send(True)
             while self._ours.poll(self._patience_s):
-                self._patience_s = _PATIENCE_S
                 told: _Told = self._ours.recv()
+                self._patience_s = _PATIENCE_S
                 if told.ending or told.problem:
                     return told
             problem = f"no end after {self._patience_s:.0f} s, not even by an alarm"

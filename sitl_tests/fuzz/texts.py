@@ -26,7 +26,7 @@ from companion.params.learned import load_latency
 from companion.params.settings import Settings, tunables
 from companion.params.shipped import shipped
 from sitl_tests.fuzz import corpora, mutators
-from sitl_tests.fuzz.recordings import ending, read_all
+from sitl_tests.fuzz.recordings import TEXT_MAPPING, ending, read_all
 from sitl_tests.fuzz.target import Ending, Violation
 
 _LAYOUT = b"""
@@ -63,7 +63,8 @@ def _airframes() -> list[bytes]:
 
 def _mappings() -> list[bytes]:
     folder = shipped("mappings")
-    return [entry.read_bytes() for entry in folder.iterdir() if entry.name.endswith(".toml")]
+    named = [entry.read_bytes() for entry in folder.iterdir() if entry.name.endswith(".toml")]
+    return [*named, *[TEXT_MAPPING.encode()] * len(named)]
 
 
 def _settings() -> list[bytes]:
@@ -114,7 +115,10 @@ def _use_settings(path: str, folder: Path) -> None:
 
 
 def _use_layout(path: str, folder: Path) -> None:
-    read_vibration_test(Path(path), folder)
+    (folder / "a.mat").write_bytes(b"")
+    read_vibration_test(
+        Path(path), folder, lambda file: {"signalIn": np.random.default_rng(1).standard_normal((400, 4))}
+    )
 
 
 def _use_latency(path: str, folder: Path) -> None:

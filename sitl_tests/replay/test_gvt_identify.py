@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.adapters.recordings.matlab_file import read_matlab
 from companion.calibration.modes import IdentifiedMode, assurance, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import bending_modes, symmetry
@@ -28,7 +29,7 @@ WELL_EXCITED_HZ = (9.3, 19.1, 30.9, 33.4)
 
 @pytest.fixture(scope="module")
 def test() -> VibrationTest:
-    return read_vibration_test(LAYOUT, GVT)
+    return read_vibration_test(LAYOUT, GVT, read_matlab)
 
 
 @pytest.fixture(scope="module")
@@ -133,10 +134,10 @@ def test_an_established_library_finds_the_same_modes_in_the_same_run(test: Vibra
 
 def test_a_layout_or_a_run_that_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.toml"):
-        read_vibration_test(tmp_path / "none.toml", tmp_path)
+        read_vibration_test(tmp_path / "none.toml", tmp_path, read_matlab)
     with pytest.raises(RecordingError, match=r"run_Run1\.mat"):
-        read_vibration_test(LAYOUT, tmp_path)
+        read_vibration_test(LAYOUT, tmp_path, read_matlab)
     broken = tmp_path / "broken.toml"
     broken.write_text("rate_hz = 1.0\n")
     with pytest.raises(ConfigError, match="points"):
-        read_vibration_test(broken, tmp_path)
+        read_vibration_test(broken, tmp_path, read_matlab)

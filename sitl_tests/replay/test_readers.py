@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pymavlink import DFReader, mavutil
+from pyulog import ULog
 
 from companion.adapters.recordings.bin import BinRecording, raw_accelerometer
 from companion.adapters.recordings.dataflash import DataflashLog
 from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.reader import McapRecording
+from companion.adapters.recordings.ulog_messages import UlogMessages
 from companion.adapters.recordings.writer import About, McapWriter
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -135,3 +137,22 @@ def test_px4_logs_tell_their_gaps_and_dropouts() -> None:
     assert "4 dropouts" in texts
     assert "uneven steps" in texts
     assert {entry.station for entry in recording.records() if isinstance(entry, ImuBatch)} == {Station.ROOT}
+
+
+@needs_ulogs
+@pytest.mark.parametrize("name", ["sample.ulg", "sample_log_small.ulg"])
+def test_a_px4_log_holds_what_pyulog_finds_in_it(name: str) -> None:
+    theirs = ULog(str(ULOGS / name))
+    log = UlogMessages(ULOGS / name, {data.name for data in theirs.data_list})
+    assert log.logged == sorted((data.name, data.multi_id) for data in theirs.data_list)
+    assert (log.damaged_bytes, log.cut_bytes) == (0, 0)
+    for data in theirs.data_list:
+        columns = log.take(data.name, data.multi_id)
+        for column, values in data.data.items():
+            if "." in column:  # nested, which nothing of ours asks for
+                continue
+            assert columns[column].tobytes() == np.ascontiguousarray(values).tobytes(), (data.name, column)
+    changes = [(t_us, name, float(value)) for t_us, name, value in theirs.changed_parameters]
+    start = [(theirs.start_timestamp, name, float(value)) for name, value in theirs.initial_parameters.items()]
+    assert log.parameters == [*start, *changes]
+    assert log.dropouts_ms == [dropout.duration for dropout in theirs.dropouts]

@@ -16,6 +16,7 @@ from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, Sta
 
 AIRFRAME = load_airframe("sitl-plane")
 SIX_AXES = load_airframe("nadir-2m")
+MAGIC_AND_START = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
 FORMATS = {
     "sensor_accel": "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;",
     "sensor_gyro": "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;",
@@ -36,7 +37,7 @@ LAYOUTS = {
 
 class Log:
     def __init__(self, *topics: tuple[str, int], parameters: dict[str, float] | None = None) -> None:
-        self.data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000)
+        self.data = MAGIC_AND_START
         for name in dict.fromkeys(name for name, _ in topics):
             self._message(b"F", f"{name}:{FORMATS[name]}".encode())
         for name, value in (parameters or {}).items():

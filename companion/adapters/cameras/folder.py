@@ -11,9 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
-
+from companion.adapters.recordings.images import grey_of
 from companion.errors import DeviceError
 from companion.records import Bytes, ClockName, Frame, Side
 
@@ -119,10 +117,13 @@ def list_images(camera: Path, side: Side) -> list[Stamped]:
 
 def read_grey(path: Path) -> Bytes:
     """Read an image as (rows, columns) uint8; :class:`DeviceError` where it cannot be read."""
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    try:
+        image = grey_of(path.read_bytes())
+    except OSError as error:
+        raise DeviceError(f"{path}: cannot be read: {error.strerror}") from error
     if image is None:
         raise DeviceError(f"{path}: not an image that can be read")
-    return np.asarray(image, dtype=np.uint8)
+    return image
 
 
 def _stamp(path: Path, stamps: dict[str, int]) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 from companion.adapters.mavlink.mapping import AUTOPILOT_COMPONENT, Mapped, build_mapping
 from companion.adapters.mavlink.translate import PARAMETER_PREFIXES
 from companion.adapters.recordings.dataflash import DataflashLog
-from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, timed
+from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, rate_of, timed
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
 from companion.params.vehicle import implausible
@@ -83,11 +83,10 @@ class BinRecording(LoggedRecording):
         return stream, self._as_logged(sensor, stream, raw)
 
     def _as_logged(self, sensor: Sensor, stream: Stream, raw: bool) -> Sensor:
-        steps = np.diff(stream.t_ns)
         filters = (0.0, 0.0) if raw else (self._filter("ACCEL", sensor), self._filter("GYRO", sensor))
         return dataclasses.replace(
             sensor,
-            rate_hz=1e9 / float(np.mean(steps)) if steps.size else sensor.rate_hz,
+            rate_hz=rate_of(stream.t_ns, sensor.rate_hz),
             lowpass_accel_hz=filters[0],
             lowpass_gyro_hz=filters[1],
             source=dataclasses.replace(sensor.source, stamp_offset_s=0.0),

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, timed
+from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, rate_of, timed
 from companion.adapters.recordings.stamps import without_rounding
 from companion.adapters.recordings.tables import read_table
 from companion.adapters.recordings.units import ACCELERATION, ANGULAR_RATE, has_known_unit, input_in_si
@@ -229,9 +229,8 @@ def gravity(path: Path, stream: Stream) -> Iterator[str]:
 def sensor_as_recorded(sensor: Sensor, stream: Stream) -> Sensor:
     """The sensor with the axes and the rate that are really there."""
     sent = [_LETTERS[i] for i in range(6) if stream.axes >> i & 1]
-    rate_hz = 1e9 / float(np.median(np.diff(stream.t_ns))) if stream.t_ns.size > 1 else sensor.rate_hz
     source = dataclasses.replace(sensor.source, clock=ClockName.HOST, stamp_offset_s=0.0)
-    return dataclasses.replace(sensor, sends="".join(sent), rate_hz=rate_hz, source=source)
+    return dataclasses.replace(sensor, sends="".join(sent), rate_hz=rate_of(stream.t_ns, sensor.rate_hz), source=source)
 
 
 def nanoseconds(t_s: Floats) -> Ints:

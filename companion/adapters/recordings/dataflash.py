@@ -17,6 +17,7 @@ from companion.records import Ints
 
 MAGIC = b"\xa3\x95\x80"
 _HEAD_1, _HEAD_2, _FMT_TYPE, _FMT_BYTES = 0xA3, 0x95, 128, 89
+_TEXTS = "anNZ"  # letters of what is no number
 _FMT = struct.Struct("<BB4s16s64s")
 # letter -> (numpy type, factor)
 _LETTERS: dict[str, tuple[str, float]] = {
@@ -50,6 +51,11 @@ class _Format:
     length: int
     letters: str
     fields: tuple[str, ...]
+
+    def has(self, needed: tuple[str, ...]) -> bool:
+        """Whether these fields are there, ``Name`` as a text and all others as numbers."""
+        letters = dict(zip(self.fields, self.letters, strict=True))
+        return all(name in letters and (letters[name] in _TEXTS) == (name == "Name") for name in needed)
 
 
 class DataflashLog:
@@ -94,11 +100,12 @@ class DataflashLog:
     def take(self, name: str, *needed: str) -> dict[str, Any]:
         """Give all messages of a kind as a dict of field name to array, in log order.
 
-        Empty where there are none, or where this log's version of them lacks a ``needed`` field.
+        Empty where there are none, or where this log's version of them lacks a ``needed`` field or has it as a text
+        (``Name``: as a number).
         Integers and floats keep their width, scaled fields become float64 in their unit, texts bytes.
         """
         for number, entry in self._formats.items():
-            if entry.name == name and set(needed) <= set(entry.fields):
+            if entry.name == name and entry.has(needed):
                 table = self._table(number, entry)
                 return {
                     field: _scaled(table[field], letter)
@@ -126,7 +133,8 @@ class DataflashLog:
             number, length, *texts = _FMT.unpack(body)
             name, letters, columns = (text.split(b"\0")[0].decode("ascii", "replace") for text in texts)
             fields = tuple(columns.split(","))
-            if length > 3 and len(fields) == len(letters) and set(letters) <= _LETTERS.keys():
+            plain = all(fields) and len(set(fields)) == len(fields) == len(letters)
+            if length > 3 and plain and set(letters) <= _LETTERS.keys():
                 formats.setdefault(number, _Format(name, length, letters, fields))
         return formats
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from companion.errors import RecordingError
-from companion.records import ClockName, Frame, Side
+from companion.records import Bytes, ClockName, Frame, Side
 
 _FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 _GOOD_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 90]
@@ -76,10 +76,18 @@ def frame_to_plain(frame: Frame, pair_id: int | None, image_format: ImageFormat)
     }
 
 
+def grey_of(data: bytes) -> Bytes | None:
+    """Decode an image of any usual format as (rows, columns) uint8; None where it cannot be read."""
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    except (cv2.error, MemoryError):  # sizes that no image has
+        return None
+    return None if image is None else np.ascontiguousarray(image, dtype=np.uint8)
+
+
 def frame_from_plain(plain: dict[str, Any]) -> tuple[Frame, int | None]:
     """Give the frame and its pair id; raise RecordingError for an image that cannot be read."""
-    stored = np.frombuffer(base64.b64decode(plain["data"]), np.uint8)
-    image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE)
+    image = grey_of(base64.b64decode(plain["data"]))
     if image is None:
         raise RecordingError(f"image {plain['sequence']} of {plain['frame_id']} cannot be read")
     frame = Frame(
@@ -90,6 +98,6 @@ def frame_from_plain(plain: dict[str, Any]) -> tuple[Frame, int | None]:
         exposure_ns=plain["exposure_ns"],
         row_time_ns=plain["row_time_ns"],
         plan_id=plain["plan_id"],
-        image=np.ascontiguousarray(image, dtype=np.uint8),
+        image=image,
     )
     return frame, plain["pair_id"]

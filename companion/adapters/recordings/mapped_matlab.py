@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.recordings.mapping import Column, MatlabLayout, TableMapping
+from companion.adapters.recordings.matlab_file import read_matlab
 from companion.errors import RecordingError, TableError
 from companion.records import Floats
 
@@ -22,7 +23,7 @@ def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> d
     TableError
         A channel is missing, is not numbers, or is of another length; row and channel are named.
     """
-    variables = _variables(path)
+    variables = read_matlab(path)
     array = _array(path, variables, layout)
     names = _names(path, variables, layout)
     found: dict[str, Floats] = {}
@@ -43,23 +44,16 @@ def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> d
     return found
 
 
-def _variables(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat  # takes a while to import
-
-    try:
-        variables: dict[str, Any] = loadmat(path)
-    except Exception as error:  # scipy raises whatever its parsing stumbles over
-        raise RecordingError(f"{path}: cannot be read as a MATLAB v5 file: {error}") from error
-    return variables
-
-
 def _array(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> Any:
     if not layout.array:
         return None
     if layout.array not in variables:
         there = ", ".join(sorted(name for name in variables if not name.startswith("__")))
         raise RecordingError(f"{path}: no variable '{layout.array}'; it has {there}")
-    return np.asarray(variables[layout.array])
+    array = variables[layout.array]
+    if array.ndim != 2 or array.dtype.kind not in "iuf":
+        raise RecordingError(f"{path}: variable '{layout.array}' is no table of numbers")
+    return array
 
 
 def _names(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> list[str]:
@@ -67,7 +61,8 @@ def _names(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> list[
         return []
     if layout.names not in variables:
         raise RecordingError(f"{path}: no variable '{layout.names}' with the channels' names")
-    return [str(np.asarray(entry).reshape(-1)[0]).strip() for entry in np.asarray(variables[layout.names]).reshape(-1)]
+    entries = [np.asarray(entry).reshape(-1) for entry in variables[layout.names].reshape(-1)]
+    return [str(entry[0]).strip() if entry.size else "" for entry in entries]
 
 
 def _channel(path: Path, column: Column, variables: dict[str, Any], array: Any, names: list[str]) -> Any:
@@ -77,7 +72,7 @@ def _channel(path: Path, column: Column, variables: dict[str, Any], array: Any, 
             has = "no array" if array is None else f"{array.shape[1]} channels"
             raise RecordingError(f"{path}: column '{column.name}' ({column.channel}) is asked for, but there are {has}")
         return array[:, int(number) - 1]
-    if array is not None and column.name in names:
+    if array is not None and column.name in names[: array.shape[1]]:
         return array[:, names.index(column.name)]
     return variables.get(column.name)
 

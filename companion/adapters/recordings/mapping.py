@@ -7,7 +7,6 @@ between the two where it is not plain.
 from __future__ import annotations
 
 import enum
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,10 @@ from companion.adapters.recordings.units import conversion, unit_of
 from companion.errors import ConfigError
 from companion.params.airframe import Uncertain
 from companion.params.shipped import shipped
+from companion.params.toml import parse_toml, read_text
 
+_LARGEST = 1e300
+_MOST_LINES = 1_000_000
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
 
@@ -116,15 +118,12 @@ def load_mapping(name_or_path: str) -> TableMapping:
     path = Path(name_or_path)
     if not path.is_file():
         raise ConfigError(f"{path}: no such mapping file; known by name: {', '.join(known_mappings())}")
-    return parse_mapping(path.read_text(encoding="utf-8"), str(path))
+    return parse_mapping(read_text(path), str(path))
 
 
 def parse_mapping(text: str, origin: str) -> TableMapping:
     """Parse the text of a mapping file; ``origin`` is named in errors."""
-    try:
-        keys = _Keys(tomllib.loads(text), origin, "")
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{origin}: not valid TOML: {error}") from error
+    keys = _Keys(parse_toml(text, origin), origin, "")
     table, matlab = keys.part("table"), keys.part("matlab")
     if table is not None and matlab is not None:
         raise ConfigError(f"{origin}: [table] is for text, [matlab] for .mat files: give one of them")
@@ -154,7 +153,7 @@ class _Keys:
     def take(self, key: str, kind: type | tuple[type, ...], expected: str, default: Any = None) -> Any:
         value = self._left.pop(key, default)
         if value is not default and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
-            raise self.error(key, f"must be {expected}, not {value!r}")
+            raise self.error(key, f"must be {expected}, not {value!r:.80}")
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
@@ -167,7 +166,16 @@ class _Keys:
         value = self.take(key, (int, float), "a number", default)
         if value is None:
             raise self.error(key, "is missing")
+        if not abs(value) <= _LARGEST:
+            raise self.error(key, f"must be a finite number, not {value!r:.80}")
         return float(value)
+
+    def count(self, key: str, default: int) -> int:
+        """A line's number; 0 is none."""
+        value = int(self.take(key, int, "a whole number", default))
+        if not 0 <= value <= _MOST_LINES:
+            raise self.error(key, f"must be 0 to {_MOST_LINES}, not {value!r:.80}")
+        return value
 
     def part(self, key: str) -> _Keys | None:
         value = self.take(key, dict, "a table")
@@ -179,6 +187,9 @@ class _Keys:
     def done(self) -> None:
         for key in self._left:
             raise self.error(key, "is no key of a mapping file")
+
+    def names(self) -> list[str]:
+        return list(self._left)
 
     def items(self) -> list[tuple[str, Any]]:
         left, self._left = list(self._left.items()), {}
@@ -196,8 +207,8 @@ def _text(keys: _Keys) -> TextLayout:
     name = keys.text("delimiter", "comma")
     if name not in _DELIMITERS:
         raise keys.error("delimiter", f"must be one of {', '.join(_DELIMITERS)}, not {name!r}")
-    header = int(keys.take("header_line", int, "a whole number", 1))
-    layout = TextLayout(_DELIMITERS[name], header, int(keys.take("first_line", int, "a whole number", header + 1)))
+    header = keys.count("header_line", 1)
+    layout = TextLayout(_DELIMITERS[name], header, keys.count("first_line", header + 1))
     if layout.first_line <= header:
         raise keys.error("first_line", "must come after the header line")
     keys.done()
@@ -229,12 +240,11 @@ def _column(name: str, keys: _Keys) -> Column:
     channel = keys.text("channel")
     unit = keys.text("unit", unit_of(channel))
     factor = conversion(unit, unit_of(channel))
-    given = keys.take("scale", (int, float), "a number")
-    if given is None and factor is None:
+    if factor is None and "scale" not in keys.names():
         raise keys.error(
             "scale", f"is missing: nothing is known that makes '{unit_of(channel) or channel}' of unit '{unit}'"
         )
-    scale = float(given) if given is not None else float(factor or 1.0)
+    scale = keys.number("scale", factor)
     if scale == 0.0:
         raise keys.error("scale", "must not be 0")
     optional = bool(keys.take("optional", bool, "true or false", False))
@@ -251,7 +261,7 @@ def _constants(keys: _Keys) -> dict[str, dict[str, float]]:
             raise keys.error("recordings", "must be tables: [[recordings]]")
         one = _Keys(entry, keys.origin, "recordings.")
         file, values = one.text("file"), one.part("values")
-        found[file] = {name: float(value) for name, value in values.items()} if values is not None else {}
+        found[file] = {name: values.number(name) for name in values.names()} if values is not None else {}
         one.done()
     return found
 
@@ -260,8 +270,9 @@ def _band(keys: _Keys) -> tuple[float, float] | None:
     band = keys.take("band_hz", list, "two frequencies, [low, high]")
     if band is None:
         return None
-    if len(band) != 2 or not all(isinstance(edge, int | float) for edge in band) or not 0 < band[0] < band[1]:
-        raise keys.error("band_hz", f"must be two frequencies, [low, high], not {band!r}")
+    numbers = [edge for edge in band if isinstance(edge, int | float)]
+    if len(band) != 2 or len(numbers) != 2 or not 0 < numbers[0] < numbers[1] <= _LARGEST:
+        raise keys.error("band_hz", f"must be two frequencies, [low, high], not {band!r:.80}")
     return float(band[0]), float(band[1])
 
 

@@ -11,8 +11,8 @@ from companion.adapters.recordings.reader import MAGIC as MCAP_MAGIC
 from companion.adapters.recordings.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.tlog import TlogRecording
-from companion.adapters.recordings.ulog import MAGIC as ULOG_MAGIC
 from companion.adapters.recordings.ulog import UlogRecording
+from companion.adapters.recordings.ulog_messages import MAGIC as ULOG_MAGIC
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 

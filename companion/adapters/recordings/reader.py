@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import struct
-import tomllib
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -30,18 +29,28 @@ from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe, parse_airframe
 from companion.params.settings import Settings
+from companion.params.toml import parse_toml, settings_of
 from companion.records import ClockName, Frame, FramePair, Notice, Side
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9
+_KEPT = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT))
+_MOST_CHUNK_BYTES = 1 << 28
+_LONGEST_CHUNK_S = 60.0
 _DAMAGE = (
     McapError,
     CRCValidationError,
     struct.error,
     ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
     zstandard.ZstdError,
     RuntimeError,
 )
+_PARTLY = struct.Struct("<QQ")  # the first fields of a chunk: its first and last time
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +70,14 @@ class McapRecording:
     airframe : Airframe, optional
         Replaces the recorded one.
 
+    Attributes
+    ----------
+    cut : bool
+        The recorder did not finish the file.
+    missing_s : float or None
+        Recorded time that was lost with damaged chunks and behind a cut, as far as the file tells; None where it does
+        not tell.
+
     Raises
     ------
     RecordingError
@@ -70,7 +87,8 @@ class McapRecording:
     def __init__(self, path: Path, airframe: Airframe | None = None) -> None:
         self.path = path
         self._notes = Notes()
-        self._segments, self._complete = _scan(path)
+        self._segments, self._end = _scan(path)
+        self._damaged_s: dict[int, float] = {}  # by the place of the chunk
         try:
             facts, texts = self._header()
             self._understand(facts, texts)
@@ -78,7 +96,7 @@ class McapRecording:
             raise RecordingError(f"{path}: its header is damaged, nothing can be read ({error})") from error
         if airframe is not None:
             self.airframe = airframe
-        self._say_what_is_wrong("spanwise.end" in facts)
+        self._say_what_is_wrong()
 
     def _understand(self, facts: dict[str, dict[str, str]], texts: dict[str, str]) -> None:
         if "spanwise" not in facts:
@@ -95,6 +113,7 @@ class McapRecording:
         self.settings = load_settings(texts["settings.toml"])
         self.dropped = int(facts.get("spanwise.drops", {}).get("dropped", "0"))
         self.replayable = self.dropped == 0
+        self.cut = not (self._end.orderly and "spanwise.end" in facts)
 
     @property
     def airframe_text(self) -> str:
@@ -106,25 +125,41 @@ class McapRecording:
         """What is wrong or worth knowing."""
         return self._notes.notices
 
+    @property
+    def missing_s(self) -> float | None:
+        """Recorded time that is lost, where the file tells; complete once ``records`` is exhausted."""
+        lost_s = sum(self._damaged_s.values())
+        if not self.cut:
+            return lost_s
+        behind_s = -1.0 if self._end.cut_chunk_ns is None else (self._end.cut_chunk_ns - self._span()[1]) * 1e-9
+        return lost_s + behind_s if 0.0 <= behind_s < _LONGEST_CHUNK_S else None
+
     def records(self) -> Iterator[Recordable]:
-        """Every record in arrival order; a damaged chunk is left out and named in the notices."""
+        """Every record in arrival order; what is damaged is left out and named in the notices."""
+        for _, record in self._numbered():
+            yield record
+
+    def records_before_loss(self) -> Iterator[Recordable]:
+        """The records up to the first that is missing, because it was dropped, damaged or cut off."""
+        for count, (number, record) in enumerate(self._numbered()):
+            if number != count:
+                return
+            yield record
+
+    def _numbered(self) -> Iterator[tuple[int, Recordable]]:
+        """Records with their number in the file, counted by the recorder."""
         unpaired: dict[int, Frame] = {}
         for schema, message in self._messages():
-            if schema.name == IMAGE_SCHEMA:
-                frame, pair_id = images.frame_from_plain(json.loads(message.data))
-                if pair_id is None:
-                    yield frame
-                elif frame.side is Side.LEFT:
-                    unpaired[pair_id] = frame
-                elif pair_id in unpaired:
-                    yield FramePair(pair_id, unpaired.pop(pair_id), frame)
-            elif schema.name in KINDS:
-                kind = KINDS[schema.name]
-                if kind in packed.SCHEMAS:
-                    yield packed.unpack(kind, message.data)
-                else:
-                    yield loads(kind, message.data)
-            else:
+            try:
+                record = _record_of(schema, message, unpaired)
+            except _DAMAGE as error:
+                self.replayable = False
+                what = f"{type(error).__name__}: {error}"[:120]
+                self._notes.add(f"{self.path.name}: a message of '{schema.name}' is damaged and left out ({what})")
+                continue
+            if record is not None:
+                yield message.sequence, record
+            elif schema.name not in KINDS and schema.name != IMAGE_SCHEMA:
                 self._notes.add(f"{self.path.name}: messages of '{schema.name}' are not known here and left out")
 
     def _messages(self) -> Iterator[tuple[mcap.Schema, mcap.Message]]:
@@ -147,10 +182,14 @@ class McapRecording:
 
     def _chunk(self, file: BinaryIO, segment: _Segment) -> list[Any]:
         try:
-            return list(breakup_chunk(_parse(file, segment), validate_crc=True))
+            chunk = _parse(file, segment)
+            _check_size(chunk)
+            return list(breakup_chunk(chunk, validate_crc=True))
         except _DAMAGE as error:
             self.replayable = False
-            self._notes.add(f"{self.path.name}: the chunk at byte {segment.offset} is damaged and left out ({error})")
+            self._damaged_s[segment.offset] = _lasted_s(file, segment)
+            what = f"{type(error).__name__}: {error}"[:120]
+            self._notes.add(f"{self.path.name}: the chunk at byte {segment.offset} is damaged and left out ({what})")
             return []
 
     def _header(self) -> tuple[dict[str, dict[str, str]], dict[str, str]]:
@@ -167,8 +206,8 @@ class McapRecording:
                     texts[record.name] = record.data.decode()
         return facts, texts
 
-    def _say_what_is_wrong(self, ended: bool) -> None:
-        if not (ended and self._complete):
+    def _say_what_is_wrong(self) -> None:
+        if self.cut:
             last = self._segments[-1]
             start_ns, end_ns = self._span()
             self._notes.add(
@@ -183,22 +222,32 @@ class McapRecording:
         spans = []
         with self.path.open("rb") as file:
             for segment in [part for part in self._segments if part.opcode == Opcode.CHUNK]:
-                file.seek(segment.offset)
-                spans.append(struct.unpack("<QQ", file.read(16)))
+                if segment.length >= _PARTLY.size:
+                    file.seek(segment.offset)
+                    spans.append(_PARTLY.unpack(file.read(_PARTLY.size)))
         return (min(start for start, _ in spans), max(end for _, end in spans)) if spans else (0, 0)
 
 
 def load_settings(text: str) -> Settings:
     """Parse what :func:`~companion.adapters.recordings.writer.dump_settings` wrote; raise ConfigError if it is bad."""
     settings = Settings()
-    for name, value in tomllib.loads(text).items():
+    for name, value in settings_of(parse_toml(text, "settings.toml"), "settings.toml").items():
         settings = settings.replace(name, value)
     return settings
 
 
-def _scan(path: Path) -> tuple[list[_Segment], bool]:
-    """Walk the top-level records; the flag tells whether the file has its orderly end."""
+@dataclass(frozen=True, slots=True)
+class _End:
+    """How a file ends: in order, or within a chunk, whose last time its head still tells."""
+
+    orderly: bool
+    cut_chunk_ns: int | None = None
+
+
+def _scan(path: Path) -> tuple[list[_Segment], _End]:
+    """Walk the top-level records, and look at the end."""
     segments: list[_Segment] = []
+    cut_chunk_ns = None
     size = path.stat().st_size
     with path.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
@@ -208,14 +257,53 @@ def _scan(path: Path) -> tuple[list[_Segment], bool]:
             file.seek(at)
             opcode, length = struct.unpack("<BQ", file.read(_HEAD))
             if at + _HEAD + length > size:
+                if opcode == Opcode.CHUNK and at + _HEAD + _PARTLY.size <= size:
+                    cut_chunk_ns = _PARTLY.unpack(file.read(_PARTLY.size))[1]
                 break
-            segments.append(_Segment(opcode, at + _HEAD, length))
+            if opcode in _KEPT:
+                segments.append(_Segment(opcode, at + _HEAD, length))
             at += _HEAD + length
             if opcode == Opcode.FOOTER:
-                return segments, True
+                return segments, _End(orderly=True)
     if not segments:
         raise RecordingError(f"{path}: cut off in its first bytes; nothing can be read")
-    return segments, False
+    return segments, _End(orderly=False, cut_chunk_ns=cut_chunk_ns)
+
+
+def _record_of(schema: mcap.Schema, message: mcap.Message, unpaired: dict[int, Frame]) -> Recordable | None:
+    """The record of a message; None for one that is not known, or the left image of a pair, which waits."""
+    if schema.name == IMAGE_SCHEMA:
+        frame, pair_id = images.frame_from_plain(json.loads(message.data))
+        if pair_id is None:
+            return frame
+        if frame.side is Side.LEFT:
+            unpaired[pair_id] = frame
+            return None
+        return FramePair(pair_id, unpaired.pop(pair_id), frame) if pair_id in unpaired else None
+    if schema.name not in KINDS:
+        return None
+    kind = KINDS[schema.name]
+    record: Recordable = packed.unpack(kind, message.data) if kind in packed.SCHEMAS else loads(kind, message.data)
+    return record
+
+
+def _check_size(chunk: mcap.Chunk) -> None:
+    """Raise ValueError for a chunk that says it is larger than we make them: what it says would be allocated."""
+    sizes = [chunk.uncompressed_size]
+    if chunk.compression == "zstd":
+        sizes.append(zstandard.frame_content_size(chunk.data))
+    if max(sizes) > _MOST_CHUNK_BYTES:
+        raise ValueError(f"{max(sizes)} bytes in a chunk")
+
+
+def _lasted_s(file: BinaryIO, segment: _Segment) -> float:
+    """Recorded time in a chunk, by its head; 0 where that is damaged too."""
+    if segment.length < _PARTLY.size:
+        return 0.0
+    file.seek(segment.offset)
+    start_ns, end_ns = _PARTLY.unpack(file.read(_PARTLY.size))
+    lasted_s = (end_ns - start_ns) * 1e-9
+    return lasted_s if 0.0 <= lasted_s < _LONGEST_CHUNK_S else 0.0
 
 
 _PARSERS = {

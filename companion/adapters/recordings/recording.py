@@ -22,6 +22,7 @@ WARNING = 4
 INFO = 6
 BATCH_NS = 20_000_000
 _GAP_RATIO = 2.5
+_FINEST_STEP_NS, _COARSEST_STEP_NS = 1e4, 1e10
 _JITTER_RATIO = 0.15
 
 
@@ -126,6 +127,16 @@ def join(parts: Sequence[Stream]) -> Stream:
             values[:, i] = np.interp(base.t_ns, part.t_ns, part.values[:, i])
         axes |= part.axes
     return Stream(base.station, base.clock, axes, base.t_ns[kept], values[kept])
+
+
+def rate_of(t_ns: Ints, otherwise_hz: float) -> float:
+    """Mean rate of these stamps, gaps left out; ``otherwise_hz`` where they are too few or no rate of a sensor."""
+    steps_ns = np.diff(t_ns)
+    steps_ns = steps_ns[steps_ns > 0]
+    if not steps_ns.size:
+        return otherwise_hz
+    mean_ns = float(np.mean(steps_ns[steps_ns <= _GAP_RATIO * np.median(steps_ns)]))
+    return 1e9 / mean_ns if _FINEST_STEP_NS <= mean_ns <= _COARSEST_STEP_NS else otherwise_hz
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""PX4 ULog files as recordings, through pyulog: sensor_accel and sensor_gyro, vehicle_imu, or sensor_combined.
+"""PX4 ULog files as recordings: sensor_accel and sensor_gyro, vehicle_imu, or sensor_combined.
 
 Everything is in the autopilot's boot clock. These topics come before PX4's cutoff filters, so the airframe's low-pass
 is taken out. Samples of vehicle_imu and sensor_combined are means over the integration time that ends at their stamp:
@@ -7,26 +7,23 @@ they are stamped in its middle, and IMU_INTEG_RATE, by which the same is done to
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import io
 import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyulog import ULog
 
 from companion.adapters.mavlink.mapping import Mapped, build_mapping
 from companion.adapters.mavlink.translate import PARAMETER_PREFIXES
 from companion.adapters.recordings.bin import as_floats, imu_of, in_body
-from companion.adapters.recordings.recording import LoggedRecording, Stream, join, merge, timed
+from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, rate_of, timed
+from companion.adapters.recordings.ulog_messages import UlogMessages
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
 
-MAGIC = b"ULog\x01\x12\x35"
 _LEAST_RATE_HZ = 50.0
 _NO_TIME = 0x7FFFFFFF
 _ARMED = 2
@@ -60,11 +57,7 @@ class UlogRecording(LoggedRecording):
 
     def __init__(self, path: Path, airframe: Airframe) -> None:
         super().__init__(path, airframe, ClockName.BOOT)
-        try:
-            with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints what file_corruption tells as well
-                self._log = ULog(str(path), _TOPICS, disable_str_exceptions=True)
-        except Exception as error:  # pyulog raises whatever its parsing stumbles over
-            raise RecordingError(f"{path}: cannot be read as a ULog: {error}") from error
+        self._log = UlogMessages(path, _TOPICS)
         self.streams: list[Stream] = []
         sensors: dict[str, Any] = {}
         for source in build_mapping(airframe).sources:
@@ -77,7 +70,7 @@ class UlogRecording(LoggedRecording):
         self.airframe = dataclasses.replace(airframe, **sensors)
         self._say_what_is_wrong()
         if not self.streams:
-            there = ", ".join(sorted({f"{data.name}[{data.multi_id}]" for data in self._log.data_list})) or "nothing"
+            there = ", ".join(f"{name}[{instance}]" for name, instance in self._log.logged) or "nothing"
             raise RecordingError(f"{path}: no inertial samples at {_LEAST_RATE_HZ:.0f} Hz or more; it has {there}")
 
     def records(self) -> Iterator[Record]:
@@ -110,8 +103,8 @@ class UlogRecording(LoggedRecording):
         return next((parts for parts in choices if parts and all(_fast(t_ns) for _, t_ns, _ in parts)), [])
 
     def _sensor_topics(self, imu: int) -> list[_Part]:
-        accel, gyro = self._topic("sensor_accel", imu), self._topic("sensor_gyro", imu)
         names = ("x", "y", "z")
+        accel, gyro = (self._log.take(topic, imu, "timestamp", *names) for topic in ("sensor_accel", "sensor_gyro"))
         parts = []
         if accel:
             parts.append(_part(Axis.ACCEL, _sample_time(accel), [accel[name] for name in names]))
@@ -120,14 +113,13 @@ class UlogRecording(LoggedRecording):
         return parts
 
     def _vehicle_imu(self, imu: int) -> list[_Part]:
-        table = self._topic("vehicle_imu", imu)
+        kinds = ((Axis.ACCEL, "delta_velocity", "delta_velocity_dt"), (Axis.GYRO, "delta_angle", "delta_angle_dt"))
+        needed = [name for _, field, period in kinds for name in (*(f"{field}[{i}]" for i in range(3)), period)]
+        table = self._log.take("vehicle_imu", imu, "timestamp", *needed)
         if not table:
             return []
         parts = []
-        for axes, field, period in (
-            (Axis.ACCEL, "delta_velocity", "delta_velocity_dt"),
-            (Axis.GYRO, "delta_angle", "delta_angle_dt"),
-        ):
+        for axes, field, period in kinds:
             seconds = table[period] * 1e-6
             good = seconds > 0
             columns = [table[f"{field}[{i}]"][good] / seconds[good] for i in range(3)]
@@ -135,7 +127,8 @@ class UlogRecording(LoggedRecording):
         return parts
 
     def _combined(self) -> list[_Part]:
-        table = self._topic("sensor_combined", 0)
+        vectors = [f"{name}[{i}]" for name in ("accelerometer_m_s2", "gyro_rad") for i in range(3)]
+        table = self._log.take("sensor_combined", 0, "timestamp", "accelerometer_timestamp_relative", *vectors)
         if not table:
             return []
         t_us = table["timestamp"].astype(np.int64)
@@ -147,28 +140,25 @@ class UlogRecording(LoggedRecording):
         gyro_us = t_us - _half_us(table, "gyro_integral_dt")
         return [_part(Axis.ACCEL, accel_us[valid], accel), _part(Axis.GYRO, gyro_us, gyro)]
 
-    def _topic(self, name: str, instance: int) -> dict[str, Any]:
-        found = [data.data for data in self._log.data_list if (data.name, data.multi_id) == (name, instance)]
-        return found[0] if found else {}
-
     def _say_what_is_wrong(self) -> None:
-        dropouts = self._log.dropouts
+        dropouts = self._log.dropouts_ms
         if dropouts:
-            lost_ms = sum(dropout.duration for dropout in dropouts)
+            lost_ms = sum(dropouts)
             many = f"{len(dropouts)} dropout{'s' if len(dropouts) > 1 else ''}"
             self.notes.add(f"{self.path.name}: the logger reports {many} of {lost_ms} ms in all")
-        if self._log.file_corruption:
-            self.notes.add(f"{self.path.name}: parts of the file are damaged and were left out")
+        if self._log.damaged_bytes:
+            self.notes.add(f"{self.path.name}: {self._log.damaged_bytes} bytes are damaged and were left out")
+        if self._log.cut_bytes:
+            text = f"{self.path.name}: truncated: the last {self._log.cut_bytes} bytes are no whole message, left out"
+            self.notes.add(text, severity=INFO)
 
     def _parameters(self) -> Iterator[tuple[int, AutopilotParameter]]:
-        start_us = int(self._log.start_timestamp)
-        changes = [(start_us, name, value) for name, value in self._log.initial_parameters.items()]
-        for t_us, name, value in (*changes, *(change[:3] for change in self._log.changed_parameters)):
+        for t_us, name, value in self._log.parameters:
             if name.startswith(PARAMETER_PREFIXES) and name != _OF_MESSAGES and math.isfinite(value):
-                yield t_us * 1000, AutopilotParameter(name, float(value), t_us * 1000)
+                yield t_us * 1000, AutopilotParameter(name, value, t_us * 1000)
 
     def _states(self) -> Iterator[tuple[int, VehicleState]]:
-        attitude = self._topic("vehicle_attitude", 0)
+        attitude = self._log.take("vehicle_attitude", 0, "timestamp", *(f"q[{i}]" for i in range(4)))
         if not attitude:
             return
         t_us = attitude["timestamp"].astype(np.int64)
@@ -195,8 +185,8 @@ class UlogRecording(LoggedRecording):
             )
 
     def _latest(self, topic: str, field: str, t_us: Ints) -> Floats:
-        table = self._topic(topic, 0)
-        if field not in table:
+        table = self._log.take(topic, 0, "timestamp", field)
+        if not table:
             return np.zeros(t_us.size)
         values = np.concatenate([[0.0], np.nan_to_num(table[field].astype(np.float64), posinf=0.0, neginf=0.0)])
         return values[np.searchsorted(table["timestamp"].astype(np.int64), t_us, side="right")]
@@ -230,7 +220,7 @@ def _fast(t_ns: Ints) -> bool:
 def _as_logged(sensor: Sensor, stream: Stream) -> Sensor:
     return dataclasses.replace(
         sensor,
-        rate_hz=1e9 / float(np.median(np.diff(stream.t_ns))),
+        rate_hz=rate_of(stream.t_ns, sensor.rate_hz),
         lowpass_accel_hz=0.0,
         lowpass_gyro_hz=0.0,
         source=dataclasses.replace(sensor.source, stamp_offset_s=0.0),

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.adapters.recordings.matlab_file import read_matlab
 from companion.core.wing.shapes import EdgePoints
 from companion.records import Floats
 
@@ -94,9 +95,8 @@ def modal_points(stations_m: Floats, peaks: Floats, resonances_hz: Floats) -> Mo
 
 
 def _gvt_run(path: Path) -> tuple[Floats, Floats]:
-    from scipy.io import loadmat  # only where the data are
     from scipy.signal import decimate
 
-    volts = loadmat(path, variable_names=["signalIn"])["signalIn"]
+    volts = read_matlab(path)["signalIn"]
     slow = decimate(volts[:-1], round(_GVT_RATE_HZ / RATE_HZ), axis=0)
     return np.asarray(slow[:, 1] * _LBF_PER_VOLT), np.asarray(slow[:, 2:4] * _G_PER_VOLT)

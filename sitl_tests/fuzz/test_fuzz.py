@@ -1,0 +1,77 @@
+"""A fixed number of hostile inputs of every kind; longer by ``make fuzz SECONDS=3600``."""
+
+from __future__ import annotations
+
+import functools
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from sitl_tests.fuzz import runner
+from sitl_tests.fuzz.runner import fuzz, make_case
+from sitl_tests.fuzz.target import Ending
+from sitl_tests.fuzz.targets import NAMES, make_target
+
+CASES = {"decoder": 300, "flight": 8, "tlog": 150, "mcap": 200, "images": 600, "replay": 60}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("flight", "airframe")])
+def test_every_case_ends_in_data_or_in_one_sentence(name: str) -> None:
+    result = fuzz(functools.partial(make_target, name), seed=20260101, cases=CASES.get(name, 500))
+    assert not result.findings, result.findings[0].problem
+    assert result.cases == CASES.get(name, 500)
+    assert result.endings[Ending.DATA] > 0.01 * result.cases, "some damage leaves something to use"
+
+
+class Trap:
+    """Ends in every way that there is."""
+
+    name = "trap"
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+
+    def warm(self) -> None:
+        pass
+
+    def case(self, rng: np.random.Generator) -> bytes:
+        return rng.bytes(4)
+
+    def run(self, data: bytes) -> Ending:
+        return Ending.DATA
+
+
+class Greedy(Trap):
+    def run(self, data: bytes) -> Ending:
+        _ = np.ones(runner.MEMORY_LIMIT_BYTES // 4)
+        return Ending.DATA
+
+
+class Endless(Trap):
+    def run(self, data: bytes) -> Ending:
+        while True:
+            pass
+
+
+class Broken(Trap):
+    def run(self, data: bytes) -> Ending:
+        raise IndexError(data.hex())
+
+
+def test_an_exception_is_a_finding_and_its_case_can_be_made_again() -> None:
+    result = fuzz(Broken, seed=3, cases=2)
+    assert [finding.number for finding in result.findings] == [0, 1]
+    assert make_case(Broken(), 3, 1).hex() in result.findings[1].problem
+
+
+def test_more_than_a_gigabyte_is_a_finding() -> None:
+    (finding,) = fuzz(Greedy, seed=1, cases=1).findings
+    assert "MemoryError" in finding.problem
+
+
+@pytest.mark.slow
+def test_more_than_ten_seconds_is_a_finding() -> None:
+    (finding,) = fuzz(Endless, seed=1, cases=1).findings
+    assert "TooSlow" in finding.problem
