@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, S, Station, 
 KEY, OTHER = bytes(range(32)), bytes(32)
 NOW = 300_000_000_000_000 // 10  # some day, in 10 us
 SECOND = 100_000
+MADE_S = 1_420_070_400 + NOW // SECOND - 120  # when a key was made, seconds of the day's clock
 
 
 class Other:
@@ -162,10 +164,12 @@ def test_a_key_file_is_read_and_a_bad_one_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="chmod 600"):
         load_signing(path, clock)
     path.chmod(0o600)
+    os.utime(path, (MADE_S, MADE_S))
     signing = load_signing(path, clock)
     frame = Other(key=hashlib.sha256(b"correct horse").digest()).frame()
     assert signing.judge(frame) is None
     path.write_text(KEY.hex())
+    os.utime(path, (MADE_S, MADE_S))
     assert load_signing(path, clock).judge(Other().frame()) is None
     for bad in ("", "abcd", KEY.hex() + "00", "passphrase:"):
         path.write_text(bad)
@@ -173,25 +177,80 @@ def test_a_key_file_is_read_and_a_bad_one_named(tmp_path: Path) -> None:
             load_signing(path, clock)
 
 
-def test_the_signing_time_is_kept_over_a_restart(tmp_path: Path) -> None:
+@pytest.fixture
+def key_file(tmp_path: Path) -> Path:
+    """A key that was made two minutes before NOW."""
     path = tmp_path / "key"
     path.write_text(KEY.hex())
     path.chmod(0o600)
-    clock = TurnedClock()
-    first = load_signing(path, clock)
-    assert first.now() == 0
-    recorded = Other(timestamp=NOW).frame()
-    assert first.judge(recorded) is None
-    first.sign(Other(key=None).frame(), 0)
-    stamp = tmp_path / "key.stamp"
-    for _ in range(200):
-        if stamp.exists():
-            break
+    os.utime(path, (MADE_S, MADE_S))
+    return path
+
+
+def stamped(path: Path, before: str = "") -> str:
+    """What the stamp file holds, once it holds something else than before."""
+    stamp = path.with_name("key.stamp")
+    for _ in range(500):
+        if stamp.exists() and stamp.read_text() != before:
+            return stamp.read_text()
         time.sleep(0.01)
-    again = load_signing(path, clock)
-    assert again.now() > NOW, "nothing that was accepted before can be accepted again as a new stream"
-    stale = Other(timestamp=NOW - SECOND).frame()
-    assert again.judge(stale) is Refusal.STALE
+    raise AssertionError("nothing was kept")
+
+
+def test_after_a_power_cycle_at_most_a_second_of_old_traffic_comes_in(key_file: Path) -> None:
+    """Ten minutes of two streams, one of them 20 s behind; then the power is cut at any instant."""
+    clock = TurnedClock()
+    before = load_signing(key_file, clock)
+    recorded: list[tuple[int, bytes]] = []
+    text = ""
+    for tick in range(6000):
+        clock.now += S // 10
+        stamps = (NOW + tick * SECOND // 10, NOW - 20 * SECOND + tick * SECOND // 10)
+        for link, stamp in enumerate(stamps):
+            frame = Other(timestamp=stamp, link=link).frame()
+            assert before.judge(frame) is None
+            recorded.append((tick, frame))
+        if tick % 5 == 4 and tick > 5990:
+            text = stamped(key_file, text)
+        elif tick == 5989:
+            time.sleep(0.2)
+    again = load_signing(key_file, TurnedClock())
+    accepted = [tick for tick, frame in recorded if again.judge(frame) is None]
+    assert len(accepted) <= 2 * 10
+    assert all(tick >= 6000 - 10 for tick in accepted)
+    for link, stamp in enumerate((NOW + 601 * SECOND, NOW - 20 * SECOND + 601 * SECOND)):
+        assert again.judge(Other(timestamp=stamp, link=link).frame()) is None, "each stream goes on"
+    assert again.judge(Other(timestamp=NOW + 590 * SECOND, link=9).frame()) is Refusal.STALE, "a new one must be new"
+    assert again.judge(Other(timestamp=NOW + 603 * SECOND, link=9).frame()) is None
+
+
+def test_our_own_stamps_go_on_behind_those_before_the_cut(key_file: Path) -> None:
+    clock = TurnedClock()
+    before = load_signing(key_file, clock)
+    last = before.sign(Other(key=None).frame(), 0)
+    stamped(key_file)
+    clock.now += S // 2 - 1
+    last = before.sign(Other(key=None).frame(), 0)
+    again = load_signing(key_file, TurnedClock())
+    first = again.sign(Other(key=None).frame(), 0)
+    assert int.from_bytes(first[-12:-6], "little") > int.from_bytes(last[-12:-6], "little")
+
+
+@pytest.mark.parametrize("damage", [None, "", "soon\n", "-5\n", f"{1 << 60}\n", "12\n1 2\n"])
+def test_without_a_good_stamp_file_nothing_older_than_the_key_comes_in(key_file: Path, damage: str | None) -> None:
+    if damage is not None:
+        key_file.with_name("key.stamp").write_text(damage)
+    signing = load_signing(key_file, TurnedClock())
+    for age_s in (3 * 365 * 86400, 86400, 121):
+        assert signing.judge(Other(timestamp=NOW - age_s * SECOND).frame()) is Refusal.STALE
+    assert signing.judge(Other(timestamp=NOW).frame()) is None
+
+
+def test_a_stamp_file_of_an_earlier_version_is_read(key_file: Path) -> None:
+    key_file.with_name("key.stamp").write_text(f"{NOW + 500 * SECOND}\n")
+    signing = load_signing(key_file, TurnedClock())
+    assert signing.judge(Other(timestamp=NOW + 499 * SECOND).frame()) is Refusal.STALE
+    assert signing.judge(Other(timestamp=NOW + 502 * SECOND).frame()) is None
 
 
 def test_over_a_signed_link_only_the_signed_station_sets_and_the_recording_replays_without_the_key() -> None:

@@ -3,20 +3,23 @@
 The check sits at the transport, before the recorder and the decoder: a recording holds what was accepted, and replays
 without the key. Refused frames are counted by reason.
 
-A signature's timestamp counts 10 us. It must increase within a stream (link id, system, component), and a new stream
-may be a minute behind our own time at most (MAVLink 2 signing, "Timestamp handling"). Our time runs with the monotonic
-clock, never behind anything accepted; over a restart it is kept in a file, for a companion may have no clock of the
-day. Without that file the first accepted frame sets it.
+A signature's timestamp counts 10 us since 2015. It must increase within a stream (link id, system, component), and a
+new stream may be a minute behind our own time at most (MAVLink 2 signing, "Timestamp handling"). Our time runs with the
+monotonic clock, never behind anything accepted. A companion may have no clock of the day: our time and each stream's
+newest timestamp are kept in a file twice a second, so that a power cut lets in again no more than came since. A stream
+that is not in the file must be newer than our time in it. Without the file nothing comes in that is older than the key.
 """
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import hashlib
 import hmac
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -27,6 +30,7 @@ from companion.adapters.mavlink.scan import INCOMPLETE, next_frame, whole_frame
 from companion.adapters.mavlink.senders import Senders
 from companion.adapters.mavlink.udp import UdpIn
 from companion.errors import ConfigError
+from companion.params.persist import write_whole
 from companion.ports import Clock
 from companion.records import Notice
 
@@ -36,8 +40,10 @@ _SIGNATURE_BYTES = 13
 _KEY_BYTES = 32
 _UNIT_NS = 10_000
 _MINUTE = 60 * 100_000
-_RESTART = _MINUTE
-_SAVE_PERIOD = _MINUTE // 2
+_SECOND = 100_000
+_RESTART = _SECOND
+_SAVE_PERIOD_NS = 500_000_000
+_EPOCH_S = 1_420_070_400  # 2015-01-01
 _LARGEST = (1 << 48) - 1
 _MOST_STREAMS = 1024
 _SAY_PERIOD_NS = 10_000_000_000
@@ -53,6 +59,18 @@ class Refusal(enum.StrEnum):
     STALE = "stale"
 
 
+Stream = tuple[int, int, int]
+"""Link id, system and component."""
+
+
+@dataclass(frozen=True, slots=True)
+class SigningTime:
+    """What must outlive a power cycle: our signing time, and the newest timestamp of each stream."""
+
+    own: int = 0
+    streams: Mapping[Stream, int] = field(default_factory=dict)
+
+
 class Signing:
     """Key, time and known streams, shared by all links of the service.
 
@@ -63,11 +81,18 @@ class Signing:
     timestamp
         Where our signing time begins, in 10 us.
     save
-        Called now and then with the signing time, to be kept over a restart; must not block.
+        Called twice a second with what is to be kept over a restart; must not block.
+    kept
+        What was kept: streams go on behind it, and new ones begin behind its own time.
     """
 
     def __init__(
-        self, secret: bytes, clock: Clock, timestamp: int = 0, save: Callable[[int], None] | None = None
+        self,
+        secret: bytes,
+        clock: Clock,
+        timestamp: int = 0,
+        save: Callable[[SigningTime], None] | None = None,
+        kept: SigningTime | None = None,
     ) -> None:
         if len(secret) != _KEY_BYTES:
             raise ConfigError(f"a signing key has {_KEY_BYTES} bytes, not {len(secret)}")
@@ -78,9 +103,10 @@ class Signing:
         self._save = save
         self._base = timestamp
         self._base_host_ns = clock.now_ns()
-        self._saved = timestamp
+        self._saved_host_ns: int | None = None
         self._last_sent = 0
-        self._streams: dict[tuple[int, int, int], int] = {}
+        self._streams: dict[Stream, int] = {} if kept is None else dict(kept.streams)
+        self._floor = 0 if kept is None else kept.own
         self._said_host_ns: int | None = None
         self._told: Counter[Refusal] = Counter()
 
@@ -103,6 +129,7 @@ class Signing:
         refusal = self._refusal(frame)
         if refusal is None:
             self.accepted += 1
+            self._keep()
         else:
             self.refused[refusal] += 1
         return refusal
@@ -117,7 +144,8 @@ class Signing:
         newest = self._streams.get(stream)
         if newest is not None and timestamp <= newest:
             return Refusal.REPLAYED
-        if newest is None and (timestamp + _MINUTE < self.now() or len(self._streams) >= _MOST_STREAMS):
+        oldest = max(self.now() - _MINUTE, self._floor + 1)
+        if newest is None and (timestamp < oldest or len(self._streams) >= _MOST_STREAMS):
             return Refusal.STALE
         self._streams[stream] = timestamp
         if timestamp > self.now():
@@ -128,9 +156,11 @@ class Signing:
         return hashlib.sha256(self._secret + signed).digest()[:6]
 
     def _keep(self) -> None:
-        if self._save is not None and self._last_sent - self._saved > _SAVE_PERIOD:
-            self._saved = self._last_sent
-            self._save(self._last_sent)
+        now_ns = self._clock.now_ns()
+        if self._save is None or (self._saved_host_ns is not None and now_ns - self._saved_host_ns < _SAVE_PERIOD_NS):
+            return
+        self._saved_host_ns = now_ns
+        self._save(SigningTime(max(self.now(), self._last_sent), dict(self._streams)))
 
     def notices(self, now_host_ns: int) -> list[Notice]:
         """A sentence about what was refused since the last one, at most every 10 s."""
@@ -230,7 +260,8 @@ def load_signing(path: Path, clock: Clock) -> Signing:
     if mode & 0o077:
         raise ConfigError(f"signing key {path} can be read by others: chmod 600 {path}")
     stamp = path.with_name(path.name + ".stamp")
-    return Signing(_secret(text, path), clock, _stamp(stamp), lambda value: _save_later(stamp, value))
+    kept = _kept(stamp) or SigningTime(max(0, int(path.stat().st_mtime) - _EPOCH_S) * _SECOND)
+    return Signing(_secret(text, path), clock, min(kept.own + _RESTART, _LARGEST), _Keeper(stamp).keep, kept)
 
 
 def _secret(text: str, path: Path) -> bytes:
@@ -246,22 +277,32 @@ def _secret(text: str, path: Path) -> bytes:
     return secret
 
 
-def _stamp(path: Path) -> int:
-    """The kept signing time, and a minute: more than can have passed since it was kept."""
+def _kept(path: Path) -> SigningTime | None:
+    """What was kept: our time in the first line, then a stream in each; None where there is nothing to go by."""
     try:
-        kept = int(path.read_text(encoding="ascii"))
+        first, *lines = path.read_text(encoding="ascii").splitlines()
+        own = int(first)
+        rows = [[int(word) for word in line.split()] for line in lines[:_MOST_STREAMS]]
+        streams = {(link, system, component): timestamp for link, system, component, timestamp in rows}
     except (OSError, ValueError):
-        return 0
-    return min(max(kept, 0), _LARGEST // 2) + _RESTART
+        return None
+    return SigningTime(own, streams) if 0 <= own <= _LARGEST // 2 else None
 
 
-def _save_later(path: Path, value: int) -> None:
-    def save() -> None:
-        fresh = path.with_name(path.name + ".new")
-        try:
-            fresh.write_text(f"{value}\n", encoding="ascii")
-            fresh.replace(path)
-        except OSError:  # the time is then set by the first accepted frame of the next start
-            return
+class _Keeper:
+    """Writes the newest state, one write at a time; what comes during a write waits for the next occasion."""
 
-    threading.Thread(target=save, name="signing-stamp", daemon=True).start()
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._writing: threading.Thread | None = None
+
+    def keep(self, state: SigningTime) -> None:
+        """Have it on the disk soon, so that a power cut leaves it or the one before."""
+        if self._writing is None or not self._writing.is_alive():
+            self._writing = threading.Thread(target=self._write, args=(state,), name="signing-stamp", daemon=True)
+            self._writing.start()
+
+    def _write(self, state: SigningTime) -> None:
+        rows = "".join(f"{' '.join(map(str, stream))} {newest}\n" for stream, newest in state.streams.items())
+        with contextlib.suppress(OSError):  # what is on the disk then is older, and nothing else can be done
+            write_whole(self._path, f"{state.own}\n{rows}")
