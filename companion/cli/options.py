@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import tempfile
 from pathlib import Path
 
 from companion.errors import ConfigError
@@ -62,9 +63,18 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
 
 
 def state_file(name: str) -> Path:
-    """Where a file that outlives a run belongs, by the XDG base directory rules."""
-    state = os.environ.get("XDG_STATE_HOME")
-    return (Path(state) if state else Path.home() / ".local" / "state") / "spanwise" / name
+    """Where a file that outlives a run belongs: by the XDG rules, or as systemd says.
+
+    A user without a home gets a temporary folder: what is set is kept over restarts of a process, not over runs.
+    """
+    if state := os.environ.get("XDG_STATE_HOME"):
+        return Path(state) / "spanwise" / name
+    if state := os.environ.get("STATE_DIRECTORY"):
+        return Path(state.split(":")[0]) / name
+    try:
+        return Path.home() / ".local" / "state" / "spanwise" / name
+    except RuntimeError:
+        return Path(tempfile.mkdtemp(prefix="spanwise-")) / name
 
 
 def _from_file(path: Path | None) -> dict[str, float]:

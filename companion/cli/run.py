@@ -118,6 +118,7 @@ class LatencyKeeper:
         self._file, self._path = file, path
         self._newest: TriggerLatency | None = None
         self._kept_ns = 0
+        self._told = False
 
     def take(self, record: Record) -> None:
         """Look at a record; write at most every half minute."""
@@ -127,8 +128,17 @@ class LatencyKeeper:
                 self.keep()
 
     def keep(self) -> None:
-        """Write the newest, if there is one."""
-        if self._newest is not None and keep_latency(self._file, self._path, self._newest):
+        """Write the newest, if there is one; where that cannot be, say so once and fly on."""
+        if self._newest is None:
+            return
+        try:
+            kept = keep_latency(self._file, self._path, self._newest)
+        except ConfigError as error:
+            kept = True  # not tried again for a while
+            if not self._told:
+                print(error, file=sys.stderr)
+            self._told = True
+        if kept:
             self._kept_ns = self._newest.at_host_ns
 
 

@@ -1,7 +1,8 @@
 """The optional accelerator: inner loops are compiled by numba where it is installed, and run as they stand where not.
 
 What is :func:`compiled` uses nothing that numpy does not do as well by itself, and gives the same numbers to rounding.
-The machine code is kept beside the source, so that only the first start after an update pays for the compiler.
+The machine code is kept beside the source or in the user's cache, so that only the first start after an update
+pays for the compiler.
 """
 
 from __future__ import annotations
@@ -22,9 +23,7 @@ COMPILED = njit is not None
 
 def compiled(function: _Function) -> _Function:
     """Compile a function of arrays and named tuples of arrays, if that can be done here."""
-    if njit is None:
-        return function
-    return cast(_Function, njit(cache=True, error_model="numpy")(function))
+    return _compiled(function)
 
 
 def compiled_loops(function: _Function) -> _Function:
@@ -33,10 +32,16 @@ def compiled_loops(function: _Function) -> _Function:
     Whoever uses it keeps a numpy version beside it, and a test that both agree. Not-a-number and infinity stay what
     they are.
     """
+    return _compiled(function, fastmath={"reassoc", "contract", "nsz"})
+
+
+def _compiled(function: _Function, **options: Any) -> _Function:
     if njit is None:
         return function
-    loosely = {"reassoc", "contract", "nsz"}
-    return cast(_Function, njit(cache=True, error_model="numpy", fastmath=loosely)(function))
+    try:
+        return cast(_Function, njit(cache=True, error_model="numpy", **options)(function))
+    except RuntimeError:  # there is no folder that machine code can be kept in
+        return cast(_Function, njit(error_model="numpy", **options)(function))
 
 
 def plain(array: _Array) -> _Array:

@@ -62,14 +62,14 @@ def keep_latency(file: Path, path: str, learned: TriggerLatency) -> bool:
 
 
 def load_latency(file: Path) -> KeptLatency | None:
-    """Read what was kept; None where nothing is. Raises :class:`ConfigError` for a file that is damaged."""
+    """Read what was kept; None where nothing can be read. Raises :class:`ConfigError` for a file that is damaged."""
     try:
         table = tomllib.loads(file.read_text(encoding="utf-8"))
         left, right = (_uncertain(table[f"{side}_s"]) for side in _SIDES)
         return KeptLatency(str(table["path"]), (left, right), int(table["shots"]))
-    except FileNotFoundError:
+    except OSError:
         return None
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ConfigError(f"{file}: not a latency that was kept here ({error}); delete it") from error
 
 
