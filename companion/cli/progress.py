@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
+from companion.adapters.recordings.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 
 _LIVE_S = 0.25
@@ -55,6 +56,9 @@ class Progress:
 
 def length_ns(recording: Recording) -> int | None:
     """How much time a recording covers, where its reader knows before it is read."""
+    if isinstance(recording, McapRecording):
+        first_ns, last_ns = recording.span_ns()
+        return last_ns - first_ns or None
     streams = [stream for stream in getattr(recording, "streams", ()) if stream.t_ns.size]
     if not streams:
         return None

@@ -9,9 +9,12 @@ from pathlib import Path
 import pytest
 
 from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.writer import About, McapWriter
 from companion.cli.main import main
 from companion.cli.progress import Progress, length_ns
 from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, Tick
 
 SECOND_NS = 1_000_000_000
 
@@ -71,6 +74,15 @@ def test_a_pipe_gets_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_length_is_that_of_the_samples(tmp_path: Path) -> None:
     recording = open_recording(wing_at_rest(tmp_path / "lab", 3.0), load_airframe("sitl-plane"))
     assert length_ns(recording) == pytest.approx(2.995e9, abs=1e3)
+
+
+def test_the_length_of_our_own_recording_is_that_of_its_records(tmp_path: Path) -> None:
+    airframe = load_airframe("nadir-2m")
+    writer = McapWriter(tmp_path / "flight.mcap", About.of(airframe, Settings(), ClockName.HOST))
+    for second in range(5, 13):
+        writer.write(Tick(second * SECOND_NS))
+    writer.close()
+    assert length_ns(open_recording(tmp_path / "flight.mcap", None)) == 7 * SECOND_NS
 
 
 @pytest.mark.slow

@@ -131,7 +131,7 @@ class McapRecording:
         lost_s = sum(self._damaged_s.values())
         if not self.cut:
             return lost_s
-        behind_s = -1.0 if self._end.cut_chunk_ns is None else (self._end.cut_chunk_ns - self._span()[1]) * 1e-9
+        behind_s = -1.0 if self._end.cut_chunk_ns is None else (self._end.cut_chunk_ns - self.span_ns()[1]) * 1e-9
         return lost_s + behind_s if 0.0 <= behind_s < _LONGEST_CHUNK_S else None
 
     def records(self) -> Iterator[Recordable]:
@@ -209,7 +209,7 @@ class McapRecording:
     def _say_what_is_wrong(self) -> None:
         if self.cut:
             last = self._segments[-1]
-            start_ns, end_ns = self._span()
+            start_ns, end_ns = self.span_ns()
             self._notes.add(
                 f"{self.path.name}: truncated at {(end_ns - start_ns) / 1e9:.1f} s (byte {last.offset + last.length}): "
                 "the recorder did not finish; everything before is here",
@@ -218,7 +218,8 @@ class McapRecording:
         if self.dropped:
             self._notes.add(f"{self.path.name}: {self.dropped} records were dropped while recording; not replayable")
 
-    def _span(self) -> tuple[int, int]:
+    def span_ns(self) -> tuple[int, int]:
+        """Host times of the first and the last record, (0, 0) where there is none."""
         spans = []
         with self.path.open("rb") as file:
             for segment in [part for part in self._segments if part.opcode == Opcode.CHUNK]:
