@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -21,6 +22,7 @@ LEAST_VIEWS = 6
 _OUTLIER = 3.0  # times the median reprojection error of the views
 _HARMLESS_PX = 0.15
 CELLS = 4
+_FAR_M = 60.0
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 
@@ -83,6 +85,42 @@ class RigFit:
     unseen: dict[str, list[str]]
     bundle: Bundle
     size_px: tuple[int, int]
+
+
+def toe_sigma_rad(fit: RigFit) -> float:
+    """Sigma of what the calibration leaves in far ranges, as relative toe: ``B`` times that of an inverse range.
+
+    Rotation and principal points hang together; their joint covariance says what is left of both, averaged over the
+    middle of the image, where a range's features lie.
+    """
+    shared, size = fit.bundle.shared, np.array(fit.size_px, dtype=np.float64)
+    left_px = np.array([[x, y] for x in (0.35, 0.5, 0.65) for y in (0.35, 0.5, 0.65)]) * size
+    baseline_m = float(np.linalg.norm(fit.translation_m))
+    right_px = left_px - np.array([shared[0] * baseline_m / _FAR_M, 0.0])
+    by = np.empty(len(shared))
+    for k, sigma in enumerate(np.sqrt(np.diag(fit.bundle.covariance))):
+        step = np.zeros(len(shared))
+        step[k] = 1e-2 * max(float(sigma), 1e-12)
+        beyond, before = (_inverse_range_pm(shared + turn * step, left_px, right_px) for turn in (1.0, -1.0))
+        by[k] = float((beyond - before).mean()) / (2.0 * step[k])
+    return baseline_m * math.sqrt(max(float(by @ fit.bundle.covariance @ by), 0.0))
+
+
+def _inverse_range_pm(shared: Floats, left_px: Floats, right_px: Floats) -> Floats:
+    """1/Z of left pixels (n, 2) whose column in the right image is known, (n,)."""
+    x_left, x_right = (
+        cv2.undistortPoints(pixels[:, None], _matrix(lens), lens[4:])[:, 0]
+        for pixels, lens in ((left_px, shared[:9]), (right_px, shared[9:18]))
+    )
+    turn = np.asarray(cv2.Rodrigues(shared[18:21])[0], dtype=np.float64)
+    ahead = np.column_stack([x_left, np.ones(len(x_left))]) @ turn.T
+    moved, column = shared[21:24], x_right[:, 0]
+    return np.asarray((column * ahead[:, 2] - ahead[:, 0]) / (moved[0] - column * moved[2]))
+
+
+def _matrix(lens: Floats) -> Floats:
+    fx, fy, cx, cy = lens[:4]
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[list[View], dict[str, str]]:

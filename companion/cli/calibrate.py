@@ -19,7 +19,7 @@ from companion.calibration.mounting import airframe_with_mounting, disagreement_
 from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate_rig, find_views
 from companion.cli.calibrate_live import take_views
 from companion.cli.calibrate_rehearsal import Rehearsal, errors_in_sigmas
-from companion.cli.calibrate_report import Pairs, report, rows
+from companion.cli.calibrate_report import Pairs, report, rows, verdict
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import dump_airframe, load_airframe
@@ -87,6 +87,7 @@ def _stereo(options: argparse.Namespace, base: Airframe) -> Airframe:
     views, rejected = find_views(pairs, board)
     size_px = (pairs[0][1].shape[1], pairs[0][1].shape[0])
     fit = calibrate_rig(views, board, size_px, lonely | rejected)
+    print(verdict(fit)[1])
     print(f"{len(fit.views)} views used, reprojection error {fit.error_px:.3f} px")
     for name, value, sigma, where in rows(fit):
         print(f"{where:14s} {name:18s} {value:>12s} +- {sigma}")

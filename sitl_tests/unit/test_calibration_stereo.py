@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
+import re
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from companion.calibration.boards import Board, find_corners
-from companion.calibration.stereo_rig import RigFit, airframe_with_rig, calibrate_rig, find_views
+from companion.calibration.stereo_rig import RigFit, airframe_with_rig, calibrate_rig, find_views, toe_sigma_rad
 from companion.cli import calibrate
 from companion.core.stereo.geometry import Lens, Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
@@ -193,7 +194,27 @@ def test_the_command_reads_folders_and_writes_airframe_and_report(tmp_path: Path
     words = ["stereo", str(tmp_path), "--square-m", "0.04", "--airframe", "forward-2m", "--out", str(tmp_path / "out")]
     assert calibrate.execute(parser.parse_args(words)) == 0
     report = (tmp_path / "out" / "report.html").read_text()
+    first = report.split("<h1", 1)[1].split("</h1>")[0]
+    assert re.search(r"leaves [\d.]+ mrad of toe, [\d.]+ m at 60 m", first)
+    assert "parts of the images never saw a corner" in first, "and where is hatched in the picture"
     assert "<td>5</td><td>only one camera has this image</td>" in report
     assert report.count("<img") >= 6
     assert (tmp_path / "out" / "report.png").read_bytes()[:4] == b"\x89PNG"
     Rig.from_airframe(load_airframe(str(tmp_path / "out" / "airframe.toml")))
+
+
+@pytest.mark.parametrize("kind", ["chessboard", "charuco"])
+def test_what_the_calibration_leaves_of_a_far_range_is_told_with_the_sigma_that_it_has(kind: str) -> None:
+    """Points 60 m ahead, seen by the true rig and ranged by the calibrated one."""
+    fit = _fit(kind)
+    points = np.array([[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)])
+    rays = []
+    for true, found, turn, shift in zip((LEFT, RIGHT), fit.lenses, (0 * TURN, TURN), (0 * SHIFT, SHIFT), strict=True):
+        pixels = cv2.projectPoints(points, turn, shift, true.matrix, np.asarray(true.distortion))[0]
+        rays.append(cv2.undistortPoints(pixels, found.matrix, np.asarray(found.values[4:]))[:, 0])
+    apart = np.column_stack([cv2.Rodrigues(fit.rotation_rad)[0], fit.translation_m])
+    seen = cv2.triangulatePoints(np.eye(3, 4), apart, rays[0].T.copy(), rays[1].T.copy())
+    error_rad = float(np.linalg.norm(SHIFT)) * abs(float(np.mean(seen[3] / seen[2])) - 1.0 / 60.0)
+    sigma_rad = toe_sigma_rad(fit)
+    assert error_rad < 3.5 * sigma_rad
+    assert sigma_rad < fit.rotation_sigma_rad[1], "yaw and principal points make up for each other"

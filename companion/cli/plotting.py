@@ -1,0 +1,34 @@
+"""What all pictures share: colours that the colour-blind tell apart, gaps that stay gaps, the figure written on it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from companion.records import Floats
+
+# Okabe and Ito's palette, in which any two differ for every kind of colour vision, and in lightness
+BLUE, VERMILLION, ORANGE, GREEN, SKY, PURPLE = "#0072B2", "#D55E00", "#E69F00", "#009E73", "#56B4E9", "#CC79A7"
+GREY, INK, PALE = "#7F868D", "#20262D", "#D9DEE3"
+
+_GAP_RATIO = 3.0
+
+
+def with_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """A line's points (n,) with a break wherever the next is more than three usual steps away."""
+    if len(t_s) < 3:
+        return t_s, values
+    steps = np.diff(t_s)
+    breaks = np.flatnonzero(steps > _GAP_RATIO * float(np.median(steps))) + 1
+    return np.insert(t_s, breaks, np.nan), np.insert(values, breaks, np.nan)
+
+
+def dots(axis: Any, x: Floats, y: Floats, sigma: Floats, colour: str, label: str | None = None) -> None:
+    """Points with thin bars of one sigma, which do not hide one another."""
+    axis.errorbar(x, y, sigma, fmt=".", ms=3.5, color=colour, ecolor=colour, elinewidth=0.5, alpha=0.8, label=label)
+
+
+def headline(figure: Any, text: str, what: str = "") -> None:
+    """The figure that counts, above the picture; ``what`` stands smaller beneath it."""
+    figure.suptitle(f"{text}\n{what}" if what else text, fontsize=12.5, x=0.01, ha="left", color=INK)
