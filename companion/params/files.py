@@ -12,6 +12,7 @@ from typing import Any
 
 from companion.errors import ConfigError, UnknownAirframe
 from companion.params.airframe import Airframe, Uncertain
+from companion.params.plausible import problems
 from companion.params.shipped import shipped
 from companion.params.toml import parse_toml, read_text
 
@@ -32,7 +33,7 @@ def load_airframe(name_or_path: str) -> Airframe:
     UnknownAirframe
         No such name or file.
     ConfigError
-        A missing, unknown or ill-typed key; the message names file, key and what was expected.
+        A missing, unknown or ill-typed key, or a value that cannot be; the message names file, key, value and range.
     """
     if name_or_path.endswith(".toml"):
         path = Path(name_or_path)
@@ -46,8 +47,16 @@ def load_airframe(name_or_path: str) -> Airframe:
 
 
 def parse_airframe(text: str, origin: str) -> Airframe:
-    """Parse the text of an airframe file; ``origin`` is named in errors."""
+    """Parse the text of an airframe file; ``origin`` is named in errors.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`load_airframe`; and for what no aircraft can be, see :mod:`companion.params.plausible`.
+    """
     airframe: Airframe = _build(Airframe, parse_toml(text, origin), origin, "")
+    for problem in problems(airframe):
+        raise ConfigError(f"{origin}: {problem}")
     return airframe
 
 

@@ -22,7 +22,7 @@ WARNING = 4
 INFO = 6
 BATCH_NS = 20_000_000
 _GAP_RATIO = 2.5
-_FINEST_STEP_NS, _COARSEST_STEP_NS = 1e4, 1e10
+_FINEST_STEP_NS, _COARSEST_STEP_NS = 2e4, 2e8  # the rates that an airframe may have
 _JITTER_RATIO = 0.15
 
 
