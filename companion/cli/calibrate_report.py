@@ -131,7 +131,7 @@ def _picture(fit: RigFit, used: list[View], shape: tuple[int, ...]) -> bytes:
     for side, colour in zip(Side, (BLUE, VERMILLION), strict=True):
         axis.bar(place + 0.4 * side, errors[:, side], 0.38, color=colour, label=side.name.lower())
     axis.axhline(fit.error_px, color=GREY, lw=0.8, ls="--", label="all together")
-    axis.set_xticks(place + 0.2, range(1, len(used) + 1), fontsize=8)
+    axis.set_xticks(place + 0.2, [str(k + 1) for k in range(len(used))], fontsize=8)
     axis.set(ylabel="reprojection error, px rms", xlabel="view, in the order of their stamps")
     axis.set_title("Each view used", fontsize=10)
     axis.legend(fontsize=8, ncols=3, loc="upper right")
