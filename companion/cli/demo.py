@@ -75,7 +75,7 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
     live = sys.stdout.isatty() and not options.plain and not options.json
     if options.realtime:
         return fly_in_real_time(config, flight, view, live=live)
-    warm_up(config.airframe, config.settings)
+    warm_up(config.airframe, config.settings, _say_compiling)
     service = LockStepService(config, flight)
 
     view.progress = service.progress()
@@ -86,6 +86,12 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
 
     fly(service, view, service.over, live=live, wait=wait)
     return EPOCH_NS, service.report()
+
+
+def _say_compiling(begun: int) -> None:
+    """Once; the view is not there yet."""
+    if begun == 1:
+        _say("compiling the estimator: one to two minutes of processor time, at the first start only ...")
 
 
 def _say(sentence: str) -> None:

@@ -8,12 +8,14 @@ pays for the compiler.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, TypeVar, cast
 
 try:
     from numba import njit
+    from numba.core import event
 except ImportError:  # the plain fall-back
-    njit = None
+    njit = event = None
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Array = TypeVar("_Array", bound=Any)
@@ -42,6 +44,21 @@ def _compiled(function: _Function, **options: Any) -> _Function:
         return cast(_Function, njit(cache=True, error_model="numpy", **options)(function))
     except RuntimeError:  # there is no folder that machine code can be kept in
         return cast(_Function, njit(error_model="numpy", **options)(function))
+
+
+def watched(begins: Callable[[str], None]) -> AbstractContextManager[object]:
+    """While inside, ``begins`` hears the name of each function as it begins to be compiled: none whose code is kept."""
+    if event is None:
+        return nullcontext()
+
+    class Watcher(event.Listener):  # type: ignore[misc]
+        def on_start(self, told: Any) -> None:
+            begins(str(told.data["dispatcher"].py_func.__name__))
+
+        def on_end(self, told: Any) -> None:
+            """Nobody asks."""
+
+    return cast(AbstractContextManager[object], event.install_listener("numba:compile", Watcher()))
 
 
 def plain(array: _Array) -> _Array:

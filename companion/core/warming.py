@@ -6,9 +6,11 @@ before its link opens, never in flight.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from companion.core.compiled import COMPILED
+from companion.core.compiled import COMPILED, watched
 from companion.core.pipeline import smoothed, start, step
 from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
@@ -23,10 +25,25 @@ _TICK_NS = 20_000_000
 _ROUND_TRIP_NS = 400_000
 
 
-def warm_up(airframe: Airframe, settings: Settings) -> None:
-    """Run all that is compiled once with this airframe's sizes."""
+def warm_up(airframe: Airframe, settings: Settings, compiling: Callable[[int], object] = lambda _: None) -> None:
+    """Run all that is compiled once with this airframe's sizes.
+
+    ``compiling`` is called with the number of functions begun, as each begins to be compiled: never, where the machine
+    code of an earlier start is kept.
+    """
     if not COMPILED:
         return
+    begun: list[str] = []
+
+    def begins(name: str) -> None:
+        begun.append(name)
+        compiling(len(begun))
+
+    with watched(begins):
+        _fly(airframe, settings)
+
+
+def _fly(airframe: Airframe, settings: Settings) -> None:
     state = start(airframe, settings)
     for now_ns in range(_EPOCH_NS + _TICK_NS, _EPOCH_NS + round(_LENGTH_S * 1e9), _TICK_NS):
         for station in Station:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
 from typing import Protocol
@@ -29,10 +30,11 @@ from companion.records import (
     TriggerLatency,
     TriggerPlan,
 )
+from companion.service.pace import Strain, TickPace
 
 TICK_NS = 10_000_000
 _POLL_S = 0.002
-_ERROR, _WARNING = 3, 4
+_ERROR, _WARNING, _INFORMATION = 3, 4, 6
 _SECOND_NS = 1_000_000_000
 _PUBLISHED = (ClockState, CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
 _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange, TriggerLatency)
@@ -67,7 +69,7 @@ class InertialLoop:
     autopilot: Autopilot
     clock: Clock
     shots: Shots
-    inbox: Callable[[], list[Record]]
+    inbox: Callable[[], Sequence[Record | Strain]]
     show: Callable[[Record], object]
     recorder: Recorder
     fires_by_link: bool = False
@@ -75,21 +77,37 @@ class InertialLoop:
     next_tick_ns: int = 0
     next_error_ns: int = 0
     outputs: list[Record] = field(default_factory=list)
+    pace: TickPace = field(default_factory=TickPace)
+    strains: dict[str, str] = field(default_factory=dict)
 
     def turn(self) -> None:
         """Handle what has arrived, then the tick if it is due."""
         for record in self.autopilot.poll(_POLL_S):
             self._handle(record)
-        for record in (*self.shots.poll(), *self.inbox()):
-            if self.fires_by_link and isinstance(record, Shot):
-                self.autopilot.publish(record)
-            self._handle(record)
+        for shot in self.shots.poll():
+            if self.fires_by_link and isinstance(shot, Shot):
+                self.autopilot.publish(shot)
+            self._handle(shot)
+        for said in self.inbox():
+            if isinstance(said, Strain):
+                self._strained(said)
+            else:
+                self._handle(said)
         now_ns = self.clock.now_ns()
         for sentence in self.shots.warnings():
             self._route(Notice(_WARNING, sentence, now_ns))
         if now_ns >= self.next_tick_ns:
             self.next_tick_ns = max(self.next_tick_ns + TICK_NS, now_ns)
             self._handle(Tick(now_ns))
+            if (strain := self.pace.ticked(now_ns)) is not None:
+                self._strained(strain)
+
+    def _strained(self, strain: Strain) -> None:
+        """Say who cannot keep up, or does again, and let the state's reason say it as long as that lasts."""
+        self.strains.pop(strain.who, None)
+        if strain.text:
+            self.strains[strain.who] = strain.text
+        self._route(Notice(_WARNING if strain.text else _INFORMATION, strain.sentence, self.clock.now_ns()))
 
     def _handle(self, record: Record) -> None:
         if isinstance(record, Notice):  # the adapter's own words, for the operator and not for the estimation
@@ -106,6 +124,9 @@ class InertialLoop:
 
     def _route(self, output: Record) -> None:
         self.recorder.write(output)
+        if isinstance(output, ServiceStatus) and self.strains:  # the machine's, not the estimation's: a replay has none
+            reason = "; ".join([output.reason, *(f"cannot keep up: {text}" for text in self.strains.values())])
+            output = dataclasses.replace(output, reason=reason)
         if isinstance(output, TriggerPlan):
             self.shots.send(output)
             self.tell_vision(output)

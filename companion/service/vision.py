@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from multiprocessing.synchronize import Event
 
 from companion.core.pipeline import VisionState, vision_step
 from companion.errors import DeviceError
 from companion.ports import CameraPair, Clock, Recorder
-from companion.records import Frame, ParameterChange, Record, TriggerPlan
+from companion.records import ClockName, Frame, MatchSet, ParameterChange, Record, Reject, Rejected, TriggerPlan
+from companion.service.pace import Strain, VisionPace
 
 _POLL_S = 0.05
 
@@ -17,7 +18,7 @@ def run(
     state: VisionState,
     cameras: CameraPair,
     clock: Clock,
-    send: Callable[[Record], object],
+    send: Callable[[Record | Strain], object],
     recorder: Recorder | None,
     stop: Event,
     told: Callable[[], Iterable[ParameterChange | TriggerPlan]] = tuple,
@@ -25,15 +26,19 @@ def run(
     """Match every pair as it comes until told to stop.
 
     ``recorder`` keeps the images where that is asked for; ``told`` gives what the inertial process has said since the
-    last call: changed settings, and plans for cameras that run free.
+    last call: changed settings, and plans for cameras that run free. Where the machine cannot keep up, a
+    :class:`Strain` is sent.
 
     Raises
     ------
     DeviceError
         A camera failed, or its images have another size than the airframe says.
     """
+    pace = VisionPace()
     try:
         while not stop.is_set():
+            if (strain := pace.looked(clock.now_ns())) is not None:
+                send(strain)
             frames = cameras.poll(_POLL_S)
             for word in told():
                 vision_step(state, word, clock.now_ns())
@@ -41,10 +46,20 @@ def run(
                 _check_size(frame, state)
                 if recorder is not None:
                     recorder.write(frame)
-                for record in vision_step(state, frame, clock.now_ns()):
+                began_ns = clock.now_ns()
+                said = vision_step(state, frame, began_ns)
+                for record in said:
                     send(record)
+                _note(pace, frame, said, began_ns, clock.now_ns())
     finally:
         cameras.close()
+
+
+def _note(pace: VisionPace, frame: Frame, said: Sequence[Record], began_ns: int, ended_ns: int) -> None:
+    pairs = sum(isinstance(record, MatchSet) for record in said)
+    lost = sum(r.count for r in said if isinstance(r, Rejected) and r.reason is Reject.FRAME_LOST)
+    waited_ns = ended_ns - frame.mid_exposure_ns if frame.clock is ClockName.HOST else 0
+    pace.worked(ended_ns - began_ns, pairs, lost, waited_ns)
 
 
 def _check_size(frame: Frame, state: VisionState) -> None:

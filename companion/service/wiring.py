@@ -27,7 +27,7 @@ from companion.errors import ConfigError, SpanwiseError
 from companion.params.persist import Keeper, load_stored
 from companion.params.settings import Settings, tunables
 from companion.ports import Clock, Recorder
-from companion.records import Notice, Record, Rejected, Shot, Station, TriggerPlan
+from companion.records import Health, Notice, Record, Rejected, ServiceStatus, Shot, Station, TriggerPlan
 from companion.service import inertial, vision
 from companion.service.channel import Receiver, Sender, channel
 from companion.service.config import ServiceConfig
@@ -164,7 +164,7 @@ def _inertial_process(
     _ignore_interrupt()
     config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     clock: Clock = MonotonicClock()
-    warm_up(config.airframe, config.settings)
+    warm_up(config.airframe, config.settings, lambda begun: shown.send(compiling_status(begun, clock.now_ns())))
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
     firing = link_firing(config.trigger)
@@ -188,6 +188,12 @@ def _inertial_process(
         tell_vision=_unheard if vision_ear is None else vision_ear.send,
     )
     inertial.run(loop, stop)
+
+
+def compiling_status(begun: int, now_host_ns: int) -> ServiceStatus:
+    """What is shown while the link is not yet open, because the estimator is being compiled."""
+    text = f"compiling the estimator, one to two minutes, at the first start only ({begun} functions so far)"
+    return ServiceStatus(now_host_ns, Health.BOOT, text, {})
 
 
 def _unheard(record: Record) -> None:

@@ -81,6 +81,7 @@ def test_run_fires_through_the_autopilot_only_when_it_is_told_to(
 ) -> None:
     seen: list[Any] = []
     monkeypatch.setattr(run.signal, "signal", lambda *_: None)  # pytest keeps its own Ctrl-C
+    monkeypatch.setattr(run, "Service", lambda config: config)
     monkeypatch.setattr(run, "fly", lambda config, *rest, **more: seen.append(config))
     parser = argparse.ArgumentParser()
     run.add_arguments(parser)
