@@ -11,6 +11,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
+from companion.adapters.compiler_cache import outlive_full_disk
 from companion.adapters.mavlink.autopilot import MavlinkAutopilot
 from companion.adapters.mavlink.component import OwnComponent
 from companion.adapters.mavlink.link import open_link
@@ -164,6 +165,7 @@ def _inertial_process(
     _ignore_interrupt()
     config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     clock: Clock = MonotonicClock()
+    outlive_full_disk()
     warm_up(config.airframe, config.settings, lambda begun: shown.send(compiling_status(begun, clock.now_ns())))
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
@@ -244,6 +246,7 @@ def _vision_process(
 ) -> None:
     _ignore_interrupt()
     assert config.cameras is not None
+    outlive_full_disk()
     recorder = None if tape is None else Inlet(tape)
     try:
         cameras = config.cameras()
