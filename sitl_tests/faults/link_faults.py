@@ -25,11 +25,15 @@ from companion.adapters.mavlink.autopilot import MavlinkAutopilot
 from companion.adapters.mavlink.link import open_link
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import ImuBatch
+from companion.records import CorrectedRange, Health, ImuBatch, Notice, ServiceStatus
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
+from companion.sim.flight import build_flight
+from sitl_tests.faults.test_link_strangers import NODE, PILOT, Choosing, Port
+from sitl_tests.faults.test_process_lifetime import record_on_a_full_disk
 from sitl_tests.faults.test_process_restart import Vehicle
 from sitl_tests.faults.test_signing_links import NOW, OTHER, SECOND, Other, Ours
+from sitl_tests.loop.simulated_service import SimulatedService
 
 PERIOD_S, BEFORE_S, BROKEN_S, AFTER_S = 0.005, 1.0, 2.0, 12.0
 
@@ -225,8 +229,93 @@ def killed(name: str) -> LinkOutcome:
         return LinkOutcome(name, "started again", time.monotonic() - killed_s, None, 0)
 
 
+def junk(name: str) -> LinkOutcome:
+    """Seventeen sockets send bytes for two seconds; what the autopilot hears of all that is sent."""
+    port = Port()
+    try:
+        pilot, strangers = port.talker(PILOT), [port.talker(66) for _ in range(17)]
+        pilot.beat()
+        port.run()
+        sent, carry = [0], port.udp.send
+
+        def send(data: bytes) -> bool:
+            sent[0] += 1
+            return carry(data)
+
+        port.udp.send = send  # type: ignore[method-assign]
+        pilot.heard()  # what came before
+        heard = 0
+        for _ in range(200):
+            for talker in strangers:
+                talker.send(b"x")
+            pilot.beat()
+            port.run(0.01)
+            heard += pilot.heard()
+        wrong = sum(talker.heard() > 0 for talker in strangers)
+        return LinkOutcome(name, f"{len(port.udp.peers)} peer kept", 0.0, sent[0] - heard, wrong)
+    finally:
+        port.close()
+
+
+def second_sender(name: str) -> LinkOutcome:
+    """A second address sends samples under a node's id for two seconds."""
+    port = Port()
+    try:
+        pilot, first, thief = port.talker(PILOT), port.talker(NODE), port.talker(NODE)
+        pilot.beat()
+        port.run()
+        for number in range(800):
+            first.sample(1_000_000 + 5000 * number, -9.8)
+            if 200 <= number < 600:
+                thief.sample(90_000_000 + 5000 * number, -3.0)
+            port.run(0.01)
+        told = [text for text in port.texts() if thief.where in text]
+        taken = port.samples()
+        return LinkOutcome(name, f"refused, told {len(told)} x by name", 0.0, 800 - taken[-9.8], taken[-3.0])
+    finally:
+        port.close()
+
+
+def stray_autopilot(name: str) -> LinkOutcome:
+    """One heartbeat of another vehicle comes before ours; from its end to the change."""
+    choosing = Choosing()
+    choosing.run(0.1, (77,))
+    waited_s = 0.0
+    while choosing.served != 1 and waited_s < AFTER_S:
+        choosing.run(0.1, (1,) if round(waited_s * 10) % 10 == 0 else ())
+        waited_s += 0.1
+    return LinkOutcome(name, "the one that is there took over", waited_s, None, 0)
+
+
+def full_disk(name: str) -> LinkOutcome:
+    """The recorder finds no room; its producer must not wait, nor may an empty file stay."""
+    with tempfile.TemporaryDirectory() as folder:
+        said, waited_s = record_on_a_full_disk(Path(folder))
+        files = len(list(Path(folder).iterdir()))
+    return LinkOutcome(name, f"told {said} x, {files} files left", waited_s, None, 0)
+
+
+def silencing(name: str, setting: str, value: float) -> LinkOutcome:
+    """A setting that ends all ranges: from the first tracked second to the sentence that says why."""
+    service = SimulatedService(
+        build_flight(load_airframe("nadir-2m"), 6, 21.0), settings=Settings().replace(setting, value)
+    )
+    tape = service.fly(20.0)
+    service.close()
+    active = next(status for status in tape.of(ServiceStatus) if status.health is Health.ACTIVE)
+    told = next(notice for notice in tape.of(Notice) if notice.text.startswith("no range"))
+    waited_s = (told.at_host_ns - active.at_host_ns) * 1e-9
+    return LinkOutcome(name, told.text, waited_s, None, sum(entry.trusted for entry in tape.of(CorrectedRange)))
+
+
 def outcomes() -> Iterator[LinkOutcome]:
     """Strike with every one."""
+    yield junk("one byte each from 17 UDP sockets, 2 s")
+    yield second_sender("second sender of a node's id, 2 s")
+    yield stray_autopilot("another autopilot's heartbeat came first")
+    yield full_disk("disk full at the start")
+    yield silencing("RNG_MIN 100 above the ground's 40 m (time until told)", "RNG_MIN", 100.0)
+    yield silencing("TRG_POLICY 2 (time until told)", "TRG_POLICY", 2.0)
     yield broken("serial device unplugged, 2 s", "opened again by its name", SerialCable)
     yield broken("TCP connection lost, 2 s", "connected again", TcpCable)
     yield broken("UDP sender back on another port, 2 s", "new peer learned", UdpCable)
