@@ -14,6 +14,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from companion.params.airframe import Airframe
 from companion.sim.camera_server import CameraServerConfig
 from companion.sim.flight import Flight, build_flight
@@ -77,7 +79,11 @@ class Run:
         ends = time.monotonic() + _START_S
         while not self._control.poll(0.1):
             self.vehicle.check()
-            assert time.monotonic() < ends, "ArduPilot does not keep pace with the physics: is the machine busy?"
+            if time.monotonic() > ends:
+                load = os.getloadavg()[0]
+                pytest.skip(
+                    f"ArduPilot did not keep pace with the physics for a second in {_START_S:g} s: load {load:.1f}"
+                )
         kind, self.start_ns = self._control.recv()
         assert kind == "started"
         heartbeat = self.station.wait("HEARTBEAT", component=1, seconds=_START_S)

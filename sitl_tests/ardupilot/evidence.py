@@ -44,9 +44,18 @@ class Tape:
         arrived = [b for b in self.of(ImuBatch) if b.station == station and from_ns <= b.received_host_ns < to_ns]
         return sum(len(batch.t_ns) for batch in arrived) * 1e9 / (to_ns - from_ns)
 
+    def ticks_ns(self) -> list[int]:
+        """Host time of every tick of the service."""
+        return [tick.now_host_ns for tick in self.of(Tick)]
+
     def last_ns(self) -> int:
         """Host time of the last inertial batch."""
         return max(batch.received_host_ns for batch in self.of(ImuBatch))
+
+
+def frames_ns(report: Mapping[str, Any]) -> list[int]:
+    """Host time at which the physics sent each frame."""
+    return array("q", report["sent_ns"]).tolist()
 
 
 class BootClock:

@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.params.files import load_airframe
 from companion.records import CorrectedRange, MatchSet, ModeState, Shot, Station
 from sitl_tests.ardupilot.bench import Run
-from sitl_tests.ardupilot.evidence import RANGE_GOOD, Tape, rangefinder_log
+from sitl_tests.ardupilot.evidence import RANGE_GOOD, Tape, frames_ns, rangefinder_log
+from sitl_tests.ardupilot.pace import skip_if_busy
 from sitl_tests.ardupilot.physics import CAMERA_CHANNELS
 from sitl_tests.ardupilot.station import COMPANION, Heard
 
@@ -57,6 +58,8 @@ def flown(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Flown:
         run.sleep_until(run.flight_ns + round(FLOWN_S * SECOND_NS))
         run.end_service()
     station, tape = run.station, Tape(run.recording)
+    over_ns = run.flight_ns + round(FLOWN_S * SECOND_NS)
+    skip_if_busy(frames_ns(run.report), tape.ticks_ns(), run.flight_ns, over_ns)
     return Flown(
         run,
         tape,

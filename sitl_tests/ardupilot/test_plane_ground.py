@@ -14,7 +14,8 @@ from companion.params.settings import Settings, tunables
 from companion.records import ClockName, ClockState, ServiceStatus, Station
 from companion.sim.flight import build_flight
 from sitl_tests.ardupilot.bench import Run
-from sitl_tests.ardupilot.evidence import RANGE_GOOD, RANGE_TOO_FAR, Tape, boot_clock, rangefinder_log
+from sitl_tests.ardupilot.evidence import RANGE_GOOD, RANGE_TOO_FAR, Tape, boot_clock, frames_ns, rangefinder_log
+from sitl_tests.ardupilot.pace import skip_if_busy
 from sitl_tests.ardupilot.physics import CAMERA_CHANNELS
 from sitl_tests.ardupilot.station import COMPANION
 
@@ -83,6 +84,8 @@ def ground(arduplane: Path, tmp_path_factory: pytest.TempPathFactory) -> Ground:
         (entry.message.cam_idx, entry.message.img_idx) for entry in station.heard("CAMERA_FEEDBACK", component=1)
     ]
     seen.tape = Tape(run.recording)
+    began_ns = seen.service_ns + round(SETTLE_S * SECOND_NS)
+    skip_if_busy(frames_ns(run.report), seen.tape.ticks_ns(), began_ns, seen.ended_ns)
     return seen
 
 

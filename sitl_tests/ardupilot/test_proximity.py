@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.params.files import load_airframe
 from companion.records import CorrectedRange, ObstacleSectors, Station
 from sitl_tests.ardupilot.bench import Run
-from sitl_tests.ardupilot.evidence import Tape, boot_clock
+from sitl_tests.ardupilot.evidence import Tape, boot_clock, frames_ns
+from sitl_tests.ardupilot.pace import skip_if_busy
 from sitl_tests.ardupilot.station import COMPANION, Heard
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(600)]
@@ -48,13 +49,16 @@ def flown(proximity_vehicle: Path, tmp_path_factory: pytest.TempPathFactory) -> 
         run.launch()
         run.sleep_until(run.flight_ns + round(FLOWN_S * SECOND_NS))
         run.end_service()
+    tape = Tape(run.recording)
+    over_ns = run.flight_ns + round(FLOWN_S * SECOND_NS)
+    skip_if_busy(frames_ns(run.report), tape.ticks_ns(), run.flight_ns, over_ns)
     from_autopilot = run.station.heard("DISTANCE_SENSOR", 1)
     return Flown(
         run,
         run.station.heard("OBSTACLE_DISTANCE", COMPANION),
         run.station.heard("DISTANCE_SENSOR", COMPANION),
         [entry for entry in from_autopilot if entry.message.id >= PROXIMITY_ID],
-        Tape(run.recording),
+        tape,
     )
 
 
