@@ -20,6 +20,8 @@ from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate
 from companion.cli.calibrate_live import take_views
 from companion.cli.calibrate_rehearsal import Rehearsal, errors_in_sigmas
 from companion.cli.calibrate_report import Pairs, report, rows, verdict
+from companion.cli.numbers import number, seconds, seed, whole
+from companion.cli.options import make_folder
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import dump_airframe, load_airframe
@@ -38,9 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cameras", metavar="PAIR",
         help="take the views now: sim (rehearse with simulated cameras and board); " + "; ".join(cameras.SPELLINGS),
     )  # fmt: skip
-    stereo.add_argument("--seed", type=int, default=1, metavar="N", help="with --cameras sim: another board holder")
-    stereo.add_argument("--views", type=int, default=20, metavar="N", help="with --cameras: how many views to take")
-    stereo.add_argument("--for", type=float, default=600.0, dest="seconds", metavar="SECONDS", help="and how long")
+    stereo.add_argument("--seed", type=seed, default=1, metavar="N", help="with --cameras sim: another board holder")
+    stereo.add_argument(
+        "--views", type=whole(1, 1000), default=20, metavar="N", help="with --cameras: how many views to take"
+    )
+    stereo.add_argument("--for", type=seconds, default=600.0, dest="seconds", metavar="SECONDS", help="and how long")
     mounting = kinds.add_parser("mounting", help="how the cameras sit on their wing sections, by gravity")
     mounting.add_argument(
         "recording",
@@ -51,8 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         kind.add_argument(
             "--board", choices=("chessboard", "charuco"), default="charuco", help="charuco: 4x4_250 markers"
         )
-        kind.add_argument("--squares", type=int, nargs=2, default=(10, 7), metavar="N", help="across and down")
-        kind.add_argument("--square-m", type=float, required=True, metavar="M", help="side of a square, metres")
+        kind.add_argument(
+            "--squares", type=whole(3, 100), nargs=2, default=(10, 7), metavar="N", help="across and down"
+        )
+        kind.add_argument(
+            "--square-m", type=number(0.0, 10.0, "m"), required=True, metavar="M", help="side of a square, metres"
+        )
     latency = kinds.add_parser("latency", help="from the fired instant to the start of the exposure")
     latency.add_argument("recording", type=Path, help="a recording of ours, with shots and matches")
     for kind in (stereo, mounting, latency):
@@ -63,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Calibrate, print the result, write the airframe (and a report)."""
     base = load_airframe(options.airframe)
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)
     path = options.out / "airframe.toml"
     path.write_text(dump_airframe(airframe), encoding="utf-8")

@@ -16,7 +16,8 @@ from companion.cli.debrief import debrief
 from companion.cli.demo_realtime import fly_in_real_time
 from companion.cli.flying import fly
 from companion.cli.lockstep import LockStepService
-from companion.cli.options import add_settings, read_settings
+from companion.cli.numbers import seconds, seed
+from companion.cli.options import add_settings, make_folder, read_settings
 from companion.cli.picture import draw
 from companion.cli.shots import Stage
 from companion.cli.summary import print_summary
@@ -34,8 +35,8 @@ _NOTHING = 3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="an airframe with two cameras")
-    parser.add_argument("--seed", type=int, default=1, help="of the flight: gusts, true airframe, noise")
-    parser.add_argument("--duration", type=float, default=60.0, metavar="SECONDS", help="length of the flight")
+    parser.add_argument("--seed", type=seed, default=1, help="of the flight: gusts, true airframe, noise")
+    parser.add_argument("--duration", type=seconds, default=60.0, metavar="SECONDS", help="length of the flight")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="where the results go")
     parser.add_argument("--json", action="store_true", help="print summary.json instead of the tables")
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
@@ -52,7 +53,7 @@ def execute(options: argparse.Namespace) -> int:
     airframe = load_airframe(options.airframe)
     if airframe.left_camera is None or airframe.right_camera is None:
         raise ConfigError(f"airframe '{airframe.name}' has no camera pair; the demo needs one")
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     recording = options.out / "flight.mcap"
     recording.unlink(missing_ok=True)
     config = ServiceConfig(airframe, read_settings(options), (), recording=recording)

@@ -13,12 +13,16 @@ from companion.cli.diagnose_apply import extended
 from companion.cli.diagnose_models import models_of
 from companion.cli.effect_list import add_effect_list
 from companion.cli.evidence import airframe_of
+from companion.cli.numbers import whole
+from companion.cli.options import check_output
 from companion.cli.report_html import write_report
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.report import as_json, sentence
 from companion.diagnosis.search import diagnose
-from companion.diagnosis.verdict import Diagnosis
+from companion.diagnosis.verdict import Diagnosis, Verdict
 from companion.params.files import dump_airframe
+
+_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--apply", metavar="FILE", nargs="?", const="", help="write the airframe with the named effects"
     )
-    parser.add_argument("--max-causes", type=int, default=3, metavar="N", help="name at most N effects (default 3)")
+    parser.add_argument(
+        "--max-causes", type=whole(0, 10), default=3, metavar="N", help="name at most N effects (default 3)"
+    )
     add_effect_list(
         parser,
         "The {count} causes that a diagnosis can name, with the prior sigma of the first parameter (what was believed "
@@ -47,7 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Diagnose; every verdict is exit code 0."""
+    """Diagnose; a verdict is exit code 0, that nothing can be told from these recordings 3."""
+    for option in ("json", "html", "apply"):
+        path = getattr(options, option)
+        check_output(Path(path) if path else None, f"--{option}")
     progress = _Progress(options.json != "-")
     mapping = load_mapping(options.mapping) if options.mapping is not None else None
     if mapping is not None and mapping.test is not TestKind.FLIGHT:
@@ -76,7 +85,7 @@ def execute(options: argparse.Namespace) -> int:
         )
         if options.json != "-":
             print(f"wrote {path}: {airframe.name} with {', '.join(cause.part.effect.name for cause in found.causes)}")
-    return 0
+    return _NOTHING if found.verdict is Verdict.NOT_IDENTIFIABLE else 0
 
 
 def _tell(found: Diagnosis, plain: dict[str, object]) -> None:

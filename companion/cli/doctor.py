@@ -22,6 +22,7 @@ from companion.cli.checks.parameters import check_parameters
 from companion.cli.checks.ranging import check_ranging
 from companion.cli.checks.timing import check_clocks, check_filters, check_rates
 from companion.cli.checks.wing import check_cameras, check_nodes
+from companion.cli.numbers import seconds
 from companion.cli.options import add_settings, read_settings
 from companion.params.files import load_airframe
 from companion.ports import Clock
@@ -48,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--connect", action="append", metavar="LINK", help="MAVLink link (see run); may be repeated")
     what.add_argument("--log", type=Path, metavar="FILE", help="a recording in place of a vehicle")
     parser.add_argument("--airframe", required=True, metavar="NAME", help="name or path of an airframe file")
-    parser.add_argument("--for", type=float, default=10.0, metavar="SECONDS", dest="seconds", help="listen so long")
+    parser.add_argument("--for", type=seconds, default=10.0, metavar="SECONDS", dest="seconds", help="listen so long")
     parser.add_argument("--fix", action="store_true", help="offer to set the autopilot's parameters, one by one")
     parser.add_argument("--yes", action="store_true", help="with --fix: do not ask")
     parser.add_argument("--json", action="store_true", help="the findings as JSON")

@@ -23,6 +23,7 @@ from companion.records import Axis, Floats, ImuBatch, Ints, Station
 
 _SHORTEST_S = 8.0
 _GAP_RATIO = 2.5
+_NOTHING = 3  # exit code: done, but there was nothing to estimate
 _FEWEST = 10  # samples: of fewer there is no usual step
 _NEEDED = "an accelerometer at each wing tip (left_z, right_z) for at least 8 s without a gap"
 
@@ -123,7 +124,7 @@ def not_identifiable(timings: Sequence[Timing], options: argparse.Namespace, air
             Path(options.json).write_text(json.dumps(plain, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     if options.html:
         Path(options.html).write_text(_page(plain), encoding="utf-8")
-    return 0
+    return _NOTHING
 
 
 def _plain(timings: Sequence[Timing], airframe: str) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from companion.calibration.modes import IdentifiedMode, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import BendingMode, airframe_with, bending_modes, stations, symmetry
 from companion.cli.identify_picture import draw_flight, draw_test
+from companion.cli.numbers import number
+from companion.cli.options import make_folder
 from companion.params.airframe import Airframe, Mode, Uncertain
 from companion.params.files import dump_airframe, load_airframe
 
@@ -31,7 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     gvt.add_argument("--layout", type=Path, required=True, metavar="FILE.toml", help="points, channels and runs")
     flight = kinds.add_parser("flight", help="from the gusts of a recorded flight")
     flight.add_argument("recording", type=Path, help=".mcap, .tlog, .BIN, .ulg, or a folder with accel.csv")
-    flight.add_argument("--band", type=float, nargs=2, default=(2.0, 40.0), metavar="HZ", help="where modes are sought")
+    flight.add_argument(
+        "--band", type=number(0.0, 1e5, "Hz"), nargs=2, default=(2.0, 40.0), metavar="HZ", help="where modes are sought"
+    )
     for kind in (gvt, flight):
         kind.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="what the modes are written into")
         kind.add_argument("--out", type=Path, default=Path("out/identify"), metavar="FOLDER", help="where to write")
@@ -40,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Identify, print a table, write airframe, figures and numbers."""
     base = load_airframe(options.airframe)
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     if options.kind == "gvt":
         return _from_test(options, base)
     return _from_flight(options, base)

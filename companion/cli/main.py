@@ -1,13 +1,14 @@
 """``spanwise``: every command behind one name.
 
 Exit codes: 0 done; 1 bad input or a dead device (the message says what to do); 2 wrong usage; 3 done, but there was
-nothing to estimate (no mode, no ranges); 4 the doctor found something to fix; 130 stopped by Ctrl-C before the end.
+nothing to estimate (no mode, no ranges, nothing to be told from a recording); 4 the doctor found something to fix; 130 stopped by Ctrl-C before the end.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -50,16 +51,34 @@ def _module(command: str) -> Any:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; never a traceback for a bad input."""
+    """Run one command; never a traceback for a bad input, a full disk, a closed pipe or Ctrl-C."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    options = build_parser(given[0] if given else "").parse_args(given)
-    module = _module(options.command)
+    name = given[0] if given and given[0] in _COMMANDS else ""
     try:
-        code: int = module.execute(options)
+        options = build_parser(given[0] if given else "").parse_args(given)
+        code: int = _module(options.command).execute(options)
+        sys.stdout.flush()
     except SpanwiseError as error:
-        print(f"spanwise {options.command}: {error}", file=sys.stderr)
-        return 1
+        return _failed(name, str(error))
     except KeyboardInterrupt:
-        print(f"spanwise {options.command}: stopped", file=sys.stderr)
-        return 130
+        return _failed(name, "stopped", code=130)
+    except BrokenPipeError:
+        return _failed(name, "standard output was closed before the end")
+    except EOFError:
+        return _failed(name, "standard input ended where an answer was asked for")
+    except MemoryError:
+        return _failed(name, "not enough memory")
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename is not None else ""
+        return _failed(name, f"{where}{error.strerror or error}")
+    return code
+
+
+def _failed(name: str, sentence: str, code: int = 1) -> int:
+    """Say it, and let nothing be said of it again when the interpreter ends."""
+    print(f"{f'spanwise {name}'.strip()}: {sentence}", file=sys.stderr)
+    try:
+        sys.stdout.flush()
+    except OSError:  # a closed pipe or a full disk, told above
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code

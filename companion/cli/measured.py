@@ -29,6 +29,7 @@ Progress = Callable[[str, float], None]
 _TIPS = ("left_z_mps2", "right_z_mps2")
 _RESPONSE = "response_"
 _FORCE = "input_n"
+_NOTHING = 3
 
 
 def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
@@ -37,7 +38,7 @@ def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
 
 
 def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progress) -> int:
-    """Diagnose recordings of one structure jointly; every verdict is exit code 0."""
+    """Diagnose recordings of one structure jointly; exit codes as those of a flight."""
     tables = tables_of(options.recordings, mapping)
     diagnosed = _ringing if mapping.test is TestKind.RINGING else _vibration
     plain, make_page = diagnosed(tables, mapping, options, progress)
@@ -51,7 +52,7 @@ def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progre
         Path(options.html).write_text(make_page(), encoding="utf-8")
     if options.apply is not None:
         print("--apply: what was found here is of a structure on the bench; no airframe was written", file=sys.stderr)
-    return 0
+    return _NOTHING if plain["verdict"] == "not-identifiable" else 0
 
 
 _Diagnosed = tuple[dict[str, Any], Callable[[], str]]

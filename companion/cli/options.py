@@ -62,6 +62,40 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
     return Stored(values).over(settings)
 
 
+def check_output(path: Path | None, option: str) -> None:
+    """Refuse a file that cannot be written, before the work whose result it is to hold.
+
+    Raises
+    ------
+    ConfigError
+        Its folder is missing or not writable, or it is a folder itself.
+    """
+    if path is None or str(path) == "-":
+        return
+    if path.is_dir():
+        raise ConfigError(f"{option} {path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise ConfigError(f"{option} {path}: no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ConfigError(f"{option} {path}: cannot be written (permission denied)")
+
+
+def make_folder(path: Path, option: str = "--out") -> None:
+    """Make the folder that results go into.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be made or written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{option} {path}: cannot be made: {error.strerror}") from error
+    if not os.access(path, os.W_OK):
+        raise ConfigError(f"{option} {path}: cannot be written (permission denied)")
+
+
 def state_file(name: str) -> Path:
     """Where a file that outlives a run belongs: by the XDG rules, or as systemd says.
 

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from companion.cli.audit.report import make_sections, plain, write
 from companion.cli.audit.trials import FULL, QUICK, SEEDS
+from companion.cli.numbers import whole
+from companion.cli.options import check_output, make_folder
 from companion.errors import ConfigError
 
 
@@ -19,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("out/paper"), metavar="FOLDER", help="default: out/paper")
     parser.add_argument("--quick", action="store_true", help="shorter experiments, with fewer shots")
     parser.add_argument(
-        "--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes; default: all cores"
+        "--jobs", type=whole(1, 1000), default=os.cpu_count() or 1, metavar="N", help="processes; default: all cores"
     )
     parser.add_argument(
         "--seeds",
@@ -33,6 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Compute everything, write the report, say where it is."""
+    make_folder(options.out)
+    check_output(options.json, "--json")
     begun_s = time.monotonic()
     pace = QUICK if options.quick else FULL
     sections = make_sections(

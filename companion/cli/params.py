@@ -7,6 +7,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
+from companion.cli.options import check_output
 from companion.errors import ConfigError
 from companion.params.document import parameters_page
 from companion.params.metadata import apm_pdef_xml
@@ -27,9 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """List, write or check."""
     if options.write:
+        check_output(_PAGE, "--write")
         _PAGE.write_text(parameters_page(), encoding="utf-8")
         print(f"wrote {_PAGE}")
     elif options.xml is not None:
+        check_output(options.xml, "--xml")
         options.xml.write_text(apm_pdef_xml(), encoding="utf-8")
         print(f"wrote {options.xml}")
     elif options.check:

@@ -17,7 +17,7 @@ from companion.adapters.recordings.codec import codec_of
 from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.writer import About, McapWriter
-from companion.cli.options import add_settings, read_settings
+from companion.cli.options import add_settings, check_output, read_settings
 from companion.cli.progress import Progress, length_ns
 from companion.cli.replaying import drive, foreign_inputs, own_inputs
 from companion.cli.stations import StationAnalysis
@@ -88,6 +88,7 @@ class Tally:
 
 def execute(options: argparse.Namespace) -> int:
     """Replay, and tell what came of it."""
+    check_output(options.out, "--out")
     airframe = load_airframe(options.airframe) if options.airframe else None
     recording = open_recording(options.recording, airframe)
     settings = read_settings(options) if options.changes or options.settings else recording.settings

@@ -13,6 +13,7 @@ from companion.adapters.triggers import opening as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
 from companion.cli.flying import fly
+from companion.cli.numbers import seconds
 from companion.cli.options import add_settings, read_settings, state_file
 from companion.cli.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
 from companion.cli.view import View
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--record-images", action="store_true", help="record every image too (PNG, lossless)")
     parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
-    parser.add_argument("--for", type=float, metavar="SECONDS", dest="seconds", help="stop after so long")
+    parser.add_argument("--for", type=seconds, metavar="SECONDS", dest="seconds", help="stop after so long")
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
     add_settings(parser)
 

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 
 from companion.cli.effect_list import add_effect_list
+from companion.cli.numbers import seconds, seed
+from companion.cli.options import make_folder
 from companion.core.wing.effects import catalogue
 from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
@@ -17,8 +19,8 @@ from companion.sim.tables import write_csv
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="name or path of an airframe file")
-    parser.add_argument("--seed", type=int, default=1, help="of everything random")
-    parser.add_argument("--duration", type=float, default=60.0, metavar="SECONDS", help="length of the flight")
+    parser.add_argument("--seed", type=seed, default=1, help="of everything random")
+    parser.add_argument("--duration", type=seconds, default=60.0, metavar="SECONDS", help="length of the flight")
     parser.add_argument("--gust", default="airframe", choices=[kind.value for kind in GustKind], help="its spectrum")
     parser.add_argument("--exact", action="store_true", help="fly the believed airframe, not one drawn from its priors")
     parser.add_argument(
@@ -46,7 +48,7 @@ def execute(options: argparse.Namespace) -> int:
         gust=GustKind(options.gust),
         perturbed=not options.exact,
     )
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out)
     write_csv(flight, options.out)
     wing = flight.real.actual.wing
     hidden = ", ".join(f"{effect.name} {effect.parameters}" for effect in effects) or "nothing"

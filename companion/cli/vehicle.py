@@ -10,6 +10,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from companion.cli.numbers import seconds, seed
 from companion.cli.simulated_devices import frames_path, line_path
 from companion.errors import ConfigError, DeviceError
 from companion.params.airframe import Airframe
@@ -30,8 +31,8 @@ _OPENING_S = 5.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="name or path of an airframe file")
-    parser.add_argument("--seed", type=int, default=1, help="of the flight: gusts, true airframe, noise")
-    parser.add_argument("--duration", type=float, default=240.0, metavar="SECONDS", help="length of the flight")
+    parser.add_argument("--seed", type=seed, default=1, help="of the flight: gusts, true airframe, noise")
+    parser.add_argument("--duration", type=seconds, default=240.0, metavar="SECONDS", help="length of the flight")
     parser.add_argument(
         "--connect", action="append", metavar="LINK",
         help="udpout:HOST:PORT (somebody listens there) or udpin:HOST:PORT; may be repeated "

@@ -20,7 +20,8 @@ DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] 
 def diagnose(tmp_path: Path, *arguments: str) -> dict[str, Any]:
     found = tmp_path / "found.json"
     page = tmp_path / "page.html"
-    assert main(["diagnose", *arguments, "--json", str(found), "--html", str(page)]) == 0
+    code = main(["diagnose", *arguments, "--json", str(found), "--html", str(page)])
+    assert code == (3 if json.loads(found.read_text())["verdict"] == "not-identifiable" else 0)
     text = page.read_text(encoding="utf-8")
     assert text.startswith("<!doctype html>")
     assert "http" not in text.replace("http-equiv", "")  # self-contained

@@ -20,7 +20,8 @@ from companion.records import Side
 
 def found(tmp_path: Path, *arguments: str) -> dict[str, Any]:
     path = tmp_path / "found.json"
-    assert main(["diagnose", *arguments, "--json", str(path), "--html", str(tmp_path / "page.html")]) == 0
+    code = main(["diagnose", *arguments, "--json", str(path), "--html", str(tmp_path / "page.html")])
+    assert code == (3 if json.loads(path.read_text())["verdict"] == "not-identifiable" else 0)
     assert (tmp_path / "page.html").read_text(encoding="utf-8").startswith("<!doctype html>")
     plain: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return plain

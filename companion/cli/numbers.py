@@ -1,0 +1,46 @@
+"""Numbers on the command line: what cannot be is wrong usage, told with the range before anything begins."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+_LONGEST_S = 1e6
+
+
+def seconds(text: str) -> float:
+    """A time that passes; for argparse."""
+    return number(0.0, _LONGEST_S, "seconds")(text)
+
+
+def number(above: float, most: float, unit: str) -> Callable[[str], float]:
+    """A number in this range, the lower end left out; for argparse."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number ({unit})") from None
+        if not above < value <= most:
+            raise argparse.ArgumentTypeError(f"{text} {unit}: must be above {above:g} and at most {most:g}")
+        return value
+
+    return parse
+
+
+def whole(least: int, most: int) -> Callable[[str], int]:
+    """A whole number in this range; for argparse."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"'{text[:40]}' is not a whole number") from None
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"{text[:40]}: must be {least} to {most}")
+        return value
+
+    return parse
+
+
+seed = whole(0, 2**31 - 1)
