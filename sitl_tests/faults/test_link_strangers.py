@@ -209,6 +209,43 @@ def test_a_second_autopilot_is_refused_and_the_first_keeps_its_place_while_it_li
         port.close()
 
 
+@pytest.mark.parametrize("ahead_us", [90_000_000, -90_000_000])
+def test_two_senders_behind_one_address_are_told(ahead_us: int) -> None:
+    """A router hides the addresses; the clocks differ."""
+    port = Port()
+    try:
+        router = port.talker(PILOT)
+        nodes = [mavlink.MAVLink(None, 1, NODE) for _ in range(2)]
+        router.beat()
+        port.run()
+        for number in range(600):
+            for node, begin_us in zip(nodes, (100_000_000, 100_000_000 + ahead_us), strict=True):
+                message = mavlink.MAVLink_highres_imu_message(begin_us + 10_000 * number, 0, 0, -9.8, *[0] * 10, 63)
+                router.send(bytes(message.pack(node)))
+            port.run(0.01)
+        told = [text for text in port.texts() if "two senders" in text]
+        assert len(told) == 1
+        assert f"component {NODE}" in told[0]
+    finally:
+        port.close()
+
+
+def test_a_node_that_restarts_once_is_no_second_sender() -> None:
+    port = Port()
+    try:
+        pilot, node = port.talker(PILOT), port.talker(NODE)
+        pilot.beat()
+        port.run()
+        for begin_us in (500_000_000, 1_000_000):
+            for number in range(300):
+                node.sample(begin_us + 10_000 * number)
+                port.run(0.01)
+        assert ClockRestart in {type(record) for record in port.records}
+        assert not [text for text in port.texts() if "two senders" in text]
+    finally:
+        port.close()
+
+
 def test_a_routed_copy_is_refused_without_a_warning() -> None:
     port = Port()
     try:

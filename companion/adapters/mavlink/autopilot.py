@@ -19,6 +19,7 @@ from companion.adapters.mavlink.outputs import RangeOutputs
 from companion.adapters.mavlink.parameter_server import ParameterServer
 from companion.adapters.mavlink.questions import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.rates import RateKeeper
+from companion.adapters.mavlink.senders import TwoClocks
 from companion.adapters.mavlink.translate import WHOLE_TYPES, Heard, parameter_encoding
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.airframe import Airframe
@@ -97,6 +98,8 @@ class MavlinkAutopilot:
         self._firing = firing
         self._fired: int | None = None
         self._unfired: list[Rejected] = []
+        self._two_clocks = TwoClocks()
+        self._said: list[Notice] = []
         self._links = list(links)
         self._settings = settings
         self._clock = clock
@@ -152,7 +155,9 @@ class MavlinkAutopilot:
                     yield from decoded.records
             self._read_host_ns = self._clock.now_ns()
         yield from self._unfired
+        yield from self._said
         self._unfired.clear()
+        self._said.clear()
         if self.decoder.system_id is None:
             yield from self._complain()
         yield from self._refusals()
@@ -230,6 +235,9 @@ class MavlinkAutopilot:
             if self._listener is not None:
                 self._listener(heard)
         for record in decoded.records:
+            doubt = self._two_clocks.hear(record)
+            if doubt is not None:
+                self._said.append(doubt)
             if isinstance(record, AutopilotParameter) and implausible(record.name, record.value) is None:
                 if record.name == "SCHED_LOOP_RATE":
                     self.rates.loop_rate(record.value)

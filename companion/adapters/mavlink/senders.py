@@ -1,4 +1,4 @@
-"""Who speaks under which id on a link that many can reach: the first sender keeps its place while it lives."""
+"""Who speaks under which id: the first address keeps its place while it lives, and two on one wire are told apart."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter, deque
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
-from companion.records import Notice, Reject, Rejected
+from companion.records import ClockRestart, Notice, Record, Reject, Rejected
 
 Address = tuple[str, int]
 Key = tuple[int, int]
@@ -16,6 +16,7 @@ _COPIES = 128
 _CONFIRMATIONS = 3
 _REPEAT_NS = 30_000_000_000
 _REPORT_NS = 1_000_000_000
+_WINDOW_NS = 10_000_000_000
 _ERROR = 3
 
 
@@ -98,3 +99,33 @@ class Senders:
         if len(self._foreign) > _COPIES:
             self._foreign.clear()
         return told
+
+
+class TwoClocks:
+    """Suspects two senders behind one address or wire: their stamps are of two clocks, and go back again and again.
+
+    A clock that restarts does so once; what is late in a network is a sample or two.
+    """
+
+    def __init__(self) -> None:
+        self._seen_host_ns: dict[str, deque[int]] = {}
+        self._said_host_ns: dict[str, int] = {}
+
+    def hear(self, record: Record) -> Notice | None:
+        """Look at what the decoder gave; a sentence when the stamps of one source went back in three seconds of ten."""
+        if isinstance(record, Rejected) and record.reason is Reject.TIME_BACKWARDS and record.count >= _CONFIRMATIONS:
+            what, now_host_ns = record.what, record.at_host_ns
+        elif isinstance(record, ClockRestart):
+            what, now_host_ns = f"{record.clock} clock", record.seen_host_ns
+        else:
+            return None
+        seen = self._seen_host_ns.setdefault(what, deque(maxlen=_CONFIRMATIONS))
+        if not seen or now_host_ns - seen[-1] >= _REPORT_NS:
+            seen.append(now_host_ns)
+        said = self._said_host_ns.get(what)
+        if len(seen) < _CONFIRMATIONS or now_host_ns - seen[0] > _WINDOW_NS:
+            return None
+        if said is not None and now_host_ns - said < _REPEAT_NS:
+            return None
+        self._said_host_ns[what] = now_host_ns
+        return Notice(_ERROR, f"{what}: time goes back again and again: two senders with one id?", now_host_ns)
