@@ -83,6 +83,7 @@ class Reject(enum.StrEnum):
     OUT_OF_RANGE = "range outside its limits"
     INCONSISTENT = "inconsistent with the last ranges"
     CONTRADICTED = "the sensors contradict the wing's model"
+    MATCHES_CONTRADICT = "the matches contradict the sensors"
     PEAK_UNCERTAIN = "peak time too uncertain"
     BLUR_TOO_LARGE = "predicted blur too large"
     PLAN_EXPIRED = "plan expired before it could be fired"

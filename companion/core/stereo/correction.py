@@ -10,12 +10,13 @@ from typing import Protocol
 
 import numpy as np
 
+from companion.core.stereo.consistency_gate import RangeGate, Verdict
+from companion.core.stereo.epipolar import YAW
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, RangeAnswer, correct
 from companion.core.stereo.slow import SlowRotation
 from companion.core.stereo.triangulation import match_rays
-from companion.core.stereo.trust import RangeGate
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -24,6 +25,7 @@ from companion.records import (
     Deflection,
     Floats,
     MatchSet,
+    Notice,
     OutputRecord,
     Reject,
     Rejected,
@@ -36,6 +38,7 @@ _DOWN = 25
 _SLACK_MPS = 8.0
 _VEHICLES = 64
 _ATTITUDE_NS = 500_000_000
+_KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
 
 class Bends(Protocol):
@@ -61,6 +64,7 @@ class Correction:
     pending: deque[MatchSet] = field(default_factory=deque)
     vehicles: deque[VehicleState] = field(default_factory=lambda: deque(maxlen=_VEHICLES))
     last_trusted: CorrectedRange | None = None
+    _distrusted: bool = False
 
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> Correction:
@@ -98,6 +102,7 @@ class Correction:
         yield right
         velocity_mps = np.array([airspeed_mps, 0.0, -climb_mps])
         reason = tracker.distrust
+        self._doubt(reason)
         turned = self._turned(matches, (left, right), velocity_mps, look=reason is None)
         yield turned
         answer: RangeAnswer = correct(
@@ -112,12 +117,33 @@ class Correction:
             attitude_rad=self._attitude((left.t_host_ns + right.t_host_ns) // 2),
         )
         slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
-        judged = self.gate.judge(_withheld(answer.range, reason), climb_mps, slack_mps)
+        if self.slow.verdict is not Verdict.AGREE:
+            reason = reason or Reject.MATCHES_CONTRADICT
+        lasting_m = self._lasting_m(turned, answer.range.range_m)
+        judged = self.gate.judge(_withheld(answer.range, reason), climb_mps, slack_mps, lasting_m)
         if judged.trusted:
             self.last_trusted = judged
         yield judged
+        if self.gate.jumped and self.settings.hold_slow:
+            self._reopen()
+        if self.slow.verdict is Verdict.KNOCKED:
+            yield Notice(4, _KNOCKED, now_host_ns)
         if answer.sectors is not None and reason is None:
             yield answer.sectors
+
+    def _lasting_m(self, turned: RelativeRotation, range_m: float) -> float:
+        """The part of a range's sigma that its neighbours share: the slow toe's."""
+        return range_m**2 / self.rig.baseline_m * float(np.sqrt(turned.slow_covariance[YAW, YAW]))
+
+    def _doubt(self, reason: Reject | None) -> None:
+        """After a time of distrust the tracker may be wrong by more than it says: the matches have to tell anew."""
+        if reason is None and self._distrusted and self.slow.looked:
+            self._reopen()
+        self._distrusted = reason is not None
+
+    def _reopen(self) -> None:
+        self.slow.reopen()
+        self.gate.reopened()
 
     def _attitude(self, t_host_ns: int) -> tuple[float, float] | None:
         """Roll and pitch at an instant, between the states that the autopilot sent; None without one nearby."""

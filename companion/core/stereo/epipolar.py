@@ -20,10 +20,12 @@ state of its own, seen with the true one and never told apart from it by any num
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.stereo.consistency_gate import KNOCK_RAD, Innovation, MatchTest, Verdict
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
@@ -31,12 +33,17 @@ from companion.records import Floats, Reject
 
 PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, STEADY = range(9)
 _SLOW = 9
+_ALL = _SLOW + 6  # with this pair's error of the fast part, and its innovation
+_FAST, _INNOVATION = slice(_SLOW, _SLOW + 3), slice(_SLOW + 3, _ALL)
 _SEEN = 7  # states that the parallax has a column of its own for
 _LEAST_MATCHES = 12
 _ROUNDS = 10
 _STUDENT = 5.0  # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
 _MEDIAN_TO_SIGMA = 1.4826
 _TINY = 1e-17  # rad^2: what is known exactly has a finite information
+_TAILS = 3.0  # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
+_STANDING = np.diag([1e-4, 3e-4, 1e-4]) ** 2  # what interpolation, lenses and slopes feign for seconds: no knock
+_BLIND = 1e-3  # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +123,8 @@ class EpipolarUpdate:
         How much larger than their stated sigma the parallaxes are; at least 1, and paid for in every covariance.
     used : int
         Matches with at least half their weight.
+    verdict : Verdict
+        Whether the matches go with what was believed before them.
     """
 
     slow_rad: Floats
@@ -125,6 +134,7 @@ class EpipolarUpdate:
     baseline_rad: Floats
     parallax_scale: float
     used: int
+    verdict: Verdict
 
 
 class EpipolarFilter:
@@ -132,6 +142,10 @@ class EpipolarFilter:
 
     The fast part comes from the wing tracker: its pose is in the rays that are given, its error is white from pair to
     pair with the covariance that is given. The slow part walks at random.
+
+    Each pair is solved with a rotation of its own that may be anything, the innovation. Where it goes with zero, it is
+    set to zero again; where it contradicts, the pair has it (a stamp that is wrong), and where the contradiction stays
+    the slow part has it (a camera that was knocked): see :class:`~companion.core.stereo.consistency_gate.MatchTest`.
     """
 
     def __init__(self, rig: Rig, prior: SlowPrior) -> None:
@@ -141,6 +155,17 @@ class EpipolarFilter:
         self._covariance = np.diag([*prior.variances(), 0.0, prior.steady_rad**2])
         self._bend_variance = 0.0
         self._seen_ns: int | None = None
+        self._test = MatchTest()
+
+    @property
+    def looked(self) -> bool:
+        """Whether any matches have been taken."""
+        return self._seen_ns is not None
+
+    def reopen(self, sigma_rad: float = KNOCK_RAD) -> None:
+        """Doubt the rotation about every axis by a sigma more: only what matches tell from now on counts."""
+        self._covariance[:3, :3] += sigma_rad**2 * np.eye(3)
+        self._test = MatchTest()
 
     def update(
         self, rays: Rays, sigma_rad: Floats, fast_covariance: Floats, t_host_ns: int, bend: BendBelief = NO_BEND
@@ -169,18 +194,21 @@ class EpipolarFilter:
             return refused
         mean, predicted = self._predicted(t_host_ns, bend)
         seen = in_frame(rays, self.epipolar_from_body)
-        joint = np.zeros((_SLOW + 3, _SLOW + 3))
-        joint[:_SLOW, :_SLOW], joint[_SLOW:, _SLOW:] = predicted, fast_covariance
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        answer = _solve(seen, noise_rad, np.concatenate([mean, np.zeros(3)]), joint, bend.direction)
+        answer = _solve(seen, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
+        verdict, doubt = self._test.take(_innovation(answer).loosened(_STANDING + _TAILS * fast_covariance))
+        if verdict is Verdict.KNOCKED:
+            predicted[:3, :3] += KNOCK_RAD**2 * np.eye(3)
+            answer = _solve(seen, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
+        answer = _held(answer, doubt)
         self._mean, self._covariance, self._seen_ns = answer.mean[:_SLOW], answer.covariance[:_SLOW, :_SLOW], t_host_ns
         self._bend_variance = bend.sigma_rad**2
-        return _describe(answer, bend.direction)
+        return _describe(answer, bend.direction, verdict)
 
     def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
         """Slow rotation (3,) and its covariance (3, 3) at a time at or after the last update."""
         mean, covariance = self._predicted(t_host_ns, bend)
-        gather = _gather(bend.direction)
+        gather = _gather(bend.direction)[:, :_SLOW]
         return gather @ mean, gather @ covariance @ gather.T
 
     def _predicted(self, t_host_ns: int, bend: BendBelief) -> tuple[Floats, Floats]:
@@ -265,9 +293,18 @@ class _Answer:
     used: int
 
 
-def _solve(seen: Rays, sigma_rad: Floats, mean: Floats, covariance: Floats, bend: Floats) -> _Answer:
-    """Maximum a posteriori by Gauss-Newton; bend and the last three entries (fast part) add to the first three."""
-    gather = np.hstack([_gather(bend), np.eye(3)])
+def _joint(slow_covariance: Floats, fast_covariance: Floats) -> Floats:
+    """Covariance (15, 15) of the slow part, the fast part and the innovation before a pair."""
+    joint = np.zeros((_ALL, _ALL))
+    joint[:_SLOW, :_SLOW], joint[_FAST, _FAST] = slow_covariance, fast_covariance
+    joint[_INNOVATION, _INNOVATION] = KNOCK_RAD**2 * np.eye(3)
+    return joint
+
+
+def _solve(seen: Rays, sigma_rad: Floats, slow: Floats, covariance: Floats, bend: Floats) -> _Answer:
+    """Maximum a posteriori by Gauss-Newton; bend, fast part and innovation add to the first three."""
+    mean = np.concatenate([slow, np.zeros(_ALL - _SLOW)])
+    gather = _gather(bend)
     gather[YAW, STEADY] = 1.0
     prior_information = np.linalg.inv(covariance + _TINY * np.eye(len(mean)))
     state, scale = mean.copy(), 1.0
@@ -289,17 +326,39 @@ def _solve(seen: Rays, sigma_rad: Floats, mean: Floats, covariance: Floats, bend
     return _Answer(state, np.linalg.inv(information), scale, int(np.sum(weight > 0.5)))
 
 
+def _innovation(answer: _Answer) -> Innovation:
+    """What the matches say of the innovation, its own prior taken out: zero within its covariance, if all is well."""
+    information = np.linalg.inv(answer.covariance[_INNOVATION, _INNOVATION])
+    pull = information @ answer.mean[_INNOVATION]
+    covariance = np.asarray(np.linalg.inv(information - (1.0 - _BLIND) / KNOCK_RAD**2 * np.eye(3)), dtype=np.float64)
+    return Innovation(np.asarray(covariance @ pull, dtype=np.float64), covariance)
+
+
+def _held(answer: _Answer, doubt: Floats) -> _Answer:
+    """The answer with ``doubt`` (3, 3) in place of the innovation's wide prior: zero binds it to what is believed."""
+    block, innovation = answer.covariance[_INNOVATION, _INNOVATION], _innovation(answer)
+    share = np.linalg.solve(innovation.covariance + doubt, doubt).T
+    mean, covariance = share @ innovation.rotation_rad, doubt - share @ doubt
+    follow = np.linalg.solve(block, answer.covariance[_INNOVATION]).T
+    return dataclasses.replace(
+        answer,
+        mean=answer.mean + follow @ (mean - answer.mean[_INNOVATION]),
+        covariance=answer.covariance + follow @ (covariance - block) @ follow.T,
+    )
+
+
 def _gather(bend: Floats) -> Floats:
-    """Rows (3, 9) that add up the slow relative rotation."""
-    rows = np.zeros((3, _SLOW))
-    rows[:, :3] = np.eye(3)
+    """Rows (3, 15) that add up the relative rotation: slow part, fast part and innovation."""
+    rows = np.zeros((3, _ALL))
+    rows[:, :3] = rows[:, _FAST] = rows[:, _INNOVATION] = np.eye(3)
     rows[:, BEND] = bend
     return rows
 
 
-def _describe(answer: _Answer, bend: Floats) -> EpipolarUpdate:
-    slow = np.hstack([_gather(bend), np.zeros((3, 3))])
-    total = np.hstack([_gather(bend), np.eye(3)])
+def _describe(answer: _Answer, bend: Floats, verdict: Verdict) -> EpipolarUpdate:
+    total = _gather(bend)
+    slow = total.copy()
+    slow[:, _SLOW:] = 0.0
     return EpipolarUpdate(
         slow_rad=slow @ answer.mean,
         slow_covariance=slow @ answer.covariance @ slow.T,
@@ -308,4 +367,5 @@ def _describe(answer: _Answer, bend: Floats) -> EpipolarUpdate:
         baseline_rad=answer.mean[BASELINE_Y : BASELINE_Z + 1],
         parallax_scale=answer.scale,
         used=answer.used,
+        verdict=verdict,
     )

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from companion.core.stereo.consistency_gate import Verdict
 from companion.core.stereo.epipolar import BendBelief, EpipolarFilter, EpipolarUpdate, SlowPrior
 from companion.core.stereo.exposure import Exposure
 from companion.core.stereo.geometry import Rig
@@ -32,12 +33,22 @@ class SlowRotation:
         self._rig = rig
         self._filter = EpipolarFilter(rig, slow_prior(rig, airframe))
         self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
+        self.verdict = Verdict.AGREE
         self._bend_variance = math.inf
         self._bend_ns = 0
         self._per_slope = np.stack(
             [-rig.left.turn_rad(1.0), rig.right.turn_rad(1.0)], axis=1
         )  # relative rotation, body axes, per radian of left and right tip slope
         self.body_from_epipolar: Floats = self._filter.epipolar_from_body.T
+
+    @property
+    def looked(self) -> bool:
+        """Whether any matches have been taken."""
+        return self._filter.looked
+
+    def reopen(self) -> None:
+        """Doubt what is known of the rotation: only what matches tell from now on counts."""
+        self._filter.reopen()
 
     def update(
         self,
@@ -70,6 +81,7 @@ class SlowRotation:
         belief, fast = self._belief(bend, t_host_ns), self._fast(bend, exposures, timing_sigma_s)
         sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
         seen = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief) if look else None
+        self.verdict = seen.verdict if isinstance(seen, EpipolarUpdate) else Verdict.AGREE
         if isinstance(seen, EpipolarUpdate):
             return RelativeRotation(
                 matches.pair_id,

@@ -1,0 +1,194 @@
+"""All rules of trust between pairs (DESIGN, rule 11): matches against the sensors, and a range against the last ones.
+
+What turns a camera unnoticed (a blow, a stamp that is wrong, a tracker misled) shows in two ways. The matches leave an
+innovation: a rotation beyond everything that is believed. And the range jumps. Either reopens the drift filter: the
+sigma of the toe grows at once to that of a knock, and ranges are trusted again when matches have told the toe anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.records import CorrectedRange, Floats, Reject
+
+KNOCK_RAD = 0.005
+"""How far, per axis, a blow or an undetected fault of the tracker may have turned the cameras."""
+_CONSISTENT_SIGMAS = 4.0
+_AGREEING_TO_TRUST = 3
+_FORGET_NS = 2_000_000_000
+_FRESH_NS = 500_000_000  # how long a trusted range vouches alone for the next one
+_APART_TO_DOUBT = 2
+_SURFACE_NS = 5_000_000_000
+_OUTLIER_SQUARE = 30.7  # of three degrees of freedom: one in a million
+_OUTLIERS_TO_REOPEN = 3
+_ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest
+_KNOCKED_SIGMAS = 10.0
+_DOUBT_SIGMAS = 2.0
+_CARRIED = 0.5
+
+
+class Verdict(enum.Enum):
+    """What a pair's matches say of what was believed before."""
+
+    AGREE = enum.auto()
+    OUTLIER = enum.auto()
+    KNOCKED = enum.auto()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """Rotation (3,) beyond what is believed, as the matches see it, and its covariance (3, 3) if nothing is wrong."""
+
+    rotation_rad: Floats
+    covariance: Floats
+
+    def loosened(self, covariance: Floats) -> Innovation:
+        """The same with more covariance."""
+        return Innovation(self.rotation_rad, self.covariance + covariance)
+
+
+@dataclass(slots=True)
+class MatchTest:
+    """Whether the matches contradict what is believed of the cameras' relative rotation, pair by pair and together.
+
+    One pair shows pitch and roll well and yaw weakly. A pair whose innovation has a normalised square that chance does
+    not give is an outlier: its stamp is wrong, or a camera has just been turned, which several in a row show. What no
+    single pair shows is seen in the cumulative sums of each axis' normalised innovation (Page's test, two-sided). Until
+    then an axis is granted what its innovation has beyond two sigma, and the next pairs a share of it.
+    """
+
+    _sums: Floats = field(default_factory=lambda: np.zeros((2, 3)))
+    _doubt_rad2: Floats = field(default_factory=lambda: np.zeros(3))
+    _outliers: int = 0  # in a row
+
+    def take(self, innovation: Innovation) -> tuple[Verdict, Floats]:
+        """Judge one pair; also the covariance (3, 3) that its own rotation is granted beyond what is believed."""
+        sigma_rad = np.sqrt(np.diag(innovation.covariance))
+        square = innovation.rotation_rad @ np.linalg.solve(innovation.covariance, innovation.rotation_rad)
+        if square > _OUTLIER_SQUARE:
+            self._outliers += 1
+        else:
+            unit = innovation.rotation_rad / sigma_rad
+            self._sums = np.maximum(self._sums + np.stack([unit, -unit]) - _ALLOWED_SIGMAS, 0.0)
+            self._outliers = 0
+        if self._outliers >= _OUTLIERS_TO_REOPEN or self._sums.max() > _KNOCKED_SIGMAS:
+            self._sums, self._doubt_rad2, self._outliers = np.zeros((2, 3)), np.zeros(3), 0
+            return Verdict.KNOCKED, np.zeros((3, 3))
+        if self._outliers:
+            return Verdict.OUTLIER, KNOCK_RAD**2 * np.eye(3)
+        beyond_rad2 = np.maximum(innovation.rotation_rad**2 - (_DOUBT_SIGMAS * sigma_rad) ** 2, 0.0)
+        self._doubt_rad2 = np.maximum(beyond_rad2, _CARRIED * self._doubt_rad2)
+        return Verdict.AGREE, np.diag(self._doubt_rad2)
+
+
+@dataclass(slots=True)
+class RangeGate:
+    """Trust a range when it agrees with what was known before: its predecessors, the last trusted one, the climb rate.
+
+    A range that passed its own checks is compared with the last one, moved on by the climb rate (range grows as a
+    downward-looking aircraft climbs), and ``_AGREEING_TO_TRUST`` must agree among themselves. One that goes on from a
+    trusted one just before is trusted at once. Ranges that have left the last trusted one are not trusted for agreeing
+    with each other: either the surface or the cameras have changed, and ``jumped`` asks that the toe be learnt anew.
+    Once it is (:meth:`reopened`), their sigma is what matches alone have told since, and those that agree under it are
+    a new surface. Where nothing looks at matches, a surface must stay for ``_SURFACE_NS``.
+    """
+
+    closing_mps_per_climb: float
+    _last: _Level | None = None
+    _trusted: _Level | None = None
+    _departed: _Level | None = None  # first range that left the last trusted one
+    _agreeing: int = 0
+    _apart: int = 0  # ranges since then that have not come back
+    _reopened: bool = False
+
+    @property
+    def jumped(self) -> bool:
+        """Whether ranges have left the last trusted one and the toe has not been doubted since."""
+        return self._apart >= _APART_TO_DOUBT and not self._reopened
+
+    def reopened(self) -> None:
+        """Take note that the toe is learnt anew from here on: what agreed before does not count."""
+        self._reopened, self._agreeing = True, 0
+
+    def judge(
+        self, measured: CorrectedRange, climb_mps: float, slack_mps: float = 5.0, lasting_m: float = 0.0
+    ) -> CorrectedRange:
+        """Withdraw the trust of a range that jumps.
+
+        Parameters
+        ----------
+        measured : CorrectedRange
+            Newest range.
+        climb_mps : float
+            Climb rate.
+        slack_mps : float
+            Bounds what terrain and speed do.
+        lasting_m : float
+            The part of its sigma that the ranges around it share: it is no reason for a jump.
+        """
+        if not measured.trusted:
+            return measured
+        level = _Level(measured.t_host_ns, measured.range_m, measured.sigma_m, min(lasting_m, measured.sigma_m))
+        moving = _Moving(self.closing_mps_per_climb * climb_mps, slack_mps)
+        follows = self._last is not None and level.t_ns - self._last.t_ns < _FORGET_NS
+        agrees = follows and moving.agree(self._last, level)
+        self._agreeing = self._agreeing + 1 if agrees else 1
+        self._last = level
+        if not self._trustworthy(level, moving):
+            return dataclasses.replace(measured, trusted=False, reject=Reject.INCONSISTENT)
+        self._trusted, self._departed, self._apart, self._reopened = level, None, 0, False
+        return measured
+
+    def _trustworthy(self, level: _Level, moving: _Moving) -> bool:
+        several = self._agreeing >= _AGREEING_TO_TRUST
+        if self._trusted is None:
+            return several
+        if moving.agree(self._trusted, level) and not self._stays_apart(level, moving):
+            self._departed, self._apart = None, 0
+            return several or level.t_ns - self._trusted.t_ns < _FRESH_NS
+        if self._departed is None or self._agreeing == 1:
+            self._departed = level
+        self._apart += 1
+        return several and (self._reopened or level.t_ns - self._departed.t_ns >= _SURFACE_NS)
+
+    def _stays_apart(self, level: _Level, moving: _Moving) -> bool:
+        """Whether a range goes on from those that departed: the slack, which grows with time, does not excuse them."""
+        if self._departed is None or self._trusted is None:
+            return False
+        return moving.between_m(self._departed, level) < moving.between_m(self._trusted, level)
+
+
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """What the gate remembers of a range."""
+
+    t_ns: int
+    range_m: float
+    sigma_m: float
+    lasting_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Moving:
+    """How ranges change with time: at a rate that is known, and by a slack to both sides."""
+
+    rate_mps: float
+    slack_mps: float
+
+    def between_m(self, before: _Level, after: _Level) -> float:
+        """By how much a range misses what an earlier one foretold."""
+        return abs(after.range_m - before.range_m - self.rate_mps * 1e-9 * (after.t_ns - before.t_ns))
+
+    def agree(self, before: _Level | None, after: _Level) -> bool:
+        """Whether both may be of one surface, seen by cameras that stay as they are."""
+        if before is None or after.t_ns <= before.t_ns:
+            return False
+        shared_m2 = min(before.lasting_m, after.lasting_m) ** 2
+        sigma_m = math.sqrt(max(before.sigma_m**2 + after.sigma_m**2 - 2.0 * shared_m2, 0.0))
+        allowed_m = _CONSISTENT_SIGMAS * sigma_m + self.slack_mps * 1e-9 * (after.t_ns - before.t_ns)
+        return self.between_m(before, after) <= allowed_m

@@ -1,0 +1,203 @@
+"""What contradicts itself is not trusted: knocked cameras, late stamps, a misled tracker; and real surfaces are."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from companion.core.stereo.consistency_gate import Innovation, MatchTest, Verdict
+from companion.core.stereo.correction import Correction
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.rotation import exp_rotation, log_rotation
+from companion.params.settings import Settings
+from companion.records import CorrectedRange, Deflection, Notice, Reject
+from sitl_tests.unit.stereo_cases import bend, ground_below, match_set, nadir, seen
+
+MS = 1_000_000
+PERIOD_NS = 120 * MS
+SLOPE, FAST_RAD, SLOW_RAD = 0.02, 1e-4, 1e-4
+MATCH_PX, MATCHES = 0.1, 120
+CALM_PAIRS, PAIRS = 15, 40
+PITCH, YAW, ROLL = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)  # body axes; epipolar y is body x of a nadir pair
+
+
+@dataclass
+class Told:
+    """A tracker that says what it is given: its bend errs by its own fast sigma, and by a lie."""
+
+    seed: int
+    lie_rad: float = 0.0
+    distrust: Reject | None = None
+
+    def smooth(self, t_host_ns: int) -> Deflection:
+        error = FAST_RAD * np.random.default_rng([self.seed, t_host_ns]).standard_normal(2) + self.lie_rad
+        wing = bend((SLOPE + error[0], SLOPE + error[1]), t_ns=t_host_ns, slope_sigma_rad=FAST_RAD)
+        covariance = wing.covariance.copy()
+        covariance[4:, 4:] += SLOW_RAD**2
+        return dataclasses.replace(wing, covariance=covariance, slow_slope_sigma_rad=SLOW_RAD)
+
+
+@dataclass(frozen=True)
+class Strike:
+    """What befalls one pair."""
+
+    turned_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the right camera, body axes
+    range_m: float = 60.0
+    distrust: Reject | None = None
+    lie_rad: float = 0.0
+    late_rad: float = 0.0  # by how much more both wings were bent than at the stamp
+
+
+def flown(
+    struck: Callable[[int], Strike], seed: int, settings: Settings | None = None, pairs: int = PAIRS
+) -> tuple[list[CorrectedRange], list[Notice]]:
+    """Correct pair after pair; the ranges, one per pair, and what was said."""
+    airframe = nadir()
+    assert airframe.right_camera is not None
+    rig = Rig.from_airframe(airframe)
+    correction, told = Correction.create(airframe, settings or Settings()), Told(seed)
+    ranges: list[CorrectedRange] = []
+    said: list[Notice] = []
+    for k in range(pairs):
+        strike = struck(k)
+        told.lie_rad, told.distrust = strike.lie_rad, strike.distrust
+        body_from_camera = rig.right.rest.camera_from_body.T
+        x, y, z = (body_from_camera.T @ np.array(strike.turned_rad)).tolist()
+        camera = dataclasses.replace(airframe.right_camera, rotation_rad=tuple(log_rotation(exp_rotation([x, y, z]))))
+        true_rig = Rig.from_airframe(dataclasses.replace(airframe, right_camera=camera))
+        slope = SLOPE + strike.late_rad
+        left_px, right_px = seen(true_rig, ground_below(strike.range_m, MATCHES, 1000 * seed + k), (slope, slope))
+        right_px = right_px + MATCH_PX * np.random.default_rng([seed, k]).standard_normal(right_px.shape)
+        exposed_ns = 10_000 * MS + k * PERIOD_NS
+        matches = match_set(left_px, right_px, MATCH_PX, mid_exposure_ns=(exposed_ns, exposed_ns))
+        list(correction.add(matches))
+        for output in correction.due(told, exposed_ns + 1000 * MS, 0.0, 15.0):
+            if isinstance(output, CorrectedRange):
+                ranges.append(output)
+            elif isinstance(output, Notice):
+                said.append(output)
+    return ranges, said
+
+
+def wrong(ranges: list[CorrectedRange], range_m: float = 60.0) -> int:
+    errors = [(abs(entry.range_m - range_m), entry.sigma_m) for entry in ranges if entry.trusted]
+    return sum(error_m > 5.0 * sigma_m or error_m > 0.05 * range_m for error_m, sigma_m in errors)
+
+
+def longest_pause_s(ranges: list[CorrectedRange], since: int = 5) -> float:
+    at_s = [1e-9 * entry.t_host_ns for entry in ranges[since:] if entry.trusted]
+    at_s.append(1e-9 * ranges[-1].t_host_ns)
+    return float(np.max(np.diff(at_s)))
+
+
+# ------------------------------------------------------------------------------------- cameras
+
+
+def test_without_a_fault_every_range_from_the_third_on_is_trusted() -> None:
+    for seed in range(2):
+        ranges, said = flown(lambda k: Strike(), seed)
+        assert [entry.trusted for entry in ranges] == [False, False] + [True] * (PAIRS - 2)
+        assert wrong(ranges) == 0
+        assert not said
+
+
+@pytest.mark.parametrize("axis", [PITCH, YAW, ROLL, (0.6, 0.48, -0.64)])
+def test_a_camera_knocked_by_two_milliradians_is_noticed_and_trusted_again_within_a_second(
+    axis: tuple[float, float, float],
+) -> None:
+    """About its yaw alone 2 mrad are 3.5 m of 60 m, and one pair sees it to half a milliradian."""
+    for seed in range(2):
+        x, y, z = (0.002 * (-1) ** seed * np.array(axis)).tolist()
+        ranges, said = flown(lambda k: Strike((x, y, z) if k >= CALM_PAIRS else (0.0, 0.0, 0.0)), seed)  # noqa: B023
+        assert wrong(ranges) == 0
+        assert longest_pause_s(ranges) < 1.0
+        assert all(entry.trusted for entry in ranges[-10:])
+        assert len(said) == 1
+
+
+def test_late_stamps_cost_their_own_pairs_only() -> None:
+    """Every seventh pair was exposed when the wings were bent by 2 mrad more than at its stamp: 4 mrad of toe."""
+    late = [k for k in range(8, PAIRS) if k % 7 == 0]
+    for seed in range(2):
+        ranges, _ = flown(lambda k: Strike(late_rad=0.002 if k in late else 0.0), seed)
+        assert wrong(ranges) == 0
+        timely = [entry.trusted for k, entry in enumerate(ranges) if k not in late and k > 2]
+        assert np.mean(timely) > 0.95
+
+
+# ------------------------------------------------------------------------------------- tracker
+
+
+@pytest.mark.parametrize("lie_rad", [-0.0025, 0.0015, 0.003])
+def test_a_tracker_that_lies_after_a_time_of_distrust_is_held_against_the_matches(lie_rad: float) -> None:
+    """3.5 s of distrust, then both tips' slopes wrong by as much, fading over 3 s: the toe errs by twice it."""
+
+    def struck(k: int) -> Strike:
+        lost, back = CALM_PAIRS, CALM_PAIRS + 29
+        faded = lie_rad * np.exp(-max(k - back, 0) * PERIOD_NS / 3e9)
+        return Strike(distrust=Reject.CONTRADICTED if lost <= k < back else None, lie_rad=faded if k >= lost else 0.0)
+
+    ranges, _ = flown(struck, 1, pairs=75)
+    assert wrong(ranges) == 0
+    assert np.mean([entry.trusted for entry in ranges[-15:]]) > 0.9
+
+
+# ------------------------------------------------------------------------------------- surfaces
+
+
+@pytest.mark.parametrize("step_m", [-15.0, 12.0, 25.0])
+def test_a_real_step_of_the_ground_is_believed_within_a_second_and_a_half(step_m: float) -> None:
+    """A cliff or a roof: the matches tell the toe anew, and what they confirm is no fault."""
+    ranges, _ = flown(lambda k: Strike(range_m=60.0 + (step_m if k >= CALM_PAIRS else 0.0)), 5)
+    assert wrong(ranges[:CALM_PAIRS]) == 0
+    assert wrong(ranges[CALM_PAIRS:], 60.0 + step_m) == 0
+    back = next(k for k in range(CALM_PAIRS, PAIRS) if ranges[k].trusted)
+    assert (back - CALM_PAIRS) * PERIOD_NS < 1500 * MS
+    assert all(entry.trusted for entry in ranges[back:])
+
+
+def test_where_nothing_looks_at_matches_a_new_surface_must_stay_for_five_seconds() -> None:
+    blind = dataclasses.replace(Settings(), hold_slow=0)
+    ranges, _ = flown(lambda k: Strike(range_m=50.0 if k >= 8 else 40.0), 6, blind, pairs=60)
+    assert all(entry.trusted for entry in ranges[2:8])
+    trusted = [k for k in range(8, 60) if ranges[k].trusted]
+    assert (trusted[0] - 8) * PERIOD_NS == pytest.approx(5e9, abs=PERIOD_NS)
+    assert trusted == list(range(trusted[0], 60))
+
+
+# ------------------------------------------------------------------------------------- the test itself
+
+
+def _verdicts(shift_sigmas: float, count: int, seed: int) -> list[Verdict]:
+    test, random = MatchTest(), np.random.default_rng(seed)
+    sigma_rad = np.array([2e-5, 5e-4, 1e-4])
+    shift = np.array([0.0, shift_sigmas, 0.0])
+    units = random.standard_normal((count, 3)) + shift
+    return [test.take(Innovation(sigma_rad * unit, np.diag(sigma_rad**2)))[0] for unit in units]
+
+
+@pytest.mark.slow
+def test_chance_opens_nothing_in_ten_minutes_at_eight_pairs_a_second() -> None:
+    said = _verdicts(0.0, 8 * 600 * 10, 1)
+    assert said.count(Verdict.KNOCKED) <= 2, "in a hundred minutes"
+    assert said.count(Verdict.OUTLIER) <= 2
+
+
+@pytest.mark.parametrize(("shift_sigmas", "pairs"), [(2.0, 20), (3.5, 8), (8.0, 5)])
+def test_a_shift_that_one_pair_hardly_shows_adds_up(shift_sigmas: float, pairs: int) -> None:
+    """The sum grows by the shift less three quarters of a sigma a pair; far outliers open by their number."""
+    for seed in range(20):
+        assert Verdict.KNOCKED in _verdicts(shift_sigmas, pairs, seed)
+
+
+def test_one_outlier_is_an_outlier_and_is_granted_any_rotation() -> None:
+    test, sigma_rad = MatchTest(), np.array([2e-5, 5e-4, 1e-4])
+    covariance = np.diag(sigma_rad**2)
+    verdict, doubt = test.take(Innovation(np.array([7.0, 0.0, 0.0]) * sigma_rad, covariance))
+    assert verdict is Verdict.OUTLIER
+    assert np.sqrt(doubt[1, 1]) > 0.003
+    assert test.take(Innovation(np.zeros(3), covariance))[0] is Verdict.AGREE
