@@ -165,6 +165,7 @@ def test_a_bad_input_is_one_sentence(
         code = left.code  # type: ignore[assignment]
     told = capfd.readouterr().err
     assert code == expected, told
+    assert Path("/dev/full").is_char_device(), "a device that cannot be written is not removed"
     assert "Traceback" not in told
     assert told.strip(), "something is said"
     if expected == BAD:

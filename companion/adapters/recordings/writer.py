@@ -126,7 +126,7 @@ class McapWriter:
         """Let go of a file that cannot be written any further; one without any record in it is removed."""
         with contextlib.suppress(OSError):
             self._file.close()
-        if not self._flushed:
+        if not self._flushed and self._path.is_file():  # a device is not ours to remove
             self._path.unlink(missing_ok=True)
 
     def close(self) -> None:
