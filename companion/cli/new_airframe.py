@@ -21,6 +21,7 @@ from companion.cli.airframe_draft import (
 )
 from companion.errors import ConfigError
 from companion.params.files import load_airframe, parse_airframe
+from companion.params.plausible import RANGES
 
 Answers = dict[str, Any]
 
@@ -62,26 +63,32 @@ class Question:
         return value
 
 
+def _of_file(
+    kind: str, key: str, text: str, default: float | Callable[[Answers], float] | None = None, name: str = ""
+) -> Question:
+    """A question for a key of the airframe file, with the unit and range that the file's own check has."""
+    limits = RANGES[kind][key]
+    return Question(name or key, text, limits.unit, limits.minimum, limits.maximum, default, cameras=kind == "Camera")
+
+
 _NUMBERS = (
-    Question("semispan_m", "semispan, centreline to tip", "m", 0.1, 40.0),
-    Question("frequency_hz", "first bending frequency (tap the wing, count or record)", "Hz", 0.3, 40.0),
+    _of_file("Wing", "semispan_m", "semispan, centreline to tip"),
+    _of_file("Mode", "frequency_hz", "first bending frequency (tap the wing, count or record)"),
     Question(
-        "frequency_sigma_hz", "how far that may be off in flight", "Hz", 1e-3, 20.0,
+        "frequency_sigma_hz", "how far that may be off in flight", "Hz", 1e-3, 500.0,
         lambda a: default_frequency_sigma_hz(a["frequency_hz"]),
     ),
-    Question(
-        "antisymmetric_hz", "the same, tips opposed", "Hz", 0.3, 60.0,
-        lambda a: default_antisymmetric_hz(a["frequency_hz"]),
+    _of_file(
+        "Mode", "frequency_hz", "the same, tips opposed", lambda a: default_antisymmetric_hz(a["frequency_hz"]),
+        name="antisymmetric_hz",
     ),
     Question("mass_kg", "all-up mass", "kg", 0.05, 5000.0),
     Question("wing_mass_kg", "mass of both wing halves", "kg", 0.01, 4500.0, lambda a: 0.5 * a["mass_kg"]),
-    Question(
-        "station_y_m", "centreline to node and camera", "m", 0.05, 40.0, lambda a: 0.99 * a["semispan_m"]
-    ),
-    Question("focal_px", "focal length (mm over pixel pitch in mm)", "px", 50.0, 20000.0, cameras=True),
-    Question("imu_rate_hz", "rate of the autopilot's IMU messages", "Hz", 20.0, 8000.0, 333.0),
-    Question("accel_filter_hz", "INS_ACCEL_FILTER, 0 for none", "Hz", 0.0, 1000.0, 20.0),
-    Question("node_rate_hz", "rate of the wing nodes", "Hz", 50.0, 8000.0, 1000.0),
+    Question("station_y_m", "centreline to node and camera", "m", 0.01, 50.0, lambda a: 0.99 * a["semispan_m"]),
+    _of_file("Camera", "focal_px", "focal length (mm over pixel pitch in mm)"),
+    _of_file("Sensor", "rate_hz", "rate of the autopilot's IMU messages", 333.0, name="imu_rate_hz"),
+    _of_file("Sensor", "lowpass_accel_hz", "INS_ACCEL_FILTER, 0 for none", 20.0, name="accel_filter_hz"),
+    _of_file("Sensor", "rate_hz", "rate of the wing nodes", 1000.0, name="node_rate_hz"),
 )  # fmt: skip
 _LOOKS = ("down", "forward", "none")
 _TIP_AXES = ("xyzpqr", "z")

@@ -113,7 +113,7 @@ def test_a_simulated_pair_that_nobody_serves_is_named(tmp_path: Path, capsys: py
 @pytest.mark.parametrize(
     ("option", "says"),
     [
-        ("--duration=0", "give 1 to 3600 s"),
+        ("--duration=5000", "give 1 to 3600 s"),
         ("--airframe=sitl-plane", "no camera pair"),
         ("--connect=tcp:127.0.0.1:1", "udpin:host:port"),
     ],
