@@ -35,24 +35,25 @@ class RangeSilence:
     waited_ns: int = 0
     untracked_ns: int = 0
     _last_tick_ns: int | None = None
+    _usable: bool = False
+    _plan: TriggerPlan | None = None
     _aged_ns: int = 0
     _refused: Counter[str] = field(default_factory=Counter)  # pairs, by what became of them
-    _skipped: Counter[str] = field(default_factory=Counter)  # plans, by why they were not to be fired
-    _events: Counter[type] = field(default_factory=Counter)  # plans that were to be fired, shots, pairs
+    _skipped: Counter[str] = field(default_factory=Counter)  # plans, by why they were not fired
+    _events: Counter[type] = field(default_factory=Counter)  # plans whose time had come, shots, pairs
     _said: str = ""
     _said_ns: int = 0
 
     def note(self, record: Record) -> None:
         """Look at an input or output of the pipeline."""
-        if isinstance(record, CorrectedRange):
-            if record.trusted:
-                self._begin_anew()
-            elif record.reject is not None:
-                self._refused[_named(record.reject)] += 1
+        if isinstance(record, CorrectedRange) and record.trusted:
+            self._begin_anew()
+        elif not self._usable:
+            return  # what is refused then is not why no range comes later
+        elif isinstance(record, CorrectedRange) and record.reject is not None:
+            self._refused[_named(record.reject)] += 1
         elif isinstance(record, TriggerPlan):
-            if record.reject is not None:
-                self._skipped[_named(record.reject)] += 1
-            self._events[TriggerPlan] += record.firing is not Firing.SKIP
+            self._note_plan(record)
         elif isinstance(record, Shot | MatchSet):
             self._events[type(record)] += 1
         elif isinstance(record, Rejected) and record.what.startswith(("pair ", "camera frames")):
@@ -60,10 +61,20 @@ class RangeSilence:
         elif isinstance(record, Rejected) and record.reason is Reject.DEVICE_FAILED:
             self._skipped[f"{record.reason}: {record.what}"] += record.count
 
+    def _note_plan(self, plan: TriggerPlan) -> None:
+        """Count the plan before, if its command was due: one that gave way in time was neither fired nor skipped."""
+        last, self._plan = self._plan, plan
+        if last is None or last.plan_id == plan.plan_id or plan.planned_host_ns < last.command_host_ns:
+            return
+        if last.firing is not Firing.SKIP:
+            self._events[TriggerPlan] += 1
+        elif last.reject is not None:
+            self._skipped[_named(last.reject)] += 1
+
     def tick(self, now_ns: int, *, usable: bool) -> None:
         """Count the time since the last tick; ``usable`` says that the tracker would let ranges pass."""
         passed_ns = 0 if self._last_tick_ns is None else min(now_ns - self._last_tick_ns, _LONGEST_STEP_NS)
-        self._last_tick_ns = now_ns
+        self._last_tick_ns, self._usable = now_ns, usable
         if usable:
             self.waited_ns += passed_ns
         else:
@@ -101,10 +112,10 @@ class RangeSilence:
             return "triggering is off (TRG_POLICY 2)"
         if self._events[Shot]:
             return "shots bring no image pairs: trigger, cameras?"
+        if self._events[TriggerPlan] > sum(self._skipped.values()):
+            return "nothing fires and no image pairs come: --trigger, --cameras?"
         if self._skipped:
             return f"no shot: {_most(self._skipped)}"
-        if self._events[TriggerPlan]:
-            return "nothing fires and no image pairs come: --trigger, --cameras?"
         return "no shot is planned"
 
     def _begin_anew(self) -> None:

@@ -32,7 +32,10 @@ def refused(reason: Reject | None) -> CorrectedRange:
 
 
 def plan(number: int, reject: Reject | None) -> TriggerPlan:
-    return TriggerPlan(number, Firing.SKIP if reject else Firing.PEAK, 0, 0, 0, 1.0, 0, 0, reject)
+    """Due after its number's tenth of a second, and planned at the time of the one before."""
+    due_ns = 100_000_000 * number
+    firing = Firing.SKIP if reject else Firing.PEAK
+    return TriggerPlan(number, firing, due_ns, due_ns, 0, 1.0, due_ns, due_ns - 100_000_000, reject)
 
 
 def wait(silence: RangeSilence, seconds: float, begin_ns: int = 0, *, usable: bool = True) -> int:
@@ -60,9 +63,10 @@ def test_five_seconds_without_a_range_are_said_and_one_range_ends_it() -> None:
     [
         ([refused(Reject.NO_MATCHES)] * 3 + [refused(Reject.SIGMA_TOO_LARGE)], "too few matches (RNG_MATCHES)"),
         ([refused(Reject.OUT_OF_RANGE)], "range outside its limits (RNG_MIN, RNG_MAX)"),
-        ([plan(1, Reject.BLUR_TOO_LARGE)] * 9, "no shot: predicted blur too large (TRG_BLUR)"),
+        ([plan(k, Reject.BLUR_TOO_LARGE) for k in range(9)], "no shot: predicted blur too large (TRG_BLUR)"),
         ([plan(1, None), Shot(1, 0, 0)], "shots bring no image pairs"),
-        ([plan(1, None)], "nothing fires"),
+        ([plan(k, None) for k in range(9)], "nothing fires"),
+        ([plan(k, Reject.BLUR_TOO_LARGE if k % 3 else None) for k in range(9)], "no shot: predicted blur too large"),
         ([Rejected(Reject.CLOCK_UNSYNCED, "camera frames", 0)], "clock not synced"),
         ([plan(1, None), Rejected(Reject.DEVICE_FAILED, "line is gone", 0)], "device failed: line is gone"),
     ],
@@ -73,6 +77,15 @@ def test_the_most_frequent_cause_is_named(records: list[Any], words: str) -> Non
     for record in records:
         silence.note(record)
     assert words in str(silence.reason(Settings()))
+
+
+def test_what_is_refused_before_the_tracker_is_ready_explains_nothing() -> None:
+    silence = RangeSilence()
+    now_ns = wait(silence, 10.0, usable=False)
+    for number in range(100):
+        silence.note(plan(number, Reject.NOT_SETTLED))
+    wait(silence, 6.0, now_ns)
+    assert silence.reason(Settings()) == "no range: no shot is planned"
 
 
 def test_a_trigger_that_is_off_is_named() -> None:
