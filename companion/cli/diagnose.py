@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from companion.adapters.recordings.mapping import TestKind, load_mapping
 from companion.cli import flights, measured
@@ -20,6 +21,7 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.report import as_json, sentence
 from companion.diagnosis.search import diagnose
 from companion.diagnosis.verdict import Diagnosis, Verdict
+from companion.diagnosis.words import words
 from companion.params.files import dump_airframe
 
 _NOTHING = 3
@@ -70,6 +72,8 @@ def execute(options: argparse.Namespace) -> int:
     found = diagnose(models, list(catalogue().values()), options.max_causes, progress)
     plain = as_json(found, models, options.recordings, bool(options.json or options.html))
     plain["notes"] = [*dict.fromkeys([note for one in timings for note in one.notes] + plain["notes"])]
+    plain["tones"] = [tone for one in timings for tone in one.tones]
+    plain["words"] = words(plain, plain["tones"])
     if options.json == "-":
         print(json.dumps(plain, indent=2, allow_nan=False))
     else:
@@ -88,8 +92,10 @@ def execute(options: argparse.Namespace) -> int:
     return _NOTHING if found.verdict is Verdict.NOT_IDENTIFIABLE else 0
 
 
-def _tell(found: Diagnosis, plain: dict[str, object]) -> None:
+def _tell(found: Diagnosis, plain: dict[str, Any]) -> None:
     print(f"verdict: {sentence(found)}")
+    for line in plain["words"].values():
+        print(f"  {line}")
     for cause in found.causes:
         print(f"  {cause.part.effect.name}: log Bayes factor {cause.log_bayes_factor:.1f}, BIC {cause.bic:+.1f}")
         for entry, value, sigma in zip(cause.part.effect.parameters(), cause.values, cause.sigmas, strict=True):
@@ -101,9 +107,7 @@ def _tell(found: Diagnosis, plain: dict[str, object]) -> None:
         print(f"  held-out gain {value:.1f} nat (95 %: {low:.1f} to {high:.1f})")
         for distance, (before, after) in found.gain.range_rms_m.items():
             print(f"  range error at {distance:g} m: {before:.2f} -> {after:.2f} m rms")
-    notes = plain["notes"]
-    assert isinstance(notes, list)
-    for note in notes:
+    for note in plain["notes"]:
         print(f"  note: {note}")
 
 

@@ -18,6 +18,7 @@ from companion.adapters.recordings.mapped_recording import MappedRecording
 from companion.adapters.recordings.mapping import TableMapping
 from companion.adapters.recordings.opening import open_recording
 from companion.cli import page
+from companion.cli.stations import StationAnalysis
 from companion.params.airframe import Airframe
 from companion.records import Axis, Floats, ImuBatch, Ints, Station
 
@@ -45,12 +46,13 @@ class StreamTiming:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """One recording: its streams, whether a wing tip is among them, and what its reader noticed."""
+    """One recording: its streams, whether a wing tip is among them, what its reader noticed, and the steady tones."""
 
     path: Path
     streams: tuple[StreamTiming, ...]
     has_tip: bool
     notes: tuple[str, ...]
+    tones: tuple[str, ...] = ()
 
     @property
     def can_be_judged(self) -> bool:
@@ -80,12 +82,14 @@ def timing(path: Path, airframe: Airframe, mapping: TableMapping | None = None) 
     recording = MappedRecording(path, mapping, airframe) if mapping else open_recording(path, airframe)
     stamps: dict[Station, list[Ints]] = {}
     has_tip = False
+    stations = StationAnalysis(recording.airframe)
     for record in recording.records():
         if isinstance(record, ImuBatch):
+            stations.add(record)
             stamps.setdefault(record.station, []).append(record.t_ns)
             has_tip |= record.station is not Station.ROOT and bool(record.axes & Axis.Z)
     streams = tuple(_evenness(station, np.concatenate(parts)) for station, parts in sorted(stamps.items()))
-    return Timing(path, streams, has_tip, tuple(notice.text for notice in recording.notices))
+    return Timing(path, streams, has_tip, tuple(notice.text for notice in recording.notices), tuple(stations.told()))
 
 
 def _evenness(station: Station, t_ns: Ints) -> StreamTiming:

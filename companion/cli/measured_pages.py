@@ -128,7 +128,7 @@ def _tracks(found: RingingDiagnosis) -> Any:
         modes = found.final.model.modes(found.final.values[None, :], k).omega_radps[0] / _TWO_PI
         for mode, colour in zip(modes.T, (page.AFTER, page.BEFORE), strict=False):
             axis.plot(one.t_s, mode, color=colour, lw=1.0)
-        axis.set(title=one.name, xlabel="s", ylabel="Hz" if k % columns == 0 else "")
+        axis.set(title=one.name, xlabel="time, s", ylabel="frequency, Hz" if k % columns == 0 else "")
     for axis in axes[len(recordings) :]:
         axis.set_visible(False)
     return figure
@@ -150,8 +150,8 @@ def _against_channel(found: RingingDiagnosis, name: str, scale: Scale) -> Any:
             label = ("first mode", "second mode")[j] if k == 0 else None
             frequency.plot(channel, modes.omega_radps[0, order, j] / _TWO_PI, color=colour, lw=1.2, label=label)
             damping.semilogy(channel, modes.zeta[0, order, j], color=colour, lw=1.2)
-    frequency.set(xlabel=name, ylabel="frequency, Hz")
-    damping.set(xlabel=name, ylabel="damping ratio")
+    frequency.set(xlabel=_named(name), ylabel="frequency, Hz")
+    damping.set(xlabel=_named(name), ylabel="damping ratio")
     frequency.legend(fontsize=8)
     for axis in (frequency, damping):
         axis.grid(alpha=0.3)
@@ -187,7 +187,7 @@ def _innovations(found: RingingDiagnosis) -> Any:
         lags.plot(range(1, len(mean) + 1), mean, ".-", color=colour)
     bound = 2.0 / np.sqrt(sum(len(one.t_s) for one in recordings))
     lags.axhspan(-bound, bound, color="#00000022", lw=0)
-    whole.set(title=f"Innovations of {recordings[0].name}, in their sigma", xlabel="s", ylim=(-12, 12))
+    whole.set(title=f"Innovations of {recordings[0].name}, in their sigma", xlabel="time, s", ylim=(-12, 12))
     lags.set(title="Autocorrelation between knocks", xlabel="lag, samples")
     whole.legend(fontsize=8, loc="upper right")
     return figure
@@ -212,8 +212,9 @@ def _by_run(found: Comparison) -> Any:
     for axis, mode in zip(axes, shown, strict=False):
         axis.errorbar(mode.runs, mode.frequency_hz, 2.0 * mode.sigma_hz, fmt="o-", ms=4, color=page.AFTER, lw=0.8)
         axis.set(title=f"near {np.median(mode.frequency_hz):.2f} Hz", xlabel="run")
+        axis.title.set_fontsize(10)
         axis.grid(alpha=0.3)
-    axes[0].set_ylabel("Hz (± 2 sigma)")
+    axes[0].set_ylabel("frequency, Hz (± 2 sigma)")
     return figure
 
 
@@ -227,9 +228,9 @@ def _by_constant(found: Comparison, runs: Sequence[VibrationRun]) -> Any:
         axis.errorbar(at, leading.mode.frequency_hz, 2.0 * leading.mode.sigma_hz, fmt="o", ms=4, color=page.AFTER)
         for x, y, run in zip(at, leading.mode.frequency_hz, runs, strict=True):
             axis.annotate(run.name, (x, y), fontsize=8, xytext=(4, 4), textcoords="offset points")
-        axis.set(xlabel=name)
+        axis.set(xlabel=f"{_named(name)} (numbers: runs)")
         axis.grid(alpha=0.3)
-    axes[0].set_ylabel("Hz; numbers are runs")
+    axes[0].set_ylabel("frequency, Hz (± 2 sigma)")
     return figure
 
 
@@ -242,7 +243,7 @@ def _responses(runs: Sequence[VibrationRun]) -> Any:
     for run, colour in zip(runs, colours, strict=True):
         level = np.sqrt(np.mean(np.abs(run.response) ** 2, axis=0))
         axis.semilogy(run.frequency_hz, level, color=colour, lw=0.8, label=run.name)
-    axis.set(xlabel="Hz", ylabel="m/s² per N, rms of the points")
+    axis.set(xlabel="frequency, Hz", ylabel="m/s² per N, rms of the points")
     axis.legend(fontsize=7, ncols=2, title="run")
     axis.grid(alpha=0.3)
     return figure
@@ -251,8 +252,35 @@ def _responses(runs: Sequence[VibrationRun]) -> Any:
 def _modes(plain: dict[str, Any]) -> str:
     if not plain["modes"]:
         return page.paragraph("No mode stands out.")
+    changes = sorted(plain["modes"], key=lambda mode: -abs(_change(mode)))
+    rows = [
+        [f"near {mode['near_hz']:.2f} Hz", f"{min(mode['frequency_hz']):.3f} to {max(mode['frequency_hz']):.3f} Hz",
+         f"{100.0 * _change(mode):+.1f} %", f"{_in_sigmas(mode):.0f}"]
+        for mode in changes
+    ]  # fmt: skip
+    moved = page.table(["mode", "lowest to highest", "change", "in its sigmas"], rows, 0)
     heads = ["run", *[f"near {mode['near_hz']:.2f} Hz" for mode in plain["modes"]]]
     rows = []
     for k, run in enumerate(plain["modes"][0]["runs"]):
-        rows.append([run, *[f"{m['frequency_hz'][k]:.3f} ± {m['sigma_hz'][k]:.3f}" for m in plain["modes"]]])
-    return page.table(heads, rows)
+        rows.append([run, *[f"{m['frequency_hz'][k]:.3f} ± {m['sigma_hz'][k]:.4f}" for m in plain["modes"]]])
+    by_run = page.table(heads, rows)
+    return moved + page.heading("Every run") + by_run
+
+
+def _change(mode: dict[str, Any]) -> float:
+    """From the first run of the lowest and the highest frequency to the later one, as a share."""
+    low, high = int(np.argmin(mode["frequency_hz"])), int(np.argmax(mode["frequency_hz"]))
+    ratio = float(mode["frequency_hz"][high] / mode["frequency_hz"][low])
+    return (ratio - 1.0) * (1.0 if low < high else -1.0)
+
+
+def _in_sigmas(mode: dict[str, Any]) -> float:
+    low, high = int(np.argmin(mode["frequency_hz"])), int(np.argmax(mode["frequency_hz"]))
+    apart = mode["frequency_hz"][high] - mode["frequency_hz"][low]
+    return float(apart / np.hypot(mode["sigma_hz"][low], mode["sigma_hz"][high]))
+
+
+def _named(channel: str) -> str:
+    """A channel as an axis is labelled: its unit apart."""
+    name, _, unit = channel.rpartition("_")
+    return f"{name.replace('_', ' ')}, {unit}" if name and len(unit) <= 4 else channel.replace("_", " ")

@@ -8,7 +8,9 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-BEFORE, AFTER, DATA = "#c2571a", "#1f6fb4", "#9aa3ad"
+from companion.cli.plotting import BLUE, GREY, VERMILLION
+
+BEFORE, AFTER, DATA = VERMILLION, BLUE, GREY
 COLOURS = {"adequate": "#2e7d4f", "explained": "#1f6fb4", "unexplained": "#b23b2e", "not-identifiable": "#8a6d1d"}
 _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;color:#20262d;max-width:1080px;margin:2rem auto;padding:0 1.2rem}
@@ -18,7 +20,10 @@ p.what{color:#5b6670;margin:.2rem 0 1rem}table{border-collapse:collapse;width:10
 th,td{text-align:left;padding:.35rem .6rem;border-bottom:1px solid #e6eaee}th{color:#5b6670;font-weight:600}
 img{width:100%;margin:.3rem 0}
 .advice{background:#f3f6f9;border-left:4px solid #1f6fb4;padding:.6rem .9rem;border-radius:4px;margin:.6rem 0}
-.bad{color:#b23b2e;font-weight:600}
+.bad{color:#b23b2e;font-weight:600}tr.worst td{background:#fdeee6;font-weight:600}
+dl{display:grid;grid-template-columns:max-content 1fr;gap:.5rem 1.2rem;background:#f3f6f9}
+dl{padding:1rem 1.2rem;border-radius:8px}
+dt{color:#5b6670;font-weight:600}dd{margin:0}
 """
 
 
@@ -52,13 +57,18 @@ def advice(text: str) -> str:
     return f'<p class="advice">{html.escape(text)}</p>'
 
 
-def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table; a cell that says ``failed`` is marked."""
+def told(sentences: Sequence[tuple[str, str]]) -> str:
+    """What a reader wants first: questions, each with its answer."""
+    return "<dl>" + "".join(f"<dt>{html.escape(q)}</dt><dd>{html.escape(a)}</dd>" for q, a in sentences) + "</dl>"
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]], worst: int | None = None) -> str:
+    """A table; a cell that says ``failed`` is marked, and the row with the index ``worst`` stands out."""
     top = "".join(f"<th>{html.escape(head)}</th>" for head in heads)
     lines = []
-    for row in rows:
+    for index, row in enumerate(rows):
         cells = [('<td class="bad">' if cell == "failed" else "<td>") + html.escape(cell) + "</td>" for cell in row]
-        lines.append("<tr>" + "".join(cells) + "</tr>")
+        lines.append(("<tr class=worst>" if index == worst else "<tr>") + "".join(cells) + "</tr>")
     return f"<table><tr>{top}</tr>{''.join(lines)}</table>"
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.cli.page import AFTER, BEFORE, DATA
+from companion.cli.plotting import INK, VERMILLION, dots
 from companion.diagnosis.expectation import Expectation
 from companion.diagnosis.supermodel import SuperModel
 from companion.diagnosis.verdict import Diagnosis
@@ -18,6 +19,7 @@ _NEEDED_Z = 4.4
 _SHOWN = 16
 _SPECTRUM_BINS = 160
 _LOAD_VARIES = 0.02
+_WIDTHS = {BEFORE: 3.0, AFTER: 1.2}  # one lies on the other where they agree, and both are seen
 Fits = Sequence[tuple[Expectation, str, str]]
 
 
@@ -38,15 +40,16 @@ def spectra(fits: Fits, model: SuperModel) -> Any:
         thin, power = _averaged(f_hz, 2.0 * np.abs(data[channel]) ** 2)
         axis.loglog(thin, np.sqrt(power), color=DATA, lw=1.8, label="recorded")
         for fitted, colour, label in fits:
-            axis.loglog(f_hz, np.sqrt(2.0 * fitted.spectrum[channel, channel].real), color=colour, lw=1.2, label=label)
-        axis.set(title=f"{side.name.lower()} tip", xlabel="Hz", ylabel="m/s² per √Hz" if channel == 0 else "")
+            modelled = np.sqrt(2.0 * fitted.spectrum[channel, channel].real)
+            axis.loglog(f_hz, modelled, color=colour, lw=_WIDTHS[colour], label=label)
+        axis.set(title=f"{side.name.lower()} tip", xlabel="frequency, Hz", ylabel="" if channel else "m/s² per √Hz")
     axes[0].legend(fontsize=8, frameon=False)
     if len(sides) == 2:
         thin, cross = _averaged(f_hz, data[0] * data[1].conj())
         axes[-1].semilogx(thin, np.degrees(np.angle(cross)), ".", ms=3, color=DATA)
         for fitted, colour, _ in fits:
-            axes[-1].semilogx(f_hz, np.degrees(np.angle(fitted.spectrum[0, 1])), color=colour, lw=1.2)
-        axes[-1].set(title="left against right, phase", xlabel="Hz", ylabel="degrees", ylim=(-185, 185))
+            axes[-1].semilogx(f_hz, np.degrees(np.angle(fitted.spectrum[0, 1])), color=colour, lw=_WIDTHS[colour])
+        axes[-1].set(title="left against right, phase", xlabel="frequency, Hz", ylabel="degrees", ylim=(-185, 185))
     return figure
 
 
@@ -61,8 +64,8 @@ def innovations(fits: Fits, model: SuperModel) -> Any:
         millimetres = 1e3 * spine.amplitude_m
         axes[1].errorbar(millimetres, spine.frequency_hz, spine.frequency_sigma_hz, color=colour, fmt="o-", ms=3, lw=1)
         axes[2].errorbar(millimetres, spine.work, spine.work_sigma, color=colour, fmt="o-", ms=3, lw=1)
-    axes[0].set(title="Innovations: autocorrelation", xlabel="lag, s")
-    axes[1].set(title="Backbone: frequency", xlabel="amplitude, mm", ylabel="Hz")
+    axes[0].set(title="Innovations: autocorrelation", xlabel="lag, s", ylabel="correlation")
+    axes[1].set(title="Backbone: frequency", xlabel="amplitude, mm", ylabel="frequency, Hz")
     axes[2].set(title="Damping that is missing", xlabel="amplitude, mm", ylabel="work of the residual, rms")
     missing = force_map(model, fits[0][0])
     reach = float(np.nanmax(np.abs(missing.force))) or 1.0
@@ -82,15 +85,16 @@ def ranges(fits: Fits, model: SuperModel) -> Any:
     figure, axes = _figure(3.1, 5 if varies else 4, sharey=True)
     for fitted, colour, label in fits:
         residual = 1e3 * fitted.toe_residual_rad
+        sigma = np.full(len(residual), 1e3 * model.belief.match_sigma_rad())
         deflection = 1e3 * np.interp(toe.t_s, model.seen.t_s, fitted.q_m[0])
         speed = 1e3 * np.interp(toe.t_s, model.seen.t_s, fitted.qdot_mps[0])
         distance = 1.0 / toe.inverse_m
         for axis, values in zip(axes, (toe.t_s, deflection, speed, distance, load), strict=False):
-            axis.plot(values, residual, ".", ms=2.5, color=colour, label=label, alpha=0.7)
+            dots(axis, values, residual, sigma, colour, label)
     names = ("time of exposure, s", "deflection, mm", "its rate, mm/s", "distance, m", "load factor")
     for axis, name in zip(axes, names, strict=False):
         axis.set(xlabel=name)
-    axes[0].set(ylabel="mrad")
+    axes[0].set(ylabel="range residual as toe, mrad")
     axes[0].legend(fontsize=8, frameon=False, loc="upper right")
     figure.suptitle("Range residual as relative toe", fontsize=11)
     return figure
@@ -108,7 +112,7 @@ def screening(found: Diagnosis) -> Any:
     bars.barh(range(len(shown)), [e.z for e in shown], color=[AFTER if e.name in named else DATA for e in shown])
     bars.set_yticks(range(len(shown)), names, fontsize=8)
     bars.invert_yaxis()
-    bars.axvline(_NEEDED_Z, color="#b23b2e", lw=1, ls="--")
+    bars.axvline(_NEEDED_Z, color=VERMILLION, lw=1, ls="--")
     bars.set_title("Strength of each named effect alone (dashed: needed)", fontsize=10)
     bars.set_xlabel("sigma of its efficient score")
     _plain(bars)
@@ -130,9 +134,11 @@ def gains(before_after: dict[float, tuple[float, float]], toe: tuple[float, floa
     distances = np.linspace(5.0, 1.05 * max(before_after), 100)
     scale = next(rms / distance**2 for distance, (rms, _) in before_after.items()) / toe[0]
     for rms, colour, label in ((toe[0], BEFORE, "believed model"), (toe[1], AFTER, "extended model")):
-        axis.plot(distances, scale * rms * distances**2, color=colour, lw=1.6, label=label)
+        axis.plot(distances, scale * rms * distances**2, color=colour, lw=_WIDTHS[colour], label=label)
     for distance, pair in before_after.items():
-        axis.plot([distance] * 2, pair, "o", ms=4, color="#20262d")
+        axis.plot([distance] * 2, pair, "o", ms=4, color=INK)
+        axis.annotate(f"{pair[0]:.2f} → {pair[1]:.2f} m", (distance, max(pair)), (-6, 6), textcoords="offset points",
+                      ha="right", fontsize=8)  # fmt: skip
     axis.set(xlabel="distance, m", ylabel="range error, m rms")
     axis.legend(fontsize=8, frameon=False)
     return figure

@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from companion.cli import report_figures as figures
-from companion.cli.page import advice, heading, page, paragraph, picture, table
+from companion.cli.page import advice, heading, page, paragraph, picture, table, told
 from companion.diagnosis.report import sentence
 from companion.diagnosis.supermodel import SuperModel
 from companion.diagnosis.verdict import Diagnosis, Verdict
 
 _CHECKS = 12
+_ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}
 
 
 def write_report(found: Diagnosis, models: Sequence[SuperModel], plain: dict[str, Any], path: Path) -> None:
     """Write the page."""
     fits, model = figures.fits_of(found), models[0]
     body = [
+        told([(_ASKED[key], plain["words"][key]) for key in _ASKED]),
         *_causes(plain),
         *_left(plain),
         heading("Evidence: the simulation against the recording"),
@@ -61,11 +63,22 @@ def _advices(plain: dict[str, Any]) -> list[str]:
 
 def _views(plain: dict[str, Any]) -> list[str]:
     """How far each view lies from what the model itself would show."""
-    rows = [[one["view"], _sigmas(one["before"]), _sigmas(one["after"])] for one in plain["views"]]
+    views = sorted(plain["views"], key=lambda one: -_change(one))
+    rows = [[one["view"], _sigmas(one["before"]), _sigmas(one["after"]), f"{_change(one):+.1f}"] for one in views]
     if not rows:
         return []
-    what = "Each view as a number: standard deviations from recordings simulated from the same model (5: no chance)."
-    return [paragraph(what), table(["view", "believed model, fitted", "extended model"], rows)]
+    last = [abs(one["before"] if one["after"] is None else one["after"]) for one in views]
+    what = (
+        "Each view as a number: standard deviations from recordings simulated from the same model (5: no chance), "
+        "those that changed most first; marked is what is left worst."
+    )
+    heads = ["view", "believed model, fitted", "extended model", "change"]
+    return [paragraph(what), table(heads, rows, last.index(max(last)))]
+
+
+def _change(view: dict[str, Any]) -> float:
+    """By how many standard deviations the causes bring a view nearer to what the model shows."""
+    return 0.0 if view["after"] is None else float(abs(view["before"]) - abs(view["after"]))
 
 
 def _sigmas(value: float | None) -> str:
@@ -87,10 +100,10 @@ def _cause_row(cause: dict[str, Any]) -> list[str]:
 
 
 def _advice(cause: dict[str, Any]) -> str:
-    told = f"{cause['name']}: "
+    said = f"{cause['name']}: "
     if cause["group"]:
-        told += f"this recording cannot tell it from {', '.join(cause['group'])}. "
-    return told + (f"To separate or mend it: {cause['advice']}." if cause["advice"] else "")
+        said += f"this recording cannot tell it from {', '.join(cause['group'])}. "
+    return said + (f"To separate or mend it: {cause['advice']}." if cause["advice"] else "")
 
 
 def _left(plain: dict[str, Any]) -> list[str]:

@@ -57,14 +57,22 @@ class StationAnalysis:
         """By station name: medians over the windows with a tone, or why there is none."""
         return {station.name.lower(): self._describe(station) for station in Station if self._samples[station]}
 
+    def told(self) -> list[str]:
+        """The steady tones, a few words each: of the stations that show one in most windows."""
+        words = []
+        for station, tones in self.tones.items():
+            if len(tones) > sum(self._refused[station].values()):
+                frequency_hz, amplitude = _medians(tones)
+                words.append(f"{station.name.lower()} {frequency_hz:.3f} Hz, {amplitude:.2f} m/s^2")
+        return words
+
     def _describe(self, station: Station) -> dict[str, Any]:
         tones, refused = self.tones[station], self._refused[station]
         windows = len(tones) + sum(refused.values())
         if not tones:
             why = refused.most_common(1)[0][0] if refused else "recording too short"
             return {"tone": None, "windows": windows, "text": f"no steady tone ({why} in {windows} windows)"}
-        frequency = float(np.median([tone.frequency_hz for tone in tones]))
-        amplitude = float(np.median([tone.amplitude_mps2 for tone in tones]))
+        frequency, amplitude = _medians(tones)
         spread = float(np.std([tone.frequency_hz for tone in tones]))
         text = (
             f"{frequency:.3f} Hz (spread {spread:.3f}), {amplitude:.3f} m/s^2, "
@@ -79,3 +87,9 @@ class StationAnalysis:
             "phases": [[tone.t_ns, tone.phase_rad, tone.phase_sigma_rad] for tone in tones],
         }
         return {"tone": tone, "windows": windows, "text": text}
+
+
+def _medians(tones: list[Tone]) -> tuple[float, float]:
+    """Frequency, Hz, and amplitude, m/s^2."""
+    frequency_hz = float(np.median([tone.frequency_hz for tone in tones]))
+    return frequency_hz, float(np.median([tone.amplitude_mps2 for tone in tones]))
