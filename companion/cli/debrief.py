@@ -106,9 +106,10 @@ def debrief(
     shots = judged(judge, flown)
     ways = dict(shots.ways)
     blur = {"at_plan": wing_blur_px(judge, [flown.matches[pair_id] for pair_id in shots.ids])}
+    others: dict[str, Shots] = {}
     if compare:
         others, blur["at_random"] = _compared(judge, stage, inputs, say)
-        ways |= others
+        ways |= {name: other.ways["corrected"] for name, other in others.items()}
     plain: dict[str, Any] = {
         "airframe": flight.airframe.name,
         "seed": flight.seed,
@@ -116,6 +117,7 @@ def debrief(
         "truth": _truth(flight),
         "toe_error_mrad": {name: toe_summary(way) for name, way in ways.items()},
         "range_error_m": {name: range_summary(way) for name, way in ways.items()},
+        "against_corrected": {name: paired(shots, other) for name, other in others.items()},
         "targets": targets(ways),
         "sigma": honesty(shots, flown),
         "trigger": trigger_summary(judge, flown, shots, blur),
@@ -128,7 +130,7 @@ def debrief(
 
 def _compared(
     judge: Judge, stage: Stage, inputs: list[Record], say: Callable[[str], None]
-) -> tuple[dict[str, Scored], Floats]:
+) -> tuple[dict[str, Shots], Floats]:
     """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result)."""
     airframe, settings = judge.flight.airframe, judge.settings
     say("replaying with vertical accelerometers alone ...")
@@ -137,8 +139,7 @@ def _compared(
     with Studios(stage) as studios:
         extra = matches_of(studios.all(_random_pulls(judge)))
     random = judged(judge, _replayed(with_matches(inputs, extra), airframe, settings))
-    ways = {"vertical_only": vertical.ways["corrected"], "random_instants": random.ways["corrected"]}
-    return ways, wing_blur_px(judge, extra)
+    return {"vertical_only": vertical, "random_instants": random}, wing_blur_px(judge, extra)
 
 
 # ------------------------------------------------------------------------------------------------ collecting
@@ -256,6 +257,22 @@ def judged(judge: Judge, flown: Flown) -> Shots:
         if len(complete) == len(readings):
             rows.append((pair_id, t_s, complete))
     return Shots([row[0] for row in rows], np.array([row[1] for row in rows]), _ways(judge, rows))
+
+
+def paired(shots: Shots, other: Shots) -> dict[str, Any]:
+    """Another run's corrected ranges against ours, shot by shot where both judged the same exposures.
+
+    ``same`` says whether all of them are the same; ``nearer`` is the share of the common ones in which the other is
+    nearer the truth. Pair ids of different flights mean different shots, so instants count, not ids.
+    """
+    _, ours, theirs = np.intersect1d(shots.t_s, other.t_s, assume_unique=True, return_indices=True)
+    error, other_error = (run.ways["corrected"].toe_error_rad[at] for run, at in ((shots, ours), (other, theirs)))
+    found: dict[str, Any] = {"n": len(ours), "same": len(ours) == len(shots.ids) == len(other.ids)}
+    if len(ours):
+        found["rms_mrad"] = {name: 1e3 * float(np.sqrt(np.mean(e**2))) for name, e in
+                             (("corrected", error), ("other", other_error))}  # fmt: skip
+        found["nearer"] = float(np.mean(np.abs(other_error) < np.abs(error)))
+    return found
 
 
 def _ways(judge: Judge, rows: list[tuple[int, float, dict[str, Reading]]]) -> dict[str, Scored]:

@@ -22,37 +22,60 @@ _NAMES = {
 def print_summary(summary: dict[str, Any]) -> None:
     """Print the tables and sentences."""
     out = console()
-    out.print(_toe_table(summary["toe_error_mrad"]))
-    out.print(_range_table(summary["range_error_m"]))
+    against = summary["against_corrected"]
+    elsewhere = {name for name, pair in against.items() if not pair["same"]}
+    out.print(_toe_table(summary["toe_error_mrad"], elsewhere))
+    out.print(_range_table(summary["range_error_m"], elsewhere))
+    if elsewhere:
+        out.print(
+            "* judges other shots than the rows above, so many of them: not to be compared with those shot by shot"
+        )
+    for name, pair in against.items():
+        if pair["n"]:
+            out.print(_paired(name, pair))
     for line in _sentences(summary):
         out.print(line)
 
 
-def _toe_table(errors: dict[str, Any]) -> Table:
+def _paired(name: str, pair: dict[str, Any]) -> str:
+    rms = pair["rms_mrad"]
+    return (
+        f"{_NAMES[name]} against all axes, on the same {pair['n']} shots: {rms['other']:.2f} against "
+        f"{rms['corrected']:.2f} mrad rms, nearer the truth in {100 * pair['nearer']:.0f} % of them"
+    )
+
+
+def _row_name(name: str, elsewhere: set[str]) -> str:
+    return f"{_NAMES[name]} *" if name in elsewhere else _NAMES[name]
+
+
+def _toe_table(errors: dict[str, Any], elsewhere: set[str]) -> Table:
     table = Table(title="relative toe error, mrad (4.5 mrad makes 60 m read 52.8 m)", title_justify="left")
     for column in ("", "shots", "rms", "median", "p95", "rms above 0.5 Hz"):
         table.add_column(column, justify="left" if not column else "right")
     for name, entry in errors.items():
         cells = [_number(entry.get(key), 2) for key in ("rms", "median", "p95")]
-        table.add_row(_NAMES[name], str(entry["n"]), *cells, _number(entry["fast"].get("rms"), 3))
+        table.add_row(_row_name(name, elsewhere), str(entry["n"]), *cells, _number(entry["fast"].get("rms"), 3))
     return table
 
 
-def _range_table(errors: dict[str, Any]) -> Table:
+def _range_table(errors: dict[str, Any], elsewhere: set[str]) -> Table:
     distances = list(errors["oracle"])
-    table = Table(title="range error, m: median / 95th percentile", title_justify="left")
+    table = Table(title="range error, m: median / 95th percentile (of so many shots)", title_justify="left")
     table.add_column("")
     for distance in distances:
-        table.add_column(f"at {distance} m", justify="right")
+        table.add_column(f"at {distance} m ({errors['corrected'][distance]['n']})", justify="right")
     for name, entry in errors.items():
-        table.add_row(_NAMES[name], *(_metres(entry[distance]) for distance in distances))
+        cells = (_metres(entry[d], differs=entry[d]["n"] != errors["corrected"][d]["n"]) for d in distances)
+        table.add_row(_row_name(name, elsewhere), *cells)
     return table
 
 
-def _metres(entry: dict[str, Any]) -> str:
+def _metres(entry: dict[str, Any], *, differs: bool) -> str:
     if not entry["n"]:
         return "no shots"
-    return f"{_number(entry['median'], 2)} / {_number(entry['p95'], 2)}"
+    count = f" of {entry['n']}" if differs else ""
+    return f"{_number(entry['median'], 2)} / {_number(entry['p95'], 2)}{count}"
 
 
 def _number(value: float | None, digits: int) -> str:
