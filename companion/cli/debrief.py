@@ -134,11 +134,11 @@ def _compared(
     """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result)."""
     airframe, settings = judge.flight.airframe, judge.settings
     say("replaying with vertical accelerometers alone ...")
-    vertical = judged(judge, _replayed(vertical_only(inputs), airframe, settings))
+    vertical = judged(judge, replayed(vertical_only(inputs), airframe, settings))
     say("rendering the same flight at random instants ...")
     with Studios(stage) as studios:
         extra = matches_of(studios.all(_random_pulls(judge)))
-    random = judged(judge, _replayed(with_matches(inputs, extra), airframe, settings))
+    random = judged(judge, replayed(with_matches(inputs, extra), airframe, settings))
     return {"vertical_only": vertical, "random_instants": random}, wing_blur_px(judge, extra)
 
 
@@ -171,7 +171,8 @@ def collect(records: Iterable[Record]) -> Flown:
     return flown
 
 
-def _replayed(inputs: Iterable[Record], airframe: Airframe, settings: Settings) -> Flown:
+def replayed(inputs: Iterable[Record], airframe: Airframe, settings: Settings) -> Flown:
+    """What the pipeline makes of these inputs."""
     kept: list[Record] = []
 
     def watched() -> Iterator[Record]:
