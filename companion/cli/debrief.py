@@ -334,4 +334,5 @@ def _series(
     for name, way in ways.items():
         series |= {f"{name}.t_s": way.t_s, f"{name}.z_true_m": way.z_true_m, f"{name}.range_m": way.range_m,
                    f"{name}.toe_error_rad": way.toe_error_rad}  # fmt: skip
+    series["corrected.sigma_m"] = np.array([flown.ranges[pair_id].sigma_m for pair_id in shots.ids])
     return series | {f"blur.{name}": values for name, values in blur.items()}

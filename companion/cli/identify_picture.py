@@ -11,8 +11,9 @@ from companion.calibration.flight_modes import WingMotion
 from companion.calibration.modes import IdentifiedMode, assurance
 from companion.calibration.vibration import VibrationTest
 from companion.calibration.wing_modes import BendingMode, relative_to_root
+from companion.cli.plotting import BLUE, GREY, VERMILLION, headline
 
-_LEADING, _TRAILING = "#2166ac", "#b2182b"
+_LEADING, _TRAILING = BLUE, VERMILLION
 
 
 def draw_test(test: VibrationTest, modes: list[IdentifiedMode], found: list[BendingMode], folder: Path) -> None:
@@ -23,7 +24,7 @@ def draw_test(test: VibrationTest, modes: list[IdentifiedMode], found: list[Bend
     axis = figure.subplots()
     for run in test.runs:
         for response in run.response:
-            axis.semilogy(run.frequency_hz, np.abs(response), lw=0.4, color="#777777", alpha=0.6)
+            axis.semilogy(run.frequency_hz, np.abs(response), lw=0.4, color=GREY, alpha=0.6)
     for mode in modes:
         axis.axvline(mode.frequency_hz, color=_TRAILING, lw=0.8, ls="-" if mode.resolved else ":")
         axis.text(mode.frequency_hz, axis.get_ylim()[1], f"{mode.frequency_hz:.1f}", rotation=90, va="top", fontsize=8)
@@ -32,10 +33,16 @@ def draw_test(test: VibrationTest, modes: list[IdentifiedMode], found: list[Bend
         xlabel="frequency, Hz",
         ylabel="m/s² per N",
     )
+    resolved = [mode for mode in modes if mode.resolved]
+    headline(figure, f"{len(resolved)} modes that the record resolves: " + _listed(resolved))
     figure.savefig(folder / "responses.png", dpi=110)
     _draw_repeatability([mode for mode in modes if mode.resolved], folder)
     if found:
         _draw_shapes(test, found, folder)
+
+
+def _listed(modes: list[IdentifiedMode]) -> str:
+    return ", ".join(f"{mode.frequency_hz:.2f}" for mode in modes) + " Hz"
 
 
 def _draw_repeatability(modes: list[IdentifiedMode], folder: Path) -> None:
@@ -61,6 +68,9 @@ def _draw_repeatability(modes: list[IdentifiedMode], folder: Path) -> None:
     for (row, column), value in np.ndenumerate(matrix):
         third.text(column, row, f"{value:.2f}", ha="center", va="center", color="white" if value > 0.5 else "black")
     third.set(title="assurance, even against odd lines", xlabel="Hz", ylabel="Hz")
+    spread = [100.0 * float(np.std(mode.per_run[:, 1])) / mode.frequency_hz for mode in modes]
+    if spread:
+        headline(figure, f"From run to run the frequencies scatter by {min(spread):.2f} to {max(spread):.2f} %")
     figure.savefig(folder / "repeatability.png", dpi=110)
 
 
@@ -89,6 +99,7 @@ def _draw_shapes(test: VibrationTest, found: list[BendingMode], folder: Path) ->
         axes[1].set(title="halves folded, relative to the root section; cubic ±2 sigma", xlabel="span, m")
         axes[2].set(title="slope of the cubic, ±2 sigma", xlabel="span, m", ylabel="1/m")
         axes[0].legend(fontsize=8)
+    headline(figure, "Bending modes: " + _listed([each.mode for each in found]))
     figure.savefig(folder / "shapes.png", dpi=110)
 
 
@@ -103,5 +114,8 @@ def draw_flight(motion: WingMotion, modes: dict[str, list[AmbientMode]], folder:
         axis.semilogy(frequency, np.abs(response[0]), lw=0.8, color=_LEADING)
         for mode in family:
             axis.axvline(mode.frequency_hz, color=_TRAILING, lw=0.8)
-        axis.set(title=f"{name} acceleration of the tips", xlabel="frequency, Hz", ylabel="half spectrum")
+        axis.set(title=f"{name} acceleration of the tips", xlabel="frequency, Hz", ylabel="half spectrum, (m/s²)²/Hz")
+    listed = {name: ", ".join(f"{mode.frequency_hz:.2f}" for mode in family) for name, family in modes.items()}
+    told = [f"{name} {text} Hz" for name, text in listed.items() if text]
+    headline(figure, "Modes of the flight: " + ("; ".join(told) or "none"))
     figure.savefig(folder / "spectra.png", dpi=110)

@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 
 from companion.cli.debrief import Debrief
+from companion.cli.plotting import BLUE, GREY, INK, ORANGE, VERMILLION, dots, headline, with_gaps
 from companion.cli.scoring import DISTANCES_M, near
 
-_COLOURS = {"rigid": "#b2182b", "rigid_in_trim": "#ef8a62", "corrected": "#2166ac", "oracle": "#777777"}
+_COLOURS = {"rigid": VERMILLION, "rigid_in_trim": ORANGE, "corrected": BLUE, "oracle": GREY}
+_FAR = "60"
+_BESIDE_TITLE = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "ncols": 2, "fontsize": 8, "frameon": False}
 _LABELS = {
     "rigid": "rigid (ground calibration)",
     "rigid_in_trim": "rigid, calibrated in trim",
@@ -25,11 +28,12 @@ def draw(debrief: Debrief, path: Path) -> None:
 
     figure = Figure(figsize=(13, 8.8), layout="constrained")
     plain = debrief.plain
-    figure.suptitle(
-        f"{plain['airframe']}, seed {plain['seed']}: a {plain['truth']['frequency_hz']:.2f} Hz wing that gusts bend by "
-        f"{plain['truth']['gust_rms_mm']:.1f} mm rms, seen by two cameras at its tips",
-        fontsize=13,
+    truth = plain["truth"]
+    what = (
+        f"{plain['airframe']}, seed {plain['seed']}: a {truth['frequency_hz']:.2f} Hz wing that gusts bend by "
+        f"{truth['gust_rms_mm']:.1f} mm rms, seen by two cameras at its tips"
     )
+    headline(figure, _figure_that_counts(plain), what)
     rows = [["range", "toe"], ["range", "off"], ["errors", "blur"]]
     axes: dict[str, Any] = figure.subplot_mosaic(rows, height_ratios=(1.2, 0.8, 2.0))
     _ranges(axes["range"], debrief)
@@ -39,14 +43,32 @@ def draw(debrief: Debrief, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def _figure_that_counts(plain: dict[str, Any]) -> str:
+    """What the correction makes of the range error, in one line."""
+    removed, errors = plain["targets"]["share_of_error_removed"]["of_rigid"], plain["range_error_m"]
+    far = [errors[way].get(_FAR, {}).get("median") for way in ("rigid", "corrected")]
+    shots = plain["shots"]
+    trusted = f"{shots['trusted']} of {shots['corrected']} ranges trusted and published"
+    if removed is None or None in far:
+        return trusted[:1].upper() + trusted[1:]
+    change = f"at {_FAR} m {far[0]:.2f} m become {far[1]:.2f} m (median)"
+    return f"{100.0 * removed:.1f} % of the error removed: {change}; {trusted}"
+
+
 def _ranges(axis: Any, debrief: Debrief) -> None:
     series = debrief.series
     for name in ("rigid", "rigid_in_trim", "corrected"):
-        inside = np.isfinite(series[f"{name}.range_m"]) & (series[f"{name}.range_m"] < 250)
-        axis.plot(series[f"{name}.t_s"][inside], series[f"{name}.range_m"][inside], ".", ms=4,
-                  color=_COLOURS[name], label=_LABELS[name])  # fmt: skip
-    axis.plot(series["oracle.t_s"], series["oracle.z_true_m"], color="black", lw=1, label="true range")
-    axis.set(title="Range", xlabel="time, s", ylabel="m", ylim=(0, 160))
+        t_s, range_m = series[f"{name}.t_s"], series[f"{name}.range_m"]
+        inside = np.isfinite(range_m) & (range_m < 250)
+        if name == "corrected":
+            sigma_m = series["corrected.sigma_m"][inside]
+            dots(axis, t_s[inside], range_m[inside], sigma_m, _COLOURS[name], f"{_LABELS[name]}, ±1 sigma")
+        else:
+            axis.plot(t_s[inside], range_m[inside], ".", ms=4, color=_COLOURS[name], label=_LABELS[name])
+    axis.plot(
+        *with_gaps(series["oracle.t_s"], series["oracle.z_true_m"]), color=INK, lw=1, zorder=5, label="true range"
+    )
+    axis.set(title="Range", xlabel="time, s", ylabel="range, m", ylim=(0, 160))
     axis.legend(fontsize=8)
 
 
@@ -57,15 +79,16 @@ def _toe(axis: Any, below: Any, debrief: Debrief) -> None:
     window = (series["t_s"] >= start) & (series["t_s"] <= start + 6)
     t_s, sigma = series["t_s"][window], 2e3 * series["toe_sigma_rad"][window]
     true, told = 1e3 * series["true_toe_rad"][window], 1e3 * series["toe_rad"][window]
-    axis.plot(t_s, true, "o", ms=7, mfc="none", color="black", label="true")
-    axis.plot(t_s, told, ".", color=_COLOURS["corrected"], label="estimated")
-    axis.set(title="Relative toe at the shots (six seconds)", ylabel="mrad")
-    axis.legend(fontsize=8)
-    below.axhline(0.0, color="black", lw=0.8)
+    axis.plot(t_s, true, "o", ms=7, mfc="none", color=INK, label="true")
+    dots(axis, t_s, told, 0.5 * sigma, _COLOURS["corrected"], "estimated, ±1 sigma")
+    axis.set_title("Relative toe at the shots (six seconds)", loc="left")
+    axis.set_ylabel("toe, mrad")
+    axis.legend(**_BESIDE_TITLE)
+    below.axhline(0.0, color=INK, lw=0.8)
     error = 1e3 * series["corrected.toe_error_rad"][window]
     below.errorbar(t_s, error, sigma, fmt=".", color=_COLOURS["corrected"], label="error, ±2 sigma")
-    below.set(xlabel="time, s", ylabel="mrad", xlim=axis.get_xlim())
-    below.legend(fontsize=8)
+    below.set(xlabel="time, s", ylabel="error, mrad", xlim=axis.get_xlim())
+    below.legend(**_BESIDE_TITLE)
 
 
 def _errors(axis: Any, debrief: Debrief) -> None:
@@ -73,6 +96,7 @@ def _errors(axis: Any, debrief: Debrief) -> None:
     width = 0.8 / len(names)
     for k, name in enumerate(names):
         z_true = debrief.series[f"{name}.z_true_m"]
+        named = False
         error = np.abs(debrief.series[f"{name}.range_m"] - z_true)
         for i, distance_m in enumerate(DISTANCES_M):
             some = error[near(z_true, distance_m)]
@@ -80,7 +104,8 @@ def _errors(axis: Any, debrief: Debrief) -> None:
                 continue
             median, p95 = (float(np.percentile(some, share, method="lower")) for share in (50, 95))
             x = i + (k - 1.5) * width
-            axis.bar(x, median, width * 0.9, color=_COLOURS[name], label=_LABELS[name] if i == 0 else None)
+            axis.bar(x, median, width * 0.9, color=_COLOURS[name], label=None if named else _LABELS[name])
+            named = True
             if np.isfinite(p95):
                 axis.plot([x, x], [median, p95], color=_COLOURS[name], lw=1.5)
             else:  # the rigid range passes infinity
@@ -88,7 +113,8 @@ def _errors(axis: Any, debrief: Debrief) -> None:
                               arrowprops={"arrowstyle": "<-", "color": _COLOURS[name]})  # fmt: skip
     axis.set_yscale("log")
     axis.set_xticks(range(len(DISTANCES_M)), [f"{d:g} m" for d in DISTANCES_M])
-    axis.set(title="Range error: median (bar) to 95th percentile (line)", ylabel="m")
+    axis.set(title="Range error: median (bar) to 95th percentile (line)", xlabel="true range", ylabel="range error, m")
+    axis.set_xlim(-0.6, len(DISTANCES_M) - 0.4)
     axis.legend(fontsize=8)
 
 

@@ -7,8 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 from companion.cli.audit.findings import Picture
+from companion.cli.plotting import BLUE, GREEN, GREY, ORANGE, VERMILLION
 
-BLUE, RED, ORANGE, GREY, GREEN = "#2166ac", "#b2182b", "#ef8a62", "#777777", "#1b7837"
+__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "draw"]
+
+RED = VERMILLION
 _STYLE = {
     "font.size": 9,
     "axes.spines.top": False,
