@@ -29,6 +29,7 @@ from companion.sim.truth import FlightTruth
 
 Seen = list[MatchSet | Rejected]
 _DOWN = 25
+_ENDED = "a process that renders the cameras' images has ended; its messages are above"
 _WORKERS = 2  # shots overlap by one at most: a third would wait
 
 
@@ -101,7 +102,7 @@ class Studios:
     Raises
     ------
     DeviceError
-        From :meth:`result`, where a process has died.
+        A process has died.
     """
 
     def __init__(self, stage: Stage, workers: int = _WORKERS) -> None:
@@ -113,7 +114,7 @@ class Studios:
             process = spawn.Process(target=_serve, args=(theirs,), name=f"sim-studio-{number}", daemon=True)
             process.start()
             theirs.close()
-            ours.send(stage)
+            _give(ours, stage)
             self._ends.append(ours)
             self._processes.append(process)
         self._given: dict[int, int] = {}
@@ -124,10 +125,7 @@ class Studios:
         busy = list(self._given.values())
         worker = min(range(len(self._ends)), key=busy.count)
         self._given[pull.shot] = worker
-        try:
-            self._ends[worker].send(pull)
-        except OSError as error:
-            raise DeviceError("a process that renders the cameras' images has ended") from error
+        _give(self._ends[worker], pull)
 
     def result(self, shot: int) -> Seen:
         """What came of a shot that was begun; waits for it."""
@@ -135,7 +133,7 @@ class Studios:
             try:
                 made, seen = self._ends[self._given[shot]].recv()
             except (EOFError, OSError) as error:
-                raise DeviceError("a process that renders the cameras' images has ended") from error
+                raise DeviceError(_ENDED) from error
             self._made[made] = seen
             del self._given[made]
         return self._made.pop(shot)
@@ -156,6 +154,13 @@ class Studios:
         for process in self._processes:
             process.terminate()
             process.join()
+
+
+def _give(end: Connection, thing: Stage | Pull) -> None:
+    try:
+        end.send(thing)
+    except OSError as error:
+        raise DeviceError(_ENDED) from error
 
 
 def _serve(end: Connection) -> None:

@@ -14,6 +14,7 @@ import pytest
 from companion.cli.lockstep import MATCHING_NS, LockStepCameras
 from companion.cli.main import main
 from companion.cli.shots import Pull, Seen, Stage, Studio, Studios
+from companion.errors import DeviceError
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Firing, MatchSet, Reject, Rejected, Shot, TriggerPlan
@@ -199,3 +200,13 @@ def test_two_demos_of_one_seed_are_equal_to_the_bit_though_one_flew_on_a_busy_ma
     assert plain["sigma"]["published_beyond_5_sigma"] == 0
     assert main(["replay", str(tmp_path / "busy" / "flight.mcap"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["reproduced"] is True
+
+
+@pytest.mark.slow
+def test_a_process_that_dies_is_told_and_not_waited_for(flight: Flight) -> None:
+    with Studios(Stage.of(flight, Settings(), EPOCH_NS), workers=1) as studios:
+        (process,) = studios._processes
+        process.kill()
+        process.join()
+        with pytest.raises(DeviceError, match="renders the cameras' images has ended"):
+            studios.all([Pull(0, EPOCH_NS + 100 * MS, EPOCH_NS + 200 * MS)])
