@@ -18,7 +18,7 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: $(STAMP)   ## fly the simulated aircraft against the live service and show the ranges
+demo: $(STAMP)   ## fly the simulated aircraft and the service in lock-step and show the ranges
 	$(BIN)/spanwise demo
 
 test: $(STAMP)   ## the tests; those that start live processes come last: those that mostly wait side by side, then the others alone
