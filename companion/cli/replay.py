@@ -15,12 +15,14 @@ from typing import Any
 
 from companion.adapters.recordings.codec import codec_of
 from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.writer import About, McapWriter
 from companion.cli.options import add_settings, check_output, read_settings
 from companion.cli.progress import Progress, length_ns
 from companion.cli.replaying import drive, foreign_inputs, own_inputs
 from companion.cli.stations import StationAnalysis
+from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -65,6 +67,7 @@ class Tally:
     digest: Any = field(default_factory=hashlib.sha256)
     compared: int = 0
     first_difference: str | None = None
+    behind_loss: bool = False
 
     def take(self, record: Record) -> None:
         """Count one output and add its bytes to the digest."""
@@ -79,8 +82,14 @@ class Tally:
         elif isinstance(record, Rejected):
             self.rejected[str(record.reason)] += record.count
 
-    def compare(self, recorded: Record | None, replayed: Record | None) -> None:
-        """Hold a replayed output against the recorded one, field by field."""
+    def compare(self, recorded: Record | None, replayed: Record | None, *, lossy: bool = False) -> None:
+        """Hold a replayed output against the recorded one, field by field.
+
+        With ``lossy``, the recorded ones end where something is missing, and the replay's go on without them.
+        """
+        self.behind_loss |= lossy and recorded is None
+        if self.behind_loss:
+            return
         self.compared += 1
         if self.first_difference is None and _plain(recorded) != _plain(replayed):
             self.first_difference = f"output {self.compared}: recorded {recorded!r}, replayed {replayed!r}"[:2000]
@@ -91,6 +100,8 @@ def execute(options: argparse.Namespace) -> int:
     check_output(options.out, "--out")
     airframe = load_airframe(options.airframe) if options.airframe else None
     recording = open_recording(options.recording, airframe)
+    if isinstance(recording, McapRecording) and recording.empty:
+        raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     own = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
     same_beliefs = airframe is None and settings == recording.settings
@@ -104,14 +115,14 @@ def execute(options: argparse.Namespace) -> int:
         if writer is not None:
             writer.write(output)
         if recorded is not None and isinstance(output, _OUTPUTS):
-            tally.compare(next(recorded, None), output)
+            tally.compare(next(recorded, None), output, lossy=_lossy(recording))
     progress.close()
     if writer is not None:
         writer.close()
-    _left_over(tally, recorded, recording.replayable)
+    _left_over(tally, recorded)
     result = _result(recording, tally, stations, recorded is not None)
     print(json.dumps(result, indent=2) if options.json else _text(result))
-    if tally.first_difference and recording.replayable:
+    if tally.first_difference:
         print(f"spanwise replay: not reproduced: {tally.first_difference}", file=sys.stderr)
         return 1
     return 0 if tally.trusted or tally.last_tracking or stations.found else _NOTHING
@@ -145,12 +156,28 @@ def _replayed(
 
 
 def _outputs_of(recording: Recording) -> Iterator[Record]:
-    return (record for record in recording.records() if isinstance(record, _OUTPUTS))
+    """What was published, up to the first record that is missing."""
+    records = recording.records_before_loss() if isinstance(recording, McapRecording) else recording.records()
+    return (record for record in records if isinstance(record, _OUTPUTS))
 
 
-def _left_over(tally: Tally, recorded: Iterator[Record] | None, replayable: bool) -> None:
+def _lossy(recording: Recording) -> bool:
+    """Whether records are missing: behind a cut, in a damaged chunk, or because the disk was too slow for them."""
+    return not recording.replayable or (isinstance(recording, McapRecording) and recording.cut)
+
+
+def _loss(recording: Recording) -> dict[str, Any] | None:
+    """What is missing of a recording: where, and how long it lasted as far as the file tells."""
+    if not isinstance(recording, McapRecording) or not _lossy(recording):
+        return None
+    damaged = not recording.replayable and not recording.dropped
+    where = "damage" if damaged else "first dropped record" if recording.dropped else "cut"
+    return {"where": where, "missing_s": recording.missing_s, "dropped": recording.dropped}
+
+
+def _left_over(tally: Tally, recorded: Iterator[Record] | None) -> None:
     """The live service may have been stopped between an input and its outputs, but never made more than the replay."""
-    if recorded is not None and replayable:
+    if recorded is not None and not tally.behind_loss:
         for extra in itertools.islice(recorded, 1):
             tally.compare(extra, None)
 
@@ -171,7 +198,8 @@ def _result(recording: Recording, tally: Tally, stations: StationAnalysis, compa
         "outputs": dict(sorted(tally.counts.items())),
         "rejected": dict(sorted(tally.rejected.items())),
         "outputs_sha256": tally.digest.hexdigest(),
-        "reproduced": (tally.first_difference is None) if compared and recording.replayable else None,
+        "reproduced": (tally.first_difference is None) if compared else None,
+        "loss": _loss(recording),
         "compared": tally.compared,
     }
 
@@ -202,10 +230,21 @@ def _text(result: dict[str, Any]) -> str:
     if result["rejected"]:
         lines.append("  refused " + ", ".join(f"{count} x {reason}" for reason, count in result["rejected"].items()))
     if result["reproduced"] is not None:
-        verdict = "identical to what was published" if result["reproduced"] else "NOT as published"
+        verdict = _verdict(result["loss"]) if result["reproduced"] else "NOT as published"
         lines.append(f"  replay of {result['compared']} outputs: {verdict}")
     lines.append(f"  outputs sha256 {result['outputs_sha256']}")
     return "\n".join(lines)
+
+
+def _verdict(loss: dict[str, Any] | None) -> str:
+    """How a replay that agrees says so."""
+    if loss is None:
+        return "identical to what was published"
+    missing_s = loss["missing_s"]
+    missing = "how much is missing the file does not tell" if missing_s is None else f"{missing_s:.1f} s missing"
+    if loss["dropped"]:
+        missing = f"{loss['dropped']} records missing"
+    return f"as published up to the {loss['where']}, {missing}"
 
 
 def _wing_text(wing: dict[str, Any]) -> str:

@@ -8,14 +8,18 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import re
+import struct
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.reader import McapRecording
 from companion.adapters.recordings.writer import About, McapWriter
 from companion.cli.main import main
 from companion.cli.replay import encoded
@@ -135,6 +139,83 @@ def test_a_truncated_recording_replays_up_to_the_cut_and_says_so(
     assert result["reproduced"] is True
     whole = sum(isinstance(record, OUTPUTS) for record in flown.records)
     assert 0.5 * whole < result["compared"] < whole
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_cut_anywhere_replays_as_published_up_to_the_cut_or_is_refused_in_a_sentence(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int
+) -> None:
+    """Power fails where it will: within a chunk, between two, in the header."""
+    data = flown.path.read_bytes()
+    size = int(np.random.default_rng(seed).integers(1, len(data)))
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[:size])
+    code = main(["replay", str(cut)])
+    output = capsys.readouterr()
+    assert "Traceback" not in output.err
+    assert "not reproduced" not in output.err
+    if code == 1:
+        assert size < 20_000, "only what ends before the first second is refused"
+        assert re.fullmatch(r"spanwise replay: .*cut.mcap: cut off .*\n", output.err)
+    else:
+        assert code in (0, 3)
+        assert re.search(
+            r"as published up to the cut, (\d\.\d s missing|how much is missing the file does not tell)", output.out
+        )
+
+
+def test_what_is_missing_behind_a_cut_chunk_is_told(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    segments = [part for part in McapRecording(flown.path)._segments if part.opcode == 6]
+    data = flown.path.read_bytes()
+    before, last = segments[2:4]
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: last.offset + last.length // 2])
+    code, result, _ = replay(cut, capsys)
+    (ended_ns,), (end_ns,) = (struct.unpack_from("<Q", data, part.offset + 8) for part in (before, last))
+    assert code in (0, 3)
+    assert result["reproduced"] is True
+    assert result["loss"]["where"] == "cut"
+    assert result["loss"]["missing_s"] == pytest.approx((end_ns - ended_ns) * 1e-9, abs=1e-6)
+
+
+def test_behind_a_damaged_chunk_nothing_is_compared(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray(flown.path.read_bytes())
+    segment = [part for part in McapRecording(flown.path)._segments if part.opcode == 6][2]
+    data[segment.offset + segment.length // 2] ^= 0xFF
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(bytes(data))
+    code, result, problems = replay(damaged, capsys)
+    assert code in (0, 3)
+    assert problems == ""
+    assert result["reproduced"] is True
+    assert result["loss"]["where"] == "damage"
+    assert 0.5 < result["loss"]["missing_s"] < 2.0
+    whole = sum(isinstance(record, OUTPUTS) for record in flown.records)
+    assert 0.1 * whole < result["compared"] < 0.6 * whole
+
+
+def test_behind_dropped_records_nothing_is_compared(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "drops.mcap"
+    writer = McapWriter(path, About.of(load_airframe("nadir-2m"), Settings()))
+    half = len(flown.records) // 2
+    for number, record in enumerate(flown.records):
+        if number == half:
+            writer.note_drops(40)
+        if not half <= number < half + 40:
+            writer.write(record)
+    writer.close()
+    code, result, problems = replay(path, capsys)
+    assert code in (0, 3)
+    assert problems == ""
+    assert result["reproduced"] is True
+    assert result["loss"] == {"where": "first dropped record", "missing_s": 0.0, "dropped": 40}
+    assert result["compared"] == sum(isinstance(record, OUTPUTS) for record in flown.records[:half])
 
 
 def test_other_settings_are_a_different_flight_and_are_not_compared(

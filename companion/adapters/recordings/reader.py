@@ -89,6 +89,7 @@ class McapRecording:
         self._notes = Notes()
         self._segments, self._end = _scan(path)
         self._damaged_s: dict[int, float] = {}  # by the place of the chunk
+        self._drops: list[int] = []  # how many records stand before what was dropped
         try:
             facts, texts = self._header()
             self._understand(facts, texts)
@@ -114,6 +115,7 @@ class McapRecording:
         self.dropped = int(facts.get("spanwise.drops", {}).get("dropped", "0"))
         self.replayable = self.dropped == 0
         self.cut = not (self._end.orderly and "spanwise.end" in facts)
+        self._finished = "spanwise.end" in facts
 
     @property
     def airframe_text(self) -> str:
@@ -126,10 +128,15 @@ class McapRecording:
         return self._notes.notices
 
     @property
+    def empty(self) -> bool:
+        """Whether not even the first second is in the file."""
+        return not any(segment.opcode == Opcode.CHUNK for segment in self._segments)
+
+    @property
     def missing_s(self) -> float | None:
         """Recorded time that is lost, where the file tells; complete once ``records`` is exhausted."""
         lost_s = sum(self._damaged_s.values())
-        if not self.cut:
+        if self._finished:
             return lost_s
         behind_s = -1.0 if self._end.cut_chunk_ns is None else (self._end.cut_chunk_ns - self.span_ns()[1]) * 1e-9
         return lost_s + behind_s if 0.0 <= behind_s < _LONGEST_CHUNK_S else None
@@ -142,7 +149,7 @@ class McapRecording:
     def records_before_loss(self) -> Iterator[Recordable]:
         """The records up to the first that is missing, because it was dropped, damaged or cut off."""
         for count, (number, record) in enumerate(self._numbered()):
-            if number != count:
+            if number != count or count in self._drops[:1]:
                 return
             yield record
 
@@ -200,6 +207,8 @@ class McapRecording:
                 if segment.opcode == Opcode.METADATA:
                     record = _parse(file, segment)
                     facts[record.name] = record.metadata
+                    if record.name == "spanwise.drops":
+                        self._drops.append(int(record.metadata["after"]))
                 elif segment.opcode == Opcode.ATTACHMENT:
                     _check_attachment(file, segment)
                     record = _parse(file, segment)

@@ -124,10 +124,10 @@ def _record(
 
 
 def _write(writer: McapWriter, batch: Batch) -> None:
+    if batch.dropped:
+        writer.note_drops(batch.dropped)  # first: what was dropped may have been between the records of this batch
     for record in batch.records:
         writer.write(record)
-    if batch.dropped:
-        writer.note_drops(batch.dropped)
 
 
 def free_path(path: Path) -> Path:

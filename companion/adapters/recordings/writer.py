@@ -111,7 +111,7 @@ class McapWriter:
         self._sequence += 1
 
     def note_drops(self, count: int) -> None:
-        """Mark the recording as not replayable: ``count`` further records are missing from here."""
+        """Mark the recording as not replayable: ``count`` further records are missing somewhere from here on."""
         self._dropped += count
         self.flush()
         self._writer.add_metadata("spanwise.drops", {"dropped": str(self._dropped), "after": str(self._sequence)})
