@@ -6,6 +6,7 @@ loop, adapter and pipeline fly; vehicle, wire and cameras are simulated (:mod:`s
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +18,9 @@ from companion.params.files import load_airframe
 from companion.records import CorrectedRange, Health, Rejected, ServiceStatus, Tick
 from companion.sim.faults import Faults
 from companion.sim.flight import Flight, build_flight
+from companion.sim.lockstep import LockStepClock
 from sitl_tests.faults import link_faults
+from sitl_tests.faults.camera_faults import CameraFault, StruckCameras
 from sitl_tests.faults.link_faults import LinkOutcome
 from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, SimulatedService
 
@@ -30,12 +33,13 @@ Meddle = Callable[[list[bytes], np.random.Generator], list[bytes]]
 
 @dataclass(frozen=True)
 class Fault:
-    """What strikes: the simulated vehicle's own faults, or a hand on the frames that it sends."""
+    """What strikes: the simulated vehicle's own faults, a hand on the frames that it sends, a blow to its cameras."""
 
     name: str
     faults: Faults = field(default_factory=Faults)
     meddle: Meddle | None = None
     deaf: bool = False
+    cameras: CameraFault = field(default_factory=lambda: CameraFault("none"))
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,13 @@ FAULTS = (
     Fault("left node's stream stops", Faults(stops=((200, BEGIN_S, END_S),))),
 )
 
+_KNOCK = CameraFault("knock", 0.002, at_s=BEGIN_S)
+CAMERA_FAULTS = (
+    Fault("a camera knocked by 2 mrad", cameras=_KNOCK),
+    Fault("a camera knocked by 2 mrad of toe alone", cameras=dataclasses.replace(_KNOCK, toe_only=True)),
+    Fault("a fifth of the stamps 15 ms late, all the flight", cameras=CameraFault("late", late=0.2)),
+)
+
 
 def build() -> Flight:
     """The flight that all faults strike."""
@@ -137,7 +148,11 @@ def build() -> Flight:
 
 def strike(flight: Flight, fault: Fault) -> Outcome:
     """Fly, let the fault strike, and look."""
-    service = SimulatedService(flight, faults=fault.faults)
+
+    def struck(flight: Flight, clock: LockStepClock) -> StruckCameras:
+        return StruckCameras(flight, clock, fault=fault.cameras)
+
+    service = SimulatedService(flight, faults=fault.faults, cameras=struck)
     rng = np.random.default_rng(1)
     carry, drain = service.wire.send, service.wire.drain
     sent = 0
@@ -228,7 +243,7 @@ def main() -> None:
         print(link_faults.table([row]).splitlines()[-1], flush=True)
     flight = build()
     outcomes = []
-    for fault in FAULTS:
+    for fault in (*FAULTS, *CAMERA_FAULTS):
         outcomes.append(strike(flight, fault))
         print(table(outcomes[-1:]).splitlines()[-1], flush=True)
         write(outcomes, Path(__file__).resolve().parents[1] / "README.md", links)

@@ -7,6 +7,7 @@ the real ones, on the clock and the wire of ``companion.sim.lockstep``.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -131,6 +132,7 @@ class SimulatedService:
         airframe: Airframe | None = None,
         parameters: dict[str, float] | None = None,
         px4: bool = False,
+        cameras: Callable[[Flight, LockStepClock], Cameras] = Cameras,
     ) -> None:
         airframe, settings = airframe or flight.airframe, settings or Settings()
         self.wire = MemoryWire()
@@ -139,7 +141,7 @@ class SimulatedService:
         self.clock = LockStepClock(self.world)
         link = Link(0, "simulated", self.wire, self.clock)
         self.autopilot = MavlinkAutopilot([link], airframe, settings, self.clock)
-        self.cameras = Cameras(flight, self.clock)
+        self.cameras = cameras(flight, self.clock)
         self.tape = Tape(McapWriter(recording, About.of(airframe, settings)) if recording else None)
         recorder: Recorder = self.tape
         self.loop = InertialLoop(

@@ -29,7 +29,7 @@ _OUTLIERS_TO_REOPEN = 3
 _ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest
 _KNOCKED_SIGMAS = 10.0
 _DOUBT_SIGMAS = 2.0
-_CARRIED = 0.5
+_CARRIED = 0.8  # from pair to pair: stamps that were wrong lately may be so again
 
 
 class Verdict(enum.Enum):
@@ -79,10 +79,10 @@ class MatchTest:
         if self._outliers >= _OUTLIERS_TO_REOPEN or self._sums.max() > _KNOCKED_SIGMAS:
             self._sums, self._doubt_rad2, self._outliers = np.zeros((2, 3)), np.zeros(3), 0
             return Verdict.KNOCKED, np.zeros((3, 3))
+        beyond_rad2 = np.maximum(innovation.rotation_rad**2 - (_DOUBT_SIGMAS * sigma_rad) ** 2, 0.0)
+        self._doubt_rad2 = np.maximum(np.minimum(beyond_rad2, KNOCK_RAD**2), _CARRIED * self._doubt_rad2)
         if self._outliers:
             return Verdict.OUTLIER, KNOCK_RAD**2 * np.eye(3)
-        beyond_rad2 = np.maximum(innovation.rotation_rad**2 - (_DOUBT_SIGMAS * sigma_rad) ** 2, 0.0)
-        self._doubt_rad2 = np.maximum(beyond_rad2, _CARRIED * self._doubt_rad2)
         return Verdict.AGREE, np.diag(self._doubt_rad2)
 
 

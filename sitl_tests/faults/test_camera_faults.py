@@ -1,0 +1,28 @@
+"""A small part of ``python -m sitl_tests.faults.camera_faults``: no wrong range, and trust within a second again."""
+
+from __future__ import annotations
+
+import pytest
+
+from sitl_tests.faults.camera_faults import AIRFRAMES, FAULTS, View, fly
+
+_BY_NAME = {fault.name: fault for fault in FAULTS}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("airframe", AIRFRAMES)
+@pytest.mark.parametrize("name", ["none", "a camera knocked by 2 mrad", "a camera knocked by 5 mrad"])
+def test_a_knocked_camera_publishes_nothing_wrong_and_is_soon_trusted_again(airframe: str, name: str) -> None:
+    outcome = fly(airframe, _BY_NAME[name], 7)
+    assert outcome.wrong == 0
+    assert outcome.again_s < 1.0
+    assert outcome.trusted > 0.9 * outcome.judged > 50
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a fifth of the stamps 15 ms late", "a fifth of the left stamps 15 ms late"])
+def test_late_stamps_publish_nothing_wrong(name: str) -> None:
+    outcome = fly("nadir-2m", _BY_NAME[name], 4, View())
+    assert outcome.late > 10
+    assert outcome.wrong == 0
+    assert outcome.trusted > 0.5 * outcome.judged
