@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from companion.calibration.flight_modes import WingMotion
 from companion.calibration.modes import IdentifiedMode, assurance
 from companion.calibration.vibration import VibrationTest
 from companion.calibration.wing_modes import BendingMode, relative_to_root
-from companion.cli.plotting import BLUE, GREY, VERMILLION, headline
+from companion.cli.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, headline
 
 _LEADING, _TRAILING = BLUE, VERMILLION
 
@@ -51,14 +52,13 @@ def _draw_repeatability(modes: list[IdentifiedMode], folder: Path) -> None:
 
     figure = Figure(figsize=(13, 4.2), layout="constrained")
     first, second, third = figure.subplots(1, 3, width_ratios=(1, 1, 0.9))
-    for mode in modes:
+    for mode, colour in zip(modes, itertools.cycle((BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)), strict=False):
         run, frequency, damping = mode.per_run.T
-        first.plot(
-            run + 1, 100.0 * (frequency / mode.frequency_hz - 1.0), "o-", ms=3, label=f"{mode.frequency_hz:.2f} Hz"
-        )
-        second.plot(run + 1, 100.0 * damping, "o-", ms=3)
+        off, name = 100.0 * (frequency / mode.frequency_hz - 1.0), f"{mode.frequency_hz:.2f} Hz"
+        first.plot(run + 1, off, "o-", ms=3, color=colour, label=name)
+        second.plot(run + 1, 100.0 * damping, "o-", ms=3, color=colour)
     first.set(title="frequency, run by run", xlabel="run", ylabel="off its mean, %")
-    second.set(title="damping ratio, run by run", xlabel="run", ylabel="%", ylim=(0.0, None))
+    second.set(title="damping ratio, run by run", xlabel="run", ylabel="damping ratio, %", ylim=(0.0, None))
     first.legend(fontsize=7)
     matrix = np.array([[assurance(a.halves[0], b.halves[1]) for b in modes] for a in modes])
     third.imshow(matrix, vmin=0.0, vmax=1.0, cmap="Blues")
@@ -67,7 +67,7 @@ def _draw_repeatability(modes: list[IdentifiedMode], folder: Path) -> None:
     third.set_yticks(range(len(modes)), names)
     for (row, column), value in np.ndenumerate(matrix):
         third.text(column, row, f"{value:.2f}", ha="center", va="center", color="white" if value > 0.5 else "black")
-    third.set(title="assurance, even against odd lines", xlabel="Hz", ylabel="Hz")
+    third.set(title="assurance, even against odd lines", xlabel="mode, Hz", ylabel="mode, Hz")
     spread = [100.0 * float(np.std(mode.per_run[:, 1])) / mode.frequency_hz for mode in modes]
     if spread:
         headline(figure, f"From run to run the frequencies scatter by {min(spread):.2f} to {max(spread):.2f} %")
@@ -95,10 +95,12 @@ def _draw_shapes(test: VibrationTest, found: list[BendingMode], folder: Path) ->
                 band = 2.0 * np.sqrt(np.einsum("ij,jk,ik->i", rows, edge.covariance, rows))
                 axis.plot(y, curve, color=colour)
                 axis.fill_between(y, curve - band, curve + band, color=colour, alpha=0.2, lw=0)
-        axes[0].set(title=f"{mode.frequency_hz:.2f} Hz, {kind}: as measured, ±2 sigma", xlabel="span, m")
-        axes[1].set(title="halves folded, relative to the root section; cubic ±2 sigma", xlabel="span, m")
-        axes[2].set(title="slope of the cubic, ±2 sigma", xlabel="span, m", ylabel="1/m")
-        axes[0].legend(fontsize=8)
+        axes[0].set_title(f"{mode.frequency_hz:.2f} Hz, {kind}: as measured, ±2 sigma", fontsize=10)
+        axes[1].set_title("halves folded, from the root section; cubic ±2 sigma", fontsize=10)
+        axes[2].set_title("slope of the cubic, ±2 sigma", fontsize=10)
+        for axis, what in zip(axes, ("of the largest", "of the largest", "slope, 1/m"), strict=True):
+            axis.set(xlabel="span, m", ylabel=what if what.startswith("slope") else f"deflection, {what}")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="upper right", ncols=2, fontsize=9, frameon=False)
     headline(figure, "Bending modes: " + _listed([each.mode for each in found]))
     figure.savefig(folder / "shapes.png", dpi=110)
 
@@ -114,7 +116,9 @@ def draw_flight(motion: WingMotion, modes: dict[str, list[AmbientMode]], folder:
         axis.semilogy(frequency, np.abs(response[0]), lw=0.8, color=_LEADING)
         for mode in family:
             axis.axvline(mode.frequency_hz, color=_TRAILING, lw=0.8)
-        axis.set(title=f"{name} acceleration of the tips", xlabel="frequency, Hz", ylabel="half spectrum, (m/s²)²/Hz")
+        axis.set(
+            title=f"{name} acceleration of the tips", xlabel="frequency, Hz", ylabel="half spectrum, arbitrary scale"
+        )
     listed = {name: ", ".join(f"{mode.frequency_hz:.2f}" for mode in family) for name, family in modes.items()}
     told = [f"{name} {text} Hz" for name, text in listed.items() if text]
     headline(figure, "Modes of the flight: " + ("; ".join(told) or "none"))
