@@ -7,6 +7,7 @@ renders the same flight at instants that have nothing to do with the wing, and c
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -125,7 +126,16 @@ def debrief(
         "published": {key: report.get(key) for key in ("received", "ranges_used", "range_timeouts", "problems")},
         "refused": dict(sorted(flown.rejected.items())),
     }
-    return Debrief(plain, _series(judge, flown, shots, ways, blur))
+    return Debrief(json_plain(plain), _series(judge, flown, shots, ways, blur))
+
+
+def json_plain(value: Any) -> Any:
+    """The same with None for every number that JSON does not have: of no shots there is no rms."""
+    if isinstance(value, dict):
+        return {key: json_plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _compared(

@@ -64,10 +64,13 @@ def execute(options: argparse.Namespace) -> int:
     stage = Stage.of(flight, config.settings, start_host_ns)
     summary = debrief(flight, stage, recording, report, compare=not options.no_compare, say=_say)
     (options.out / "summary.json").write_text(json.dumps(summary.plain, indent=2) + "\n", encoding="utf-8")
-    draw(summary, options.out / "summary.png")
+    judged = summary.plain["shots"]["judged"]
+    if judged:
+        draw(summary, options.out / "summary.png")
     print(json.dumps(summary.plain, indent=2)) if options.json else print_summary(summary.plain)
-    _say(f"wrote {options.out / 'summary.json'}, {options.out / 'summary.png'} and {recording}")
-    return 0 if summary.plain["shots"]["corrected"] else _NOTHING
+    picture = f", {options.out / 'summary.png'}" if judged else ""
+    _say(f"wrote {options.out / 'summary.json'}{picture} and {recording}")
+    return 0 if judged else _NOTHING
 
 
 def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -> tuple[int, dict[str, Any]]:

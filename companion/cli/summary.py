@@ -22,6 +22,14 @@ _NAMES = {
 def print_summary(summary: dict[str, Any]) -> None:
     """Print the tables and sentences."""
     out = console()
+    if not summary["shots"]["judged"]:
+        shots = summary["shots"]
+        out.print(
+            f"no shot to judge: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected; "
+            "what is judged begins after ten seconds, when the tracker has learned the wing"
+        )
+        out.print(f"plans: {_joined(shots['fates']) or 'none'}")
+        return
     against = summary["against_corrected"]
     elsewhere = {name for name, pair in against.items() if not pair["same"]}
     out.print(_toe_table(summary["toe_error_mrad"], elsewhere))

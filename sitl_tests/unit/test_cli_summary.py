@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.cli.debrief import Shots, paired
+from companion.cli.debrief import Shots, json_plain, paired
 from companion.cli.scoring import Scored, range_summary, toe_summary
 from companion.cli.summary import print_summary
 
@@ -47,8 +47,10 @@ def summary(ours: Shots, others: dict[str, Shots]) -> dict[str, Any]:
                     "fast_excess_mrad2": met, "oracle_median_at_60_m": met},
         "sigma": {"slow_error_over_sigma_rms": 1.0, "published_beyond_5_sigma": 0},
         "trigger": {"errors_ms": {"n": 0}, "blur_px": {}},
-        "shots": {"fired": 0, "pairs": 0, "corrected": 0, "trusted": 0, "planned": {}, "fates": {}, "not_trusted": {},
-                  "no_range": {}},
+        "shots": {
+            **dict.fromkeys(("fired", "pairs", "corrected", "trusted"), 0), "judged": len(ours.ids),
+            **{name: {} for name in ("planned", "fates", "not_trusted", "no_range")},
+        },
         "published": {"received": {}},
     }  # fmt: skip
 
@@ -73,3 +75,19 @@ def test_without_comparisons_nothing_is_marked(capsys: pytest.CaptureFixture[str
     told = capsys.readouterr().out
     assert "*" not in told
     assert "other shots" not in told
+
+
+def test_a_flight_without_a_shot_to_judge_ends_in_a_sentence_and_not_in_tables_of_nan(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    print_summary(json_plain(summary(shots([], []), {})))
+    told = " ".join(capsys.readouterr().out.split())
+    assert told.startswith("no shot to judge: 0 fired")
+    assert "nan" not in told
+    assert "\u2503" not in told, "no table"
+
+
+def test_what_json_does_not_have_is_none() -> None:
+    assert json_plain({"a": [float("nan"), 1.5], "b": {"c": float("inf")}, "d": 3}) == {
+        "a": [None, 1.5], "b": {"c": None}, "d": 3,
+    }  # fmt: skip
