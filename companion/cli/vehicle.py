@@ -51,6 +51,7 @@ class _Control:
         self._flight, self._folder = flight, folder
         self._cameras: BaseProcess | None = None
         self._opening: threading.Thread | None = None
+        self._landed = threading.Event()
         self._stopped: list[int] = []
 
     def send(self, message: tuple[str, Any], /) -> None:
@@ -72,6 +73,7 @@ class _Control:
 
     def close(self) -> None:
         """Put the cameras away."""
+        self._landed.set()
         if self._opening is not None:
             self._opening.join(_OPENING_S)
         if self._cameras is not None:
@@ -83,6 +85,7 @@ class _Control:
             self._cameras = _open_cameras(self._flight, folder, start_host_ns)
         except DeviceError as error:
             _say(f"spanwise vehicle: {error}")
+        self._landed.wait()  # a child ends with the thread that started it, not only with the process
 
 
 def execute(options: argparse.Namespace) -> int:
