@@ -61,7 +61,7 @@ _ROWS = (
     VehicleParameter("INS_GYRO_FILTER", "Hz", 1, 256, "low-pass of the rates, undone", may_be_off=True),
     *_notch("HNTCH"),
     *_notch("HNTC2"),
-    VehicleParameter("IMU_INTEG_RATE", "Hz", 100, 1000, "PX4's integration: half of it is taken off the stamps"),
+    VehicleParameter("IMU_INTEG_RATE", "Hz", 50, 1000, "PX4's integration: half of it is taken off the stamps"),
     VehicleParameter("IMU_ACCEL_CUTOFF", "Hz", 0, 1000, "tells the doctor that it is PX4"),
     VehicleParameter("IMU_GYRO_CUTOFF", "Hz", 0, 1000, "likewise"),
     VehicleParameter("SCHED_LOOP_RATE", "Hz", 50, 2000, "how fast inertial messages can come"),
