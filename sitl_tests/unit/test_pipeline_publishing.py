@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from companion.core.pipeline import _motion_told, start
 from companion.core.publishing import Publishing
 from companion.core.stereo.consistency_gate import RangeGate
+from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
     Axis,
@@ -222,3 +225,13 @@ def test_what_was_said_of_a_range_long_ago_is_not_said_of_now(good: bool) -> Non
     publishing.tick(10 * S, [measured(40.0, 10 * S, trusted=False)], nothing, Validity.TRACKING, Settings())
     publishing.tick(11 * S, [measured(40.0, 11 * S, trusted=good)], nothing, Validity.TRACKING, Settings())
     assert reasons(publishing, Validity.TRACKING, range(14, 16)) == [Reject.NO_PAIRS] * 2
+
+
+@pytest.mark.parametrize(("rms_mm", "told"), [(4.0, "tracking"), (0.05, "swing within its uncertainty")])
+def test_tracking_is_said_only_of_a_swing_that_stands_out_from_its_sigma(rms_mm: float, told: str) -> None:
+    state = start(load_airframe("nadir-2m"), Settings())
+    unsure = dataclasses.replace(mode(Validity.TRACKING).symmetric, rms_m=1e-3 * rms_mm, amplitude_sigma_m=2e-4)
+    described = dataclasses.replace(mode(Validity.TRACKING), symmetric=unsure)
+    state.validity = Validity.TRACKING
+    state.tracker.describe = lambda: described  # type: ignore[method-assign]
+    assert _motion_told(state) == told
