@@ -55,7 +55,8 @@ def execute(options: argparse.Namespace) -> int:
         raise ConfigError(f"airframe '{airframe.name}' has no camera pair; the demo needs one")
     make_folder(options.out)
     recording = options.out / "flight.mcap"
-    recording.unlink(missing_ok=True)
+    for old in (recording, options.out / "summary.png"):
+        old.unlink(missing_ok=True)
     config = ServiceConfig(airframe, read_settings(options), (), recording=recording)
     _say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s) ...")
     flight = build_flight(airframe, options.seed, options.duration)
@@ -81,11 +82,10 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
         return fly_in_real_time(config, flight, view, live=live)
     warm_up(config.airframe, config.settings, _say_compiling)
     service = LockStepService(config, flight)
-
     view.progress = service.progress()
 
-    def wait(seconds: float) -> None:
-        service.wait(seconds)
+    def wait(real_s: float) -> None:
+        service.wait(real_s)
         view.progress = service.progress()
 
     fly(service, view, service.over, live=live, wait=wait)
