@@ -53,6 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record-images", action="store_true", help="record every image too (PNG, lossless)")
     parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
     parser.add_argument("--for", type=seconds, metavar="SECONDS", dest="seconds", help="stop after so long")
+    parser.add_argument(
+        "--no-standby",
+        action="store_true",
+        help="no second inertial process that waits to take over (saves 180 MB)",
+    )
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
     add_settings(parser)
 
@@ -90,6 +95,7 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         record_images=options.record_images,
         parameters=options.parameters,
         signing_key=options.sign_key,
+        standby=not options.no_standby,
     )
 
 

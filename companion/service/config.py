@@ -28,6 +28,8 @@ class ServiceConfig:
         File that keeps what a ground station sets, or None; ``settings`` has its values in already.
     signing_key
         Key file: with it only signed frames come in, and all that go out are signed. None leaves signing off.
+    standby
+        Keep a second inertial process loaded and compiled, to take over when the first dies.
     """
 
     airframe: Airframe
@@ -39,3 +41,4 @@ class ServiceConfig:
     record_images: bool = False
     parameters: Path | None = None
     signing_key: Path | None = None
+    standby: bool = False

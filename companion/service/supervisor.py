@@ -3,14 +3,22 @@
 A process that never ran for a minute is set up wrongly: after a few tries the service gives up, with its message on the
 screen. One that has run (a camera that came loose in flight) is tried again for as long as the service lives, in
 growing pauses, while the others go on and the heartbeat tells.
+
+A worker may have a spare: a second process of it that has loaded and compiled everything and waits. It takes over as
+soon as the first is found dead, and the next spare is made once the new one has settled.
 """
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
+import select
+import socket
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing.connection import wait
 from multiprocessing.context import SpawnProcess
+from multiprocessing.synchronize import Event
 from typing import Any
 
 from companion.lifetime import die_with_parent
@@ -24,7 +32,34 @@ _SECOND_NS = 1_000_000_000
 _STEADY_NS = 60 * _SECOND_NS
 _LONGEST_PAUSE_NS = 30 * _SECOND_NS
 
+_SETTLED_NS = 5 * _SECOND_NS
+_LOOK_S = 0.2
+
 SPAWN = multiprocessing.get_context("spawn")
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Where a process of a worker with a spare waits until it is needed. Survives the death of either side."""
+
+    end: socket.socket
+    spare: bool = False
+
+    def come(self, stop: Event) -> bool:
+        """Say that all is prepared, and wait; False where the service ends before."""
+        self.end.send(b"ready")
+        while not select.select([self.end], [], [], _LOOK_S)[0]:
+            if stop.is_set():
+                return False
+        return bool(self.end.recv(8))
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A process that waits for its turn, and the supervisor's end of the line to it."""
+
+    process: SpawnProcess
+    line: socket.socket
 
 
 @dataclass(slots=True)
@@ -32,6 +67,7 @@ class Worker:
     """One process: how to start it, and how often it had to be started again since it last ran for a minute.
 
     ``optional`` is one that the others can do without, ``last`` one that ends after the others, whose records it takes.
+    With ``standby`` the target gets a :class:`Turn` before the stop flag.
     """
 
     name: str
@@ -44,14 +80,54 @@ class Worker:
     proven: bool = False
     started_ns: int = 0
     again_ns: int | None = None
+    standby: bool = False
+    spare: _Waiting | None = None
+    line: socket.socket | None = None  # to the process, if it had to wait for its turn
+    settled_ns: int | None = None
 
     def start(self, now_ns: int) -> None:
-        """Start a fresh process."""
-        self.started_ns, self.again_ns = now_ns, None
-        self.process = SPAWN.Process(
-            target=_bound, args=(self.target, *self.arguments), name=f"spanwise-{self.name}", daemon=False
+        """Start a fresh process, or let the spare take over."""
+        self.started_ns, self.again_ns, self.settled_ns = now_ns, None, None
+        if not self.standby:
+            self.process = self._spawned(*self.arguments)
+            return
+        spare = self.spare if self.spare is not None and self.spare.process.is_alive() else self._waiting(spare=False)
+        if self.line is not None:
+            self.line.close()
+        self.process, self.line, self.spare = spare.process, spare.line, None
+        with contextlib.suppress(OSError):  # it has just died: the next look finds it so
+            self.line.send(b"go")
+
+    def prepare(self, now_ns: int) -> None:
+        """Have a spare ready, once the process itself is and has settled: both would want the same processor."""
+        if not self.standby or self.line is None or (self.spare is not None and self.spare.process.is_alive()):
+            return
+        if self.settled_ns is None:
+            with contextlib.suppress(OSError):
+                self.settled_ns = now_ns + _SETTLED_NS if self.line.recv(8) else None
+        elif now_ns >= self.settled_ns:
+            self.settled_ns = now_ns + _STEADY_NS  # a spare that dies is not made anew at once
+            self.spare = self._waiting(spare=True)
+
+    def processes(self) -> list[SpawnProcess]:
+        """All that were started and not replaced."""
+        found = [self.process, None if self.spare is None else self.spare.process]
+        return [process for process in found if process is not None]
+
+    def _waiting(self, *, spare: bool) -> _Waiting:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        *arguments, stop = self.arguments
+        process = self._spawned(*arguments, Turn(theirs, spare), stop)
+        theirs.close()
+        return _Waiting(process, ours)
+
+    def _spawned(self, *arguments: Any) -> SpawnProcess:
+        process = SPAWN.Process(
+            target=_bound, args=(self.target, *arguments), name=f"spanwise-{self.name}", daemon=False
         )
-        self.process.start()
+        process.start()
+        return process
 
     def alive(self) -> bool:
         """Whether the process runs."""
@@ -82,10 +158,16 @@ class Supervisor:
         self._workers: list[Worker] = []
 
     def add(
-        self, name: str, target: Callable[..., None], *arguments: Any, optional: bool = False, last: bool = False
+        self,
+        name: str,
+        target: Callable[..., None],
+        *arguments: Any,
+        optional: bool = False,
+        last: bool = False,
+        standby: bool = False,
     ) -> None:
         """Register a worker (see :class:`Worker`); its target gets the arguments and the stop flag."""
-        self._workers.append(Worker(name, target, (*arguments, self.stop_flag), optional, last))
+        self._workers.append(Worker(name, target, (*arguments, self.stop_flag), optional, last, standby=standby))
 
     def __enter__(self) -> Supervisor:
         for worker in self._workers:
@@ -103,9 +185,14 @@ class Supervisor:
             if worker.alive():
                 if now_ns - worker.started_ns >= _STEADY_NS:
                     worker.proven, worker.restarts = True, 0
+                worker.prepare(now_ns)
             elif not worker.given_up:
                 sentences += _revived(worker, now_ns)
         return sentences
+
+    def rest(self, seconds: float) -> None:
+        """Let time pass, but no longer than all processes live."""
+        wait([worker.process.sentinel for worker in self._workers if worker.process and worker.alive()], seconds)
 
     def failed(self) -> list[str]:
         """Workers that died for good and without whom there is no service."""
@@ -118,7 +205,7 @@ class Supervisor:
         self.stop_flag.set()
         began_ns = self._clock.now_ns()
         for last, allowed_s in ((False, _STOP_S), (True, _LAST_STOP_S)):
-            processes = [w.process for w in self._workers if w.last is last and w.process is not None]
+            processes = [process for w in self._workers if w.last is last for process in w.processes()]
             self._await(processes, began_ns, allowed_s)
             for process in processes:
                 if process.is_alive():
@@ -137,11 +224,12 @@ def _revived(worker: Worker, now_ns: int) -> list[str]:
     """Start a dead worker when its pause is over; a sentence when it is found dead."""
     said = []
     if worker.again_ns is None:
-        pause_ns = worker.pause_ns()
+        waits = worker.spare is not None and worker.spare.process.is_alive()
+        pause_ns = 0 if waits else worker.pause_ns()
         worker.again_ns = now_ns + pause_ns
         worker.restarts += 1
         code = worker.process.exitcode if worker.process else None
-        when = f"again in {pause_ns // _SECOND_NS} s" if pause_ns else "started again"
+        when = f"again in {pause_ns // _SECOND_NS} s" if pause_ns else "spare takes over" if waits else "started again"
         said.append(f"process {worker.name} ended ({code}); {when} (try {worker.restarts})")
     if now_ns >= worker.again_ns:
         worker.start(now_ns)

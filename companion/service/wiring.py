@@ -32,7 +32,7 @@ from companion.records import Health, Notice, Record, Rejected, ServiceStatus, S
 from companion.service import inertial, vision
 from companion.service.channel import Receiver, Sender, channel
 from companion.service.config import ServiceConfig
-from companion.service.supervisor import Supervisor
+from companion.service.supervisor import Supervisor, Turn
 
 _WARNING = 4
 
@@ -70,9 +70,10 @@ class Service(Supervisor):
         if config.cameras is not None:
             told_in, told = channel()
             self.add("vision", _vision_process, config, _stored(config), told, matches_in, vision_tape)
-        self.add(
-            "inertial", _inertial_process, config, _stored(config), shots, matches, told_in, shown_in, inertial_tape
-        )
+        ends_of_inertial = (shots, matches, told_in, shown_in, inertial_tape)
+        turn = () if config.standby else (None,)
+        stored = _stored(config)
+        self.add("inertial", _inertial_process, config, stored, *ends_of_inertial, *turn, standby=config.standby)
         if ends:
             about = About.of(config.airframe, config.settings)
             self.add("recorder", _recorder_process, config.recording, about, ends, matches_in, optional=True, last=True)
@@ -160,13 +161,17 @@ def _inertial_process(
     vision_ear: Sender | None,
     shown: Sender,
     tape: socket.socket | None,
+    turn: Turn | None,
     stop: Event,
 ) -> None:
     _ignore_interrupt()
-    config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     clock: Clock = MonotonicClock()
     outlive_full_disk()
-    warm_up(config.airframe, config.settings, lambda begun: shown.send(compiling_status(begun, clock.now_ns())))
+    tell = _unheard if turn is not None and turn.spare else shown.send
+    warm_up(config.airframe, config.settings, lambda begun: tell(compiling_status(begun, clock.now_ns())))
+    if turn is not None and not turn.come(stop):
+        return
+    config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
     firing = link_firing(config.trigger)

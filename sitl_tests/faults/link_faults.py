@@ -31,7 +31,7 @@ from companion.service.wiring import Service
 from companion.sim.flight import build_flight
 from sitl_tests.faults.test_link_strangers import NODE, PILOT, Choosing, Port
 from sitl_tests.faults.test_process_lifetime import record_on_a_full_disk
-from sitl_tests.faults.test_process_restart import Vehicle
+from sitl_tests.faults.test_process_restart import Vehicle, killed_and_back
 from sitl_tests.faults.test_signing_links import NOW, OTHER, SECOND, Other, Ours
 from sitl_tests.loop.simulated_service import SimulatedService
 
@@ -209,24 +209,15 @@ def signed(name: str) -> LinkOutcome:
 
 
 def killed(name: str) -> LinkOutcome:
-    """The process that must never stall is killed; the supervisor starts it again."""
-    config = ServiceConfig(load_airframe("nadir-2m"), Settings(), ("udpin:127.0.0.1:0",))
+    """The process that must never stall is killed; counted until its spare answers the ground station."""
+    config = ServiceConfig(load_airframe("nadir-2m"), Settings(), ("udpin:127.0.0.1:0",), standby=True)
     cable = UdpCable(Path())
     cable.cut()
     config = dataclasses.replace(config, connections=(cable.spelling,))
     with Service(config) as service:
         vehicle = Vehicle(int(cable.spelling.rpartition(":")[2]))
         vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 120.0, lambda: vehicle.read("TRG_RATE"))
-        (worker,) = [worker for worker in service._workers if worker.name == "inertial"]
-        assert worker.process is not None
-        worker.process.kill()
-        worker.process.join(30.0)
-        killed_s = time.monotonic()
-        service.tend()
-        while vehicle.link.recv_match(blocking=False) is not None:
-            pass
-        vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 120.0, lambda: vehicle.read("TRG_RATE"))
-        return LinkOutcome(name, "started again", time.monotonic() - killed_s, None, 0)
+        return LinkOutcome(name, "spare took over", killed_and_back(service, vehicle), None, 0)
 
 
 def junk(name: str) -> LinkOutcome:

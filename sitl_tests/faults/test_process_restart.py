@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import socket
 import threading
@@ -118,6 +119,41 @@ def test_a_live_change_survives_the_death_of_the_inertial_process(service: Servi
     told = vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 90.0, lambda: vehicle.read("TRG_RATE"))
     print(f"answers again {time.monotonic() - killed_s:.2f} s after it was killed")
     assert told.param_value == 7.5
+
+
+def killed_and_back(service: Service, vehicle: Vehicle) -> float:
+    """Kill the inertial process when its spare is prepared; the seconds until the ground station is answered again."""
+    (worker,) = [worker for worker in service._workers if worker.name == "inertial"]
+    ends = time.monotonic() + 120.0
+    while worker.spare is None or not select.select([worker.spare.line], [], [], 0.1)[0]:
+        assert time.monotonic() < ends, "no spare was made"
+        service.rest(0.1)
+        service.tend()
+    assert worker.process is not None
+    while vehicle.link.recv_match(blocking=False) is not None:
+        pass  # what was said before
+    killed_s = time.monotonic()
+    worker.process.kill()
+    while not (said := service.tend()):
+        service.rest(0.25)
+    assert "spare takes over" in said[0]
+    while vehicle.link.recv_match(blocking=False) is not None:
+        pass
+    vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 60.0, lambda: vehicle.read("TRG_RATE"))
+    return time.monotonic() - killed_s
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+def test_a_killed_inertial_process_is_missed_for_less_than_two_seconds(port: int) -> None:
+    """And killed again, by the spare that was made meanwhile. What it takes to learn the wing anew comes on top."""
+    connections = (f"udpin:127.0.0.1:{port}",)
+    with Service(ServiceConfig(load_airframe("nadir-2m"), Settings(), connections, standby=True)) as service:
+        vehicle = Vehicle(port)
+        vehicle.until("PARAM_VALUE", lambda m: m.param_id == "TRG_RATE", 90.0, lambda: vehicle.read("TRG_RATE"))
+        away_s = [killed_and_back(service, vehicle) for _ in range(2)]
+        print("answered again after", away_s)
+        assert max(away_s) < 2.0
 
 
 class Flashes:

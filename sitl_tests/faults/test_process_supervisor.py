@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 import itertools
+import socket
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from companion.service import supervisor
-from companion.service.supervisor import Supervisor
+from companion.service.supervisor import Supervisor, Turn
 from sitl_tests.loop.ground_stations import S, TurnedClock
 
 
 class Process:
     """Stands in for an operating system's process; the test decides whether it lives."""
 
-    def __init__(self, **_: Any) -> None:
+    def __init__(self, args: tuple[Any, ...] = (), **_: Any) -> None:
         self.exitcode: int | None = None
+        turns = [argument for argument in args if isinstance(argument, Turn)]
+        self.end = turns[0].end.dup() if turns else None  # as it is in another process
+
+    def told(self) -> bool:
+        """Whether its turn has come."""
+        assert self.end is not None
+        self.end.setblocking(False)
+        try:
+            return self.end.recv(8) == b"go"
+        except BlockingIOError:
+            return False
 
     def start(self) -> None:
         """It runs."""
@@ -33,11 +47,11 @@ class Process:
 class Tended:
     """One worker of a supervisor, on a clock that is turned by hand."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, standby: bool = False) -> None:
         monkeypatch.setattr(supervisor.SPAWN, "Process", Process)
         self.clock = TurnedClock()
         self.supervisor = Supervisor(self.clock)
-        self.supervisor.add("vision", print)
+        self.supervisor.add("vision", print, standby=standby)
         self.supervisor.__enter__()
         (self.worker,) = self.supervisor._workers
 
@@ -90,3 +104,72 @@ def test_what_has_run_is_never_given_up_and_comes_back(one: Tended) -> None:
     one.tended(61.0)
     one.die()
     assert "started again" in one.tended(0.25)[0][1], "all is forgiven after a steady minute"
+
+
+@pytest.fixture
+def spared(monkeypatch: pytest.MonkeyPatch) -> Iterator[Tended]:
+    tended = Tended(monkeypatch, standby=True)
+    yield tended
+    for process in tended.worker.processes():
+        process.end.close()  # type: ignore[attr-defined]
+
+
+def prepared(process: Any) -> None:
+    process.end.send(b"ready")
+
+
+def test_a_spare_is_made_when_the_first_has_settled_and_takes_over_at_once(spared: Tended) -> None:
+    worker = spared.worker
+    first: Any = worker.process
+    assert first.told(), "the first has nothing to wait for"
+    spared.tended(30.0)
+    assert worker.spare is None, "while the first compiles, nobody else does"
+    prepared(first)
+    spared.tended(6.0)
+    assert worker.spare is not None
+    spare: Any = worker.spare.process
+    prepared(spare)
+    assert not spare.told()
+    spared.die()
+    assert [sentence for _, sentence in spared.tended(0.25)] == ["process vision ended (1); spare takes over (try 1)"]
+    assert worker.process is spare
+    assert spare.told()
+    assert worker.spare is None
+    spared.tended(6.0)
+    assert worker.spare is not None, "and the next is made"
+    prepared(worker.spare.process)
+    spared.die()
+    assert "spare takes over" in spared.tended(0.25)[0][1], "without the pause that a second start would wait"
+    first.end.close()
+
+
+def test_a_spare_that_dies_is_made_again_a_minute_later_and_missed_by_nobody(spared: Tended) -> None:
+    worker = spared.worker
+    first: Any = worker.process
+    prepared(first)
+    spared.tended(6.0)
+    assert worker.spare is not None
+    lost: Any = worker.spare.process
+    lost.exitcode = 1
+    assert spared.tended(50.0) == []
+    assert worker.spare.process is lost
+    spared.tended(15.0)
+    assert worker.spare.process is not lost
+    worker.spare.process.exitcode = 1  # type: ignore[misc]
+    spared.die()
+    assert "started again" in spared.tended(0.25)[0][1]
+    assert worker.process.told()  # type: ignore[union-attr]
+    lost.end.close()
+    first.end.close()
+
+
+def test_a_process_that_waits_for_its_turn_ends_with_the_service() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    stop: Any = threading.Event()
+    threading.Timer(0.1, stop.set).start()
+    assert not Turn(theirs).come(stop)
+    assert ours.recv(8) == b"ready"
+    ours.send(b"go")
+    assert Turn(theirs).come(stop)
+    ours.close()
+    theirs.close()
