@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.params.files import load_airframe
 from companion.params.settings import tunables
-from companion.records import CorrectedRange, Rejected, ServiceStatus
+from companion.records import CorrectedRange, Reject, Rejected, ServiceStatus
 from companion.sim.flight import Flight, build_flight
 from sitl_tests.fuzz import mutators, structured
 from sitl_tests.fuzz.target import Ending, Violation
@@ -106,6 +106,8 @@ class FlightTarget:
         self.counts["trusted ranges wrong by more than 5 sigma and 5 %"] += len(wrong)
         self.counts["cases with a wrong range"] += bool(wrong)
         self.counts["records refused"] += sum(record.count for record in records if isinstance(record, Rejected))
+        raised = [entry for entry in records if isinstance(entry, Rejected) and entry.reason is Reject.INTERNAL_ERROR]
+        self.counts["records whose handler raised, contained"] += sum(entry.count for entry in raised)
         self.counts["status records"] += sum(isinstance(record, ServiceStatus) for record in records)
 
 

@@ -20,6 +20,7 @@ from companion.adapters.recordings.matlab_file import read_matlab
 from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.reader import McapRecording
 from companion.calibration.vibration import read_vibration_test
+from companion.cli.main import main
 from companion.errors import ConfigError, DeviceError, RecordingError
 from companion.params.files import load_airframe
 from companion.params.learned import load_latency
@@ -251,3 +252,20 @@ def test_a_mapping_with_what_is_no_number_is_refused(tmp_path: Path) -> None:
     for text in (base + extra, base.replace("100", "1" + "0" * 400), base + "[table]\nheader_line = -3\n"):
         with pytest.raises(ConfigError, match=r"lab\.toml"):
             MappedRecording(tmp_path / "a.txt", parse_mapping(text, "lab.toml"), AIRFRAME)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stamp_us", [2**40, 2**62])
+def test_a_damaged_stamp_is_not_flown_through(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], stamp_us: int
+) -> None:
+    """A replay stepped its clock, ten milliseconds at a time, to wherever one sample said it was."""
+    log = onboard.flight(300)
+    for imu in range(3):
+        log.add("ACC", 400_000, imu, stamp_us, 0.1, 0.2, -9.8)
+        log.add("GYR", 400_000, imu, stamp_us, 0.1, 0.2, -9.8)
+    (tmp_path / "a.BIN").write_bytes(log.data)
+    began = time.process_time()
+    assert main(["replay", str(tmp_path / "a.BIN"), "--airframe", "sitl-plane"]) in (0, 3)
+    assert time.process_time() - began < 10.0
+    assert "Traceback" not in capsys.readouterr().err
