@@ -131,7 +131,7 @@ def test_killing_the_service_ends_its_processes_and_frees_the_port(fly: Callable
     flight = fly("--record", str(tmp_path / "flight.mcap"))
     flight.ready()
     children = flight.children()
-    assert len(children) == 2, "inertial and recorder"
+    assert len(children) >= 2, "inertial and recorder at least"
     flight.process.send_signal(signal.SIGKILL)
     flight.process.wait()
     killed_s = time.monotonic()
