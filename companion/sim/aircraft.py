@@ -49,6 +49,18 @@ class PullUp:
 
 
 @dataclass(frozen=True, slots=True)
+class Jolt:
+    """A blow to the fuselage from below: half a sine of upward acceleration; the vertical speed that it gains stays.
+
+    It moves the root, not the attitude, and adds no lift: the wing's mass stays behind and bends the tips down.
+    """
+
+    from_s: float
+    peak_mps2: float
+    length_s: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
 class FlightPlan:
     """What is flown. ``wobble`` values are rms of a turbulence made of sines from 0.2 to 1.5 Hz."""
 
@@ -62,6 +74,7 @@ class FlightPlan:
     roll_wobble_rad: float = 0.015
     pitch_wobble_rad: float = 0.008
     yaw_wobble_rad: float = 0.008
+    jolts: tuple[Jolt, ...] = ()
 
 
 def demo_plan(duration_s: float = 60.0) -> FlightPlan:
@@ -110,6 +123,7 @@ def fly(plan: FlightPlan, rng: np.random.Generator, knots: int) -> tuple[Floats,
     yaw = turn + _wobble(rng, t, plan.yaw_wobble_rad)[:3]
     pitch = _climb_angle(height, speed) + _wobble(rng, t, plan.pitch_wobble_rad)[:3]
     pitch[0] += plan.angle_of_attack_rad
+    height = height + jolted(plan, t)
     velocity, acceleration = _track(turn, height, speed)
     value, rate = np.zeros((knots, COLUMNS)), np.zeros((knots, COLUMNS))
     value[:, VELOCITY], rate[:, VELOCITY] = velocity, acceleration
@@ -152,6 +166,21 @@ def _roll(plan: FlightPlan, t: Floats) -> Floats:
     for roll in plan.rolls:
         back = _smooth_step(t, roll.from_s + roll.rise_s + roll.hold_s, roll.rise_s)
         rows += roll.angle_rad * (_smooth_step(t, roll.from_s, roll.rise_s) - back)[1:4]
+    return rows
+
+
+def jolted(plan: FlightPlan, t: Floats) -> Floats:
+    """Height that the jolts give and its three derivatives, (4, n)."""
+    rows = np.zeros((4, len(t)))
+    for jolt in plan.jolts:
+        omega = math.pi / jolt.length_s
+        phase = omega * np.clip(t - jolt.from_s, 0.0, jolt.length_s)
+        after_s = np.maximum(t - jolt.from_s - jolt.length_s, 0.0)
+        speed = jolt.peak_mps2 / omega
+        rows[0] += speed * ((phase - np.sin(phase)) / omega + 2.0 * after_s)
+        rows[1] += speed * (1.0 - np.cos(phase))
+        rows[2] += jolt.peak_mps2 * np.sin(phase)
+        rows[3] += np.where((phase > 0.0) & (phase < math.pi), jolt.peak_mps2 * omega * np.cos(phase), 0.0)
     return rows
 
 

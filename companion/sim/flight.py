@@ -11,7 +11,7 @@ import numpy as np
 from companion.core.wing.model import WingModel
 from companion.params.airframe import Airframe, NamedEffect
 from companion.records import ClockName, Floats, Station
-from companion.sim.aircraft import FlightPlan, demo_plan, fly
+from companion.sim.aircraft import FlightPlan, demo_plan, fly, jolted
 from companion.sim.gust import (
     DrydenScales,
     LoadSpectrum,
@@ -23,7 +23,7 @@ from companion.sim.gust import (
 )
 from companion.sim.perturb import TruthAirframe, draw_truth, exact_truth
 from companion.sim.sensors import BackendImu, RealSensor, SensorStream, autopilot_stream, backend_imu, node_stream
-from companion.sim.truth import MODAL, FlightTruth, TipShape
+from companion.sim.truth import GRAVITY_MPS2, MODAL, FlightTruth, TipShape
 from companion.sim.wing import SUBSTEP_S, integrate
 
 LOOP_HZ = 400.0
@@ -31,6 +31,7 @@ _TAIL_S = 2.0
 _BURN_IN_S = 12.0
 _DRYDEN_WIND_MPS = 10.0
 _DRYDEN_ALTITUDE_M = 60.0
+_PARTICIPATION = {0: 1.566, 2: -0.868}  # of a uniform cantilever's bending modes in a shaken root, by slot
 
 
 class GustKind(enum.StrEnum):
@@ -162,8 +163,11 @@ def _bend(
     t_s = (np.arange(steps) - burn) * np.float64(SUBSTEP_S)
     for effect in model.effects:
         load = effect.forcing(t_s, load, rng)
+    blow_mps2 = jolted(plan, t_s[burn:] + 0.5 * SUBSTEP_S)[2]
+    for column, slot in enumerate(model.structure.slots):
+        load[burn:, column] -= _PARTICIPATION.get(slot, 0.0) * blow_mps2
     middles = np.arange(steps - burn) / 2 + 0.25
-    flown = np.interp(middles, np.arange(len(load_factor)), load_factor)
+    flown = np.interp(middles, np.arange(len(load_factor)), load_factor) - blow_mps2 / GRAVITY_MPS2  # lift alone bends
     factor = np.concatenate([np.full(burn, flown[0]), flown])
     q, qdot = integrate(model, load, factor, -_BURN_IN_S)
     return q[burn::2], qdot[burn::2]

@@ -11,7 +11,7 @@ import pytest
 from companion.params.airframe import Airframe, Sensor, Uncertain
 from companion.params.files import load_airframe
 from companion.records import Station
-from companion.sim.aircraft import FlightPlan, Level, PullUp, Roll, demo_plan, still_plan
+from companion.sim.aircraft import FlightPlan, Jolt, Level, PullUp, Roll, demo_plan, still_plan
 from companion.sim.flight import Flight, GustKind, build_flight
 from companion.sim.sensors import station_readings
 
@@ -189,6 +189,33 @@ def test_the_mean_of_the_vertical_axis_is_the_change_of_tip_velocity(airframe: A
     # f_z = (-g - w'') cos(psi): so the sum of -(f_z/cos + g) dt is the gain of upward velocity
     felt = -(values[:, 2] / np.cos(tilt) + G)
     assert felt.sum() * 1e-3 == pytest.approx(rate[1] - rate[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("peak_mps2", [3.0, -10.0])
+def test_a_blow_to_the_fuselage_leaves_the_tips_behind(airframe: Airframe, peak_mps2: float) -> None:
+    """Duhamel's integral of a cantilever whose root jumps; 1.566 and -0.868 are a uniform one's participations."""
+    begun_s, length_s = 1.0, 0.02
+    plan = dataclasses.replace(still_plan(2.0), jolts=(Jolt(begun_s, peak_mps2, length_s),))
+    flight = calm_flight(airframe, plan)
+    at_s = begun_s + 0.5 * length_s
+    assert readings(flight, Station.ROOT, at_s)[2] == pytest.approx(-G - peak_mps2, abs=1e-6)
+    gained = flight.truth.at(1_500_000_000).velocity_ned_mps - flight.truth.at(500_000_000).velocity_ned_mps
+    np.testing.assert_allclose(gained, [0, 0, -peak_mps2 * 2 * length_s / math.pi], atol=1e-9)
+    wing = airframe.wing
+    assert wing.second_symmetric is not None
+    s = np.linspace(0.0, length_s, 2001)
+    for t_s in (1.025, 1.07, 1.2):
+        here, calm = flight.truth.at(round(t_s * 1e9)), flight.truth.at(500_000_000)
+        for slot, mode, share in ((0, wing.symmetric, 1.566), (2, wing.second_symmetric, -0.868)):
+            omega, zeta = 2 * math.pi * mode.frequency_hz.value, mode.damping.value
+            ringing, since = omega * math.sqrt(1 - zeta**2), t_s - begun_s - s
+            answer = np.exp(-zeta * omega * since) * np.sin(ringing * since) / ringing
+            blow = peak_mps2 * np.sin(np.pi * s / length_s)
+            wanted = -share * np.trapezoid(blow * answer, s)
+            assert here.q_m[slot] - calm.q_m[slot] == pytest.approx(wanted, abs=2e-3 * abs(peak_mps2) / omega**2)
+        assert here.q_m[1] == pytest.approx(calm.q_m[1], abs=1e-9)
+    if peak_mps2 > 0:
+        assert flight.truth.at(1_030_000_000).q_m[0] < calm.q_m[0]  # struck from below, the tips stay down
 
 
 def test_slope_rate_is_the_derivative_of_slope_between_knots(demo: Flight) -> None:
