@@ -72,6 +72,8 @@ class Reject(enum.StrEnum):
     EXCITATION_LOW = "excitation too low"
     MODE_AMBIGUOUS = "mode ambiguous"
     SATURATED = "sensor saturated"
+    BEYOND_RANGE = "value beyond the sensor's range"
+    LAPSED = "sample contradicts all its neighbours"
     NOT_SETTLED = "tracker not settled"
     OUT_OF_WINDOW = "outside the smoother's window"
     TOO_LATE = "sample older than the reorder window"

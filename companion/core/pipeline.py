@@ -18,6 +18,7 @@ from companion.core.clock.alignment import SIGMAS
 from companion.core.clock.bank import ClockBank
 from companion.core.clock.silent import SilentNodes
 from companion.core.delivery import Delivery
+from companion.core.mode.stream import within_range
 from companion.core.mode.tracker import WingTracker
 from companion.core.publishing import Publishing
 from companion.core.silence import RangeSilence
@@ -173,18 +174,21 @@ def _rebuild(state: PipelineState, airframe: Airframe) -> None:
 
 
 def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
+    batch, refused = within_range(batch, state.airframe.sensor(batch.station))
+    if not len(batch.t_ns):
+        return refused
     batch = state.filters.undone(batch)
     state.silent.note(batch, state.airframe.sensor(batch.station), state.airframe.root)
     if batch.clock is not ClockName.HOST:
         converted = state.clocks.to_host(batch.clock, batch.t_ns, batch.received_host_ns)
         if isinstance(converted, Reject):
             what = f"{batch.station.name.lower()} samples"
-            return [Rejected(converted, what, batch.received_host_ns, len(batch.t_ns))]
+            return [*refused, Rejected(converted, what, batch.received_host_ns, len(batch.t_ns))]
         clock, t_ns = ClockName.HOST, converted[0]
         batch = ImuBatch(batch.station, clock, t_ns, batch.values, batch.axes, batch.received_host_ns)
     if batch.station is Station.ROOT:
         state.silent.note_root(batch.t_ns, batch.values)
-    return state.tracker.add(batch)
+    return [*refused, *state.tracker.add(batch)]
 
 
 def _align(state: PipelineState, now_ns: int) -> list[OutputRecord]:

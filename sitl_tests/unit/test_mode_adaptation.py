@@ -55,6 +55,7 @@ def _cells(seconds: float, away_s: tuple[float, float] = (0.0, 0.0), drift_per_s
         rate=np.zeros((n, 3)),
         sensitivity=rng.normal(size=(n, ROWS, constants)),
         cut=two,
+        shaken=np.zeros((n, 3)),
     )
 
 

@@ -7,15 +7,30 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.core.mode.layout import M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, Z_LEFT, Z_RIGHT, make_layout, make_noise
+from companion.core.mode.layout import (
+    M_LEFT,
+    M_RIGHT,
+    Y_LEFT,
+    Y_RIGHT,
+    Z_LEFT,
+    Z_RIGHT,
+    Layout,
+    make_layout,
+    make_noise,
+)
 from companion.core.mode.model import build_model
 from companion.core.mode.parameters import prior_parameters
 from companion.core.mode.rigid import FrontEnd
 from companion.core.mode.stream import Stream
+from companion.params.airframe import Airframe
 from companion.records import Axis, Station
 from sitl_tests.unit.mode_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 STEP_NS = 4 * MS
+
+
+def _front_end(airframe: Airframe, layout: Layout, streams: tuple[Stream, ...]) -> FrontEnd:
+    return FrontEnd(layout, make_noise(airframe, layout, STEP_NS * 1e-9), (streams[0], streams[1], streams[2]))
 
 
 @pytest.mark.parametrize(("shaken_hz", "share"), [(0.0, 1.0), (2.0, 1.0), (90.0, 0.2)])
@@ -27,9 +42,8 @@ def test_moments_count_where_the_root_moves_as_its_means_say(shaken_hz: float, s
     for station, v in values.items():
         v[:, 2] += 3.0 * np.sin(2 * np.pi * shaken_hz * (t - EPOCH_NS) * 1e-9)
         streams[station].add(batch(station, t, v), 0)
-    cells = FrontEnd(make_layout(airframe), (streams[0], streams[1], streams[2])).cells(
-        EPOCH_NS + 25 * STEP_NS, STEP_NS, 250
-    )
+    layout = make_layout(airframe)
+    cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 250)
     assert cells.present[:, [Z_LEFT, Z_RIGHT]].all()
     heard = cells.present[:, [M_LEFT, M_RIGHT]].mean()
     assert heard == 1.0 if share == 1.0 else heard < share
@@ -49,7 +63,7 @@ def test_an_axis_that_is_not_sent_leaks_as_the_rigid_wings() -> None:
             hidden = v * np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
             sent = dataclasses.replace(sent, axes=Axis.Z, values=hidden)
         streams[station].add(sent, 0)
-    cells = FrontEnd(layout, (streams[0], streams[1], streams[2])).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
+    cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
     column = layout.constants.index("left.mx")
     lever_m = airframe.left.position_m[1] - airframe.root.position_m[1]
     leaking = side_mps2 - lever_m * roll_radps**2
@@ -74,7 +88,7 @@ def test_a_bias_of_the_root_s_rates_shows_as_the_tips_centripetal_force(axis: in
             v[:, 3:] = 0.8, -0.3, 0.5
             v[:, axis] += bias_radps if station is Station.ROOT else 0.0
             streams[station].add(batch(station, t, v), 0)
-        cells = FrontEnd(layout, (streams[0], streams[1], streams[2])).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
+        cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
         return cells.rows[:, [Z_LEFT, Z_RIGHT, Y_LEFT, Y_RIGHT]], cells.sensitivity[:, [0, 1, 4, 5]]
 
     (with_bias, _), (without, sensitivity) = seen(bias_radps), seen(0.0)

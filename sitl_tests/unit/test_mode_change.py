@@ -129,4 +129,5 @@ def _nothing_measured(count: int) -> Cells:
         rate=np.zeros((count, 3)),
         sensitivity=np.zeros((count, ROWS, len(LAYOUT.constants))),
         cut=per_side,
+        shaken=np.zeros((count, 3)),
     )

@@ -35,9 +35,10 @@ def _filter(airframe: Airframe = AIRFRAME) -> Kalman:
 
 
 def _cells(constants: int, missing: float) -> Data:
-    """Rows as large as in flight, a share of them missing, at every step others."""
+    """Rows as of a calm wing, a tenth of them far beyond the gate, a share missing, at every step others."""
     rng = np.random.default_rng(7)
-    size = np.array([3.0, 3.0, 0.1, 0.1, 0.05, 0.05, 0.5, 0.5, 0.5])
+    size = np.array([0.1, 0.1, 0.01, 0.01, 0.001, 0.001, 0.003, 0.003, 0.003])
+    size = size * np.where(rng.random((STEPS, ROWS)) < 0.1, 6.0, 1.0)
     present = rng.random((STEPS, ROWS)) >= missing
     return Data(
         rows=np.where(present, size * rng.standard_normal((STEPS, ROWS)), 0.0),
@@ -49,6 +50,7 @@ def _cells(constants: int, missing: float) -> Data:
         load=0.2 * rng.standard_normal(STEPS),
         sensitivity=present[:, :, None] * rng.standard_normal((STEPS, ROWS, constants)),
         cut=rng.random((STEPS, 2)),
+        shaken=np.where(rng.random((STEPS, 1)) < 0.2, np.array([1.0, 0.1, 0.01]), 0.0),
     )
 
 

@@ -158,9 +158,14 @@ class Kalman:
 
     @property
     def surprise(self) -> float:
-        """Mean square of the last second's normalised innovations: one where the model is right."""
+        """Mean square of the last second's normalised innovations, steps bounded: one where the model is right."""
         square, count = self._memory.surprise
         return float(square / count) if count > 0.0 else 1.0
+
+    def excess(self, count: int) -> Floats:
+        """What of the newest ``count`` steps' rows teaches nothing, (count, 9): see the history."""
+        excess: Floats = self.history.excess[np.arange(self.steps - count, self.steps) % self.kept]
+        return excess
 
     def run(self, cells: Cells) -> None:
         """Take a run of cells."""
@@ -174,6 +179,7 @@ class Kalman:
             cells.load,
             cells.sensitivity,
             cells.cut,
+            cells.shaken,
         )
         first = 0
         while first < len(cells) and self.finite:

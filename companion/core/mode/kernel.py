@@ -4,6 +4,12 @@ The loop itself exists twice: :mod:`companion.core.mode.kernel_loops` is compile
 :mod:`companion.core.mode.kernel_numpy` runs where that cannot be. Both use the rows that were measured alone, and
 whiten them: with ``S = L L^T`` the history holds ``L^-1 G``, ``L^-1 e`` and ``L^-1 C^T``, from which gain, likelihood
 and smoother follow by products.
+
+Both noises have heavy tails. Where a vertical row's innovation lies beyond the gate, the wing may have been struck, or
+its sensor lies: either way the process noise of this step is raised until the innovation is no surprise, so that the
+state follows and knows that it is uncertain. Another row that lies beyond the gate even so counts as noisier, so that
+its pull is that of a row at the gate (Huber). The constants learn nothing from such a step. How surprising it is counts
+as if nothing had been raised, but bounded: a blow of 20 ms is no contradiction, and what goes on for longer is.
 """
 
 from __future__ import annotations
@@ -15,6 +21,10 @@ import numpy as np
 from companion.records import Bools, Floats, Ints
 
 LOAD_TIME_S = 0.1
+GATE = 5.0  # sigmas
+LIFTED = 2.0  # share of the variance of the root's force that drives the wing, by the load factor's bend
+MOST_STIR = 1e6  # of the process noise
+MOST_SURPRISE = 200.0  # of a step: the sum of its rows' squares
 _MOTIONS = 8  # more than a history holds, for parameters change once a second
 
 
@@ -112,6 +122,7 @@ class Data(NamedTuple):
     load: Floats
     sensitivity: Floats
     cut: Floats
+    shaken: Floats
 
 
 class Memory(NamedTuple):
@@ -125,7 +136,7 @@ class Memory(NamedTuple):
     weights : (1 + c,) float64
         One and the constants.
     surprise : (2,) float64
-        Fading sums of squared normalised innovations and of their number.
+        Fading sums of squared normalised innovations, bounded in each step, and of their number.
     """
 
     columns: Floats
@@ -156,6 +167,9 @@ class History(NamedTuple):
     drawn : (size, 9, n) float64
         ``L^-1 C^T``.
     static_m : (size, 1 + c) float64
+    excess : (size, 9) float64
+        What of a row teaches nothing: by how much a lapse's innovation exceeds the gate, or all of it where most of its
+        variance is a shaken root's; else 0.
     """
 
     state: Floats
@@ -167,6 +181,7 @@ class History(NamedTuple):
     innovation: Floats
     drawn: Floats
     static_m: Floats
+    excess: Floats
 
 
 def make_history(size: int, states: int, constants: int, rows: int) -> History:
@@ -181,4 +196,5 @@ def make_history(size: int, states: int, constants: int, rows: int) -> History:
         innovation=np.zeros((size, rows, 1 + constants)),
         drawn=np.zeros((size, rows, states)),
         static_m=np.zeros((size, 1 + constants)),
+        excess=np.zeros((size, rows)),
     )

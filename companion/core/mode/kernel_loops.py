@@ -11,18 +11,35 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.compiled import compiled_loops
-from companion.core.mode.kernel import LOAD_TIME_S, Data, Fixed, History, Memory, Step
-from companion.core.mode.layout import M_LEFT, P_LEFT, ROWS, Y_LEFT, Z_LEFT
+from companion.core.mode.kernel import (
+    GATE,
+    LIFTED,
+    LOAD_TIME_S,
+    MOST_STIR,
+    MOST_SURPRISE,
+    Data,
+    Fixed,
+    History,
+    Memory,
+    Step,
+)
+from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
 from companion.records import Bools, Floats, Ints
 
-_VERTICAL, _MOMENT, _LATERAL, _ROLL = Z_LEFT, M_LEFT, Y_LEFT, P_LEFT
+_VERTICAL, _MOMENT, _LATERAL, _ROLL, _ROOT = Z_LEFT, M_LEFT, Y_LEFT, P_LEFT, P_ROOT
 
 
 class _Work(NamedTuple):
-    """Room for one step: ``used`` row numbers, ``at`` the places of the rows among them (-1: not used)."""
+    """Room for one step: ``used`` row numbers, ``at`` the places of the rows among them (-1: not used).
+
+    Of the used rows ``innovation`` is the plain one and ``expected`` its variance, ``white`` is whitened.
+    """
 
     used: Ints
     at: Ints
+    innovation: Floats
+    expected: Floats
+    white: Floats
     state: Floats
     watched: Floats
     plain: Floats
@@ -38,6 +55,9 @@ def _room(states: int, columns: int, watched: int) -> _Work:
     return _Work(
         np.empty(ROWS, np.int64),
         np.empty(ROWS, np.int64),
+        np.empty(ROWS),
+        np.empty(ROWS),
+        np.empty(ROWS),
         np.empty(states + 1),
         np.empty(watched),
         np.empty(ROWS),
@@ -74,17 +94,26 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
     _sense(fixed, step, data, k, work, used)
     _innovate(fixed, data, k, columns, weights, work, used, history.innovation, at)
     _spread(work.sense, covariance, used, work.spread)
-    _vary(fixed, step, data, k, work, used)
-    _draw(step, work, used, history.drawn, at)
-    if not _root(work.variance, used):
+    stir = min(1.0 + LIFTED * data.shaken[k, 0] / step.measured[_VERTICAL, _VERTICAL], MOST_STIR)
+    _vary(fixed, step, data, k, work, used, stir)
+    _look(weights, history.innovation, at, work, used)
+    if not _root(work, used, False):
         return False
+    struck = _judge(fixed, data, k, memory, work, used, history.excess, at)
+    if struck:
+        stir = _stir(step, work, used, stir)
+        _vary(fixed, step, data, k, work, used, stir)
+        if not _root(work, used, True):
+            return False
+    _draw(step, work, used, stir, history.drawn, at)
     _keep(work.sense, used, history.seen, at)
     _whiten(work.variance, used, history.seen, at)
     _whiten(work.variance, used, history.innovation, at)
     _whiten(work.variance, used, history.drawn, at)
-    _learn(fixed, memory, history.innovation, at, used)
+    if not struck:
+        _learn(memory.information, history.innovation, at, used)
     _move_columns(step, columns, history, at, used, work.columns)
-    _move_covariance(step, covariance, history.drawn, at, used, work.moved)
+    _move_covariance(step, covariance, stir, history.drawn, at, used, work.moved)
     return True
 
 
@@ -230,55 +259,115 @@ def _spread(sense: Floats, covariance: Floats, used: int, spread: Floats) -> Non
 
 
 @compiled_loops
-def _vary(fixed: Fixed, step: Step, data: Data, k: int, work: _Work, used: int) -> None:
-    """Covariance of the used rows: by the state, by process noise in the step and by the sensors; lower half."""
+def _vary(fixed: Fixed, step: Step, data: Data, k: int, work: _Work, used: int, stir: float) -> None:
+    """Covariance of the used rows: by the state, by ``stir`` times the process noise, by the sensors; lower half."""
     n = work.spread.shape[1]
     for r in range(used):
         row = work.used[r]
         for q in range(r + 1):
-            total = step.measured[row, work.used[q]]
+            total = stir * step.measured[row, work.used[q]]
             for j in range(n):
                 total += work.spread[r, j] * work.sense[q, j]
             work.variance[r, q] = total
         lateral = _LATERAL <= row < _ROLL
         work.variance[r, r] += fixed.own[row] * (data.lateral_gain[k, row - _LATERAL] ** 2 if lateral else 1.0)
         if row < _MOMENT:
-            work.variance[r, r] += step.cut * data.cut[k, row - _VERTICAL]
+            work.variance[r, r] += stir * step.cut * data.cut[k, row - _VERTICAL]
+        if row == _ROOT:
+            work.variance[r, r] += data.shaken[k, 2]
     for side in range(2):
         for other in range(side + 1):
             r, q = work.at[_VERTICAL + side], work.at[_VERTICAL + other]
             if r >= 0 and q >= 0:
-                work.variance[r, q] += fixed.root_z
+                work.variance[r, q] += fixed.root_z + data.shaken[k, 0]
             r, q = work.at[_LATERAL + side], work.at[_LATERAL + other]
             if r >= 0 and q >= 0:
-                work.variance[r, q] += fixed.root_y * data.lateral_gain[k, side] * data.lateral_gain[k, other]
+                variance = fixed.root_y + data.shaken[k, 1]
+                work.variance[r, q] += variance * data.lateral_gain[k, side] * data.lateral_gain[k, other]
 
 
 @compiled_loops
-def _draw(step: Step, work: _Work, used: int, out: Floats, at: int) -> None:
-    """``C^T = G P A^T + H1 Q``."""
+def _draw(step: Step, work: _Work, used: int, stir: float, out: Floats, at: int) -> None:
+    """``C^T = G P A^T + H1 Q``, of ``stir`` times the process noise."""
     for r in range(used):
         for i in range(step.cross.shape[1]):
-            out[at, r, i] = step.cross[work.used[r], i]
+            out[at, r, i] = stir * step.cross[work.used[r], i]
         for k in range(len(step.to)):
             out[at, r, step.to[k]] += step.share[k] * work.spread[r, step.of[k]]
 
 
 @compiled_loops
-def _root(variance: Floats, used: int) -> bool:
-    """Cholesky's ``L`` in place, the diagonal inverted; False where there is none."""
+def _look(weights: Floats, rows: Floats, at: int, work: _Work, used: int) -> None:
+    """The plain innovations with what is expected of them."""
     for r in range(used):
+        total = 0.0
+        for j in range(len(weights)):
+            total += rows[at, r, j] * weights[j]
+        work.innovation[r], work.expected[r] = total, work.variance[r, r]
+
+
+@compiled_loops
+def _root(work: _Work, used: int, doubting: bool) -> bool:
+    """Cholesky's ``L`` in place, the diagonal inverted, and the whitened innovation; False where there is none.
+
+    ``doubting``: each row that lies beyond the gate is noisier, by as much.
+    """
+    variance = work.variance
+    for r in range(used):
+        innovation = work.innovation[r]
         for q in range(r + 1):
             total = variance[r, q]
             for j in range(q):
                 total -= variance[r, j] * variance[q, j]
             if q < r:
                 variance[r, q] = total * variance[q, q]
+                innovation -= variance[r, q] * work.white[q]
             elif not 0.0 < total < np.inf:
                 return False
             else:
+                if doubting:
+                    total = max(total, np.abs(innovation) * np.sqrt(total) / GATE)
                 variance[r, r] = 1.0 / np.sqrt(total)
+        work.white[r] = innovation * variance[r, r]
     return True
+
+
+@compiled_loops
+def _judge(fixed: Fixed, data: Data, k: int, memory: Memory, work: _Work, used: int, excess: Floats, at: int) -> bool:
+    """Count how surprising the innovations are; whether one lies beyond the gate. Note what teaches nothing."""
+    square, struck = 0.0, False
+    for row in range(ROWS):
+        excess[at, row] = 0.0
+    for r in range(used):
+        own = work.white[r] ** 2
+        if own > GATE**2:
+            struck = True
+            more = np.abs(work.innovation[r]) - GATE * np.sqrt(work.expected[r])
+            excess[at, work.used[r]] = np.sign(work.innovation[r]) * max(more, 0.0)
+        row, shaken = work.used[r], 0.0
+        if row < _MOMENT:
+            shaken = (1.0 + LIFTED) * data.shaken[k, 0]
+        elif row == _ROOT:
+            shaken = data.shaken[k, 2]
+        if shaken > 0.5 * work.expected[r]:
+            excess[at, row] = work.innovation[r]
+        square += own
+    fade = 1.0 - fixed.step_s
+    memory.surprise[0] = fade * memory.surprise[0] + min(square, MOST_SURPRISE)
+    memory.surprise[1] = fade * memory.surprise[1] + used
+    return struck
+
+
+@compiled_loops
+def _stir(step: Step, work: _Work, used: int, before: float) -> float:
+    """By what the process noise must be raised so that what the vertical rows say lies inside the gate."""
+    stir = before
+    for r in range(used):
+        row = work.used[r]
+        if row < _MOMENT and work.white[r] ** 2 > GATE**2:
+            missing = work.innovation[r] ** 2 - GATE**2 * work.expected[r]
+            stir = max(stir, before + missing / step.measured[row, row])
+    return min(stir, MOST_STIR)
 
 
 @compiled_loops
@@ -301,20 +390,14 @@ def _whiten(root: Floats, used: int, rows: Floats, at: int) -> None:
 
 
 @compiled_loops
-def _learn(fixed: Fixed, memory: Memory, innovation: Floats, at: int, used: int) -> None:
-    """What the innovations say about the constants, and how surprising they are."""
-    fade, width = 1.0 - fixed.step_s, innovation.shape[2]
-    square = 0.0
+def _learn(information: Floats, innovation: Floats, at: int, used: int) -> None:
+    """What the innovations say about the constants."""
+    width = innovation.shape[2]
     for r in range(used):
-        plain = 0.0
         for i in range(width):
             share = innovation[at, r, i]
-            plain += share * memory.weights[i]
             for j in range(width):
-                memory.information[i, j] += share * innovation[at, r, j]
-        square += plain * plain
-    memory.surprise[0] = fade * memory.surprise[0] + square
-    memory.surprise[1] = fade * memory.surprise[1] + used
+                information[i, j] += share * innovation[at, r, j]
 
 
 @compiled_loops
@@ -347,8 +430,10 @@ def _add_moved(step: Step, rows: Floats, out: Floats) -> None:
 
 
 @compiled_loops
-def _move_covariance(step: Step, covariance: Floats, drawn: Floats, at: int, used: int, moved: Floats) -> None:
-    """``P = A P A^T + Q - K C^T``: the lower half, mirrored."""
+def _move_covariance(
+    step: Step, covariance: Floats, stir: float, drawn: Floats, at: int, used: int, moved: Floats
+) -> None:
+    """``P = A P A^T + stir Q - K C^T``: the lower half, mirrored."""
     n = len(covariance)
     for i in range(n):
         for j in range(n):
@@ -357,7 +442,7 @@ def _move_covariance(step: Step, covariance: Floats, drawn: Floats, at: int, use
     _transpose(moved)
     for i in range(n):
         for j in range(n):
-            covariance[i, j] = step.noise[i, j]
+            covariance[i, j] = stir * step.noise[i, j]
     _add_moved(step, moved, covariance)
     for i in range(n):
         for r in range(used):

@@ -5,9 +5,20 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import lapack
 
-from companion.core.mode.kernel import LOAD_TIME_S, Data, Fixed, History, Memory, Step
-from companion.core.mode.layout import M_LEFT, P_LEFT, ROWS, Y_LEFT, Z_LEFT
-from companion.records import Floats, Ints
+from companion.core.mode.kernel import (
+    GATE,
+    LIFTED,
+    LOAD_TIME_S,
+    MOST_STIR,
+    MOST_SURPRISE,
+    Data,
+    Fixed,
+    History,
+    Memory,
+    Step,
+)
+from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
+from companion.records import Bools, Floats, Ints
 
 
 def run_cells(
@@ -31,28 +42,81 @@ def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History,
     use = _used(step, data, k)
     g = sense[use, :n]
     spread = g @ covariance
-    drawn = spread @ step.motion.T + step.cross[use]
-    variance = spread @ g.T + _sensor(fixed, step, data.lateral_gain[k], data.cut[k])[np.ix_(use, use)]
-    if not np.isfinite(variance.sum()):
-        return False
-    root, failed = lapack.dpotrf(variance, lower=1)
-    if failed:
-        return False
     innovation = measured[use] - sense[use] @ columns
     _at_prediction(fixed, use, innovation, innovation @ weights)
-    whitened = np.hstack([g, innovation, drawn])
-    if len(use):  # LAPACK complains aloud of a system without rows
-        whitened, _ = lapack.dtrtrs(root, whitened, lower=1)
-    g, innovation, drawn = whitened[:, :n], whitened[:, n:-n], whitened[:, -n:]
+    plain, swept = innovation @ weights, spread @ g.T
+    stir = min(1.0 + LIFTED * float(data.shaken[k, 0]) / float(step.measured[Z_LEFT, Z_LEFT]), MOST_STIR)
+    variance = swept + _sensor(fixed, step, data, k, stir)[np.ix_(use, use)]
+    root = _cholesky(variance)
+    if root is None:
+        return False
+    surprise = _solved(root, plain)
+    beyond = np.abs(surprise) > GATE
+    excess, expected = np.zeros(len(use)), np.diag(variance)
+    if beyond.any():
+        stir = _stir(step, use, beyond, plain, expected, stir)
+        excess = _excess(beyond, plain, expected)
+        variance = swept + _sensor(fixed, step, data, k, stir)[np.ix_(use, use)]
+        root = _doubting_root(variance, plain)
+        if root is None:
+            return False
+    shaken = np.zeros(ROWS)
+    shaken[Z_LEFT:M_LEFT], shaken[P_ROOT] = (1.0 + LIFTED) * data.shaken[k, 0], data.shaken[k, 2]
+    excess = np.where(shaken[use] > 0.5 * expected, plain, excess)
+    drawn = spread @ step.motion.T + stir * step.cross[use]
+    g, innovation, drawn = (_solved(root, rows) for rows in (g, innovation, drawn))
     _remember(history, at, g, innovation, drawn)
+    history.excess[at] = 0.0
+    history.excess[at, use] = excess
     fade = 1.0 - fixed.step_s
-    memory.surprise[0] = fade * memory.surprise[0] + np.sum((innovation @ weights) ** 2)
+    memory.surprise[0] = fade * memory.surprise[0] + min(float(np.sum(surprise**2)), MOST_SURPRISE)
     memory.surprise[1] = fade * memory.surprise[1] + len(use)
-    memory.information[:] += innovation.T @ innovation
+    if not beyond.any():
+        memory.information[:] += innovation.T @ innovation
     columns[:n] = step.motion @ columns[:n] + np.outer(step.static, columns[n]) + drawn.T @ innovation
-    grown = step.motion @ covariance @ step.motion.T + step.noise - drawn.T @ drawn
+    grown = step.motion @ covariance @ step.motion.T + stir * step.noise - drawn.T @ drawn
     covariance[:] = 0.5 * (grown + grown.T)
     return True
+
+
+def _cholesky(variance: Floats) -> Floats | None:
+    """Lower root; None where there is none."""
+    if not np.isfinite(variance.sum()):
+        return None
+    root, failed = lapack.dpotrf(variance, lower=1)
+    return None if failed else root
+
+
+def _solved(root: Floats, rows: Floats) -> Floats:
+    """``L^-1`` times the rows; LAPACK complains aloud of a system without any."""
+    return np.asarray(lapack.dtrtrs(root, rows, lower=1)[0]).reshape(rows.shape) if len(rows) else rows
+
+
+def _stir(step: Step, use: Ints, beyond: Bools, plain: Floats, variance: Floats, before: float) -> float:
+    """By what the process noise must be raised so that what the vertical rows say lies inside the gate."""
+    vertical = beyond & (use < M_LEFT)
+    missing = plain**2 - GATE**2 * variance
+    needed = missing[vertical] / np.diag(step.measured)[use[vertical]]
+    return min(before + float(np.max(needed, initial=0.0)), MOST_STIR)
+
+
+def _excess(lapsed: Bools, plain: Floats, variance: Floats) -> Floats:
+    return np.where(lapsed, np.sign(plain) * np.maximum(np.abs(plain) - GATE * np.sqrt(variance), 0.0), 0.0)
+
+
+def _doubting_root(variance: Floats, plain: Floats) -> Floats | None:
+    """Cholesky's root row by row, of a covariance in which each row that lies beyond the gate is noisier."""
+    count = len(plain)
+    root, white = np.zeros((count, count)), np.zeros(count)
+    for r in range(count):
+        for q in range(r):
+            root[r, q] = (variance[r, q] - root[r, :q] @ root[q, :q]) / root[q, q]
+        own, innovation = variance[r, r] - root[r, :r] @ root[r, :r], plain[r] - root[r, :r] @ white[:r]
+        if not 0.0 < own < np.inf:
+            return None
+        own = max(own, abs(innovation) * np.sqrt(own) / GATE)
+        root[r, r], white[r] = np.sqrt(own), innovation / np.sqrt(own)
+    return root
 
 
 def _remember(history: History, at: int, g: Floats, innovation: Floats, drawn: Floats) -> None:
@@ -98,14 +162,15 @@ def _used(step: Step, data: Data, k: int) -> Ints:
     return np.flatnonzero(use)
 
 
-def _sensor(fixed: Fixed, step: Step, gain: Floats, cut: Floats) -> Floats:
-    out = step.measured.copy()
-    own = fixed.own.copy()
+def _sensor(fixed: Fixed, step: Step, data: Data, k: int, stir: float) -> Floats:
+    out = stir * step.measured
+    own, gain, shaken = fixed.own.copy(), data.lateral_gain[k], data.shaken[k]
     own[Y_LEFT:P_LEFT] *= gain**2
-    own[Z_LEFT:M_LEFT] += step.cut * cut
+    own[Z_LEFT:M_LEFT] += stir * step.cut * data.cut[k]
+    own[P_ROOT] += shaken[2]
     out[range(ROWS), range(ROWS)] += own
-    out[Z_LEFT:M_LEFT, Z_LEFT:M_LEFT] += fixed.root_z
-    out[Y_LEFT:P_LEFT, Y_LEFT:P_LEFT] += fixed.root_y * np.outer(gain, gain)
+    out[Z_LEFT:M_LEFT, Z_LEFT:M_LEFT] += fixed.root_z + shaken[0]
+    out[Y_LEFT:P_LEFT, Y_LEFT:P_LEFT] += (fixed.root_y + shaken[1]) * np.outer(gain, gain)
     return out
 
 

@@ -7,6 +7,7 @@ state of the filter.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from companion.core.compiled import compiled
 from companion.core.mode.averaging import VERTICAL
-from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout
+from companion.core.mode.layout import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout, Noise
 from companion.core.mode.sensitivity import Motion, columns_of, rate_of_change, sensitivities
 from companion.core.mode.stream import CHANNELS, Averages, Samples, Stream, averages
 from companion.core.wing.sensing import GRAVITY_MPS2
@@ -22,6 +23,8 @@ from companion.records import Axis, Bools, Floats, Ints
 
 _LEAST_FORCE_MPS2 = 1.0  # in free fall the lateral axis does not see the slope
 _SHAKEN = 5.0  # sigmas of the root's own first moment
+_STIRRED = 6.0  # sigmas of the root's cells: what smoothing takes away beyond these is no noise of its sensor
+_STEEP = 0.05  # slope by which an error across lifts a vertical row
 _LATERAL, _ROLL = 1, 3  # channels
 _BESIDE = 2  # cells at either end that time derivatives and smoothing lean on
 
@@ -52,6 +55,9 @@ class Cells:
         Of each row to each constant, as far as data alone give it.
     cut : (n, 2) float64
         How much the tips' cells suffer from edges that cut samples.
+    shaken : (n, 3) float64
+        Variance of the rigid vertical and lateral force and of the roll rate because the root moved, or lied, faster
+        than its filtered samples can tell; 0 in steady flight.
     """
 
     start_ns: Ints
@@ -65,6 +71,7 @@ class Cells:
     rate: Floats
     sensitivity: Floats
     cut: Floats
+    shaken: Floats
 
     def __len__(self) -> int:
         return len(self.start_ns)
@@ -74,6 +81,14 @@ class Cells:
         if first == 0 and last == len(self):
             return self
         return Cells(*(getattr(self, name)[first:last] for name in _COLUMNS))
+
+    def without(self, excess: Floats) -> Cells:
+        """The same cells less what of their rows (n, 9) is no motion of the wing; their load factors are bridged."""
+        shaken, load = excess[:, Z_LEFT:M_LEFT].any(axis=1), self.load
+        if shaken.any() and not shaken.all():
+            at = np.arange(len(self), dtype=np.float64)
+            load = np.interp(at, at[~shaken], self.load[~shaken])
+        return dataclasses.replace(self, rows=self.rows - excess, load=load)
 
 
 _COLUMNS = (
@@ -88,6 +103,7 @@ _COLUMNS = (
     "rate",
     "sensitivity",
     "cut",
+    "shaken",
 )
 
 
@@ -99,11 +115,12 @@ def join(runs: list[Cells]) -> Cells:
 class FrontEnd:
     """Makes cells of the three streams: averages them, and removes the rigid motion."""
 
-    def __init__(self, layout: Layout, streams: tuple[Stream, Stream, Stream]) -> None:
+    def __init__(self, layout: Layout, noise: Noise, streams: tuple[Stream, Stream, Stream]) -> None:
         self._streams = streams
         root, left, right = (np.array(stream.sensor.position_m) for stream in streams)
         self._levers_m = np.stack([left - root, right - root])
-        self._root_noise_mps2_rthz = streams[0].sensor.accel_noise_mps2_rthz
+        usual = _STIRRED * np.sqrt([noise.root_z, noise.root_y, noise.own[P_ROOT]])
+        self._noise = _RootNoise(streams[0].sensor.accel_noise_mps2_rthz, usual)
         self._where, self._constants = columns_of(layout), len(layout.constants)
         self._axes: tuple[Axis, ...] = ()
         self._sends = np.zeros((3, CHANNELS), dtype=np.bool_)
@@ -115,10 +132,17 @@ class FrontEnd:
         if axes != self._axes:
             self._axes = axes
             self._sends = np.array([[_sends(stream, letter) for letter in "xyzpqr"] for stream in self._streams])
-        fixed = (self._sends, self._levers_m, self._root_noise_mps2_rthz, self._where, self._constants)
-        return Cells(
-            *_cells_between(root.plain(), left.plain(), right.plain(), first_ns, step_ns, count, *fixed),
-        )
+        fixed = (self._sends, self._levers_m, self._noise, self._where, self._constants)
+        until_ns = first_ns + step_ns * (count + _BESIDE)
+        at_root, at_left, at_right = (stream.plain(until_ns) for stream in (root, left, right))
+        return Cells(*_cells_between(at_root, at_left, at_right, first_ns, step_ns, count, *fixed))
+
+
+class _RootNoise(NamedTuple):
+    """Density of the root's accelerometer, and what smoothing may take from its cells: force up, across; roll rate."""
+
+    mps2_rthz: float
+    usual: Floats
 
 
 class _Averaged(NamedTuple):
@@ -143,7 +167,7 @@ def _sends(stream: Stream, letter: str) -> bool:
 
 
 _Vector = Floats | tuple[float, float, float]
-_CellColumns = tuple[Ints, Floats, Bools, Floats, Floats, Floats, Floats, Floats, Floats, Floats, Floats]
+_CellColumns = tuple[Ints, Floats, Bools, Floats, Floats, Floats, Floats, Floats, Floats, Floats, Floats, Floats]
 
 
 @compiled
@@ -156,14 +180,14 @@ def _cells_between(
     count: int,
     sends: Bools,
     levers_m: Floats,
-    root_noise_mps2_rthz: float,
+    noise: _RootNoise,
     where: Ints,
     constants: int,
 ) -> _CellColumns:
     """Everything that :class:`Cells` holds, in its order."""
     edges_ns = first_ns + step_ns * np.arange(-_BESIDE, count + _BESIDE + 1)
     at_root, at_left, at_right = averages(root, edges_ns), averages(left, edges_ns), averages(right, edges_ns)
-    steady = _steady(at_root, root_noise_mps2_rthz, step_ns * 1e-9)
+    steady = _steady(at_root, noise.mps2_rthz, step_ns * 1e-9)
     averaged = _Averaged(
         step_ns * 1e-9,
         at_root.mean,
@@ -177,6 +201,7 @@ def _cells_between(
     )
     rows, there, vertical, lateral, tilted, gains, load, rate, known = _cells(averaged, where, constants)
     cut = np.stack((at_left.cut, at_right.cut), axis=1)
+    shaken = _shaken(averaged, noise.usual)
     i, j = _BESIDE, _BESIDE + count
     starts_ns = edges_ns[i:j].copy()
     return (
@@ -191,6 +216,7 @@ def _cells_between(
         rate[i:j],
         known[i:j],
         cut[i:j],
+        shaken[i:j],
     )
 
 
@@ -298,6 +324,33 @@ def _smoothed(values: Floats, there: Bools) -> Floats:
     for k in range(1, len(values) - 1):
         if there[k - 1] and there[k] and there[k + 1]:
             out[k] = 0.25 * (values[k - 1] + values[k + 1]) + 0.5 * values[k]
+    return out
+
+
+@compiled
+def _shaken(averaged: _Averaged, usual: Floats) -> Floats:
+    """Variances (n, 3) as :class:`Cells` holds them, where smoothing takes away more than is ``usual`` (3,).
+
+    What moves faster than the smoothing and the interpolation between filtered samples can tell is wrong by about as
+    much as smoothing changes it: measured on blows of 20 ms as well as on noise in the samples.
+    """
+    n = len(averaged.root)
+    out = np.zeros((n, 3))
+    if not averaged.filtered:
+        return out
+    calm = _smoothed(averaged.root, averaged.covered[0])
+    taken, lever = np.zeros((n, 3)), np.abs(averaged.levers_m).max()
+    for k in range(n):
+        change = np.abs(averaged.root[k] - calm[k])
+        turned, turning = np.sqrt((change[_ROLL:] ** 2).sum()), np.sqrt((calm[k, _ROLL:] ** 2).sum())
+        spun = lever * turned * (2.0 * turning + turned)  # of the centripetal force
+        beyond = turned > usual[2]
+        taken[k, 2] = change[_ROLL] if change[_ROLL] > usual[2] else 0.0
+        taken[k, 1] = change[_LATERAL] + spun if beyond or change[_LATERAL] > usual[1] else 0.0
+        taken[k, 0] = (change[VERTICAL] if change[VERTICAL] > usual[0] else 0.0) + _STEEP * taken[k, 1]
+    for k in range(n):
+        for column in range(3):
+            out[k, column] = taken[max(k - 1, 0) : k + 2, column].max() ** 2
     return out
 
 

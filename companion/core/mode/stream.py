@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -9,16 +10,33 @@ import numpy as np
 
 from companion.core.compiled import compiled, plain
 from companion.core.mode.averaging import bridged, bridged_shares, cell_means, cell_means_unfiltered, cut_shares
+from companion.core.mode.lapses import BESIDE, lapses
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
 CHANNELS = 6
-_CLIPPED = 0.002  # so near to the range a value was clipped; one well beyond was not, whatever the range is said to be
+_CLIPPED = 0.002  # so near to the range a value was clipped
+_BEYOND = 1.05  # of the range: no sensor says so
+_MISSED = 1.4  # sigmas of a sample's noise by which it misses a cubic through its neighbours
 _GAP_PERIODS = 3.5
 _GAP_FLOOR_S = 0.012
 _LOST_PERIODS = 1.6
 _CLOSE, _FAR = 0.4, 1.3  # periods
 _RESOLVED = 2.9  # samples per cell that make a moment
+
+
+def within_range(batch: ImuBatch, sensor: Sensor) -> tuple[ImuBatch, list[Rejected]]:
+    """The batch without samples beyond what its sensor can say, of which no filter should hear; those are counted."""
+    share = (np.abs(batch.values) / _ranges(sensor)).max(axis=1, initial=0.0)
+    beyond = np.isfinite(share) & (share > _BEYOND)
+    if not beyond.any():
+        return batch, []
+    refused = Rejected(Reject.BEYOND_RANGE, _name(batch), batch.received_host_ns, int(beyond.sum()))
+    return dataclasses.replace(batch, t_ns=batch.t_ns[~beyond], values=batch.values[~beyond]), [refused]
+
+
+def _ranges(sensor: Sensor) -> Floats:
+    return np.repeat([sensor.accel_range_mps2, sensor.gyro_range_radps], 3)
 
 
 @compiled
@@ -42,7 +60,7 @@ def _flawless(t_ns: Ints, values: Floats, limits: Floats, oldest_ns: int) -> boo
     """Whether every sample is new, finite and inside the sensor's range."""
     if not (t_ns > oldest_ns).all() or not np.isfinite(values).all():
         return False
-    return not (np.abs(np.abs(values) / limits - 1.0) < _CLIPPED).any()
+    return not (np.abs(values) / limits > 1.0 - _CLIPPED).any()
 
 
 @compiled
@@ -118,27 +136,43 @@ class Stream:
     _range: Floats = field(init=False)
     _cutoff_hz: Floats = field(init=False)
     _period_ns: int = field(init=False)
+    _floor: Floats = field(init=False)
+    _judged_ns: int = -(2**62)  # up to here it is known which samples contradict their neighbours
+    _lapsed: int = 0  # that have not been told
 
     def __post_init__(self) -> None:
         own = self.sensor
-        self._range = np.repeat([own.accel_range_mps2, own.gyro_range_radps], 3)
+        self._range = _ranges(own)
         self._cutoff_hz = np.repeat([own.lowpass_accel_hz, own.lowpass_gyro_hz], 3)
         self._period_ns = round(1e9 / own.rate_hz)
+        noise = np.repeat([own.accel_noise_mps2_rthz, own.gyro_noise_radps_rthz], 3)
+        self._floor = _MISSED * noise * np.sqrt(0.5 * own.rate_hz)
         self.filtered = own.lowpass_accel_hz > 0.0 or own.lowpass_gyro_hz > 0.0
 
     def add(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
-        """Take a batch; samples at or before ``oldest_ns``, not finite or saturated are refused and counted."""
-        t, values = plain(batch.t_ns), plain(batch.values)
+        """Take a batch; samples at or before ``oldest_ns``, not finite or outside the range are refused and counted.
+
+        So are those, of earlier batches, that have since turned out to contradict all their neighbours.
+        """
+        told, t, values = self._told(batch), plain(batch.t_ns), plain(batch.values)
         if batch.axes is not self.axes:
             self.axes |= batch.axes
         if len(t) and _flawless(t, values, self._range, oldest_ns):
             self._take(t, values)
-            return []
+            return told
+        batch, beyond = within_range(batch, self.sensor)
+        return [*told, *beyond, *self._take_good(batch, oldest_ns)]
+
+    def _told(self, batch: ImuBatch) -> list[Rejected]:
+        count, self._lapsed = self._lapsed, 0
+        return [Rejected(Reject.LAPSED, _name(batch), batch.received_host_ns, count)] if count else []
+
+    def _take_good(self, batch: ImuBatch, oldest_ns: int) -> list[Rejected]:
+        t, values = plain(batch.t_ns), plain(batch.values)
         late = t <= oldest_ns
         infinite = ~np.isfinite(values).all(axis=1)
         with np.errstate(invalid="ignore"):
-            full = (np.abs(np.abs(values) / self._range - 1.0) < _CLIPPED).any(axis=1)
-        full &= ~infinite
+            full = ~infinite & ((np.abs(values) / self._range).max(axis=1, initial=0.0) > 1.0 - _CLIPPED)
         bad = late | infinite | full
         if full.any():
             self.saturated_ns = max(int(t[full].max()), self.saturated_ns or 0)
@@ -147,8 +181,7 @@ class Stream:
         if len(t):
             self._take(t, values)
         causes = ((Reject.NOT_FINITE, infinite), (Reject.SATURATED, full), (Reject.TOO_LATE, late & ~infinite & ~full))
-        what = f"{batch.station.name.lower()} inertial sample"
-        return [Rejected(why, what, batch.received_host_ns, int(hit.sum())) for why, hit in causes if hit.any()]
+        return [Rejected(why, _name(batch), batch.received_host_ns, int(hit.sum())) for why, hit in causes if hit.any()]
 
     def _take(self, t_ns: Ints, values: Floats) -> None:
         self._waiting.append((t_ns, values))
@@ -177,20 +210,41 @@ class Stream:
             t = np.concatenate([part[0] for part in self._waiting])
             values = np.concatenate([part[1] for part in self._waiting])
         self._waiting.clear()
+        oldest_ns = int(t.min())
         t, values, ordered = _appended(self.t_ns, self.values, t, values, self._period_ns, self._needed_ns)
         if not ordered:
             t, values = _sorted(t, values)
             t, values, _ = _appended(t[:0], values[:0], t, values, self._period_ns, self._needed_ns)
         self.t_ns, self.values = t, values
+        self._judge(min(oldest_ns, self._judged_ns + 1))
+
+    def _judge(self, from_ns: int) -> None:
+        """Take out the samples from an instant on that contradict their neighbours, as far as there are enough."""
+        t_ns = self.t_ns
+        if len(t_ns) <= 2 * BESIDE:
+            return
+        lapsed = lapses(t_ns, self.values, int(np.searchsorted(t_ns, from_ns)), self._floor, float(self._period_ns))
+        self._judged_ns = int(t_ns[-1 - BESIDE])
+        if lapsed.any():
+            self._lapsed += int(lapsed.sum())
+            self.t_ns, self.values = t_ns[~lapsed], self.values[~lapsed]
 
     def average(self, edges_ns: Ints) -> Averages:
         """Average over the cells between consecutive, equally spaced edges, (n + 1,)."""
-        return averages(self.plain(), edges_ns)
+        return averages(self.plain(int(edges_ns[-1])), edges_ns)
 
-    def plain(self) -> Samples:
-        """Everything at hand, for what is compiled."""
+    def plain(self, until_ns: int) -> Samples:
+        """Everything at hand, for what is compiled; samples that nobody has judged only if there is no other way."""
         self._settle()
-        return Samples(self.t_ns, self.values, self.sensor.rate_hz, self._cutoff_hz, self.filtered)
+        judged = int(np.searchsorted(self.t_ns, self._judged_ns, side="right"))
+        if judged < 2 or self.t_ns[judged - 2] < until_ns:
+            judged = len(self.t_ns)
+        t_ns, values = self.t_ns[:judged], self.values[:judged]
+        return Samples(t_ns, values, self.sensor.rate_hz, self._cutoff_hz, self.filtered)
+
+
+def _name(batch: ImuBatch) -> str:
+    return f"{batch.station.name.lower()} inertial sample"
 
 
 def _sorted(t_ns: Ints, values: Floats) -> tuple[Ints, Floats]:

@@ -38,6 +38,7 @@ _WINDOW_S = 1.0
 _MOST_CELLS = 250  # averaged at once
 _SATURATED_NS = 200_000_000
 _PATIENCE_S = 5.0
+_OFTEN = 0.2  # share of cells
 _TRIAL_S = 1.5  # fits come once a second
 _SMALL = np.array([0.02, 0.5, 0.7, 1.0, 1.0, 0.05, 0.7, 1.0, 0.7])  # of the parameters' logarithms
 _IDLE = np.log(1e-6)  # load of a second mode, as a share of the first one's, that nobody would see
@@ -61,8 +62,8 @@ class WingTracker:
         self._streams = tuple(Stream(airframe.sensor(station)) for station in Station)
         self._layout = make_layout(airframe)
         root, left, right = self._streams
-        self._front_end = FrontEnd(self._layout, (root, left, right))
         self._noise = make_noise(airframe, self._layout, self._step_s)
+        self._front_end = FrontEnd(self._layout, self._noise, (root, left, right))
         wing = airframe.wing
         root_y = airframe.root.position_m[1]
         self._levers = (airframe.left.position_m[1] - root_y, airframe.right.position_m[1] - root_y)
@@ -91,6 +92,7 @@ class WingTracker:
         self._begun = self._kalman.fork(self._kalman.model)
         self._level = Level(self._layout)
         self._surprised_s = 0.0
+        self._struck = 0.0  # cells of the last second
         self._rates.clear()
         if self._start_ns is not None:
             self._start_ns = self._next_ns
@@ -166,12 +168,23 @@ class WingTracker:
             if self._settings.adapt:
                 self._recent.append(part)
                 self._untried += len(part)
-                if self._adaptation.take(part, self._refused or self._kalman.surprise > SURPRISED):
+                if self._adaptation.take(self._cleaned(part), self._refused or self._kalman.surprise > SURPRISED):
                     self._readapt()
                 elif not self._adaptation.early and self._untried * self._step_s > _TRIAL_S:
                     self._mark()  # without enough samples there was no fit, and the cells must not pile up
         for stream in self._streams:
             stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
+
+    def _cleaned(self, cells: Cells) -> Cells:
+        """Cells without what lapses and blows added, unless there are so many that this is how the wing moves.
+
+        While the parameters are still being found, they and not the sensors are wrong.
+        """
+        excess = self._kalman.excess(len(cells))
+        struck = int(np.count_nonzero(excess.any(axis=1)))
+        self._struck += struck - self._struck * min(1.0, len(cells) * self._step_s)
+        rare = self._struck * self._step_s < _OFTEN and not self._adaptation.early
+        return cells.without(excess) if struck and rare else cells
 
     def _lost(self, steps: int) -> bool:
         """Whether the filter has run away, or has contradicted its sensors for too long to find back."""
