@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from companion.records import Health
 from companion.sim.flight import Flight
 from sitl_tests.faults import link_faults
 from sitl_tests.faults.link_faults import LinkOutcome
-from sitl_tests.faults.vehicle_faults import FAULTS, Outcome, build, strike, table, write
+from sitl_tests.faults.lying_samples import ROOT, lie
+from sitl_tests.faults.vehicle_faults import FAULTS, Fault, Outcome, build, strike, table, write
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
 HARMLESS = ("none", "flood at 20 x the rate", "foreign TIMESYNC answers")
@@ -72,3 +74,34 @@ def test_a_link_that_breaks_comes_back_with_true_samples(make: Any) -> None:
     assert outcome.recovery_s < 10.0
     assert outcome.wrong == 0
     assert outcome.lost < 100, "what was sent before it broke had arrived"
+
+
+# ranges come every 0.18 s or so: a single sample may add 50 ms to the longest pause, a burst or a blow 300 ms
+WORST_HANDS = (
+    "root z -4 m/s2, one sample",
+    "root z 100 m/s2, one sample",
+    "left z 1e+30 m/s2, one sample",
+    "root p 10 rad/s, one sample",
+    "root z +-5 m/s2, 20 ms",
+    "blow of 10 m/s2 to the fuselage",
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", WORST_HANDS)
+def test_what_a_sensor_says_for_a_moment_costs_at_most_a_moment(flight: Flight, name: str) -> None:
+    usual, outcome = strike(flight, BY_NAME["none"]), strike(flight, BY_NAME[name])
+    assert outcome.wrong == 0
+    assert set(outcome.healths) == {Health.ACTIVE}
+    assert outcome.gap_s <= usual.gap_s + (0.05 if "one sample" in name else 0.3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(9))
+def test_a_root_sample_off_by_4_to_5_never_makes_a_wrong_range(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    by, begin_s = float(rng.choice([-1.0, 1.0]) * rng.uniform(4.0, 5.0)), float(rng.uniform(10.5, 16.0))
+    outcome = strike(build(seed), Fault("root z", hand=lie(ROOT, "zacc", by), begin_s=begin_s))
+    assert outcome.wrong == 0
+    assert outcome.trusted > 0
+    assert outcome.gap_s < 0.5

@@ -1,4 +1,6 @@
-"""The fault table: each fault strikes a tracked flight for two seconds; what happened, and how long it took to recover.
+"""The fault table: each fault strikes a tracked flight; what happened, and how long it took to recover.
+
+A fault lasts for two seconds where its name says nothing else.
 
 ``python -m sitl_tests.faults.vehicle_faults`` runs all and writes the table into ``sitl_tests/README.md``. The real
 loop, adapter and pipeline fly; vehicle, wire and cameras are simulated (:mod:`sitl_tests.loop.simulated_service`).
@@ -16,12 +18,14 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.params.files import load_airframe
 from companion.records import CorrectedRange, Health, Rejected, ServiceStatus, Tick
+from companion.sim.aircraft import Jolt, demo_plan
 from companion.sim.faults import Faults
 from companion.sim.flight import Flight, build_flight
 from companion.sim.lockstep import LockStepClock
 from sitl_tests.faults import link_faults
 from sitl_tests.faults.camera_faults import CameraFault, StruckCameras
 from sitl_tests.faults.link_faults import LinkOutcome
+from sitl_tests.faults.lying_samples import BLOWS_MPS2, HANDS
 from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, SimulatedService
 
 BEGIN_S, END_S, OVER_S = 13.0, 15.0, 24.0
@@ -40,6 +44,9 @@ class Fault:
     meddle: Meddle | None = None
     deaf: bool = False
     cameras: CameraFault = field(default_factory=lambda: CameraFault("none"))
+    hand: Callable[[], Meddle] | None = None  # makes what meddles: one that remembers since when
+    blow_mps2: float = 0.0  # to the fuselage, for 20 ms; the wing answers
+    begin_s: float = BEGIN_S
 
 
 @dataclass(frozen=True)
@@ -131,6 +138,8 @@ FAULTS = (
     Fault("MAVLink 1 frames among ours", meddle=_version_1),
     Fault("foreign TIMESYNC answers", meddle=_foreign_time),
     Fault("left node's stream stops", Faults(stops=((200, BEGIN_S, END_S),))),
+    *(Fault(name, hand=hand) for name, hand in HANDS.items()),
+    *(Fault(f"blow of {peak:g} m/s2 to the fuselage", blow_mps2=peak) for peak in BLOWS_MPS2),
 )
 
 _KNOCK = CameraFault("knock", 0.002, at_s=BEGIN_S)
@@ -141,13 +150,18 @@ CAMERA_FAULTS = (
 )
 
 
-def build() -> Flight:
+def build(seed: int = 6, jolts: tuple[Jolt, ...] = ()) -> Flight:
     """The flight that all faults strike."""
-    return build_flight(load_airframe("nadir-2m"), 6, OVER_S + 1.0)
+    plan = dataclasses.replace(demo_plan(OVER_S + 1.0), jolts=jolts)
+    return build_flight(load_airframe("nadir-2m"), seed, plan=plan)
 
 
 def strike(flight: Flight, fault: Fault) -> Outcome:
     """Fly, let the fault strike, and look."""
+    if fault.blow_mps2:
+        flight = build(flight.seed, (Jolt(fault.begin_s, fault.blow_mps2),))
+    meddle = fault.hand() if fault.hand else fault.meddle
+    end_s = fault.begin_s + END_S - BEGIN_S
 
     def struck(flight: Flight, clock: LockStepClock) -> StruckCameras:
         return StruckCameras(flight, clock, fault=fault.cameras)
@@ -158,14 +172,14 @@ def strike(flight: Flight, fault: Fault) -> Outcome:
     sent = 0
 
     def striking() -> bool:
-        return BEGIN_S <= service.world.autopilot._tick_ns * 1e-9 < END_S
+        return fault.begin_s <= service.world.autopilot._tick_ns * 1e-9 < end_s
 
     def send(data: bytes | list[bytes]) -> bool:
         nonlocal sent
         if isinstance(data, bytes):
             return carry(data)
         sent += len(data)
-        return carry(fault.meddle(data, rng) if fault.meddle and striking() else data)
+        return carry(meddle(data, rng) if meddle and striking() else data)
 
     def heard() -> bytes:
         data = drain()
@@ -178,27 +192,30 @@ def strike(flight: Flight, fault: Fault) -> Outcome:
 
 
 def _judge(fault: Fault, service: SimulatedService, sent: int) -> Outcome:
-    now_s, trusted_s, wrong, healths = 0.0, [BEGIN_S], 0, []
+    now_s, trusted_s, wrong, healths = 0.0, [fault.begin_s], 0, []
     refused: dict[str, int] = {}
+    end_s = fault.begin_s + END_S - BEGIN_S
     for record in service.tape.records:
         if isinstance(record, Tick):
             now_s = (record.now_host_ns - EPOCH_NS) * 1e-9
         elif isinstance(record, CorrectedRange) and record.trusted:
             error_m = abs(record.range_m - GROUND_M)
             wrong += error_m > _SIGMAS * record.sigma_m and error_m > _SHARE * GROUND_M
-            if now_s >= BEGIN_S:
+            if now_s >= fault.begin_s:
                 trusted_s.append(now_s)
-        elif isinstance(record, Rejected) and BEGIN_S <= now_s < OVER_S:
+        elif isinstance(record, Rejected) and fault.begin_s <= now_s < OVER_S:
             refused[str(record.reason)] = refused.get(str(record.reason), 0) + record.count
         elif (
-            isinstance(record, ServiceStatus) and now_s >= BEGIN_S and (not healths or healths[-1] is not record.health)
+            isinstance(record, ServiceStatus)
+            and now_s >= fault.begin_s
+            and (not healths or healths[-1] is not record.health)
         ):
             healths.append(record.health)
     gaps_s = np.diff([*trusted_s, OVER_S])
     gap_s = float(np.max(gaps_s))
     stopped = np.flatnonzero(gaps_s > 0.5)
-    ended_s = [*trusted_s, np.inf][int(stopped[-1]) + 1] if len(stopped) else END_S
-    recovery_s = float(max(ended_s - END_S, 0.0))
+    ended_s = [*trusted_s, np.inf][int(stopped[-1]) + 1] if len(stopped) else end_s
+    recovery_s = float(max(ended_s - end_s, 0.0))
     counters = service.autopilot.decoder.counters(0)
     lost = sent - counters.frames if fault.meddle in (_lost, _thinned, _garbage) else 0
     return Outcome(fault.name, recovery_s, gap_s, sent, lost, refused, wrong, len(trusted_s) - 1, tuple(healths))
@@ -207,7 +224,7 @@ def _judge(fault: Fault, service: SimulatedService, sent: int) -> Outcome:
 def table(outcomes: list[Outcome]) -> str:
     """The rows as Markdown."""
     head = (
-        "| fault (2 s long) | health told | longest time without a range | recovery after its end | frames lost | "
+        "| fault | health told | longest time without a range | recovery after its end | frames lost | "
         "samples refused | ranges trusted / wrong |\n|---|---|---|---|---|---|---|\n"
     )
     rows = []
