@@ -94,7 +94,7 @@ def test_an_unknown_trim_bend_is_no_uncertainty_of_the_swing() -> None:
         name: dataclasses.replace(airframe.sensor(Station[name.upper()]), sends="z") for name in ("left", "right")
     }
     tracker = WingTracker(dataclasses.replace(airframe, wing=wing, **sensors), Settings())
-    t_ns, values = swinging(4.0, 0.004)
+    t_ns, values = swinging(6.0, 0.004)
     for station in Station:
         axes = Axis.ALL if station is Station.ROOT else Axis.Z
         tracker.add(dataclasses.replace(batch(station, t_ns, values[station]), axes=axes))
