@@ -28,8 +28,8 @@ _OUTLIER_SQUARE = 30.7  # of three degrees of freedom: one in a million
 _OUTLIERS_TO_REOPEN = 3
 _ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest
 _KNOCKED_SIGMAS = 10.0
-_DOUBT_SIGMAS = 2.0
-_CARRIED = 0.8  # from pair to pair: stamps that were wrong lately may be so again
+_DOUBT_SIGMAS = 2.5
+_CARRIED = 0.5  # from pair to pair: stamps that were wrong lately may be so again
 
 
 class Verdict(enum.Enum):
@@ -59,7 +59,7 @@ class MatchTest:
     One pair shows pitch and roll well and yaw weakly. A pair whose innovation has a normalised square that chance does
     not give is an outlier: its stamp is wrong, or a camera has just been turned, which several in a row show. What no
     single pair shows is seen in the cumulative sums of each axis' normalised innovation (Page's test, two-sided). Until
-    then an axis is granted what its innovation has beyond two sigma, and the next pairs a share of it.
+    then an axis is granted what its innovation has beyond two and a half sigma, and the next pairs a share of it.
     """
 
     _sums: Floats = field(default_factory=lambda: np.zeros((2, 3)))
