@@ -86,6 +86,7 @@ class Reject(enum.StrEnum):
     INCONSISTENT = "inconsistent with the last ranges"
     CONTRADICTED = "the sensors contradict the wing's model"
     MATCHES_CONTRADICT = "the matches contradict the sensors"
+    STAMP_OUTLIER = "exposure stamped off its learned latency"
     PEAK_UNCERTAIN = "peak time too uncertain"
     BLUR_TOO_LARGE = "predicted blur too large"
     PLAN_EXPIRED = "plan expired before it could be fired"

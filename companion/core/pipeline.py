@@ -307,9 +307,8 @@ def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
         if not state.counters[_BY_PIN]:
             said.append(Notice(6, f"{_BY_PIN}: its hot-shoe pin tells them best", matches.matched_host_ns))
         state.counters[_BY_PIN] += told
-    if state.scheduling is not None:
-        state.scheduling.exposed(matches)
-    return [*said, *state.correction.add(matches)]
+    stamps = state.scheduling.exposed(matches) if state.scheduling is not None else None
+    return [*said, *state.correction.add(matches, stamps)]
 
 
 def _on_feedback(state: PipelineState, feedback: CameraFeedback) -> list[OutputRecord]:

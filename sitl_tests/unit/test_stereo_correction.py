@@ -63,13 +63,15 @@ def _matches(number: int = 0) -> MatchSet:
     return match_set(left[inside], pixels, 0.02, mid_exposure_ns=(exposed_ns, exposed_ns))
 
 
-def _corrected(tracker: Any, settings: Settings, pairs: int = 1, *, vehicles: bool = True) -> list[OutputRecord]:
+def _corrected(
+    tracker: Any, settings: Settings, pairs: int = 1, *, vehicles: bool = True, misstamped: tuple[int, ...] = ()
+) -> list[OutputRecord]:
     correction = Correction.create(forward(rotation_sigma_rad=2e-5), settings)
     for t_ns in range(0, 1600 * MS, 100 * MS) if vehicles else ():
         correction.vehicles.append(_vehicle(t_ns))
     outputs: list[OutputRecord] = []
     for number in range(pairs):
-        outputs += correction.add(_matches(number))
+        outputs += correction.add(_matches(number), Reject.STAMP_OUTLIER if number in misstamped else None)
         outputs += correction.due(tracker, EXPOSED_NS + (600 + 100 * number) * MS, 0.0, 20.0)
     return outputs
 
@@ -94,6 +96,12 @@ def test_an_untrusted_wing_withholds_range_and_sectors_and_teaches_nothing() -> 
     assert Reject.NOT_SETTLED in {one.reject for one in ranges}
     assert not _of(ObstacleSectors, outputs)
     assert {one.matches for one in _of(RelativeRotation, outputs)} == {0}
+
+
+def test_a_pair_whose_stamps_are_wrong_gives_no_sectors_and_teaches_nothing() -> None:
+    outputs = _corrected(Still(), Settings(), pairs=4, misstamped=(2,))
+    assert [one.matches > 0 for one in _of(RelativeRotation, outputs)] == [True, True, False, True]
+    assert len(_of(ObstacleSectors, outputs)) == 3
 
 
 def test_matches_are_left_aside_where_the_parameter_says_so() -> None:

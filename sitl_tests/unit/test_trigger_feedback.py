@@ -130,7 +130,7 @@ def test_in_the_pipeline_latency_and_correction_see_the_autopilots_stamp_and_it_
     assert state.counters["exposures stamped by the autopilot"] == 2
     assert sum("hot-shoe" in entry.text for entry in said if isinstance(entry, Notice)) == 1
     assert state.correction is not None
-    assert np.abs(state.correction.pending[-1].mid_exposure_ns - (at_ns + 10 * MS)).max() <= ROUND_TRIP_NS
+    assert np.abs(state.correction.pending[-1].matches.mid_exposure_ns - (at_ns + 10 * MS)).max() <= ROUND_TRIP_NS
     state, _ = step(state, ClockRestart(ClockName.BOOT, at_ns + S))
     _, outputs = step(state, edge(0, at_ns + S))
     assert [entry.reason for entry in outputs if isinstance(entry, Rejected)] == [Reject.CLOCK_UNSYNCED]

@@ -6,7 +6,7 @@ import dataclasses
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -52,6 +52,13 @@ class Bends(Protocol):
         """The wing at a past instant."""
 
 
+class Waiting(NamedTuple):
+    """A matched pair, and why its stamps are not to be believed, if so."""
+
+    matches: MatchSet
+    stamps: Reject | None
+
+
 @dataclass(slots=True)
 class Correction:
     """Matched pairs that wait for the smoother's lag to pass."""
@@ -61,7 +68,7 @@ class Correction:
     gate: RangeGate
     settings: Settings
     slow: SlowRotation
-    pending: deque[MatchSet] = field(default_factory=deque)
+    pending: deque[Waiting] = field(default_factory=deque)
     vehicles: deque[VehicleState] = field(default_factory=lambda: deque(maxlen=_VEHICLES))
     last_trusted: CorrectedRange | None = None
     _distrusted: bool = False
@@ -73,25 +80,26 @@ class Correction:
         rig = Rig.from_airframe(airframe)
         return cls(airframe, rig, RangeGate(closing), settings, SlowRotation(rig, airframe))
 
-    def add(self, matches: MatchSet) -> Iterator[OutputRecord]:
-        """Queue a pair; a full queue drops the oldest and says so."""
+    def add(self, matches: MatchSet, stamps: Reject | None = None) -> Iterator[OutputRecord]:
+        """Queue a pair, with the reason not to believe its stamps if any; a full queue drops the oldest and says so."""
         if any(clock is not ClockName.HOST for clock in matches.clocks):
             yield Rejected(Reject.CLOCK_UNSYNCED, "camera frames", matches.matched_host_ns)
             return
-        self.pending.append(matches)
+        self.pending.append(Waiting(matches, stamps))
         if len(self.pending) > _QUEUE_DEPTH:
-            dropped = self.pending.popleft()
+            dropped = self.pending.popleft().matches
             yield Rejected(Reject.QUEUE_FULL, f"pair {dropped.pair_id}", matches.matched_host_ns)
 
     def due(self, tracker: Bends, now_host_ns: int, climb_mps: float, airspeed_mps: float) -> Iterator[OutputRecord]:
         """Correct every pair whose exposures lie a full lag behind what the tracker has seen."""
         ready_ns = now_host_ns - int((self.settings.smoother_lag_s + self.settings.reorder_window_s) * 1e9)
-        while self.pending and int(self.pending[0].mid_exposure_ns.max()) <= ready_ns:
+        while self.pending and int(self.pending[0].matches.mid_exposure_ns.max()) <= ready_ns:
             yield from self._correct(self.pending.popleft(), tracker, now_host_ns, climb_mps, airspeed_mps)
 
     def _correct(
-        self, matches: MatchSet, tracker: Bends, now_host_ns: int, climb_mps: float, airspeed_mps: float
+        self, waiting: Waiting, tracker: Bends, now_host_ns: int, climb_mps: float, airspeed_mps: float
     ) -> Iterator[OutputRecord]:
+        matches, reason = waiting.matches, tracker.distrust or waiting.stamps
         left, right = (tracker.smooth(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         if isinstance(left, Reject) or isinstance(right, Reject):
             refused = left if isinstance(left, Reject) else right
@@ -101,8 +109,7 @@ class Correction:
         yield left
         yield right
         velocity_mps = np.array([airspeed_mps, 0.0, -climb_mps])
-        reason = tracker.distrust
-        self._doubt(reason)
+        self._doubt(tracker.distrust)
         turned = self._turned(matches, (left, right), velocity_mps, look=reason is None)
         yield turned
         answer: RangeAnswer = correct(
@@ -157,7 +164,7 @@ class Correction:
     def _turned(
         self, matches: MatchSet, bend: tuple[Deflection, Deflection], velocity_mps: Floats, *, look: bool
     ) -> RelativeRotation:
-        """What the matches tell, unless the tracked bend, on which they build, is not to be trusted."""
+        """What the matches tell, unless the bend at the stamps, on which they build, is not to be trusted."""
         moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, velocity_mps)
         matches = matches.features()
         rays = match_rays(self.rig, moving, matches)

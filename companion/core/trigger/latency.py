@@ -19,6 +19,7 @@ _OUTLIER_SPREADS = 6.0
 _LEAST_SPREAD_NS = 50e3
 _REGIME = 5
 """So many outliers in a row, agreeing with each other, are a new truth (another exposure, another link)."""
+_JUDGED = 32
 _MEDIAN_LOSS = math.pi / 2
 
 
@@ -41,6 +42,7 @@ class _Path:
     odd: list[float] = field(default_factory=list)
     count: int = 0
     outliers: int = 0
+    usual: deque[bool] = field(default_factory=lambda: deque(maxlen=_JUDGED))  # of the last latencies: no outlier
     to_middle_ns: float = 0.0
     belief: Latency = field(init=False)
 
@@ -58,6 +60,7 @@ class _Path:
         else:
             self.outliers += 1
             self._suspect(latency_ns, allowed)
+        self.usual.append(good)
         self.belief = self._believe()
         return good
 
@@ -117,6 +120,18 @@ class LatencyModel:
             return Reject.UNPAIRED
         good = self._paths[side].learn(float(mid_exposure_host_ns - fired))
         return None if good else Reject.INCONSISTENT
+
+    def fired(self, plan_id: int) -> bool:
+        """Whether a plan's shot is remembered."""
+        return plan_id in self._fired
+
+    def regular(self, side: Side) -> bool:
+        """Whether most of a camera's last latencies were none of the outliers: only then an outlier is a wrong stamp.
+
+        A camera that runs freely, or whose latency is not what the airframe file says, makes outliers all the time.
+        """
+        usual = self._paths[side].usual
+        return 2 * sum(usual) > len(usual)
 
     def estimate(self, side: Side) -> Latency:
         """Give the belief about one camera."""

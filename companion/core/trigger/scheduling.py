@@ -11,7 +11,7 @@ from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, MatchSet, OutputRecord, Shot, Side, Validity
+from companion.records import ClockName, MatchSet, OutputRecord, Reject, Shot, Side, Validity
 
 _PLAN_PERIOD_NS = 40_000_000
 _BLIND_SHOTS, _BLIND_NS = 5, 10_000_000_000
@@ -62,9 +62,21 @@ class Scheduling:
         """Whether shots have brought no pair of images for a while: a loose line, a camera or its process gone."""
         return self.unseen >= _BLIND_SHOTS and now_host_ns - self.unseen_since_ns >= _BLIND_NS
 
-    def exposed(self, matches: MatchSet) -> None:
-        """Learn from measured exposures on the host's clock; others would be converted by a guess."""
+    def exposed(self, matches: MatchSet) -> Reject | None:
+        """Learn from measured exposures on the host's clock; others would be converted by a guess.
+
+        ``STAMP_OUTLIER`` where an exposure is off the latency that its camera keeps otherwise, or is no exposure that
+        its shot can have caused: the stamp is wrong. Without a shot nothing is said.
+        """
         self.unseen = 0
+        verdict = None
+        wrong = {Reject.INCONSISTENT}
+        if self.latency.fired(matches.plan_id):
+            wrong.add(Reject.UNPAIRED)  # before its command, or half a second after
         for side, clock, t_ns in zip(Side, matches.clocks, matches.mid_exposure_ns, strict=True):
-            if clock is ClockName.HOST:
-                self.latency.exposure(side, matches.plan_id, int(t_ns))
+            if clock is not ClockName.HOST:
+                continue
+            refused = self.latency.exposure(side, matches.plan_id, int(t_ns))
+            if refused in wrong and self.latency.regular(side):
+                verdict = Reject.STAMP_OUTLIER
+        return verdict
