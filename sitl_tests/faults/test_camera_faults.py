@@ -6,6 +6,7 @@ import pytest
 
 from sitl_tests.faults.camera_faults import AIRFRAMES, FAULTS, View, fly
 
+_FAR = View(range_m=60.0, relief_m=1.5, matches=150, sigma_px=0.1, blunders=0.05)
 _BY_NAME = {fault.name: fault for fault in FAULTS}
 
 
@@ -26,3 +27,11 @@ def test_late_stamps_publish_nothing_wrong(name: str) -> None:
     assert outcome.late > 10
     assert outcome.wrong == 0
     assert outcome.trusted > 0.5 * outcome.judged
+
+
+@pytest.mark.slow
+def test_left_stamps_late_in_a_row_teach_a_forward_pair_no_offset() -> None:
+    """Without regard to the learned latency, 27 ranges of this flight were trusted and wrong."""
+    outcome = fly("forward-2m", _BY_NAME["a fifth of the left stamps 15 ms late"], 2, _FAR)
+    assert outcome.wrong == 0
+    assert outcome.trusted > 0.6 * outcome.judged > 50
