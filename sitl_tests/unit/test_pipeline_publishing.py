@@ -235,3 +235,10 @@ def test_tracking_is_said_only_of_a_swing_that_stands_out_from_its_sigma(rms_mm:
     state.validity = Validity.TRACKING
     state.tracker.describe = lambda: described  # type: ignore[method-assign]
     assert _motion_told(state) == told
+
+
+def test_a_pair_that_looks_ahead_takes_the_next_obstacle_for_no_knock() -> None:
+    """Obstacles come and go: a jump is trusted after three that agree, and is no reason to learn the toe anew."""
+    gate = RangeGate(0.0, lasting_surface=False)
+    assert verdicts(gate, [80.0] * 3 + [30.0] * 4) == [False, False, True, False, False, True, True]
+    assert not gate.jumped

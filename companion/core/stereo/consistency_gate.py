@@ -96,9 +96,13 @@ class RangeGate:
     with each other: either the surface or the cameras have changed, and ``jumped`` asks that the toe be learnt anew.
     Once it is (:meth:`reopened`), their sigma is what matches alone have told since, and those that agree under it are
     a new surface. Where nothing looks at matches, a surface must stay for ``_SURFACE_NS``.
+
+    That is for a view of one lasting surface, the ground. A pair that looks ahead sees another obstacle every few
+    seconds (``lasting_surface`` false): there a jump is no evidence against the toe, and several that agree are enough.
     """
 
     closing_mps_per_climb: float
+    lasting_surface: bool = True
     _last: _Level | None = None
     _trusted: _Level | None = None
     _departed: _Level | None = None  # first range that left the last trusted one
@@ -109,7 +113,7 @@ class RangeGate:
     @property
     def jumped(self) -> bool:
         """Whether ranges have left the last trusted one and the toe has not been doubted since."""
-        return self._apart >= _APART_TO_DOUBT and not self._reopened
+        return self.lasting_surface and self._apart >= _APART_TO_DOUBT and not self._reopened
 
     def reopened(self) -> None:
         """Take note that the toe is learnt anew from here on: what agreed before does not count."""
@@ -154,7 +158,8 @@ class RangeGate:
         if self._departed is None or self._agreeing == 1:
             self._departed = level
         self._apart += 1
-        return several and (self._reopened or level.t_ns - self._departed.t_ns >= _SURFACE_NS)
+        stayed = level.t_ns - self._departed.t_ns >= _SURFACE_NS
+        return several and (not self.lasting_surface or self._reopened or stayed)
 
     def _stays_apart(self, level: _Level, moving: _Moving) -> bool:
         """Whether a range goes on from those that departed: the slack, which grows with time, does not excuse them."""

@@ -76,9 +76,9 @@ class Correction:
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> Correction:
         """For an airframe that has both cameras."""
-        closing = 1.0 if airframe.orientation == _DOWN else 0.0
+        down = airframe.orientation == _DOWN
         rig = Rig.from_airframe(airframe)
-        return cls(airframe, rig, RangeGate(closing), settings, SlowRotation(rig, airframe))
+        return cls(airframe, rig, RangeGate(float(down), lasting_surface=down), settings, SlowRotation(rig, airframe))
 
     def add(self, matches: MatchSet, stamps: Reject | None = None) -> Iterator[OutputRecord]:
         """Queue a pair, with the reason not to believe its stamps if any; a full queue drops the oldest and says so."""

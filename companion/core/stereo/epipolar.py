@@ -42,7 +42,6 @@ _STUDENT = 5.0  # degrees of freedom of the matches' errors: outliers fade, good
 _MEDIAN_TO_SIGMA = 1.4826
 _TINY = 1e-17  # rad^2: what is known exactly has a finite information
 _TAILS = 3.0  # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
-_STANDING = np.diag([1e-4, 3e-4, 1e-4]) ** 2  # what interpolation, lenses and slopes feign for seconds: no knock
 _BLIND = 1e-3  # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
 
 
@@ -64,6 +63,8 @@ class SlowPrior:
         Sigma of the yaw that errors common to all pairs make up; a constant.
     parallax_rad : float
         What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
+    standing_rad : tuple of float
+        Pitch, yaw and roll that interpolation, lenses, slopes and the cameras' places feign for seconds: no knock.
     """
 
     rotation_rad: float = 0.005
@@ -73,6 +74,7 @@ class SlowPrior:
     radial: float = 0.002
     steady_rad: float = 0.0
     parallax_rad: float = 0.00005
+    standing_rad: tuple[float, float, float] = (1e-4, 3e-4, 1e-4)
 
     def variances(self) -> Floats:
         """Diagonal (7,) of the first covariance, bend and steady error left out."""
@@ -156,6 +158,7 @@ class EpipolarFilter:
         self._bend_variance = 0.0
         self._seen_ns: int | None = None
         self._test = MatchTest()
+        self._standing = np.diag(prior.standing_rad) ** 2
 
     @property
     def looked(self) -> bool:
@@ -196,7 +199,7 @@ class EpipolarFilter:
         seen = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
         answer = _solve(seen, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
-        verdict, doubt = self._test.take(_innovation(answer).loosened(_STANDING + _TAILS * fast_covariance))
+        verdict, doubt = self._test.take(_innovation(answer).loosened(self._standing + _TAILS * fast_covariance))
         if verdict is Verdict.KNOCKED:
             predicted[:3, :3] += KNOCK_RAD**2 * np.eye(3)
             answer = _solve(seen, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)

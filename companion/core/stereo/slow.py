@@ -23,6 +23,11 @@ _LEAST_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is fo
 _BASELINE_M = 0.0005  # how well a camera's place across the baseline is known
 _RADIAL = 0.002
 _STEADY_PX = 0.01  # what matching and lens model leave in its place from pair to pair, in the corner of the image
+_DOWN = 25
+_STANDING_DOWN_RAD = (1e-4, 3e-4, 1e-4)
+# Obstacles at many distances show what is wrong with the cameras' places (wind, exposures apart) as rotations: in a
+# rendered flight half a milliradian of pitch and roll for seconds, a milliradian of yaw.
+_STANDING_AHEAD_RAD = (5e-4, 1.2e-3, 5e-4)
 _RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone
 
 
@@ -142,6 +147,7 @@ def slow_prior(rig: Rig, airframe: Airframe) -> SlowPrior:
         focal=focal,
         radial=_RADIAL,
         steady_rad=_steady_rad(rig),
+        standing_rad=_STANDING_DOWN_RAD if airframe.orientation == _DOWN else _STANDING_AHEAD_RAD,
     )
 
 
