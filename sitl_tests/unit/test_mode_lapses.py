@@ -43,6 +43,15 @@ def test_noise_and_vibration_are_no_lapse(vibration_mps2: float) -> None:
     assert not len(_judged(_swing(vibration_mps2)))
 
 
+def test_slope_times_force_is_seldom_taken_for_a_lapse() -> None:
+    """A lateral axis shows white force times a swinging slope: its tails are longer than the noise around them."""
+    rng = np.random.default_rng(7)
+    t_ns = MS * np.arange(40_000, dtype=np.int64)
+    values = NOISE * rng.standard_normal((len(t_ns), 6))
+    values[:, 1] += 0.15 * np.sin(2 * np.pi * 10.0 * 1e-9 * t_ns) * rng.standard_normal(len(t_ns))
+    assert np.count_nonzero(lapses(t_ns, values, 0, np.full(6, 1.4 * NOISE), float(MS))) <= 2
+
+
 @pytest.mark.parametrize("length_s", [0.005, 0.02])
 @pytest.mark.parametrize("peak_mps2", [1.0, 10.0, 100.0])
 def test_a_blow_is_no_lapse(length_s: float, peak_mps2: float) -> None:

@@ -13,7 +13,8 @@ from companion.core.compiled import compiled
 from companion.records import Bools, Floats, Ints
 
 BESIDE = 3  # samples on either side that a verdict needs
-_CLEARLY = 8.0  # sigmas
+_CLEARLY = 8.0  # sigmas of the sensor's noise
+_STANDING_OUT = 12.0  # sigmas of what is usual: a lateral axis shows slope times force, whose tails are long
 _ALONE = 0.3  # of what it misses: its neighbours miss less once it is replaced
 _STEEP = 0.5  # of the span of its neighbours: what bends that sharply is moving
 _AROUND = 16  # samples on either side tell how much is usual
@@ -56,7 +57,7 @@ def lapses(t_ns: Ints, values: Floats, first: int, floor: Floats, period_ns: flo
             continue
         for i in range(max(first, BESIDE), count - BESIDE):
             if misses[i] > _CLEARLY * floor[channel] and _alone(t_ns, own, i, misses[i], period_ns):
-                out[i] |= misses[i] > _CLEARLY * _NORMAL * _usual(misses, i)
+                out[i] |= misses[i] > _STANDING_OUT * _NORMAL * _usual(misses, i)
     return out
 
 
