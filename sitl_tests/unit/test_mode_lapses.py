@@ -30,7 +30,7 @@ def _judged(values: np.ndarray) -> np.ndarray:
 
 
 @given(
-    st.integers(2 * BESIDE, COUNT - 2 * BESIDE), st.integers(0, 5), st.sampled_from([-4.0, -0.5, 0.5, 2.0, 8.0, 1e6])
+    st.integers(2 * BESIDE, COUNT - 2 * BESIDE), st.integers(0, 5), st.sampled_from([-4.0, -1.0, 1.0, 2.0, 8.0, 1e6])
 )
 def test_a_sample_that_lies_is_told_and_no_other(at: int, channel: int, lie_mps2: float) -> None:
     values = _swing()

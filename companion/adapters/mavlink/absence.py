@@ -9,6 +9,7 @@ from companion.records import Notice
 _PATIENCE_NS = 3_000_000_000
 _REPEAT_NS = 30_000_000_000
 _WARNING = 4
+_MOST_NAMED = 8  # a flood of invented senders must take no memory, and a sentence names no more
 
 
 def absence_text(others: Iterable[tuple[int, int]], *, junk: bool) -> str:
@@ -32,7 +33,8 @@ class Absence:
 
     def beat(self, system: int, component: int) -> None:
         """Take note of a heartbeat that is not the autopilot's."""
-        self._others[system, component] = None
+        if len(self._others) < _MOST_NAMED:
+            self._others[system, component] = None
 
     def due(self, now_host_ns: int, *, junk: bool) -> Notice | None:
         """The complaint, if it is time for one."""
