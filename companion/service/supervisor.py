@@ -27,6 +27,7 @@ from companion.ports import Clock
 _STOP_S = 1.2
 _LAST_STOP_S = 2.0
 _TERMINATED_S = 0.4
+_KILLED_S = 0.2  # nothing outlives SIGKILL, but the kernel takes a moment
 _MOST_RESTARTS = 5
 _SECOND_NS = 1_000_000_000
 _STEADY_NS = 60 * _SECOND_NS
@@ -214,6 +215,7 @@ class Supervisor:
             for process in processes:
                 if process.is_alive():
                     process.kill()
+                    process.join(_KILLED_S)
 
     def _await(self, processes: list[SpawnProcess], began_ns: int, allowed_s: float) -> None:
         for process in processes:
