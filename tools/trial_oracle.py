@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.fit import Fit, fit
-from companion.diagnosis.gain import held_out
-from companion.diagnosis.part import Part
-from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.cross_validation import held_out
+from companion.diagnosis.selection.fit import Fit, fit
 from sitl_tests.trials.cases import SEEN, Hidden
 
 _FOLLOWS = {"airspeed-dependence": "airspeed_mps", "covariate-frequency": "roller_v"}

@@ -28,13 +28,13 @@ import numpy as np
 
 from companion.cli.diagnose_models import belief_for
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.extend import SAME
-from companion.diagnosis.leads import find_leads
-from companion.diagnosis.observations import RawRanges, RawRecording, RawStream, observe
-from companion.diagnosis.screen import candidates_of, screen
-from companion.diagnosis.search import diagnose
-from companion.diagnosis.supermodel import SuperModel
-from companion.diagnosis.verdict import Diagnosis
+from companion.diagnosis.data.observations import RawRanges, RawRecording, RawStream, observe
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.forward_selection import SAME
+from companion.diagnosis.selection.proposals import find_leads
+from companion.diagnosis.selection.screen import candidates_of, screen
+from companion.diagnosis.selection.search import diagnose
+from companion.diagnosis.selection.verdict import Diagnosis
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
 from companion.records import Side

@@ -18,10 +18,10 @@ from companion.cli.numbers import whole
 from companion.cli.options import check_output
 from companion.cli.report_html import write_report
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.report import as_json, sentence
-from companion.diagnosis.search import diagnose
-from companion.diagnosis.verdict import Diagnosis, Verdict
-from companion.diagnosis.words import words
+from companion.diagnosis.json_report import as_json, sentence
+from companion.diagnosis.selection.search import diagnose
+from companion.diagnosis.selection.verdict import Diagnosis, Verdict
+from companion.diagnosis.summary import words
 from companion.params.files import dump_airframe
 
 _NOTHING = 3

@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from companion.core.wing.structure import SLOT_NAMES
-from companion.diagnosis.belief import Belief
-from companion.diagnosis.verdict import Diagnosis
+from companion.diagnosis.model.belief import Belief
+from companion.diagnosis.selection.verdict import Diagnosis
 from companion.params.airframe import Airframe, Camera, Mode, NamedEffect, Uncertain, Wing
 
 _MODE_KEYS = {"frequency": "frequency_hz", "damping": "damping", "slope": "slope_factor_radpm"}

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from companion.adapters.recordings.mapping import TableMapping
 from companion.cli.evidence import load
-from companion.diagnosis.belief import Belief, believe
-from companion.diagnosis.observations import Observations, observe
-from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.data.observations import Observations, observe
+from companion.diagnosis.model.belief import Belief, believe
+from companion.diagnosis.model.flight_model import SuperModel
 from companion.params.airframe import Airframe
 
 _LOAD_VARIES = 0.02

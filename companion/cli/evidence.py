@@ -12,7 +12,7 @@ from companion.adapters.recordings.mapping import TableMapping
 from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.recording import Recording
 from companion.core.clock.bank import ClockBank
-from companion.diagnosis.observations import RawRanges, RawRecording, RawStream
+from companion.diagnosis.data.observations import RawRanges, RawRecording, RawStream
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe

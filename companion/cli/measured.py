@@ -14,12 +14,12 @@ import numpy as np
 from companion.adapters.recordings.mapped import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.mapping import TableMapping, TestKind
 from companion.cli.measured_pages import ringing_page, vibration_page
-from companion.diagnosis.between_runs import as_json as comparison_json
-from companion.diagnosis.between_runs import compare
-from companion.diagnosis.ringing.record import RawRinging, prepare
-from companion.diagnosis.ringing.report import as_json as ringing_json
-from companion.diagnosis.ringing.search import search
-from companion.diagnosis.vibration import VibrationRun, modes_of_runs, responses
+from companion.diagnosis.free_decay.json_report import as_json as ringing_json
+from companion.diagnosis.free_decay.record import RawRinging, prepare
+from companion.diagnosis.free_decay.search import search
+from companion.diagnosis.modal_tests.run_comparison import as_json as comparison_json
+from companion.diagnosis.modal_tests.run_comparison import compare
+from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
 from companion.errors import ConfigError, RecordingError
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe

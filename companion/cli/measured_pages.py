@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from companion.cli import page
-from companion.diagnosis.between_runs import Comparison
-from companion.diagnosis.ringing.adequacy import autocorrelation, whitened
-from companion.diagnosis.ringing.fit import RingingFit
-from companion.diagnosis.ringing.record import Scale
-from companion.diagnosis.ringing.search import RingingDiagnosis
-from companion.diagnosis.ringing.views import backbone, restoring_force
-from companion.diagnosis.vibration import VibrationRun
+from companion.diagnosis.free_decay.adequacy import autocorrelation, whitened
+from companion.diagnosis.free_decay.fit import RingingFit
+from companion.diagnosis.free_decay.record import Scale
+from companion.diagnosis.free_decay.search import RingingDiagnosis
+from companion.diagnosis.free_decay.views import backbone, restoring_force
+from companion.diagnosis.modal_tests.run_comparison import Comparison
+from companion.diagnosis.modal_tests.vibration import VibrationRun
 
 _TWO_PI = 2.0 * np.pi
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from companion.cli.page import AFTER, BEFORE, DATA
 from companion.cli.plotting import INK, VERMILLION, dots
-from companion.diagnosis.expectation import Expectation
-from companion.diagnosis.supermodel import SuperModel
-from companion.diagnosis.verdict import Diagnosis
+from companion.diagnosis.model.expectation import Expectation
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.verdict import Diagnosis
 from companion.diagnosis.views import autocorrelation, backbone, force_map
 from companion.records import Floats
 

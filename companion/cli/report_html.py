@@ -9,9 +9,9 @@ from typing import Any
 
 from companion.cli import report_figures as figures
 from companion.cli.page import advice, heading, page, paragraph, picture, table, told
-from companion.diagnosis.report import sentence
-from companion.diagnosis.supermodel import SuperModel
-from companion.diagnosis.verdict import Diagnosis, Verdict
+from companion.diagnosis.json_report import sentence
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.verdict import Diagnosis, Verdict
 
 _CHECKS = 12
 _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.expectation import Expectation
-from companion.diagnosis.matrices import adjoint, apply
-from companion.diagnosis.part import Part
-from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.expectation import Expectation
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
 _LAGS_S = 1.0

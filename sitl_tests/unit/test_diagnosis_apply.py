@@ -12,10 +12,10 @@ from companion.core.stereo.geometry import Rig
 from companion.core.wing.effects import catalogue, make_effect
 from companion.core.wing.folding import folded
 from companion.core.wing.model import WingModel
-from companion.diagnosis.belief import believe
-from companion.diagnosis.observations import RawRecording, RawStream, observe
-from companion.diagnosis.part import Part
-from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.data.observations import RawRecording, RawStream, observe
+from companion.diagnosis.model.belief import believe
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.records import Side, Station

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.adequacy import check
-from companion.diagnosis.begin import begin
-from companion.diagnosis.belief import believe
-from companion.diagnosis.directions import judge_directions
-from companion.diagnosis.fit import fit
-from companion.diagnosis.latent import laws
-from companion.diagnosis.observations import Observations
-from companion.diagnosis.part import Part
-from companion.diagnosis.samples import bridged, find_in_samples
-from companion.diagnosis.screen import candidates_of, screen
-from companion.diagnosis.simulated import bends_samples, scatter
-from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.data.observations import Observations
+from companion.diagnosis.data.sample_defects import bridged, find_in_samples
+from companion.diagnosis.model.belief import believe
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.generic_effects import laws
+from companion.diagnosis.selection.adequacy import check
+from companion.diagnosis.selection.fit import fit
+from companion.diagnosis.selection.initial_values import begin
+from companion.diagnosis.selection.lack_of_fit_tests import judge_directions
+from companion.diagnosis.selection.screen import candidates_of, screen
+from companion.diagnosis.selection.simulated_scores import bends_samples, scatter
 from companion.params.files import load_airframe, parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text

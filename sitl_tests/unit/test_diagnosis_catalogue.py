@@ -9,11 +9,11 @@ from companion.core.wing.effect import CameraView, Effect, ModalMotion
 from companion.core.wing.effects import catalogue
 from companion.core.wing.model import WingModel
 from companion.core.wing.structure import structure_of
-from companion.diagnosis.observations import Observations
-from companion.diagnosis.part import Part
-from companion.diagnosis.samples import bridged, find_in_samples
-from companion.diagnosis.straighten import Straightener
-from companion.diagnosis.transforms import Transforms, fast_length
+from companion.diagnosis.data.observations import Observations
+from companion.diagnosis.data.sample_defects import bridged, find_in_samples
+from companion.diagnosis.data.transforms import Transforms, fast_length
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.nonlinear_correction import Straightener
 from companion.params.files import load_airframe
 from companion.records import Floats, Side, Station
 from companion.sim.wing import WingStepper

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.belief import believe
-from companion.diagnosis.fit import derivatives, expect, fit, joint_scores, log_likelihood, priors
-from companion.diagnosis.observations import Observations, RawRanges, RawRecording, RawStream, observe
-from companion.diagnosis.part import Part
-from companion.diagnosis.supermodel import SuperModel
+from companion.diagnosis.data.observations import Observations, RawRanges, RawRecording, RawStream, observe
+from companion.diagnosis.model.belief import believe
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.fit import derivatives, expect, fit, joint_scores, log_likelihood, priors
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe

@@ -21,12 +21,12 @@ import numpy as np
 
 from companion.adapters.recordings.mapped import files_of, read_mapped
 from companion.adapters.recordings.mapping import load_mapping
-from companion.diagnosis.ringing.fit import filter_all, fit
-from companion.diagnosis.ringing.held_out import quiet_samples
-from companion.diagnosis.ringing.laws import Extension, Law, SecondMode, laws_for
-from companion.diagnosis.ringing.model import RingingModel, key_of
-from companion.diagnosis.ringing.record import RawRinging, Ringing, prepare
-from companion.diagnosis.vibration import VibrationRun, mode_of, responses
+from companion.diagnosis.free_decay.cross_validation import quiet_samples
+from companion.diagnosis.free_decay.fit import filter_all, fit
+from companion.diagnosis.free_decay.laws import Extension, Law, SecondMode, laws_for
+from companion.diagnosis.free_decay.model import RingingModel, key_of
+from companion.diagnosis.free_decay.record import RawRinging, Ringing, prepare
+from companion.diagnosis.modal_tests.vibration import VibrationRun, mode_of, responses
 from companion.records import Floats
 
 _DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared")) / "measured"

@@ -1,0 +1,110 @@
+"""Samples that a range has cut, restored as what the recording's own spectra make likely beyond it.
+
+Of a cut sample only its side is known. A spline through its neighbours, which noise has pushed to just below the limit,
+is too smooth and too low: it looks like a crooked sensor beside the cut one. Instead the cut samples are drawn from
+their posterior (Gibbs): they are Gaussian like the rest, of the spectral matrix of all channels, and lie beyond the
+limit. Drawn and not expected, for an expectation has less power than what it stands for; and the spectra are learnt on
+the way (stochastic approximation of EM: Delyon, Lavielle and Moulines, Ann. Statist. 27 (1999) 94).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import log_ndtr, ndtri_exp
+
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, triangle
+from companion.records import Floats
+
+_SEED = 20250103
+_SWEEPS = 160
+_RELEARNT, _LEARNT = 4, 0.3  # every so many sweeps, by that share
+_SETTLED = 60  # sweeps; from then on the spectra are averaged
+_SHARE, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample
+_BAND = 40  # bins
+_FAINTEST = 1e-9  # of all power: what a spectrum has at least, where channels without noise are alike
+_WIDTH = 0.02  # of a frequency, to either side: what is smoothed over
+_FEWEST = 12  # bins to either side
+
+
+def restored(values: Floats, beyond: Floats, bridged: Floats) -> Floats:
+    """Draw what has been cut.
+
+    Parameters
+    ----------
+    values : (c, m)
+        All channels on an even grid, the cut samples at their limits.
+    beyond : (c, m)
+        1 where the truth is at least what was recorded, -1 where it is at most that, 0 where it is recorded.
+    bridged : (c, m)
+        The same channels with the cut samples guessed: there the sweeps begin.
+
+    Returns
+    -------
+    (c, m)
+        The same with the cut samples beyond their limits.
+    """
+    rng = np.random.default_rng(_SEED)
+    drawn = bridged.copy()
+    count, affected = values.shape[1], np.flatnonzero(np.any(beyond != 0.0, axis=1)).tolist()
+    smooth, model = _Smoother(count), None
+    for sweep in range(_SWEEPS):
+        mean = drawn.mean(1, keepdims=True)
+        seen = np.fft.rfft(drawn - mean, norm="ortho")
+        if sweep % _RELEARNT == 0:
+            new = smooth(seen[:, None] * seen.conj()[None])
+            share = min(_LEARNT, _RELEARNT / max(sweep - _SETTLED, _RELEARNT))
+            model = _Split(new if model is None else model.spectra + share * (new - model.spectra), affected)
+        assert model is not None
+        for i, wave in zip(affected, model.draw(seen, rng), strict=True):
+            cut = beyond[i] != 0.0
+            middle = np.fft.irfft(wave, count, norm="ortho")[cut] + mean[i]
+            drawn[i, cut] = _beyond(values[i, cut], beyond[i, cut], middle, np.sqrt(model.white), rng)
+    return drawn
+
+
+class _Split:
+    """What the channels that are cut show beside the others, as a white part and the rest.
+
+    The larger the white part is, the fewer sweeps it takes; it is not larger than the spectrum allows anywhere. That
+    counts by bands: where chance alone makes a spectrum faint, it is lifted.
+    """
+
+    def __init__(self, spectra: Complexes, affected: list[int]) -> None:
+        self.spectra = spectra
+        floor = _FAINTEST * float(np.mean(np.einsum("iif->if", spectra).real))
+        precision = inverse(spectra + floor * np.eye(len(spectra))[..., None])[affected]
+        own = np.linalg.eigvalsh(np.moveaxis(precision[:, affected], -1, 0))[:, -1]
+        bands = np.array_split(own, max(len(own) // _BAND, 1))
+        self.white = _SHARE / max(float(np.mean(band)) for band in bands)
+        precision = precision * np.minimum(1.0, _MOST / (self.white * own))
+        self._affected, self._share = affected, self.white * precision
+        left = np.eye(len(affected))[..., None] - self._share[:, affected]
+        self._spread = triangle(self.white * 0.5 * (left + adjoint(left)))
+
+    def draw(self, seen: Complexes, rng: np.random.Generator) -> Complexes:
+        """The rest from its posterior, given the spectrum of all channels, (a, f)."""
+        noise = rng.standard_normal((2, len(self._affected), seen.shape[1]))
+        white = np.sqrt(0.5) * (noise[0] + 1j * noise[1])
+        return np.asarray(seen[self._affected] - apply(self._share, seen) + apply(self._spread, white))
+
+
+def _beyond(limit: Floats, side: Floats, middle: Floats, spread: float, rng: np.random.Generator) -> Floats:
+    """Normal samples about ``middle`` beyond ``limit``, by the inverse of their distribution's tail."""
+    nearest = side * (limit - middle) / spread
+    tail = log_ndtr(-nearest) + np.log(rng.uniform(size=len(nearest)))
+    return np.asarray(middle - side * spread * ndtri_exp(tail))
+
+
+class _Smoother:
+    """Means over neighbouring frequencies, more of them the higher they are."""
+
+    def __init__(self, count: int) -> None:
+        index = np.arange(count // 2 + 1)
+        width = np.maximum((_WIDTH * index).astype(np.int64), _FEWEST)
+        self._low = np.maximum(index - width, 1)
+        self._high = np.minimum(np.maximum(index + width, 2 * _FEWEST), len(index) - 1)
+
+    def __call__(self, products: Complexes) -> Complexes:
+        """Of each entry, along the last axis; what is at 0 has been taken out, and is left out."""
+        total = np.cumsum(products, axis=-1)
+        return np.asarray((total[..., self._high] - total[..., self._low - 1]) / (self._high - self._low + 1))

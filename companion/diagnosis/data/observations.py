@@ -1,0 +1,366 @@
+"""What a recording says about the wing, on one uniform grid: tip accelerations, load factor, covariates, toe.
+
+Diagnosis sees nothing else of a recording. Raw streams of any rate, with gaps, become these tables here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from companion.core.wing.sensing import GRAVITY_MPS2
+from companion.diagnosis.data.declipping import restored
+from companion.diagnosis.data.rigid_motion import lateral_force, turned, unfiltered, upright
+from companion.diagnosis.data.sample_defects import SampleFinding, bridged, cut_sides, find_in_samples, together
+from companion.diagnosis.data.transforms import TAPER, fast_length
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe
+from companion.records import Bools, Floats, Side
+
+_SHORTEST_S = 8.0
+_LONGEST_GAP_S = 0.02
+_MARGIN_S = 1.0
+_INPUT = "input_"
+_CROWDED = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class RawStream:
+    """One station's samples as recorded: ``t_s`` (n,) increasing, specific force (n,) in its own FRD axes.
+
+    ``force_y_mps2`` where a tip's lateral axis was recorded: it tells how far the wing turns the vertical one.
+    """
+
+    t_s: Floats
+    force_z_mps2: Floats
+    force_y_mps2: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RawRanges:
+    """Ranges as computed with the rigid extrinsics, and the true distances where they are known."""
+
+    t_s: Floats
+    range_m: Floats
+    reference_m: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RawRecording:
+    """The channels of one recording as they came, before any grid.
+
+    ``rigid`` has the root's further axes by letter: x, y in m/s^2, p, q, r in rad/s. Nothing is taken off the tips yet.
+    """
+
+    tips: Mapping[Side, RawStream]
+    root: RawStream | None = None
+    ranges: RawRanges | None = None
+    covariates: Mapping[str, tuple[Floats, Floats]] = field(default_factory=dict)
+    rigid: Mapping[str, tuple[Floats, Floats]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ToeData:
+    """Toe as the pair measured it: y = B (1/Z_rigid - 1/Z_reference), one entry per exposure.
+
+    Attributes
+    ----------
+    t_s : (k,)
+        Mid-exposure, on the same time as the grid.
+    toe_rad : (k,)
+    inverse_m : (k,)
+        1 / reference distance.
+    has_reference : bool
+        False where the distance had to be taken from the slow part of the ranges themselves.
+    """
+
+    t_s: Floats
+    toe_rad: Floats
+    inverse_m: Floats
+    has_reference: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Observations:
+    """One recording on one uniform grid.
+
+    Attributes
+    ----------
+    rate_hz : float
+    sides : tuple of Side
+        Which tips have an accelerometer, in the order of the columns.
+    up_mps2 : (m, c)
+        Upward acceleration of each tip against the rigid aircraft (or its own mean without a root), mean removed.
+    mean_force_mps2 : (c,)
+        Mean of the vertical specific force plus gravity times the mean load factor: what a biased sensor shows.
+    has_root : bool
+    load_factor : (m,)
+        1 everywhere without a root sensor.
+    covariates : dict of str to (m,)
+        About their means, in units of their rms over the whole recording; ``units`` has both.
+    toe : ToeData or None
+    rigid : dict of str to (m,)
+        The root's further axes by letter (x, y, p, q, r), where they were recorded.
+    fine_mps2 : (M, c) or None
+        ``up_mps2`` at the sensors' own rate ``fine_hz``, over the same time: what is crooked bends the whole band.
+    turning_mps2 : (m, c) or None
+        What the aircraft's turning adds to the vertical specific force of each tip; it is out of ``up_mps2``.
+    inputs : dict of str to (m,)
+        Measured forces (input_n) and base accelerations (input_mps2), their means removed.
+    share : float
+        How much of its recording this part is: what is known of the whole (the mean) counts for that much here.
+    in_samples : tuple of SampleFinding
+        What the tips' samples themselves show; cut peaks have been restored.
+    notes : tuple of str
+    start_s, centre_s : float
+        Where this part begins in its recording, and the middle of the whole.
+    """
+
+    rate_hz: float
+    sides: tuple[Side, ...]
+    up_mps2: Floats
+    mean_force_mps2: Floats
+    has_root: bool
+    load_factor: Floats
+    covariates: dict[str, Floats]
+    toe: ToeData | None
+    rigid: dict[str, Floats] = field(default_factory=dict)
+    turning_mps2: Floats | None = None
+    inputs: dict[str, Floats] = field(default_factory=dict)
+    fine_mps2: Floats | None = None
+    fine_hz: float = 0.0
+    in_samples: tuple[SampleFinding, ...] = ()
+    share: float = 1.0
+    notes: tuple[str, ...] = ()
+    start_s: float = 0.0
+    centre_s: float = 0.0
+    units: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the grid."""
+        return len(self.up_mps2) / self.rate_hz
+
+    @property
+    def t_s(self) -> Floats:
+        """Times of the grid, (m,), from the start of the recording of which this may be a part."""
+        return self.start_s + np.arange(len(self.up_mps2)) / self.rate_hz
+
+    def window(self, start_s: float, stop_s: float) -> Observations:
+        """The part between two times as a recording of its own, its mean removed anew."""
+        first, last = round(start_s * self.rate_hz), round(stop_s * self.rate_hz)
+        last = first + fast_length(min(last, len(self.up_mps2)) - first, up=False)
+        up = self.up_mps2[first:last]
+        begin_s = self.start_s + first / self.rate_hz
+        toe = self.toe and _toe_within(self.toe, begin_s, begin_s + (last - first) / self.rate_hz)
+        return dataclasses.replace(
+            self,
+            up_mps2=up - up.mean(0),
+            load_factor=self.load_factor[first:last],
+            covariates={name: values[first:last] for name, values in self.covariates.items()},
+            rigid={name: values[first:last] for name, values in self.rigid.items()},
+            turning_mps2=None if self.turning_mps2 is None else self.turning_mps2[first:last],
+            inputs={name: values[first:last] for name, values in self.inputs.items()},
+            fine_mps2=self._fine(first, last),
+            share=self.share * (last - first) / len(self.up_mps2),
+            toe=toe,
+            start_s=self.start_s + first / self.rate_hz,
+        )
+
+    def _fine(self, first: int, last: int) -> Floats | None:
+        if self.fine_mps2 is None:
+            return None
+        ratio = self.fine_hz / self.rate_hz
+        part = self.fine_mps2[round(first * ratio) : round(last * ratio)]
+        return np.asarray(part - part.mean(0))
+
+
+def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observations:
+    """Put a recording on a grid that carries everything up to ``top_hz``.
+
+    Raises
+    ------
+    RecordingError
+        No wing accelerometer, too slow, or no gap-free stretch of at least 8 s.
+    """
+    if not raw.tips:
+        raise RecordingError("no wing accelerometer in this recording: diagnosis needs left_z or right_z")
+    notes: list[str] = []
+    streams = [*raw.tips.values(), *([raw.root] if raw.root else [])]
+    start_s, stop_s = _longest_stretch(streams, notes)
+    fine_hz = min(_rate(stream) for stream in raw.tips.values())
+    if fine_hz < 2.0 * top_hz:
+        notes.append(f"sampled at {fine_hz:.0f} Hz: nothing above {0.45 * fine_hz:.0f} Hz can be judged")
+    fine_t = start_s + np.arange(int((stop_s - start_s) * fine_hz)) / fine_hz
+    rate_hz, keep = _coarse(len(fine_t), fine_hz, top_hz)
+    sides = tuple(sorted(raw.tips))
+    faults = {side: _faults(raw.tips[side], start_s, stop_s, airframe, side) for side in sides}
+    mended = {side: _mended(raw.tips[side], faults[side]) for side in sides}
+    tips = np.stack([_on_grid(mended[side], fine_t) for side in sides], 1)
+    cut = {side: cut_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides}
+    if any(np.any(mine) for mine in cut.values()):
+        tips = _restored(tips, [raw.tips[side] for side in sides], [cut[side] for side in sides], fine_t)
+    root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
+    if raw.root:
+        root = unfiltered(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
+        felt = turned(raw.rigid, fine_t, fine_hz, airframe, sides)
+        lateral = lateral_force(raw.rigid, fine_t, fine_hz, airframe)
+        for i, side in enumerate(sides):
+            recorded = raw.tips[side].force_y_mps2
+            if recorded is not None and lateral is not None:
+                own = _on_grid(RawStream(raw.tips[side].t_s, recorded), fine_t)
+                tips[:, i] = upright(own, tips[:, i], lateral + felt[i, 1])
+        turning = felt[:, 2].T
+        tips -= turning
+    up = root[:, None] - tips
+    load = -root / GRAVITY_MPS2
+    grid_t = start_s + np.arange(keep) / rate_hz
+    channels = {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.covariates.items()}
+    units = _units(channels, airframe)
+    return Observations(
+        rate_hz,
+        sides,
+        _resample(up - up.mean(0), keep),
+        np.asarray(tips.mean(0) - root.mean()),
+        raw.root is not None,
+        _resample(load - load.mean(), keep) + load.mean(),
+        {name: (values - units[name][0]) / units[name][1] for name, values in channels.items() if name in units},
+        _toe(raw.ranges, airframe, start_s, stop_s),
+        {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
+        None if turning is None else _resample(turning, keep),
+        {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
+        up - up.mean(0),
+        fine_hz,
+        together([entry for side in sides for entry in faults[side]]),
+        notes=tuple(notes),
+        centre_s=0.5 * keep / rate_hz,
+        units=units,
+    )
+
+
+def _rate(stream: RawStream) -> float:
+    return float(1.0 / np.median(np.diff(stream.t_s)))
+
+
+def _longest_stretch(streams: list[RawStream], notes: list[str]) -> tuple[float, float]:
+    """The longest time in which no stream has a gap."""
+    start = max(float(stream.t_s[0]) for stream in streams)
+    stop = min(float(stream.t_s[-1]) for stream in streams)
+    holes: list[tuple[float, float]] = []
+    for stream in streams:
+        step = np.diff(stream.t_s)
+        wide = np.flatnonzero(step > max(_LONGEST_GAP_S, 5.0 * float(np.median(step))))
+        holes += [(float(stream.t_s[i]), float(stream.t_s[i + 1])) for i in wide]
+    edges = sorted([(start, start), *[hole for hole in holes if start < hole[0] < stop], (stop, stop)])
+    pieces = [(edges[i][1], edges[i + 1][0]) for i in range(len(edges) - 1)]
+    best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0.0, 0.0))
+    if holes:
+        count = len(set(holes))
+        notes.append(
+            f"{count} gap{'s' if count > 1 else ''}, the longest {max(b - a for a, b in holes) * 1e3:.0f} ms; "
+            f"judged is the longest stretch without one, {best[1] - best[0]:.1f} s"
+        )
+    if best[1] - best[0] < _SHORTEST_S:
+        raise RecordingError(
+            f"the longest stretch without a gap is {best[1] - best[0]:.1f} s; {_SHORTEST_S:g} s needed"
+        )
+    return best
+
+
+def _faults(stream: RawStream, start_s: float, stop_s: float, airframe: Airframe, side: Side) -> list[SampleFinding]:
+    inside = (stream.t_s >= start_s) & (stream.t_s <= stop_s)
+    sensor = airframe.left if side is Side.LEFT else airframe.right
+    return find_in_samples(stream.t_s[inside], stream.force_z_mps2[inside], sensor)
+
+
+def _mended(stream: RawStream, faults: Sequence[SampleFinding]) -> RawStream:
+    return RawStream(stream.t_s, bridged(stream.t_s, stream.force_z_mps2, faults))
+
+
+def _restored(tips: Floats, streams: Sequence[RawStream], cut: Sequence[Floats], t_s: Floats) -> Floats:
+    """Tips (m, c) on their grid with what was cut drawn anew."""
+    limits, beyond = tips.T.copy(), np.zeros(tips.T.shape)
+    for i, (stream, mine) in enumerate(zip(streams, cut, strict=True)):
+        nearest = np.clip(np.searchsorted(0.5 * (stream.t_s[1:] + stream.t_s[:-1]), t_s), 0, len(stream.t_s) - 1)
+        beyond[i] = mine[nearest]
+        limits[i] = np.where(beyond[i] != 0.0, stream.force_z_mps2[nearest], limits[i])
+    return np.ascontiguousarray(restored(limits, beyond, tips.T).T)
+
+
+def _on_grid(stream: RawStream, t_s: Floats) -> Floats:
+    """A stream at other instants by a cubic spline: a straight line would lose 5 % of a tone at a fifth of the rate."""
+    inside = stream.t_s[(stream.t_s >= t_s[0] - 1e-9) & (stream.t_s <= t_s[-1] + 1e-9)]
+    if len(inside) == len(t_s) and np.allclose(inside, t_s, rtol=0.0, atol=1e-6):
+        return np.asarray(np.interp(t_s, stream.t_s, stream.force_z_mps2))
+    step = np.diff(stream.t_s)
+    if float(step.min()) < _CROWDED * float(np.median(step)):  # a spline through crowded samples would swing
+        return np.asarray(np.interp(t_s, stream.t_s, stream.force_z_mps2))
+    return np.asarray(CubicSpline(stream.t_s, stream.force_z_mps2)(t_s))
+
+
+def _coarse(count: int, fine_hz: float, top_hz: float) -> tuple[float, int]:
+    keep = fast_length(math.ceil(count * 2.2 * top_hz / fine_hz), up=True)
+    if keep > count:
+        keep = fast_length(count, up=False)
+    return fine_hz * keep / count, keep
+
+
+def _resample(values: Floats, count: int) -> Floats:
+    """Keep the lower part of the spectrum; a straight line between the ends is set aside against ringing."""
+    n = len(values)
+    if n == count:
+        return values
+    line = np.linspace(0.0, 1.0, n, endpoint=False)
+    across = values[-1] - values[0]
+    flat = values - np.multiply.outer(line, across)
+    spectrum = np.fft.rfft(flat, axis=0)[: count // 2 + 1]
+    thin = np.fft.irfft(spectrum, count, axis=0) * (count / n)
+    return np.asarray(thin + np.multiply.outer(np.linspace(0.0, 1.0, count, endpoint=False), across))
+
+
+def _units(channels: Mapping[str, Floats], airframe: Airframe) -> dict[str, tuple[float, float]]:
+    """Mean and rms that each covariate is counted in: those of an effect in force that follows it, or its own."""
+    units = {
+        name: (float(values.mean()), float(values.std()) or 1.0)
+        for name, values in channels.items()
+        if not name.startswith(_INPUT)
+    }
+    for effect in airframe.effects:
+        if effect.channel in units and effect.channel_rms > 0.0:
+            units[effect.channel] = (effect.channel_mean, effect.channel_rms)
+    return units
+
+
+def _toe(ranges: RawRanges | None, airframe: Airframe, start_s: float, stop_s: float) -> ToeData | None:
+    left, right = airframe.left_camera, airframe.right_camera
+    if ranges is None or left is None or right is None:
+        return None
+    baseline_m = right.position_m[1] - left.position_m[1]
+    inside = _amid(ranges.t_s, start_s, stop_s) & (ranges.range_m != 0.0)
+    inverse = 1.0 / ranges.range_m[inside]  # of an infinite range it is 0, which is what was measured
+    t_s = ranges.t_s[inside] - start_s
+    if len(t_s) < 20:
+        return None
+    known = ranges.reference_m is not None
+    reference = (
+        1.0 / ranges.reference_m[inside] if ranges.reference_m is not None else np.full(len(t_s), inverse.mean())
+    )
+    return ToeData(t_s, baseline_m * (inverse - reference), reference, known)
+
+
+def _amid(t_s: Floats, start_s: float, stop_s: float) -> Bools:
+    """Which instants are far enough from the ends, where the smoothed wing is not known: as far as the taper fades."""
+    margin_s = max(_MARGIN_S, TAPER * (stop_s - start_s))
+    return np.asarray((t_s > start_s + margin_s) & (t_s < stop_s - margin_s))
+
+
+def _toe_within(toe: ToeData, start_s: float, stop_s: float) -> ToeData | None:
+    inside = _amid(toe.t_s, start_s, stop_s)
+    if inside.sum() < 5:
+        return None
+    return ToeData(toe.t_s[inside], toe.toe_rad[inside], toe.inverse_m[inside], toe.has_reference)

@@ -1,0 +1,79 @@
+"""Between time and frequency for one grid: tapering, interpolation at any instant, lengths that transform fast."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.diagnosis.spectral_matrices import Complexes
+from companion.records import Floats
+
+TAPER = 0.05
+"""Share of a recording over which each end fades."""
+_FINER = 2
+_POINTS = np.arange(-4.0, 5.0)
+
+
+class Transforms:
+    """The grid of one recording: m samples ``dt_s`` apart from ``start_s``."""
+
+    def __init__(self, count: int, dt_s: float, start_s: float) -> None:
+        self.count, self.dt_s, self.start_s = count, dt_s, start_s
+        self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
+        self.taper = _tukey(count, TAPER)
+        self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
+        # neighbouring bins of a tapered periodogram share information: count them once
+        self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))
+
+    def spectrum(self, values: Floats) -> Complexes:
+        """Of channels (c, m): (c, f), all frequencies."""
+        return np.asarray(np.fft.rfft(values, axis=-1))
+
+    def in_time(self, spectrum: Complexes) -> Floats:
+        """Back to (c, m); frequencies that are not given are 0."""
+        return np.asarray(np.fft.irfft(spectrum, self.count, axis=-1))
+
+    def tapered(self, values: Floats) -> Complexes:
+        """Spectrum (c, f) of tapered channels; its squared size estimates the two-sided density."""
+        return np.asarray(np.fft.rfft(values * self.taper, axis=-1) * self._norm)
+
+    def at(self, spectrum: Complexes, at_s: Floats) -> Floats:
+        """A band-limited signal (f,) at any instants: twice finer by zero padding, then nine-point Lagrange.
+
+        The points lie evenly about the instant, so that what a small shift changes is the slope and nothing else.
+        """
+        fine = np.fft.irfft(spectrum, _FINER * self.count) * _FINER
+        place = (at_s - self.start_s) * (_FINER / self.dt_s)
+        whole = np.rint(place).astype(np.int64)
+        rows = (whole[:, None] + _POINTS.astype(np.int64)) % len(fine)
+        return np.asarray(np.sum(fine[rows] * _lagrange(place - whole), axis=1))
+
+
+def fast_length(count: int, up: bool) -> int:
+    """The next even length, up or down, with no prime factor beyond 5."""
+    best = 0 if not up else 1 << max(count - 1, 1).bit_length()
+    for power5 in range(10):
+        for power3 in range(12):
+            base = 2 * 5**power5 * 3**power3
+            while base <= 4 * count:
+                if (up and count <= base < best) or (not up and best < base <= count):
+                    best = base
+                base *= 2
+    return best
+
+
+def _lagrange(u: Floats) -> Floats:
+    """Weights (k, 9) of the points at -4..4 for a place ``u`` between -0.5 and 0.5."""
+    weights = np.ones((len(u), len(_POINTS)))
+    for j, own in enumerate(_POINTS):
+        for other in _POINTS:
+            if other != own:
+                weights[:, j] *= (u - other) / (own - other)
+    return weights
+
+
+def _tukey(count: int, share: float) -> Floats:
+    window = np.ones(count)
+    width = max(int(share * count), 1)
+    ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(width) + 0.5) / width)
+    window[:width], window[-width:] = ramp, ramp[::-1]
+    return window

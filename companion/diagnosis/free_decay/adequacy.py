@@ -1,0 +1,95 @@
+"""Are the innovations white, of the expected size, and steady? Each statistic against draws of the model itself.
+
+Under the model the innovations over their own standard deviation are independent and standard normal, exactly; so the
+spread of any statistic is that of such draws at the same samples, and its false-alarm rate is what they say. Judged are
+the samples between knocks: of what shape a knock is nobody claims to know.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.diagnosis.free_decay.fit import Mask, RingingFit, filter_all
+from companion.records import Floats
+
+LIMIT = 5.5
+LAGS = 20
+_DRAWS = 300
+_BLOCKS = 12
+_QUIET = 4.0  # times the variance that the quietest tenth of the samples is expected to have
+_NAMES = ("innovations' size", "innovations' neighbours", "outliers", "unsteadiness")
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One statistic of one recording, in standard deviations from what the model expects."""
+
+    name: str
+    z: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it may be chance."""
+        return abs(self.z) < LIMIT
+
+
+@dataclass(frozen=True, slots=True)
+class Whitened:
+    """Innovations over their standard deviation (n,), and which of them lie between knocks."""
+
+    values: Floats
+    quiet: Mask
+
+
+def whitened(fitted: RingingFit) -> list[Whitened]:
+    """Innovations over their standard deviation, by recording."""
+    rows = [fitted.values[None, :]] * len(fitted.model.recordings)
+    found = []
+    for one in filter_all(fitted.model, rows):
+        variance = one.variance[0]
+        quiet = variance < _QUIET * float(np.percentile(variance, 10))
+        found.append(Whitened(one.innovation[0] / np.sqrt(variance), quiet))
+    return found
+
+
+def checks(fitted: RingingFit, seed: int = 20250101) -> list[Check]:
+    """All statistics, the worst first; of each kind the worst recording's is kept."""
+    rng = np.random.default_rng(seed)
+    worst: dict[str, Check] = {}
+    for one, white in zip(fitted.model.recordings, whitened(fitted), strict=True):
+        for name, z in judged(white, rng).items():
+            if name not in worst or abs(z) > abs(worst[name].z):
+                worst[name] = Check(f"{name} ({one.name})", z)
+    return sorted(worst.values(), key=lambda entry: -abs(entry.z))
+
+
+def judged(white: Whitened, rng: np.random.Generator) -> dict[str, float]:
+    """Statistics of one recording's whitened innovations, each as a standard normal by draws."""
+    real = _statistics(white.values, white.quiet)
+    drawn = np.stack([_statistics(rng.standard_normal(len(white.values)), white.quiet) for _ in range(_DRAWS)])
+    return dict(zip(_NAMES, ((real - drawn.mean(0)) / drawn.std(0)).tolist(), strict=True))
+
+
+def autocorrelation(values: Floats, quiet: Mask) -> Floats:
+    """At lags 1 to :data:`LAGS`, of pairs that both lie between knocks."""
+    still = np.where(quiet, values, 0.0)
+    power = float(still @ still) / int(quiet.sum())
+    pairs = [max(int(np.sum(quiet[lag:] & quiet[:-lag])), 1) for lag in range(1, LAGS + 1)]
+    return np.array([float(still[lag:] @ still[:-lag]) / (power * pairs[lag - 1]) for lag in range(1, LAGS + 1)])
+
+
+def _statistics(values: Floats, quiet: Mask) -> Floats:
+    still = values[quiet]
+    power = np.mean(still**2)
+    blocks = np.array([np.mean(part**2) for part in np.array_split(still, _BLOCKS)])
+    # each is near normal in its root or logarithm, so that few draws tell its spread
+    return np.array(
+        [
+            np.log(power),
+            np.sqrt(len(still) * np.sum(autocorrelation(values, quiet) ** 2)),
+            np.log(np.mean(still**4) / power**2),
+            np.log(blocks.std() / blocks.mean()),
+        ]
+    )

@@ -1,0 +1,240 @@
+"""The verdict on ringing recordings as plain data, in the layout of every diagnosis (companion/diagnosis/README.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from companion.diagnosis.free_decay.adequacy import Check, checks
+from companion.diagnosis.free_decay.cross_validation import HeldOutError
+from companion.diagnosis.free_decay.laws import Extension, Law
+from companion.diagnosis.free_decay.model import key_of
+from companion.diagnosis.free_decay.record import Scale
+from companion.diagnosis.free_decay.search import RingingDiagnosis, Tried
+
+_CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close
+_SIGMAS_95 = 1.959964
+_ADVICE = {
+    "covariate-frequency": "vary the channel independently of time and of the other channels",
+    "frequency-drift": "a drift in time has a cause that can be measured: record temperature and settings",
+    "close-mode": "two close modes beat in free decays: excite each alone, or add a sensor where only one moves",
+    "second-mode": "a sensor where only one of the two modes moves tells them apart",
+    "cubic-stiffness": "record decays from several amplitudes",
+    "quadratic-damping": "record decays from several amplitudes",
+}
+
+
+def as_json(found: RingingDiagnosis, scales: Mapping[str, Scale], airframe: str | None) -> dict[str, Any]:
+    """Everything that a program would read."""
+    before, after = checks(found.null), checks(found.final)
+    named = [i for i, entry in enumerate(found.accepted) if name_of(entry, found) and _useful(found, i)]
+    verdict = _verdict(found, after)
+    recordings = found.null.model.recordings
+    return {
+        "format": 1,
+        "recordings": [one.name for one in recordings],
+        "airframe": airframe,
+        "verdict": verdict,
+        "reason": _reason(found, named, after),
+        "causes": [_cause(found, i, scales) for i in named],
+        "nearest": (name_of(found.accepted[named[0]], found) if named else None) if verdict == "unexplained" else None,
+        "gain": _gain(found.errors[0], found.errors[-1]) if found.accepted else None,
+        "adequacy": {"before": [_plain(entry) for entry in before], "after": [_plain(entry) for entry in after]},
+        "residual": _residual(found, after) if verdict == "unexplained" else None,
+        "screening": [_screened(found, entry) for entry in (found.rounds[0] if found.rounds else ())],
+        "modes": _modes(found, scales),
+        "airframe_parameters": _believed(found),
+        "notes": [note for one in recordings for note in one.notes],
+    }
+
+
+def name_of(entry: Tried, found: RingingDiagnosis) -> str:
+    """The catalogue's name of an accepted extension, "" for what only describes."""
+    if isinstance(entry.extension, Law):
+        return entry.extension.name
+    apart = min(abs(one["second_hz"] / one["first_hz"] - 1.0) for one in _pairs(found))
+    return "close-mode" if apart < _CLOSE else "second-mode"
+
+
+def _useful(found: RingingDiagnosis, index: int) -> bool:
+    """Whether a law foretells blocks of which it was not fitted, beyond chance."""
+    return found.errors[index + 1].gone(found.errors[index])[1] > 0.0
+
+
+def _verdict(found: RingingDiagnosis, after: list[Check]) -> str:
+    unnamed = [entry for entry in found.accepted if not name_of(entry, found)]
+    if unnamed or not all(entry.passed for entry in after):
+        return "unexplained"
+    return "explained" if found.accepted else "adequate"
+
+
+def _reason(found: RingingDiagnosis, named: list[int], after: list[Check]) -> str:
+    told = []
+    if named:
+        told.append(
+            "explained so far: " + ", ".join(_with_channel(found.accepted[i].extension, found, i) for i in named)
+        )
+    left = [entry.extension.text for entry in found.accepted if not name_of(entry, found)]
+    failed = [f"{entry.name} {entry.z:+.1f} sigma" for entry in after if not entry.passed][:2]
+    if left or failed:
+        told.append("left over: " + "; ".join([*left, *failed]))
+    return "; ".join(told) or "a mode of constant frequency and damping explains these recordings"
+
+
+def _with_channel(extension: Extension, found: RingingDiagnosis, index: int) -> str:
+    name = name_of(found.accepted[index], found)
+    if isinstance(extension, Law):
+        return f"{name} ({extension.channel})" if extension.channel else name
+    model, values = found.final.model, found.final.values[None, :]
+    at_end = [model.modes(values, k).omega_radps[0, -1] for k in range(len(model.recordings))]
+    first, second = np.mean(at_end, axis=0) / (2.0 * np.pi)
+    return f"{name} ({second:.1f} beside {first:.1f} Hz in the last decay)"
+
+
+def _descriptions(found: RingingDiagnosis) -> list[str]:
+    """What was needed and has no name, as a sentence each."""
+    told = []
+    for entry in found.accepted:
+        law = entry.extension
+        if isinstance(law, Law) and not law.name:
+            value, sigma = found.final.value(key_of(law))
+            told.append(f"{law.text} ({law.parameter} {value:+.3g} ± {sigma:.2g}, log Bayes factor "
+                        f"{entry.log_bayes_factor:.0f})")  # fmt: skip
+    return told
+
+
+def _cause(found: RingingDiagnosis, index: int, scales: Mapping[str, Scale]) -> dict[str, Any]:
+    entry = found.accepted[index]
+    name, law = name_of(entry, found), entry.extension
+    channel = law.channel if isinstance(law, Law) and law.channel else None
+    parameters = _of_law(found, law, scales) if isinstance(law, Law) else _of_second(found)
+    main = next(iter(parameters.values()))
+    return {
+        "name": name,
+        "channel": channel,
+        "group": [],
+        "log_bayes_factor": entry.log_bayes_factor,
+        "bic": entry.bic,
+        "z": abs(main["value"]) / main["sigma"] if isinstance(law, Law) else math.sqrt(2.0 * entry.log_bayes_factor),
+        "parameters": parameters,
+        "gain": _gain(found.errors[index], found.errors[index + 1])["error"],
+        "advice": _ADVICE.get(name, ""),
+    }
+
+
+def _of_law(found: RingingDiagnosis, law: Law, scales: Mapping[str, Scale]) -> dict[str, Any]:
+    value, sigma = found.final.value(key_of(law))
+    parameters = {law.parameter: _quantity(value, sigma, law.unit, law.meaning)}
+    if law.channel in scales:
+        scale = scales[law.channel]
+        unit = law.channel.rpartition("_")[2]
+        parameters["channel_mean"] = _quantity(scale.mean, 0.0, unit, "mean of the channel, where the ratio is 1")
+        parameters["channel_rms"] = _quantity(scale.rms, 0.0, unit, "rms of the channel")
+    return parameters
+
+
+def _of_second(found: RingingDiagnosis) -> dict[str, Any]:
+    f_log, f_sigma = found.final.value("second log frequency")
+    z_log, z_sigma = found.final.value("second log damping")
+    p_log, p_sigma = found.final.value("second log participation")
+    follow, follow_sigma = found.final.value("second follow")
+    f_hz, zeta, power = math.exp(f_log), math.exp(z_log), math.exp(p_log)
+    return {
+        "frequency_hz": _quantity(f_hz, f_hz * f_sigma, "Hz", "of the second mode, channels at their mean"),
+        "damping": _quantity(zeta, zeta * z_sigma, "", "damping ratio of the second mode"),
+        "participation": _quantity(power, power * p_sigma, "", "power of its load over the first mode's"),
+        "follows": _quantity(follow, follow_sigma, "", "share of the first mode's change of frequency that it follows"),
+    }
+
+
+def _quantity(value: float, sigma: float, unit: str, meaning: str) -> dict[str, Any]:
+    interval = [value - _SIGMAS_95 * sigma, value + _SIGMAS_95 * sigma]
+    return {"value": value, "sigma": sigma, "unit": unit, "interval": interval, "meaning": meaning}
+
+
+def _gain(before: HeldOutError, after: HeldOutError) -> dict[str, Any]:
+    score, low, high = after.gained(before)
+    gone, gone_low, gone_high = after.gone(before)
+    return {
+        "held_out": True,
+        "total": {"before": 0.0, "after": score, "unit": "nat", "interval": [low, high]},
+        "error": {
+            "before": before.rms_mps2,
+            "after": after.rms_mps2,
+            "unit": "m/s^2",
+            "what": f"acceleration {1e3 * after.ahead_s:.0f} ms ahead, between knocks",
+            "share_of_signal": [before.share, after.share],
+            "share_of_square_gone": gone,
+            "interval": [gone_low, gone_high],
+        },
+    }
+
+
+def _plain(entry: Check) -> dict[str, Any]:
+    return {"test": entry.name, "z": entry.z, "passed": entry.passed}
+
+
+def _residual(found: RingingDiagnosis, after: list[Check]) -> dict[str, Any]:
+    left = _descriptions(found)
+    return {
+        "description": "; ".join(left) or "innovations are not white",
+        "failed": [{"test": entry.name, "z": entry.z} for entry in after if not entry.passed],
+        "unnamed": left,
+    }
+
+
+def _screened(found: RingingDiagnosis, entry: Tried) -> dict[str, Any]:
+    """One law against the null alone: its evidence, and what it foretells, are two things."""
+    law = entry.extension
+    row: dict[str, Any] = {
+        "name": law.name or None if isinstance(law, Law) else "close-mode",
+        "says": law.text,
+        "channel": law.channel or None if isinstance(law, Law) else None,
+        "log_odds": entry.log_bayes_factor,
+        "gain": None,
+    }
+    if law.text in found.alone:
+        row["gain"] = _gain(found.errors[0], found.alone[law.text])["error"]
+    return row
+
+
+def _pairs(found: RingingDiagnosis) -> list[dict[str, float]]:
+    """Frequencies of both modes at the lowest and the highest of what the first one did."""
+    model, rows = found.final.model, []
+    for k in range(len(model.recordings)):
+        omega = model.modes(found.final.values[None, :], k).omega_radps[0] / (2.0 * np.pi)
+        if omega.shape[1] < 2:
+            return [{"first_hz": 1.0, "second_hz": math.inf}]
+        for at in (int(np.argmin(omega[:, 0])), int(np.argmax(omega[:, 0]))):
+            rows.append({"first_hz": float(omega[at, 0]), "second_hz": float(omega[at, 1])})
+    return rows
+
+
+def _modes(found: RingingDiagnosis, scales: Mapping[str, Scale]) -> dict[str, Any]:
+    """Where the modes are when the recordings end at rest, and over what the first one moved."""
+    model = found.final.model
+    at_end = []
+    for k, one in enumerate(model.recordings):
+        modes = model.modes(found.final.values[None, :], k)
+        row: dict[str, Any] = {"recording": one.name, "frequency_hz": (modes.omega_radps[0, -1] / 6.283185307).tolist()}
+        row["damping"] = modes.zeta[0, -1].tolist()
+        for name, scale in scales.items():
+            row[name] = float(scale.mean + scale.rms * one.channels[name][-1])
+        at_end.append(row)
+    swept = np.concatenate(
+        [model.modes(found.final.values[None, :], k).omega_radps[0, :, 0] for k in range(len(model.recordings))]
+    )
+    return {"first_from_hz": float(swept.min() / 6.283185307), "first_to_hz": float(swept.max() / 6.283185307),
+            "in_the_last_decay": at_end}  # fmt: skip
+
+
+def _believed(found: RingingDiagnosis) -> list[dict[str, Any]]:
+    rows = []
+    for i, entry in enumerate(found.final.model.parameters[:2]):
+        value, sigma = float(found.final.values[i]) - entry.centre, float(found.final.sigmas[i])
+        rows.append({"name": entry.key.removeprefix("log "), "deviation": value, "logarithmic": True,
+                     "prior_sigma": entry.sigma, "sigma": sigma, "prior_sigmas_away": value / entry.sigma})  # fmt: skip
+    return rows

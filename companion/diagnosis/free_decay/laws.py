@@ -1,0 +1,166 @@
+"""What frequency and damping of a ringing mode may follow, and a second mode near the first.
+
+A named law is an effect of the catalogue; a law without a name only ever describes what is left.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.diagnosis.free_decay.record import Ringing
+from companion.records import Floats
+
+_MINUTE_S = 60.0
+
+
+class Follows(enum.StrEnum):
+    """What of the mode a law moves."""
+
+    FREQUENCY = "frequency"
+    DAMPING = "damping"
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """Frequency x (1 + c basis(t)), or log damping + c basis(t).
+
+    Attributes
+    ----------
+    name : str
+        Of the effect in the catalogue; "" for one that only describes.
+    text : str
+        What it says.
+    channel : str
+        Recorded channel that it follows, "" for none.
+    parameter, unit, meaning : str
+    sigma : float
+        Prior standard deviation of c.
+    starts : tuple of float
+        Where a search begins.
+    """
+
+    name: str
+    text: str
+    channel: str
+    follows: Follows
+    basis: Callable[[Ringing], Floats]
+    parameter: str
+    unit: str
+    meaning: str
+    sigma: float
+    starts: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SecondMode:
+    """A further mode near the first: where its search begins, in times the first one's frequency."""
+
+    starts: tuple[float, ...] = (0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.25)
+    text: str = "a second mode near the first"
+
+
+Extension = Law | SecondMode
+
+
+def laws_for(channels: Sequence[str]) -> list[Extension]:
+    """Everything that is tried, for the channels that were recorded."""
+    found: list[Extension] = [SecondMode()]
+    for channel in channels:
+        found.append(_covariate(channel))
+        found.append(_bent(channel))
+        found.append(_damping(channel))
+    return [*found, _drift(), _cubic(), _quadratic()]
+
+
+def _covariate(channel: str) -> Law:
+    return Law(
+        "covariate-frequency",
+        f"frequency follows {channel}",
+        channel,
+        Follows.FREQUENCY,
+        lambda one: one.channels[channel],
+        "ratio_per_rms",
+        "",
+        "relative change of the natural frequency per rms of the channel",
+        0.05,
+        (-0.25, -0.2, -0.15, -0.1, -0.05, 0.05, 0.1, 0.15, 0.2, 0.25),
+    )
+
+
+def _bent(channel: str) -> Law:
+    return Law(
+        "",
+        f"frequency bends with {channel}: it is no straight line",
+        channel,
+        Follows.FREQUENCY,
+        lambda one: one.channels[channel] ** 2 - 1.0,
+        "ratio_per_rms2",
+        "",
+        "relative change of the natural frequency per squared rms of the channel",
+        0.02,
+        (0.0,),
+    )
+
+
+def _damping(channel: str) -> Law:
+    return Law(
+        "",
+        f"damping follows {channel}",
+        channel,
+        Follows.DAMPING,
+        lambda one: one.channels[channel],
+        "log_ratio_per_rms",
+        "",
+        "change of the logarithm of the damping ratio per rms of the channel",
+        0.5,
+        (0.0,),
+    )
+
+
+def _drift() -> Law:
+    return Law(
+        "frequency-drift",
+        "frequency drifts in time",
+        "",
+        Follows.FREQUENCY,
+        lambda one: (one.t_s - 0.5 * one.t_s[-1]) / _MINUTE_S,
+        "ratio_per_min",
+        "1/min",
+        "relative change of the natural frequency per minute",
+        0.05,
+        (-1.0, -0.5, -0.2, 0.2, 0.5, 1.0),
+    )
+
+
+def _cubic() -> Law:
+    return Law(
+        "cubic-stiffness",
+        "frequency follows the amplitude's square",
+        "",
+        Follows.FREQUENCY,
+        lambda one: one.amplitude**2 / (1.0 + 0.1 * one.amplitude**2),
+        "ratio_at_rms",
+        "",
+        "relative change of the natural frequency at the rms amplitude",
+        0.02,
+        (-0.02, 0.02),
+    )
+
+
+def _quadratic() -> Law:
+    return Law(
+        "quadratic-damping",
+        "damping follows the amplitude",
+        "",
+        Follows.DAMPING,
+        lambda one: np.log(0.1 + one.amplitude),
+        "log_ratio_per_log_amplitude",
+        "",
+        "exponent with which the damping ratio grows with the amplitude (1: force with speed squared)",
+        0.5,
+        (0.0,),
+    )

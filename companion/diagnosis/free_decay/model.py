@@ -1,0 +1,131 @@
+"""The modes of a ringing structure under some laws: a parameter vector in, what a filter needs out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.diagnosis.free_decay.kalman import Modes
+from companion.diagnosis.free_decay.laws import Extension, Follows, Law, SecondMode
+from companion.diagnosis.free_decay.record import Ringing
+from companion.params.airframe import Uncertain
+from companion.records import Floats
+
+_OWN = 3  # nuisances of each recording: knock to load, noise, knock to noise
+_SLOWEST = 0.2
+_ZETA = (1e-5, 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One entry of the vector and its prior."""
+
+    key: str
+    centre: float
+    sigma: float
+
+
+class RingingModel:
+    """Recordings under a set of extensions; the null has one mode of constant frequency and damping."""
+
+    def __init__(
+        self,
+        recordings: Sequence[Ringing],
+        frequency_hz: Uncertain,
+        damping: Uncertain,
+        extensions: Sequence[Extension] = (),
+    ) -> None:
+        self.recordings = tuple(recordings)
+        self.frequency_hz, self.damping = frequency_hz, damping
+        self.extensions = tuple(extensions)
+        self.parameters = tuple(self._parameters())
+        self.shared = len(self.parameters) - _OWN * len(self.recordings)
+
+    @property
+    def centres(self) -> Floats:
+        """Prior means."""
+        return np.array([entry.centre for entry in self.parameters])
+
+    @property
+    def sigmas(self) -> Floats:
+        """Prior standard deviations."""
+        return np.array([entry.sigma for entry in self.parameters])
+
+    def index(self, key: str) -> int:
+        """Place of a parameter."""
+        return [entry.key for entry in self.parameters].index(key)
+
+    def own(self, recording: int) -> list[int]:
+        """Places of a recording's nuisances."""
+        first = self.shared + _OWN * recording
+        return list(range(first, first + _OWN))
+
+    def begun_from(self, other: RingingModel, values: Floats) -> Floats:
+        """A vector of this model with what another one has in common with it."""
+        there = {entry.key: float(value) for entry, value in zip(other.parameters, values, strict=True)}
+        return np.array([there.get(entry.key, entry.centre) for entry in self.parameters])
+
+    def modes(self, values: Floats, recording: int) -> Modes:
+        """What the rows of ``values`` (b, p) say of one recording."""
+        one = self.recordings[recording]
+        columns = {entry.key: values[:, i : i + 1] for i, entry in enumerate(self.parameters)}
+        swing, log_zeta = self.swing(columns, one), columns["log damping"] + np.zeros_like(one.t_s)
+        for law in self.extensions:
+            if isinstance(law, Law) and law.follows is Follows.DAMPING:
+                log_zeta = log_zeta + columns[key_of(law)] * law.basis(one)
+        first = 2.0 * np.pi * np.exp(columns["log frequency"]) * np.maximum(swing, _SLOWEST)
+        loudness = np.exp(2.0 * columns[f"knock to load #{recording}"]) * one.knock_mps2**2
+        omega, zeta, load = [first], [np.exp(log_zeta)], [loudness]
+        if any(isinstance(entry, SecondMode) for entry in self.extensions):
+            follow = 1.0 + columns["second follow"] * (swing - 1.0)
+            omega.append(2.0 * np.pi * np.exp(columns["second log frequency"]) * np.maximum(follow, _SLOWEST))
+            zeta.append(np.exp(columns["second log damping"]) + np.zeros_like(log_zeta))
+            load.append(loudness * np.exp(columns["second log participation"]))
+        noise = np.exp(2.0 * columns[f"noise #{recording}"])
+        noise = noise + np.exp(2.0 * columns[f"knock to noise #{recording}"]) * one.echo_mps2**2
+        return Modes(np.stack(omega, 2), np.clip(np.stack(zeta, 2), *_ZETA), np.stack(load, 2), noise)
+
+    def swing(self, columns: dict[str, Floats], one: Ringing) -> Floats:
+        """The first mode's frequency over its constant part, (b, t)."""
+        swing = np.ones((len(columns["log frequency"]), len(one.t_s)))
+        for law in self.extensions:
+            if isinstance(law, Law) and law.follows is Follows.FREQUENCY:
+                swing = swing + columns[key_of(law)] * law.basis(one)
+        return swing
+
+    def _parameters(self) -> list[Parameter]:
+        relative = self.frequency_hz.sigma / self.frequency_hz.value
+        found = [
+            Parameter("log frequency", math.log(self.frequency_hz.value), relative),
+            Parameter("log damping", math.log(self.damping.value), self.damping.sigma / self.damping.value),
+        ]
+        for entry in self.extensions:
+            if isinstance(entry, Law):
+                found.append(Parameter(key_of(entry), 0.0, entry.sigma))
+            else:
+                found += _of_second(found[0], found[1])
+        for k, one in enumerate(self.recordings):
+            quiet = math.log(float(np.percentile(np.abs(one.up_mps2), 5)) + 1e-9)
+            found += [
+                Parameter(f"knock to load #{k}", -1.0, 3.0),
+                Parameter(f"noise #{k}", quiet, 3.0),
+                Parameter(f"knock to noise #{k}", -1.0, 2.0),
+            ]
+        return found
+
+
+def key_of(law: Law) -> str:
+    """Name of a law's parameter in the vector."""
+    return f"{law.text}: {law.parameter}"
+
+
+def _of_second(frequency: Parameter, damping: Parameter) -> list[Parameter]:
+    return [
+        Parameter("second log frequency", frequency.centre, math.hypot(frequency.sigma, 0.1)),
+        Parameter("second log damping", damping.centre, damping.sigma),
+        Parameter("second log participation", 0.0, 3.0),
+        Parameter("second follow", 0.5, 0.5),
+    ]

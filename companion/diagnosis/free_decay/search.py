@@ -1,0 +1,173 @@
+"""From ringing recordings to what their frequency follows: try every law, accept by evidence, keep what predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.diagnosis.free_decay.cross_validation import HeldOutError, folds, held_out_error
+from companion.diagnosis.free_decay.fit import Mask, RingingFit, begin, fit
+from companion.diagnosis.free_decay.laws import Extension, Follows, Law, laws_for
+from companion.diagnosis.free_decay.model import RingingModel, key_of
+from companion.diagnosis.free_decay.record import Ringing
+from companion.params.airframe import Uncertain
+from companion.records import Floats
+
+ENOUGH = 6.0
+"""Log Bayes factor above which a law is accepted."""
+_FREQUENCIES = 13  # where the first search begins, over two prior sigmas either way
+_DEEP = 40
+_QUICK = 10
+_RINGS = 0.15  # a damping ratio above that is no mode
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """One extension on top of what was accepted before it."""
+
+    extension: Extension
+    fitted: RingingFit
+    log_bayes_factor: float
+    bic: float
+
+
+@dataclass(frozen=True, slots=True)
+class RingingDiagnosis:
+    """What was found.
+
+    Attributes
+    ----------
+    null, final : RingingFit
+    accepted : tuple of Tried
+        In the order in which they were accepted.
+    rounds : tuple of tuple of Tried
+        All that was tried in each round, best first; the first round is against the null.
+    errors : tuple of HeldOutError
+        Of the null, then after each accepted extension.
+    alone : dict of str to HeldOutError
+        Of each frequency law alone, by what it says.
+    """
+
+    null: RingingFit
+    final: RingingFit
+    accepted: tuple[Tried, ...]
+    rounds: tuple[tuple[Tried, ...], ...]
+    errors: tuple[HeldOutError, ...]
+    alone: dict[str, HeldOutError]
+
+
+def search(
+    recordings: Sequence[Ringing],
+    frequency_hz: Uncertain,
+    damping: Uncertain,
+    band_hz: tuple[float, float],
+    most: int = 5,
+    progress: Progress = lambda _what, _share: None,
+) -> RingingDiagnosis:
+    """Judge recordings of one structure jointly, with what is one recording's own fitted to it alone.
+
+    ``frequency_hz`` and ``damping`` are as believed before, ``band_hz`` is where modes may be; at most ``most``
+    extensions are accepted.
+    """
+    masks = [np.ones(len(one.t_s), dtype=np.bool_) for one in recordings]
+    progress("fit a mode of constant frequency", 0.0)
+    null = _null(RingingModel(recordings, frequency_hz, damping), masks)
+    offered = laws_for(sorted(recordings[0].channels))
+    current, accepted, rounds = null, list[Tried](), list[tuple[Tried, ...]]()
+    while len(accepted) < most:
+        left = [entry for entry in offered if entry not in current.model.extensions]
+        tried = list[Tried]()
+        for i, entry in enumerate(left):
+            progress(f"round {len(rounds) + 1}: {entry.text}", i / len(left))
+            tried.append(_try(entry, current, masks))
+        tried = sorted((one for one in tried if _is_a_mode(one, band_hz)), key=lambda one: -one.log_bayes_factor)
+        rounds.append(tuple(tried))
+        if not tried or tried[0].log_bayes_factor < ENOUGH:
+            break
+        deep = fit(tried[0].fitted.model, tried[0].fitted.values, masks, _DEEP)
+        best = _against(tried[0].extension, deep, current)
+        accepted.append(best)
+        current = best.fitted
+    stages = [null, *(entry.fitted for entry in accepted)]
+    errors = _scored(stages, progress, "hold out blocks")
+    alone = {} if not rounds else _alone(rounds[0], progress)
+    return RingingDiagnosis(null, current, tuple(accepted), tuple(rounds), tuple(errors), alone)
+
+
+def _null(model: RingingModel, masks: Sequence[Mask]) -> RingingFit:
+    at, entry = model.index("log frequency"), model.parameters[0]
+    offered = np.tile(model.centres, (_FREQUENCIES, 1))
+    offered[:, at] = entry.centre + entry.sigma * np.linspace(-2.0, 2.0, _FREQUENCIES)
+    return fit(model, begin(model, offered, masks), masks, _DEEP)
+
+
+def _try(entry: Extension, current: RingingFit, masks: Sequence[Mask]) -> Tried:
+    before = current.model
+    model = RingingModel(before.recordings, before.frequency_hz, before.damping, (*before.extensions, entry))
+    start = model.begun_from(before, current.values)
+    offered = _starts(entry, model, start, wide=not before.extensions)
+    return _against(entry, fit(model, begin(model, offered, masks), masks, _QUICK), current)
+
+
+def _is_a_mode(one: Tried, band_hz: tuple[float, float]) -> bool:
+    """Whether a second mode rings, and within the band; true of all that is no second mode."""
+    if isinstance(one.extension, Law):
+        return True
+    frequency_hz, zeta = (math.exp(one.fitted.value(f"second log {name}")[0]) for name in ("frequency", "damping"))
+    return band_hz[0] < frequency_hz < band_hz[1] and zeta < _RINGS
+
+
+def _starts(entry: Extension, model: RingingModel, start: Floats, wide: bool) -> Floats:
+    """Where the climb may begin: a frequency that swings far has many small hills."""
+    rows = []
+    if not isinstance(entry, Law):
+        for ratio in entry.starts:
+            for follow in (0.0, 1.0):
+                row = start.copy()
+                row[model.index("second log frequency")] = start[0] + math.log(ratio)
+                row[model.index("second follow")] = follow
+                row[model.index("second log participation")] = -3.0
+                rows.append(row)
+        return np.array(rows)
+    shifts = np.linspace(-0.3, 0.3, 9) if wide and entry.follows is Follows.FREQUENCY else [0.0]
+    for shift in shifts:
+        for value in entry.starts:
+            row = start.copy()
+            row[0] += shift
+            row[model.index(key_of(entry))] = value
+            rows.append(row)
+    return np.array(rows)
+
+
+def _against(entry: Extension, fitted: RingingFit, current: RingingFit) -> Tried:
+    extra = len(fitted.values) - len(current.values)
+    bic = -2.0 * (fitted.log_likelihood - current.log_likelihood) + extra * math.log(fitted.count)
+    return Tried(entry, fitted, fitted.log_evidence - current.log_evidence, bic)
+
+
+def _scored(stages: Sequence[RingingFit], progress: Progress, what: str) -> list[HeldOutError]:
+    recordings = stages[0].model.recordings
+    frequency_hz = math.exp(float(stages[0].values[0]))
+    ahead = max(round(recordings[0].rate_hz / frequency_hz), 1)
+    found = []
+    for i, stage in enumerate(stages):
+        progress(what, i / len(stages))
+        found.append(held_out_error(stage, folds(recordings), ahead))
+    return found
+
+
+def _alone(first: Sequence[Tried], progress: Progress) -> dict[str, HeldOutError]:
+    laws = [
+        one
+        for one in first
+        if isinstance(one.extension, Law)
+        and one.extension.name
+        and one.extension.follows is Follows.FREQUENCY
+        and one.log_bayes_factor > ENOUGH
+    ]
+    errors = _scored([one.fitted for one in laws], progress, "hold out blocks for each law alone") if laws else []
+    return {one.extension.text: error for one, error in zip(laws, errors, strict=True)}

@@ -1,0 +1,1 @@
+"""Likelihood of a flight: spectra of the accelerations (Whittle), and the toe given them."""

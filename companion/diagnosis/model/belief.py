@@ -1,0 +1,186 @@
+"""What may be wrong with a believed airframe without anything being wrong with the model: the nuisance parameters.
+
+Each is a deviation from the belief, 0 before the data speak, with the prior sigma of the airframe file. Positive
+quantities deviate in their logarithm. Everything that a named effect claims is judged with these free.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from companion.core.wing.effects import make_effect
+from companion.core.wing.structure import SLOT_NAMES
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.linear_spectra import ADDED
+from companion.params.airframe import Airframe, Mode, Uncertain, Wing
+from companion.records import Floats, Side
+
+_INPUT_MPS2 = 10.0  # what a measured input may do to the wing at most
+_UNKNOWN_LEVEL = 1.5  # log sigma of a level that no airframe file tells
+_UNKNOWN_NOISE = 3.0  # of a sensor's noise: data sheets say nothing of how it is mounted
+_CORNER_SIGMA = 1.0  # of its logarithm: what colour a day's gusts have is nobody's error
+_COHERENCE = 1.2  # of asinh atanh: anything from -1 to 1
+_MATCH_SIGMA_PX = 0.3
+_OWN = "#"
+_GAIN = "gain:"
+_CHANGING = (".level", ".noise", ".bias_mps2", "match")
+_RANGE_ONLY = frozenset({"toe_rad", "focal", "match", "trim_bend_m", "bend_per_g_m"})
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisance:
+    """One deviation: its key, prior sigma, and whether it is a logarithm."""
+
+    key: str
+    sigma: float
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """The airframe and the deviations from it that are free, in the order of every parameter vector."""
+
+    airframe: Airframe
+    nuisances: tuple[Nuisance, ...]
+    parts: tuple[Part, ...] = ()
+    """Effects that the airframe file has in force already."""
+
+    @property
+    def sigmas(self) -> Floats:
+        """Prior sigmas, (p,)."""
+        return np.array([entry.sigma for entry in self.nuisances])
+
+    def named(self, deviations: Sequence[float] | Floats, recording: int = 0) -> dict[str, float]:
+        """Deviations by key as one recording has them: its own, and those that all share."""
+        found = {}
+        for entry, value in zip(self.nuisances, deviations, strict=True):
+            key, _, owner = entry.key.partition(_OWN)
+            if not owner or int(owner) == recording:
+                found[key] = float(value)
+        return found
+
+    def concerns(self, index: int, recording: int) -> bool:
+        """Whether a nuisance has a say in a recording."""
+        _, _, owner = self.nuisances[index].key.partition(_OWN)
+        return not owner or int(owner) == recording
+
+    def wing(self, deviation: dict[str, float]) -> Wing:
+        """The wing with its deviations put in."""
+        wing = self.airframe.wing
+        modes: dict[str, Any] = {}
+        for name in SLOT_NAMES:
+            mode: Mode | None = getattr(wing, name)
+            if mode is not None:
+                modes[name] = _moved(mode, name, deviation)
+        trim = Uncertain(wing.trim_bend_m.value + deviation.get("trim_bend_m", 0.0), wing.trim_bend_m.sigma)
+        per_g = Uncertain(wing.bend_per_g_m.value + deviation.get("bend_per_g_m", 0.0), wing.bend_per_g_m.sigma)
+        return dataclasses.replace(wing, trim_bend_m=trim, bend_per_g_m=per_g, **modes)
+
+    def match_sigma_rad(self) -> float:
+        """Believed noise of one measured toe."""
+        camera = self.airframe.left_camera
+        return _MATCH_SIGMA_PX / camera.focal_px.value if camera else 0.0
+
+
+def believe(
+    airframe: Airframe,
+    sides: Sequence[Side],
+    with_range: bool,
+    load_varies: bool,
+    recordings: int = 1,
+    inputs: Mapping[str, float] = MappingProxyType({}),
+    has_root: bool = False,
+) -> Belief:
+    """List the nuisances of an airframe that these recordings can have an opinion about.
+
+    What differs from flight to flight (gust, noise, bias, matching) is a nuisance of each recording. ``inputs`` are the
+    measured ones with their rms: what they do to the wing per unit is free.
+    """
+    found = [entry for name in SLOT_NAMES for entry in _of_mode(getattr(airframe.wing, name), name, with_range)]
+    seconds = [name for name in SLOT_NAMES[2:] if getattr(airframe.wing, name) is not None]
+    found += [Nuisance(f"{name}.coherence", _COHERENCE) for name in (*seconds, ADDED)]
+    found += [Nuisance(f"corner{i}", _CORNER_SIGMA, True) for i, c in enumerate(airframe.wing.gust.corners_hz) if c]
+    for side in sides:
+        sensor = (airframe.left, airframe.right)[side]
+        name = side.name.lower()
+        found.append(Nuisance(f"{name}.noise", _UNKNOWN_NOISE, True))
+        found.append(Nuisance(f"{name}.scale", sensor.accel_scale_sigma))
+        found.append(Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s))
+        found.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))
+    if has_root:
+        root = airframe.root
+        found.append(Nuisance("root.scale", root.accel_scale_sigma))
+        found.append(Nuisance("root.rate_scale", root.gyro_scale_sigma))
+        found.append(Nuisance("root.bias_mps2", root.accel_bias_sigma_mps2))
+    if with_range:
+        found += _of_cameras(airframe, load_varies)
+    found += [Nuisance(f"{_GAIN}{name}", _INPUT_MPS2 / rms) for name, rms in inputs.items() if rms > 0.0]
+    known = [entry for entry in found if entry.sigma > 0.0]
+    if recordings > 1:
+        known = [one for entry in known for one in _for_each(entry, recordings)]
+    in_force = tuple(Part(make_effect(entry), entry.channel) for entry in airframe.effects)
+    return Belief(airframe, tuple(known), in_force)
+
+
+def of_range(key: str, load_moves: bool = False) -> bool:
+    """Whether a nuisance concerns the ranges or the sensors at rest alone, and not the motion of the wing."""
+    if key == "bend_per_g_m" and load_moves:
+        return False
+    return key in _RANGE_ONLY or key.endswith((".slope", ".bias_mps2"))
+
+
+def input_gains(deviation: Mapping[str, float]) -> dict[str, float]:
+    """Modal acceleration per unit of each measured input."""
+    return {key.removeprefix(_GAIN): value for key, value in deviation.items() if key.startswith(_GAIN)}
+
+
+def _for_each(entry: Nuisance, recordings: int) -> list[Nuisance]:
+    if not (entry.key.startswith("corner") or entry.key.endswith(_CHANGING)):
+        return [entry]
+    return [dataclasses.replace(entry, key=f"{entry.key}{_OWN}{k}") for k in range(recordings)]
+
+
+def _of_mode(mode: Mode | None, name: str, with_range: bool) -> list[Nuisance]:
+    if mode is None:
+        return []
+    found = [
+        Nuisance(f"{name}.frequency", mode.frequency_hz.sigma / mode.frequency_hz.value, True),
+        Nuisance(f"{name}.damping", mode.damping.sigma / max(mode.damping.value, 1e-6), True),
+        Nuisance(f"{name}.level", _UNKNOWN_LEVEL, True),
+    ]
+    if with_range and not name.endswith("antisymmetric"):
+        slope = mode.slope_factor_radpm
+        found.append(Nuisance(f"{name}.slope", slope.sigma / max(slope.value, 1e-6), True))
+    return found
+
+
+def _of_cameras(airframe: Airframe, load_varies: bool) -> list[Nuisance]:
+    camera = airframe.left_camera
+    assert camera is not None
+    wing = airframe.wing
+    found = [
+        Nuisance("toe_rad", math.sqrt(2.0) * camera.rotation_sigma_rad),
+        Nuisance("focal", camera.focal_px.sigma / camera.focal_px.value / math.sqrt(2.0)),
+        Nuisance("match", 0.7, True),
+        Nuisance("trim_bend_m", wing.trim_bend_m.sigma),
+    ]
+    return found + ([Nuisance("bend_per_g_m", wing.bend_per_g_m.sigma)] if load_varies else [])
+
+
+def _moved(mode: Mode, name: str, deviation: dict[str, float]) -> Mode:
+    def scaled(value: Uncertain, key: str) -> Uncertain:
+        return Uncertain(value.value * math.exp(deviation.get(f"{name}.{key}", 0.0)), value.sigma)
+
+    return dataclasses.replace(
+        mode,
+        frequency_hz=scaled(mode.frequency_hz, "frequency"),
+        damping=scaled(mode.damping, "damping"),
+        slope_factor_radpm=scaled(mode.slope_factor_radpm, "slope"),
+    )

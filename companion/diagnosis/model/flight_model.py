@@ -1,0 +1,206 @@
+"""The one super-model in the frequency domain: what it expects of a recording, and how far the recording is from that.
+
+The tips' accelerations are a stationary process with spectral matrix S(f) (Whittle); forces that depend on state or
+time and sensors that are not straight are taken back out of the data first. The toe at each exposure is judged given
+the accelerations: its mean through the Wiener smoother of the same model, its covariance through the posterior's
+spectrum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from companion.core.wing.effect import Effect, Group
+from companion.core.wing.model import WingModel
+from companion.diagnosis.data.observations import Observations
+from companion.diagnosis.data.transforms import Transforms
+from companion.diagnosis.model.belief import Belief, input_gains, of_range
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.expectation import Expectation
+from companion.diagnosis.model.linear_spectra import STATIONS, Spectra, spectrum_of
+from companion.diagnosis.model.motion import Grid, Motion
+from companion.diagnosis.model.nonlinear_correction import GRAVITY_MPS2, Straightener
+from companion.diagnosis.model.toe import ToeModel
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, log_determinant, weighed_square
+from companion.records import Floats
+
+_LOW = 0.15
+_NYQUIST_SHARE = 0.45
+
+
+class SuperModel:
+    """A belief and a recording, ready to be asked about any parameters and any effects.
+
+    ``recording`` is the number by which the belief's nuisances know it, where several are fitted jointly.
+    """
+
+    def __init__(self, belief: Belief, seen: Observations, top_hz: float, recording: int = 0) -> None:
+        self.belief, self.seen, self.top_hz, self.recording = belief, seen, top_hz, recording
+        self.transforms = Transforms(len(seen.up_mps2), 1.0 / seen.rate_hz, seen.start_s)
+        all_hz = self.transforms.f_hz
+        low_hz = _LOW * belief.airframe.wing.symmetric.frequency_hz.value
+        self._low = int(np.searchsorted(all_hz, low_hz))
+        top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * seen.rate_hz), side="right"))
+        self.band_hz: Floats = all_hz[self._low : top]
+        self.weight = self.transforms.weight
+        self._spectra = Spectra(belief.airframe, seen.sides, all_hz[:top], seen.has_root)
+        straightener = Straightener(seen, self.transforms)
+        up = straightener.recorded_mps2
+        recorded = self.transforms.spectrum(up)[:, :top], self.transforms.tapered(up)[:, self._low : top]
+        self._grid = Grid(straightener, self.transforms, self._low, recorded)
+        self._rigid: tuple[Complexes, Complexes] | None = None
+        if straightener.rigid_mps2 is not None:
+            heave, turning = (self.transforms.spectrum(values)[..., :top] for values in straightener.rigid_mps2)
+            self._rigid = heave, turning
+        self._toe: ToeModel | None = None
+        if seen.toe is not None:
+            self._toe = ToeModel(belief, seen, seen.toe, self.transforms, all_hz[:top])
+
+    def expect(self, deviations: Floats, parts: Sequence[Part] = (), near: Expectation | None = None) -> Expectation:
+        """Hold a model against the recording.
+
+        Parameters
+        ----------
+        deviations : (p,)
+            Nuisances, in the belief's order.
+        parts : sequence of Part
+            Named effects in force.
+        near : Expectation, optional
+            Of a neighbouring model, which lends its ``toe_posterior``, the dear part, and all that is the same.
+        """
+        deviation = self.belief.named(deviations, self.recording)
+        parts = (*self.belief.parts, *parts)
+        effects = tuple(part.effect for part in parts)
+        wing = WingModel(self.belief.wing(deviation), effects)
+        motion = self._motion(wing, parts, deviation, near)
+        posterior = near.toe_posterior if near is not None else np.zeros((0, 0))
+        toe, variance = np.zeros(0), np.zeros(0)
+        if self._toe is not None:
+            toe, variance = self._toe.residual(wing, effects, deviation, motion)
+            posterior = self._toe.posterior(wing, effects, motion) if near is None else posterior
+        return Expectation(motion, toe, posterior, variance, *self._rest(effects, deviation))
+
+    def acceleration_spectrum(self, deviations: Floats) -> Complexes:
+        """Two-sided density of the accelerations in the band without any effect beyond the belief's, (c, c, b)."""
+        deviation = self.belief.named(deviations, self.recording)
+        effects = tuple(part.effect for part in self.belief.parts if part.effect.group is not Group.CAMERA)
+        structure = WingModel(self.belief.wing(deviation), effects).structure
+        scale = np.ones(len(self.seen.sides))
+        return spectrum_of(self._spectra.linear(structure, scale, effects, deviation), self._low)
+
+    def log_likelihood(self, found: Expectation) -> float:
+        """Log likelihood of the recording under an expectation, up to a constant."""
+        return float(sum(self.log_scores(found).values()))
+
+    def log_scores(self, found: Expectation) -> dict[str, float]:
+        """Log likelihood by channel: accelerations, toe given them, and the sensors' mean."""
+        spread = float(np.sum(log_determinant(found.spectrum)))
+        misfit = weighed_square(found.inverse, found.residual)
+        scores = {"acceleration": -self.weight * (spread + misfit)}
+        if len(found.toe_residual_rad):
+            factor = cho_factor(found.toe_covariance, lower=True, check_finite=False)
+            whitened = found.toe_residual_rad @ cho_solve(factor, found.toe_residual_rad, check_finite=False)
+            scores["range"] = float(-np.sum(np.log(np.diag(factor[0]))) - 0.5 * whitened)
+        rest = found.rest_residual**2 / found.rest_variance
+        scores["rest"] = float(-0.5 * np.sum(rest + np.log(found.rest_variance)))
+        return scores
+
+    def data_in_band(self) -> Complexes:
+        """The recorded accelerations' tapered spectrum, (c, b); its squared size estimates the two-sided density."""
+        return self._grid.recorded[1]
+
+    def in_band(self, values: Floats) -> Complexes:
+        """Accelerations (c, m) as tapered spectrum in the band, (c, b)."""
+        return self.transforms.tapered(values)[:, self._low : self._low + len(self.band_hz)]
+
+    def draw(self, found: Expectation, rng: np.random.Generator) -> Floats:
+        """Accelerations as a fitted model makes them by chance, (c, m)."""
+        shape = found.residual.shape
+        white = np.sqrt(0.5) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+        spectrum = np.zeros((shape[0], len(self.transforms.f_hz)), dtype=np.complex128)
+        coloured = apply(inverse(adjoint(found.motion.whitener)), white)
+        spectrum[:, self._low : self._low + shape[1]] = coloured * np.sqrt(self.transforms.count / self.transforms.dt_s)
+        return self.transforms.in_time(spectrum)
+
+    def residual_force(self, found: Expectation) -> Floats:
+        """Score of the likelihood with respect to a force on each believed mode at each instant, (n, m)."""
+        believed = WingModel(self.belief.airframe.wing).count
+        return self.transforms.in_time(found.motion.force_score[:believed])
+
+    def spring_force(self, found: Expectation) -> Floats:
+        """Spring force of the believed modes' smoothed motion, (n, m)."""
+        stiffness = WingModel(self.belief.airframe.wing).structure.stiffness_radps2
+        return np.asarray(stiffness @ found.q_m[: len(stiffness)])
+
+    @property
+    def baseline_m(self) -> float:
+        """Believed distance of the cameras; there must be ranges."""
+        assert self._toe is not None
+        return self._toe.baseline_m
+
+    def time_shift(self, effect: Effect) -> Floats | None:
+        """How a unit of the effect's first parameter shifts the channels' time, (c, m) seconds; None if not at all."""
+        kind = type(effect)
+        if kind.sample_time is Effect.sample_time:
+            return None
+        declared = effect.parameters()[0]
+        unit = kind.from_values({declared.name: declared.sigma})
+        t_s = self.seen.t_s
+        return np.stack([unit.sample_time(STATIONS[side], t_s) - t_s for side in self.seen.sides]) / declared.sigma
+
+    def delay_shift(self, key: str) -> Floats | None:
+        """The same for a nuisance: (c, m) if it is a delay."""
+        late = [-1.0 if key.partition("#")[0] == f"{side.name.lower()}.delay_s" else 0.0 for side in self.seen.sides]
+        return np.outer(late, np.ones(len(self.seen.t_s))) if any(late) else None
+
+    def rigid_shifted(self, shift_s: Floats) -> Complexes | None:
+        """What shifts in time (c, m) do to the rigid aircraft's motion: tapered and in the band, (c, b)."""
+        if self._rigid is None:
+            return None
+        rate = 2j * np.pi * self.transforms.f_hz[: self._rigid[0].shape[-1]] * (self._rigid[0] + self._rigid[1])
+        return self.in_band(self.transforms.in_time(rate) * shift_s)
+
+    def _motion(
+        self, wing: WingModel, parts: Sequence[Part], deviation: Mapping[str, float], near: Expectation | None
+    ) -> Motion:
+        """What the accelerations have a say in; half of all parameters are of the cameras alone and leave it."""
+        inner = tuple(part for part in parts if part.effect.group is not Group.CAMERA)
+        bends = self.seen.has_root  # then the bend per g moves the wing, and not the ranges alone
+        key = (inner, tuple(value for name, value in deviation.items() if not of_range(name, bends)))
+        if near is not None and near.motion.key == key:
+            return near.motion
+        effects = tuple(part.effect for part in inner)
+        measured = self._grid.straightener.measured_mps2(wing, input_gains(deviation))
+        leaked = self._leaked_mps2(effects, deviation)
+        return Motion(
+            key,
+            wing,
+            inner,
+            self._grid,
+            lambda shape, scale: self._spectra.linear(shape, scale, effects, deviation),
+            measured,
+            leaked,
+        )
+
+    def _leaked_mps2(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Floats | None:
+        """What the sensors' errors leave of the rigid aircraft's motion in the accelerations, (c, m)."""
+        if self._rigid is None:
+            return None
+        heave, turning = self._rigid
+        left = (1.0 - self._spectra.responses(effects, deviation)) * (heave + turning)
+        left += deviation.get("root.scale", 0.0) * heave + deviation.get("root.rate_scale", 0.0) * turning
+        return self.transforms.in_time(left)
+
+    def _rest(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> tuple[Floats, Floats]:
+        shown = self.seen.mean_force_mps2.copy()
+        for i, side in enumerate(self.seen.sides):
+            name = side.name.lower()
+            shown[i] -= deviation.get(f"{name}.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get(f"{name}.scale", 0.0)
+            shown[i] -= sum(effect.bias(STATIONS[side]) for effect in effects)
+            shown[i] += deviation.get("root.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get("root.scale", 0.0)
+        # without a root sensor the mean load factor itself is in doubt, on both sides alike
+        doubt = 1e-3 if self.seen.has_root else 3e-3 * GRAVITY_MPS2
+        return shown, np.full(len(shown), doubt**2 / self.seen.share)

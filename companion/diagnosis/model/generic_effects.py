@@ -1,0 +1,328 @@
+"""Laws that nobody has named: forces over deflection, speed and time, sensors over acceleration and time, ranges over
+whatever they might follow.
+
+They are tested like named effects and compete with them, and are only ever described, never given as a cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from companion.core.wing.effect import Effect, Group, ModalMotion, on_halves, parameter
+from companion.diagnosis.data.observations import ToeData
+from companion.records import Floats, Station
+
+_Law = Callable[[Floats, Floats], Floats]
+_Sway = Callable[[Floats], Floats]
+
+LAWS: dict[str, _Law] = {
+    "deflection times its amount": lambda w, v: np.abs(w) * w + 0.0 * v,
+    "deflection squared": lambda w, v: w**2 + 0.0 * v,
+    "deflection cubed": lambda w, v: w**3 + 0.0 * v,
+    "fifth power of deflection": lambda w, v: w**5 + 0.0 * v,
+    "sign of deflection": lambda w, v: np.tanh(4.0 * w) + 0.0 * v,
+    "speed times its amount": lambda w, v: np.abs(v) * v + 0.0 * w,
+    "speed cubed": lambda w, v: v**3 + 0.0 * w,
+    "sign of speed": lambda w, v: np.tanh(4.0 * v) + 0.0 * w,
+    "speed squared": lambda w, v: v**2 + 0.0 * w,
+    "deflection squared times speed": lambda w, v: w**2 * v,
+    "amount of deflection times sign of speed": lambda w, v: np.abs(w) * np.tanh(4.0 * v),
+}
+"""Over deflection and speed in units of their rms."""
+
+TIMES: dict[str, _Sway] = {
+    "deflection, drifting in time": lambda x: x,
+    "deflection, bowed in time": lambda x: 1.5 * x**2 - 0.5,
+    "deflection, swaying once": lambda x: np.sin(np.pi * x),
+    "deflection, swaying twice": lambda x: np.cos(2.0 * np.pi * x),
+    "deflection, swaying three times": lambda x: np.sin(3.0 * np.pi * x),
+}
+"""Over time from -1 to 1 across the recording."""
+
+
+@dataclass(frozen=True, slots=True)
+class LatentForce(Effect):
+    """A force of either half's deflection and speed, in units of the rms spring force."""
+
+    name: ClassVar[str] = "latent-force"
+    group: ClassVar[Group] = Group.STRUCTURE
+    law: ClassVar[_Law]
+
+    strength: float = parameter("", 0.1, "share of the rms spring force")
+
+    def force(self, motion: ModalMotion) -> Floats:
+        """Apply the law."""
+        unit_m, unit_mps = float(np.std(motion.q_m[0])), float(np.std(motion.qdot_mps[0]))
+        spring = float(motion.structure.stiffness_radps2[0, 0]) * unit_m
+        law = type(self).law
+        return on_halves(motion, lambda w, v: -self.strength * spring * law(w / unit_m, v / unit_mps))
+
+
+@dataclass(frozen=True, slots=True)
+class LatentSway(LatentForce):
+    """A spring force that changes in time."""
+
+    sway: ClassVar[_Sway]
+
+    def force(self, motion: ModalMotion) -> Floats:
+        """Apply the law."""
+        pull: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
+        return -self.strength * type(self).sway(_across(np.asarray(motion.t_s))) * pull
+
+
+SENSED: dict[str, Callable[[Floats, Floats], Floats]] = {
+    "acceleration squared": lambda a, x: a**2 + 0.0 * x,
+    "acceleration cubed": lambda a, x: a**3 + 0.0 * x,
+    "amount of acceleration times acceleration": lambda a, x: np.abs(a) * a + 0.0 * x,
+    "acceleration, drifting in time": lambda a, x: a * x,
+    "acceleration, bowed in time": lambda a, x: a * (1.5 * x**2 - 0.5),
+}
+"""Over upward acceleration in units of its rms, and time from -1 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class LatentSense(Effect):
+    """One law of the sensors' basis, on both sides alike or against each other, in units of the rms acceleration."""
+
+    name: ClassVar[str] = "latent-sense"
+    group: ClassVar[Group] = Group.SENSING
+    law: ClassVar[_Law]
+    against: ClassVar[bool] = False
+
+    strength: float = parameter("", 0.05, "share of the rms acceleration")
+
+    def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
+        """Apply the law to the upward axis."""
+        if station is Station.ROOT:
+            return values
+        up = values[:, 2] - np.mean(values[:, 2])
+        unit = max(float(np.std(up)), 1e-12)
+        sign = -1.0 if self.against and station is Station.LEFT else 1.0
+        bent = values.copy()
+        bent[:, 2] += sign * self.strength * unit * type(self).law(up / unit, _across(t_s))
+        return bent
+
+
+@dataclass(frozen=True, slots=True)
+class LatentToe(Effect):
+    """What the measured toe may follow, in units of that one's rms."""
+
+    name: ClassVar[str] = "latent-toe"
+    group: ClassVar[Group] = Group.CAMERA
+    follows: ClassVar[str]
+
+    strength_rad: float = parameter("rad", 1e-3, "rms of what is added")
+
+    def added(self, offered: Mapping[str, Floats]) -> Floats | float:
+        """Share of the toe, (k,)."""
+        return self.strength_rad * offered[self.follows] if self.follows in offered else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LatentSpread(Effect):
+    """What the variance of the measured toe may grow with, in units of that one's mean."""
+
+    name: ClassVar[str] = "latent-spread"
+    group: ClassVar[Group] = Group.CAMERA
+    one_way: ClassVar[bool] = True
+    grows_with: ClassVar[str]
+
+    share: float = parameter("", 2.0, "of the variance that is there anyway")
+
+    def growth(self, offered: Mapping[str, Floats]) -> Floats | float:
+        """Share of the variance that is added, (k,)."""
+        return max(self.share, 0.0) * offered[self.grows_with] if self.grows_with in offered else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LatentRest(Effect):
+    """What one side shows at rest."""
+
+    name: ClassVar[str] = "latent-rest"
+    group: ClassVar[Group] = Group.SENSING
+    station: ClassVar[Station]
+
+    shown_mps2: float = parameter("m/s^2", 0.2, "constant on the upward axis")
+
+    def bias(self, station: Station) -> float:
+        """Add it on its side."""
+        return self.shown_mps2 if station is self.station else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LatentPhase(Effect):
+    """A phase of one side that grows with frequency."""
+
+    name: ClassVar[str] = "latent-phase"
+    group: ClassVar[Group] = Group.SENSING
+    station: ClassVar[Station]
+
+    slope_s: float = parameter("s", 0.005, "phase per angular frequency")
+
+    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
+        """Turn it on its side."""
+        return np.asarray(np.exp(-2j * np.pi * f_hz * self.slope_s)) if station is self.station else None
+
+
+@dataclass(frozen=True, slots=True)
+class LatentFall(Effect):
+    """A gain that falls with the square of frequency, on both sides alike or against each other, and turns no phase."""
+
+    name: ClassVar[str] = "latent-fall"
+    group: ClassVar[Group] = Group.SENSING
+    against: ClassVar[bool] = False
+
+    fall: float = parameter("", 0.2, "logarithm of what is lost at the top of the band")
+
+    def response(self, station: Station, f_hz: Floats) -> npt.NDArray[np.complex128] | None:
+        """Damp whatever the station shows."""
+        if station is Station.ROOT:
+            return None
+        sign = -1.0 if self.against and station is Station.LEFT else 1.0
+        return np.exp(-sign * self.fall * (f_hz / max(float(f_hz[-1]), 1e-9)) ** 2).astype(np.complex128)
+
+
+@dataclass(frozen=True, slots=True)
+class LatentWarp(Effect):
+    """One side is ever later: by nothing in the middle of the recording, as it may be late throughout anyway."""
+
+    name: ClassVar[str] = "latent-warp"
+    group: ClassVar[Group] = Group.SENSING
+
+    late_s: float = parameter("s", 0.002, "at the end, and as early at the start")
+
+    def sample_time(self, station: Station, t_s: Floats) -> Floats:
+        """The instant that a stamp shows, on the right side."""
+        return t_s - self.late_s * _across(t_s) if station is Station.RIGHT else t_s
+
+
+@dataclass(frozen=True, slots=True)
+class LatentLine(Effect):
+    """One frequency in both sides' readings, alike or against each other."""
+
+    name: ClassVar[str] = "latent-line"
+    group: ClassVar[Group] = Group.SENSING
+    against: ClassVar[bool] = False
+
+    cosine_mps2: float = parameter("m/s^2", 0.5, "in phase with the start")
+    sine_mps2: float = parameter("m/s^2", 0.5, "a quarter period later")
+    frequency_hz: float = parameter("Hz", 10.0, "frequency", default=12.0)
+
+    def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
+        """Add it to the upward axis."""
+        if station is Station.ROOT:
+            return values
+        phase = 2.0 * np.pi * self.frequency_hz * t_s
+        sign = -1.0 if self.against and station is Station.LEFT else 1.0
+        sung = values.copy()
+        sung[:, 2] -= sign * (self.cosine_mps2 * np.cos(phase) + self.sine_mps2 * np.sin(phase))
+        return sung
+
+
+TOE = (
+    "symmetric deflection",
+    "its rate",
+    "its square",
+    "its cube",
+    "its rate squared",
+    "deflection drifting in time",
+    "rate drifting in time",
+    "load factor",
+    "the whole reading",
+    "inverse distance",
+    "inverse distance squared",
+    "deflection by inverse distance",
+    "time",
+    "time squared",
+    "antisymmetric deflection",
+    "antisymmetric rate",
+    "deflection of a further mode",
+    "rate of a further mode",
+)
+SPREAD = ("deflection", "its rate", "inverse distance", "time")
+
+
+def followed(
+    toe: ToeData, modal: Floats, rates: Floats, load_factor: Floats, expected_rad: Floats
+) -> dict[str, Floats]:
+    """What the toe might follow, each about its mean (but the whole reading) and of rms 1, (k,).
+
+    Parameters
+    ----------
+    toe : ToeData
+        The exposures.
+    modal, rates : (n, k)
+        Smoothed modes at the exposures.
+    load_factor, expected_rad : (k,)
+        Of the wing, and of the model: how the axes diverge and where the point is, together.
+    """
+    q, rate = modal[0], rates[0]
+    x, nearness = _across(toe.t_s), toe.inverse_m - toe.inverse_m.mean()
+    values = [q, rate, q**2, q**3, rate**2, q * x, rate * x, load_factor]
+    values += [expected_rad, nearness, nearness**2, q * nearness, x, x**2, *modal[1:2], *rates[1:2]]
+    values += [*modal[2:3], *rates[2:3]]
+    offered = {}
+    for name, one in zip(TOE, values, strict=False):
+        one = one if name == "the whole reading" else one - np.mean(one)
+        size = float(np.sqrt(np.mean(one**2)))
+        if size > 1e-12:
+            offered[name] = one / size
+    return offered
+
+
+def growing(toe: ToeData, modal: Floats, rates: Floats) -> dict[str, Floats]:
+    """What the toe's variance might grow with, of mean 1, (k,)."""
+    values = (modal[0] ** 2, rates[0] ** 2, toe.inverse_m**2, 0.5 * (1.0 + _across(toe.t_s)))
+    return {name: one / np.mean(one) for name, one in zip(SPREAD, values, strict=True) if float(np.std(one)) > 1e-12}
+
+
+def unnamed() -> list[type[Effect]]:
+    """Every law as an effect of its own."""
+    sensors = [(name, law, against) for name, law in SENSED.items() for against in (False, True)]
+    return [
+        *(_kind(LatentForce, f"force with {name}", law=staticmethod(law)) for name, law in LAWS.items()),
+        *(_kind(LatentSway, f"force with {name}", sway=staticmethod(sway)) for name, sway in TIMES.items()),
+        *(
+            _kind(
+                LatentSense,
+                f"sensors with {name}{', left against right' if against else ''}",
+                law=staticmethod(law),
+                against=against,
+            )
+            for name, law, against in sensors
+        ),
+        *(
+            _kind(base, f"{side.name.lower()} side {what}", station=side)
+            for base, what in ((LatentRest, "at rest"), (LatentPhase, "phase growing with frequency"))
+            for side in (Station.LEFT, Station.RIGHT)
+        ),
+        _kind(LatentFall, "gain falling with frequency"),
+        _kind(LatentFall, "gain falling with frequency, left against right", against=True),
+        _kind(LatentWarp, "right side ever later"),
+        *(_kind(LatentToe, f"range residual against {name}", follows=name) for name in TOE),
+        *(_kind(LatentSpread, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
+    ]
+
+
+def lines() -> list[type[Effect]]:
+    """What a single frequency may be, which the data must lead to."""
+    return [_kind(LatentLine, f"a line, {how}", against=how != "alike") for how in ("alike", "left against right")]
+
+
+def laws() -> list[tuple[str, Effect]]:
+    """Every law of forces and sensors at nothing, with what it says."""
+    return [(kind.name, kind()) for kind in unnamed() if issubclass(kind, (LatentForce, LatentSense))]
+
+
+def _kind(base: type[Effect], title: str, **constants: object) -> type[Effect]:
+    return type(base.__name__, (base,), {"__slots__": (), "name": title, **constants})
+
+
+def _across(t_s: Floats) -> Floats:
+    """Time from -1 to 1 across the recording."""
+    return np.asarray(2.0 * (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-9) - 1.0)

@@ -1,0 +1,155 @@
+"""The linear part of the super-model in the frequency domain: receptance, load, sensing, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.wing.effect import Effect
+from companion.core.wing.lowpass import Butterworth2
+from companion.core.wing.structure import SLOT_NAMES, Structure, structure_of
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, inverse, product
+from companion.params.airframe import Airframe
+from companion.records import Floats, Side, Station
+
+ADDED = "added"
+"""Stands for a mode that an effect has appended, in the names of nuisances."""
+_TOGETHER = 5.0  # tanh sinh of it is 1 to the last digit
+STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """Everything that follows from the linear model at f frequencies.
+
+    Attributes
+    ----------
+    receptance : (n, n, f), or (n, f) where no mode is coupled
+        Modal deflection per load.
+    load : (n, n, f) or (n, f)
+        Two-sided load density.
+    seen : (c, n, f)
+        Accelerometer channel per modal deflection.
+    noise : (c, c)
+        Two-sided density; what a root sensor adds is the same on both sides.
+    """
+
+    receptance: Complexes
+    load: Complexes
+    seen: Complexes
+    noise: Floats
+
+
+class Spectra:
+    """Writes a wing with effects as spectra on one frequency axis, in the units of a belief."""
+
+    def __init__(self, airframe: Airframe, sides: Sequence[Side], f_hz: Floats, has_root: bool = False) -> None:
+        self.airframe, self.sides, self.f_hz = airframe, tuple(sides), f_hz
+        self._omega: Floats = 2.0 * np.pi * f_hz
+        self._filters = [_butterworth(f_hz, airframe.sensor(STATIONS[side]).lowpass_accel_hz) for side in self.sides]
+        self._root_noise = 0.5 * airframe.root.accel_noise_mps2_rthz**2 if has_root else 0.0
+        self._level = self._reference_levels()
+
+    def linear(
+        self, structure: Structure, scale: Floats, effects: Sequence[Effect], deviation: Mapping[str, float]
+    ) -> Linear:
+        """Spectra of a structure under effects and nuisances; ``scale`` (c,) is on the accelerometers beside them."""
+        inertia = -(self._omega**2) * structure.lift[list(self.sides)][..., None]
+        gains = scale[:, None] * self.responses(effects, deviation)
+        noise = np.diag([self._noise(side, deviation) for side in self.sides]) + self._root_noise
+        load = self._load(structure, effects, deviation)
+        seen: Complexes = gains[:, None] * inertia
+        return Linear(receptance(structure, self._omega), load, seen, noise)
+
+    def responses(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
+        """What the accelerometers show of what they feel, (c, f)."""
+        return np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
+
+    def _load(self, structure: Structure, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
+        believed, level = len(self._level), np.empty(structure.count)
+        for i, slot in enumerate(structure.slots):
+            # a mode that an effect has added is loaded like the first of its symmetry
+            k, name = (i, SLOT_NAMES[slot]) if i < believed else (slot % 2 if believed > 1 else 0, SLOT_NAMES[slot % 2])
+            level[i] = self._level[k] * np.exp(2.0 * deviation.get(f"{name}.level", 0.0))
+        load = (level[:, None] * self._load_shape(deviation)).astype(np.complex128)
+        load = self._coherent(load, structure, deviation)
+        for effect in effects:
+            gain = effect.load_gain(self.f_hz, structure.count)
+            if gain is not None:
+                turned = np.moveaxis(np.broadcast_to(gain, (len(self.f_hz), *gain.shape[1:])), 0, -1)
+                load = product(product(turned, full(load)), adjoint(turned))
+        return load
+
+    def _coherent(self, load: Complexes, structure: Structure, deviation: Mapping[str, float]) -> Complexes:
+        """Let modes of one symmetry share a gust: one that loads the first may load the next, in part or wholly."""
+        for i in range(1, structure.count):
+            slot = structure.slots[i]
+            first = slot % 2 if structure.count > 1 and slot % 2 < len(self._level) else 0
+            name = SLOT_NAMES[slot] if i < len(self._level) else ADDED
+            # one gust may well load both: full coherence lies a few prior sigmas away, and not at infinity
+            shared = float(np.tanh(np.sinh(np.clip(deviation.get(f"{name}.coherence", 0.0), -_TOGETHER, _TOGETHER))))
+            if i != first and shared:
+                load = full(load).copy()
+                both = shared * np.sqrt(load[first, first] * load[i, i])
+                load[first, i] += both
+                load[i, first] += both
+        return load
+
+    def _response(self, channel: int, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
+        side = self.sides[channel]
+        name = side.name.lower()
+        late = np.exp(-1j * self._omega * deviation.get(f"{name}.delay_s", 0.0))
+        gain = (1.0 + deviation.get(f"{name}.scale", 0.0)) * late * self._filters[channel]
+        for effect in effects:
+            own = effect.response(STATIONS[side], self.f_hz)
+            gain = gain if own is None else gain * own
+        return np.asarray(gain)
+
+    def _noise(self, side: Side, deviation: Mapping[str, float]) -> float:
+        density = self.airframe.sensor(STATIONS[side]).accel_noise_mps2_rthz
+        return float(0.5 * density**2 * np.exp(2.0 * deviation.get(f"{side.name.lower()}.noise", 0.0)))
+
+    def _load_shape(self, deviation: Mapping[str, float]) -> Floats:
+        shape = np.ones_like(self.f_hz)
+        for i, corner in enumerate(self.airframe.wing.gust.corners_hz):
+            if corner:
+                shape /= 1.0 + (self.f_hz / (corner * np.exp(deviation.get(f"corner{i}", 0.0)))) ** 2
+        return shape
+
+    def _reference_levels(self) -> Floats:
+        """Load density that gives each believed mode the believed rms deflection, (n,)."""
+        structure = structure_of(self.airframe.wing)
+        gain = np.abs(receptance(structure, self._omega)) ** 2
+        power = 2.0 * self.f_hz[1] * np.sum(gain * self._load_shape({}), axis=-1)
+        level = self.airframe.wing.gust.deflection_rms_m.value**2 / power
+        first = np.array([0 if slot % 2 == 0 else min(1, len(level) - 1) for slot in structure.slots])
+        return np.asarray(level[first])  # second modes are thought to be loaded as densely as the first
+
+
+def spectrum_of(linear: Linear, low: int) -> Complexes:
+    """Two-sided density of what is seen from frequency ``low`` on, (c, c, b)."""
+    part = Linear(linear.receptance[..., low:], linear.load[..., low:], linear.seen[..., low:], linear.noise)
+    per_load = product(part.seen, part.receptance)
+    return np.asarray(product(product(per_load, part.load), adjoint(per_load)) + linear.noise[..., None])
+
+
+def receptance(structure: Structure, omega: Floats) -> Complexes:
+    """Modal deflection per load, (n, n, f); (n, f) where stiffness and damping couple nothing."""
+    stiffness, damping = structure.stiffness_radps2, structure.damping_radps
+    dynamic: Complexes = stiffness[..., None] + 1j * omega * damping[..., None]
+    own = np.diag_indices(structure.count)
+    coupled = np.count_nonzero(stiffness - np.diag(np.diag(stiffness))) or np.count_nonzero(
+        damping - np.diag(np.diag(damping))
+    )
+    if not coupled:
+        return np.asarray(1.0 / (dynamic[own] - omega**2))
+    dynamic[own] -= omega**2
+    return inverse(dynamic)
+
+
+def _butterworth(f_hz: Floats, corner_hz: float) -> Complexes:
+    if not corner_hz:
+        return np.ones(len(f_hz), dtype=np.complex128)
+    return Butterworth2(corner_hz).response(f_hz)

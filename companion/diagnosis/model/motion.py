@@ -1,0 +1,152 @@
+"""What the accelerations say: their spectrum under a model, what is left of them, and the smoothed wing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from companion.core.wing.model import WingModel
+from companion.core.wing.structure import Structure
+from companion.diagnosis.data.transforms import Transforms
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.linear_spectra import Linear
+from companion.diagnosis.model.nonlinear_correction import Straightener
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, product, triangle
+from companion.records import Floats
+
+_PASSES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """What every model of one recording shares: ``recorded`` is its spectrum, plain from 0 and tapered in the band."""
+
+    straightener: Straightener
+    transforms: Transforms
+    low: int
+    recorded: tuple[Complexes, Complexes]
+
+
+class Motion:
+    """One model's view of the accelerations; what is dear is made when it is asked for, once.
+
+    ``key`` equals another's where the two models are the same here; ``measured_mps2`` (n, m) are modal loads that were
+    recorded, ``leaked_mps2`` (c, m) what the rigid aircraft leaves in the accelerations. Frequencies run from 0 to the
+    top of the band, which begins at index ``low``.
+    """
+
+    def __init__(
+        self,
+        key: object,
+        wing: WingModel,
+        parts: Sequence[Part],
+        grid: Grid,
+        linear_of: Callable[..., Linear],
+        measured_mps2: Floats | None = None,
+        leaked_mps2: Floats | None = None,
+    ) -> None:
+        self.key = key
+        self._grid, self._transforms, self._low = grid, grid.transforms, grid.low
+        effects = tuple(part.effect for part in parts)
+        self._up_mps2, scale = grid.straightener.straight_mps2(effects)
+        if leaked_mps2 is not None:
+            self._up_mps2 = self._up_mps2 - leaked_mps2
+        self._bent = self._up_mps2 is not grid.straightener.recorded_mps2
+        self._measured = None if measured_mps2 is None else grid.transforms.spectrum(measured_mps2)
+        self._push: Complexes | None = self._measured
+        self._take(linear_of(wing.structure, scale))
+        if any(part.effect.forces_modes() for part in parts):
+            self._linearise(wing, parts, lambda structure: linear_of(structure, scale))
+
+    def _take(self, linear: Linear) -> None:
+        """Spectra of what is seen under a linear model."""
+        self.linear, self._top = linear, linear.seen.shape[-1]
+        low = self._low
+        per_load = product(linear.seen, linear.receptance)
+        loaded = product(per_load, linear.load)
+        self.cross = adjoint(product(loaded, adjoint(linear.receptance)))  # (n, c, f): q with what is seen
+        self.spectrum = product(loaded[..., low:], adjoint(per_load[..., low:]))
+        self.spectrum += linear.noise[..., None]
+        self.inverse = inverse(self.spectrum)
+
+    def _linearise(self, wing: WingModel, parts: Sequence[Part], linear_of: Callable[[Structure], Linear]) -> None:
+        """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
+
+        A second pass sees what the rest of the first has moved: a wing that is softer one way sags with its amplitude.
+        """
+        for _ in range(_PASSES):
+            push = self._grid.straightener.push(wing, parts, *self._smoothed(self._modal(self._smoother())))
+            stiffness = wing.structure.stiffness_radps2 - push.per_q
+            damping = wing.structure.damping_radps - push.per_qdot
+            if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
+                raise ValueError("these forces make the wing unstable")
+            self._take(linear_of(replace(wing.structure, stiffness_radps2=stiffness, damping_radps=damping)))
+            if np.any(push.rest_mps2):
+                rest = self._transforms.spectrum(push.rest_mps2)
+                self._push = rest if self._measured is None else rest + self._measured
+
+    @cached_property
+    def smoother(self) -> Complexes:
+        """Modal deflection per acceleration seen, (n, c, f), zero below the band."""
+        return self._smoother()
+
+    @cached_property
+    def whitener(self) -> Complexes:
+        """Lower triangular L with L L^H the inverse spectrum: L^H whitens, (c, c, b)."""
+        return triangle(self.inverse)
+
+    @cached_property
+    def modal(self) -> Complexes:
+        """Spectrum of the smoothed modal deflection, (n, f)."""
+        return self._modal(self.smoother)
+
+    @cached_property
+    def residual(self) -> Complexes:
+        """Tapered spectrum in the band of what is left once crooked sensors and forces are out, (c, b)."""
+        if self._push is None and not self._bent:
+            return self._grid.recorded[1]
+        up = self._up_mps2
+        if self._push is not None:
+            up = up - self._transforms.in_time(apply(self.linear.seen, self._forced()))
+        return self._transforms.tapered(up)[:, self._low : self._top]
+
+    @cached_property
+    def force_score(self) -> Complexes:
+        """What is left, weighed and taken back to the modes that a force would have moved, (n, f)."""
+        path = adjoint(product(self.linear.seen, self.linear.receptance))
+        found = np.zeros(path.shape[::2], dtype=np.complex128)
+        found[:, self._low :] = apply(path[..., self._low :], apply(self.inverse, self.residual))
+        return found
+
+    @cached_property
+    def in_time(self) -> tuple[Floats, Floats]:
+        """Smoothed modal deflection and speed, (n, m) each."""
+        return self._smoothed(self.modal)
+
+    @cached_property
+    def _straight(self) -> Complexes:
+        if not self._bent:
+            return self._grid.recorded[0]
+        return self._transforms.spectrum(self._up_mps2)[:, : self._top]
+
+    def _modal(self, smoother: Complexes) -> Complexes:
+        if self._push is None:
+            return apply(smoother, self._straight)
+        forced = self._forced()
+        return np.asarray(apply(smoother, self._straight - apply(self.linear.seen, forced)) + forced)
+
+    def _forced(self) -> Complexes:
+        assert self._push is not None
+        return apply(self.linear.receptance, self._push[:, : self._top])
+
+    def _smoother(self) -> Complexes:
+        found = np.zeros_like(self.cross)
+        found[..., self._low :] = product(self.cross[..., self._low :], self.inverse)
+        return found
+
+    def _smoothed(self, modal: Complexes) -> tuple[Floats, Floats]:
+        omega = 2j * np.pi * self._transforms.f_hz[: self._top]
+        return self._transforms.in_time(modal), self._transforms.in_time(modal * omega)

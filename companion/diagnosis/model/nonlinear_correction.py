@@ -1,0 +1,296 @@
+"""What no linear, steady model makes: crooked sensors, and forces of state or time.
+
+Both are split. The mean slope of a force's law acts as stiffness and damping; of a reading's law the geometric mean
+slope acts as a scale: it is what the law does to the volume of motions, which the spectrum's determinant stands for.
+What is left is taken out of the data. A law with memory has no slope of an instant; of it goes, band by band, what is
+correlated with the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from companion.core.wing.effect import Effect, ModalMotion
+from companion.core.wing.model import WingModel
+from companion.diagnosis.data.observations import Observations
+from companion.diagnosis.data.transforms import Transforms
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.linear_spectra import STATIONS
+from companion.diagnosis.spectral_matrices import Complexes, apply
+from companion.records import Floats, Side, Station
+
+GRAVITY_MPS2 = 9.80665
+_BANDS = 60
+_BUMP = 1e-3
+_BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings
+_INVERSIONS = 6
+_FLATTEST = 0.3
+_INVERTED = 1e-9
+_KEPT = 4  # most parameters that a fit moves bend nothing
+_RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """A force: ``per_q`` and ``per_qdot`` (n, n) of it linear in deflection and speed, and the rest (n, m), m/s^2."""
+
+    per_q: Floats
+    per_qdot: Floats
+    rest_mps2: Floats
+
+
+class Straightener:
+    """One recording's samples and what effects have done to them."""
+
+    def __init__(self, seen: Observations, transforms: Transforms) -> None:
+        self._seen, self._transforms = seen, transforms
+        self._weight: Floats = transforms.taper**2  # the likelihood sees tapered data
+        self._up: Floats = np.ascontiguousarray(seen.up_mps2.T)
+        self._signs = _signs(len(self._weight))  # up and down alike, so that a law's curvature is no slope
+        self._fine = _Fine(seen, self._weight)
+        self._rigid = _rigid_mps2(seen)
+        self._kept: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
+
+    @property
+    def recorded_mps2(self) -> Floats:
+        """The accelerations as recorded, (c, m)."""
+        return self._up
+
+    @property
+    def rigid_mps2(self) -> tuple[Floats, Floats] | None:
+        """Vertical specific force of the rigid aircraft at the root (m,) and what its turning adds at tips (c, m)."""
+        return self._rigid
+
+    def straight_mps2(self, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
+        """Undo what effects do to samples that no linear response describes: bends first, then delays in their order.
+
+        Returns
+        -------
+        (c, m), (c,)
+            Accelerations, and the scale on them that the effects' linear part amounts to.
+        """
+        up, scale = self._up, np.ones(len(self._up))
+        mine = [one for one in effects if type(one).response is Effect.response and _acts_on_samples(one)]
+        bending = tuple(effect for effect in mine if not _shifts_samples(effect))
+        if bending:
+            change, scale = self._bent_by(bending)
+            up = up - (change - (scale[:, None] - 1.0) * (up - change))
+        for effect in mine:
+            if _shifts_samples(effect):
+                up = np.stack([self._on_time(effect, i, row) for i, row in enumerate(up)])
+        return up, scale
+
+    def bending_mps2(self, effect: Effect) -> Floats:
+        """What a slight effect on samples adds to a recording beyond its linear part, to first order, (c, m)."""
+        fine, added = self._fine, np.empty_like(self._up)
+        for i, side in enumerate(self._seen.sides):
+            station, shown = STATIONS[side], fine.shown(i)
+            change = fine.sensed(effect, station, shown) - self._of_root(effect)
+            share = fine.steepness(effect, station, shown) - 1.0
+            added[i] = fine.thinned(-change, len(self._up[i])) - share * self._up[i]
+        return added
+
+    def measured_mps2(self, wing: WingModel, gains: Mapping[str, float]) -> Floats | None:
+        """Modal loads (n, m) that were recorded: what the load factor bends, inputs times their gain; None for none."""
+        seen, structure = self._seen, wing.structure
+        load = np.zeros((wing.count, len(seen.up_mps2)))
+        if seen.has_root:
+            bend = structure.stiffness_radps2 @ structure.static_per_g_m
+            load += np.outer(bend, seen.load_factor - np.mean(seen.load_factor))
+        for name, values in seen.inputs.items():
+            load[0] += gains.get(name, 0.0) * values
+        return load if np.any(load) else None
+
+    def push(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Push:
+        """Forces of state and time on a smoothed motion (n, m), split by their mean slopes."""
+        forcing = [part for part in parts if part.effect.forces_modes()]
+        lasting = [part for part in forcing if type(part.effect).remember is not Effect.remember]
+        instant = [part for part in forcing if part not in lasting]
+        n = len(q_m)
+        per_q, per_qdot = np.zeros((n, n)), np.zeros((n, n))
+        rest = self._total(wing, instant, q_m, qdot_mps)
+        if np.any(rest):
+            per_q, per_qdot = self._mean_slopes(wing, instant, q_m, qdot_mps)
+            rest = rest - per_q @ q_m - per_qdot @ qdot_mps
+        slipped = self._total(wing, lasting, q_m, qdot_mps)
+        if np.any(slipped):
+            weights = self._regressed(slipped, np.vstack([q_m, qdot_mps]))
+            per_q, per_qdot = per_q + weights[:, :n], per_qdot + weights[:, n:]
+            rest = rest + self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
+        return Push(per_q, per_qdot, rest)
+
+    def _total(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Floats:
+        total = np.zeros_like(q_m)
+        for part in parts:
+            force = self._force(wing, part, q_m, qdot_mps)
+            total = total if force is None else total + force
+        return total
+
+    def _mean_slopes(
+        self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats
+    ) -> tuple[Floats, Floats]:
+        """Mean derivatives of forces by deflection and by speed, (n, n) each."""
+        n, share = len(q_m), self._weight * self._signs / np.sum(self._weight)
+        slopes, total = np.zeros((2, n, n)), self._total(wing, parts, q_m, qdot_mps)
+        for which, motion in enumerate((q_m, qdot_mps)):
+            for j in range(n):
+                bump = _BUMP_OF_MOTION * float(np.std(motion[j]))
+                if bump > 0.0:
+                    there = [q_m, qdot_mps]
+                    there[which] = motion.copy()
+                    there[which][j] += bump * self._signs
+                    slopes[which, :, j] = (self._total(wing, parts, *there) - total) @ share / bump
+        return slopes[0], slopes[1]
+
+    def _regressed(self, force: Floats, basis: Floats) -> Floats:
+        """Weights (n, k) of a basis (k, m) that come nearest to a force (n, m)."""
+        weighed = self._weight * basis
+        scale = np.sqrt(np.maximum(np.sum(weighed * basis, axis=1), 1e-300))
+        gram = (weighed @ basis.T) / np.outer(scale, scale)
+        found = np.linalg.lstsq(gram, (weighed / scale[:, None]) @ force.T, rcond=1e-9)[0] / scale[:, None]
+        return np.asarray(found.T)
+
+    def _uncorrelated(self, rest: Floats, q_m: Floats) -> Floats:
+        """What is left of a force once, band by band, all is out that a linear filter of the motion makes."""
+        taper = self._transforms.taper
+        spectrum, wanted, motion = (np.fft.rfft(x, axis=1) for x in (rest, rest * taper, q_m * taper))
+        count, bands = spectrum.shape[1], min(_BANDS, spectrum.shape[1])
+        first = np.linspace(0, count, bands, endpoint=False).astype(np.int64)
+        power = np.add.reduceat(motion[:, None] * motion.conj(), first, axis=-1).transpose(2, 0, 1)
+        with_force = np.add.reduceat(wanted[:, None] * motion.conj(), first, axis=-1).transpose(2, 0, 1)
+        total = np.trace(power, axis1=1, axis2=2).real
+        power += (1e-9 * total + 1e-300)[:, None, None] * np.eye(len(motion))
+        filters: Complexes = np.asarray(
+            np.linalg.solve(power.swapaxes(1, 2), with_force.swapaxes(1, 2)).swapaxes(1, 2), dtype=np.complex128
+        )
+        in_each = np.repeat(filters.transpose(1, 2, 0), np.diff(np.append(first, count)), axis=-1)
+        spectrum -= apply(in_each, np.fft.rfft(q_m, axis=1))
+        return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1))
+
+    def _force(self, wing: WingModel, part: Part, q: Floats, qdot: Floats) -> Floats | None:
+        t_s: Any = self._seen.t_s
+        static = np.zeros((wing.count, 1))
+        channel = self._seen.covariates.get(part.channel)
+        follows = np.zeros(len(self._seen.up_mps2)) if channel is None else channel
+        return part.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
+
+    def _on_time(self, effect: Effect, channel: int, up: Floats) -> Floats:
+        """What a station shows, (m,), taken back to where it belongs: read at the mirrored instants."""
+        station, t_s = STATIONS[self._seen.sides[channel]], self._seen.t_s
+        stamped = effect.sample_time(station, t_s)
+        if stamped is t_s:
+            return up
+        # the sensor is late with all that it reads, the rigid aircraft's motion included
+        rigid = np.zeros(len(up)) if self._rigid is None else self._rigid[0] + self._rigid[1][channel]
+        return np.asarray(rigid + self._transforms.at(np.fft.rfft(up - rigid), 2.0 * t_s - stamped))
+
+    def _bent_by(self, effects: tuple[Effect, ...]) -> tuple[Floats, Floats]:
+        """What effects have added to all channels, (c, m), and the scales they amount to, (c,); the last are kept."""
+        if effects not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            bent = [self._bent(effects, side, i) for i, side in enumerate(self._seen.sides)]
+            self._kept[effects] = np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
+        return self._kept[effects]
+
+    def _bent(self, effects: Sequence[Effect], side: Side, channel: int) -> tuple[Floats, float]:
+        """What effects, one after the other, have added to what a station shows, (m,), and the scale they amount to."""
+        fine, station = self._fine, STATIONS[side]
+        shown = true = fine.shown(channel)
+        scale, added_to_root = 1.0, np.zeros(len(shown))
+        for effect in reversed(effects):
+            true = fine.inverted(effect, station, true)
+            scale *= fine.steepness(effect, station, true)
+            added_to_root += self._of_root(effect)
+        return fine.thinned(true - shown + added_to_root, len(self._up[channel])), scale
+
+    def _of_root(self, effect: Effect) -> Floats | float:
+        """What an effect adds to a root sensor, which tells the load factor."""
+        fine = self._fine
+        return fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor) if self._seen.has_root else 0.0
+
+
+class _Fine:
+    """The same recording at its sensors' own rate, where what is crooked bends the whole band."""
+
+    def __init__(self, seen: Observations, weight: Floats) -> None:
+        up = seen.up_mps2 if seen.fine_mps2 is None else seen.fine_mps2
+        rate_hz = seen.rate_hz if seen.fine_mps2 is None else seen.fine_hz
+        self.up_mps2: Floats = np.ascontiguousarray(up.T)
+        self._t_s: Floats = seen.start_s + np.arange(len(up)) / rate_hz
+        self.load_factor: Floats = np.interp(self._t_s, seen.t_s, seen.load_factor)
+        self._weight: Floats = np.interp(self._t_s, seen.t_s, weight)
+        # a law may know the samples' own mean, which a bump of all alike would move
+        self._signs = _signs(len(up))
+        self._rigid = np.zeros((len(up), 6))
+        for name, column in _RIGID_COLUMNS.items():
+            if name in seen.rigid:
+                self._rigid[:, column] = np.interp(self._t_s, seen.t_s, seen.rigid[name])
+
+    def shown(self, channel: int) -> Floats:
+        """The vertical specific force that a channel shows."""
+        return np.asarray(-GRAVITY_MPS2 * self.load_factor - self.up_mps2[channel])
+
+    def sensed(self, effect: Effect, station: Station, force_z: Floats) -> Floats:
+        """What an effect adds to a station's vertical specific force."""
+        values = self._rigid.copy()
+        values[:, 2] = force_z
+        return np.asarray(effect.sense(station, self._t_s, values)[:, 2] - force_z)
+
+    def inverted(self, effect: Effect, station: Station, shown: Floats) -> Floats:
+        """The vertical specific force of which an effect makes what is shown; Newton's steps, sample by sample."""
+        small = _BUMP * float(np.std(shown))
+        force, bump = shown, small * self._signs
+        gone = np.zeros(len(shown), dtype=bool)
+        for _ in range(_INVERSIONS):
+            added = self.sensed(effect, station, force)
+            miss = force + added - shown
+            if float(np.max(np.abs(miss), where=~gone, initial=0.0)) <= _INVERTED * small:
+                break
+            slope = 1.0 + (self.sensed(effect, station, force + bump) - added) / bump
+            force = np.where(gone, force, force - miss / np.maximum(slope, _FLATTEST))
+            # a characteristic that turns back is gone on with straight
+            gone |= slope < _FLATTEST
+        return np.asarray(force)
+
+    def steepness(self, effect: Effect, station: Station, force: Floats) -> float:
+        """Geometric mean of the characteristic's slope over a station's samples: what it is as a scale.
+
+        The logarithms of the slopes tell how straightening changes volumes. With their mean for a scale the likelihood
+        of a bent Gaussian is unbiased however much it is bent; with the arithmetic mean, which is the same for little,
+        strong bends come out a third too weak.
+        """
+        bump = _BUMP * float(np.std(force)) * self._signs
+        changed = self.sensed(effect, station, force + bump) - self.sensed(effect, station, force - bump)
+        logarithms = np.log(np.maximum(1.0 + changed / (2.0 * bump), _FLATTEST))
+        return float(np.exp(np.sum(self._weight * logarithms) / np.sum(self._weight)))
+
+    def thinned(self, values: Floats, count: int) -> Floats:
+        """The lower part of the spectrum, on the coarse grid."""
+        if len(values) == count:
+            return values
+        spectrum = np.fft.rfft(values)[: count // 2 + 1]
+        return np.asarray(np.fft.irfft(spectrum, count) * (count / len(values)))
+
+
+def _rigid_mps2(seen: Observations) -> tuple[Floats, Floats] | None:
+    if seen.turning_mps2 is None:
+        return None
+    turning = seen.turning_mps2 - seen.turning_mps2.mean(0)
+    return GRAVITY_MPS2 * (np.mean(seen.load_factor) - seen.load_factor), np.ascontiguousarray(turning.T)
+
+
+def _signs(count: int) -> Floats:
+    return np.where(np.random.default_rng(count).uniform(size=count) < 0.5, -1.0, 1.0)
+
+
+def _shifts_samples(effect: Effect) -> bool:
+    return type(effect).sample_time is not Effect.sample_time
+
+
+def _acts_on_samples(effect: Effect) -> bool:
+    return type(effect).sense is not Effect.sense or _shifts_samples(effect)

@@ -1,0 +1,122 @@
+"""What the model expects of the measured toe, given the accelerations: its mean, and the covariance that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from companion.core.wing.effect import CameraView, Effect, viewed
+from companion.core.wing.model import WingModel
+from companion.diagnosis.data.observations import Observations, ToeData
+from companion.diagnosis.data.transforms import Transforms
+from companion.diagnosis.model.belief import Belief
+from companion.diagnosis.model.generic_effects import LatentSpread, LatentToe, followed, growing
+from companion.diagnosis.model.motion import Motion
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, product
+from companion.records import Floats, Side
+
+_FINER = 8
+_FOLLOWED = 3  # modes
+
+
+class ToeModel:
+    """The exposures of one recording, on the grid and frequency axis of its accelerations."""
+
+    def __init__(self, belief: Belief, seen: Observations, toe: ToeData, transforms: Transforms, f_hz: Floats) -> None:
+        self._belief, self._seen, self._toe, self._transforms = belief, seen, toe, transforms
+        self._omega: Floats = 2.0 * np.pi * f_hz
+        left, right = belief.airframe.left_camera, belief.airframe.right_camera
+        assert left is not None
+        assert right is not None
+        self.baseline_m = right.position_m[1] - left.position_m[1]
+        place = np.abs(np.subtract.outer(toe.t_s, toe.t_s)) * (_FINER / transforms.dt_s)
+        self._lag = place.astype(np.int32)
+        self._beyond = place - self._lag
+        self._kept: tuple[Motion, object, Floats] | None = None
+
+    def residual(
+        self, wing: WingModel, effects: Sequence[Effect], deviation: Mapping[str, float], motion: Motion
+    ) -> tuple[Floats, Floats]:
+        """Measured minus expected toe, and the variance of the measurement, (k,) each."""
+        toe = self._toe
+        views = [viewed(effects, side, 0.0) for side in Side]
+        late_s = 0.5 * (views[0].exposure_delay_s + views[1].exposure_delay_s)
+        row = self._slope(wing, views).sum(0)
+        expected = self._bending(motion, row, late_s)
+        expected = expected + sum(self._static(wing, side, views[side], toe.t_s + late_s) for side in Side)
+        sign = (-1.0, 1.0)
+        rotation = sum(sign[side] * float(views[side].rotation_rad[1]) for side in Side)
+        wider_m = sum(sign[side] * float(views[side].shift_m[1]) for side in Side)
+        focal = 0.5 * (views[0].focal_ratio + views[1].focal_ratio) - 1.0 + deviation.get("focal", 0.0)
+        expected += rotation + deviation.get("toe_rad", 0.0)
+        expected += focal * (self.baseline_m * toe.inverse_m + expected) + wider_m * toe.inverse_m
+        expected = expected + self._latent(effects, motion, expected)
+        residual = toe.toe_rad - expected
+        if not toe.has_reference:
+            residual = residual - residual.mean()
+        variance = np.full(len(residual), (self._belief.match_sigma_rad() * np.exp(deviation.get("match", 0.0))) ** 2)
+        jitter_s = max(view.jitter_s for view in views)
+        if jitter_s:
+            variance += (jitter_s * self._bending(motion, row * (1j * self._omega), late_s)) ** 2
+        spread = [effect for effect in effects if isinstance(effect, LatentSpread)]
+        if spread:
+            offered = growing(toe, *self._modes(motion))
+            variance = variance * (1.0 + sum(effect.growth(offered) for effect in spread))
+        return residual, variance
+
+    def _latent(self, effects: Sequence[Effect], motion: Motion, expected: Floats) -> Floats | float:
+        """What laws without a name add to the toe, (k,)."""
+        unnamed = [effect for effect in effects if isinstance(effect, LatentToe)]
+        if not unnamed:
+            return 0.0
+        toe = self._toe
+        load = np.interp(toe.t_s, self._seen.t_s, self._seen.load_factor)
+        whole = self.baseline_m * toe.inverse_m + expected
+        offered = followed(toe, *self._modes(motion), load, whole)
+        return sum(effect.added(offered) for effect in unnamed)
+
+    def _modes(self, motion: Motion) -> tuple[Floats, Floats]:
+        """Smoothed deflection and speed of the first modes, and of one more, at the exposures, (n, k) each."""
+        t_s = self._seen.t_s
+        deflection, speed = (
+            np.stack([np.interp(self._toe.t_s, t_s, row) for row in one[:_FOLLOWED]]) for one in motion.in_time
+        )
+        return deflection, speed
+
+    def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> Floats:
+        """Covariance of the toe that the accelerations leave, (k, k)."""
+        linear = motion.linear
+        row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
+        prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
+        unknown = prior - product(motion.smoother, adjoint(motion.cross))
+        left = product(product(row, unknown), adjoint(row))[0, 0].real
+        left[0] = 0.0  # the constant part is trim and toe, which are parameters
+        m = _FINER * self._transforms.count
+        lags = np.fft.irfft(np.maximum(left, 0.0), m) * (_FINER / self._transforms.dt_s)
+        # periodic like the transform, which keeps it positive definite
+        lags = np.append(lags, lags[0])
+        return np.asarray(lags[self._lag] * (1.0 - self._beyond) + lags[self._lag + 1] * self._beyond)
+
+    def _bending(self, motion: Motion, row: Complexes, late_s: float) -> Floats:
+        """Toe of the smoothed bending at the exposures; kept, for most camera parameters leave it as it is."""
+        steady = row.shape[-1] == 1
+        key = (row.tobytes(), late_s)
+        if steady and self._kept is not None and self._kept[0] is motion and self._kept[1] == key:
+            return self._kept[2]
+        found = self._transforms.at(np.sum(row * motion.modal, axis=0), self._toe.t_s + late_s)
+        if steady:
+            self._kept = (motion, key, found)
+        return found
+
+    def _slope(self, wing: WingModel, views: Sequence[CameraView]) -> Complexes:
+        """Slope of either camera per modal deflection, (2, n, f); (2, n, 1) where every frequency is followed alike."""
+        slope = wing.structure.slope_radpm[..., None]
+        return np.stack([view.follows(self._omega) * slope[side] for side, view in enumerate(views)])
+
+    def _static(self, wing: WingModel, side: Side, view: CameraView, at_s: Floats) -> Floats:
+        structure = wing.structure
+        # what the load factor bends beyond its mean is in the motion: it drives the wing
+        load = np.full(len(at_s), float(np.mean(self._seen.load_factor)) - 1.0)
+        bend = structure.static_trim_m[:, None] + structure.static_per_g_m[:, None] * load
+        return np.asarray(view.slope_gain * (structure.slope_radpm[side] @ bend))

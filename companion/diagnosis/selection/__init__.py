@@ -1,0 +1,1 @@
+"""Selection of effects: score tests, fits, penalised likelihood, cross-validation, lack of fit."""

@@ -1,0 +1,187 @@
+"""Does the model leave nothing but noise?
+
+Directions without a name are tested by efficient scores (:mod:`.lack_of_fit_tests`); what is no direction of the mean or
+the spectrum (outliers, unsteadiness, single lines, the size of range residuals) against recordings simulated from the
+model itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+from scipy.stats import kurtosistest
+
+from companion.diagnosis.model.expectation import Expectation
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.lack_of_fit_tests import judge_directions, straightened
+from companion.diagnosis.selection.prior_tension import astray
+from companion.diagnosis.selection.proposals import strongest_line, strongest_swing
+from companion.diagnosis.selection.screen import normal_of
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply
+from companion.records import Floats
+
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+_SIMULATED = 400
+_BLOCKS = 12
+_NARROW = 50
+_FEWEST = 10
+_MANY = 24
+_FEWEST_EXPOSURES = 20
+_AROUND = 1.35
+_SWINGS = 3
+LIMIT = 5.0
+"""Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights."""
+LIMIT_OF_NAMES = 4.2
+"""The same where names were given: something is wrong then, and what remains speaks against the names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One statistic: what it looks at, and how many standard deviations it lies from what the model expects."""
+
+    name: str
+    z: float
+    limit: float = LIMIT
+
+    @property
+    def passed(self) -> bool:
+        """Whether it may be chance."""
+        return abs(self.z) < self.limit
+
+
+def check(models: Sequence[SuperModel], fitted: Fit, seed: int = 20250101) -> list[Check]:
+    """All checks of a fitted model, the worst first."""
+    rng = np.random.default_rng(seed)
+    checks = judge_directions(models, fitted)
+    for model, found in zip(models, fitted.found, strict=True):
+        tests = {**_unsteady(model, found, rng), **_changing(model, found, rng), **_lines(model, found)}
+        for name, z in {**tests, **_toe(model, found, rng)}.items():
+            if abs(z) > abs(checks.get(name, 0.0)) or name not in checks:
+                checks[name] = z
+    checks |= astray(models[0].belief, fitted)
+    limit = LIMIT_OF_NAMES if fitted.parts else LIMIT
+    return sorted((Check(name, z, limit) for name, z in checks.items()), key=lambda entry: -abs(entry.z))
+
+
+def _lines(model: SuperModel, found: Expectation) -> dict[str, float]:
+    """The strongest single frequency of the residual, and of the stiffness, paid for the looking."""
+    strengths = {}
+    for name, line in (("single line", strongest_line(model, found)), ("swing", strongest_swing(model, found))):
+        if line is not None:
+            strengths[f"{name} in the residual"] = normal_of(min(line.log_tail, 0.0))
+    return strengths
+
+
+def _unsteady(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+    """Outliers and swelling of the whitened residual in time, against as much white noise."""
+    white = apply(adjoint(found.motion.whitener), found.residual)
+    in_time = np.fft.ifft(white, axis=1, norm="ortho")
+    middle = in_time[:, in_time.shape[1] // 16 : -in_time.shape[1] // 16]  # clear of the taper
+    names = [f"{side.name.lower()} {what}" for what in ("outliers", "unsteadiness") for side in model.seen.sides]
+    real = _of_envelope(np.abs(middle) ** 2)
+    drawn = np.stack([_of_envelope(rng.standard_exponential(middle.shape)) for _ in range(_SIMULATED)])
+    return dict(zip(names, [strength(*entry) for entry in zip(real, drawn.T, strict=True)], strict=True))
+
+
+def _changing(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+    """Whether the spectrum changes in time, by narrow bands, against as much tapered white noise.
+
+    How the power in a band swings with a period of T/m is the sum over the band of one bin times the m-th after it; two
+    lines that were never there together are no two modes.
+    """
+    white = apply(adjoint(found.motion.whitener), found.residual)
+    count = white.shape[1]
+    edges = np.unique(
+        np.searchsorted(model.band_hz, np.geomspace(model.band_hz[0], model.band_hz[-1], _NARROW + 1)[:-1])
+    )
+    edges = edges[np.append(np.diff(edges) >= _FEWEST, True)]
+    if count - edges[-1] < _FEWEST + _SWINGS:
+        edges = edges[:-1]
+    taper = np.interp(
+        np.linspace(0.0, 1.0, count), np.linspace(0.0, 1.0, len(model.transforms.taper)), model.transforms.taper
+    )
+    taper = taper / np.sqrt(np.mean(taper**2))
+    drawn = []
+    for _ in range(_SIMULATED // 2):
+        noise = rng.standard_normal(white.shape) + 1j * rng.standard_normal(white.shape)
+        drawn.append(_swings(np.fft.fft(np.sqrt(0.5) * taper * noise, axis=1, norm="ortho"), edges))
+    table, real = np.stack(drawn), _swings(white, edges)
+    centre_hz = model.band_hz[edges + np.diff(np.append(edges, count)) // 2]
+    mean = np.mean(table, axis=(0, 1))
+    # the tail of a single band is exponential only where many bins are in it
+    worst = (real / mean).max(axis=(0, 1)) * (np.diff(np.append(edges, count)) >= _MANY)
+    best, looks = int(np.argmax(worst)), math.log(real.size)
+    found_in = {
+        f"power changing in time near {centre_hz[best]:.1f} Hz": normal_of(min(looks - float(worst[best]), 0.0))
+    }
+    for name, inside in (("spectra", centre_hz > 0.0), ("first modes", _near_modes(model, centre_hz))):
+        if inside.any():
+            whole = np.sum(table[..., inside], axis=(1, 2, 3))
+            found_in[f"{name} changing in time"] = strength(float(np.sum(real[..., inside])), whole)
+    return found_in
+
+
+def _near_modes(model: SuperModel, f_hz: Floats) -> Mask:
+    wing = model.belief.airframe.wing
+    first_hz = [mode.frequency_hz.value for mode in (wing.symmetric, wing.antisymmetric) if mode is not None]
+    return np.asarray((f_hz > min(first_hz) / _AROUND) & (f_hz < max(first_hz) * _AROUND))
+
+
+def _swings(white: Complexes, edges: Indices) -> Floats:
+    """Strength of the m-th swing of the power in each band, (c, swings, bands); of chance about 1."""
+    found = []
+    for m in range(1, _SWINGS + 1):
+        products = white[:, :-m] * white[:, m:].conj()
+        counts = np.diff(np.append(edges, products.shape[1]))
+        found.append(np.abs(np.add.reduceat(products, edges, axis=1)) ** 2 / counts)
+    return np.stack(found, 1)
+
+
+def _of_envelope(power: Floats) -> Floats:
+    """Logarithm of kurtosis, and the relative variance between blocks (nearly a gamma's), by channel."""
+    kurtosis = np.mean(power**2, axis=1) / np.mean(power, axis=1) ** 2
+    blocks = power[:, : power.shape[1] // _BLOCKS * _BLOCKS].reshape(len(power), _BLOCKS, -1).mean(2)
+    return np.concatenate([np.log(kurtosis), blocks.var(1) / blocks.mean(1) ** 2])
+
+
+def _toe(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+    """Size, neighbours and outliers of the whitened toe residual, against as much white noise."""
+    if model.seen.toe is None:
+        return {}
+    root = np.linalg.cholesky(found.toe_covariance)
+    white = solve_triangular(root, found.toe_residual_rad, lower=True)
+    drawn = np.stack([_of_residual(rng.standard_normal(len(root))) for _ in range(_SIMULATED)])
+    names = ("range residual size", "range residual neighbours")
+    tests = {name: strength(*entry) for name, *entry in zip(names, _of_residual(white), drawn.T, strict=True)}
+    if len(white) >= _FEWEST_EXPOSURES:
+        tests["range residual outliers"] = float(outliers(white))
+    return tests
+
+
+def outliers(white: Floats) -> Floats:
+    """Standard normal equivalent of the kurtosis of white noise, along the last axis.
+
+    A kurtosis has a longer tail than its skewness in some hundred draws tells: 4 sigma would count as 4.6. After
+    Anscombe and Glynn, Biometrika 70 (1983) 227.
+    """
+    return np.asarray(kurtosistest(white, axis=-1).statistic)
+
+
+def strength(real: float, drawn: Floats) -> float:
+    """Standard deviations from what is drawn by chance; of a skew statistic as many as its chance is worth."""
+    spread = float(np.std(drawn))
+    skewness = float(np.mean(((drawn - np.mean(drawn)) / spread) ** 3))
+    return straightened(float(real - np.mean(drawn)) / spread, skewness)
+
+
+def _of_residual(white: Floats) -> Floats:
+    power = float(np.mean(white**2))
+    return np.array([math.log(power), np.mean(white[1:] * white[:-1]) / power])

@@ -1,0 +1,273 @@
+"""Extends the model by named effects: a beam of paths, each step by the largest gain in evidence, judged at the end."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.wing.effect import Effect
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.fit import Fit, fit
+from companion.diagnosis.selection.proposals import find_leads, mount_lead
+from companion.diagnosis.selection.screen import Candidate, Screening, candidates_of, screen
+from companion.diagnosis.selection.verdict import Cause
+
+ENOUGH = 6.0
+"""Log Bayes factor above which the first effect may be accepted."""
+ENOUGH_MORE = 12.0
+"""And a further one: two things wrong at once are rarer than one that is not in the catalogue."""
+CERTAIN_Z = 4.4
+"""Its strength must also be beyond what forty candidates reach by chance in hundreds of recordings."""
+SAME = 0.95
+"""Correlation of efficient scores from which two effects are one group."""
+_BEAM = 2
+_WITHIN = 25.0  # nats behind the best path: a further effect will not make up for more
+_REFITTED = 5
+_AT_FIRST, _TO_THE_END = 5, 10  # scoring steps: of every refit, and of those that are not far behind
+_WORTH_A_REFIT_Z = 3.5
+_TOO_CLOSE = 2.0
+_CONCEIVABLE = 6.0
+_FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
+UNPREJUDICED = 5.0
+"""How much wider the priors of effects are where values are measured, and names not ranked."""
+_OUT_OF_REACH = 0.4  # of the leader's strength: no refit will make up for that
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A model reached by accepting effects one after the other."""
+
+    fitted: Fit
+    causes: tuple[Cause, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    candidate: Candidate
+    fitted: Fit
+    log_bayes_factor: float
+    bic: float
+    worth: float
+
+
+class Extension:
+    """The search on some recordings with some catalogue."""
+
+    def __init__(self, models: Sequence[SuperModel], kinds: Sequence[type[Effect]], progress: Progress) -> None:
+        self._models, self._kinds, self._progress = models, kinds, progress
+        self._channels = sorted({name for model in models for name in model.seen.covariates})
+
+    def screen(self, fitted: Fit) -> Screening:
+        """Score the whole catalogue at a fitted model."""
+        parts = candidates_of(self._kinds, self._channels, find_leads(self._models, fitted))
+        return screen(self._models, fitted, parts, lambda share: self._progress("screen the catalogue", share))
+
+    def search(self, null: Fit, first: Screening, most: int) -> Path:
+        """The path of at most ``most`` effects with the largest evidence, without effects that it can do without."""
+        beam, best = [Path(null)], Path(null)
+        screenings = [first]
+        for step in range(most):
+            if step:
+                screenings = self._screened(beam)
+            grown = [
+                child
+                for path, screening in zip(beam[: len(screenings)], screenings, strict=True)
+                for child in self._grow(path, screening)
+            ]
+            beam = _foremost(grown)
+            if not beam:
+                break
+            if beam[0].fitted.log_evidence > best.fitted.log_evidence:
+                best = beam[0]
+        return self._unprejudiced(self._pruned(best, null))
+
+    def _screened(self, beam: Sequence[Path]) -> list[Screening]:
+        """Screenings of the paths; none where the foremost leaves nothing: the others could at best draw level."""
+        foremost = self.screen(beam[0].fitted)
+        if not any(one.z > CERTAIN_Z for one in _fresh(beam[0], foremost)):
+            return []
+        return [foremost, *(self.screen(path.fitted) for path in beam[1:])]
+
+    def _unprejudiced(self, path: Path) -> Path:
+        """The same causes at the values that the data alone would give them: priors rank, they measure nothing."""
+        if not path.causes:
+            return path
+        self._progress("measure what was found", 0.0)
+        try:
+            fitted = fit(self._models, path.fitted.parts, path.fitted.values, wider=UNPREJUDICED)
+        except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+            return path
+        return Path(fitted, restated(path.causes, fitted)) if fitted.converged else path
+
+    def _grow(self, path: Path, screening: Screening) -> list[Path]:
+        enough = ENOUGH_MORE if path.causes else ENOUGH
+        tried = self._refit(path, screening)
+        good = [entry for entry in tried if entry.log_bayes_factor > enough and entry.candidate.z > CERTAIN_Z]
+        return [self._step(path, entry, tried, screening) for entry in good]
+
+    def _refit(self, path: Path, screening: Screening) -> list[_Tried]:
+        fresh = _fresh(path, screening)
+        if not fresh or fresh[0].z <= CERTAIN_Z:
+            return []
+        enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z)
+        leading = [entry for entry in fresh if entry.z > enough][:_REFITTED]
+        begun: list[tuple[Candidate, Fit]] = []
+        for i, candidate in enumerate(leading):
+            self._progress(f"refit {candidate.name}", i / len(leading))
+            led = mount_lead(self._models, path.fitted, candidate.part)
+            offered = candidate if led is None else dataclasses.replace(candidate, part=led)
+            fitted = self._fitted(path, offered, () if led is None else (led,))
+            if fitted is not None:
+                begun.append((offered, fitted))
+        tried = []
+        most = max((fitted.log_evidence for _, fitted in begun), default=0.0)
+        for candidate, fitted in begun:
+            if not fitted.converged and most - fitted.log_evidence < _WITHIN:
+                fitted = fit(self._models, fitted.parts, fitted.values, _TO_THE_END)
+            if candidate.part.effect.one_way and fitted.values[len(path.fitted.values)] <= 0.0:
+                continue
+            # how many frequencies or instants were looked at is paid for by the prior of the one that was fitted
+            factor = fitted.log_evidence - path.fitted.log_evidence
+            worth = worth_of(self._models, fitted, path.fitted)
+            tried.append(_Tried(candidate, fitted, factor, self._bic(path.fitted, fitted), worth))
+        return sorted(tried, key=lambda entry: -entry.log_bayes_factor)
+
+    def _fitted(self, path: Path, candidate: Candidate, led: tuple[Part, ...] = ()) -> Fit | None:
+        """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
+        for part in (*led, *(begun(candidate, step) for step in _FIRST_STEPS)):
+            try:
+                return fit(self._models, (*path.fitted.parts, part), path.fitted.values, _AT_FIRST)
+            except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+                continue
+        return None
+
+    def _bic(self, before: Fit, after: Fit) -> float:
+        extra = len(after.values) - len(before.values)
+        return -2.0 * (after.log_likelihood - before.log_likelihood) + extra * log_count(self._models)
+
+    def _step(self, path: Path, best: _Tried, tried: Sequence[_Tried], screening: Screening) -> Path:
+        size = len(best.fitted.values) - len(path.fitted.values)
+        cause = Cause(
+            best.fitted.parts[-1],
+            _alike(best, tried, screening),
+            best.log_bayes_factor,
+            best.bic,
+            best.candidate.z,
+            (0.0,) * size,
+            (0.0,) * size,
+        )
+        return Path(best.fitted, restated((*path.causes, cause), best.fitted))
+
+    def _pruned(self, path: Path, null: Fit) -> Path:
+        """Leave out what later effects have made superfluous; restate what each is worth beside the others."""
+        kept = path
+        for cause in path.causes if len(path.causes) > 1 else ():
+            index = [entry.part.effect.name for entry in kept.causes].index(cause.part.effect.name)
+            parts = tuple(part for i, part in enumerate(kept.fitted.parts) if i != index)
+            self._progress(f"do without {cause.part.effect.name}", 0.0)
+            without = fit(self._models, parts, kept.fitted.values[: len(null.values)])
+            factor = kept.fitted.log_evidence - without.log_evidence
+            others = tuple(entry for i, entry in enumerate(kept.causes) if i != index)
+            if factor < ENOUGH_MORE and others:
+                kept = Path(without, restated(others, without))
+            else:
+                bic = self._bic(without, kept.fitted)
+                causes = list(kept.causes)
+                own = causes[index]
+                causes[index] = Cause(own.part, own.group, factor, bic, own.z, own.values, own.sigmas)
+                kept = Path(kept.fitted, tuple(causes))
+        return kept
+
+
+def log_count(models: Sequence[SuperModel]) -> float:
+    """Logarithm of how many numbers the accelerations are, which BIC charges for each parameter."""
+    return math.log(sum(len(model.band_hz) * 2 * len(model.seen.sides) for model in models))
+
+
+def worth_of(models: Sequence[SuperModel], fitted: Fit, null: Fit) -> float:
+    """What the parts of a fit explain beyond ``null``, half a difference of BIC, with what was looked at paid for.
+
+    How far effects may physically go is left aside: it would weigh the prior of a law that nobody knows against that of
+    a name. Nuisances keep theirs.
+    """
+    count, extra = len(null.values), len(fitted.values) - len(null.values)
+    gained = fitted.log_likelihood - null.log_likelihood - (fitted.doubt(count) - null.doubt(count))
+    return gained - 0.5 * extra * log_count(models) - sum(part.looks for part in fitted.parts)
+
+
+def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
+    """Causes with the values of a fit that has them all, in order."""
+    sizes = [len(cause.values) for cause in causes]
+    at = len(final.values) - sum(sizes)
+    spread = np.sqrt(np.diag(final.covariance))
+    found = []
+    for cause, part, size in zip(causes, final.parts, sizes, strict=True):
+        mine = slice(at, at + size)
+        at += size
+        values, sigmas = tuple(final.values[mine].tolist()), tuple(spread[mine].tolist())
+        found.append(Cause(part, cause.group, cause.log_bayes_factor, cause.bic, cause.z, values, sigmas))
+    return tuple(found)
+
+
+def _fresh(path: Path, screening: Screening) -> list[Candidate]:
+    names = {cause.part.effect.name for cause in path.causes}
+    return [entry for entry in screening.candidates if entry.name not in names]
+
+
+def _foremost(paths: Sequence[Path]) -> list[Path]:
+    """The best paths, each set of names once."""
+    found: list[Path] = []
+    seen: set[frozenset[tuple[str, str]]] = set()
+    for path in sorted(paths, key=lambda entry: -entry.fitted.log_evidence):
+        names = frozenset((part.effect.name, part.channel) for part in path.fitted.parts)
+        if names not in seen and (not found or _behind(path, found[0]) < _WITHIN):
+            seen.add(names)
+            found.append(path)
+    return found[:_BEAM]
+
+
+def _behind(path: Path, best: Path) -> float:
+    return best.fitted.log_evidence - path.fitted.log_evidence
+
+
+def begun(candidate: Candidate, most: float) -> Part:
+    """Start a refit at a small step in the direction of the score, on the side where the effect can be.
+
+    What the data have led to, a frequency or instants, begins as strong as the score says: from less, the fit would
+    move these astray before the strength has grown.
+    """
+    declared = candidate.part.effect.parameters()
+    values = {entry.name: float(getattr(candidate.part.effect, entry.name)) for entry in declared}
+    information = candidate.information + np.eye(len(declared))
+    step = np.linalg.solve(information, candidate.score)
+    steps = step / _FIRST_STEPS[0] if candidate.part.looks else np.clip(step, -1.0, 1.0)
+    for entry, share in zip(declared, steps.tolist(), strict=True):
+        values[entry.name] += most * entry.sigma * share
+    return candidate.part.with_values(values)
+
+
+def _alike(best: _Tried, tried: Sequence[_Tried], screening: Screening) -> tuple[str, ...]:
+    """Names that this recording cannot tell from the best: scores that are one, or evidence too close to call.
+
+    So is what the recording itself says for either, where it is the prior of a strength that ranks the two.
+    """
+    own = best.candidate.name, best.candidate.part.channel
+    mine = [(one.name, one.part.channel) for one in screening.candidates].index(own)
+    refitted = {entry.candidate.name: entry.log_bayes_factor for entry in tried}
+    alike = {name for name, factor in refitted.items() if best.log_bayes_factor - factor < _TOO_CLOSE}
+    alike |= {
+        entry.candidate.name
+        for entry in tried
+        if best.worth - entry.worth < _TOO_CLOSE and best.log_bayes_factor - entry.log_bayes_factor < _CONCEIVABLE
+    }
+    for other, rho in zip(screening.candidates, screening.correlation[mine], strict=True):
+        factor = refitted.get(other.name, other.log_odds)
+        if abs(rho) > SAME and best.log_bayes_factor - factor < _CONCEIVABLE:
+            alike.add(other.name)
+    return tuple(sorted(alike - {best.candidate.name}))

@@ -1,0 +1,117 @@
+"""Where to begin a fit: levels, colours, dampings and noise that make the model's spectra about as large as the data's.
+
+The Whittle likelihood is exact and treacherous far from its maximum: where the data stand a thousand times above the
+belief, noise and damping are driven anywhere to make up for it. So each sensor's noise begins at the floor of its own
+spectrum, and the rest at a regression on the logarithm of the spectra, which is nearly linear in what is unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from companion.diagnosis.model.belief import of_range
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.linear_spectra import STATIONS
+from companion.records import Floats
+
+_CHUNK = 8
+_PARTS = 14
+_STEP = 1e-3
+_ROUNDS = 12
+_CLOSE = 1.6  # mean square of residuals in units of what chance makes
+_ENOUGH = 1e-3
+_MOST = 2.0  # prior sigmas in one step
+
+
+def starts(models: Sequence[SuperModel]) -> list[Floats]:
+    """Nuisances from which to fit without effects; either may end in a bad optimum, hardly both."""
+    believed = np.zeros(len(models[0].belief.nuisances))
+    return [begin(models, believed), on_floor(models, believed)]
+
+
+def begin(models: Sequence[SuperModel], start: Floats) -> Floats:
+    """Nuisances from which a fit without effects should start, (p,)."""
+    belief = models[0].belief
+    sigmas = belief.sigmas
+    free = [i for i, entry in enumerate(belief.nuisances) if not of_range(entry.key.partition("#")[0])]
+    seen = np.concatenate([_logarithms(_power(model)) for model in models])
+
+    def residual(values: Floats) -> Floats:
+        made = [np.real(np.einsum("iif->if", model.acceleration_spectrum(values))) for model in models]
+        return np.asarray((seen - np.concatenate([_logarithms(one) for one in made])) * np.sqrt(_CHUNK))
+
+    values = start.copy()
+    left = residual(values)
+    if not len(left) or np.mean(left**2) < _CLOSE:
+        return values
+    values, left = min(
+        ((there, residual(there)) for there in (values, on_floor(models, values))),
+        key=lambda one: _worth(one[1], one[0], sigmas),
+    )
+    for _ in range(_ROUNDS):
+        slopes = np.stack([(residual(_moved(values, i, sigmas)) - left) / (_STEP * sigmas[i]) for i in free], 1)
+        better = _step(residual, values, left, slopes, free, sigmas)
+        if better is None:
+            break
+        gained = _worth(left, values, sigmas) - _worth(better[1], better[0], sigmas)
+        values, left = better
+        if gained < _ENOUGH * len(left):
+            break
+    return values
+
+
+def on_floor(models: Sequence[SuperModel], start: Floats) -> Floats:
+    """The same with each sensor's noise at the lowest part of its spectrum."""
+    belief, values = models[0].belief, start.copy()
+    for model in models:
+        edges = np.geomspace(float(model.band_hz[0]), float(model.band_hz[-1]) * 1.0001, _PARTS + 1)
+        part = np.digitize(model.band_hz, edges)
+        for side, power in zip(model.seen.sides, _power(model), strict=True):
+            means = [float(power[part == k].mean()) for k in range(1, _PARTS + 1) if np.sum(part == k) > _CHUNK]
+            believed = 0.5 * belief.airframe.sensor(STATIONS[side]).accel_noise_mps2_rthz ** 2
+            for i, entry in enumerate(belief.nuisances):
+                own = entry.key.partition("#")[0] == f"{side.name.lower()}.noise"
+                if own and belief.concerns(i, model.recording) and means and believed > 0.0:
+                    values[i] = 0.5 * np.log(min(means) / believed)
+    return values
+
+
+def _step(
+    residual: Callable[[Floats], Floats], values: Floats, left: Floats, slopes: Floats, free: list[int], sigmas: Floats
+) -> tuple[Floats, Floats] | None:
+    """One step of damped Gauss and Newton that lowers the sum of squares with the priors; None where there is none."""
+    prior = 1.0 / sigmas[free] ** 2
+    normal, pull = slopes.T @ slopes + np.diag(prior), -slopes.T @ left - prior * values[free]
+    for damping in (1e-3, 1e-1, 1.0, 10.0, 100.0):
+        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
+        there = values.copy()
+        there[free] += np.clip(move, -_MOST * sigmas[free], _MOST * sigmas[free])
+        try:
+            after = residual(there)
+        except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+            continue
+        if _worth(after, there, sigmas) < _worth(left, values, sigmas):
+            return there, after
+    return None
+
+
+def _worth(left: Floats, values: Floats, sigmas: Floats) -> float:
+    return float(np.sum(left**2) + np.sum((values / sigmas) ** 2))
+
+
+def _moved(values: Floats, i: int, sigmas: Floats) -> Floats:
+    there = values.copy()
+    there[i] += _STEP * sigmas[i]
+    return there
+
+
+def _power(model: SuperModel) -> Floats:
+    return np.asarray(np.abs(model.data_in_band()) ** 2)
+
+
+def _logarithms(power: Floats) -> Floats:
+    """Of means over neighbouring frequencies, all channels in one row."""
+    whole = power[:, : power.shape[1] // _CHUNK * _CHUNK]
+    return np.asarray(np.log(whole.reshape(len(power), -1, _CHUNK).mean(2)).ravel())

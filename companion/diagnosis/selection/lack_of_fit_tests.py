@@ -1,0 +1,254 @@
+"""Where a model may be wrong without anybody having a name for it: generic directions, tested like named effects.
+
+Spectra by band and channel, coherence and phase between the sides, peaks anywhere, forces and sensors by law, the toe
+against what it might follow, and its spread likewise. Each is tested by its efficient score, with everything that was
+fitted projected out, so its spread is the model's own and not a textbook's; each family also as a whole, which sees
+what is spread thinly.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, gamma, t
+
+from companion.core.wing.effect import Effect
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.expectation import Expectation
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.generic_effects import (
+    LatentFall,
+    LatentForce,
+    LatentSense,
+    LatentSpread,
+    LatentToe,
+    LatentWarp,
+    unnamed,
+)
+from companion.diagnosis.selection.fit import Fit, derivatives
+from companion.diagnosis.selection.peak_scan import peaks
+from companion.diagnosis.selection.scores import Column
+from companion.diagnosis.selection.screen import efficient, normal_of
+from companion.diagnosis.selection.simulated_scores import DRAWS, scatter
+from companion.records import Floats
+
+_BANDS = 14
+_KNOWN = 1e-3  # share of a direction's information that must be left once the fit is projected out
+_ITS_OWN = 0.03  # of a family: what is less than this beside its other members shows their errors, and nothing else
+_STRAIGHT = 1e-3  # skewness that is none
+_LAPLACE, _EXPONENTIAL = 3.0, 6.0  # excess kurtosis of one product of two complex normals, and of a square
+_SMALL = 0.5  # sigmas below which a tail is the normal one
+
+
+@dataclass(frozen=True, slots=True)
+class _Family:
+    """Directions that belong together.
+
+    ``columns`` by recording; ``skewness`` and excess ``kurtosis`` of each score by chance, and how much ``wider`` it
+    scatters than its column says. Of a family with a ``title`` the whole is tested; one that is ``scanned`` counts with
+    its strongest only, which pays for the looking.
+    """
+
+    names: list[str]
+    columns: list[list[Column]]
+    title: str = ""
+    skewness: Floats | None = None
+    wider: Floats | None = None
+    scanned: bool = False
+    kurtosis: Floats | None = None
+
+
+def judge_directions(models: Sequence[SuperModel], fitted: Fit) -> dict[str, float]:
+    """Standard deviations of every direction, and of each family as a whole."""
+    families = [
+        _spectral(models),
+        _anywhere(models, fitted.found),
+        *_laws(models, fitted),
+    ]
+    families = [family for family in families if family.names]
+    found = [
+        [*mine, *itertools.chain.from_iterable(family.columns[k] for family in families)]
+        for k, mine in enumerate(fitted.columns)
+    ]
+    score, left = efficient(models, fitted, found)
+    strengths: dict[str, float] = {}
+    at = 0
+    for family in families:
+        part = slice(at, at + len(family.names))
+        at = part.stop
+        wider = np.ones(len(family.names)) if family.wider is None else family.wider
+        strengths |= _strengths(family, score[part], left[part, part] * np.outer(wider, wider))
+    return strengths
+
+
+def _strengths(family: _Family, score: Floats, left: Floats) -> dict[str, float]:
+    spread = np.diag(left)
+    positive = spread[spread > 0.0]
+    telling = spread > _KNOWN * (float(np.median(positive)) if len(positive) else 0.0) * 1e-6
+    telling &= spread > 0.0
+    z = score / np.sqrt(np.where(telling, spread, 1.0))
+    if family.skewness is not None:
+        z = np.array([straightened(one, skew) for one, skew in zip(z.tolist(), family.skewness.tolist(), strict=True)])
+    if family.kurtosis is not None:
+        even = np.abs(family.skewness) < _STRAIGHT if family.skewness is not None else np.ones(len(z), dtype=bool)
+        z[even] = [of_products(one, bins) for one, bins in zip(z[even], _LAPLACE / family.kurtosis[even], strict=True)]
+    if family.wider is not None:
+        z = np.array([of_student(one, DRAWS - 1) for one in z.tolist()])
+    mine = np.flatnonzero(telling)
+    if family.scanned:
+        return _best(family, z, mine)
+    strengths = {family.names[i]: float(z[i]) for i in mine}
+    if family.title and len(mine) > 1:
+        longer = 0.0 if family.kurtosis is None else float(np.sum(family.kurtosis[mine]))
+        strengths[family.title] = _together(score[mine], left[np.ix_(mine, mine)], longer)
+    return strengths
+
+
+def _best(family: _Family, z: Floats, mine: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> dict[str, float]:
+    if not len(mine):
+        return {}
+    best = int(mine[np.argmax(np.abs(z[mine]))])
+    paid = normal_of(min(_log_tail(abs(float(z[best]))) + math.log(len(mine)), 0.0))
+    return {family.names[best]: math.copysign(paid, float(z[best]))}
+
+
+def _log_tail(z: float) -> float:
+    """Logarithm of the two-sided tail of a standard normal."""
+    return float(chi2.logsf(z**2, 1))
+
+
+def _together(score: Floats, left: Floats, kurtosis: float) -> float:
+    """Of a family as a whole: the sum of its squares, whose variance by chance each one's excess kurtosis adds to."""
+    unit = 1.0 / np.sqrt(np.diag(left))
+    values, vectors = np.linalg.eigh(left * np.outer(unit, unit))
+    kept = values > _ITS_OWN
+    along = vectors[:, kept].T @ (score * unit)
+    count = int(kept.sum())
+    beyond = float(np.sum(along**2 / values[kept])) - count
+    return normal_of(float(chi2.logsf(count + beyond / math.sqrt(1.0 + 0.5 * kurtosis / count), count)))
+
+
+def straightened(z: float, skewness: float) -> float:
+    """Equivalent of a standard normal of a sum of squares: few squares have a longer tail to one side (a gamma's).
+
+    On the other side, where the tail is shorter, it is left as it is.
+    """
+    if z * skewness < _STRAIGHT:
+        return z
+    shape = 4.0 / skewness**2
+    log_tail = float(gamma.logsf(shape + abs(z) * math.sqrt(shape), shape))
+    return math.copysign(normal_of(min(log_tail + math.log(2.0), 0.0)), z)
+
+
+def of_products(z: float, bins: float) -> float:
+    """Equivalent of a standard normal of a sum over ``bins`` of products of two independent complex normals.
+
+    Either part of such a product follows Laplace's law: of few, the sum has longer tails. By the saddle point
+    (Barndorff-Nielsen's r*, Biometrika 73 (1986) 307), with K(t) = -n log(1 - t^2/2n).
+    """
+    if abs(z) < _SMALL:
+        return z
+    t = (math.sqrt(1.0 + 2.0 * z**2 / bins) - 1.0) * bins / abs(z)
+    left = 1.0 - t**2 / (2.0 * bins)
+    root = math.sqrt(2.0 * (t * abs(z) + bins * math.log(left)))
+    slope = t * math.sqrt((2.0 - left) / left**2)
+    return math.copysign(root + math.log(slope / root) / root, z)
+
+
+def of_student(z: float, freedom: int) -> float:
+    """Equivalent of a standard normal of a score over a scatter that so many free draws have told."""
+    return math.copysign(normal_of(min(float(t.logsf(abs(z), freedom)) + math.log(2.0), 0.0)), z)
+
+
+def _laws(models: Sequence[SuperModel], fitted: Fit) -> list[_Family]:
+    """Forces, sensors and ranges by law."""
+    kinds = unnamed()
+    forces = [kind for kind in kinds if issubclass(kind, LatentForce)]
+    stepped = any(entry.name == "quantisation" for model in models for entry in model.seen.in_samples)
+    # a smooth law is not told from a staircase, which has no slope to speak of
+    sensors = [kind for kind in kinds if issubclass(kind, LatentSense) and not stepped]
+    timing = [kind for kind in kinds if issubclass(kind, (LatentFall, LatentWarp))]
+    toe = [kind for kind in kinds if issubclass(kind, LatentToe)]
+    spread = [kind for kind in kinds if issubclass(kind, LatentSpread)]
+    slight = [kind.from_values({"strength": 1e-3}) for kind in sensors]
+    wider = scatter(models, fitted.found, slight) if slight else np.zeros(0)
+    families = [
+        _family(models, fitted, forces, "all forces together"),
+        dataclasses.replace(_family(models, fitted, sensors, "all sensors together"), wider=wider),
+        _family(models, fitted, timing),
+    ]
+    if any(model.seen.toe is not None for model in models):
+        families.append(_family(models, fitted, toe, "all range residuals together"))
+        growing = _family(models, fitted, spread)
+        families.append(dataclasses.replace(growing, skewness=_skewness(growing, fitted.found)))
+    return families
+
+
+def _family(models: Sequence[SuperModel], fitted: Fit, kinds: Sequence[type[Effect]], title: str = "") -> _Family:
+    columns: list[list[Column]] = [[] for _ in models]
+    for kind in kinds:
+        effect = kind()
+        values = np.append(fitted.values, 0.0)
+        sigmas = np.append(fitted.sigmas, effect.parameters()[0].sigma)
+        own = derivatives(models, values, (*fitted.parts, Part(effect)), fitted.found, sigmas, [len(fitted.values)])
+        columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
+    return _Family([kind.name for kind in kinds], columns, title)
+
+
+def _skewness(family: _Family, found: Sequence[Expectation]) -> Floats:
+    """Of scores of the toe's variance."""
+    cubes, squares = np.zeros(len(family.names)), np.zeros(len(family.names))
+    for mine, one in zip(family.columns, found, strict=True):
+        for i, entry in enumerate(mine):
+            if entry.toe_variance is not None and len(entry.toe_variance):
+                known = entry.toe_variance / np.diag(one.toe_covariance)
+                known = known - np.mean(known)  # how large it is as a whole is fitted
+                cubes[i] += np.sum(known**3)
+                squares[i] += 0.5 * np.sum(known**2)
+    return np.asarray(cubes / np.maximum(squares, 1e-100) ** 1.5)
+
+
+def _anywhere(models: Sequence[SuperModel], found: Sequence[Expectation]) -> _Family:
+    names, columns, skewness = peaks(models, found)
+    return _Family(names, columns, "", skewness, None, True)
+
+
+def _spectral(models: Sequence[SuperModel]) -> _Family:
+    """Indicator of a band in each entry of the whitened spectral matrix."""
+    names: list[str] = []
+    skewness: list[float] = []
+    kurtosis: list[float] = []
+    columns: list[list[Column]] = [[] for _ in models]
+    top_hz = max(float(model.band_hz[-1]) for model in models)
+    edges = np.geomspace(float(models[0].band_hz[0]), top_hz * 1.0001, _BANDS + 1)
+    for low, high in itertools.pairwise(edges.tolist()):
+        bins = sum(model.weight * float(_inside(model, low, high).sum()) for model in models)
+        if not any(_inside(model, low, high).sum() > 4 for model in models):
+            continue
+        for k, what in enumerate(_entries(models[0])):
+            names.append(f"{what} near {np.sqrt(low * high):.1f} Hz")
+            own = what.endswith("spectrum")
+            skewness.append(2.0 / math.sqrt(bins) if own else 0.0)
+            kurtosis.append((_EXPONENTIAL if own else _LAPLACE) / bins)
+            for model, mine in zip(models, columns, strict=True):
+                inside = _inside(model, low, high).astype(float)
+                packed = np.zeros(len(_entries(model)) * len(inside))
+                packed[k * len(inside) : (k + 1) * len(inside)] = inside
+                mine.append(Column(power=packed))
+    return _Family(names, columns, "all spectra together", np.array(skewness), kurtosis=np.array(kurtosis))
+
+
+def _inside(model: SuperModel, low: float, high: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    return np.asarray((model.band_hz >= low) & (model.band_hz < high))
+
+
+def _entries(model: SuperModel) -> list[str]:
+    sides = [side.name.lower() for side in model.seen.sides]
+    return [f"{side} spectrum" for side in sides] + (
+        ["left with right", "left before right"] if len(sides) == 2 else []
+    )

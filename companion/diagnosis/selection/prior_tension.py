@@ -1,0 +1,41 @@
+"""Airframe parameters that had to leave their priors to make a model fit: something is wrong that has no name yet.
+
+Before the data speak, a fitted deviation is spread by its prior less what the data leave open. A name that comes near
+the truth lets the parameters make up for the rest, and that is where it shows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from companion.diagnosis.model.belief import Belief
+from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.screen import normal_of
+
+_TOLD = 0.1  # share of the prior's variance that the data must take away
+_OF_THE_FILE = (".frequency", ".damping", ".slope", ".scale", ".delay_s", ".bias_mps2", "toe_rad", "focal", "_m")
+
+
+def astray(belief: Belief, fitted: Fit) -> dict[str, float]:
+    """Standard deviations of each airframe parameter from its prior, and of all together; levels and noise are free."""
+    keys = [entry.key.partition("#")[0] for entry in belief.nuisances]
+    mine = [i for i, key in enumerate(keys) if key.endswith(_OF_THE_FILE)]
+    if not mine:
+        return {}
+    unit = fitted.sigmas[mine]
+    moved = fitted.values[mine] / unit
+    spread = np.eye(len(mine)) - fitted.covariance[np.ix_(mine, mine)] / np.outer(unit, unit)
+    own = np.diag(spread)
+    found = {
+        f"{belief.nuisances[i].key} beyond its prior": float(moved[k] / np.sqrt(own[k]))
+        for k, i in enumerate(mine)
+        if own[k] > _TOLD
+    }
+    values, vectors = np.linalg.eigh(spread)
+    told = values > _TOLD
+    if told.sum() > 1:
+        along = vectors[:, told].T @ moved
+        tail = float(chi2.logsf(np.sum(along**2 / values[told]), int(told.sum())))
+        found["all airframe parameters together"] = normal_of(tail)
+    return found

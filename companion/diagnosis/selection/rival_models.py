@@ -1,0 +1,83 @@
+"""Names against laws without a name: one is said only if nothing anonymous explains the recording better.
+
+What remains once a name is fitted shows little of a cause that comes near to it: two shapes that share nine tenths
+leave less than half of either. Side by side, each in place of the other, the whole of what tells them apart counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.generic_effects import lines, unnamed
+from companion.diagnosis.selection.adequacy import Check
+from companion.diagnosis.selection.fit import Fit, fit
+from companion.diagnosis.selection.forward_selection import SAME, UNPREJUDICED, Path, begun, worth_of
+from companion.diagnosis.selection.proposals import find_leads
+from companion.diagnosis.selection.screen import Candidate, screen
+
+BETTER = 2.0
+"""Nats by which a law without a name must surpass the names: one that lies d sigmas from the truth does so by chance
+with Phi(-d/2 - 2/d), 2 % at most."""
+_REFITTED = 3
+_OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep
+_ROUNDS = 8
+_FIRST_STEP = 0.5  # prior sigmas
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """A law without a name, and by how many nats it surpasses what was named."""
+
+    title: str
+    ahead: float
+
+    @property
+    def explains_more(self) -> bool:
+        """Whether no name may be said."""
+        return self.ahead > BETTER
+
+
+def strongest_rival(models: Sequence[SuperModel], null: Fit, before: Sequence[Check], path: Path) -> Rival | None:
+    """The law that explains most in place of all the names of a path; None where none comes near.
+
+    ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score is that of a
+    name is that name, and no rival.
+    """
+    named = [Part(type(cause.part.effect)(), cause.part.channel) for cause in path.causes]
+    screening = screen(models, null, [*_offered(models, null, before), *named])
+    mine = {part.effect.name for part in named}
+    own = [i for i, one in enumerate(screening.candidates) if one.name in mine]
+    alike = np.abs(screening.correlation[own]).max(axis=0) if own else np.zeros(len(screening.candidates))
+    worth = worth_of(models, path.fitted, null)
+    enough = _OUT_OF_REACH * worth
+    leading = [
+        one for one, rho in zip(screening.candidates, alike, strict=True) if one.log_odds > enough and rho < SAME
+    ]
+    rivals = [
+        Rival(one.name, worth_of(models, fitted, null) - worth)
+        for one in sorted(leading, key=lambda entry: -entry.log_odds)[:_REFITTED]
+        if (fitted := _refitted(models, null, one)) is not None
+    ]
+    return max(rivals, key=lambda one: one.ahead, default=None)
+
+
+def _offered(models: Sequence[SuperModel], null: Fit, before: Sequence[Check]) -> list[Part]:
+    strength = {entry.name: abs(entry.z) for entry in before}
+    kinds = unnamed()
+    tested = sorted((kind for kind in kinds if kind.name in strength), key=lambda kind: -strength[kind.name])
+    parts = [Part(kind()) for kind in (*tested[:_REFITTED], *(kind for kind in kinds if kind.name not in strength))]
+    for lead in find_leads(models, null).get("tone", ()):
+        parts += [Part(kind.from_values(lead.values), looks=lead.looks) for kind in lines()]
+    return parts
+
+
+def _refitted(models: Sequence[SuperModel], base: Fit, candidate: Candidate) -> Fit | None:
+    try:
+        return fit(models, (*base.parts, begun(candidate, _FIRST_STEP)), base.values, _ROUNDS, UNPREJUDICED)
+    except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+        return None

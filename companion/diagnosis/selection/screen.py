@@ -1,0 +1,212 @@
+"""Screens every named effect at once: efficient scores with the nuisances projected out, no refit.
+
+At the fitted model the efficient score of an effect is what is left of its gradient once every nuisance has had its
+say; its variance is the effect's information less what the nuisances share. From the same numbers comes confusion:
+the correlation of the efficient scores of two effects on this very recording.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from companion.core.wing.effect import Effect
+from companion.diagnosis.data.sample_defects import SEEN_IN_SAMPLES
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.fit import Fit, derivatives, joint_scores
+from companion.diagnosis.selection.proposals import LED, NO_LEADS, Leads
+from companion.diagnosis.selection.scores import Column
+from companion.diagnosis.selection.simulated_scores import bends_samples, scatter
+from companion.records import Floats
+
+_BARELY = 1e-9
+_UNIT = 1e-3  # prior sigmas
+_SMALLEST = -500_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One named effect as screened.
+
+    Attributes
+    ----------
+    part : Part
+        The effect at the values from which a refit should start.
+    z : float
+        Its strength as the equivalent of a standard normal (two-sided).
+    log_odds : float
+        Approximate log Bayes factor with the prior of the catalogue.
+    sigma : (d,)
+        Of each parameter, profiled.
+    score, information : (d,), (d, d)
+        Efficient, in units of the prior sigmas.
+    """
+
+    part: Part
+    z: float
+    log_odds: float
+    sigma: Floats
+    score: Floats
+    information: Floats
+    direction: Floats
+
+    @property
+    def name(self) -> str:
+        """The effect's stable name."""
+        return self.part.effect.name
+
+
+@dataclass(frozen=True, slots=True)
+class Screening:
+    """All candidates, strongest first, and how far each can be told from the others."""
+
+    candidates: tuple[Candidate, ...]
+    correlation: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class _Tested:
+    """An effect, the prior sigmas of its parameters, and to which side it was moved."""
+
+    part: Part
+    sigmas: Floats
+    side: float
+
+
+def candidates_of(kinds: Iterable[type[Effect]], channels: Sequence[str], leads: Leads = NO_LEADS) -> list[Part]:
+    """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow.
+
+    Effects that the data themselves must lead to (a tone's frequency) begin where ``leads`` say, or not at all;
+    effects that show in the samples themselves are not screened.
+    """
+    parts = []
+    for kind in kinds:
+        if kind.name in SEEN_IN_SAMPLES:
+            continue
+        if kind.name in LED:
+            found = leads.get(kind.name, ())
+            parts += [Part(kind.from_values(entry.values), looks=entry.looks) for entry in found]
+            continue
+        follows = [channel for channel in channels if kind.may_follow(channel)] if kind.follows_channel else [""]
+        names, grids = list(kind.scan), [kind.scan[name] for name in kind.scan]
+        for values in itertools.product(*grids):
+            effect = kind.from_values(dict(zip(names, values, strict=True)))
+            parts += [Part(effect, channel) for channel in follows]
+    return parts
+
+
+def screen(
+    models: Sequence[SuperModel],
+    null: Fit,
+    parts: Sequence[Part],
+    progress: Callable[[float], None] = lambda _share: None,
+) -> Screening:
+    """Score every part at a fitted model ``null``, which may hold effects that have been accepted.
+
+    ``parts`` as :func:`candidates_of` gives them; ``progress`` is told the share that is done.
+    """
+    columns = [list(entry) for entry in null.columns]
+    tested: list[_Tested] = []
+    sided = [(part, side) for part in parts for side in ((1.0, -1.0) if part.effect.hinged else (1.0,))]
+    for done, (part, side) in enumerate(sided):
+        declared = part.effect.parameters()
+        sigmas = np.array([entry.sigma for entry in declared])
+        values = np.concatenate([null.values, [getattr(part.effect, entry.name) for entry in declared]])
+        # a mode's frequency means nothing while its participation is 0: what is scanned for has one column
+        count = 1 if part.effect.scan else len(declared)
+        only = range(len(null.values), len(null.values) + count)
+        wide = np.concatenate([null.sigmas, side * sigmas])  # its sign is that of the step
+        own = derivatives(models, values, (*null.parts, part), null.found, wide, only)
+        own = [[*mine, *[Column()] * (len(declared) - count)] for mine in own]
+        columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
+        tested.append(_Tested(part, sigmas, side))
+        progress((done + 1) / len(sided))
+    score, left = efficient(models, null, columns)
+    wider = _scatter(models, null, tested)
+    left = left * np.outer(wider, wider)
+    return _ranked(tested, score, left)
+
+
+def efficient(models: Sequence[SuperModel], null: Fit, columns: Sequence[Sequence[Column]]) -> tuple[Floats, Floats]:
+    """Score and information of what is beyond the fit's own parameters, with these projected out.
+
+    ``columns`` by recording: those of the fit, then d others; gives (d,) and (d, d).
+    """
+    gradient, information = joint_scores(models, null.found, columns)
+    p = len(null.values)
+    nuisance = information[:p, :p] + np.diag(1.0 / null.sigmas**2)
+    pull = gradient[:p] - (null.values - null.centres) / null.sigmas**2
+    share = np.linalg.solve(nuisance, information[:p, p:])
+    return gradient[p:] - share.T @ pull, information[p:, p:] - information[p:, :p] @ share
+
+
+def _scatter(models: Sequence[SuperModel], null: Fit, tested: Sequence[_Tested]) -> Floats:
+    """How much more each parameter's score scatters than its column says: 1 but for crooked sensors."""
+    wider, at = np.ones(sum(len(one.sigmas) for one in tested)), 0
+    bent: dict[int, Effect] = {}
+    for one in tested:
+        names = [entry.name for entry in one.part.effect.parameters()]
+        if bends_samples(one.part.effect) and len(names) == 1:
+            bent[at] = one.part.with_values({names[0]: _UNIT * float(one.sigmas[0])}).effect
+        at += len(one.sigmas)
+    if bent:
+        wider[list(bent)] = scatter(models, null.found, list(bent.values()))
+    return wider
+
+
+def _ranked(tested: Sequence[_Tested], score: Floats, left: Floats) -> Screening:
+    unit = np.concatenate([one.sigmas for one in tested]) if tested else np.zeros(0)
+    score, left = score * unit, left * np.outer(unit, unit)
+    found, at = [], 0
+    for one in tested:
+        mine = slice(at, at + len(one.sigmas))
+        found.append((_candidate(one, score[mine], left[mine, mine]), mine))
+        at += len(one.sigmas)
+    best: dict[tuple[str, str], tuple[Candidate, slice]] = {}
+    for entry in found:
+        key = (entry[0].name, entry[0].part.channel)
+        if key not in best or entry[0].z > best[key][0].z:
+            best[key] = entry
+    ranked = sorted(best.values(), key=lambda entry: -entry[0].z)
+    directions = np.zeros((len(ranked), len(score)))
+    for i, (candidate, mine) in enumerate(ranked):
+        directions[i, mine] = candidate.direction
+    shared = directions @ left @ directions.T
+    scale = np.sqrt(np.maximum(np.diag(shared), 1e-30))
+    return Screening(tuple(entry[0] for entry in ranked), shared / np.outer(scale, scale))
+
+
+def _candidate(one: _Tested, score: Floats, information: Floats) -> Candidate:
+    """Test the parameters that this recording says anything about; what nature has one way only, that way only."""
+    part, sigmas = one.part, one.sigmas
+    values, vectors = np.linalg.eigh(information)
+    telling = values > max(_BARELY * float(values[-1]), _BARELY)
+    one_way = part.effect.one_way or part.effect.hinged
+    if not telling.any() or (one_way and one.side * score[0] < 0.0):
+        return Candidate(part, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
+    along = vectors[:, telling].T @ score
+    # with the prior: a change far beyond what is physical is not what explains
+    power = float(np.sum(along**2 / (values[telling] + 1.0)))
+    # directions that the prior already knows better count for nothing
+    freedom = max(int(np.sum(values > 0.1)), 1)
+    tail = min(float(chi2.logsf(power, freedom)) + part.looks, 0.0)
+    z = normal_of(tail)
+    odds = 0.5 * power - part.looks - 0.5 * float(np.sum(np.log1p(values[telling])))
+    step = vectors[:, telling] @ (along / (values[telling] + 1.0))
+    length = float(np.linalg.norm(step))
+    spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas
+    return Candidate(part, z, odds, spread, score, information, step / length if length else step)
+
+
+def normal_of(log_tail: float) -> float:
+    """|z| whose two-sided tail has this log probability."""
+    half = max(log_tail, _SMALLEST) - math.log(2.0)
+    if half > -600.0:
+        return max(float(norm.isf(math.exp(half))), 0.0)
+    return math.sqrt(-2.0 * half)

@@ -1,0 +1,117 @@
+"""From recordings to a verdict: fit the belief, screen, extend, test what is left, measure the gain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from companion.core.wing.effect import Effect
+from companion.core.wing.effects import catalogue
+from companion.diagnosis.data.sample_defects import SampleFinding, together
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.adequacy import Check, check
+from companion.diagnosis.selection.cross_validation import HeldOut, held_out
+from companion.diagnosis.selection.fit import Fit, fit
+from companion.diagnosis.selection.forward_selection import Extension, Path, Progress
+from companion.diagnosis.selection.initial_values import starts
+from companion.diagnosis.selection.proposals import EVENTS
+from companion.diagnosis.selection.rival_models import Rival, strongest_rival
+from companion.diagnosis.selection.screen import Screening
+from companion.diagnosis.selection.verdict import Cause, Diagnosis, Verdict
+
+_QUIET_DB = 3.0
+
+
+def diagnose(
+    models: Sequence[SuperModel],
+    kinds: Sequence[type[Effect]],
+    max_causes: int = 3,
+    progress: Progress = lambda _what, _share: None,
+) -> Diagnosis:
+    """Judge recordings that share one belief by a catalogue, or a part of it; name at most ``max_causes`` effects.
+
+    ``progress`` is told what is being done and the share that is done.
+    """
+    progress("fit the believed model", 0.0)
+    null = max((fit(models, (), start) for start in starts(models)), key=lambda one: one.log_evidence)
+    extension = Extension(models, kinds, progress)
+    first = extension.screen(null)
+    if not _excited(models, null):
+        reason = "the wing hardly moves above its sensors' noise: record in gusts, or excite it"
+        return Diagnosis(Verdict.NOT_IDENTIFIABLE, (), "", (), reason, null, null, first, (), (), None)
+    path = extension.search(null, first, max_causes)
+    progress("test what is left", 0.0)
+    offered = {kind.name for kind in kinds}
+    shown = together([entry for model in models for entry in model.seen.in_samples])
+    faults = [Check(entry.seen, _strength(entry)) for entry in shown if entry.name not in offered]
+    after = (*faults, *check(models, path.fitted))
+    before = (*faults, *check(models, null)) if path.causes else after
+    gain = rival = None
+    if path.causes:
+        progress("hold the names against laws without one", 0.0)
+        rival = strongest_rival(models, null, before, path)
+        gain = held_out(models, null, path.fitted, lambda share: progress("measure the gain on held-out blocks", share))
+    named = tuple(_seen(entry) for entry in shown if entry.name in offered)
+    return _conclude(null, path, named, first, before, after, gain, rival)
+
+
+def _excited(models: Sequence[SuperModel], null: Fit) -> bool:
+    """Whether the accelerations stand above the sensors' noise anywhere in the band."""
+    for found in null.found:
+        power = np.einsum("iif->if", found.spectrum).real
+        if np.any(10.0 * np.log10(power.max(1) / power.min(1)) > _QUIET_DB):
+            return True
+    return not models
+
+
+def _seen(found: SampleFinding) -> Cause:
+    """A cause that the samples themselves show."""
+    kind = catalogue()[found.name]
+    names = [entry.name for entry in kind.parameters()]
+    return Cause(
+        Part(kind.from_values(found.values)),
+        (),
+        found.log_bayes_factor,
+        -2.0 * found.log_bayes_factor,
+        _strength(found),
+        tuple(found.values[name] for name in names),
+        tuple(found.sigmas[name] for name in names),
+        found.seen,
+    )
+
+
+def _strength(found: SampleFinding) -> float:
+    return math.sqrt(2.0 * found.log_bayes_factor)
+
+
+def _conclude(
+    null: Fit,
+    path: Path,
+    seen: tuple[Cause, ...],
+    first: Screening,
+    before: Sequence[Check],
+    after: Sequence[Check],
+    gain: HeldOut | None,
+    rival: Rival | None,
+) -> Diagnosis:
+    failed = [entry for entry in after if not entry.passed]
+    leading = first.candidates[0].name if first.candidates else ""
+    causes = tuple(sorted((*seen, *path.causes), key=lambda cause: -cause.log_bayes_factor))
+    nearest = path.causes[0].part.effect.name if path.causes else leading
+    outcome = (null, path.fitted, first, tuple(before), tuple(after), gain)
+    if failed:
+        reason = "left over: " + "; ".join(f"{entry.name} ({entry.z:+.1f} sigma)" for entry in failed[:4])
+        return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
+    if not causes:
+        return Diagnosis(Verdict.ADEQUATE, (), "", (), "the believed airframe explains this recording", *outcome)
+    if rival is not None and rival.explains_more:
+        reason = f"a law without a name explains it better: {rival.title} (by {rival.ahead:.1f} nat)"
+        return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
+    foretold = any(part.effect.name not in EVENTS for part in path.fitted.parts)
+    if gain is not None and foretold and not gain.improves:
+        reason = "no extension predicts held-out blocks better"
+        return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
+    return Diagnosis(Verdict.EXPLAINED, causes, "", (), "", *outcome)

@@ -1,0 +1,61 @@
+"""How a diagnosis ends, and what it names."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.selection.adequacy import Check
+from companion.diagnosis.selection.cross_validation import HeldOut
+from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.screen import Screening
+
+
+class Verdict(enum.StrEnum):
+    """How a diagnosis ends."""
+
+    ADEQUATE = "adequate"
+    EXPLAINED = "explained"
+    UNEXPLAINED = "unexplained"
+    NOT_IDENTIFIABLE = "not-identifiable"
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """One accepted effect.
+
+    ``group`` are the names that this recording cannot tell from it; ``log_bayes_factor`` and ``bic`` are against the
+    model without it (BIC negative: better). ``seen`` says what the samples show, for causes that no model was needed
+    for.
+    """
+
+    part: Part
+    group: tuple[str, ...]
+    log_bayes_factor: float
+    bic: float
+    z: float
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    seen: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The outcome, with the fits it rests on.
+
+    ``causes`` is empty unless the verdict is explained; ``nearest_causes`` is what an unexplained recording comes
+    nearest to, which is no name.
+    """
+
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    nearest: str
+    nearest_causes: tuple[Cause, ...]
+    reason: str
+    null: Fit
+    final: Fit
+    screening: Screening
+    before: tuple[Check, ...]
+    after: tuple[Check, ...]
+    gain: HeldOut | None

@@ -1,0 +1,97 @@
+"""A diagnosis in three sentences: what the cause is, what knowing it is worth in metres, and what to do next."""
+
+from __future__ import annotations
+
+from typing import Any
+
+FAR_M = 60
+_LEAST_SHARE = 0.05  # of the range error: less is not worth a flight
+_LEAST_M = 0.05
+
+
+def words(plain: dict[str, Any], tones: list[str]) -> dict[str, str]:
+    """``cause``, ``worth`` and ``next`` of a diagnosis as plain data (:func:`companion.diagnosis.json_report.as_json`).
+
+    ``tones`` are sentences of the steady tones that single stations show.
+    """
+    told = {"cause": _cause(plain), "worth": _worth(plain), "next": _next(plain)}
+    if tones and plain["verdict"] != "adequate":
+        told["cause"] += f" A steady tone is there, which no gust makes: {'; '.join(tones)}."
+        if plain["verdict"] == "unexplained":
+            told["next"] = (
+                "A propeller, a shaker or a supply makes a steady tone: look what turns or is switched at its "
+                "frequency, and record once more without it. " + told["next"]
+            )
+    return told
+
+
+def _cause(plain: dict[str, Any]) -> str:
+    if plain["verdict"] == "adequate":
+        return "Nothing is wrong that this recording could show: the believed airframe explains it."
+    if plain["verdict"] == "explained":
+        return f"The simulation lacks {' and '.join(map(_named, plain['causes']))}."
+    if plain["verdict"] == "not-identifiable":
+        return f"This recording cannot tell: {plain['reason']}."
+    near = " and ".join(map(_named, plain["nearest_causes"]))
+    nearest = f" Nearest in the catalogue, but not it or not all of it: {near}." if near else ""
+    return f"The simulation is wrong here, and no effect of the catalogue explains it.{nearest}"
+
+
+def _named(cause: dict[str, Any]) -> str:
+    name = f"{cause['name']} ({cause['channel']})" if cause["channel"] else str(cause["name"])
+    if cause["seen_in_samples"]:
+        return f"{name}: {cause['seen_in_samples']}"
+    values = ", ".join(
+        f"{entry['meaning']} {entry['value']:.3g} ± {entry['sigma']:.1g} {entry['unit']}".rstrip()
+        for entry in cause["parameters"].values()
+    )
+    return f"{name} ({values})"
+
+
+def worthwhile(plain: dict[str, Any]) -> bool | None:
+    """Whether knowing the cause betters the range at 60 m; None where the recording cannot tell."""
+    pair = _far(plain)
+    if pair is None:
+        return None
+    before, after = pair
+    return before - after > max(_LEAST_M, _LEAST_SHARE * before)
+
+
+def _far(plain: dict[str, Any]) -> tuple[float, float] | None:
+    entry = (plain["gain"] or {}).get("range_rms_m", {}).get(str(FAR_M))
+    return (entry["before"], entry["after"]) if entry else None
+
+
+def _worth(plain: dict[str, Any]) -> str:
+    pair = _far(plain)
+    if plain["verdict"] == "adequate":
+        return "There is nothing to gain."
+    if pair is None:
+        return "No image matches were held out here, so that it cannot be told what it is worth in metres."
+    before, after = pair
+    metres = f"{before:.2f} m rms become {after:.2f} m at {FAR_M} m, on blocks that were not fitted"
+    if worthwhile(plain):
+        return f"Worth flying: {metres}."
+    named = "Named, but not worth flying" if plain["verdict"] == "explained" else "Not worth flying as far as it goes"
+    return f"{named}: {metres}."
+
+
+def _next(plain: dict[str, Any]) -> str:
+    if plain["verdict"] == "adequate":
+        return "Fly on."
+    causes = plain["causes"] or plain["nearest_causes"]
+    advice = "; ".join(dict.fromkeys(cause["advice"] for cause in causes if cause["advice"]))
+    apart = [cause["name"] for cause in causes if cause["group"]]
+    told = []
+    if plain["verdict"] == "explained":
+        kept = worthwhile(plain)
+        told.append(
+            "Leave the airframe file as it is."
+            if kept is False
+            else "Write it into the airframe file with --apply, and fly once more to confirm it."
+        )
+    elif not advice:
+        told.append("Record again with cameras, and with what may have changed: temperature, speed, rpm.")
+    if advice:
+        told.append(f"To {'tell it from its group' if apart else 'check it'}: {advice}.")
+    return " ".join(told)

@@ -1,0 +1,206 @@
+"""A structure that knocks make ring: the filter against closed forms, and causes hidden by another integrator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from companion.diagnosis.free_decay import kalman
+from companion.diagnosis.free_decay.adequacy import Whitened, judged
+from companion.diagnosis.free_decay.json_report import as_json
+from companion.diagnosis.free_decay.kalman import Modes, run
+from companion.diagnosis.free_decay.record import RawRinging, Ringing, prepare
+from companion.diagnosis.free_decay.search import search
+from companion.diagnosis.free_decay.views import backbone
+from companion.errors import RecordingError
+from companion.params.airframe import Uncertain
+from companion.records import Floats
+
+RATE_HZ = 1500.0
+BAND_HZ = (4.0, 14.0)
+BELIEF = (Uncertain(9.0, 2.0), Uncertain(0.02, 0.02))
+
+
+def rung(seed: int, frequency_hz: Floats, zeta: float, channel: Floats, second_hz: float = 0.0) -> RawRinging:
+    """A mode of any frequency over time, knocked by bursts of noise; exact steps of 1/1500 s."""
+    rng = np.random.default_rng(seed)
+    count = len(frequency_hz)
+    load = np.zeros(count)
+    for at in rng.choice(np.arange(200, count - 2000), 9, replace=False):
+        load[at : at + 30] += rng.normal(0.0, 40.0, 30)
+    up = _swing(2.0 * np.pi * frequency_hz, zeta, load) + load
+    if second_hz:
+        up += 0.5 * _swing(np.full(count, 2.0 * np.pi * second_hz), zeta, load)
+    t_s = np.arange(count) / RATE_HZ
+    return RawRinging(f"run{seed}", t_s, up + rng.normal(0.0, 0.02, count), {"stand_m": channel})
+
+
+def _swing(omega: Floats, zeta: float, load: Floats) -> Floats:
+    """Acceleration without load by a velocity Verlet integrator with substeps, which shares nothing with the filter."""
+    q, v, step = 0.0, 0.0, 1.0 / (4.0 * RATE_HZ)
+    shown = np.empty(len(load))
+    for k in range(len(load)):
+        for _ in range(4):
+            v += 0.5 * step * (load[k] - omega[k] ** 2 * q - 2.0 * zeta * omega[k] * v)
+            q += step * v
+            v += 0.5 * step * (load[k] - omega[k] ** 2 * q - 2.0 * zeta * omega[k] * v)
+        shown[k] = -(omega[k] ** 2) * q - 2.0 * zeta * omega[k] * v
+    return shown
+
+
+def steps_of(seed: int, seconds: float) -> Floats:
+    """A channel that stands still at random places."""
+    rng = np.random.default_rng(seed)
+    places = np.repeat(rng.uniform(0.1, 0.5, int(seconds)), int(RATE_HZ))
+    return np.convolve(np.pad(places, 150, mode="edge"), np.ones(301) / 301, mode="valid")
+
+
+@pytest.mark.parametrize("zeta", [0.002, 0.05, 0.3])
+def test_a_step_of_the_filter_is_the_exact_one(zeta: float) -> None:
+    omega, step_s = np.array([[[55.0], [71.0]]]), 1.0 / 40.0
+    modes = Modes(omega, np.full_like(omega, zeta), np.full_like(omega, 3.0), np.ones((1, 2)))
+    steps = kalman.matrices(modes, step_s)
+    for t, w in enumerate(omega[0, :, 0]):
+        flow = np.array([[0.0, 63.0], [-(w**2) / 63.0, -2.0 * zeta * w]])  # the reference is the mean
+        np.testing.assert_allclose(steps.transition[t, 0], expm(flow * step_s), atol=1e-12)
+        # Van Loan: the spread of white load from one matrix exponential
+        both = np.zeros((4, 4))
+        both[:2, :2], both[2:, 2:], both[1, 3] = -flow, flow.T, 3.0
+        there = expm(both * step_s)
+        spread = there[2:, 2:].T @ there[:2, 2:]
+        np.testing.assert_allclose(steps.spread[t, 0], spread, rtol=1e-9)
+        # a sample is the mean acceleration of its step: (v after - v before) / step
+        np.testing.assert_allclose(steps.seen[t, 0], (expm(flow * step_s) - np.eye(2))[1] / step_s, atol=1e-9)
+        np.testing.assert_allclose(steps.along[t, 0], spread[:, 1] / step_s, rtol=1e-9)
+        assert steps.variance[t, 0] == pytest.approx(spread[1, 1] / step_s**2 + 1.0)
+
+
+@pytest.mark.slow
+def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
+    rng = np.random.default_rng(3)
+    modes = Modes(
+        rng.uniform(40.0, 90.0, (4, 60, 2)),
+        np.full((4, 60, 2), 0.02),
+        rng.uniform(0.1, 1.0, (4, 60, 2)),
+        np.ones((4, 60)),
+    )
+    steps = kalman.matrices(modes, 0.025)
+    y = rng.standard_normal((60, 4))
+    found = []
+    for sweep in (kalman.together, kalman.one_by_one):
+        out = np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))
+        sweep(steps.transition, steps.spread, steps.seen, steps.along, steps.variance, y, *out)
+        found.append(out)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.slow
+@settings(max_examples=10, deadline=None)
+@given(st.floats(20.0, 100.0), st.floats(0.005, 0.2), st.integers(0, 1000))
+def test_innovations_of_the_filter_s_own_data_are_white_and_of_unit_size(omega: float, zeta: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    steps = 2000
+    shape = (1, steps, 1)
+    modes = Modes(np.full(shape, omega), np.full(shape, zeta), np.full(shape, 2.0), np.full((1, steps), 0.5))
+    step = kalman.matrices(modes, 0.02)
+    root = np.linalg.cholesky(step.spread[0, 0])
+    x, y = np.zeros(2), np.empty((1, steps))
+    for t in range(steps):
+        after = step.transition[t, 0] @ x + root @ rng.standard_normal(2)
+        y[0, t] = (after[1] - x[1]) / 0.02 + rng.normal(0.0, np.sqrt(0.5))
+        x = after
+    filtered = run(modes, y, 0.02)
+    white = filtered.innovation[0, 50:] / np.sqrt(filtered.variance[0, 50:])
+    z = judged(Whitened(white, np.ones(white.size, dtype=np.bool_)), rng)
+    assert max(abs(value) for value in z.values()) < 5.5, z
+
+
+def test_what_vibrates_is_no_cause_and_gaps_are_cut_out() -> None:
+    count = int(6 * RATE_HZ)
+    t_s = np.arange(count) / RATE_HZ
+    up = np.sin(2.0 * np.pi * 9.0 * t_s)
+    raw = RawRinging("one", t_s, up, {"gauge_v": 0.1 * up + 0.01 * t_s, "stand_m": t_s})
+    (one,), scales = prepare([raw], BAND_HZ)
+    assert list(scales) == ["stand_m"]
+    assert any("gauge_v vibrates" in note for note in one.notes)
+    assert one.rate_hz == pytest.approx(2.6 * BAND_HZ[1], rel=0.01)
+    np.testing.assert_allclose(one.up_mps2[20:-20], np.sin(2.0 * np.pi * 9.0 * one.t_s[20:-20]), atol=0.02)
+    late = np.concatenate([t_s[:4000], t_s[4000:] + 0.5])
+    (cut,), _ = prepare([RawRinging("two", late, up, {})], BAND_HZ)
+    assert cut.t_s[-1] == pytest.approx((count - 4000) / RATE_HZ, abs=0.1)
+    with pytest.raises(RecordingError, match="sampled at 100 Hz; to hear knocks above a band up to 14 Hz it takes 140"):
+        prepare([RawRinging("slow", np.arange(600) / 100.0, np.zeros(600), {})], BAND_HZ)
+
+
+def test_windows_tell_frequency_and_damping_of_a_decay() -> None:
+    t_s = np.arange(400) / 40.0
+    decay = np.exp(-0.01 * 2.0 * np.pi * 9.0 * t_s) * np.cos(2.0 * np.pi * 9.0 * t_s)
+    track = backbone(
+        Ringing("decay", 40.0, t_s, decay, np.where(t_s < 0.1, 1.0, 0.0), np.zeros(400), {}, np.abs(decay))
+    )
+    early = track.t_s < 3.0
+    np.testing.assert_allclose(track.frequency_hz[early], 9.0, atol=0.05)
+    np.testing.assert_allclose(np.median(track.damping[early]), 0.01, rtol=0.1)
+
+
+def diagnosed(raws: list[RawRinging], most: int = 3) -> dict[str, object]:
+    recordings, scales = prepare(raws, BAND_HZ)
+    return as_json(search(recordings, *BELIEF, BAND_HZ, most), scales, None)
+
+
+@pytest.mark.long
+def test_a_frequency_that_follows_a_channel_far_is_named_and_a_drift_is_not() -> None:
+    raws = []
+    for seed in (1, 2):
+        channel = steps_of(seed, 14.0)
+        raws.append(rung(seed, 9.0 * (1.0 + 0.7 * (channel - 0.3)), 0.01, channel))
+    plain = diagnosed(raws)
+    cause = plain["causes"][0]  # type: ignore[index]
+    assert (cause["name"], cause["channel"]) == ("covariate-frequency", "stand_m")
+    rms = cause["parameters"]["channel_rms"]["value"]
+    mean = cause["parameters"]["channel_mean"]["value"]
+    at_mean = 9.0 * (1.0 + 0.7 * (mean - 0.3))
+    low, high = cause["parameters"]["ratio_per_rms"]["interval"]
+    assert low - 0.002 < 9.0 * 0.7 * rms / at_mean < high + 0.002
+    assert cause["gain"]["share_of_square_gone"] > 0.8
+    assert "frequency-drift" not in [entry["name"] for entry in plain["causes"]]  # type: ignore[union-attr]
+
+
+@pytest.mark.long
+def test_a_drift_is_named_where_the_channel_has_nothing_to_do_with_it() -> None:
+    raws = []
+    for seed in (3, 4):
+        t_s = np.arange(int(14 * RATE_HZ)) / RATE_HZ
+        raws.append(rung(seed, 9.0 * (1.0 + 0.6 * (t_s - 7.0) / 60.0), 0.01, steps_of(seed, 14.0)))
+    plain = diagnosed(raws, 2)
+    cause = plain["causes"][0]  # type: ignore[index]
+    assert cause["name"] == "frequency-drift"
+    assert cause["parameters"]["ratio_per_min"]["value"] == pytest.approx(0.6, abs=0.03)
+
+
+@pytest.mark.long
+def test_a_close_second_mode_is_named_with_its_frequency() -> None:
+    raws = []
+    for seed in (5, 6):
+        channel = steps_of(seed, 14.0)
+        raws.append(rung(seed, np.full(len(channel), 9.0), 0.008, channel, second_hz=9.8))
+    plain = diagnosed(raws, 2)
+    cause = plain["causes"][0]  # type: ignore[index]
+    assert cause["name"] == "close-mode"
+    shown = sorted(plain["modes"]["in_the_last_decay"][0]["frequency_hz"])  # type: ignore[index]
+    np.testing.assert_allclose(shown, [9.0, 9.8], atol=0.05)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [11, 13, 15])
+def test_nothing_is_named_where_nothing_is_hidden(seed: int) -> None:
+    raws = []
+    for k in (seed, seed + 1):
+        channel = steps_of(k, 14.0)
+        raws.append(rung(k, np.full(len(channel), 8.3), 0.012, channel))
+    plain = diagnosed(raws, 2)
+    assert plain["causes"] == []

@@ -1,0 +1,272 @@
+"""What has no name: parameters beyond their priors, peaks, growing spread, rival laws; and a mount that rings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from companion.core.wing.effects import catalogue
+from companion.diagnosis.data.observations import Observations
+from companion.diagnosis.model.belief import believe
+from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.selection.adequacy import outliers
+from companion.diagnosis.selection.fit import fit
+from companion.diagnosis.selection.lack_of_fit_tests import (
+    _together,
+    judge_directions,
+    of_products,
+    of_student,
+    straightened,
+)
+from companion.diagnosis.selection.prior_tension import astray
+from companion.diagnosis.selection.proposals import mount_lead
+from companion.diagnosis.selection.search import diagnose
+from companion.diagnosis.selection.verdict import Verdict
+from companion.params.files import parse_airframe
+from companion.records import Floats, Side
+from sitl_tests.trials.belief import airframe_text
+from sitl_tests.trials.cases import Hidden, fly, hide, noise_density
+from tools.trials import model_of
+
+RATE_HZ, COUNT = 100.0, 3000
+SIDES = (Side.LEFT, Side.RIGHT)
+TEXT = airframe_text(0.15)
+
+
+def seen_by(text: str, up_mps2: Floats) -> SuperModel:
+    count = len(up_mps2)
+    seen = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
+    return SuperModel(believe(parse_airframe(text, "trial"), SIDES, False, False), seen, 40.0)
+
+
+def drawn(text: str, seed: int) -> Floats:
+    """Accelerations (m, 2) as an airframe makes them by chance."""
+    rng = np.random.default_rng(seed)
+    empty = seen_by(text, rng.standard_normal((COUNT, 2)))
+    return np.ascontiguousarray(empty.draw(empty.expect(np.zeros(len(empty.belief.nuisances))), rng).T)
+
+
+def flown(**effects: float) -> SuperModel:
+    (tables,) = fly([Hidden(effects)], 20.0, 77)
+    return model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [8, 40])
+def test_a_sum_of_few_squares_gets_the_strength_that_its_chance_is_worth(count: int) -> None:
+    """Exponentials have the skewness 2, their sum that over the root of their number: beyond 3 lies 1 of 741."""
+    sums = np.random.default_rng(1).gamma(count, size=200_000)
+    z = np.array([straightened(one, 2.0 / np.sqrt(count)) for one in ((sums - count) / np.sqrt(count))[:4_000]])
+    expected = 4_000 * norm.sf(2.5)
+    assert np.sum(z > 2.5) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
+
+
+def test_a_score_over_a_scatter_from_few_draws_gets_the_strength_that_its_chance_is_worth() -> None:
+    """Normal over the root of a mean of 9 squares: beyond 3 lies 1 of 67, and of what it is worth 1 of 370."""
+    rng = np.random.default_rng(2)
+    raw = rng.standard_normal(20_000) / np.sqrt(rng.chisquare(9, 20_000) / 9.0)
+    z = np.array([of_student(one, 9) for one in raw[np.abs(raw) > 3.0].tolist()])
+    assert of_student(-3.5, 9) == -of_student(3.5, 9) < 0.0
+    expected = 20_000 * 2.0 * norm.sf(3.0)
+    assert np.sum(np.abs(z) > 3.0) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
+
+
+@pytest.mark.parametrize("count", [8, 30])
+def test_a_sum_of_few_products_gets_the_strength_that_its_chance_is_worth(count: int) -> None:
+    """Either part of a product of two complex normals is a difference of two exponentials, half of each."""
+    rng = np.random.default_rng(6)
+    raw = (rng.gamma(count, size=400_000) - rng.gamma(count, size=400_000)) / np.sqrt(2.0 * count)
+    z = np.array([of_products(one, count) for one in raw[np.abs(raw) > 3.0].tolist()])
+    assert of_products(-4.0, count) == -of_products(4.0, count) > -4.0
+    assert of_products(4.0, 1e6) == pytest.approx(4.0, abs=1e-3)
+    expected = 400_000 * 2.0 * norm.sf(3.2)
+    assert np.sum(np.abs(z) > 3.2) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
+    assert np.sum(np.abs(raw) > 3.2) > expected + 4.0 * np.sqrt(expected)
+
+
+def test_a_family_of_scores_with_long_tails_gets_the_strength_that_its_chance_is_worth() -> None:
+    """Twenty sums of five products each: as a whole they scatter more than twenty normals."""
+    rng = np.random.default_rng(7)
+    scores = (rng.gamma(5, size=(20_000, 20)) - rng.gamma(5, size=(20_000, 20))) / np.sqrt(10.0)
+    strongest = scores[np.argsort(-np.sum(scores**2, axis=1))[:700]]
+    z = np.array([_together(one, np.eye(20), 20 * 3.0 / 5.0) for one in strongest])
+    plain = np.array([_together(one, np.eye(20), 0.0) for one in strongest])
+    expected = 20_000 * 2.0 * norm.sf(2.5)
+    assert np.sum(z > 2.5) == pytest.approx(expected, rel=0.4)
+    assert np.sum(plain > 2.5) > 1.6 * expected
+
+
+@pytest.mark.slow
+def test_outliers_of_noise_get_the_strength_that_their_chance_is_worth() -> None:
+    rng = np.random.default_rng(4)
+    found = np.concatenate([outliers(rng.standard_normal((1000, 600))) for _ in range(100)])
+    # 23 of 100,000 by chance; three times as many where a kurtosis counts as the sum of few squares
+    assert 10 < int(np.sum(found > 3.5)) < 46
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("snr_db", "step_mps2"), [(20.0, 8.0), (10.0, 14.0)])
+def test_what_shows_in_the_samples_is_left_over_where_it_has_no_name(snr_db: float, step_mps2: float) -> None:
+    (tables,) = fly([Hidden({"quantisation": step_mps2})], snr_db, 77, 20.0)
+    model = model_of(tables, parse_airframe(airframe_text(noise_density(snr_db)), "trial"))
+    named = diagnose([model], [catalogue()["quantisation"]])
+    assert [cause.part.effect.name for cause in named.causes] == ["quantisation"]
+    without = diagnose([model], [])
+    assert without.verdict is Verdict.UNEXPLAINED
+    assert f"multiples of {step_mps2:g}" in without.reason
+
+
+@pytest.mark.long
+def test_kicks_are_named_though_no_block_foretells_another_ones() -> None:
+    label = hide(["impulsive-forcing"], (10.0, 10.0), np.random.default_rng(21))
+    (tables,) = fly([label], 20.0, 78)
+    model = model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
+    found = diagnose([model], [catalogue()["impulsive-forcing"]])
+    assert [cause.part.effect.name for cause in found.causes] == ["impulsive-forcing"]
+    (cause,) = found.causes
+    for value, sigma in zip(cause.values[::3], cause.sigmas[::3], strict=True):
+        assert abs(value - label.effects["impulsive-forcing"]) < 4.0 * sigma < 0.2
+
+
+@pytest.mark.slow
+def test_a_tone_pays_once_for_the_frequencies_that_it_might_have_had() -> None:
+    """By the prior of its frequency: the Bayes factor is that of the two models."""
+    up, t_s = drawn(TEXT, 13), np.arange(COUNT) / RATE_HZ
+    up[:, 1] += 1.5 * np.sin(2.0 * np.pi * 17.3 * t_s)
+    model = seen_by(TEXT, up)
+    found = diagnose([model], [catalogue()["tone"]])
+    assert [cause.part.effect.name for cause in found.causes] == ["tone"]
+    whole = fit([model], (found.causes[0].part,), found.null.values)
+    assert found.causes[0].log_bayes_factor == pytest.approx(whole.log_evidence - found.null.log_evidence, abs=0.5)
+
+
+def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> None:
+    """Believed 5.00 +- 0.05 Hz; the wing's is 0.5 Hz higher."""
+    faster = TEXT.replace("frequency_hz={value=5.0,", "frequency_hz={value=5.5,")
+    assert faster != TEXT
+    for text, beyond in ((TEXT, False), (faster, True)):
+        model = seen_by(TEXT, drawn(text, 3))
+        found = astray(model.belief, fit([model], ()))
+        assert (found["symmetric.frequency beyond its prior"] > 5.0) == beyond
+        assert (found["all airframe parameters together"] > 5.0) == beyond
+        assert abs(found["antisymmetric.frequency beyond its prior"]) < 4.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sign", "how"), [(1.0, "both sides together"), (-1.0, "side against side")])
+def test_a_mode_that_nobody_believes_in_is_seen_where_it_is(sign: float, how: str) -> None:
+    rng, up = np.random.default_rng(4), drawn(TEXT, 4)
+    f_hz = np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ)
+    ratio2 = (f_hz / 17.0) ** 2
+    gain = ratio2 / np.sqrt((1.0 - ratio2) ** 2 + (2 * 0.02) ** 2 * ratio2)
+    rung = np.fft.irfft(np.fft.rfft(rng.standard_normal(COUNT)) * gain, COUNT)
+    plain = _strongest_peak(up)
+    assert abs(plain[1]) < 4.0
+    name, z = _strongest_peak(up + 0.5 * np.std(up) * np.outer(rung / np.std(rung), [sign, 1.0]))
+    assert z > 5.0
+    assert name.startswith(how)
+    assert float(name.split()[-2]) == pytest.approx(17.0, rel=0.06)
+
+
+def _strongest_peak(up_mps2: Floats) -> tuple[str, float]:
+    model = seen_by(TEXT, up_mps2)
+    found = judge_directions([model], fit([model], ()))
+    ((name, z),) = [entry for entry in found.items() if entry[0].startswith(("both sides", "side against"))]
+    return name, z
+
+
+@pytest.mark.slow
+def test_a_side_that_is_ever_later_is_told_from_one_that_is_late() -> None:
+    """Up to 4 ms at the end and as early at the start; in the middle of the recording there is nothing to see."""
+    up = drawn(TEXT, 11)
+    t_s = np.arange(COUNT) / RATE_HZ
+    fine = np.fft.irfft(np.fft.rfft(up[:, 1]), 32 * COUNT) * 32.0
+    ever = np.interp(t_s - 0.004 * np.linspace(-1.0, 1.0, COUNT), np.arange(32 * COUNT) / (32 * RATE_HZ), fine)
+    turned = np.fft.rfft(up[:, 1]) * np.exp(-2j * np.pi * np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ) * 4e-4)
+    late = np.fft.irfft(turned, COUNT)
+    for shown, told in ((ever, True), (late, False)):
+        model = seen_by(TEXT, np.stack([up[:, 0], shown], 1))
+        found = judge_directions([model], fit([model], ()))
+        assert (found["right side ever later"] > 5.0) is told
+
+
+@pytest.mark.slow
+def test_a_filter_is_told_by_what_it_takes_from_either_side() -> None:
+    up = drawn(TEXT, 12)
+    f_hz = np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ)
+    gain = np.exp(-0.25 * (f_hz / 40.0) ** 2)
+    for taken, name in (
+        ((1.0, 1.0), "gain falling with frequency"),
+        ((-1.0, 1.0), "gain falling with frequency, left against right"),
+    ):
+        both = [np.fft.irfft(np.fft.rfft(up[:, i]) * gain**sign, COUNT) for i, sign in enumerate(taken)]
+        model = seen_by(TEXT, np.stack(both, 1))
+        found = judge_directions([model], fit([model], ()))
+        told = {key: found[key] for key in found if key.startswith("gain falling")}
+        assert max(told, key=lambda key: told[key]) == name
+        assert told[name] > 5.0
+        assert min(told.values()) < 4.0
+
+
+@pytest.mark.slow
+def test_a_second_mode_named_torsion_is_seen_by_the_cameras_that_it_tilts() -> None:
+    hidden = Hidden({"second-mode": 0.006}, extra={"second-mode.frequency_hz": 26.0, "loudness": 1.0})
+    (tables,) = fly([hidden], 30.0, 79)
+    model = model_of(tables, parse_airframe(airframe_text(noise_density(30.0)), "trial"))
+    null, named = fit([model], ()), {}
+    for name, strength in (("torsion-coupling", "coupling"), ("second-mode", "participation")):
+        part = Part(catalogue()[name].from_values({strength: 0.004, "frequency_hz": 26.0}))
+        named[name] = judge_directions([model], fit([model], (part,), null.values))
+    tilted = "range residual against deflection of a further mode"
+    assert named["torsion-coupling"][tilted] > 5.0
+    assert abs(named["second-mode"][tilted]) < 4.0
+
+
+@pytest.mark.slow
+def test_a_second_mode_in_noise_is_one_group_with_torsion_however_likely_either_is() -> None:
+    """At 10 dB nothing but the priors of their strengths ranks the two; the cameras see neither."""
+    hidden = Hidden({"second-mode": 0.0042}, extra={"second-mode.frequency_hz": 27.0, "loudness": 1.3})
+    (tables,) = fly([hidden], 10.0, 80)
+    model = model_of(tables, parse_airframe(airframe_text(noise_density(10.0)), "trial"))
+    found = diagnose([model], [catalogue()[name] for name in ("second-mode", "torsion-coupling")])
+    assert len(found.causes) == 1
+    names = {found.causes[0].part.effect.name, *found.causes[0].group}
+    assert names == {"second-mode", "torsion-coupling"}
+
+
+@pytest.mark.slow
+def test_ranges_that_spread_where_the_wing_is_fast_are_no_better_for_being_believed_coarse() -> None:
+    """Exposures that wander by 3 ms; the matching's own noise is free."""
+    model = flown(**{"exposure-jitter": 9e6})
+    found = judge_directions([model], fit([model], ()))
+    assert found["range residual growing with its rate"] > 5.0
+    assert abs(found["range residual growing with time"]) < 5.0
+
+
+@pytest.mark.slow
+def test_a_mount_that_rings_is_found_where_it_rings() -> None:
+    """At 17.8 Hz: seen from a stiff mount the likelihood rises no further than to the next of many small hills."""
+    model = flown(**{"mount-resonance": 8e-5})
+    null, kind = fit([model], ()), catalogue()["mount-resonance"]
+    led = mount_lead([model], null, Part(kind()))
+    assert led is not None
+    assert led.looks > 0.0
+    found = fit([model], (led,), null.values)
+    assert found.values[-1] == pytest.approx(8e-5, rel=0.02)
+    assert found.log_evidence > null.log_evidence + 50.0
+
+
+@pytest.mark.slow
+def test_a_name_that_comes_near_is_not_said_if_a_law_without_a_name_explains_more() -> None:
+    """Ranges that are wrong by a constant share are no focal length, which would stretch the bending, too."""
+    model = flown(**{"baseline-error": 0.12})
+    both = [catalogue()[name] for name in ("baseline-error", "focal-error")]
+    named = diagnose([model], both)
+    assert named.verdict is Verdict.EXPLAINED
+    assert [cause.part.effect.name for cause in named.causes] == ["baseline-error"]
+    without = diagnose([model], both[1:])
+    assert without.verdict is Verdict.UNEXPLAINED
+    assert without.nearest == "focal-error"
+    assert not without.causes

@@ -1,0 +1,87 @@
+"""Runs of a vibration test: modes from synthetic responses, and whether the runs can tell why a frequency changed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.diagnosis.modal_tests.run_comparison import as_json, compare, disagreement
+from companion.diagnosis.modal_tests.vibration import VibrationRun, mode_of, modes_of_runs, responses
+from companion.diagnosis.selection.verdict import Verdict
+from companion.records import Floats
+
+F_HZ: Floats = np.arange(5.0, 20.0, 1.0 / 60.0)
+NOISE = 0.05
+
+
+def run_of(seed: int, natural_hz: float, zeta: float = 0.008, **constants: float) -> VibrationRun:
+    """Two points on a wing with a mode at ``natural_hz`` and one that stays at 15 Hz."""
+    rng = np.random.default_rng(seed)
+    response = np.zeros((2, F_HZ.size), dtype=np.complex128)
+    for f_n, shape in ((natural_hz, (0.05, 0.03)), (15.0, (0.04, -0.02))):
+        flexibility = -(F_HZ**2) / (f_n**2 - F_HZ**2 + 2j * zeta * f_n * F_HZ)
+        response += np.array(shape)[:, None] * flexibility
+    response += NOISE / np.sqrt(2.0) * (rng.normal(size=response.shape) + 1j * rng.normal(size=response.shape))
+    return VibrationRun(str(seed), F_HZ, response, constants)
+
+
+def test_modes_come_back_with_honest_sigmas() -> None:
+    found = [mode_of(run_of(seed, 9.2), 9.3) for seed in range(25)]
+    off = np.array([(one.frequency_hz - 9.2) / one.frequency_sigma_hz for one in found])
+    assert 0.7 < off.std() < 1.4
+    assert abs(off.mean()) < 0.6
+    assert np.mean([one.damping for one in found]) == pytest.approx(0.008, rel=0.1)
+
+
+def test_responses_of_a_whole_record_are_the_ratio_of_its_transforms() -> None:
+    rng = np.random.default_rng(1)
+    force = rng.standard_normal(4000)
+    late = np.roll(force, 3)
+    f_hz, response = responses(force, np.stack([2.0 * force, late], 1), 200.0, (5.0, 50.0))
+    np.testing.assert_allclose(response[0], 2.0, atol=1e-9)
+    np.testing.assert_allclose(response[1], np.exp(-2j * np.pi * f_hz * 3 / 200.0), atol=1e-9)
+
+
+def judge(frequencies: list[float], positions: list[float]) -> tuple[Verdict, dict[str, object]]:
+    runs = [run_of(k + 1, f, position_m=x) for k, (f, x) in enumerate(zip(frequencies, positions, strict=True))]
+    found = compare(modes_of_runs(runs), [run.constants for run in runs])
+    return found.verdict, as_json(found, [run.name for run in runs], None)
+
+
+def test_equal_runs_are_adequate() -> None:
+    verdict, plain = judge([9.2] * 6, [0.0, 1.0, 2.0, 0.0, 1.0, 2.0])
+    assert verdict is Verdict.ADEQUATE
+    assert plain["causes"] == []
+
+
+def test_a_change_that_goes_hand_in_hand_with_run_order_has_no_identifiable_cause() -> None:
+    verdict, plain = judge([9.2, 9.2, 9.2, 9.3, 9.4, 9.5], [0.0, 1.0, 2.0, -1.0, -2.0, -3.0])
+    assert verdict is Verdict.NOT_IDENTIFIABLE
+    assert plain["causes"] == []
+    assert plain["confounded"] == ["run_order", "position_m"]
+    reason = str(plain["reason"])
+    assert "changed between runs 3 and 6 (9.20 -> 9.50 Hz)" in reason
+    assert "not identifiable: run order and position are confounded" in reason
+    assert any("measure once more with the position of run 1 after run 6" in line for line in plain["advice"])  # type: ignore[attr-defined]
+
+
+def test_the_same_change_is_explained_where_positions_came_back_with_their_frequency() -> None:
+    verdict, plain = judge([9.2, 9.3, 9.4, 9.2, 9.4, 9.3], [0.0, 1.0, 2.0, 0.0, 2.0, 1.0])
+    assert verdict is Verdict.EXPLAINED
+    (cause,) = plain["causes"]  # type: ignore[misc]
+    assert (cause["name"], cause["channel"]) == ("covariate-frequency", "position_m")
+
+
+def test_where_positions_came_back_and_the_frequency_did_not_nothing_is_named() -> None:
+    verdict, plain = judge([9.2, 9.2, 9.2, 9.3, 9.4, 9.5], [0.0, 1.0, 2.0, 0.0, 1.0, 2.0])
+    assert verdict is Verdict.UNEXPLAINED
+    assert plain["causes"] == []
+
+
+@pytest.mark.parametrize("count", [2, 5, 10])
+def test_disagreement_is_a_standard_normal_where_all_agree(count: int) -> None:
+    rng = np.random.default_rng(count)
+    sigma = rng.uniform(0.5, 2.0, count)
+    z = np.array([disagreement(sigma * rng.standard_normal(count), sigma) for _ in range(1000)])
+    assert abs(z.mean()) < 0.15
+    assert z.std() == pytest.approx(1.0, abs=0.1)

@@ -1,0 +1,141 @@
+"""The aircraft's own turning leaves nothing in what diagnosis takes for bending, and wrong scales what they must."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from companion.cli.diagnose_models import belief_for, top_of
+from companion.diagnosis.data.observations import Observations, RawRecording, RawStream, observe
+from companion.diagnosis.data.rigid_motion import upright
+from companion.diagnosis.model.flight_model import SuperModel
+from companion.params.airframe import Airframe, Uncertain
+from companion.params.files import load_airframe
+from companion.records import Floats, Side
+
+GRAVITY = 9.80665
+RATE_HZ = 1000.0
+T_S = np.arange(0.0, 30.0, 1.0 / RATE_HZ)
+INSIDE = slice(2000, -2000)
+
+
+@pytest.fixture(scope="module")
+def airframe() -> Airframe:
+    """One that load does not bend."""
+    loaded = load_airframe("nadir-2m")
+    assert loaded.root.lowpass_gyro_hz > 0.0, "the test wants gyros that are filtered"
+    stiff = dataclasses.replace(loaded.wing, bend_per_g_m=Uncertain(0.0, 0.0))
+    return dataclasses.replace(loaded, wing=stiff)
+
+
+@dataclasses.dataclass(frozen=True)
+class Wave:
+    """A sum of sines: (amplitude, Hz, phase)."""
+
+    parts: tuple[tuple[float, float, float], ...]
+
+    def seen_through(self, corner_hz: float) -> Floats:
+        """Steady response of a second-order Butterworth low-pass."""
+        total = np.zeros(len(T_S))
+        for amplitude, f_hz, phase in self.parts:
+            gain = 1.0 / (1.0 + math.sqrt(2.0) * 1j * f_hz / corner_hz - (f_hz / corner_hz) ** 2)
+            total += amplitude * np.imag(gain * np.exp(1j * (2.0 * math.pi * f_hz * T_S + phase)))
+        return total
+
+    def value(self) -> Floats:
+        return self._sum(lambda a, w, p: a * np.sin(w * T_S + p))
+
+    def rate(self) -> Floats:
+        return self._sum(lambda a, w, p: a * w * np.cos(w * T_S + p))
+
+    def _sum(self, of: Callable[[float, float, float], Floats]) -> Floats:
+        return np.sum([of(a, 2.0 * math.pi * f_hz, p) for a, f_hz, p in self.parts], axis=0)
+
+
+P = Wave(((0.8, 0.37, 0.2), (0.5, 1.4, 1.0)))
+Q = Wave(((0.3, 0.21, 0.5), (0.1, 1.1, 0.1)))
+R = Wave(((0.25, 0.3, 1.5),))
+HEAVE = Wave(((3.0, 0.4, 0.3), (1.0, 1.2, 2.0)))
+
+
+def recorded(
+    airframe: Airframe, heave_scale: float = 0.0, tip_scale: float = 0.0, late_s: tuple[float, float] = (0.0, 0.0)
+) -> Observations:
+    """A rigid aircraft in manoeuvres; its root's rates and forces come filtered."""
+    root, z = airframe.root, HEAVE.value() - GRAVITY
+    p, q, r = P.value(), Q.value(), R.value()
+    tips = {}
+    for side, sensor in ((Side.LEFT, airframe.left), (Side.RIGHT, airframe.right)):
+        x, y, down = np.subtract(sensor.position_m, root.position_m)
+        omega, turn = np.stack([p, q, r], 1), np.stack([P.rate(), Q.rate(), R.rate()], 1)
+        arm = np.broadcast_to([x, y, down], omega.shape)
+        felt = z + (np.cross(turn, arm) + np.cross(omega, np.cross(omega, arm)))[:, 2]
+        felt = np.interp(T_S - late_s[side], T_S, felt)
+        tips[side] = RawStream(T_S, (1.0 + (tip_scale if side is Side.LEFT else 0.0)) * felt)
+    shown = (1.0 + heave_scale) * (HEAVE.seen_through(root.lowpass_accel_hz) - GRAVITY)
+    rates = {
+        letter: (T_S, wave.seen_through(root.lowpass_gyro_hz)) for letter, wave in zip("pqr", (P, Q, R), strict=True)
+    }
+    return observe(RawRecording(tips, RawStream(T_S, shown), None, {}, rates), airframe, top_of(airframe))
+
+
+def within(seen: Observations, values: Floats) -> Floats:
+    ratio = seen.rate_hz / RATE_HZ
+    return values[round(INSIDE.start * ratio) : round(INSIDE.stop * ratio)]
+
+
+def test_a_rigid_aircraft_that_rolls_and_pulls_does_not_bend(airframe: Airframe) -> None:
+    seen = recorded(airframe)
+    assert seen.turning_mps2 is not None
+    assert within(seen, seen.turning_mps2).std(0).min() > 2.0, "there is much to take out"
+    assert np.abs(within(seen, seen.up_mps2 - seen.up_mps2.mean(0))).max() < 0.02
+
+
+def test_wrong_scales_leave_what_their_nuisances_take_out(airframe: Airframe) -> None:
+    seen = recorded(airframe, heave_scale=0.01, tip_scale=-0.006)
+    assert within(seen, seen.up_mps2).std(0)[0] > 0.03
+    model = SuperModel(belief_for(airframe, [seen]), seen, top_of(airframe))
+    keys = [entry.key for entry in model.belief.nuisances]
+    deviations = np.zeros(len(keys))
+    deviations[keys.index("root.scale")] = 0.01
+    deviations[keys.index("left.scale")] = -0.006
+    before, after = model.expect(np.zeros(len(keys))), model.expect(deviations)
+    power = [float(np.sum(np.abs(found.residual) ** 2)) for found in (before, after)]
+    assert power[1] < 0.01 * power[0]
+    assert np.abs(after.rest_residual).max() < 0.01 < np.abs(before.rest_residual).max()
+
+
+def test_a_window_keeps_its_share_of_the_turning(airframe: Airframe) -> None:
+    seen = recorded(airframe)
+    part = seen.window(10.0, 20.0)
+    assert part.turning_mps2 is not None
+    assert seen.turning_mps2 is not None
+    first = round(10.0 * seen.rate_hz)
+    np.testing.assert_array_equal(part.turning_mps2, seen.turning_mps2[first : first + len(part.up_mps2)])
+
+
+def test_a_tip_that_the_wing_turns_reads_what_it_would_upright() -> None:
+    turn = 0.02 + 0.08 * np.sin(2.0 * math.pi * 5.0 * T_S)
+    force_z = -GRAVITY + 14.0 * np.sin(2.0 * math.pi * 5.0 * T_S + 0.3)  # weightless ten times a second
+    force_y = 0.4 * np.sin(2.0 * math.pi * 0.3 * T_S)
+    shown_z = np.cos(turn) * force_z - np.sin(turn) * force_y
+    shown_y = np.sin(turn) * force_z + np.cos(turn) * force_y
+    assert np.abs(shown_z - force_z).max() > 0.05
+    assert np.abs(upright(shown_y, shown_z, force_y) - force_z).max() < 0.005
+
+
+@pytest.mark.parametrize("key", ["left.delay_s", "right.delay_s"])
+def test_a_late_tip_is_late_with_the_rigid_motion_too(airframe: Airframe, key: str) -> None:
+    late_s = {"left.delay_s": (0.01, 0.0), "right.delay_s": (0.0, 0.01)}[key]
+    seen = recorded(airframe, late_s=late_s)
+    model = SuperModel(belief_for(airframe, [seen]), seen, top_of(airframe))
+    keys = [entry.key for entry in model.belief.nuisances]
+    deviations = np.zeros(len(keys))
+    deviations[keys.index(key)] = 0.01
+    before, after = model.expect(np.zeros(len(keys))), model.expect(deviations)
+    power = [float(np.sum(np.abs(found.residual) ** 2)) for found in (before, after)]
+    assert power[1] < 0.01 * power[0]

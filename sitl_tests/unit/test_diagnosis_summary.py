@@ -1,0 +1,111 @@
+"""A diagnosis in words: what is wrong, what it is worth at 60 m, what to do next; from worked examples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.cli.page import page, table
+from companion.cli.plotting import with_gaps
+from companion.cli.report_html import _views
+from companion.cli.stations import StationAnalysis
+from companion.diagnosis.summary import words, worthwhile
+from companion.params.files import load_airframe
+from companion.records import Axis, ClockName, ImuBatch, Station
+
+CAUSE = {
+    "name": "stream-delay",
+    "channel": None,
+    "group": [],
+    "seen_in_samples": None,
+    "parameters": {"delay_s": {"value": 0.0052, "sigma": 0.0002, "unit": "s", "meaning": "how much later"}},
+    "advice": "strike the fuselage once",
+}
+
+
+def diagnosed(verdict: str, at_60_m: tuple[float, float] | None, **changes: Any) -> dict[str, Any]:
+    ranges = {} if at_60_m is None else {"60": {"before": at_60_m[0], "after": at_60_m[1], "unit": "m"}}
+    causes = [CAUSE] if verdict == "explained" else []
+    near = [CAUSE] if verdict == "unexplained" else []
+    return {
+        "verdict": verdict,
+        "causes": causes,
+        "nearest_causes": near,
+        "gain": {"range_rms_m": ranges} if verdict != "adequate" else None,
+        **changes,
+    }
+
+
+def test_a_cause_is_told_with_its_value_and_what_it_is_worth_in_metres() -> None:
+    told = words(diagnosed("explained", (1.82, 0.46)), [])
+    assert "stream-delay (how much later 0.0052 ± 0.0002 s)" in told["cause"]
+    assert told["worth"].startswith("Worth flying: 1.82 m rms become 0.46 m at 60 m")
+    assert "--apply" in told["next"]
+    assert "strike the fuselage once" in told["next"]
+
+
+@pytest.mark.parametrize("at_60_m", [(1.82, 1.80), (0.46, 0.43), (0.46, 0.50)])
+def test_what_betters_no_range_is_named_but_not_worth_flying(at_60_m: tuple[float, float]) -> None:
+    told = words(diagnosed("explained", at_60_m), [])
+    assert told["worth"].startswith("Named, but not worth flying")
+    assert "--apply" not in told["next"]
+
+
+def test_without_matches_nothing_is_said_in_metres() -> None:
+    plain = diagnosed("explained", None)
+    assert worthwhile(plain) is None
+    assert "cannot be told" in words(plain, [])["worth"]
+    assert " m rms" not in words(plain, [])["worth"]
+
+
+def test_an_adequate_recording_asks_for_nothing() -> None:
+    told = words(diagnosed("adequate", None), ["left 7.3 Hz, 4.0 m/s^2"])
+    assert told["next"] == "Fly on."
+    assert "7.3 Hz" not in told["cause"]
+
+
+def test_a_steady_tone_is_named_where_no_effect_explains_the_recording() -> None:
+    told = words(diagnosed("unexplained", None), ["left 7.306 Hz, 3.98 m/s^2"])
+    assert "left 7.306 Hz, 3.98 m/s^2" in told["cause"]
+    assert "propeller" in told["next"]
+    assert "no effect of the catalogue explains it" in told["cause"]
+
+
+def test_the_tones_of_stations_are_told_where_most_windows_have_one() -> None:
+    airframe = load_airframe("sitl-plane")
+    stations, rng = StationAnalysis(airframe), np.random.default_rng(1)
+    t_s = np.arange(0.0, 12.0, 0.003)
+    for station, amplitude in ((Station.ROOT, 0.0), (Station.LEFT, 4.0), (Station.RIGHT, 3.6)):
+        values = np.zeros((len(t_s), 6))
+        values[:, 2] = amplitude * np.sin(2 * np.pi * 7.3 * t_s) - 9.8 + rng.normal(0.0, 0.1, len(t_s))
+        t_ns = np.rint(1e9 * t_s).astype(np.int64)
+        for first in range(0, len(t_s), 400):
+            part = slice(first, first + 400)
+            stations.add(ImuBatch(station, ClockName.BOOT, t_ns[part], values[part], Axis.Z, int(t_ns[part][-1])))
+    told = stations.told()
+    assert [line.split()[0] for line in told] == ["left", "right"]
+    for line in told:
+        assert float(line.split()[1]) == pytest.approx(7.3, abs=0.01)
+
+
+def test_the_views_are_sorted_by_change_and_the_worst_left_is_marked() -> None:
+    views = [
+        {"view": "small", "before": 2.0, "after": 1.5},
+        {"view": "large", "before": 50.0, "after": 3.0},
+        {"view": "left over", "before": 9.0, "after": -8.0},
+    ]
+    rows = _views({"views": views})[1].split("<tr")[2:]
+    assert [name in row for row, name in zip(rows, ("large", "left over", "small"), strict=True)] == [True] * 3
+    assert ["worst" in row for row in rows] == [False, True, False]
+    assert "worst" not in table(["a"], [["b"]])
+    assert "tr.worst" in page("adequate", "fine", "", [])
+
+
+def test_a_gap_in_time_is_a_break_in_the_line() -> None:
+    t_s = np.array([0.0, 0.1, 0.2, 0.3, 2.0, 2.1, 2.2])
+    drawn_s, drawn = with_gaps(t_s, np.arange(7.0))
+    assert np.flatnonzero(np.isnan(drawn)).tolist() == np.flatnonzero(np.isnan(drawn_s)).tolist() == [4]
+    np.testing.assert_array_equal(drawn[~np.isnan(drawn)], np.arange(7.0))
+    assert not np.isnan(with_gaps(t_s[:4], np.arange(4.0))[1]).any()
