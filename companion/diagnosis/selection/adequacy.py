@@ -1,8 +1,8 @@
 """Does the model leave nothing but noise?
 
-Directions without a name are tested by efficient scores (:mod:`.lack_of_fit_tests`); what is no direction of the mean or
-the spectrum (outliers, unsteadiness, single lines, the size of range residuals) against recordings simulated from the
-model itself.
+Directions without a name are tested by efficient scores (:mod:`.lack_of_fit_tests`); what is no direction of the mean
+or the spectrum (outliers, unsteadiness, single lines, the size of range residuals) against recordings simulated from
+the model itself.
 """
 
 from __future__ import annotations
