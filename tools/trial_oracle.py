@@ -5,27 +5,27 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
-from companion.diagnosis.selection.cross_validation import held_out
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.selection.cross_validation import cross_validate
 from companion.diagnosis.selection.fit import Fit, fit
 from sitl_tests.trials.cases import SEEN, Hidden
 
 _FOLLOWS = {"airspeed-dependence": "airspeed_mps", "covariate-frequency": "roller_v"}
 
 
-def oracle_gain(model: SuperModel, null: Fit, label: Hidden) -> float | None:
+def oracle_gain(model: FlightModel, null: Fit, label: Hidden) -> float | None:
     """Held-out gain of the hidden effect, nats; None for several, for none, and for what samples themselves show."""
     if len(label.effects) != 1 or next(iter(label.effects)) in SEEN:
         return None
     try:
         refitted = fit([model], [true_part(label)], null.values)
-        return held_out([model], null, refitted).log_score["total"][0]
+        return cross_validate([model], null, refitted).log_score["total"][0]
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
 
 
-def true_part(label: Hidden) -> Part:
+def true_part(label: Hidden) -> EffectTerm:
     """The hidden effect as the catalogue has it, at what is known of its values."""
     ((name, size),) = label.effects.items()
     kind = catalogue()[name]
@@ -35,4 +35,4 @@ def true_part(label: Hidden) -> Part:
         values = {f"at{k + 1}_s": label.extra[f"{name}.at{k}_s"] for k in range(3)}
         values |= {f"symmetric{k + 1}_mps": size for k in range(3)}
     values |= {key: label.extra[f"{name}.{key}"] for key in names if f"{name}.{key}" in label.extra}
-    return Part(kind.from_values(values), _FOLLOWS.get(name, ""))
+    return EffectTerm(kind.from_values(values), _FOLLOWS.get(name, ""))

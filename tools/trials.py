@@ -29,9 +29,9 @@ import numpy as np
 from companion.cli.diagnose_models import belief_for
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import RawRanges, RawRecording, RawStream, observe
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.forward_selection import SAME
-from companion.diagnosis.selection.proposals import find_leads
+from companion.diagnosis.selection.proposals import find_proposals
 from companion.diagnosis.selection.screen import candidates_of, screen
 from companion.diagnosis.selection.search import diagnose
 from companion.diagnosis.selection.verdict import Diagnosis
@@ -99,24 +99,24 @@ def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]
     return {**row, "kind": trial.kind, "snr_db": trial.snr_db, "corner_hz": trial.corner_hz, "left_out": leave_out}
 
 
-def own_group(model: SuperModel, found: Diagnosis, label: Hidden) -> bool:
+def own_group(model: FlightModel, found: Diagnosis, label: Hidden) -> bool:
     """Whether this recording cannot tell what was hidden from a name that was given for it (scores that are one)."""
     names = {*label.effects, *(cause.part.effect.name for cause in found.causes)}
     kinds = [catalogue()[name] for name in sorted(names)]
-    offered = candidates_of(kinds, sorted(model.seen.covariates), find_leads([model], found.null))
+    offered = candidates_of(kinds, sorted(model.seen.covariates), find_proposals([model], found.null))
     screening = screen([model], found.null, offered)
     mine = [one.name in label.effects for one in screening.candidates]
     across = np.abs(screening.correlation[np.ix_(mine, np.logical_not(mine))])
     return bool(across.size and np.max(across) > SAME)
 
 
-def model_of(tables: Tables, airframe: Airframe) -> SuperModel:
+def model_of(tables: Tables, airframe: Airframe) -> FlightModel:
     """A trial's tables as the diagnosis sees a recording."""
     tips = {side: RawStream(tables.t_s, tables.force_z_mps2[:, side]) for side in Side}
     ranges = RawRanges(tables.range_t_s, tables.range_m, tables.reference_m)
     channels = {"roller_v": (tables.t_s, tables.roller), "airspeed_mps": (tables.t_s, tables.airspeed)}
     seen = observe(RawRecording(tips, None, ranges, channels), airframe, _TOP_HZ)
-    return SuperModel(belief_for(airframe, [seen]), seen, _TOP_HZ)
+    return FlightModel(belief_for(airframe, [seen]), seen, _TOP_HZ)
 
 
 def swings(tables: Tables) -> dict[str, float]:

@@ -21,7 +21,7 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.json_report import as_json, sentence
 from companion.diagnosis.selection.search import diagnose
 from companion.diagnosis.selection.verdict import Diagnosis, Verdict
-from companion.diagnosis.summary import words
+from companion.diagnosis.summary import summary_sentences
 from companion.params.files import dump_airframe
 
 _NOTHING = 3
@@ -73,7 +73,7 @@ def execute(options: argparse.Namespace) -> int:
     plain = as_json(found, models, options.recordings, bool(options.json or options.html))
     plain["notes"] = [*dict.fromkeys([note for one in timings for note in one.notes] + plain["notes"])]
     plain["tones"] = [tone for one in timings for tone in one.tones]
-    plain["words"] = words(plain, plain["tones"])
+    plain["words"] = summary_sentences(plain, plain["tones"])
     if options.json == "-":
         print(json.dumps(plain, indent=2, allow_nan=False))
     else:

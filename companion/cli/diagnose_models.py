@@ -10,7 +10,7 @@ from companion.adapters.recordings.mapping import TableMapping
 from companion.cli.evidence import load
 from companion.diagnosis.data.observations import Observations, observe
 from companion.diagnosis.model.belief import Belief, believe
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.params.airframe import Airframe
 
 _LOAD_VARIES = 0.02
@@ -18,7 +18,7 @@ _TOP = 8.0
 _LONGEST_S = 120.0
 
 
-def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping | None = None) -> list[SuperModel]:
+def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping | None = None) -> list[FlightModel]:
     """Read recordings and hold them against one belief.
 
     A recording longer than two minutes is cut into equal pieces that share everything, so that the time a diagnosis
@@ -32,7 +32,7 @@ def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping |
     top_hz = top_of(airframe)
     seen = [observe(load(path, airframe, mapping), airframe, top_hz) for path in paths]
     belief = belief_for(airframe, seen)
-    return [SuperModel(belief, piece, top_hz, k) for k, whole in enumerate(seen) for piece in _pieces(whole)]
+    return [FlightModel(belief, piece, top_hz, k) for k, whole in enumerate(seen) for piece in _pieces(whole)]
 
 
 def top_of(airframe: Airframe) -> float:

@@ -15,7 +15,7 @@ from companion.adapters.recordings.mapped import MappedTable, files_of, read_map
 from companion.adapters.recordings.mapping import TableMapping, TestKind
 from companion.cli.measured_pages import ringing_page, vibration_page
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
-from companion.diagnosis.free_decay.record import RawRinging, prepare
+from companion.diagnosis.free_decay.record import RawFreeDecay, prepare
 from companion.diagnosis.free_decay.search import search
 from companion.diagnosis.modal_tests.run_comparison import as_json as comparison_json
 from companion.diagnosis.modal_tests.run_comparison import compare
@@ -70,12 +70,12 @@ def _ringing(
     return plain, lambda: ringing_page(found, scales, plain, mapping.description)
 
 
-def _raw_ringing(table: MappedTable) -> RawRinging:
+def _raw_ringing(table: MappedTable) -> RawFreeDecay:
     tips = [table.channels[name] for name in _TIPS if name in table.channels]
     if not tips:
         raise RecordingError(f"{table.path}: the mapping gives no {' or '.join(_TIPS)}: nothing to follow")
     others = {name: values for name, values in table.channels.items() if name not in _TIPS}
-    return RawRinging(_name(table), table.t_s, -np.mean(tips, axis=0), others)
+    return RawFreeDecay(_name(table), table.t_s, -np.mean(tips, axis=0), others)
 
 
 def _vibration(

@@ -9,9 +9,9 @@ import numpy as np
 
 from companion.cli import page
 from companion.diagnosis.free_decay.adequacy import autocorrelation, whitened
-from companion.diagnosis.free_decay.fit import RingingFit
+from companion.diagnosis.free_decay.fit import FreeDecayFit
 from companion.diagnosis.free_decay.record import Scale
-from companion.diagnosis.free_decay.search import RingingDiagnosis
+from companion.diagnosis.free_decay.search import FreeDecayDiagnosis
 from companion.diagnosis.free_decay.views import backbone, restoring_force
 from companion.diagnosis.modal_tests.run_comparison import Comparison
 from companion.diagnosis.modal_tests.vibration import VibrationRun
@@ -19,7 +19,7 @@ from companion.diagnosis.modal_tests.vibration import VibrationRun
 _TWO_PI = 2.0 * np.pi
 
 
-def ringing_page(found: RingingDiagnosis, scales: Mapping[str, Scale], plain: dict[str, Any], what: str) -> str:
+def ringing_page(found: FreeDecayDiagnosis, scales: Mapping[str, Scale], plain: dict[str, Any], what: str) -> str:
     """The page of recordings in which a structure rang."""
     body = [
         *_causes(plain),
@@ -116,7 +116,7 @@ def _figure(width: float, height: float) -> Any:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _tracks(found: RingingDiagnosis) -> Any:
+def _tracks(found: FreeDecayDiagnosis) -> Any:
     recordings = found.final.model.recordings
     columns = min(len(recordings), 3)
     rows = -(-len(recordings) // columns)
@@ -134,7 +134,7 @@ def _tracks(found: RingingDiagnosis) -> Any:
     return figure
 
 
-def _against_channel(found: RingingDiagnosis, name: str, scale: Scale) -> Any:
+def _against_channel(found: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
     figure = _figure(11, 3.6)
     frequency, damping = figure.subplots(1, 2)
     model = found.final.model
@@ -158,7 +158,7 @@ def _against_channel(found: RingingDiagnosis, name: str, scale: Scale) -> Any:
     return figure
 
 
-def _backbones(found: RingingDiagnosis) -> Any:
+def _backbones(found: FreeDecayDiagnosis) -> Any:
     figure = _figure(11, 3.2)
     frequency, damping = figure.subplots(1, 2)
     for one in found.final.model.recordings:
@@ -174,11 +174,11 @@ def _backbones(found: RingingDiagnosis) -> Any:
     return figure
 
 
-def _innovations(found: RingingDiagnosis) -> Any:
+def _innovations(found: FreeDecayDiagnosis) -> Any:
     figure = _figure(11, 3.0)
     whole, lags = figure.subplots(1, 2, width_ratios=(1.6, 1))
     recordings = found.final.model.recordings
-    stages: list[tuple[RingingFit, str, str]] = [(found.null, page.BEFORE, "constant frequency")]
+    stages: list[tuple[FreeDecayFit, str, str]] = [(found.null, page.BEFORE, "constant frequency")]
     stages += [(found.final, page.AFTER, "extended")] if found.accepted else []
     for fitted, colour, label in stages:
         white = whitened(fitted)
@@ -193,7 +193,7 @@ def _innovations(found: RingingDiagnosis) -> Any:
     return figure
 
 
-def _forces(found: RingingDiagnosis) -> Any:
+def _forces(found: FreeDecayDiagnosis) -> Any:
     figure = _figure(11, 3.8)
     axes = figure.subplots(1, 2)
     image = None

@@ -10,7 +10,7 @@ import numpy as np
 from companion.cli.page import AFTER, BEFORE, DATA
 from companion.cli.plotting import INK, VERMILLION, dots
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.verdict import Diagnosis
 from companion.diagnosis.views import autocorrelation, backbone, force_map
 from companion.records import Floats
@@ -31,7 +31,7 @@ def fits_of(found: Diagnosis) -> list[tuple[Expectation, str, str]]:
     return fits
 
 
-def spectra(fits: Fits, model: SuperModel) -> Any:
+def spectra(fits: Fits, model: FlightModel) -> Any:
     """Each tip's spectrum, and the phase of right against left."""
     sides = model.seen.sides
     figure, axes = _figure(3.5, len(sides) + (1 if len(sides) == 2 else 0))
@@ -53,7 +53,7 @@ def spectra(fits: Fits, model: SuperModel) -> Any:
     return figure
 
 
-def innovations(fits: Fits, model: SuperModel) -> Any:
+def innovations(fits: Fits, model: FlightModel) -> Any:
     """Autocorrelation of what is left, the symmetric mode by amplitude, and the force that is missing."""
     figure, axes = _figure(3.3, 4)
     for fitted, colour, label in fits:
@@ -76,7 +76,7 @@ def innovations(fits: Fits, model: SuperModel) -> Any:
     return figure
 
 
-def ranges(fits: Fits, model: SuperModel) -> Any:
+def ranges(fits: Fits, model: FlightModel) -> Any:
     """The range residual as toe, over time and against what it might follow."""
     toe = model.seen.toe
     assert toe is not None

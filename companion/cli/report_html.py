@@ -10,14 +10,14 @@ from typing import Any
 from companion.cli import report_figures as figures
 from companion.cli.page import advice, heading, page, paragraph, picture, table, told
 from companion.diagnosis.json_report import sentence
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.verdict import Diagnosis, Verdict
 
 _CHECKS = 12
 _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}
 
 
-def write_report(found: Diagnosis, models: Sequence[SuperModel], plain: dict[str, Any], path: Path) -> None:
+def write_report(found: Diagnosis, models: Sequence[FlightModel], plain: dict[str, Any], path: Path) -> None:
     """Write the page."""
     fits, model = figures.fits_of(found), models[0]
     body = [
@@ -40,7 +40,7 @@ def write_report(found: Diagnosis, models: Sequence[SuperModel], plain: dict[str
     path.write_text(page(str(found.verdict), sentence(found), _what(plain, models), body), encoding="utf-8")
 
 
-def _what(plain: dict[str, Any], models: Sequence[SuperModel]) -> str:
+def _what(plain: dict[str, Any], models: Sequence[FlightModel]) -> str:
     seconds = sum(model.seen.duration_s for model in models)
     return (
         f"{', '.join(plain['recordings'])}: {seconds:.0f} s judged, against the believed airframe {plain['airframe']}"

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from companion.diagnosis.model.flight_model import SuperModel
-from companion.diagnosis.selection.cross_validation import HeldOut
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.selection.cross_validation import CrossValidation
 from companion.diagnosis.selection.verdict import Cause, Diagnosis, Verdict
 from companion.diagnosis.views import strengths
 
@@ -17,7 +17,7 @@ _SHOWN_CHECKS = 12
 
 
 def as_json(
-    found: Diagnosis, models: Sequence[SuperModel], recordings: Sequence[str], with_views: bool = False
+    found: Diagnosis, models: Sequence[FlightModel], recordings: Sequence[str], with_views: bool = False
 ) -> dict[str, Any]:
     """Everything that a program would read; numbers in SI, None where there is nothing to say.
 
@@ -49,7 +49,7 @@ def as_json(
     }
 
 
-def _views(found: Diagnosis, model: SuperModel) -> list[dict[str, Any]]:
+def _views(found: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
     """Statistics of the views of the first recording: those simulated, and those of its ranges from the adequacy."""
     count = len(model.belief.nuisances)
     before = strengths(model, found.null.found[0], found.null.values[:count], found.null.parts)
@@ -106,7 +106,7 @@ def _cause(cause: Cause, gain: dict[str, Any] | None) -> dict[str, Any]:
     }
 
 
-def _gain(gain: HeldOut | None) -> dict[str, Any] | None:
+def _gain(gain: CrossValidation | None) -> dict[str, Any] | None:
     """Held-out gain of all causes together; ``total`` in nats, ranges in metres."""
     if gain is None:
         return None
@@ -147,7 +147,7 @@ def _residual(found: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _nuisances(found: Diagnosis, model: SuperModel) -> list[dict[str, Any]]:
+def _nuisances(found: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
     """What the fit made of the airframe's own parameters."""
     rows = []
     for i, entry in enumerate(model.belief.nuisances):

@@ -73,7 +73,7 @@ def inverse(a: Complexes) -> Complexes:
     return found
 
 
-def triangle(a: Complexes) -> Complexes:
+def cholesky(a: Complexes) -> Complexes:
     """Lower triangular L with L L^H = a, for Hermitian positive ``a`` (n, n, f)."""
     found = np.zeros_like(a)
     for j in range(len(a)):
@@ -96,6 +96,6 @@ def log_determinant(a: Complexes) -> Floats:
     return np.asarray(np.linalg.slogdet(np.moveaxis(a, -1, 0))[1])
 
 
-def weighed_square(a: Complexes, vector: Complexes) -> float:
+def quadratic_form(a: Complexes, vector: Complexes) -> float:
     """Sum over frequencies of vector^H a vector, for Hermitian ``a``."""
     return float(np.sum((vector.conj() * apply(a, vector)).real))

@@ -9,7 +9,7 @@ _LEAST_SHARE = 0.05  # of the range error: less is not worth a flight
 _LEAST_M = 0.05
 
 
-def words(plain: dict[str, Any], tones: list[str]) -> dict[str, str]:
+def summary_sentences(plain: dict[str, Any], tones: list[str]) -> dict[str, str]:
     """``cause``, ``worth`` and ``next`` of a diagnosis as plain data (:func:`companion.diagnosis.json_report.as_json`).
 
     ``tones`` are sentences of the steady tones that single stations show.

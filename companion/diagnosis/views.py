@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
@@ -63,7 +63,7 @@ class Backbone:
     work_sigma: Floats
 
 
-def autocorrelation(model: SuperModel, found: Expectation) -> Autocorrelation:
+def autocorrelation(model: FlightModel, found: Expectation) -> Autocorrelation:
     """Of what the model leaves of each accelerometer; white where nothing is left."""
     white = apply(adjoint(found.motion.whitener), found.residual)
     lag_s = np.linspace(0.0, _LAGS_S, 201)[1:]
@@ -75,7 +75,7 @@ def autocorrelation(model: SuperModel, found: Expectation) -> Autocorrelation:
     return Autocorrelation(lag_s, np.asarray(values - window), bound)
 
 
-def force_map(model: SuperModel, found: Expectation) -> ForceMap:
+def force_map(model: FlightModel, found: Expectation) -> ForceMap:
     """Where in deflection and speed a force is missing."""
     force = _force(model, found)
     q, v = found.q_m[0] / np.std(found.q_m[0]), found.qdot_mps[0] / np.std(found.qdot_mps[0])
@@ -85,7 +85,7 @@ def force_map(model: SuperModel, found: Expectation) -> ForceMap:
     return ForceMap(edges, np.where(count >= _FEWEST, total / np.maximum(count, 1), np.nan))
 
 
-def backbone(model: SuperModel, found: Expectation, bins: int = 8) -> Backbone:
+def backbone(model: FlightModel, found: Expectation, bins: int = 8) -> Backbone:
     """How the symmetric mode's frequency and damping go with its amplitude."""
     wing = model.belief.airframe.wing.symmetric
     omega = 2.0 * np.pi * wing.frequency_hz.value
@@ -109,7 +109,7 @@ def backbone(model: SuperModel, found: Expectation, bins: int = 8) -> Backbone:
     return Backbone(*np.array(rows).T)
 
 
-def strengths(model: SuperModel, found: Expectation, values: Floats, parts: Sequence[Part]) -> dict[str, float]:
+def strengths(model: FlightModel, found: Expectation, values: Floats, parts: Sequence[EffectTerm]) -> dict[str, float]:
     """By view: standard deviations of its statistic from the mean of simulated recordings of the same model.
 
     ``values`` and ``parts`` are the fit's own, of which ``found`` is what it makes of the recording.
@@ -120,14 +120,14 @@ def strengths(model: SuperModel, found: Expectation, values: Floats, parts: Sequ
     for _ in range(_DRAWS):
         up = np.ascontiguousarray(model.draw(found, rng).T)
         seen = dataclasses.replace(model.seen, up_mps2=up, fine_mps2=None, toe=None, inputs={})
-        twin = SuperModel(model.belief, seen, model.top_hz, model.recording)
+        twin = FlightModel(model.belief, seen, model.top_hz, model.recording)
         drawn.append(_statistics(twin, twin.expect(values[:count], parts)))
     real = _statistics(model, found)
     table = {name: np.array([one[name] for one in drawn]) for name in real}
     return {name: float((real[name] - table[name].mean()) / max(table[name].std(), 1e-300)) for name in real}
 
 
-def _statistics(model: SuperModel, found: Expectation) -> dict[str, float]:
+def _statistics(model: FlightModel, found: Expectation) -> dict[str, float]:
     """One number for each view, larger the less it looks as it should; logarithms, which scatter more evenly."""
     spine, force = backbone(model, found), force_map(model, found).force
     known = {
@@ -143,7 +143,7 @@ def _statistics(model: SuperModel, found: Expectation) -> dict[str, float]:
     return {name: float(np.log(max(value, 1e-300))) for name, value in known.items()}
 
 
-def _force(model: SuperModel, found: Expectation) -> Floats:
+def _force(model: FlightModel, found: Expectation) -> Floats:
     """Residual force on the symmetric mode in units of its own rms."""
-    score = model.residual_force(found)[0]
+    score = model.force_score(found)[0]
     return np.asarray(score / max(float(np.std(score)), 1e-300))

@@ -14,8 +14,8 @@ from companion.core.wing.folding import folded
 from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import RawRecording, RawStream, observe
 from companion.diagnosis.model.belief import believe
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.records import Side, Station
@@ -84,7 +84,7 @@ def test_every_effect_survives_its_file_and_is_in_force_for_all(name: str) -> No
     assert again == extended
     assert WingModel.from_airframe(again).effects == (make_effect(entry),)
     believed = believe(again, (Side.LEFT, Side.RIGHT), False, False)
-    assert believed.parts == (Part(make_effect(entry), entry.channel),)
+    assert believed.parts == (EffectTerm(make_effect(entry), entry.channel),)
     value = folded(again)
     assert value.effects == again.effects or (not value.effects and value != AIRFRAME)
 
@@ -104,7 +104,7 @@ def test_an_effect_in_force_follows_its_channel_in_the_units_it_was_found_in() -
     def likelihood(effect: NamedEffect | None) -> float:
         airframe = dataclasses.replace(AIRFRAME, effects=(effect,) if effect else ())
         seen = observe(raw, airframe, 40.0)
-        model = SuperModel(believe(airframe, seen.sides, False, False), seen, 40.0)
+        model = FlightModel(believe(airframe, seen.sides, False, False), seen, 40.0)
         if effect and effect.channel:
             assert model.seen.covariates["airspeed_mps"].mean() == pytest.approx(-1.0, abs=0.2)
         return model.log_likelihood(model.expect(np.zeros(len(model.belief.nuisances))))

@@ -9,17 +9,17 @@ import pytest
 
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import Observations
-from companion.diagnosis.data.sample_defects import bridged, find_in_samples
+from companion.diagnosis.data.sample_defects import find_sample_defects, interpolate_clipped
 from companion.diagnosis.model.belief import believe
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.generic_effects import laws
 from companion.diagnosis.selection.adequacy import check
 from companion.diagnosis.selection.fit import fit
 from companion.diagnosis.selection.initial_values import begin
-from companion.diagnosis.selection.lack_of_fit_tests import judge_directions
+from companion.diagnosis.selection.lack_of_fit_tests import lack_of_fit_tests
 from companion.diagnosis.selection.screen import candidates_of, screen
-from companion.diagnosis.selection.simulated_scores import bends_samples, scatter
+from companion.diagnosis.selection.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.params.files import load_airframe, parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text
@@ -29,13 +29,13 @@ SIDES = (Side.LEFT, Side.RIGHT)
 AIRFRAME = parse_airframe(airframe_text(0.15), "trial")
 
 
-def model_of(up_mps2: Floats, airframe: object = AIRFRAME) -> SuperModel:
+def model_of(up_mps2: Floats, airframe: object = AIRFRAME) -> FlightModel:
     count = len(up_mps2)
     seen = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
-    return SuperModel(believe(airframe, SIDES, False, False), seen, TOP_HZ)  # type: ignore[arg-type]
+    return FlightModel(believe(airframe, SIDES, False, False), seen, TOP_HZ)  # type: ignore[arg-type]
 
 
-def drawn(seed: int, times: Floats | float = 1.0, count: int = COUNT) -> SuperModel:
+def drawn(seed: int, times: Floats | float = 1.0, count: int = COUNT) -> FlightModel:
     """A recording as the belief makes it by chance, each sample ``times`` as large."""
     rng = np.random.default_rng(seed)
     empty = model_of(rng.standard_normal((count, 2)))
@@ -58,7 +58,7 @@ def test_a_swelling_reading_scatters_by_the_root_of_two(name: str) -> None:
     law = next(effect for title, effect in laws() if title == f"sensors with acceleration, {name}")
     unit = dataclasses.replace(law, strength=1e-3)  # type: ignore[call-arg]
     # 40 draws tell a standard deviation to 11 %
-    assert scatter([model], found.found, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
+    assert score_scatter([model], found.found, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
 
 
 @pytest.mark.slow
@@ -67,7 +67,7 @@ def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chan
     strengths = {name: [] for name in names}  # type: ignore[var-annotated]
     for seed in range(8):
         model = drawn(10 + seed)
-        found = screen([model], fit([model], ()), [Part(catalogue()[name]()) for name in names])
+        found = screen([model], fit([model], ()), [EffectTerm(catalogue()[name]()) for name in names])
         for one in found.candidates:
             strengths[one.name].append(one.z)
     for name, z in strengths.items():
@@ -84,7 +84,7 @@ def test_a_late_stream_is_screened_from_its_own_side(late: Side) -> None:
     turned = np.fft.rfft(up[:, late]) * np.exp(-2j * np.pi * np.fft.rfftfreq(len(up), 1.0 / RATE_HZ) * delay_s)
     up[:, late] = np.fft.irfft(turned, len(up))
     shown = model_of(up)
-    part = Part(catalogue()["stream-delay"]())
+    part = EffectTerm(catalogue()["stream-delay"]())
     assert len(candidates_of([type(part.effect)], ())) == 1
     found = screen([shown], fit([shown], ()), [part]).candidates
     assert len(found) == 1
@@ -104,7 +104,7 @@ def test_a_clock_that_runs_away_is_told_with_its_sigma() -> None:
     up += 0.5 * rng.standard_normal(up.shape)
     model = model_of(up)
     kind = catalogue()["clock-skew"]
-    found = fit([model], [Part(kind())], fit([model], ()).values)
+    found = fit([model], [EffectTerm(kind())], fit([model], ()).values)
     value, sigma = float(found.values[-1]), float(np.sqrt(found.covariance[-1, -1]))
     assert value > 3.0 * sigma
     assert abs(value - skew) < 3.0 * sigma
@@ -119,8 +119,8 @@ def test_a_clock_that_was_named_leaves_no_warp_and_no_crooked_sensor() -> None:
     fine = np.fft.irfft(np.fft.rfft(up[:, 1]), 32 * COUNT) * 32.0
     up[:, 1] = np.interp(t_s - skew / 60.0 * t_s, np.arange(32 * COUNT) / (32 * RATE_HZ), fine)
     model = model_of(up)
-    part = Part(catalogue()["clock-skew"].from_values({"skew_s_per_min": skew}))
-    found = judge_directions([model], fit([model], [part], fit([model], ()).values))
+    part = EffectTerm(catalogue()["clock-skew"].from_values({"skew_s_per_min": skew}))
+    found = lack_of_fit_tests([model], fit([model], [part], fit([model], ()).values))
     for name in ("right side ever later", "all sensors together"):
         assert abs(found[name]) < 4.2
 
@@ -163,11 +163,11 @@ def test_a_range_that_is_cut_on_one_side_of_gravity_is_bridged_there(low: float)
     whole = -9.8 + 12.0 * np.sin(2 * np.pi * 5.0 * t_s) + 1e-3 * np.sin(2 * np.pi * 0.61 * t_s)
     cut = np.clip(whole, low, 1.7)
     sensor = load_airframe("nadir-2m").left
-    mended = bridged(t_s, cut, find_in_samples(t_s, cut, sensor))
+    mended = interpolate_clipped(t_s, cut, find_sample_defects(t_s, cut, sensor))
     assert np.abs(mended - whole).max() < 0.2 * np.abs(cut - whole).max()
 
 
 def test_only_effects_of_the_samples_are_simulated() -> None:
-    assert bends_samples(catalogue()["accel-cubic"]())
-    assert not bends_samples(catalogue()["accel-scale"]())
-    assert not bends_samples(catalogue()["cubic-stiffness"]())
+    assert is_sample_nonlinearity(catalogue()["accel-cubic"]())
+    assert not is_sample_nonlinearity(catalogue()["accel-scale"]())
+    assert not is_sample_nonlinearity(catalogue()["cubic-stiffness"]())

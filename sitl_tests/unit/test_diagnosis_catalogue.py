@@ -10,10 +10,10 @@ from companion.core.wing.effects import catalogue
 from companion.core.wing.model import WingModel
 from companion.core.wing.structure import structure_of
 from companion.diagnosis.data.observations import Observations
-from companion.diagnosis.data.sample_defects import bridged, find_in_samples
+from companion.diagnosis.data.sample_defects import find_sample_defects, interpolate_clipped
 from companion.diagnosis.data.transforms import Transforms, fast_length
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.nonlinear_correction import Straightener
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.params.files import load_airframe
 from companion.records import Floats, Side, Station
 from companion.sim.wing import WingStepper
@@ -157,12 +157,14 @@ def test_the_linear_part_of_a_cubic_spring_is_its_mean_slope(model: WingModel, c
     speed = rng.permuted(q, axis=1)
     seen = Observations(100.0, (Side.LEFT,), np.zeros((m, 1)), np.zeros(1), False, np.ones(m), {}, None)
     transforms = Transforms(m, 0.01, 0.0)
-    push = Straightener(seen, transforms).push(model, (Part(made("cubic-stiffness", kappa_per_m2=2000.0)),), q, speed)
+    push = SensorLineariser(seen, transforms).push(
+        model, (EffectTerm(made("cubic-stiffness", kappa_per_m2=2000.0)),), q, speed
+    )
     stiffness = structure_of(AIRFRAME.wing).stiffness_radps2[0, 0]
     variance = np.sum(transforms.taper**2 * q[0] ** 2) / np.sum(transforms.taper**2)
     assert push.per_q[0, 0] == pytest.approx(-3.0 * 2000.0 * stiffness * variance, rel=0.01)
     # nothing of the force is lost
-    force = (push.per_q @ q + push.per_qdot @ speed + push.rest_mps2)[0]
+    force = (push.per_q @ q + push.per_qdot @ speed + push.residual_mps2)[0]
     assert force == pytest.approx(-2000.0 * stiffness * q[0] ** 3, abs=1e-9 * np.abs(force).max())
 
 
@@ -174,7 +176,7 @@ def test_a_bent_characteristic_is_undone(kappa: float) -> None:
     up -= up.mean()
     bent = up + kappa * up**3
     seen = Observations(1000.0, (Side.LEFT,), (bent - bent.mean())[:, None], np.zeros(1), False, np.ones(m), {}, None)
-    straight, scale = Straightener(seen, Transforms(m, 0.001, 0.0)).straight_mps2(
+    straight, scale = SensorLineariser(seen, Transforms(m, 0.001, 0.0)).corrected_mps2(
         [made("accel-cubic", kappa_s4pm2=kappa)]
     )
     assert straight[0] / scale[0] == pytest.approx(up, abs=0.02)
@@ -191,10 +193,10 @@ def test_how_much_a_gaussian_was_bent_is_told_without_bias(kappa: float) -> None
     up = 10.0 * rng.standard_normal(m)
     bent = up + kappa * up**3
     seen = Observations(1000.0, (Side.LEFT,), bent[:, None], np.zeros(1), False, np.ones(m), {}, None)
-    straightener = Straightener(seen, Transforms(m, 0.001, 0.0))
+    lineariser = SensorLineariser(seen, Transforms(m, 0.001, 0.0))
 
     def log_likelihood(share: float) -> float:
-        straight, scale = straightener.straight_mps2([made("accel-cubic", kappa_s4pm2=share * kappa)])
+        straight, scale = lineariser.corrected_mps2([made("accel-cubic", kappa_s4pm2=share * kappa)])
         return -m * float(np.log(np.std(straight[0] / scale[0])) + np.log(scale[0]))
 
     shares = np.linspace(0.6, 1.3, 15)
@@ -211,7 +213,7 @@ def test_laws_of_a_sensor_are_undone_one_after_the_other() -> None:
     both = once + 1e-4 * once**3
     seen = Observations(1000.0, (Side.LEFT,), both[:, None], np.zeros(1), False, np.ones(m), {}, None)
     laws = [made("accel-cubic", kappa_s4pm2=kappa) for kappa in (2e-4, 1e-4)]
-    straight, scale = Straightener(seen, Transforms(m, 0.001, 0.0)).straight_mps2(laws)
+    straight, scale = SensorLineariser(seen, Transforms(m, 0.001, 0.0)).corrected_mps2(laws)
     assert straight[0] / scale[0] == pytest.approx(up, abs=1e-6)
 
 
@@ -219,17 +221,17 @@ def test_samples_show_their_faults_and_nothing_else() -> None:
     rng, sensor = np.random.default_rng(1), AIRFRAME.left
     good = -9.8 + np.round(rng.standard_normal(20000), 5)
     t_s = np.arange(20000) / 1000.0 + 5e-5 * rng.standard_normal(20000)
-    assert find_in_samples(t_s, good, sensor) == []
-    assert [entry.name for entry in find_in_samples(t_s, np.clip(good, -11.5, 11.5), sensor)] == ["saturation"]
-    assert [entry.name for entry in find_in_samples(t_s, np.round(good / 0.5) * 0.5, sensor)] == ["quantisation"]
+    assert find_sample_defects(t_s, good, sensor) == []
+    assert [entry.name for entry in find_sample_defects(t_s, np.clip(good, -11.5, 11.5), sensor)] == ["saturation"]
+    assert [entry.name for entry in find_sample_defects(t_s, np.round(good / 0.5) * 0.5, sensor)] == ["quantisation"]
     lost = rng.uniform(size=20000) < 0.02
-    assert [entry.name for entry in find_in_samples(t_s[~lost], good[~lost], sensor)] == ["dropout-jitter"]
+    assert [entry.name for entry in find_sample_defects(t_s[~lost], good[~lost], sensor)] == ["dropout-jitter"]
 
 
 def test_cut_peaks_are_bridged() -> None:
     whole = 12.0 * np.sin(2 * np.pi * 5.0 * T_S)
     cut = np.clip(whole, -11.5, 11.5)
-    mended = bridged(T_S, cut, find_in_samples(T_S, cut, AIRFRAME.left))
+    mended = interpolate_clipped(T_S, cut, find_sample_defects(T_S, cut, AIRFRAME.left))
     assert np.abs(mended - whole).max() < 0.05 < np.abs(cut - whole).max()
 
 

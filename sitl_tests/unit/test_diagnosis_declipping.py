@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from companion.diagnosis.data.declipping import restored
+from companion.diagnosis.data.declipping import impute_clipped
 from companion.diagnosis.data.observations import RawRecording, RawStream, observe
-from companion.diagnosis.data.sample_defects import bridged, find_in_samples
+from companion.diagnosis.data.sample_defects import find_sample_defects, interpolate_clipped
 from companion.params.files import load_airframe
 from companion.records import Floats, Side
 
@@ -41,7 +41,7 @@ def spectra(values: Floats, low_hz: float, top_hz: float) -> tuple[float, comple
 
 def spline(cut: Floats) -> Floats:
     t_s, sensor = np.arange(COUNT) / RATE_HZ, load_airframe("nadir-2m").left
-    return np.stack([cut[0], bridged(t_s, cut[1], find_in_samples(t_s, cut[1], sensor))])
+    return np.stack([cut[0], interpolate_clipped(t_s, cut[1], find_sample_defects(t_s, cut[1], sensor))])
 
 
 @pytest.mark.slow
@@ -49,7 +49,7 @@ def spline(cut: Floats) -> Floats:
 def test_power_and_coherence_are_those_of_the_uncut_recording(seed: int) -> None:
     whole, cut = wing(seed)
     guessed = spline(cut)
-    mended = restored(cut, (cut < whole).astype(float), guessed)
+    mended = impute_clipped(cut, (cut < whole).astype(float), guessed)
     for low_hz, top_hz in ((4.0, 5.6), (5.6, 7.5), (7.5, 30.0), (30.0, 200.0)):
         (true, shared), (found, kept) = spectra(whole, low_hz, top_hz), spectra(mended, low_hz, top_hz)
         assert found == pytest.approx(true, rel=0.1)
@@ -62,7 +62,7 @@ def test_what_was_recorded_stays_and_what_was_cut_lies_beyond() -> None:
     whole, cut = wing(3)
     cut[0] = np.clip(cut[0], -LIMIT, LIMIT)
     side = np.sign(whole - cut)
-    mended = restored(cut, side, cut)
+    mended = impute_clipped(cut, side, cut)
     assert np.array_equal(mended[side == 0.0], whole[side == 0.0])
     assert (side * (mended - cut) >= 0.0).all()
     assert np.isfinite(mended).all()
@@ -81,7 +81,7 @@ def test_a_recording_is_restored_on_its_way_to_the_grid() -> None:
         )
         for values in (whole, cut)
     )
-    assert [entry.name for entry in short.in_samples] == ["saturation"]
+    assert [entry.name for entry in short.sample_defects] == ["saturation"]
     assert np.std(short.up_mps2[:, 1]) == pytest.approx(np.std(plain.up_mps2[:, 1]), rel=0.03)
     assert np.std(short.up_mps2[:, 1] - plain.up_mps2[:, 1]) < 0.25 * np.std(plain.up_mps2[:, 1])
     assert np.array_equal(short.up_mps2[:, 0], plain.up_mps2[:, 0])

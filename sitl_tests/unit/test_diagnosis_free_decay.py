@@ -12,7 +12,7 @@ from companion.diagnosis.free_decay import kalman
 from companion.diagnosis.free_decay.adequacy import Whitened, judged
 from companion.diagnosis.free_decay.json_report import as_json
 from companion.diagnosis.free_decay.kalman import Modes, run
-from companion.diagnosis.free_decay.record import RawRinging, Ringing, prepare
+from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
 from companion.diagnosis.free_decay.search import search
 from companion.diagnosis.free_decay.views import backbone
 from companion.errors import RecordingError
@@ -24,7 +24,7 @@ BAND_HZ = (4.0, 14.0)
 BELIEF = (Uncertain(9.0, 2.0), Uncertain(0.02, 0.02))
 
 
-def rung(seed: int, frequency_hz: Floats, zeta: float, channel: Floats, second_hz: float = 0.0) -> RawRinging:
+def rung(seed: int, frequency_hz: Floats, zeta: float, channel: Floats, second_hz: float = 0.0) -> RawFreeDecay:
     """A mode of any frequency over time, knocked by bursts of noise; exact steps of 1/1500 s."""
     rng = np.random.default_rng(seed)
     count = len(frequency_hz)
@@ -35,7 +35,7 @@ def rung(seed: int, frequency_hz: Floats, zeta: float, channel: Floats, second_h
     if second_hz:
         up += 0.5 * _swing(np.full(count, 2.0 * np.pi * second_hz), zeta, load)
     t_s = np.arange(count) / RATE_HZ
-    return RawRinging(f"run{seed}", t_s, up + rng.normal(0.0, 0.02, count), {"stand_m": channel})
+    return RawFreeDecay(f"run{seed}", t_s, up + rng.normal(0.0, 0.02, count), {"stand_m": channel})
 
 
 def _swing(omega: Floats, zeta: float, load: Floats) -> Floats:
@@ -123,31 +123,31 @@ def test_what_vibrates_is_no_cause_and_gaps_are_cut_out() -> None:
     count = int(6 * RATE_HZ)
     t_s = np.arange(count) / RATE_HZ
     up = np.sin(2.0 * np.pi * 9.0 * t_s)
-    raw = RawRinging("one", t_s, up, {"gauge_v": 0.1 * up + 0.01 * t_s, "stand_m": t_s})
+    raw = RawFreeDecay("one", t_s, up, {"gauge_v": 0.1 * up + 0.01 * t_s, "stand_m": t_s})
     (one,), scales = prepare([raw], BAND_HZ)
     assert list(scales) == ["stand_m"]
     assert any("gauge_v vibrates" in note for note in one.notes)
     assert one.rate_hz == pytest.approx(2.6 * BAND_HZ[1], rel=0.01)
     np.testing.assert_allclose(one.up_mps2[20:-20], np.sin(2.0 * np.pi * 9.0 * one.t_s[20:-20]), atol=0.02)
     late = np.concatenate([t_s[:4000], t_s[4000:] + 0.5])
-    (cut,), _ = prepare([RawRinging("two", late, up, {})], BAND_HZ)
+    (cut,), _ = prepare([RawFreeDecay("two", late, up, {})], BAND_HZ)
     assert cut.t_s[-1] == pytest.approx((count - 4000) / RATE_HZ, abs=0.1)
     with pytest.raises(RecordingError, match="sampled at 100 Hz; to hear knocks above a band up to 14 Hz it takes 140"):
-        prepare([RawRinging("slow", np.arange(600) / 100.0, np.zeros(600), {})], BAND_HZ)
+        prepare([RawFreeDecay("slow", np.arange(600) / 100.0, np.zeros(600), {})], BAND_HZ)
 
 
 def test_windows_tell_frequency_and_damping_of_a_decay() -> None:
     t_s = np.arange(400) / 40.0
     decay = np.exp(-0.01 * 2.0 * np.pi * 9.0 * t_s) * np.cos(2.0 * np.pi * 9.0 * t_s)
     track = backbone(
-        Ringing("decay", 40.0, t_s, decay, np.where(t_s < 0.1, 1.0, 0.0), np.zeros(400), {}, np.abs(decay))
+        FreeDecay("decay", 40.0, t_s, decay, np.where(t_s < 0.1, 1.0, 0.0), np.zeros(400), {}, np.abs(decay))
     )
     early = track.t_s < 3.0
     np.testing.assert_allclose(track.frequency_hz[early], 9.0, atol=0.05)
     np.testing.assert_allclose(np.median(track.damping[early]), 0.01, rtol=0.1)
 
 
-def diagnosed(raws: list[RawRinging], most: int = 3) -> dict[str, object]:
+def diagnosed(raws: list[RawFreeDecay], most: int = 3) -> dict[str, object]:
     recordings, scales = prepare(raws, BAND_HZ)
     return as_json(search(recordings, *BELIEF, BAND_HZ, most), scales, None)
 

@@ -9,19 +9,19 @@ from scipy.stats import norm
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.model.belief import believe
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.adequacy import outliers
 from companion.diagnosis.selection.fit import fit
 from companion.diagnosis.selection.lack_of_fit_tests import (
     _together,
-    judge_directions,
-    of_products,
-    of_student,
-    straightened,
+    lack_of_fit_tests,
+    normal_score_of_gamma,
+    normal_score_of_products,
+    normal_score_of_student,
 )
-from companion.diagnosis.selection.prior_tension import astray
-from companion.diagnosis.selection.proposals import mount_lead
+from companion.diagnosis.selection.prior_tension import prior_tension
+from companion.diagnosis.selection.proposals import mount_resonance_proposal
 from companion.diagnosis.selection.search import diagnose
 from companion.diagnosis.selection.verdict import Verdict
 from companion.params.files import parse_airframe
@@ -35,10 +35,10 @@ SIDES = (Side.LEFT, Side.RIGHT)
 TEXT = airframe_text(0.15)
 
 
-def seen_by(text: str, up_mps2: Floats) -> SuperModel:
+def seen_by(text: str, up_mps2: Floats) -> FlightModel:
     count = len(up_mps2)
     seen = Observations(RATE_HZ, SIDES, up_mps2, np.zeros(2), False, np.ones(count), {}, None)
-    return SuperModel(believe(parse_airframe(text, "trial"), SIDES, False, False), seen, 40.0)
+    return FlightModel(believe(parse_airframe(text, "trial"), SIDES, False, False), seen, 40.0)
 
 
 def drawn(text: str, seed: int) -> Floats:
@@ -48,7 +48,7 @@ def drawn(text: str, seed: int) -> Floats:
     return np.ascontiguousarray(empty.draw(empty.expect(np.zeros(len(empty.belief.nuisances))), rng).T)
 
 
-def flown(**effects: float) -> SuperModel:
+def flown(**effects: float) -> FlightModel:
     (tables,) = fly([Hidden(effects)], 20.0, 77)
     return model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
 
@@ -58,7 +58,9 @@ def flown(**effects: float) -> SuperModel:
 def test_a_sum_of_few_squares_gets_the_strength_that_its_chance_is_worth(count: int) -> None:
     """Exponentials have the skewness 2, their sum that over the root of their number: beyond 3 lies 1 of 741."""
     sums = np.random.default_rng(1).gamma(count, size=200_000)
-    z = np.array([straightened(one, 2.0 / np.sqrt(count)) for one in ((sums - count) / np.sqrt(count))[:4_000]])
+    z = np.array(
+        [normal_score_of_gamma(one, 2.0 / np.sqrt(count)) for one in ((sums - count) / np.sqrt(count))[:4_000]]
+    )
     expected = 4_000 * norm.sf(2.5)
     assert np.sum(z > 2.5) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
 
@@ -67,8 +69,8 @@ def test_a_score_over_a_scatter_from_few_draws_gets_the_strength_that_its_chance
     """Normal over the root of a mean of 9 squares: beyond 3 lies 1 of 67, and of what it is worth 1 of 370."""
     rng = np.random.default_rng(2)
     raw = rng.standard_normal(20_000) / np.sqrt(rng.chisquare(9, 20_000) / 9.0)
-    z = np.array([of_student(one, 9) for one in raw[np.abs(raw) > 3.0].tolist()])
-    assert of_student(-3.5, 9) == -of_student(3.5, 9) < 0.0
+    z = np.array([normal_score_of_student(one, 9) for one in raw[np.abs(raw) > 3.0].tolist()])
+    assert normal_score_of_student(-3.5, 9) == -normal_score_of_student(3.5, 9) < 0.0
     expected = 20_000 * 2.0 * norm.sf(3.0)
     assert np.sum(np.abs(z) > 3.0) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
 
@@ -78,9 +80,9 @@ def test_a_sum_of_few_products_gets_the_strength_that_its_chance_is_worth(count:
     """Either part of a product of two complex normals is a difference of two exponentials, half of each."""
     rng = np.random.default_rng(6)
     raw = (rng.gamma(count, size=400_000) - rng.gamma(count, size=400_000)) / np.sqrt(2.0 * count)
-    z = np.array([of_products(one, count) for one in raw[np.abs(raw) > 3.0].tolist()])
-    assert of_products(-4.0, count) == -of_products(4.0, count) > -4.0
-    assert of_products(4.0, 1e6) == pytest.approx(4.0, abs=1e-3)
+    z = np.array([normal_score_of_products(one, count) for one in raw[np.abs(raw) > 3.0].tolist()])
+    assert normal_score_of_products(-4.0, count) == -normal_score_of_products(4.0, count) > -4.0
+    assert normal_score_of_products(4.0, 1e6) == pytest.approx(4.0, abs=1e-3)
     expected = 400_000 * 2.0 * norm.sf(3.2)
     assert np.sum(np.abs(z) > 3.2) == pytest.approx(expected, abs=4.0 * np.sqrt(expected))
     assert np.sum(np.abs(raw) > 3.2) > expected + 4.0 * np.sqrt(expected)
@@ -148,7 +150,7 @@ def test_a_frequency_far_beyond_its_prior_is_told_and_one_within_is_not() -> Non
     assert faster != TEXT
     for text, beyond in ((TEXT, False), (faster, True)):
         model = seen_by(TEXT, drawn(text, 3))
-        found = astray(model.belief, fit([model], ()))
+        found = prior_tension(model.belief, fit([model], ()))
         assert (found["symmetric.frequency beyond its prior"] > 5.0) == beyond
         assert (found["all airframe parameters together"] > 5.0) == beyond
         assert abs(found["antisymmetric.frequency beyond its prior"]) < 4.0
@@ -172,7 +174,7 @@ def test_a_mode_that_nobody_believes_in_is_seen_where_it_is(sign: float, how: st
 
 def _strongest_peak(up_mps2: Floats) -> tuple[str, float]:
     model = seen_by(TEXT, up_mps2)
-    found = judge_directions([model], fit([model], ()))
+    found = lack_of_fit_tests([model], fit([model], ()))
     ((name, z),) = [entry for entry in found.items() if entry[0].startswith(("both sides", "side against"))]
     return name, z
 
@@ -188,7 +190,7 @@ def test_a_side_that_is_ever_later_is_told_from_one_that_is_late() -> None:
     late = np.fft.irfft(turned, COUNT)
     for shown, told in ((ever, True), (late, False)):
         model = seen_by(TEXT, np.stack([up[:, 0], shown], 1))
-        found = judge_directions([model], fit([model], ()))
+        found = lack_of_fit_tests([model], fit([model], ()))
         assert (found["right side ever later"] > 5.0) is told
 
 
@@ -203,7 +205,7 @@ def test_a_filter_is_told_by_what_it_takes_from_either_side() -> None:
     ):
         both = [np.fft.irfft(np.fft.rfft(up[:, i]) * gain**sign, COUNT) for i, sign in enumerate(taken)]
         model = seen_by(TEXT, np.stack(both, 1))
-        found = judge_directions([model], fit([model], ()))
+        found = lack_of_fit_tests([model], fit([model], ()))
         told = {key: found[key] for key in found if key.startswith("gain falling")}
         assert max(told, key=lambda key: told[key]) == name
         assert told[name] > 5.0
@@ -217,8 +219,8 @@ def test_a_second_mode_named_torsion_is_seen_by_the_cameras_that_it_tilts() -> N
     model = model_of(tables, parse_airframe(airframe_text(noise_density(30.0)), "trial"))
     null, named = fit([model], ()), {}
     for name, strength in (("torsion-coupling", "coupling"), ("second-mode", "participation")):
-        part = Part(catalogue()[name].from_values({strength: 0.004, "frequency_hz": 26.0}))
-        named[name] = judge_directions([model], fit([model], (part,), null.values))
+        part = EffectTerm(catalogue()[name].from_values({strength: 0.004, "frequency_hz": 26.0}))
+        named[name] = lack_of_fit_tests([model], fit([model], (part,), null.values))
     tilted = "range residual against deflection of a further mode"
     assert named["torsion-coupling"][tilted] > 5.0
     assert abs(named["second-mode"][tilted]) < 4.0
@@ -240,7 +242,7 @@ def test_a_second_mode_in_noise_is_one_group_with_torsion_however_likely_either_
 def test_ranges_that_spread_where_the_wing_is_fast_are_no_better_for_being_believed_coarse() -> None:
     """Exposures that wander by 3 ms; the matching's own noise is free."""
     model = flown(**{"exposure-jitter": 9e6})
-    found = judge_directions([model], fit([model], ()))
+    found = lack_of_fit_tests([model], fit([model], ()))
     assert found["range residual growing with its rate"] > 5.0
     assert abs(found["range residual growing with time"]) < 5.0
 
@@ -250,9 +252,9 @@ def test_a_mount_that_rings_is_found_where_it_rings() -> None:
     """At 17.8 Hz: seen from a stiff mount the likelihood rises no further than to the next of many small hills."""
     model = flown(**{"mount-resonance": 8e-5})
     null, kind = fit([model], ()), catalogue()["mount-resonance"]
-    led = mount_lead([model], null, Part(kind()))
+    led = mount_resonance_proposal([model], null, EffectTerm(kind()))
     assert led is not None
-    assert led.looks > 0.0
+    assert led.log_trials > 0.0
     found = fit([model], (led,), null.values)
     assert found.values[-1] == pytest.approx(8e-5, rel=0.02)
     assert found.log_evidence > null.log_evidence + 50.0

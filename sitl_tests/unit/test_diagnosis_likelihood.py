@@ -10,8 +10,8 @@ import pytest
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import Observations, RawRanges, RawRecording, RawStream, observe
 from companion.diagnosis.model.belief import believe
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import derivatives, expect, fit, joint_scores, log_likelihood, priors
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
@@ -29,13 +29,13 @@ def airframe() -> Airframe:
 
 
 @pytest.fixture(scope="module")
-def drawn(airframe: Airframe) -> SuperModel:
+def drawn(airframe: Airframe) -> FlightModel:
     """A recording drawn from the model's own spectrum."""
     rng = np.random.default_rng(5)
     m = 3000
     empty = Observations(RATE_HZ, (Side.LEFT, Side.RIGHT), rng.standard_normal((m, 2)), np.zeros(2), False,
                          np.ones(m), {}, None)  # fmt: skip
-    model = SuperModel(believe(airframe, empty.sides, False, False), empty, TOP_HZ)
+    model = FlightModel(believe(airframe, empty.sides, False, False), empty, TOP_HZ)
     spectrum = np.moveaxis(model.expect(np.zeros(len(model.belief.nuisances))).spectrum, -1, 0)
     root = np.linalg.cholesky(spectrum)
     noise = rng.standard_normal((len(spectrum), 2, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
@@ -44,10 +44,10 @@ def drawn(airframe: Airframe) -> SuperModel:
     bins[inside] = (root @ noise[..., None])[..., 0] * np.sqrt(m * RATE_HZ)
     up = np.fft.irfft(bins, m, axis=0)
     seen = dataclasses.replace(empty, up_mps2=up)
-    return SuperModel(model.belief, seen, TOP_HZ)
+    return FlightModel(model.belief, seen, TOP_HZ)
 
 
-def test_the_spectrum_of_one_mode_is_the_oscillators(airframe: Airframe, drawn: SuperModel) -> None:
+def test_the_spectrum_of_one_mode_is_the_oscillators(airframe: Airframe, drawn: FlightModel) -> None:
     """Deflection's variance under the model is what the airframe says, and S_a = w^4 |H|^2 S_g + noise."""
     found = drawn.expect(np.zeros(len(drawn.belief.nuisances)))
     symmetric = 0.25 * np.einsum("ijf->f", found.spectrum).real  # of the mean of both tips
@@ -60,11 +60,11 @@ def test_the_spectrum_of_one_mode_is_the_oscillators(airframe: Airframe, drawn: 
     assert symmetric == pytest.approx(expected, rel=0.02)  # the load's level is a sum over bins
 
 
-def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: SuperModel) -> None:
+def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: FlightModel) -> None:
     """Mean force -k kappa <w^2> of either half: it rests at -kappa <w^2>, with k (1 - 2 kappa^2 <w^2>)."""
     kappa, nothing = 14.0, np.zeros(len(drawn.belief.nuisances))
     straight = drawn.expect(nothing)
-    bent = drawn.expect(nothing, [Part(catalogue()["quadratic-stiffness"].from_values({"kappa_per_m": kappa}))])
+    bent = drawn.expect(nothing, [EffectTerm(catalogue()["quadratic-stiffness"].from_values({"kappa_per_m": kappa}))])
     moved = bent.motion.in_time[0]
     middle = moved[:, len(moved[0]) // 4 : -len(moved[0]) // 4]
     square = float(np.sum(np.var(middle, axis=1)))  # of a half: both modes'
@@ -74,8 +74,8 @@ def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: Supe
     assert 1.0 - softer == pytest.approx(2.0 * kappa**2 * whole, rel=0.25)
 
 
-def test_the_gradient_is_the_slope_of_the_likelihood(drawn: SuperModel) -> None:
-    parts = (Part(catalogue()["stream-delay"](0.0004)), Part(catalogue()["frequency-shift"](0.01)))
+def test_the_gradient_is_the_slope_of_the_likelihood(drawn: FlightModel) -> None:
+    parts = (EffectTerm(catalogue()["stream-delay"](0.0004)), EffectTerm(catalogue()["frequency-shift"](0.01)))
     _, sigmas = priors(drawn.belief, parts)
     values = np.concatenate([np.zeros(len(drawn.belief.nuisances)), [0.0004, 0.01]])
     found = expect([drawn], values, parts)
@@ -88,7 +88,7 @@ def test_the_gradient_is_the_slope_of_the_likelihood(drawn: SuperModel) -> None:
         assert slope == pytest.approx(gradient[i], abs=0.02 * np.sqrt(information[i, i]) + 0.02 / sigmas[i])
 
 
-def test_a_fit_of_the_models_own_draw_stays_at_the_truth(drawn: SuperModel) -> None:
+def test_a_fit_of_the_models_own_draw_stays_at_the_truth(drawn: FlightModel) -> None:
     fitted = fit([drawn], ())
     assert fitted.converged
     away = fitted.values / np.sqrt(np.diag(fitted.covariance))

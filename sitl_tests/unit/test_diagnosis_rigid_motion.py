@@ -11,8 +11,8 @@ import pytest
 
 from companion.cli.diagnose_models import belief_for, top_of
 from companion.diagnosis.data.observations import Observations, RawRecording, RawStream, observe
-from companion.diagnosis.data.rigid_motion import upright
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.data.rigid_motion import tip_axes_corrected
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
 from companion.records import Floats, Side
@@ -98,7 +98,7 @@ def test_a_rigid_aircraft_that_rolls_and_pulls_does_not_bend(airframe: Airframe)
 def test_wrong_scales_leave_what_their_nuisances_take_out(airframe: Airframe) -> None:
     seen = recorded(airframe, heave_scale=0.01, tip_scale=-0.006)
     assert within(seen, seen.up_mps2).std(0)[0] > 0.03
-    model = SuperModel(belief_for(airframe, [seen]), seen, top_of(airframe))
+    model = FlightModel(belief_for(airframe, [seen]), seen, top_of(airframe))
     keys = [entry.key for entry in model.belief.nuisances]
     deviations = np.zeros(len(keys))
     deviations[keys.index("root.scale")] = 0.01
@@ -125,14 +125,14 @@ def test_a_tip_that_the_wing_turns_reads_what_it_would_upright() -> None:
     shown_z = np.cos(turn) * force_z - np.sin(turn) * force_y
     shown_y = np.sin(turn) * force_z + np.cos(turn) * force_y
     assert np.abs(shown_z - force_z).max() > 0.05
-    assert np.abs(upright(shown_y, shown_z, force_y) - force_z).max() < 0.005
+    assert np.abs(tip_axes_corrected(shown_y, shown_z, force_y) - force_z).max() < 0.005
 
 
 @pytest.mark.parametrize("key", ["left.delay_s", "right.delay_s"])
 def test_a_late_tip_is_late_with_the_rigid_motion_too(airframe: Airframe, key: str) -> None:
     late_s = {"left.delay_s": (0.01, 0.0), "right.delay_s": (0.0, 0.01)}[key]
     seen = recorded(airframe, late_s=late_s)
-    model = SuperModel(belief_for(airframe, [seen]), seen, top_of(airframe))
+    model = FlightModel(belief_for(airframe, [seen]), seen, top_of(airframe))
     keys = [entry.key for entry in model.belief.nuisances]
     deviations = np.zeros(len(keys))
     deviations[keys.index(key)] = 0.01

@@ -11,7 +11,7 @@ from companion.cli.page import page, table
 from companion.cli.plotting import with_gaps
 from companion.cli.report_html import _views
 from companion.cli.stations import StationAnalysis
-from companion.diagnosis.summary import words, worthwhile
+from companion.diagnosis.summary import summary_sentences, worthwhile
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Station
 
@@ -39,7 +39,7 @@ def diagnosed(verdict: str, at_60_m: tuple[float, float] | None, **changes: Any)
 
 
 def test_a_cause_is_told_with_its_value_and_what_it_is_worth_in_metres() -> None:
-    told = words(diagnosed("explained", (1.82, 0.46)), [])
+    told = summary_sentences(diagnosed("explained", (1.82, 0.46)), [])
     assert "stream-delay (how much later 0.0052 ± 0.0002 s)" in told["cause"]
     assert told["worth"].startswith("Worth flying: 1.82 m rms become 0.46 m at 60 m")
     assert "--apply" in told["next"]
@@ -48,7 +48,7 @@ def test_a_cause_is_told_with_its_value_and_what_it_is_worth_in_metres() -> None
 
 @pytest.mark.parametrize("at_60_m", [(1.82, 1.80), (0.46, 0.43), (0.46, 0.50)])
 def test_what_betters_no_range_is_named_but_not_worth_flying(at_60_m: tuple[float, float]) -> None:
-    told = words(diagnosed("explained", at_60_m), [])
+    told = summary_sentences(diagnosed("explained", at_60_m), [])
     assert told["worth"].startswith("Named, but not worth flying")
     assert "--apply" not in told["next"]
 
@@ -56,18 +56,18 @@ def test_what_betters_no_range_is_named_but_not_worth_flying(at_60_m: tuple[floa
 def test_without_matches_nothing_is_said_in_metres() -> None:
     plain = diagnosed("explained", None)
     assert worthwhile(plain) is None
-    assert "cannot be told" in words(plain, [])["worth"]
-    assert " m rms" not in words(plain, [])["worth"]
+    assert "cannot be told" in summary_sentences(plain, [])["worth"]
+    assert " m rms" not in summary_sentences(plain, [])["worth"]
 
 
 def test_an_adequate_recording_asks_for_nothing() -> None:
-    told = words(diagnosed("adequate", None), ["left 7.3 Hz, 4.0 m/s^2"])
+    told = summary_sentences(diagnosed("adequate", None), ["left 7.3 Hz, 4.0 m/s^2"])
     assert told["next"] == "Fly on."
     assert "7.3 Hz" not in told["cause"]
 
 
 def test_a_steady_tone_is_named_where_no_effect_explains_the_recording() -> None:
-    told = words(diagnosed("unexplained", None), ["left 7.306 Hz, 3.98 m/s^2"])
+    told = summary_sentences(diagnosed("unexplained", None), ["left 7.306 Hz, 3.98 m/s^2"])
     assert "left 7.306 Hz, 3.98 m/s^2" in told["cause"]
     assert "propeller" in told["next"]
     assert "no effect of the catalogue explains it" in told["cause"]

@@ -24,8 +24,8 @@ from companion.adapters.recordings.mapping import load_mapping
 from companion.diagnosis.free_decay.cross_validation import quiet_samples
 from companion.diagnosis.free_decay.fit import filter_all, fit
 from companion.diagnosis.free_decay.laws import Extension, Law, SecondMode, laws_for
-from companion.diagnosis.free_decay.model import RingingModel, key_of
-from companion.diagnosis.free_decay.record import RawRinging, Ringing, prepare
+from companion.diagnosis.free_decay.model import FreeDecayModel, key_of
+from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
 from companion.diagnosis.modal_tests.vibration import VibrationRun, mode_of, responses
 from companion.records import Floats
 
@@ -72,7 +72,7 @@ def foretold(folder: Path) -> list[dict[str, object]]:
     mapping = load_mapping("dropbear8")
     tables = [read_mapped(path, mapping) for path in files_of(folder, mapping)[:2]]
     raws = [
-        RawRinging(t.path.stem, t.t_s, -t.channels["left_z_mps2"], {"roller": t.channels["roller_position_v"]})
+        RawFreeDecay(t.path.stem, t.t_s, -t.channels["left_z_mps2"], {"roller": t.channels["roller_position_v"]})
         for t in tables
     ]
     assert mapping.band_hz is not None
@@ -95,9 +95,9 @@ def foretold(folder: Path) -> list[dict[str, object]]:
     return rows
 
 
-def _ours(learned: Ringing, judged: Ringing, belief: Any, laws: list[Extension]) -> float:
+def _ours(learned: FreeDecay, judged: FreeDecay, belief: Any, laws: list[Extension]) -> float:
     mask = [np.ones(len(learned.t_s), dtype=np.bool_)]
-    model = RingingModel([learned], *belief, laws)
+    model = FreeDecayModel([learned], *belief, laws)
     start = model.centres
     start[0] = np.log(31.0)
     for law, value in zip(laws, (0.13, 0.015), strict=False):
@@ -107,12 +107,12 @@ def _ours(learned: Ringing, judged: Ringing, belief: Any, laws: list[Extension])
         start[model.index("second log frequency")] = np.log(25.0)
         start[model.index("second log participation")] = -3.0
     values = fit(model, start, mask).values
-    (filtered,) = filter_all(RingingModel([judged], *belief, laws), [values[None, :]], _AHEAD)
+    (filtered,) = filter_all(FreeDecayModel([judged], *belief, laws), [values[None, :]], _AHEAD)
     assert filtered.ahead is not None
     return _share(judged, filtered.ahead[0], np.arange(_AHEAD, len(judged.t_s)))
 
 
-def _narx(learned: Ringing, judged: Ringing, roller: bool, degree: int) -> float:
+def _narx(learned: FreeDecay, judged: FreeDecay, roller: bool, degree: int) -> float:
     frols = importlib.import_module("sysidentpy.model_structure_selection").FROLS
     polynomial = importlib.import_module("sysidentpy.basis_function").Polynomial
     least_squares = importlib.import_module("sysidentpy.parameter_estimation").LeastSquares
@@ -135,7 +135,7 @@ def _narx(learned: Ringing, judged: Ringing, roller: bool, degree: int) -> float
     return _share(judged, told * scale, last)
 
 
-def _share(judged: Ringing, told: Floats, which: Any) -> float:
+def _share(judged: FreeDecay, told: Floats, which: Any) -> float:
     still = which[quiet_samples(judged, _AHEAD)[which]]
     error, signal = (judged.up_mps2 - told)[still], judged.up_mps2[still]
     return float(np.sqrt(np.sum(error**2) / np.sum(signal**2)))

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr, ndtri_exp
 
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, triangle
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, inverse
 from companion.records import Floats
 
 _SEED = 20250103
@@ -26,7 +26,7 @@ _WIDTH = 0.02  # of a frequency, to either side: what is smoothed over
 _FEWEST = 12  # bins to either side
 
 
-def restored(values: Floats, beyond: Floats, bridged: Floats) -> Floats:
+def impute_clipped(values: Floats, beyond: Floats, interpolated: Floats) -> Floats:
     """Draw what has been cut.
 
     Parameters
@@ -35,7 +35,7 @@ def restored(values: Floats, beyond: Floats, bridged: Floats) -> Floats:
         All channels on an even grid, the cut samples at their limits.
     beyond : (c, m)
         1 where the truth is at least what was recorded, -1 where it is at most that, 0 where it is recorded.
-    bridged : (c, m)
+    interpolated : (c, m)
         The same channels with the cut samples guessed: there the sweeps begin.
 
     Returns
@@ -44,7 +44,7 @@ def restored(values: Floats, beyond: Floats, bridged: Floats) -> Floats:
         The same with the cut samples beyond their limits.
     """
     rng = np.random.default_rng(_SEED)
-    drawn = bridged.copy()
+    drawn = interpolated.copy()
     count, affected = values.shape[1], np.flatnonzero(np.any(beyond != 0.0, axis=1)).tolist()
     smooth, model = _Smoother(count), None
     for sweep in range(_SWEEPS):
@@ -79,7 +79,7 @@ class _Split:
         precision = precision * np.minimum(1.0, _MOST / (self.white * own))
         self._affected, self._share = affected, self.white * precision
         left = np.eye(len(affected))[..., None] - self._share[:, affected]
-        self._spread = triangle(self.white * 0.5 * (left + adjoint(left)))
+        self._spread = cholesky(self.white * 0.5 * (left + adjoint(left)))
 
     def draw(self, seen: Complexes, rng: np.random.Generator) -> Complexes:
         """The rest from its posterior, given the spectrum of all channels, (a, f)."""

@@ -14,9 +14,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from companion.core.wing.sensing import GRAVITY_MPS2
-from companion.diagnosis.data.declipping import restored
-from companion.diagnosis.data.rigid_motion import lateral_force, turned, unfiltered, upright
-from companion.diagnosis.data.sample_defects import SampleFinding, bridged, cut_sides, find_in_samples, together
+from companion.diagnosis.data.declipping import impute_clipped
+from companion.diagnosis.data.rigid_motion import lateral_force, rotation_forces, tip_axes_corrected, undo_lowpass
+from companion.diagnosis.data.sample_defects import (
+    SampleDefect,
+    clipped_sides,
+    find_sample_defects,
+    interpolate_clipped,
+    together,
+)
 from companion.diagnosis.data.transforms import TAPER, fast_length
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
@@ -134,7 +140,7 @@ class Observations:
     inputs: dict[str, Floats] = field(default_factory=dict)
     fine_mps2: Floats | None = None
     fine_hz: float = 0.0
-    in_samples: tuple[SampleFinding, ...] = ()
+    sample_defects: tuple[SampleDefect, ...] = ()
     share: float = 1.0
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
@@ -202,19 +208,19 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     faults = {side: _faults(raw.tips[side], start_s, stop_s, airframe, side) for side in sides}
     mended = {side: _mended(raw.tips[side], faults[side]) for side in sides}
     tips = np.stack([_on_grid(mended[side], fine_t) for side in sides], 1)
-    cut = {side: cut_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides}
+    cut = {side: clipped_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides}
     if any(np.any(mine) for mine in cut.values()):
         tips = _restored(tips, [raw.tips[side] for side in sides], [cut[side] for side in sides], fine_t)
     root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
     if raw.root:
-        root = unfiltered(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
-        felt = turned(raw.rigid, fine_t, fine_hz, airframe, sides)
+        root = undo_lowpass(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
+        felt = rotation_forces(raw.rigid, fine_t, fine_hz, airframe, sides)
         lateral = lateral_force(raw.rigid, fine_t, fine_hz, airframe)
         for i, side in enumerate(sides):
             recorded = raw.tips[side].force_y_mps2
             if recorded is not None and lateral is not None:
                 own = _on_grid(RawStream(raw.tips[side].t_s, recorded), fine_t)
-                tips[:, i] = upright(own, tips[:, i], lateral + felt[i, 1])
+                tips[:, i] = tip_axes_corrected(own, tips[:, i], lateral + felt[i, 1])
         turning = felt[:, 2].T
         tips -= turning
     up = root[:, None] - tips
@@ -272,14 +278,14 @@ def _longest_stretch(streams: list[RawStream], notes: list[str]) -> tuple[float,
     return best
 
 
-def _faults(stream: RawStream, start_s: float, stop_s: float, airframe: Airframe, side: Side) -> list[SampleFinding]:
+def _faults(stream: RawStream, start_s: float, stop_s: float, airframe: Airframe, side: Side) -> list[SampleDefect]:
     inside = (stream.t_s >= start_s) & (stream.t_s <= stop_s)
     sensor = airframe.left if side is Side.LEFT else airframe.right
-    return find_in_samples(stream.t_s[inside], stream.force_z_mps2[inside], sensor)
+    return find_sample_defects(stream.t_s[inside], stream.force_z_mps2[inside], sensor)
 
 
-def _mended(stream: RawStream, faults: Sequence[SampleFinding]) -> RawStream:
-    return RawStream(stream.t_s, bridged(stream.t_s, stream.force_z_mps2, faults))
+def _mended(stream: RawStream, faults: Sequence[SampleDefect]) -> RawStream:
+    return RawStream(stream.t_s, interpolate_clipped(stream.t_s, stream.force_z_mps2, faults))
 
 
 def _restored(tips: Floats, streams: Sequence[RawStream], cut: Sequence[Floats], t_s: Floats) -> Floats:
@@ -289,7 +295,7 @@ def _restored(tips: Floats, streams: Sequence[RawStream], cut: Sequence[Floats],
         nearest = np.clip(np.searchsorted(0.5 * (stream.t_s[1:] + stream.t_s[:-1]), t_s), 0, len(stream.t_s) - 1)
         beyond[i] = mine[nearest]
         limits[i] = np.where(beyond[i] != 0.0, stream.force_z_mps2[nearest], limits[i])
-    return np.ascontiguousarray(restored(limits, beyond, tips.T).T)
+    return np.ascontiguousarray(impute_clipped(limits, beyond, tips.T).T)
 
 
 def _on_grid(stream: RawStream, t_s: Floats) -> Floats:

@@ -20,7 +20,7 @@ _LEAST_FORCE_MPS2 = 3.0  # near weightlessness a lateral force tells no turn
 _WHOLE_HZ, _NOTHING_HZ = 6.0, 16.0  # manoeuvres are slower, and the noise of a gyro's derivative grows with frequency
 
 
-def unfiltered(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
+def undo_lowpass(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
     """Undo a sensor's low-pass (2nd-order Butterworth) where something came through it; a corner of 0 is none."""
     if not corner_hz:
         return values
@@ -28,20 +28,20 @@ def unfiltered(values: Floats, rate_hz: float, corner_hz: float) -> Floats:
     return _filtered(values, passed.conj() * (1.0 + _HARDLY) / (np.abs(passed) ** 2 + _HARDLY))
 
 
-def calm(values: Floats, rate_hz: float) -> Floats:
+def manoeuvre_band(values: Floats, rate_hz: float) -> Floats:
     """Keep of a rate what manoeuvres can be."""
     f_hz = np.fft.rfftfreq(len(values), 1.0 / rate_hz)
     fade = np.clip((_NOTHING_HZ - f_hz) / (_NOTHING_HZ - _WHOLE_HZ), 0.0, 1.0)
     return _filtered(values, 0.5 - 0.5 * np.cos(np.pi * fade))
 
 
-def turned(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe, sides: Sequence[Side]) -> Floats:
+def rotation_forces(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe, sides: Sequence[Side]) -> Floats:
     """What the aircraft's turning adds to the specific force of tips, (c, 3, m)."""
     rates = np.zeros((3, len(t_s)))
     for row, letter in enumerate("pqr"):
         if letter in rigid:
             recorded = np.interp(t_s, *rigid[letter])
-            rates[row] = calm(unfiltered(recorded, rate_hz, airframe.root.lowpass_gyro_hz), rate_hz)
+            rates[row] = manoeuvre_band(undo_lowpass(recorded, rate_hz, airframe.root.lowpass_gyro_hz), rate_hz)
     tips = [(airframe.left, airframe.right)[side].position_m for side in sides]
     arms = [np.subtract(tip, airframe.root.position_m) for tip in tips]
     return np.stack([rotation_force(rates, rate_hz, arm) for arm in arms])
@@ -51,7 +51,7 @@ def lateral_force(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airfr
     """The root's lateral specific force, (m,)."""
     if "y" not in rigid:
         return None
-    return calm(unfiltered(np.interp(t_s, *rigid["y"]), rate_hz, airframe.root.lowpass_accel_hz), rate_hz)
+    return manoeuvre_band(undo_lowpass(np.interp(t_s, *rigid["y"]), rate_hz, airframe.root.lowpass_accel_hz), rate_hz)
 
 
 def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats:
@@ -65,7 +65,7 @@ def rotation_force(rates_radps: Floats, rate_hz: float, arm_m: Floats) -> Floats
     return np.asarray(np.cross(turn, arm, axis=0) + np.cross(rates_radps, around, axis=0))
 
 
-def upright(force_y: Floats, force_z: Floats, rigid_y: Floats) -> Floats:
+def tip_axes_corrected(force_y: Floats, force_z: Floats, rigid_y: Floats) -> Floats:
     """Vertical specific force, in the aircraft's axes, of a tip that the wing has turned about x, (m,).
 
     Bending makes no lateral force: what the tip reads of ``y`` beside the rigid aircraft's tells its turn,

@@ -28,7 +28,7 @@ _CERTAIN = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
-class SampleFinding:
+class SampleDefect:
     """One cause seen in samples: the effect's name and values, what was seen, and how certain that is."""
 
     name: str
@@ -38,20 +38,20 @@ class SampleFinding:
     log_bayes_factor: float
 
 
-def find_in_samples(t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> list[SampleFinding]:
+def find_sample_defects(t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> list[SampleDefect]:
     """Look at one stream's stamps and values."""
-    found = [saturated(force_z_mps2), coarse(t_s, force_z_mps2, sensor), unsteady(t_s)]
+    found = [find_saturation(force_z_mps2), coarse(t_s, force_z_mps2, sensor), find_timing_defect(t_s)]
     return [entry for entry in found if entry is not None]
 
 
-def together(found: Sequence[SampleFinding]) -> tuple[SampleFinding, ...]:
+def together(found: Sequence[SampleDefect]) -> tuple[SampleDefect, ...]:
     """Of each name the most certain; what was seen on either side is told."""
     names = sorted({entry.name for entry in found})
     best = [max((e for e in found if e.name == name), key=lambda e: e.log_bayes_factor) for name in names]
     return tuple(sorted(best, key=lambda entry: -entry.log_bayes_factor))
 
 
-def saturated(values: Floats) -> SampleFinding | None:
+def find_saturation(values: Floats) -> SampleDefect | None:
     """Samples that pile up at the largest or smallest value, more than the values next to it."""
     piles = [(sign, pile) for sign in (1.0, -1.0) if (pile := _pile(sign * values)) is not None]
     if not piles:
@@ -60,7 +60,7 @@ def saturated(values: Floats) -> SampleFinding | None:
     factor = piled * math.log(piled / expected) - (piled - expected)
     text = f"{piled} samples of {len(values)} at exactly {sign * top:.3f} m/s^2"
     inverse = {"inverse_s2pm": 1.0 / abs(top)}
-    return SampleFinding("saturation", inverse, {"inverse_s2pm": width / top**2}, text, factor)
+    return SampleDefect("saturation", inverse, {"inverse_s2pm": width / top**2}, text, factor)
 
 
 def _pile(values: Floats) -> tuple[float, int, float, float] | None:
@@ -75,7 +75,7 @@ def _pile(values: Floats) -> tuple[float, int, float, float] | None:
     return (top, piled, expected, width) if piled >= max(_FEWEST, _PILE * expected) else None
 
 
-def coarse(t_s: Floats, values: Floats, sensor: Sensor) -> SampleFinding | None:
+def coarse(t_s: Floats, values: Floats, sensor: Sensor) -> SampleDefect | None:
     """Values on a lattice whose step adds noise that counts beside what the sensor is believed to have."""
     step = _step(values)
     rate_hz = 1.0 / float(np.median(np.diff(t_s)))
@@ -83,10 +83,10 @@ def coarse(t_s: Floats, values: Floats, sensor: Sensor) -> SampleFinding | None:
     if step <= 0.0 or step**2 / 12.0 < _COARSE * noise:
         return None
     text = f"all values are multiples of {step:.4g} m/s^2: noise of {step / math.sqrt(12.0):.3g} m/s^2"
-    return SampleFinding("quantisation", {"step_mps2": step}, {"step_mps2": 1e-3 * step}, text, _CERTAIN)
+    return SampleDefect("quantisation", {"step_mps2": step}, {"step_mps2": 1e-3 * step}, text, _CERTAIN)
 
 
-def unsteady(t_s: Floats) -> SampleFinding | None:
+def find_timing_defect(t_s: Floats) -> SampleDefect | None:
     """Stamps that are missing, or wander about a steady rate."""
     steps = np.diff(t_s)
     period = float(np.median(steps))
@@ -103,10 +103,10 @@ def unsteady(t_s: Floats) -> SampleFinding | None:
     text = f"{100 * lost:.1f} % of samples missing, stamps wander {1e3 * jitter:.2f} ms about {1e3 * period:.2f} ms"
     count = len(steps)
     sigmas = {"jitter_s": jitter / math.sqrt(2.0 * count), "lost": math.sqrt(max(lost, 1.0 / count) / count)}
-    return SampleFinding("dropout-jitter", {"jitter_s": jitter, "lost": lost}, sigmas, text, _CERTAIN)
+    return SampleDefect("dropout-jitter", {"jitter_s": jitter, "lost": lost}, sigmas, text, _CERTAIN)
 
 
-def cut_sides(values: Floats, findings: Sequence[SampleFinding]) -> Floats:
+def clipped_sides(values: Floats, findings: Sequence[SampleDefect]) -> Floats:
     """1 where a sample was cut from above (the truth is at least what it shows), -1 where from below, else 0, (n,)."""
     sides = np.zeros(len(values))
     if any(finding.name == "saturation" for finding in findings):
@@ -118,9 +118,9 @@ def cut_sides(values: Floats, findings: Sequence[SampleFinding]) -> Floats:
     return sides
 
 
-def bridged(t_s: Floats, values: Floats, findings: Sequence[SampleFinding]) -> Floats:
+def interpolate_clipped(t_s: Floats, values: Floats, findings: Sequence[SampleDefect]) -> Floats:
     """Where samples were cut, a spline through the others, never inside the range."""
-    sides = cut_sides(values, findings)
+    sides = clipped_sides(values, findings)
     cut = sides != 0.0
     if not cut.any() or cut.all():
         return values

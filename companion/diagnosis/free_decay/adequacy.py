@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.free_decay.fit import Mask, RingingFit, filter_all
+from companion.diagnosis.free_decay.fit import FreeDecayFit, Mask, filter_all
 from companion.records import Floats
 
 LIMIT = 5.5
@@ -43,7 +43,7 @@ class Whitened:
     quiet: Mask
 
 
-def whitened(fitted: RingingFit) -> list[Whitened]:
+def whitened(fitted: FreeDecayFit) -> list[Whitened]:
     """Innovations over their standard deviation, by recording."""
     rows = [fitted.values[None, :]] * len(fitted.model.recordings)
     found = []
@@ -54,7 +54,7 @@ def whitened(fitted: RingingFit) -> list[Whitened]:
     return found
 
 
-def checks(fitted: RingingFit, seed: int = 20250101) -> list[Check]:
+def checks(fitted: FreeDecayFit, seed: int = 20250101) -> list[Check]:
     """All statistics, the worst first; of each kind the worst recording's is kept."""
     rng = np.random.default_rng(seed)
     worst: dict[str, Check] = {}

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.free_decay.fit import Mask, RingingFit, filter_all, fit
-from companion.diagnosis.free_decay.record import Ringing
+from companion.diagnosis.free_decay.fit import FreeDecayFit, Mask, filter_all, fit
+from companion.diagnosis.free_decay.record import FreeDecay
 from companion.records import Floats
 
 _BLOCK_S = 1.0
@@ -31,7 +31,7 @@ class Fold:
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOutError:
+class PredictionError:
     """Error one period ahead on blocks not fitted.
 
     Attributes
@@ -54,14 +54,14 @@ class HeldOutError:
     powers: Floats
     scores: Floats
 
-    def gone(self, before: HeldOutError) -> tuple[float, float, float]:
+    def gone(self, before: PredictionError) -> tuple[float, float, float]:
         """Share of the squared error of ``before`` that is gone, and its 95 % interval over the blocks."""
         draws = np.random.default_rng(7).integers(0, len(self.squares), (_DRAWS, len(self.squares)))
         spread = 1.0 - self.squares[draws].sum(1) / before.squares[draws].sum(1)
         low, high = np.percentile(spread, [2.5, 97.5])
         return 1.0 - float(self.squares.sum() / before.squares.sum()), float(low), float(high)
 
-    def gained(self, before: HeldOutError) -> tuple[float, float, float]:
+    def gained(self, before: PredictionError) -> tuple[float, float, float]:
         """Gain in log score over ``before``, and its 95 % interval over the blocks."""
         each = self.scores - before.scores
         draws = np.random.default_rng(7).integers(0, len(each), (_DRAWS, len(each)))
@@ -69,7 +69,7 @@ class HeldOutError:
         return float(each.sum()), float(low), float(high)
 
 
-def folds(recordings: Sequence[Ringing]) -> list[Fold]:
+def folds(recordings: Sequence[FreeDecay]) -> list[Fold]:
     """Two folds of interleaved blocks."""
     found = []
     for parity in range(2):
@@ -83,7 +83,7 @@ def folds(recordings: Sequence[Ringing]) -> list[Fold]:
     return found
 
 
-def held_out_error(whole: RingingFit, parts: Sequence[Fold], ahead: int) -> HeldOutError:
+def prediction_error(whole: FreeDecayFit, parts: Sequence[Fold], ahead: int) -> PredictionError:
     """Fit again on each fold and score on the rest; what is a recording's own is fitted on its fitted blocks too."""
     recordings = whole.model.recordings
     squares, powers, scores = [], [], []
@@ -106,7 +106,7 @@ def held_out_error(whole: RingingFit, parts: Sequence[Fold], ahead: int) -> Held
         int((m & quiet_samples(one, ahead)).sum()) for p in parts for one, m in zip(recordings, p.scored, strict=True)
     )
     error, power = np.array(squares), np.array(powers)
-    return HeldOutError(
+    return PredictionError(
         float(np.sqrt(error.sum() / max(count, 1))),
         float(np.sqrt(error.sum() / max(power.sum(), 1e-300))),
         ahead / recordings[0].rate_hz,
@@ -117,8 +117,8 @@ def held_out_error(whole: RingingFit, parts: Sequence[Fold], ahead: int) -> Held
     )
 
 
-def quiet_samples(one: Ringing, ahead: int) -> Mask:
+def quiet_samples(one: FreeDecay, ahead: int) -> Mask:
     """Samples before which no knock came within ``ahead`` steps."""
-    loud = one.knock_mps2**2 > _QUIET * float(np.mean(one.knock_mps2**2))
+    loud = one.impulse_mps2**2 > _QUIET * float(np.mean(one.impulse_mps2**2))
     near = np.convolve(loud, np.ones(ahead + 2))[: len(loud)] > 0.5
     return np.asarray(~near)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from companion.diagnosis.free_decay.kalman import Filtered, Modes, run
-from companion.diagnosis.free_decay.model import RingingModel
+from companion.diagnosis.free_decay.model import FreeDecayModel
 from companion.records import Floats
 
 Mask = npt.NDArray[np.bool_]
@@ -20,7 +20,7 @@ _LONGEST_MOVE = 2.0  # prior sigmas
 
 
 @dataclass(frozen=True, slots=True)
-class RingingFit:
+class FreeDecayFit:
     """A fitted model.
 
     Attributes
@@ -34,7 +34,7 @@ class RingingFit:
         Samples that were judged.
     """
 
-    model: RingingModel
+    model: FreeDecayModel
     values: Floats
     sigmas: Floats
     log_likelihood: float
@@ -47,7 +47,7 @@ class RingingFit:
         return float(self.values[at]), float(self.sigmas[at])
 
 
-def fit(model: RingingModel, start: Floats, masks: Sequence[Mask], rounds: int = 25) -> RingingFit:
+def fit(model: FreeDecayModel, start: Floats, masks: Sequence[Mask], rounds: int = 25) -> FreeDecayFit:
     """Climb from ``start`` (p,); ``masks`` say which samples of each recording count."""
     values, centres, sigmas = start.copy(), model.centres, model.sigmas
     score, gradient, information = _scored(model, values, masks)
@@ -72,23 +72,23 @@ def fit(model: RingingModel, start: Floats, masks: Sequence[Mask], rounds: int =
     spread = np.sqrt(np.diag(np.linalg.inv(information)))
     likelihood = score + 0.5 * float(np.sum(((values - centres) / sigmas) ** 2))
     evidence = score - float(np.sum(np.log(sigmas))) - 0.5 * float(log_det)
-    return RingingFit(model, values, spread, likelihood, evidence, sum(int(mask.sum()) for mask in masks))
+    return FreeDecayFit(model, values, spread, likelihood, evidence, sum(int(mask.sum()) for mask in masks))
 
 
-def begin(model: RingingModel, offered: Floats, masks: Sequence[Mask]) -> Floats:
+def begin(model: FreeDecayModel, offered: Floats, masks: Sequence[Mask]) -> Floats:
     """The most probable of some vectors (b, p)."""
     centres, sigmas = model.centres, model.sigmas
     scores = log_likelihoods(model, offered, masks) - 0.5 * np.sum(((offered - centres) / sigmas) ** 2, 1)
     return np.asarray(offered[int(np.nanargmax(scores))])
 
 
-def log_likelihoods(model: RingingModel, offered: Floats, masks: Sequence[Mask]) -> Floats:
+def log_likelihoods(model: FreeDecayModel, offered: Floats, masks: Sequence[Mask]) -> Floats:
     """Of all recordings, for each vector (b, p)."""
     filtered = filter_all(model, [offered] * len(model.recordings))
     return np.asarray(np.sum([_log_likelihood(one, mask) for one, mask in zip(filtered, masks, strict=True)], axis=0))
 
 
-def filter_all(model: RingingModel, vectors: Sequence[Floats], ahead: int = 0) -> list[Filtered]:
+def filter_all(model: FreeDecayModel, vectors: Sequence[Floats], ahead: int = 0) -> list[Filtered]:
     """Filter every recording under vectors (b, p) of its own, all in one sweep."""
     each = [model.modes(values, k) for k, values in enumerate(vectors)]
     longest = max(len(one.t_s) for one in model.recordings)
@@ -122,7 +122,7 @@ def _log_likelihood(one: Filtered, mask: Mask) -> Floats:
     return np.asarray(-0.5 * np.sum(terms[:, mask], axis=1))
 
 
-def _scored(model: RingingModel, values: Floats, masks: Sequence[Mask]) -> tuple[float, Floats, Floats]:
+def _scored(model: FreeDecayModel, values: Floats, masks: Sequence[Mask]) -> tuple[float, Floats, Floats]:
     """Log posterior, its gradient, and the information."""
     centres, sigmas = model.centres, model.sigmas
     moved = [_around(model, values, k) for k in range(len(model.recordings))]
@@ -142,7 +142,7 @@ def _scored(model: RingingModel, values: Floats, masks: Sequence[Mask]) -> tuple
     return score, gradient, information
 
 
-def _around(model: RingingModel, values: Floats, recording: int) -> Floats:
+def _around(model: FreeDecayModel, values: Floats, recording: int) -> Floats:
     """The vector, and it with a small step in everything that concerns a recording."""
     places = [*range(model.shared), *model.own(recording)]
     rows = np.tile(values, (len(places) + 1, 1))

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from companion.diagnosis.free_decay.adequacy import Check, checks
-from companion.diagnosis.free_decay.cross_validation import HeldOutError
+from companion.diagnosis.free_decay.cross_validation import PredictionError
 from companion.diagnosis.free_decay.laws import Extension, Law
 from companion.diagnosis.free_decay.model import key_of
 from companion.diagnosis.free_decay.record import Scale
-from companion.diagnosis.free_decay.search import RingingDiagnosis, Tried
+from companion.diagnosis.free_decay.search import FreeDecayDiagnosis, Tried
 
 _CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close
 _SIGMAS_95 = 1.959964
@@ -27,7 +27,7 @@ _ADVICE = {
 }
 
 
-def as_json(found: RingingDiagnosis, scales: Mapping[str, Scale], airframe: str | None) -> dict[str, Any]:
+def as_json(found: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe: str | None) -> dict[str, Any]:
     """Everything that a program would read."""
     before, after = checks(found.null), checks(found.final)
     named = [i for i, entry in enumerate(found.accepted) if name_of(entry, found) and _useful(found, i)]
@@ -51,7 +51,7 @@ def as_json(found: RingingDiagnosis, scales: Mapping[str, Scale], airframe: str 
     }
 
 
-def name_of(entry: Tried, found: RingingDiagnosis) -> str:
+def name_of(entry: Tried, found: FreeDecayDiagnosis) -> str:
     """The catalogue's name of an accepted extension, "" for what only describes."""
     if isinstance(entry.extension, Law):
         return entry.extension.name
@@ -59,19 +59,19 @@ def name_of(entry: Tried, found: RingingDiagnosis) -> str:
     return "close-mode" if apart < _CLOSE else "second-mode"
 
 
-def _useful(found: RingingDiagnosis, index: int) -> bool:
+def _useful(found: FreeDecayDiagnosis, index: int) -> bool:
     """Whether a law foretells blocks of which it was not fitted, beyond chance."""
     return found.errors[index + 1].gone(found.errors[index])[1] > 0.0
 
 
-def _verdict(found: RingingDiagnosis, after: list[Check]) -> str:
-    unnamed = [entry for entry in found.accepted if not name_of(entry, found)]
-    if unnamed or not all(entry.passed for entry in after):
+def _verdict(found: FreeDecayDiagnosis, after: list[Check]) -> str:
+    descriptive = [entry for entry in found.accepted if not name_of(entry, found)]
+    if descriptive or not all(entry.passed for entry in after):
         return "unexplained"
     return "explained" if found.accepted else "adequate"
 
 
-def _reason(found: RingingDiagnosis, named: list[int], after: list[Check]) -> str:
+def _reason(found: FreeDecayDiagnosis, named: list[int], after: list[Check]) -> str:
     told = []
     if named:
         told.append(
@@ -84,7 +84,7 @@ def _reason(found: RingingDiagnosis, named: list[int], after: list[Check]) -> st
     return "; ".join(told) or "a mode of constant frequency and damping explains these recordings"
 
 
-def _with_channel(extension: Extension, found: RingingDiagnosis, index: int) -> str:
+def _with_channel(extension: Extension, found: FreeDecayDiagnosis, index: int) -> str:
     name = name_of(found.accepted[index], found)
     if isinstance(extension, Law):
         return f"{name} ({extension.channel})" if extension.channel else name
@@ -94,7 +94,7 @@ def _with_channel(extension: Extension, found: RingingDiagnosis, index: int) -> 
     return f"{name} ({second:.1f} beside {first:.1f} Hz in the last decay)"
 
 
-def _descriptions(found: RingingDiagnosis) -> list[str]:
+def _descriptions(found: FreeDecayDiagnosis) -> list[str]:
     """What was needed and has no name, as a sentence each."""
     told = []
     for entry in found.accepted:
@@ -106,7 +106,7 @@ def _descriptions(found: RingingDiagnosis) -> list[str]:
     return told
 
 
-def _cause(found: RingingDiagnosis, index: int, scales: Mapping[str, Scale]) -> dict[str, Any]:
+def _cause(found: FreeDecayDiagnosis, index: int, scales: Mapping[str, Scale]) -> dict[str, Any]:
     entry = found.accepted[index]
     name, law = name_of(entry, found), entry.extension
     channel = law.channel if isinstance(law, Law) and law.channel else None
@@ -125,7 +125,7 @@ def _cause(found: RingingDiagnosis, index: int, scales: Mapping[str, Scale]) -> 
     }
 
 
-def _of_law(found: RingingDiagnosis, law: Law, scales: Mapping[str, Scale]) -> dict[str, Any]:
+def _of_law(found: FreeDecayDiagnosis, law: Law, scales: Mapping[str, Scale]) -> dict[str, Any]:
     value, sigma = found.final.value(key_of(law))
     parameters = {law.parameter: _quantity(value, sigma, law.unit, law.meaning)}
     if law.channel in scales:
@@ -136,7 +136,7 @@ def _of_law(found: RingingDiagnosis, law: Law, scales: Mapping[str, Scale]) -> d
     return parameters
 
 
-def _of_second(found: RingingDiagnosis) -> dict[str, Any]:
+def _of_second(found: FreeDecayDiagnosis) -> dict[str, Any]:
     f_log, f_sigma = found.final.value("second log frequency")
     z_log, z_sigma = found.final.value("second log damping")
     p_log, p_sigma = found.final.value("second log participation")
@@ -155,7 +155,7 @@ def _quantity(value: float, sigma: float, unit: str, meaning: str) -> dict[str, 
     return {"value": value, "sigma": sigma, "unit": unit, "interval": interval, "meaning": meaning}
 
 
-def _gain(before: HeldOutError, after: HeldOutError) -> dict[str, Any]:
+def _gain(before: PredictionError, after: PredictionError) -> dict[str, Any]:
     score, low, high = after.gained(before)
     gone, gone_low, gone_high = after.gone(before)
     return {
@@ -177,7 +177,7 @@ def _plain(entry: Check) -> dict[str, Any]:
     return {"test": entry.name, "z": entry.z, "passed": entry.passed}
 
 
-def _residual(found: RingingDiagnosis, after: list[Check]) -> dict[str, Any]:
+def _residual(found: FreeDecayDiagnosis, after: list[Check]) -> dict[str, Any]:
     left = _descriptions(found)
     return {
         "description": "; ".join(left) or "innovations are not white",
@@ -186,7 +186,7 @@ def _residual(found: RingingDiagnosis, after: list[Check]) -> dict[str, Any]:
     }
 
 
-def _screened(found: RingingDiagnosis, entry: Tried) -> dict[str, Any]:
+def _screened(found: FreeDecayDiagnosis, entry: Tried) -> dict[str, Any]:
     """One law against the null alone: its evidence, and what it foretells, are two things."""
     law = entry.extension
     row: dict[str, Any] = {
@@ -201,7 +201,7 @@ def _screened(found: RingingDiagnosis, entry: Tried) -> dict[str, Any]:
     return row
 
 
-def _pairs(found: RingingDiagnosis) -> list[dict[str, float]]:
+def _pairs(found: FreeDecayDiagnosis) -> list[dict[str, float]]:
     """Frequencies of both modes at the lowest and the highest of what the first one did."""
     model, rows = found.final.model, []
     for k in range(len(model.recordings)):
@@ -213,7 +213,7 @@ def _pairs(found: RingingDiagnosis) -> list[dict[str, float]]:
     return rows
 
 
-def _modes(found: RingingDiagnosis, scales: Mapping[str, Scale]) -> dict[str, Any]:
+def _modes(found: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[str, Any]:
     """Where the modes are when the recordings end at rest, and over what the first one moved."""
     model = found.final.model
     at_end = []
@@ -231,7 +231,7 @@ def _modes(found: RingingDiagnosis, scales: Mapping[str, Scale]) -> dict[str, An
             "in_the_last_decay": at_end}  # fmt: skip
 
 
-def _believed(found: RingingDiagnosis) -> list[dict[str, Any]]:
+def _believed(found: FreeDecayDiagnosis) -> list[dict[str, Any]]:
     rows = []
     for i, entry in enumerate(found.final.model.parameters[:2]):
         value, sigma = float(found.final.values[i]) - entry.centre, float(found.final.sigmas[i])

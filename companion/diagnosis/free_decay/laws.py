@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.free_decay.record import Ringing
+from companion.diagnosis.free_decay.record import FreeDecay
 from companion.records import Floats
 
 _MINUTE_S = 60.0
@@ -47,7 +47,7 @@ class Law:
     text: str
     channel: str
     follows: Follows
-    basis: Callable[[Ringing], Floats]
+    basis: Callable[[FreeDecay], Floats]
     parameter: str
     unit: str
     meaning: str

@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.diagnosis.free_decay.kalman import Modes
 from companion.diagnosis.free_decay.laws import Extension, Follows, Law, SecondMode
-from companion.diagnosis.free_decay.record import Ringing
+from companion.diagnosis.free_decay.record import FreeDecay
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
@@ -28,12 +28,12 @@ class Parameter:
     sigma: float
 
 
-class RingingModel:
+class FreeDecayModel:
     """Recordings under a set of extensions; the null has one mode of constant frequency and damping."""
 
     def __init__(
         self,
-        recordings: Sequence[Ringing],
+        recordings: Sequence[FreeDecay],
         frequency_hz: Uncertain,
         damping: Uncertain,
         extensions: Sequence[Extension] = (),
@@ -63,7 +63,7 @@ class RingingModel:
         first = self.shared + _OWN * recording
         return list(range(first, first + _OWN))
 
-    def begun_from(self, other: RingingModel, values: Floats) -> Floats:
+    def values_from(self, other: FreeDecayModel, values: Floats) -> Floats:
         """A vector of this model with what another one has in common with it."""
         there = {entry.key: float(value) for entry, value in zip(other.parameters, values, strict=True)}
         return np.array([there.get(entry.key, entry.centre) for entry in self.parameters])
@@ -77,7 +77,7 @@ class RingingModel:
             if isinstance(law, Law) and law.follows is Follows.DAMPING:
                 log_zeta = log_zeta + columns[key_of(law)] * law.basis(one)
         first = 2.0 * np.pi * np.exp(columns["log frequency"]) * np.maximum(swing, _SLOWEST)
-        loudness = np.exp(2.0 * columns[f"knock to load #{recording}"]) * one.knock_mps2**2
+        loudness = np.exp(2.0 * columns[f"knock to load #{recording}"]) * one.impulse_mps2**2
         omega, zeta, load = [first], [np.exp(log_zeta)], [loudness]
         if any(isinstance(entry, SecondMode) for entry in self.extensions):
             follow = 1.0 + columns["second follow"] * (swing - 1.0)
@@ -85,10 +85,10 @@ class RingingModel:
             zeta.append(np.exp(columns["second log damping"]) + np.zeros_like(log_zeta))
             load.append(loudness * np.exp(columns["second log participation"]))
         noise = np.exp(2.0 * columns[f"noise #{recording}"])
-        noise = noise + np.exp(2.0 * columns[f"knock to noise #{recording}"]) * one.echo_mps2**2
+        noise = noise + np.exp(2.0 * columns[f"knock to noise #{recording}"]) * one.leakage_mps2**2
         return Modes(np.stack(omega, 2), np.clip(np.stack(zeta, 2), *_ZETA), np.stack(load, 2), noise)
 
-    def swing(self, columns: dict[str, Floats], one: Ringing) -> Floats:
+    def swing(self, columns: dict[str, Floats], one: FreeDecay) -> Floats:
         """The first mode's frequency over its constant part, (b, t)."""
         swing = np.ones((len(columns["log frequency"]), len(one.t_s)))
         for law in self.extensions:

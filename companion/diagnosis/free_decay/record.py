@@ -26,7 +26,7 @@ _ECHO = 20  # samples
 
 
 @dataclass(frozen=True, slots=True)
-class RawRinging:
+class RawFreeDecay:
     """One accelerometer as recorded: ``t_s``, ``up_mps2`` (n,), and channels beside it (n,)."""
 
     name: str
@@ -36,7 +36,7 @@ class RawRinging:
 
 
 @dataclass(frozen=True, slots=True)
-class Ringing:
+class FreeDecay:
     """One recording on its grid.
 
     Attributes
@@ -61,8 +61,8 @@ class Ringing:
     rate_hz: float
     t_s: Floats
     up_mps2: Floats
-    knock_mps2: Floats
-    echo_mps2: Floats
+    impulse_mps2: Floats
+    leakage_mps2: Floats
     channels: dict[str, Floats]
     amplitude: Floats
     notes: tuple[str, ...] = ()
@@ -76,7 +76,7 @@ class Scale:
     rms: float
 
 
-def prepare(raws: Sequence[RawRinging], band_hz: tuple[float, float]) -> tuple[list[Ringing], dict[str, Scale]]:
+def prepare(raws: Sequence[RawFreeDecay], band_hz: tuple[float, float]) -> tuple[list[FreeDecay], dict[str, Scale]]:
     """Put recordings on their grids; channels that all of them have are scaled alike.
 
     Raises
@@ -96,13 +96,13 @@ def prepare(raws: Sequence[RawRinging], band_hz: tuple[float, float]) -> tuple[l
             scales[name] = Scale(float(together.mean()), float(together.std()))
     told = [f"{name} vibrates with the structure: taken for a response, not for a cause" for name in vibrating]
     found = [
-        Ringing(
+        FreeDecay(
             one.name,
             one.rate_hz,
             one.t_s,
             one.up_mps2,
-            one.knock_mps2,
-            one.echo_mps2,
+            one.impulse_mps2,
+            one.leakage_mps2,
             {name: (one.channels[name] - scale.mean) / scale.rms for name, scale in scales.items()},
             one.amplitude,
             (*one.notes, *told) if one is coarse[0] else one.notes,
@@ -112,7 +112,7 @@ def prepare(raws: Sequence[RawRinging], band_hz: tuple[float, float]) -> tuple[l
     return found, scales
 
 
-def _vibrates(raw: RawRinging, name: str, band_hz: tuple[float, float]) -> bool:
+def _vibrates(raw: RawFreeDecay, name: str, band_hz: tuple[float, float]) -> bool:
     """Whether most of what a channel does is in the band of the modes or above."""
     values = raw.channels[name] - raw.channels[name].mean()
     f_hz = np.fft.rfftfreq(len(values), float(np.median(np.diff(raw.t_s))))
@@ -120,7 +120,7 @@ def _vibrates(raw: RawRinging, name: str, band_hz: tuple[float, float]) -> bool:
     return float(power[f_hz > band_hz[0]].sum()) > _VIBRATES * float(power.sum())
 
 
-def _longest(raw: RawRinging) -> tuple[RawRinging, tuple[str, ...]]:
+def _longest(raw: RawFreeDecay) -> tuple[RawFreeDecay, tuple[str, ...]]:
     """The longest stretch without a gap, and a note where that is not all."""
     steps = np.diff(raw.t_s)
     wide = np.flatnonzero(steps > _GAP_RATIO * np.median(steps))
@@ -132,14 +132,16 @@ def _longest(raw: RawRinging) -> tuple[RawRinging, tuple[str, ...]]:
             f"{raw.name}: the longest stretch without a gap is {length_s:.1f} s; {_LEAST_S:g} s needed"
         )
     part = slice(first, last)
-    kept = RawRinging(raw.name, raw.t_s[part], raw.up_mps2[part], {k: v[part] for k, v in raw.channels.items()})
+    kept = RawFreeDecay(raw.name, raw.t_s[part], raw.up_mps2[part], {k: v[part] for k, v in raw.channels.items()})
     if not wide.size:
         return kept, ()
     note = f"{raw.name}: {wide.size} gaps; judged is the longest stretch without one, {length_s:.1f} s"
     return kept, (note,)
 
 
-def _coarse(raw: RawRinging, band_hz: tuple[float, float], shared: Sequence[str], notes: tuple[str, ...]) -> Ringing:
+def _coarse(
+    raw: RawFreeDecay, band_hz: tuple[float, float], shared: Sequence[str], notes: tuple[str, ...]
+) -> FreeDecay:
     count = len(raw.t_s)
     fine_hz = (count - 1) / float(raw.t_s[-1] - raw.t_s[0])
     if fine_hz < 2.5 * _ABOVE[0] * band_hz[1]:
@@ -166,10 +168,12 @@ def _coarse(raw: RawRinging, band_hz: tuple[float, float], shared: Sequence[str]
     channels = {name: np.add.reduceat(raw.channels[name], edges[:-1]) / np.diff(edges) for name in shared}
     envelope = np.abs(hilbert(thin))
     t_s = np.arange(keep) / rate_hz
-    return Ringing(raw.name, rate_hz, t_s, thin, knock, echo_of(knock), channels, envelope / float(thin.std()), notes)
+    return FreeDecay(
+        raw.name, rate_hz, t_s, thin, knock, leakage_of(knock), channels, envelope / float(thin.std()), notes
+    )
 
 
-def echo_of(knock: Floats) -> Floats:
+def leakage_of(knock: Floats) -> Floats:
     """Rms that the edge of the band makes of knocks in the samples around them."""
     lags = np.arange(-_ECHO, _ECHO + 1)
     return np.asarray(np.sqrt(np.convolve(knock**2, 1.0 / (1.0 + np.abs(np.pi * lags) ** 4), mode="same")))

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.free_decay.cross_validation import HeldOutError, folds, held_out_error
-from companion.diagnosis.free_decay.fit import Mask, RingingFit, begin, fit
+from companion.diagnosis.free_decay.cross_validation import PredictionError, folds, prediction_error
+from companion.diagnosis.free_decay.fit import FreeDecayFit, Mask, begin, fit
 from companion.diagnosis.free_decay.laws import Extension, Follows, Law, laws_for
-from companion.diagnosis.free_decay.model import RingingModel, key_of
-from companion.diagnosis.free_decay.record import Ringing
+from companion.diagnosis.free_decay.model import FreeDecayModel, key_of
+from companion.diagnosis.free_decay.record import FreeDecay
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
@@ -30,13 +30,13 @@ class Tried:
     """One extension on top of what was accepted before it."""
 
     extension: Extension
-    fitted: RingingFit
+    fitted: FreeDecayFit
     log_bayes_factor: float
     bic: float
 
 
 @dataclass(frozen=True, slots=True)
-class RingingDiagnosis:
+class FreeDecayDiagnosis:
     """What was found.
 
     Attributes
@@ -52,22 +52,22 @@ class RingingDiagnosis:
         Of each frequency law alone, by what it says.
     """
 
-    null: RingingFit
-    final: RingingFit
+    null: FreeDecayFit
+    final: FreeDecayFit
     accepted: tuple[Tried, ...]
     rounds: tuple[tuple[Tried, ...], ...]
-    errors: tuple[HeldOutError, ...]
-    alone: dict[str, HeldOutError]
+    errors: tuple[PredictionError, ...]
+    alone: dict[str, PredictionError]
 
 
 def search(
-    recordings: Sequence[Ringing],
+    recordings: Sequence[FreeDecay],
     frequency_hz: Uncertain,
     damping: Uncertain,
     band_hz: tuple[float, float],
     most: int = 5,
     progress: Progress = lambda _what, _share: None,
-) -> RingingDiagnosis:
+) -> FreeDecayDiagnosis:
     """Judge recordings of one structure jointly, with what is one recording's own fitted to it alone.
 
     ``frequency_hz`` and ``damping`` are as believed before, ``band_hz`` is where modes may be; at most ``most``
@@ -75,7 +75,7 @@ def search(
     """
     masks = [np.ones(len(one.t_s), dtype=np.bool_) for one in recordings]
     progress("fit a mode of constant frequency", 0.0)
-    null = _null(RingingModel(recordings, frequency_hz, damping), masks)
+    null = _null(FreeDecayModel(recordings, frequency_hz, damping), masks)
     offered = laws_for(sorted(recordings[0].channels))
     current, accepted, rounds = null, list[Tried](), list[tuple[Tried, ...]]()
     while len(accepted) < most:
@@ -95,20 +95,20 @@ def search(
     stages = [null, *(entry.fitted for entry in accepted)]
     errors = _scored(stages, progress, "hold out blocks")
     alone = {} if not rounds else _alone(rounds[0], progress)
-    return RingingDiagnosis(null, current, tuple(accepted), tuple(rounds), tuple(errors), alone)
+    return FreeDecayDiagnosis(null, current, tuple(accepted), tuple(rounds), tuple(errors), alone)
 
 
-def _null(model: RingingModel, masks: Sequence[Mask]) -> RingingFit:
+def _null(model: FreeDecayModel, masks: Sequence[Mask]) -> FreeDecayFit:
     at, entry = model.index("log frequency"), model.parameters[0]
     offered = np.tile(model.centres, (_FREQUENCIES, 1))
     offered[:, at] = entry.centre + entry.sigma * np.linspace(-2.0, 2.0, _FREQUENCIES)
     return fit(model, begin(model, offered, masks), masks, _DEEP)
 
 
-def _try(entry: Extension, current: RingingFit, masks: Sequence[Mask]) -> Tried:
+def _try(entry: Extension, current: FreeDecayFit, masks: Sequence[Mask]) -> Tried:
     before = current.model
-    model = RingingModel(before.recordings, before.frequency_hz, before.damping, (*before.extensions, entry))
-    start = model.begun_from(before, current.values)
+    model = FreeDecayModel(before.recordings, before.frequency_hz, before.damping, (*before.extensions, entry))
+    start = model.values_from(before, current.values)
     offered = _starts(entry, model, start, wide=not before.extensions)
     return _against(entry, fit(model, begin(model, offered, masks), masks, _QUICK), current)
 
@@ -121,7 +121,7 @@ def _is_a_mode(one: Tried, band_hz: tuple[float, float]) -> bool:
     return band_hz[0] < frequency_hz < band_hz[1] and zeta < _RINGS
 
 
-def _starts(entry: Extension, model: RingingModel, start: Floats, wide: bool) -> Floats:
+def _starts(entry: Extension, model: FreeDecayModel, start: Floats, wide: bool) -> Floats:
     """Where the climb may begin: a frequency that swings far has many small hills."""
     rows = []
     if not isinstance(entry, Law):
@@ -143,24 +143,24 @@ def _starts(entry: Extension, model: RingingModel, start: Floats, wide: bool) ->
     return np.array(rows)
 
 
-def _against(entry: Extension, fitted: RingingFit, current: RingingFit) -> Tried:
+def _against(entry: Extension, fitted: FreeDecayFit, current: FreeDecayFit) -> Tried:
     extra = len(fitted.values) - len(current.values)
     bic = -2.0 * (fitted.log_likelihood - current.log_likelihood) + extra * math.log(fitted.count)
     return Tried(entry, fitted, fitted.log_evidence - current.log_evidence, bic)
 
 
-def _scored(stages: Sequence[RingingFit], progress: Progress, what: str) -> list[HeldOutError]:
+def _scored(stages: Sequence[FreeDecayFit], progress: Progress, what: str) -> list[PredictionError]:
     recordings = stages[0].model.recordings
     frequency_hz = math.exp(float(stages[0].values[0]))
     ahead = max(round(recordings[0].rate_hz / frequency_hz), 1)
     found = []
     for i, stage in enumerate(stages):
         progress(what, i / len(stages))
-        found.append(held_out_error(stage, folds(recordings), ahead))
+        found.append(prediction_error(stage, folds(recordings), ahead))
     return found
 
 
-def _alone(first: Sequence[Tried], progress: Progress) -> dict[str, HeldOutError]:
+def _alone(first: Sequence[Tried], progress: Progress) -> dict[str, PredictionError]:
     laws = [
         one
         for one in first

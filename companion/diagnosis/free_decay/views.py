@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import hilbert
 
-from companion.diagnosis.free_decay.model import RingingModel
-from companion.diagnosis.free_decay.record import Ringing
+from companion.diagnosis.free_decay.model import FreeDecayModel
+from companion.diagnosis.free_decay.record import FreeDecay
 from companion.records import Floats
 
 _WINDOW_S, _STEP_S = 0.3, 0.1
@@ -33,11 +33,11 @@ class Backbone:
     channels: dict[str, Floats]
 
 
-def backbone(one: Ringing) -> Backbone:
+def backbone(one: FreeDecay) -> Backbone:
     """Frequency, damping and amplitude of every window without a knock in it."""
     length, step = round(_WINDOW_S * one.rate_hz), max(round(_STEP_S * one.rate_hz), 1)
     envelope = np.abs(hilbert(one.up_mps2))
-    loud = one.knock_mps2**2 > _QUIET * float(np.mean(one.knock_mps2**2))
+    loud = one.impulse_mps2**2 > _QUIET * float(np.mean(one.impulse_mps2**2))
     least = _LEAST_AMPLITUDE * float(np.percentile(envelope, 95))
     rows, at = [], []
     for first in range(0, len(one.t_s) - length, step):
@@ -61,7 +61,7 @@ def _peak_hz(part: Floats, rate_hz: float) -> float:
     return float((k + 0.5 * (a - c) / (a - 2.0 * b + c)) * rate_hz / (_FINER * len(part)))
 
 
-def restoring_force(model: RingingModel, values: Floats, recording: int) -> tuple[Floats, Floats, Floats]:
+def restoring_force(model: FreeDecayModel, values: Floats, recording: int) -> tuple[Floats, Floats, Floats]:
     """Mean of what the spring and damper of a model leave of the acceleration, over deflection and speed.
 
     Returns
@@ -80,7 +80,7 @@ def restoring_force(model: RingingModel, values: Floats, recording: int) -> tupl
     over = 2j * np.pi * np.maximum(f_hz, f_hz[1])
     v, q = np.fft.irfft(spectrum / over, len(one.t_s)), np.fft.irfft(spectrum / over**2, len(one.t_s))
     left = one.up_mps2 + omega**2 * q + 2.0 * zeta * omega * v
-    quiet = one.knock_mps2**2 < _QUIET * float(np.mean(one.knock_mps2**2))
+    quiet = one.impulse_mps2**2 < _QUIET * float(np.mean(one.impulse_mps2**2))
     q, v, left = q[quiet] / q[quiet].std(), v[quiet] / v[quiet].std(), left[quiet] / one.up_mps2[quiet].std()
     edges = np.linspace(-_SPREAD, _SPREAD, _CELLS + 1)
     total, _, _ = np.histogram2d(q, v, bins=[edges, edges], weights=left)

@@ -17,7 +17,7 @@ import numpy as np
 
 from companion.core.wing.effects import make_effect
 from companion.core.wing.structure import SLOT_NAMES
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import ADDED
 from companion.params.airframe import Airframe, Mode, Uncertain, Wing
 from companion.records import Floats, Side
@@ -49,7 +49,7 @@ class Belief:
 
     airframe: Airframe
     nuisances: tuple[Nuisance, ...]
-    parts: tuple[Part, ...] = ()
+    parts: tuple[EffectTerm, ...] = ()
     """Effects that the airframe file has in force already."""
 
     @property
@@ -125,11 +125,11 @@ def believe(
     known = [entry for entry in found if entry.sigma > 0.0]
     if recordings > 1:
         known = [one for entry in known for one in _for_each(entry, recordings)]
-    in_force = tuple(Part(make_effect(entry), entry.channel) for entry in airframe.effects)
+    in_force = tuple(EffectTerm(make_effect(entry), entry.channel) for entry in airframe.effects)
     return Belief(airframe, tuple(known), in_force)
 
 
-def of_range(key: str, load_moves: bool = False) -> bool:
+def is_range_only(key: str, load_moves: bool = False) -> bool:
     """Whether a nuisance concerns the ranges or the sensors at rest alone, and not the motion of the wing."""
     if key == "bend_per_g_m" and load_moves:
         return False

@@ -10,16 +10,16 @@ from companion.core.wing.effect import Effect
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class EffectTerm:
     """One named effect in a model, with the recorded channel that it follows, if any.
 
-    ``looks`` is the logarithm of how many places were looked at before it was begun where it was.
+    ``log_trials`` is the logarithm of how many places were looked at before it was begun where it was.
     """
 
     effect: Effect
     channel: str = ""
-    looks: float = 0.0
+    log_trials: float = 0.0
 
-    def with_values(self, values: Mapping[str, float]) -> Part:
+    def with_values(self, values: Mapping[str, float]) -> EffectTerm:
         """The same effect with other values."""
         return dataclasses.replace(self, effect=type(self.effect).from_values(dict(values)))

@@ -17,21 +17,21 @@ from companion.core.wing.effect import Effect, Group
 from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
-from companion.diagnosis.model.belief import Belief, input_gains, of_range
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.belief import Belief, input_gains, is_range_only
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.linear_spectra import STATIONS, Spectra, spectrum_of
 from companion.diagnosis.model.motion import Grid, Motion
-from companion.diagnosis.model.nonlinear_correction import GRAVITY_MPS2, Straightener
+from companion.diagnosis.model.nonlinear_correction import GRAVITY_MPS2, SensorLineariser
 from companion.diagnosis.model.toe import ToeModel
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, log_determinant, weighed_square
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, log_determinant, quadratic_form
 from companion.records import Floats
 
 _LOW = 0.15
 _NYQUIST_SHARE = 0.45
 
 
-class SuperModel:
+class FlightModel:
     """A belief and a recording, ready to be asked about any parameters and any effects.
 
     ``recording`` is the number by which the belief's nuisances know it, where several are fitted jointly.
@@ -47,19 +47,21 @@ class SuperModel:
         self.band_hz: Floats = all_hz[self._low : top]
         self.weight = self.transforms.weight
         self._spectra = Spectra(belief.airframe, seen.sides, all_hz[:top], seen.has_root)
-        straightener = Straightener(seen, self.transforms)
-        up = straightener.recorded_mps2
+        lineariser = SensorLineariser(seen, self.transforms)
+        up = lineariser.recorded_mps2
         recorded = self.transforms.spectrum(up)[:, :top], self.transforms.tapered(up)[:, self._low : top]
-        self._grid = Grid(straightener, self.transforms, self._low, recorded)
+        self._grid = Grid(lineariser, self.transforms, self._low, recorded)
         self._rigid: tuple[Complexes, Complexes] | None = None
-        if straightener.rigid_mps2 is not None:
-            heave, turning = (self.transforms.spectrum(values)[..., :top] for values in straightener.rigid_mps2)
+        if lineariser.rigid_mps2 is not None:
+            heave, turning = (self.transforms.spectrum(values)[..., :top] for values in lineariser.rigid_mps2)
             self._rigid = heave, turning
         self._toe: ToeModel | None = None
         if seen.toe is not None:
             self._toe = ToeModel(belief, seen, seen.toe, self.transforms, all_hz[:top])
 
-    def expect(self, deviations: Floats, parts: Sequence[Part] = (), near: Expectation | None = None) -> Expectation:
+    def expect(
+        self, deviations: Floats, parts: Sequence[EffectTerm] = (), near: Expectation | None = None
+    ) -> Expectation:
         """Hold a model against the recording.
 
         Parameters
@@ -98,7 +100,7 @@ class SuperModel:
     def log_scores(self, found: Expectation) -> dict[str, float]:
         """Log likelihood by channel: accelerations, toe given them, and the sensors' mean."""
         spread = float(np.sum(log_determinant(found.spectrum)))
-        misfit = weighed_square(found.inverse, found.residual)
+        misfit = quadratic_form(found.inverse, found.residual)
         scores = {"acceleration": -self.weight * (spread + misfit)}
         if len(found.toe_residual_rad):
             factor = cho_factor(found.toe_covariance, lower=True, check_finite=False)
@@ -125,7 +127,7 @@ class SuperModel:
         spectrum[:, self._low : self._low + shape[1]] = coloured * np.sqrt(self.transforms.count / self.transforms.dt_s)
         return self.transforms.in_time(spectrum)
 
-    def residual_force(self, found: Expectation) -> Floats:
+    def force_score(self, found: Expectation) -> Floats:
         """Score of the likelihood with respect to a force on each believed mode at each instant, (n, m)."""
         believed = WingModel(self.belief.airframe.wing).count
         return self.transforms.in_time(found.motion.force_score[:believed])
@@ -164,16 +166,16 @@ class SuperModel:
         return self.in_band(self.transforms.in_time(rate) * shift_s)
 
     def _motion(
-        self, wing: WingModel, parts: Sequence[Part], deviation: Mapping[str, float], near: Expectation | None
+        self, wing: WingModel, parts: Sequence[EffectTerm], deviation: Mapping[str, float], near: Expectation | None
     ) -> Motion:
         """What the accelerations have a say in; half of all parameters are of the cameras alone and leave it."""
         inner = tuple(part for part in parts if part.effect.group is not Group.CAMERA)
         bends = self.seen.has_root  # then the bend per g moves the wing, and not the ranges alone
-        key = (inner, tuple(value for name, value in deviation.items() if not of_range(name, bends)))
+        key = (inner, tuple(value for name, value in deviation.items() if not is_range_only(name, bends)))
         if near is not None and near.motion.key == key:
             return near.motion
         effects = tuple(part.effect for part in inner)
-        measured = self._grid.straightener.measured_mps2(wing, input_gains(deviation))
+        measured = self._grid.lineariser.measured_mps2(wing, input_gains(deviation))
         leaked = self._leaked_mps2(effects, deviation)
         return Motion(
             key,
@@ -195,12 +197,14 @@ class SuperModel:
         return self.transforms.in_time(left)
 
     def _rest(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> tuple[Floats, Floats]:
-        shown = self.seen.mean_force_mps2.copy()
+        mean_residual = self.seen.mean_force_mps2.copy()
         for i, side in enumerate(self.seen.sides):
             name = side.name.lower()
-            shown[i] -= deviation.get(f"{name}.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get(f"{name}.scale", 0.0)
-            shown[i] -= sum(effect.bias(STATIONS[side]) for effect in effects)
-            shown[i] += deviation.get("root.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get("root.scale", 0.0)
+            mean_residual[i] -= deviation.get(f"{name}.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get(
+                f"{name}.scale", 0.0
+            )
+            mean_residual[i] -= sum(effect.bias(STATIONS[side]) for effect in effects)
+            mean_residual[i] += deviation.get("root.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get("root.scale", 0.0)
         # without a root sensor the mean load factor itself is in doubt, on both sides alike
-        doubt = 1e-3 if self.seen.has_root else 3e-3 * GRAVITY_MPS2
-        return shown, np.full(len(shown), doubt**2 / self.seen.share)
+        mean_sigma_mps2 = 1e-3 if self.seen.has_root else 3e-3 * GRAVITY_MPS2
+        return mean_residual, np.full(len(mean_residual), mean_sigma_mps2**2 / self.seen.share)

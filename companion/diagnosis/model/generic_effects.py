@@ -46,7 +46,7 @@ TIMES: dict[str, _Sway] = {
 
 
 @dataclass(frozen=True, slots=True)
-class LatentForce(Effect):
+class GenericForce(Effect):
     """A force of either half's deflection and speed, in units of the rms spring force."""
 
     name: ClassVar[str] = "latent-force"
@@ -64,7 +64,7 @@ class LatentForce(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LatentSway(LatentForce):
+class GenericVaryingStiffness(GenericForce):
     """A spring force that changes in time."""
 
     sway: ClassVar[_Sway]
@@ -86,7 +86,7 @@ SENSED: dict[str, Callable[[Floats, Floats], Floats]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class LatentSense(Effect):
+class GenericSensorLaw(Effect):
     """One law of the sensors' basis, on both sides alike or against each other, in units of the rms acceleration."""
 
     name: ClassVar[str] = "latent-sense"
@@ -109,7 +109,7 @@ class LatentSense(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LatentToe(Effect):
+class GenericToe(Effect):
     """What the measured toe may follow, in units of that one's rms."""
 
     name: ClassVar[str] = "latent-toe"
@@ -124,7 +124,7 @@ class LatentToe(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LatentSpread(Effect):
+class GenericToeVariance(Effect):
     """What the variance of the measured toe may grow with, in units of that one's mean."""
 
     name: ClassVar[str] = "latent-spread"
@@ -140,7 +140,7 @@ class LatentSpread(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LatentRest(Effect):
+class GenericBias(Effect):
     """What one side shows at rest."""
 
     name: ClassVar[str] = "latent-rest"
@@ -155,7 +155,7 @@ class LatentRest(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LatentPhase(Effect):
+class GenericPhase(Effect):
     """A phase of one side that grows with frequency."""
 
     name: ClassVar[str] = "latent-phase"
@@ -170,7 +170,7 @@ class LatentPhase(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LatentFall(Effect):
+class GenericRollOff(Effect):
     """A gain that falls with the square of frequency, on both sides alike or against each other, and turns no phase."""
 
     name: ClassVar[str] = "latent-fall"
@@ -188,7 +188,7 @@ class LatentFall(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LatentWarp(Effect):
+class GenericClockDrift(Effect):
     """One side is ever later: by nothing in the middle of the recording, as it may be late throughout anyway."""
 
     name: ClassVar[str] = "latent-warp"
@@ -202,7 +202,7 @@ class LatentWarp(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LatentLine(Effect):
+class GenericLine(Effect):
     """One frequency in both sides' readings, alike or against each other."""
 
     name: ClassVar[str] = "latent-line"
@@ -247,7 +247,7 @@ TOE = (
 SPREAD = ("deflection", "its rate", "inverse distance", "time")
 
 
-def followed(
+def toe_regressors(
     toe: ToeData, modal: Floats, rates: Floats, load_factor: Floats, expected_rad: Floats
 ) -> dict[str, Floats]:
     """What the toe might follow, each about its mean (but the whole reading) and of rms 1, (k,).
@@ -275,21 +275,24 @@ def followed(
     return offered
 
 
-def growing(toe: ToeData, modal: Floats, rates: Floats) -> dict[str, Floats]:
+def toe_variance_regressors(toe: ToeData, modal: Floats, rates: Floats) -> dict[str, Floats]:
     """What the toe's variance might grow with, of mean 1, (k,)."""
     values = (modal[0] ** 2, rates[0] ** 2, toe.inverse_m**2, 0.5 * (1.0 + _across(toe.t_s)))
     return {name: one / np.mean(one) for name, one in zip(SPREAD, values, strict=True) if float(np.std(one)) > 1e-12}
 
 
-def unnamed() -> list[type[Effect]]:
+def generic_effects() -> list[type[Effect]]:
     """Every law as an effect of its own."""
     sensors = [(name, law, against) for name, law in SENSED.items() for against in (False, True)]
     return [
-        *(_kind(LatentForce, f"force with {name}", law=staticmethod(law)) for name, law in LAWS.items()),
-        *(_kind(LatentSway, f"force with {name}", sway=staticmethod(sway)) for name, sway in TIMES.items()),
+        *(_kind(GenericForce, f"force with {name}", law=staticmethod(law)) for name, law in LAWS.items()),
+        *(
+            _kind(GenericVaryingStiffness, f"force with {name}", sway=staticmethod(sway))
+            for name, sway in TIMES.items()
+        ),
         *(
             _kind(
-                LatentSense,
+                GenericSensorLaw,
                 f"sensors with {name}{', left against right' if against else ''}",
                 law=staticmethod(law),
                 against=against,
@@ -298,25 +301,25 @@ def unnamed() -> list[type[Effect]]:
         ),
         *(
             _kind(base, f"{side.name.lower()} side {what}", station=side)
-            for base, what in ((LatentRest, "at rest"), (LatentPhase, "phase growing with frequency"))
+            for base, what in ((GenericBias, "at rest"), (GenericPhase, "phase growing with frequency"))
             for side in (Station.LEFT, Station.RIGHT)
         ),
-        _kind(LatentFall, "gain falling with frequency"),
-        _kind(LatentFall, "gain falling with frequency, left against right", against=True),
-        _kind(LatentWarp, "right side ever later"),
-        *(_kind(LatentToe, f"range residual against {name}", follows=name) for name in TOE),
-        *(_kind(LatentSpread, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
+        _kind(GenericRollOff, "gain falling with frequency"),
+        _kind(GenericRollOff, "gain falling with frequency, left against right", against=True),
+        _kind(GenericClockDrift, "right side ever later"),
+        *(_kind(GenericToe, f"range residual against {name}", follows=name) for name in TOE),
+        *(_kind(GenericToeVariance, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
     ]
 
 
 def lines() -> list[type[Effect]]:
     """What a single frequency may be, which the data must lead to."""
-    return [_kind(LatentLine, f"a line, {how}", against=how != "alike") for how in ("alike", "left against right")]
+    return [_kind(GenericLine, f"a line, {how}", against=how != "alike") for how in ("alike", "left against right")]
 
 
 def laws() -> list[tuple[str, Effect]]:
     """Every law of forces and sensors at nothing, with what it says."""
-    return [(kind.name, kind()) for kind in unnamed() if issubclass(kind, (LatentForce, LatentSense))]
+    return [(kind.name, kind()) for kind in generic_effects() if issubclass(kind, (GenericForce, GenericSensorLaw))]
 
 
 def _kind(base: type[Effect], title: str, **constants: object) -> type[Effect]:

@@ -78,8 +78,8 @@ class Spectra:
         for effect in effects:
             gain = effect.load_gain(self.f_hz, structure.count)
             if gain is not None:
-                turned = np.moveaxis(np.broadcast_to(gain, (len(self.f_hz), *gain.shape[1:])), 0, -1)
-                load = product(product(turned, full(load)), adjoint(turned))
+                matrix = np.moveaxis(np.broadcast_to(gain, (len(self.f_hz), *gain.shape[1:])), 0, -1)
+                load = product(product(matrix, full(load)), adjoint(matrix))
         return load
 
     def _coherent(self, load: Complexes, structure: Structure, deviation: Mapping[str, float]) -> Complexes:

@@ -11,10 +11,10 @@ import numpy as np
 from companion.core.wing.model import WingModel
 from companion.core.wing.structure import Structure
 from companion.diagnosis.data.transforms import Transforms
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import Linear
-from companion.diagnosis.model.nonlinear_correction import Straightener
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, product, triangle
+from companion.diagnosis.model.nonlinear_correction import SensorLineariser
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, inverse, product
 from companion.records import Floats
 
 _PASSES = 2
@@ -24,7 +24,7 @@ _PASSES = 2
 class Grid:
     """What every model of one recording shares: ``recorded`` is its spectrum, plain from 0 and tapered in the band."""
 
-    straightener: Straightener
+    lineariser: SensorLineariser
     transforms: Transforms
     low: int
     recorded: tuple[Complexes, Complexes]
@@ -42,7 +42,7 @@ class Motion:
         self,
         key: object,
         wing: WingModel,
-        parts: Sequence[Part],
+        parts: Sequence[EffectTerm],
         grid: Grid,
         linear_of: Callable[..., Linear],
         measured_mps2: Floats | None = None,
@@ -51,10 +51,10 @@ class Motion:
         self.key = key
         self._grid, self._transforms, self._low = grid, grid.transforms, grid.low
         effects = tuple(part.effect for part in parts)
-        self._up_mps2, scale = grid.straightener.straight_mps2(effects)
+        self._up_mps2, scale = grid.lineariser.corrected_mps2(effects)
         if leaked_mps2 is not None:
             self._up_mps2 = self._up_mps2 - leaked_mps2
-        self._bent = self._up_mps2 is not grid.straightener.recorded_mps2
+        self._bent = self._up_mps2 is not grid.lineariser.recorded_mps2
         self._measured = None if measured_mps2 is None else grid.transforms.spectrum(measured_mps2)
         self._push: Complexes | None = self._measured
         self._take(linear_of(wing.structure, scale))
@@ -72,20 +72,22 @@ class Motion:
         self.spectrum += linear.noise[..., None]
         self.inverse = inverse(self.spectrum)
 
-    def _linearise(self, wing: WingModel, parts: Sequence[Part], linear_of: Callable[[Structure], Linear]) -> None:
+    def _linearise(
+        self, wing: WingModel, parts: Sequence[EffectTerm], linear_of: Callable[[Structure], Linear]
+    ) -> None:
         """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
 
         A second pass sees what the rest of the first has moved: a wing that is softer one way sags with its amplitude.
         """
         for _ in range(_PASSES):
-            push = self._grid.straightener.push(wing, parts, *self._smoothed(self._modal(self._smoother())))
+            push = self._grid.lineariser.push(wing, parts, *self._smoothed(self._modal(self._smoother())))
             stiffness = wing.structure.stiffness_radps2 - push.per_q
             damping = wing.structure.damping_radps - push.per_qdot
             if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
                 raise ValueError("these forces make the wing unstable")
             self._take(linear_of(replace(wing.structure, stiffness_radps2=stiffness, damping_radps=damping)))
-            if np.any(push.rest_mps2):
-                rest = self._transforms.spectrum(push.rest_mps2)
+            if np.any(push.residual_mps2):
+                rest = self._transforms.spectrum(push.residual_mps2)
                 self._push = rest if self._measured is None else rest + self._measured
 
     @cached_property
@@ -96,7 +98,7 @@ class Motion:
     @cached_property
     def whitener(self) -> Complexes:
         """Lower triangular L with L L^H the inverse spectrum: L^H whitens, (c, c, b)."""
-        return triangle(self.inverse)
+        return cholesky(self.inverse)
 
     @cached_property
     def modal(self) -> Complexes:

@@ -18,7 +18,7 @@ from companion.core.wing.effect import Effect, ModalMotion
 from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import STATIONS
 from companion.diagnosis.spectral_matrices import Complexes, apply
 from companion.records import Floats, Side, Station
@@ -35,15 +35,15 @@ _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 
 
 @dataclass(frozen=True, slots=True)
-class Push:
+class StatisticalLinearisation:
     """A force: ``per_q`` and ``per_qdot`` (n, n) of it linear in deflection and speed, and the rest (n, m), m/s^2."""
 
     per_q: Floats
     per_qdot: Floats
-    rest_mps2: Floats
+    residual_mps2: Floats
 
 
-class Straightener:
+class SensorLineariser:
     """One recording's samples and what effects have done to them."""
 
     def __init__(self, seen: Observations, transforms: Transforms) -> None:
@@ -65,7 +65,7 @@ class Straightener:
         """Vertical specific force of the rigid aircraft at the root (m,) and what its turning adds at tips (c, m)."""
         return self._rigid
 
-    def straight_mps2(self, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
+    def corrected_mps2(self, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
         """Undo what effects do to samples that no linear response describes: bends first, then delays in their order.
 
         Returns
@@ -84,13 +84,13 @@ class Straightener:
                 up = np.stack([self._on_time(effect, i, row) for i, row in enumerate(up)])
         return up, scale
 
-    def bending_mps2(self, effect: Effect) -> Floats:
+    def nonlinear_part_mps2(self, effect: Effect) -> Floats:
         """What a slight effect on samples adds to a recording beyond its linear part, to first order, (c, m)."""
         fine, added = self._fine, np.empty_like(self._up)
         for i, side in enumerate(self._seen.sides):
             station, shown = STATIONS[side], fine.shown(i)
             change = fine.sensed(effect, station, shown) - self._of_root(effect)
-            share = fine.steepness(effect, station, shown) - 1.0
+            share = fine.geometric_mean_gain(effect, station, shown) - 1.0
             added[i] = fine.thinned(-change, len(self._up[i])) - share * self._up[i]
         return added
 
@@ -105,7 +105,9 @@ class Straightener:
             load[0] += gains.get(name, 0.0) * values
         return load if np.any(load) else None
 
-    def push(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Push:
+    def push(
+        self, wing: WingModel, parts: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats
+    ) -> StatisticalLinearisation:
         """Forces of state and time on a smoothed motion (n, m), split by their mean slopes."""
         forcing = [part for part in parts if part.effect.forces_modes()]
         lasting = [part for part in forcing if type(part.effect).remember is not Effect.remember]
@@ -121,9 +123,9 @@ class Straightener:
             weights = self._regressed(slipped, np.vstack([q_m, qdot_mps]))
             per_q, per_qdot = per_q + weights[:, :n], per_qdot + weights[:, n:]
             rest = rest + self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
-        return Push(per_q, per_qdot, rest)
+        return StatisticalLinearisation(per_q, per_qdot, rest)
 
-    def _total(self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats) -> Floats:
+    def _total(self, wing: WingModel, parts: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats) -> Floats:
         total = np.zeros_like(q_m)
         for part in parts:
             force = self._force(wing, part, q_m, qdot_mps)
@@ -131,7 +133,7 @@ class Straightener:
         return total
 
     def _mean_slopes(
-        self, wing: WingModel, parts: Sequence[Part], q_m: Floats, qdot_mps: Floats
+        self, wing: WingModel, parts: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats
     ) -> tuple[Floats, Floats]:
         """Mean derivatives of forces by deflection and by speed, (n, n) each."""
         n, share = len(q_m), self._weight * self._signs / np.sum(self._weight)
@@ -171,7 +173,7 @@ class Straightener:
         spectrum -= apply(in_each, np.fft.rfft(q_m, axis=1))
         return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1))
 
-    def _force(self, wing: WingModel, part: Part, q: Floats, qdot: Floats) -> Floats | None:
+    def _force(self, wing: WingModel, part: EffectTerm, q: Floats, qdot: Floats) -> Floats | None:
         t_s: Any = self._seen.t_s
         static = np.zeros((wing.count, 1))
         channel = self._seen.covariates.get(part.channel)
@@ -204,7 +206,7 @@ class Straightener:
         scale, added_to_root = 1.0, np.zeros(len(shown))
         for effect in reversed(effects):
             true = fine.inverted(effect, station, true)
-            scale *= fine.steepness(effect, station, true)
+            scale *= fine.geometric_mean_gain(effect, station, true)
             added_to_root += self._of_root(effect)
         return fine.thinned(true - shown + added_to_root, len(self._up[channel])), scale
 
@@ -257,7 +259,7 @@ class _Fine:
             gone |= slope < _FLATTEST
         return np.asarray(force)
 
-    def steepness(self, effect: Effect, station: Station, force: Floats) -> float:
+    def geometric_mean_gain(self, effect: Effect, station: Station, force: Floats) -> float:
         """Geometric mean of the characteristic's slope over a station's samples: what it is as a scale.
 
         The logarithms of the slopes tell how straightening changes volumes. With their mean for a scale the likelihood

@@ -11,7 +11,12 @@ from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations, ToeData
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.belief import Belief
-from companion.diagnosis.model.generic_effects import LatentSpread, LatentToe, followed, growing
+from companion.diagnosis.model.generic_effects import (
+    GenericToe,
+    GenericToeVariance,
+    toe_regressors,
+    toe_variance_regressors,
+)
 from companion.diagnosis.model.motion import Motion
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, product
 from companion.records import Floats, Side
@@ -51,7 +56,7 @@ class ToeModel:
         focal = 0.5 * (views[0].focal_ratio + views[1].focal_ratio) - 1.0 + deviation.get("focal", 0.0)
         expected += rotation + deviation.get("toe_rad", 0.0)
         expected += focal * (self.baseline_m * toe.inverse_m + expected) + wider_m * toe.inverse_m
-        expected = expected + self._latent(effects, motion, expected)
+        expected = expected + self._generic(effects, motion, expected)
         residual = toe.toe_rad - expected
         if not toe.has_reference:
             residual = residual - residual.mean()
@@ -59,22 +64,22 @@ class ToeModel:
         jitter_s = max(view.jitter_s for view in views)
         if jitter_s:
             variance += (jitter_s * self._bending(motion, row * (1j * self._omega), late_s)) ** 2
-        spread = [effect for effect in effects if isinstance(effect, LatentSpread)]
+        spread = [effect for effect in effects if isinstance(effect, GenericToeVariance)]
         if spread:
-            offered = growing(toe, *self._modes(motion))
+            offered = toe_variance_regressors(toe, *self._modes(motion))
             variance = variance * (1.0 + sum(effect.growth(offered) for effect in spread))
         return residual, variance
 
-    def _latent(self, effects: Sequence[Effect], motion: Motion, expected: Floats) -> Floats | float:
+    def _generic(self, effects: Sequence[Effect], motion: Motion, expected: Floats) -> Floats | float:
         """What laws without a name add to the toe, (k,)."""
-        unnamed = [effect for effect in effects if isinstance(effect, LatentToe)]
-        if not unnamed:
+        toe_terms = [effect for effect in effects if isinstance(effect, GenericToe)]
+        if not toe_terms:
             return 0.0
         toe = self._toe
         load = np.interp(toe.t_s, self._seen.t_s, self._seen.load_factor)
-        whole = self.baseline_m * toe.inverse_m + expected
-        offered = followed(toe, *self._modes(motion), load, whole)
-        return sum(effect.added(offered) for effect in unnamed)
+        reading_rad = self.baseline_m * toe.inverse_m + expected
+        offered = toe_regressors(toe, *self._modes(motion), load, reading_rad)
+        return sum(effect.added(offered) for effect in toe_terms)
 
     def _modes(self, motion: Motion) -> tuple[Floats, Floats]:
         """Smoothed deflection and speed of the first modes, and of one more, at the exposures, (n, k) each."""

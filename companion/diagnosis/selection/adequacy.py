@@ -17,12 +17,12 @@ from scipy.linalg import solve_triangular
 from scipy.stats import kurtosistest
 
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import Fit
-from companion.diagnosis.selection.lack_of_fit_tests import judge_directions, straightened
-from companion.diagnosis.selection.prior_tension import astray
-from companion.diagnosis.selection.proposals import strongest_line, strongest_swing
-from companion.diagnosis.selection.screen import normal_of
+from companion.diagnosis.selection.lack_of_fit_tests import lack_of_fit_tests, normal_score_of_gamma
+from companion.diagnosis.selection.prior_tension import prior_tension
+from companion.diagnosis.selection.proposals import strongest_line, strongest_parametric_excitation
+from companion.diagnosis.selection.screen import normal_score
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply
 from companion.records import Floats
 
@@ -57,30 +57,33 @@ class Check:
         return abs(self.z) < self.limit
 
 
-def check(models: Sequence[SuperModel], fitted: Fit, seed: int = 20250101) -> list[Check]:
+def check(models: Sequence[FlightModel], fitted: Fit, seed: int = 20250101) -> list[Check]:
     """All checks of a fitted model, the worst first."""
     rng = np.random.default_rng(seed)
-    checks = judge_directions(models, fitted)
+    checks = lack_of_fit_tests(models, fitted)
     for model, found in zip(models, fitted.found, strict=True):
         tests = {**_unsteady(model, found, rng), **_changing(model, found, rng), **_lines(model, found)}
         for name, z in {**tests, **_toe(model, found, rng)}.items():
             if abs(z) > abs(checks.get(name, 0.0)) or name not in checks:
                 checks[name] = z
-    checks |= astray(models[0].belief, fitted)
+    checks |= prior_tension(models[0].belief, fitted)
     limit = LIMIT_OF_NAMES if fitted.parts else LIMIT
     return sorted((Check(name, z, limit) for name, z in checks.items()), key=lambda entry: -abs(entry.z))
 
 
-def _lines(model: SuperModel, found: Expectation) -> dict[str, float]:
+def _lines(model: FlightModel, found: Expectation) -> dict[str, float]:
     """The strongest single frequency of the residual, and of the stiffness, paid for the looking."""
     strengths = {}
-    for name, line in (("single line", strongest_line(model, found)), ("swing", strongest_swing(model, found))):
+    for name, line in (
+        ("single line", strongest_line(model, found)),
+        ("swing", strongest_parametric_excitation(model, found)),
+    ):
         if line is not None:
-            strengths[f"{name} in the residual"] = normal_of(min(line.log_tail, 0.0))
+            strengths[f"{name} in the residual"] = normal_score(min(line.log_tail, 0.0))
     return strengths
 
 
-def _unsteady(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+def _unsteady(model: FlightModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Outliers and swelling of the whitened residual in time, against as much white noise."""
     white = apply(adjoint(found.motion.whitener), found.residual)
     in_time = np.fft.ifft(white, axis=1, norm="ortho")
@@ -91,7 +94,7 @@ def _unsteady(model: SuperModel, found: Expectation, rng: np.random.Generator) -
     return dict(zip(names, [strength(*entry) for entry in zip(real, drawn.T, strict=True)], strict=True))
 
 
-def _changing(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+def _changing(model: FlightModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Whether the spectrum changes in time, by narrow bands, against as much tapered white noise.
 
     How the power in a band swings with a period of T/m is the sum over the band of one bin times the m-th after it; two
@@ -118,9 +121,9 @@ def _changing(model: SuperModel, found: Expectation, rng: np.random.Generator) -
     mean = np.mean(table, axis=(0, 1))
     # the tail of a single band is exponential only where many bins are in it
     worst = (real / mean).max(axis=(0, 1)) * (np.diff(np.append(edges, count)) >= _MANY)
-    best, looks = int(np.argmax(worst)), math.log(real.size)
+    best, log_trials = int(np.argmax(worst)), math.log(real.size)
     found_in = {
-        f"power changing in time near {centre_hz[best]:.1f} Hz": normal_of(min(looks - float(worst[best]), 0.0))
+        f"power changing in time near {centre_hz[best]:.1f} Hz": normal_score(min(log_trials - float(worst[best]), 0.0))
     }
     for name, inside in (("spectra", centre_hz > 0.0), ("first modes", _near_modes(model, centre_hz))):
         if inside.any():
@@ -129,7 +132,7 @@ def _changing(model: SuperModel, found: Expectation, rng: np.random.Generator) -
     return found_in
 
 
-def _near_modes(model: SuperModel, f_hz: Floats) -> Mask:
+def _near_modes(model: FlightModel, f_hz: Floats) -> Mask:
     wing = model.belief.airframe.wing
     first_hz = [mode.frequency_hz.value for mode in (wing.symmetric, wing.antisymmetric) if mode is not None]
     return np.asarray((f_hz > min(first_hz) / _AROUND) & (f_hz < max(first_hz) * _AROUND))
@@ -152,7 +155,7 @@ def _of_envelope(power: Floats) -> Floats:
     return np.concatenate([np.log(kurtosis), blocks.var(1) / blocks.mean(1) ** 2])
 
 
-def _toe(model: SuperModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+def _toe(model: FlightModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Size, neighbours and outliers of the whitened toe residual, against as much white noise."""
     if model.seen.toe is None:
         return {}
@@ -179,7 +182,7 @@ def strength(real: float, drawn: Floats) -> float:
     """Standard deviations from what is drawn by chance; of a skew statistic as many as its chance is worth."""
     spread = float(np.std(drawn))
     skewness = float(np.mean(((drawn - np.mean(drawn)) / spread) ** 3))
-    return straightened(float(real - np.mean(drawn)) / spread, skewness)
+    return normal_score_of_gamma(float(real - np.mean(drawn)) / spread, skewness)
 
 
 def _of_residual(white: Floats) -> Floats:

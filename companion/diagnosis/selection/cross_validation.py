@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import Fit, expect, fit
 from companion.records import Floats
 
@@ -23,7 +23,7 @@ _WIDER = 5.0  # what is learnt on half of the data is theirs, not the prior's
 
 
 @dataclass(frozen=True, slots=True)
-class HeldOut:
+class CrossValidation:
     """Scores on blocks that were not fitted.
 
     Attributes
@@ -55,13 +55,13 @@ class HeldOut:
         return self.log_score["total"][0] + self.believed > 0.0
 
 
-def held_out(
-    models: Sequence[SuperModel],
+def cross_validate(
+    models: Sequence[FlightModel],
     before: Fit,
     after: Fit,
     progress: Callable[[float], None] = lambda _share: None,
     most: int = 6,
-) -> HeldOut:
+) -> CrossValidation:
     """Fit both models on every other block and score them on the blocks between, and the other way round.
 
     Of a short recording there are fewer than ``most`` blocks: each must hold exposures between its guards and margins.
@@ -81,21 +81,21 @@ def held_out(
             scores.append({name: new[0][name] - old[0][name] for name in new[0]})
             residuals.append((old[1], new[1]))
     own = len(models[0].belief.nuisances)
-    return _summary(scores, residuals, models, before.doubt(own) - after.doubt(own))
+    return _summary(scores, residuals, models, before.neg_log_prior(own) - after.neg_log_prior(own))
 
 
-def _blocks(model: SuperModel, count: int) -> list[SuperModel]:
+def _blocks(model: FlightModel, count: int) -> list[FlightModel]:
     seen = model.seen
     length = seen.duration_s / count
     windows = [(k * length + _GUARD_S, (k + 1) * length - _GUARD_S) for k in range(count)]
-    return [SuperModel(model.belief, seen.window(*window), model.top_hz, model.recording) for window in windows]
+    return [FlightModel(model.belief, seen.window(*window), model.top_hz, model.recording) for window in windows]
 
 
-def _again(train: Sequence[SuperModel], whole: Fit) -> Fit:
+def _again(train: Sequence[FlightModel], whole: Fit) -> Fit:
     return fit(train, whole.parts, whole.values, rounds=3, wider=_WIDER)
 
 
-def _judge(block: SuperModel, fitted: Fit) -> tuple[dict[str, float], Floats]:
+def _judge(block: FlightModel, fitted: Fit) -> tuple[dict[str, float], Floats]:
     (found,) = expect([block], fitted.values, fitted.parts)
     return block.log_scores(found), found.toe_residual_rad
 
@@ -103,9 +103,9 @@ def _judge(block: SuperModel, fitted: Fit) -> tuple[dict[str, float], Floats]:
 def _summary(
     scores: Sequence[dict[str, float]],
     residuals: Sequence[tuple[Floats, Floats]],
-    models: Sequence[SuperModel],
+    models: Sequence[FlightModel],
     believed: float,
-) -> HeldOut:
+) -> CrossValidation:
     rng = np.random.default_rng(7)
     draws = rng.integers(0, len(scores), (_DRAWS, len(scores)))
     names = sorted({name for entry in scores for name in entry})
@@ -117,10 +117,10 @@ def _summary(
         gains[name] = (float(values.sum()), float(low), float(high))
     squares = np.array([[float(np.sum(old**2)), float(np.sum(new**2)), len(old)] for old, new in residuals])
     if not squares[:, 2].sum():
-        return HeldOut(gains, None, None, {}, believed)
+        return CrossValidation(gains, None, None, {}, believed)
     rms = np.sqrt(squares[:, :2].sum(0) / squares[:, 2].sum())
     again = squares[draws].sum(1)
     low, high = np.percentile(1.0 - again[:, 1] / again[:, 0], [2.5, 97.5])
     baseline_m = models[0].baseline_m
     metres = {d: (float(d**2 / baseline_m * rms[0]), float(d**2 / baseline_m * rms[1])) for d in DISTANCES_M}
-    return HeldOut(gains, (float(rms[0]), float(rms[1])), (float(low), float(high)), metres, believed)
+    return CrossValidation(gains, (float(rms[0]), float(rms[1])), (float(low), float(high)), metres, believed)

@@ -1,6 +1,6 @@
 """Fits the super-model with given effects: Fisher scoring on nuisances and effect parameters, with their priors.
 
-Derivatives are differences of :meth:`SuperModel.expect`; :mod:`.scores` makes scores and information of them.
+Derivatives are differences of :meth:`FlightModel.expect`; :mod:`.scores` makes scores and information of them.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.diagnosis.model.belief import Belief
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
-from companion.diagnosis.model.generic_effects import LatentSpread
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.generic_effects import GenericToeVariance
 from companion.diagnosis.selection.scores import Column, column, scores
 from companion.records import Floats
 
@@ -49,7 +49,7 @@ class Fit:
     converged : bool
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[EffectTerm, ...]
     values: Floats
     centres: Floats
     sigmas: Floats
@@ -60,15 +60,15 @@ class Fit:
     columns: tuple[tuple[Column, ...], ...]
     converged: bool
 
-    def doubt(self, count: int) -> float:
+    def neg_log_prior(self, count: int) -> float:
         """Minus the log prior of the first ``count`` parameters, which are the airframe's, up to a constant."""
         away = (self.values[:count] - self.centres[:count]) / self.sigmas[:count]
         return 0.5 * float(np.sum(away**2))
 
 
 def fit(
-    models: Sequence[SuperModel],
-    parts: Sequence[Part],
+    models: Sequence[FlightModel],
+    parts: Sequence[EffectTerm],
     start: Floats | None = None,
     rounds: int = 24,
     wider: float = 1.0,
@@ -119,7 +119,7 @@ def fit(
 
 
 def _posterior_scores(
-    models: Sequence[SuperModel],
+    models: Sequence[FlightModel],
     values: Floats,
     found: Sequence[Expectation],
     columns: Sequence[Sequence[Column]],
@@ -132,13 +132,13 @@ def _posterior_scores(
     return gradient, information
 
 
-def log_likelihood(models: Sequence[SuperModel], found: Sequence[Expectation]) -> float:
+def log_likelihood(models: Sequence[FlightModel], found: Sequence[Expectation]) -> float:
     """Log likelihood of all recordings together."""
     return sum(model.log_likelihood(one) for model, one in zip(models, found, strict=True))
 
 
 def joint_scores(
-    models: Sequence[SuperModel], found: Sequence[Expectation], columns: Sequence[Sequence[Column]]
+    models: Sequence[FlightModel], found: Sequence[Expectation], columns: Sequence[Sequence[Column]]
 ) -> tuple[Floats, Floats]:
     """Gradient and information of all recordings together; ``columns`` by recording."""
     each = [scores(*entry) for entry in zip(models, found, columns, strict=True)]
@@ -146,7 +146,10 @@ def joint_scores(
 
 
 def expect(
-    models: Sequence[SuperModel], values: Floats, parts: Sequence[Part], near: Sequence[Expectation] | None = None
+    models: Sequence[FlightModel],
+    values: Floats,
+    parts: Sequence[EffectTerm],
+    near: Sequence[Expectation] | None = None,
 ) -> tuple[Expectation, ...]:
     """Hold a whole parameter vector against the recordings; ``near`` lends how well the toe is told."""
     belief = models[0].belief
@@ -156,7 +159,7 @@ def expect(
     return tuple(model.expect(deviations, there, own) for model, own in zip(models, lent, strict=True))
 
 
-def placed(belief: Belief, values: Floats, parts: Sequence[Part]) -> tuple[Part, ...]:
+def placed(belief: Belief, values: Floats, parts: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     """The effects with the values of a parameter vector."""
     at, done = len(belief.nuisances), []
     for part in parts:
@@ -166,7 +169,7 @@ def placed(belief: Belief, values: Floats, parts: Sequence[Part]) -> tuple[Part,
     return tuple(done)
 
 
-def priors(belief: Belief, parts: Sequence[Part]) -> tuple[Floats, Floats]:
+def priors(belief: Belief, parts: Sequence[EffectTerm]) -> tuple[Floats, Floats]:
     """Centres and sigmas of the whole parameter vector."""
     declared = [entry for part in parts for entry in part.effect.parameters()]
     centres = np.concatenate([np.zeros(len(belief.nuisances)), [entry.default for entry in declared]])
@@ -174,16 +177,16 @@ def priors(belief: Belief, parts: Sequence[Part]) -> tuple[Floats, Floats]:
 
 
 def log_posterior(
-    models: Sequence[SuperModel], found: Sequence[Expectation], values: Floats, centres: Floats, sigmas: Floats
+    models: Sequence[FlightModel], found: Sequence[Expectation], values: Floats, centres: Floats, sigmas: Floats
 ) -> float:
     """Log likelihood and prior, up to a constant."""
     return log_likelihood(models, found) - 0.5 * float(np.sum(((values - centres) / sigmas) ** 2))
 
 
 def derivatives(
-    models: Sequence[SuperModel],
+    models: Sequence[FlightModel],
     values: Floats,
-    parts: Sequence[Part],
+    parts: Sequence[EffectTerm],
     found: Sequence[Expectation],
     sigmas: Floats,
     only: Sequence[int] | None = None,
@@ -198,7 +201,7 @@ def derivatives(
         owner = owners[i]
         # how well the accelerations tell the toe is taken as it is; what adds to its noise is not
         alone = (i < len(keys) and keys[i].startswith("match")) or (
-            owner is not None and (owner.name == "exposure-jitter" or isinstance(owner, LatentSpread))
+            owner is not None and (owner.name == "exposure-jitter" or isinstance(owner, GenericToeVariance))
         )
         for model, one, mine in zip(models, found, columns, strict=True):
             if i < len(keys) and not belief.concerns(i, model.recording):
@@ -212,7 +215,7 @@ def derivatives(
 
 
 def _beside(
-    model: SuperModel, found: Expectation, values: Floats, i: int, sigma: float, parts: Sequence[Part]
+    model: FlightModel, found: Expectation, values: Floats, i: int, sigma: float, parts: Sequence[EffectTerm]
 ) -> tuple[Expectation, float]:
     """An expectation with one parameter a little further on, or back where further on nothing is physical."""
     count = len(model.belief.nuisances)
@@ -227,8 +230,8 @@ def _beside(
 
 
 def _climb(
-    models: Sequence[SuperModel],
-    parts: Sequence[Part],
+    models: Sequence[FlightModel],
+    parts: Sequence[EffectTerm],
     near: Sequence[Expectation],
     values: Floats,
     slope: tuple[Floats, Floats],
@@ -259,5 +262,5 @@ def _climb(
     return None
 
 
-def _values(part: Part) -> list[float]:
+def _values(part: EffectTerm) -> list[float]:
     return [float(getattr(part.effect, entry.name)) for entry in part.effect.parameters()]

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.wing.effect import Effect
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import Fit, fit
-from companion.diagnosis.selection.proposals import find_leads, mount_lead
+from companion.diagnosis.selection.proposals import find_proposals, mount_resonance_proposal
 from companion.diagnosis.selection.screen import Candidate, Screening, candidates_of, screen
 from companion.diagnosis.selection.verdict import Cause
 
@@ -59,13 +59,13 @@ class _Tried:
 class Extension:
     """The search on some recordings with some catalogue."""
 
-    def __init__(self, models: Sequence[SuperModel], kinds: Sequence[type[Effect]], progress: Progress) -> None:
+    def __init__(self, models: Sequence[FlightModel], kinds: Sequence[type[Effect]], progress: Progress) -> None:
         self._models, self._kinds, self._progress = models, kinds, progress
         self._channels = sorted({name for model in models for name in model.seen.covariates})
 
     def screen(self, fitted: Fit) -> Screening:
         """Score the whole catalogue at a fitted model."""
-        parts = candidates_of(self._kinds, self._channels, find_leads(self._models, fitted))
+        parts = candidates_of(self._kinds, self._channels, find_proposals(self._models, fitted))
         return screen(self._models, fitted, parts, lambda share: self._progress("screen the catalogue", share))
 
     def search(self, null: Fit, first: Screening, most: int) -> Path:
@@ -117,30 +117,30 @@ class Extension:
             return []
         enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z)
         leading = [entry for entry in fresh if entry.z > enough][:_REFITTED]
-        begun: list[tuple[Candidate, Fit]] = []
+        started: list[tuple[Candidate, Fit]] = []
         for i, candidate in enumerate(leading):
             self._progress(f"refit {candidate.name}", i / len(leading))
-            led = mount_lead(self._models, path.fitted, candidate.part)
+            led = mount_resonance_proposal(self._models, path.fitted, candidate.part)
             offered = candidate if led is None else dataclasses.replace(candidate, part=led)
             fitted = self._fitted(path, offered, () if led is None else (led,))
             if fitted is not None:
-                begun.append((offered, fitted))
+                started.append((offered, fitted))
         tried = []
-        most = max((fitted.log_evidence for _, fitted in begun), default=0.0)
-        for candidate, fitted in begun:
+        most = max((fitted.log_evidence for _, fitted in started), default=0.0)
+        for candidate, fitted in started:
             if not fitted.converged and most - fitted.log_evidence < _WITHIN:
                 fitted = fit(self._models, fitted.parts, fitted.values, _TO_THE_END)
             if candidate.part.effect.one_way and fitted.values[len(path.fitted.values)] <= 0.0:
                 continue
             # how many frequencies or instants were looked at is paid for by the prior of the one that was fitted
             factor = fitted.log_evidence - path.fitted.log_evidence
-            worth = worth_of(self._models, fitted, path.fitted)
+            worth = penalised_log_likelihood(self._models, fitted, path.fitted)
             tried.append(_Tried(candidate, fitted, factor, self._bic(path.fitted, fitted), worth))
         return sorted(tried, key=lambda entry: -entry.log_bayes_factor)
 
-    def _fitted(self, path: Path, candidate: Candidate, led: tuple[Part, ...] = ()) -> Fit | None:
+    def _fitted(self, path: Path, candidate: Candidate, led: tuple[EffectTerm, ...] = ()) -> Fit | None:
         """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
-        for part in (*led, *(begun(candidate, step) for step in _FIRST_STEPS)):
+        for part in (*led, *(perturbed_start(candidate, step) for step in _FIRST_STEPS)):
             try:
                 return fit(self._models, (*path.fitted.parts, part), path.fitted.values, _AT_FIRST)
             except (ValueError, FloatingPointError, np.linalg.LinAlgError):
@@ -185,20 +185,20 @@ class Extension:
         return kept
 
 
-def log_count(models: Sequence[SuperModel]) -> float:
+def log_count(models: Sequence[FlightModel]) -> float:
     """Logarithm of how many numbers the accelerations are, which BIC charges for each parameter."""
     return math.log(sum(len(model.band_hz) * 2 * len(model.seen.sides) for model in models))
 
 
-def worth_of(models: Sequence[SuperModel], fitted: Fit, null: Fit) -> float:
+def penalised_log_likelihood(models: Sequence[FlightModel], fitted: Fit, null: Fit) -> float:
     """What the parts of a fit explain beyond ``null``, half a difference of BIC, with what was looked at paid for.
 
     How far effects may physically go is left aside: it would weigh the prior of a law that nobody knows against that of
     a name. Nuisances keep theirs.
     """
     count, extra = len(null.values), len(fitted.values) - len(null.values)
-    gained = fitted.log_likelihood - null.log_likelihood - (fitted.doubt(count) - null.doubt(count))
-    return gained - 0.5 * extra * log_count(models) - sum(part.looks for part in fitted.parts)
+    gained = fitted.log_likelihood - null.log_likelihood - (fitted.neg_log_prior(count) - null.neg_log_prior(count))
+    return gained - 0.5 * extra * log_count(models) - sum(part.log_trials for part in fitted.parts)
 
 
 def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
@@ -236,7 +236,7 @@ def _behind(path: Path, best: Path) -> float:
     return best.fitted.log_evidence - path.fitted.log_evidence
 
 
-def begun(candidate: Candidate, most: float) -> Part:
+def perturbed_start(candidate: Candidate, most: float) -> EffectTerm:
     """Start a refit at a small step in the direction of the score, on the side where the effect can be.
 
     What the data have led to, a frequency or instants, begins as strong as the score says: from less, the fit would
@@ -246,7 +246,7 @@ def begun(candidate: Candidate, most: float) -> Part:
     values = {entry.name: float(getattr(candidate.part.effect, entry.name)) for entry in declared}
     information = candidate.information + np.eye(len(declared))
     step = np.linalg.solve(information, candidate.score)
-    steps = step / _FIRST_STEPS[0] if candidate.part.looks else np.clip(step, -1.0, 1.0)
+    steps = step / _FIRST_STEPS[0] if candidate.part.log_trials else np.clip(step, -1.0, 1.0)
     for entry, share in zip(declared, steps.tolist(), strict=True):
         values[entry.name] += most * entry.sigma * share
     return candidate.part.with_values(values)

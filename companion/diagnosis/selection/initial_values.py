@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from companion.diagnosis.model.belief import of_range
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.belief import is_range_only
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.linear_spectra import STATIONS
 from companion.records import Floats
 
@@ -25,17 +25,17 @@ _ENOUGH = 1e-3
 _MOST = 2.0  # prior sigmas in one step
 
 
-def starts(models: Sequence[SuperModel]) -> list[Floats]:
+def starts(models: Sequence[FlightModel]) -> list[Floats]:
     """Nuisances from which to fit without effects; either may end in a bad optimum, hardly both."""
     believed = np.zeros(len(models[0].belief.nuisances))
-    return [begin(models, believed), on_floor(models, believed)]
+    return [begin(models, believed), noise_floor_start(models, believed)]
 
 
-def begin(models: Sequence[SuperModel], start: Floats) -> Floats:
+def begin(models: Sequence[FlightModel], start: Floats) -> Floats:
     """Nuisances from which a fit without effects should start, (p,)."""
     belief = models[0].belief
     sigmas = belief.sigmas
-    free = [i for i, entry in enumerate(belief.nuisances) if not of_range(entry.key.partition("#")[0])]
+    free = [i for i, entry in enumerate(belief.nuisances) if not is_range_only(entry.key.partition("#")[0])]
     seen = np.concatenate([_logarithms(_power(model)) for model in models])
 
     def residual(values: Floats) -> Floats:
@@ -47,22 +47,22 @@ def begin(models: Sequence[SuperModel], start: Floats) -> Floats:
     if not len(left) or np.mean(left**2) < _CLOSE:
         return values
     values, left = min(
-        ((there, residual(there)) for there in (values, on_floor(models, values))),
-        key=lambda one: _worth(one[1], one[0], sigmas),
+        ((there, residual(there)) for there in (values, noise_floor_start(models, values))),
+        key=lambda one: _penalised_squares(one[1], one[0], sigmas),
     )
     for _ in range(_ROUNDS):
         slopes = np.stack([(residual(_moved(values, i, sigmas)) - left) / (_STEP * sigmas[i]) for i in free], 1)
         better = _step(residual, values, left, slopes, free, sigmas)
         if better is None:
             break
-        gained = _worth(left, values, sigmas) - _worth(better[1], better[0], sigmas)
+        gained = _penalised_squares(left, values, sigmas) - _penalised_squares(better[1], better[0], sigmas)
         values, left = better
         if gained < _ENOUGH * len(left):
             break
     return values
 
 
-def on_floor(models: Sequence[SuperModel], start: Floats) -> Floats:
+def noise_floor_start(models: Sequence[FlightModel], start: Floats) -> Floats:
     """The same with each sensor's noise at the lowest part of its spectrum."""
     belief, values = models[0].belief, start.copy()
     for model in models:
@@ -92,12 +92,12 @@ def _step(
             after = residual(there)
         except (ValueError, FloatingPointError, np.linalg.LinAlgError):
             continue
-        if _worth(after, there, sigmas) < _worth(left, values, sigmas):
+        if _penalised_squares(after, there, sigmas) < _penalised_squares(left, values, sigmas):
             return there, after
     return None
 
 
-def _worth(left: Floats, values: Floats, sigmas: Floats) -> float:
+def _penalised_squares(left: Floats, values: Floats, sigmas: Floats) -> float:
     return float(np.sum(left**2) + np.sum((values / sigmas) ** 2))
 
 
@@ -107,7 +107,7 @@ def _moved(values: Floats, i: int, sigmas: Floats) -> Floats:
     return there
 
 
-def _power(model: SuperModel) -> Floats:
+def _power(model: FlightModel) -> Floats:
     return np.asarray(np.abs(model.data_in_band()) ** 2)
 
 

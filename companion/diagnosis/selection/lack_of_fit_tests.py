@@ -18,23 +18,23 @@ import numpy as np
 from scipy.stats import chi2, gamma, t
 
 from companion.core.wing.effect import Effect
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.generic_effects import (
-    LatentFall,
-    LatentForce,
-    LatentSense,
-    LatentSpread,
-    LatentToe,
-    LatentWarp,
-    unnamed,
+    GenericClockDrift,
+    GenericForce,
+    GenericRollOff,
+    GenericSensorLaw,
+    GenericToe,
+    GenericToeVariance,
+    generic_effects,
 )
 from companion.diagnosis.selection.fit import Fit, derivatives
 from companion.diagnosis.selection.peak_scan import peaks
 from companion.diagnosis.selection.scores import Column
-from companion.diagnosis.selection.screen import efficient, normal_of
-from companion.diagnosis.selection.simulated_scores import DRAWS, scatter
+from companion.diagnosis.selection.screen import efficient, normal_score
+from companion.diagnosis.selection.simulated_scores import DRAWS, score_scatter
 from companion.records import Floats
 
 _BANDS = 14
@@ -63,7 +63,7 @@ class _Family:
     kurtosis: Floats | None = None
 
 
-def judge_directions(models: Sequence[SuperModel], fitted: Fit) -> dict[str, float]:
+def lack_of_fit_tests(models: Sequence[FlightModel], fitted: Fit) -> dict[str, float]:
     """Standard deviations of every direction, and of each family as a whole."""
     families = [
         _spectral(models),
@@ -93,12 +93,17 @@ def _strengths(family: _Family, score: Floats, left: Floats) -> dict[str, float]
     telling &= spread > 0.0
     z = score / np.sqrt(np.where(telling, spread, 1.0))
     if family.skewness is not None:
-        z = np.array([straightened(one, skew) for one, skew in zip(z.tolist(), family.skewness.tolist(), strict=True)])
+        z = np.array(
+            [normal_score_of_gamma(one, skew) for one, skew in zip(z.tolist(), family.skewness.tolist(), strict=True)]
+        )
     if family.kurtosis is not None:
         even = np.abs(family.skewness) < _STRAIGHT if family.skewness is not None else np.ones(len(z), dtype=bool)
-        z[even] = [of_products(one, bins) for one, bins in zip(z[even], _LAPLACE / family.kurtosis[even], strict=True)]
+        z[even] = [
+            normal_score_of_products(one, bins)
+            for one, bins in zip(z[even], _LAPLACE / family.kurtosis[even], strict=True)
+        ]
     if family.wider is not None:
-        z = np.array([of_student(one, DRAWS - 1) for one in z.tolist()])
+        z = np.array([normal_score_of_student(one, DRAWS - 1) for one in z.tolist()])
     mine = np.flatnonzero(telling)
     if family.scanned:
         return _best(family, z, mine)
@@ -113,7 +118,7 @@ def _best(family: _Family, z: Floats, mine: np.ndarray[tuple[int, ...], np.dtype
     if not len(mine):
         return {}
     best = int(mine[np.argmax(np.abs(z[mine]))])
-    paid = normal_of(min(_log_tail(abs(float(z[best]))) + math.log(len(mine)), 0.0))
+    paid = normal_score(min(_log_tail(abs(float(z[best]))) + math.log(len(mine)), 0.0))
     return {family.names[best]: math.copysign(paid, float(z[best]))}
 
 
@@ -130,10 +135,10 @@ def _together(score: Floats, left: Floats, kurtosis: float) -> float:
     along = vectors[:, kept].T @ (score * unit)
     count = int(kept.sum())
     beyond = float(np.sum(along**2 / values[kept])) - count
-    return normal_of(float(chi2.logsf(count + beyond / math.sqrt(1.0 + 0.5 * kurtosis / count), count)))
+    return normal_score(float(chi2.logsf(count + beyond / math.sqrt(1.0 + 0.5 * kurtosis / count), count)))
 
 
-def straightened(z: float, skewness: float) -> float:
+def normal_score_of_gamma(z: float, skewness: float) -> float:
     """Equivalent of a standard normal of a sum of squares: few squares have a longer tail to one side (a gamma's).
 
     On the other side, where the tail is shorter, it is left as it is.
@@ -142,10 +147,10 @@ def straightened(z: float, skewness: float) -> float:
         return z
     shape = 4.0 / skewness**2
     log_tail = float(gamma.logsf(shape + abs(z) * math.sqrt(shape), shape))
-    return math.copysign(normal_of(min(log_tail + math.log(2.0), 0.0)), z)
+    return math.copysign(normal_score(min(log_tail + math.log(2.0), 0.0)), z)
 
 
-def of_products(z: float, bins: float) -> float:
+def normal_score_of_products(z: float, bins: float) -> float:
     """Equivalent of a standard normal of a sum over ``bins`` of products of two independent complex normals.
 
     Either part of such a product follows Laplace's law: of few, the sum has longer tails. By the saddle point
@@ -160,23 +165,23 @@ def of_products(z: float, bins: float) -> float:
     return math.copysign(root + math.log(slope / root) / root, z)
 
 
-def of_student(z: float, freedom: int) -> float:
+def normal_score_of_student(z: float, freedom: int) -> float:
     """Equivalent of a standard normal of a score over a scatter that so many free draws have told."""
-    return math.copysign(normal_of(min(float(t.logsf(abs(z), freedom)) + math.log(2.0), 0.0)), z)
+    return math.copysign(normal_score(min(float(t.logsf(abs(z), freedom)) + math.log(2.0), 0.0)), z)
 
 
-def _laws(models: Sequence[SuperModel], fitted: Fit) -> list[_Family]:
+def _laws(models: Sequence[FlightModel], fitted: Fit) -> list[_Family]:
     """Forces, sensors and ranges by law."""
-    kinds = unnamed()
-    forces = [kind for kind in kinds if issubclass(kind, LatentForce)]
-    stepped = any(entry.name == "quantisation" for model in models for entry in model.seen.in_samples)
+    kinds = generic_effects()
+    forces = [kind for kind in kinds if issubclass(kind, GenericForce)]
+    stepped = any(entry.name == "quantisation" for model in models for entry in model.seen.sample_defects)
     # a smooth law is not told from a staircase, which has no slope to speak of
-    sensors = [kind for kind in kinds if issubclass(kind, LatentSense) and not stepped]
-    timing = [kind for kind in kinds if issubclass(kind, (LatentFall, LatentWarp))]
-    toe = [kind for kind in kinds if issubclass(kind, LatentToe)]
-    spread = [kind for kind in kinds if issubclass(kind, LatentSpread)]
+    sensors = [kind for kind in kinds if issubclass(kind, GenericSensorLaw) and not stepped]
+    timing = [kind for kind in kinds if issubclass(kind, (GenericRollOff, GenericClockDrift))]
+    toe = [kind for kind in kinds if issubclass(kind, GenericToe)]
+    spread = [kind for kind in kinds if issubclass(kind, GenericToeVariance)]
     slight = [kind.from_values({"strength": 1e-3}) for kind in sensors]
-    wider = scatter(models, fitted.found, slight) if slight else np.zeros(0)
+    wider = score_scatter(models, fitted.found, slight) if slight else np.zeros(0)
     families = [
         _family(models, fitted, forces, "all forces together"),
         dataclasses.replace(_family(models, fitted, sensors, "all sensors together"), wider=wider),
@@ -184,18 +189,20 @@ def _laws(models: Sequence[SuperModel], fitted: Fit) -> list[_Family]:
     ]
     if any(model.seen.toe is not None for model in models):
         families.append(_family(models, fitted, toe, "all range residuals together"))
-        growing = _family(models, fitted, spread)
-        families.append(dataclasses.replace(growing, skewness=_skewness(growing, fitted.found)))
+        variances = _family(models, fitted, spread)
+        families.append(dataclasses.replace(variances, skewness=_skewness(variances, fitted.found)))
     return families
 
 
-def _family(models: Sequence[SuperModel], fitted: Fit, kinds: Sequence[type[Effect]], title: str = "") -> _Family:
+def _family(models: Sequence[FlightModel], fitted: Fit, kinds: Sequence[type[Effect]], title: str = "") -> _Family:
     columns: list[list[Column]] = [[] for _ in models]
     for kind in kinds:
         effect = kind()
         values = np.append(fitted.values, 0.0)
         sigmas = np.append(fitted.sigmas, effect.parameters()[0].sigma)
-        own = derivatives(models, values, (*fitted.parts, Part(effect)), fitted.found, sigmas, [len(fitted.values)])
+        own = derivatives(
+            models, values, (*fitted.parts, EffectTerm(effect)), fitted.found, sigmas, [len(fitted.values)]
+        )
         columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
     return _Family([kind.name for kind in kinds], columns, title)
 
@@ -213,12 +220,12 @@ def _skewness(family: _Family, found: Sequence[Expectation]) -> Floats:
     return np.asarray(cubes / np.maximum(squares, 1e-100) ** 1.5)
 
 
-def _anywhere(models: Sequence[SuperModel], found: Sequence[Expectation]) -> _Family:
+def _anywhere(models: Sequence[FlightModel], found: Sequence[Expectation]) -> _Family:
     names, columns, skewness = peaks(models, found)
     return _Family(names, columns, "", skewness, None, True)
 
 
-def _spectral(models: Sequence[SuperModel]) -> _Family:
+def _spectral(models: Sequence[FlightModel]) -> _Family:
     """Indicator of a band in each entry of the whitened spectral matrix."""
     names: list[str] = []
     skewness: list[float] = []
@@ -243,11 +250,11 @@ def _spectral(models: Sequence[SuperModel]) -> _Family:
     return _Family(names, columns, "all spectra together", np.array(skewness), kurtosis=np.array(kurtosis))
 
 
-def _inside(model: SuperModel, low: float, high: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _inside(model: FlightModel, low: float, high: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     return np.asarray((model.band_hz >= low) & (model.band_hz < high))
 
 
-def _entries(model: SuperModel) -> list[str]:
+def _entries(model: FlightModel) -> list[str]:
     sides = [side.name.lower() for side in model.seen.sides]
     return [f"{side} spectrum" for side in sides] + (
         ["left with right", "left before right"] if len(sides) == 2 else []

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.scores import Column, packed
 from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
@@ -20,7 +20,7 @@ _APART = 1.05
 _DAMPING = 0.02
 
 
-def peaks(models: Sequence[SuperModel], found: Sequence[Expectation]) -> tuple[list[str], list[list[Column]], Floats]:
+def peaks(models: Sequence[FlightModel], found: Sequence[Expectation]) -> tuple[list[str], list[list[Column]], Floats]:
     """Names, columns by recording, and the skewness of each score by chance."""
     low_hz = max(float(model.band_hz[0]) for model in models)
     top_hz = max(float(model.band_hz[-1]) for model in models)

@@ -14,9 +14,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import Fit, expect, log_likelihood
 from companion.diagnosis.spectral_matrices import adjoint, apply
 
@@ -25,7 +25,7 @@ EVENTS = frozenset({"impulsive-forcing"})
 """Effects of instants of their own: of them no block tells what another one shows."""
 _MARGIN = 1.0  # nats above what the strongest of so many looks reaches by chance
 _APART_S = 0.15
-_KICKS = 3
+_IMPULSES = 3
 _SLOWEST_CYCLES = 6.0
 _FEWEST_BINS = 32
 _NEIGHBOURS = 40
@@ -36,34 +36,34 @@ _FASTEST = 2.3  # of the first mode, for swings of the stiffness
 
 
 @dataclass(frozen=True, slots=True)
-class Lead:
+class Proposal:
     """Values at which an effect should begin, and the logarithm of how many places were looked at."""
 
     values: dict[str, float]
-    looks: float
+    log_trials: float
 
 
-Leads = Mapping[str, tuple[Lead, ...]]
-NO_LEADS: Leads = MappingProxyType({})
+Proposals = Mapping[str, tuple[Proposal, ...]]
+NO_PROPOSALS: Proposals = MappingProxyType({})
 
 
-def find_leads(models: Sequence[SuperModel], fitted: Fit) -> Leads:
+def find_proposals(models: Sequence[FlightModel], fitted: Fit) -> Proposals:
     """What the residuals of one recording lead to; several recordings share no phase, and give none."""
     if len({model.recording for model in models}) > 1:
-        return NO_LEADS
+        return NO_PROPOSALS
     model, found = models[0], fitted.found[0]
-    tones, swings = _leading(strongest_line(model, found)), _leading(strongest_swing(model, found))
-    kicks = _kicks(models, fitted)
+    tones, swings = _proposed(strongest_line(model, found)), _proposed(strongest_parametric_excitation(model, found))
+    kicks = _impulses(models, fitted)
     return {"tone": tones, "periodic-forcing": tones, "parametric-stiffness": swings, "impulsive-forcing": kicks}
 
 
-def _leading(line: Line | None) -> tuple[Lead, ...]:
+def _proposed(line: Line | None) -> tuple[Proposal, ...]:
     if line is None or line.log_tail > -_MARGIN:
         return ()
-    return (Lead({"frequency_hz": line.frequency_hz}, line.looks),)
+    return (Proposal({"frequency_hz": line.frequency_hz}, line.log_trials),)
 
 
-def mount_lead(models: Sequence[SuperModel], fitted: Fit, part: Part) -> Part | None:
+def mount_resonance_proposal(models: Sequence[FlightModel], fitted: Fit, part: EffectTerm) -> EffectTerm | None:
     """Where a camera's mount rings, if it follows its station as an oscillator; None where no place beats none.
 
     A little softness is a gain that grows; a resonance in the band is found only by going to where it is.
@@ -85,10 +85,10 @@ def mount_lead(models: Sequence[SuperModel], fitted: Fit, part: Part) -> Part | 
         )
         for value in softness
     ]
-    best, looks = int(np.argmax(likelihoods)), math.log(len(softness))
-    if likelihoods[best] - looks < fitted.log_likelihood:
+    best, log_trials = int(np.argmax(likelihoods)), math.log(len(softness))
+    if likelihoods[best] - log_trials < fitted.log_likelihood:
         return None
-    return replace(part.with_values({"softness_s2": softness[best]}), looks=looks)
+    return replace(part.with_values({"softness_s2": softness[best]}), log_trials=log_trials)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +97,14 @@ class Line:
 
     frequency_hz: float
     log_tail: float
-    looks: float
+    log_trials: float
 
 
-def strongest_line(model: SuperModel, found: Expectation) -> Line:
+def strongest_line(model: FlightModel, found: Expectation) -> Line:
     """The highest peak of the whitened periodogram."""
     white = apply(adjoint(found.motion.whitener), found.residual)
     power = np.sum(np.abs(white) ** 2, axis=0)
-    best, looks = int(np.argmax(power)), math.log(power.size)
+    best, log_trials = int(np.argmax(power)), math.log(power.size)
     # of c channels the power is Gamma(c, 1); neighbours that the taper ties together are counted all the same
     tail = -float(power[best]) + (math.log1p(float(power[best])) if len(white) > 1 else 0.0)
     # the whitened spectrum on finer frequencies about the peak: the taper's own shape interpolates
@@ -113,12 +113,12 @@ def strongest_line(model: SuperModel, found: Expectation) -> Line:
     turn = np.exp(-2j * np.pi * np.outer(fine, np.arange(power.size)) / power.size)
     peak = np.sum(np.abs(turn @ in_time.T) ** 2, axis=1)
     step = model.band_hz[1] - model.band_hz[0]
-    return Line(float(model.band_hz[0] + step * fine[np.argmax(peak)]), tail + looks, looks)
+    return Line(float(model.band_hz[0] + step * fine[np.argmax(peak)]), tail + log_trials, log_trials)
 
 
-def strongest_swing(model: SuperModel, found: Expectation) -> Line | None:
+def strongest_parametric_excitation(model: FlightModel, found: Expectation) -> Line | None:
     """The highest peak of the periodogram of residual force times spring force; None where there is no room for one."""
-    product = np.sum(model.residual_force(found) * model.spring_force(found), axis=0)
+    product = np.sum(model.force_score(found) * model.spring_force(found), axis=0)
     power = np.abs(np.fft.rfft(product - product.mean())) ** 2
     step = 1.0 / model.seen.duration_s
     first_hz = model.belief.airframe.wing.symmetric.frequency_hz.value
@@ -129,17 +129,17 @@ def strongest_swing(model: SuperModel, found: Expectation) -> Line | None:
     padded = np.pad(power, _NEIGHBOURS, mode="reflect")
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1)
     ratio = power / (np.median(around, axis=1) / math.log(2.0))  # the median of an exponential is ln 2 of its mean
-    best, looks = int(np.argmax(ratio)), math.log(len(ratio))
+    best, log_trials = int(np.argmax(ratio)), math.log(len(ratio))
     fine = (low + best + np.linspace(-0.8, 0.8, 33)) * step
     turn = np.exp(-2j * np.pi * np.outer(fine, model.seen.t_s))
-    return Line(float(fine[np.argmax(np.abs(turn @ product))]), -float(ratio[best]) + looks, looks)
+    return Line(float(fine[np.argmax(np.abs(turn @ product))]), -float(ratio[best]) + log_trials, log_trials)
 
 
-def _kicks(models: Sequence[SuperModel], fitted: Fit) -> tuple[Lead, ...]:
+def _impulses(models: Sequence[FlightModel], fitted: Fit) -> tuple[Proposal, ...]:
     """The strongest instants of the residual force; three are taken, so three pay for the looking."""
     t_s, strength = [], []
     for model, found in zip(models, fitted.found, strict=True):
-        force = model.residual_force(found)[:2]
+        force = model.force_score(found)[:2]
         inner = slice(len(model.seen.t_s) // 16, -len(model.seen.t_s) // 16)
         typical = np.median(np.abs(force[:, inner]), axis=1, keepdims=True) / 0.6745
         t_s.append(model.seen.t_s[inner])
@@ -152,7 +152,7 @@ def _kicks(models: Sequence[SuperModel], fitted: Fit) -> tuple[Lead, ...]:
     for index in np.argsort(-power).tolist():
         if all(abs(at_s[index] - other) > _APART_S for other in chosen):
             chosen.append(float(at_s[index]))
-        if len(chosen) == _KICKS:
+        if len(chosen) == _IMPULSES:
             break
-    looks = len(chosen) * math.log(places) - math.lgamma(len(chosen) + 1)
-    return (Lead({f"at{k + 1}_s": at for k, at in enumerate(chosen)}, looks),)
+    log_trials = len(chosen) * math.log(places) - math.lgamma(len(chosen) + 1)
+    return (Proposal({f"at{k + 1}_s": at for k, at in enumerate(chosen)}, log_trials),)

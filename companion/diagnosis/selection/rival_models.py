@@ -11,13 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
-from companion.diagnosis.model.generic_effects import lines, unnamed
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.generic_effects import generic_effects, lines
 from companion.diagnosis.selection.adequacy import Check
 from companion.diagnosis.selection.fit import Fit, fit
-from companion.diagnosis.selection.forward_selection import SAME, UNPREJUDICED, Path, begun, worth_of
-from companion.diagnosis.selection.proposals import find_leads
+from companion.diagnosis.selection.forward_selection import (
+    SAME,
+    UNPREJUDICED,
+    Path,
+    penalised_log_likelihood,
+    perturbed_start,
+)
+from companion.diagnosis.selection.proposals import find_proposals
 from companion.diagnosis.selection.screen import Candidate, screen
 
 BETTER = 2.0
@@ -30,7 +36,7 @@ _FIRST_STEP = 0.5  # prior sigmas
 
 
 @dataclass(frozen=True, slots=True)
-class Rival:
+class RivalModel:
     """A law without a name, and by how many nats it surpasses what was named."""
 
     title: str
@@ -42,42 +48,46 @@ class Rival:
         return self.ahead > BETTER
 
 
-def strongest_rival(models: Sequence[SuperModel], null: Fit, before: Sequence[Check], path: Path) -> Rival | None:
+def strongest_rival_model(
+    models: Sequence[FlightModel], null: Fit, before: Sequence[Check], path: Path
+) -> RivalModel | None:
     """The law that explains most in place of all the names of a path; None where none comes near.
 
     ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score is that of a
     name is that name, and no rival.
     """
-    named = [Part(type(cause.part.effect)(), cause.part.channel) for cause in path.causes]
+    named = [EffectTerm(type(cause.part.effect)(), cause.part.channel) for cause in path.causes]
     screening = screen(models, null, [*_offered(models, null, before), *named])
     mine = {part.effect.name for part in named}
     own = [i for i, one in enumerate(screening.candidates) if one.name in mine]
     alike = np.abs(screening.correlation[own]).max(axis=0) if own else np.zeros(len(screening.candidates))
-    worth = worth_of(models, path.fitted, null)
+    worth = penalised_log_likelihood(models, path.fitted, null)
     enough = _OUT_OF_REACH * worth
     leading = [
         one for one, rho in zip(screening.candidates, alike, strict=True) if one.log_odds > enough and rho < SAME
     ]
     rivals = [
-        Rival(one.name, worth_of(models, fitted, null) - worth)
+        RivalModel(one.name, penalised_log_likelihood(models, fitted, null) - worth)
         for one in sorted(leading, key=lambda entry: -entry.log_odds)[:_REFITTED]
         if (fitted := _refitted(models, null, one)) is not None
     ]
     return max(rivals, key=lambda one: one.ahead, default=None)
 
 
-def _offered(models: Sequence[SuperModel], null: Fit, before: Sequence[Check]) -> list[Part]:
+def _offered(models: Sequence[FlightModel], null: Fit, before: Sequence[Check]) -> list[EffectTerm]:
     strength = {entry.name: abs(entry.z) for entry in before}
-    kinds = unnamed()
+    kinds = generic_effects()
     tested = sorted((kind for kind in kinds if kind.name in strength), key=lambda kind: -strength[kind.name])
-    parts = [Part(kind()) for kind in (*tested[:_REFITTED], *(kind for kind in kinds if kind.name not in strength))]
-    for lead in find_leads(models, null).get("tone", ()):
-        parts += [Part(kind.from_values(lead.values), looks=lead.looks) for kind in lines()]
+    parts = [
+        EffectTerm(kind()) for kind in (*tested[:_REFITTED], *(kind for kind in kinds if kind.name not in strength))
+    ]
+    for lead in find_proposals(models, null).get("tone", ()):
+        parts += [EffectTerm(kind.from_values(lead.values), log_trials=lead.log_trials) for kind in lines()]
     return parts
 
 
-def _refitted(models: Sequence[SuperModel], base: Fit, candidate: Candidate) -> Fit | None:
+def _refitted(models: Sequence[FlightModel], base: Fit, candidate: Candidate) -> Fit | None:
     try:
-        return fit(models, (*base.parts, begun(candidate, _FIRST_STEP)), base.values, _ROUNDS, UNPREJUDICED)
+        return fit(models, (*base.parts, perturbed_start(candidate, _FIRST_STEP)), base.values, _ROUNDS, UNPREJUDICED)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None

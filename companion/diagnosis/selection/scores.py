@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, product
 from companion.records import Floats
 
@@ -57,7 +57,7 @@ def column(
     return Column(power, mean, toe, noise, rest, shift_s, warps)
 
 
-def scores(model: SuperModel, found: Expectation, columns: Sequence[Column]) -> tuple[Floats, Floats]:
+def scores(model: FlightModel, found: Expectation, columns: Sequence[Column]) -> tuple[Floats, Floats]:
     """Gradient of the log likelihood and its Fisher information, (p,) and (p, p)."""
     p, weight = len(columns), model.weight
     gradient, information = np.zeros(p), np.zeros((p, p))
@@ -99,7 +99,7 @@ def _add(
     information[np.ix_(index, index)] += weight * (table @ table.T)
 
 
-def _add_warps(model: SuperModel, found: Expectation, columns: Sequence[Column], information: Floats) -> None:
+def _add_warps(model: FlightModel, found: Expectation, columns: Sequence[Column], information: Floats) -> None:
     """Put the expected information of shifts in time where the products of their columns stand for it badly.
 
     With S the spectral matrix, shifts of channels c and d by a and b are worth

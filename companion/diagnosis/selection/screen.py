@@ -17,12 +17,12 @@ from scipy.stats import chi2, norm
 
 from companion.core.wing.effect import Effect
 from companion.diagnosis.data.sample_defects import SEEN_IN_SAMPLES
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import Fit, derivatives, joint_scores
-from companion.diagnosis.selection.proposals import LED, NO_LEADS, Leads
+from companion.diagnosis.selection.proposals import LED, NO_PROPOSALS, Proposals
 from companion.diagnosis.selection.scores import Column
-from companion.diagnosis.selection.simulated_scores import bends_samples, scatter
+from companion.diagnosis.selection.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.records import Floats
 
 _BARELY = 1e-9
@@ -48,7 +48,7 @@ class Candidate:
         Efficient, in units of the prior sigmas.
     """
 
-    part: Part
+    part: EffectTerm
     z: float
     log_odds: float
     sigma: Floats
@@ -74,12 +74,14 @@ class Screening:
 class _Tested:
     """An effect, the prior sigmas of its parameters, and to which side it was moved."""
 
-    part: Part
+    part: EffectTerm
     sigmas: Floats
     side: float
 
 
-def candidates_of(kinds: Iterable[type[Effect]], channels: Sequence[str], leads: Leads = NO_LEADS) -> list[Part]:
+def candidates_of(
+    kinds: Iterable[type[Effect]], channels: Sequence[str], leads: Proposals = NO_PROPOSALS
+) -> list[EffectTerm]:
     """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow.
 
     Effects that the data themselves must lead to (a tone's frequency) begin where ``leads`` say, or not at all;
@@ -91,20 +93,20 @@ def candidates_of(kinds: Iterable[type[Effect]], channels: Sequence[str], leads:
             continue
         if kind.name in LED:
             found = leads.get(kind.name, ())
-            parts += [Part(kind.from_values(entry.values), looks=entry.looks) for entry in found]
+            parts += [EffectTerm(kind.from_values(entry.values), log_trials=entry.log_trials) for entry in found]
             continue
         follows = [channel for channel in channels if kind.may_follow(channel)] if kind.follows_channel else [""]
         names, grids = list(kind.scan), [kind.scan[name] for name in kind.scan]
         for values in itertools.product(*grids):
             effect = kind.from_values(dict(zip(names, values, strict=True)))
-            parts += [Part(effect, channel) for channel in follows]
+            parts += [EffectTerm(effect, channel) for channel in follows]
     return parts
 
 
 def screen(
-    models: Sequence[SuperModel],
+    models: Sequence[FlightModel],
     null: Fit,
-    parts: Sequence[Part],
+    parts: Sequence[EffectTerm],
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Screening:
     """Score every part at a fitted model ``null``, which may hold effects that have been accepted.
@@ -128,12 +130,12 @@ def screen(
         tested.append(_Tested(part, sigmas, side))
         progress((done + 1) / len(sided))
     score, left = efficient(models, null, columns)
-    wider = _scatter(models, null, tested)
+    wider = _score_scatter(models, null, tested)
     left = left * np.outer(wider, wider)
     return _ranked(tested, score, left)
 
 
-def efficient(models: Sequence[SuperModel], null: Fit, columns: Sequence[Sequence[Column]]) -> tuple[Floats, Floats]:
+def efficient(models: Sequence[FlightModel], null: Fit, columns: Sequence[Sequence[Column]]) -> tuple[Floats, Floats]:
     """Score and information of what is beyond the fit's own parameters, with these projected out.
 
     ``columns`` by recording: those of the fit, then d others; gives (d,) and (d, d).
@@ -146,17 +148,17 @@ def efficient(models: Sequence[SuperModel], null: Fit, columns: Sequence[Sequenc
     return gradient[p:] - share.T @ pull, information[p:, p:] - information[p:, :p] @ share
 
 
-def _scatter(models: Sequence[SuperModel], null: Fit, tested: Sequence[_Tested]) -> Floats:
+def _score_scatter(models: Sequence[FlightModel], null: Fit, tested: Sequence[_Tested]) -> Floats:
     """How much more each parameter's score scatters than its column says: 1 but for crooked sensors."""
     wider, at = np.ones(sum(len(one.sigmas) for one in tested)), 0
     bent: dict[int, Effect] = {}
     for one in tested:
         names = [entry.name for entry in one.part.effect.parameters()]
-        if bends_samples(one.part.effect) and len(names) == 1:
+        if is_sample_nonlinearity(one.part.effect) and len(names) == 1:
             bent[at] = one.part.with_values({names[0]: _UNIT * float(one.sigmas[0])}).effect
         at += len(one.sigmas)
     if bent:
-        wider[list(bent)] = scatter(models, null.found, list(bent.values()))
+        wider[list(bent)] = score_scatter(models, null.found, list(bent.values()))
     return wider
 
 
@@ -195,16 +197,16 @@ def _candidate(one: _Tested, score: Floats, information: Floats) -> Candidate:
     power = float(np.sum(along**2 / (values[telling] + 1.0)))
     # directions that the prior already knows better count for nothing
     freedom = max(int(np.sum(values > 0.1)), 1)
-    tail = min(float(chi2.logsf(power, freedom)) + part.looks, 0.0)
-    z = normal_of(tail)
-    odds = 0.5 * power - part.looks - 0.5 * float(np.sum(np.log1p(values[telling])))
+    tail = min(float(chi2.logsf(power, freedom)) + part.log_trials, 0.0)
+    z = normal_score(tail)
+    odds = 0.5 * power - part.log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
     step = vectors[:, telling] @ (along / (values[telling] + 1.0))
     length = float(np.linalg.norm(step))
     spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas
     return Candidate(part, z, odds, spread, score, information, step / length if length else step)
 
 
-def normal_of(log_tail: float) -> float:
+def normal_score(log_tail: float) -> float:
     """|z| whose two-sided tail has this log probability."""
     half = max(log_tail, _SMALLEST) - math.log(2.0)
     if half > -600.0:

@@ -9,16 +9,16 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.data.sample_defects import SampleFinding, together
-from companion.diagnosis.model.effect_term import Part
-from companion.diagnosis.model.flight_model import SuperModel
+from companion.diagnosis.data.sample_defects import SampleDefect, together
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.adequacy import Check, check
-from companion.diagnosis.selection.cross_validation import HeldOut, held_out
+from companion.diagnosis.selection.cross_validation import CrossValidation, cross_validate
 from companion.diagnosis.selection.fit import Fit, fit
 from companion.diagnosis.selection.forward_selection import Extension, Path, Progress
 from companion.diagnosis.selection.initial_values import starts
 from companion.diagnosis.selection.proposals import EVENTS
-from companion.diagnosis.selection.rival_models import Rival, strongest_rival
+from companion.diagnosis.selection.rival_models import RivalModel, strongest_rival_model
 from companion.diagnosis.selection.screen import Screening
 from companion.diagnosis.selection.verdict import Cause, Diagnosis, Verdict
 
@@ -26,7 +26,7 @@ _QUIET_DB = 3.0
 
 
 def diagnose(
-    models: Sequence[SuperModel],
+    models: Sequence[FlightModel],
     kinds: Sequence[type[Effect]],
     max_causes: int = 3,
     progress: Progress = lambda _what, _share: None,
@@ -45,20 +45,22 @@ def diagnose(
     path = extension.search(null, first, max_causes)
     progress("test what is left", 0.0)
     offered = {kind.name for kind in kinds}
-    shown = together([entry for model in models for entry in model.seen.in_samples])
+    shown = together([entry for model in models for entry in model.seen.sample_defects])
     faults = [Check(entry.seen, _strength(entry)) for entry in shown if entry.name not in offered]
     after = (*faults, *check(models, path.fitted))
     before = (*faults, *check(models, null)) if path.causes else after
     gain = rival = None
     if path.causes:
         progress("hold the names against laws without one", 0.0)
-        rival = strongest_rival(models, null, before, path)
-        gain = held_out(models, null, path.fitted, lambda share: progress("measure the gain on held-out blocks", share))
+        rival = strongest_rival_model(models, null, before, path)
+        gain = cross_validate(
+            models, null, path.fitted, lambda share: progress("measure the gain on held-out blocks", share)
+        )
     named = tuple(_seen(entry) for entry in shown if entry.name in offered)
     return _conclude(null, path, named, first, before, after, gain, rival)
 
 
-def _excited(models: Sequence[SuperModel], null: Fit) -> bool:
+def _excited(models: Sequence[FlightModel], null: Fit) -> bool:
     """Whether the accelerations stand above the sensors' noise anywhere in the band."""
     for found in null.found:
         power = np.einsum("iif->if", found.spectrum).real
@@ -67,12 +69,12 @@ def _excited(models: Sequence[SuperModel], null: Fit) -> bool:
     return not models
 
 
-def _seen(found: SampleFinding) -> Cause:
+def _seen(found: SampleDefect) -> Cause:
     """A cause that the samples themselves show."""
     kind = catalogue()[found.name]
     names = [entry.name for entry in kind.parameters()]
     return Cause(
-        Part(kind.from_values(found.values)),
+        EffectTerm(kind.from_values(found.values)),
         (),
         found.log_bayes_factor,
         -2.0 * found.log_bayes_factor,
@@ -83,7 +85,7 @@ def _seen(found: SampleFinding) -> Cause:
     )
 
 
-def _strength(found: SampleFinding) -> float:
+def _strength(found: SampleDefect) -> float:
     return math.sqrt(2.0 * found.log_bayes_factor)
 
 
@@ -94,8 +96,8 @@ def _conclude(
     first: Screening,
     before: Sequence[Check],
     after: Sequence[Check],
-    gain: HeldOut | None,
-    rival: Rival | None,
+    gain: CrossValidation | None,
+    rival: RivalModel | None,
 ) -> Diagnosis:
     failed = [entry for entry in after if not entry.passed]
     leading = first.candidates[0].name if first.candidates else ""

@@ -14,8 +14,8 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import SuperModel
-from companion.diagnosis.model.nonlinear_correction import Straightener
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
@@ -24,13 +24,13 @@ DRAWS = 40
 _SEED = 20250102
 
 
-def bends_samples(effect: Effect) -> bool:
+def is_sample_nonlinearity(effect: Effect) -> bool:
     """Whether an effect's score is made of the samples themselves."""
     kind = type(effect)
     return kind.sense is not Effect.sense and kind.response is Effect.response
 
 
-def scatter(models: Sequence[SuperModel], found: Sequence[Expectation], effects: Sequence[Effect]) -> Floats:
+def score_scatter(models: Sequence[FlightModel], found: Sequence[Expectation], effects: Sequence[Effect]) -> Floats:
     """Standard deviation of each effect's score over what the product of its column says, (e,); effects not at 0."""
     squares, products = np.zeros(len(effects)), np.zeros(len(effects))
     for model, one in zip(models, found, strict=True):
@@ -41,30 +41,30 @@ def scatter(models: Sequence[SuperModel], found: Sequence[Expectation], effects:
     return np.asarray(np.sqrt(np.maximum(ratio, 1.0)))
 
 
-def _drawn(model: SuperModel, found: Expectation, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
+def _drawn(model: FlightModel, found: Expectation, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
     """Scores and products of columns in simulated recordings, (draws, e)."""
     rng = np.random.default_rng(_SEED)
     scores, naive = np.zeros((DRAWS, len(effects))), np.zeros((DRAWS, len(effects)))
     for k in range(DRAWS):
         recording = model.draw(found, rng)
         seen = dataclasses.replace(model.seen, up_mps2=np.ascontiguousarray(recording.T), fine_mps2=None)
-        straightener = Straightener(seen, model.transforms)
+        lineariser = SensorLineariser(seen, model.transforms)
         left = _white(model, found, recording)
         for i, effect in enumerate(effects):
-            change = _white(model, found, _change(straightener, effect))
+            change = _white(model, found, _change(lineariser, effect))
             scores[k, i] = 2.0 * model.weight * float(np.sum(left.conj() * change).real)
             naive[k, i] = 2.0 * model.weight * float(np.sum(np.abs(change) ** 2))
     return scores, naive
 
 
-def _change(straightener: Straightener, effect: Effect) -> Floats:
+def _change(lineariser: SensorLineariser, effect: Effect) -> Floats:
     """What an effect does to a recording, (c, m): by far most of the time goes into this."""
     if type(effect).sample_time is not Effect.sample_time:
-        return straightener.recorded_mps2 - straightener.straight_mps2([effect])[0]
-    return straightener.bending_mps2(effect)
+        return lineariser.recorded_mps2 - lineariser.corrected_mps2([effect])[0]
+    return lineariser.nonlinear_part_mps2(effect)
 
 
 def _white(
-    model: SuperModel, found: Expectation, values: Floats
+    model: FlightModel, found: Expectation, values: Floats
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
     return apply(adjoint(found.motion.whitener), model.in_band(values))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 
-from companion.diagnosis.model.effect_term import Part
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.selection.adequacy import Check
-from companion.diagnosis.selection.cross_validation import HeldOut
+from companion.diagnosis.selection.cross_validation import CrossValidation
 from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.selection.screen import Screening
 
@@ -30,7 +30,7 @@ class Cause:
     for.
     """
 
-    part: Part
+    part: EffectTerm
     group: tuple[str, ...]
     log_bayes_factor: float
     bic: float
@@ -58,4 +58,4 @@ class Diagnosis:
     screening: Screening
     before: tuple[Check, ...]
     after: tuple[Check, ...]
-    gain: HeldOut | None
+    gain: CrossValidation | None
