@@ -101,9 +101,9 @@ def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]
 
 def own_group(model: FlightModel, found: Diagnosis, label: Hidden) -> bool:
     """Whether this recording cannot tell what was hidden from a name that was given for it (scores that are one)."""
-    names = {*label.effects, *(cause.part.effect.name for cause in found.causes)}
+    names = {*label.effects, *(cause.term.effect.name for cause in found.causes)}
     kinds = [catalogue()[name] for name in sorted(names)]
-    offered = candidates_of(kinds, sorted(model.seen.covariates), find_proposals([model], found.null))
+    offered = candidates_of(kinds, sorted(model.observations.covariates), find_proposals([model], found.null))
     screening = screen([model], found.null, offered)
     mine = [one.name in label.effects for one in screening.candidates]
     across = np.abs(screening.correlation[np.ix_(mine, np.logical_not(mine))])
@@ -138,8 +138,8 @@ def judge(
     units: Mapping[str, float] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Open the label and compare; ``units`` by effect: what one unit of its magnitude is in the diagnosis' own."""
-    named = [cause.part.effect.name for cause in found.causes]
-    groups = [{cause.part.effect.name, *cause.group} for cause in found.causes]
+    named = [cause.term.effect.name for cause in found.causes]
+    groups = [{cause.term.effect.name, *cause.group} for cause in found.causes]
     hidden = sorted(label.effects)
     if not hidden:
         right = exact = found.verdict == "adequate"
@@ -155,7 +155,7 @@ def judge(
         "named": named,
         "groups": [sorted(group) for group in groups],
         "nearest": found.nearest,
-        "nearest_causes": [cause.part.effect.name for cause in found.nearest_causes],
+        "nearest_causes": [cause.term.effect.name for cause in found.nearest_causes],
         "z": [cause.z for cause in found.causes],
         "right": bool(right and found.verdict in ("explained", "adequate")),
         "exact": bool(exact and found.verdict in ("explained", "adequate")),

@@ -85,10 +85,10 @@ def execute(options: argparse.Namespace) -> int:
     if options.apply is not None and found.causes:
         path = Path(options.apply or f"{airframe.name}-extended.toml")
         path.write_text(
-            dump_airframe(extended(airframe, models[0].belief, found, models[0].seen.units)), encoding="utf-8"
+            dump_airframe(extended(airframe, models[0].belief, found, models[0].observations.units)), encoding="utf-8"
         )
         if options.json != "-":
-            print(f"wrote {path}: {airframe.name} with {', '.join(cause.part.effect.name for cause in found.causes)}")
+            print(f"wrote {path}: {airframe.name} with {', '.join(cause.term.effect.name for cause in found.causes)}")
     return _NOTHING if found.verdict is Verdict.NOT_IDENTIFIABLE else 0
 
 
@@ -97,11 +97,11 @@ def _tell(found: Diagnosis, plain: dict[str, Any]) -> None:
     for line in plain["words"].values():
         print(f"  {line}")
     for cause in found.causes:
-        print(f"  {cause.part.effect.name}: log Bayes factor {cause.log_bayes_factor:.1f}, BIC {cause.bic:+.1f}")
-        for entry, value, sigma in zip(cause.part.effect.parameters(), cause.values, cause.sigmas, strict=True):
+        print(f"  {cause.term.effect.name}: log Bayes factor {cause.log_bayes_factor:.1f}, BIC {cause.bic:+.1f}")
+        for entry, value, sigma in zip(cause.term.effect.parameters(), cause.values, cause.sigmas, strict=True):
             print(f"    {entry.name} = {value:.5g} ± {sigma:.2g} {entry.unit} ({entry.doc})")
         if cause.group:
-            print(f"    cannot be told from {', '.join(cause.group)}: {cause.part.effect.advice or 'record more'}")
+            print(f"    cannot be told from {', '.join(cause.group)}: {cause.term.effect.advice or 'record more'}")
     if found.gain is not None:
         value, low, high = found.gain.log_score["total"]
         print(f"  held-out gain {value:.1f} nat (95 %: {low:.1f} to {high:.1f})")

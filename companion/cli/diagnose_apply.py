@@ -29,10 +29,10 @@ def extended(
     """
     named = [
         NamedEffect(
-            cause.part.effect.name,
-            dict(zip([entry.name for entry in cause.part.effect.parameters()], cause.values, strict=True)),
-            cause.part.channel,
-            *units.get(cause.part.channel, (0.0, 0.0)),
+            cause.term.effect.name,
+            dict(zip([entry.name for entry in cause.term.effect.parameters()], cause.values, strict=True)),
+            cause.term.channel,
+            *units.get(cause.term.channel, (0.0, 0.0)),
         )
         for cause in found.causes
     ]

@@ -25,15 +25,15 @@ Fits = Sequence[tuple[Expectation, str, str]]
 
 def fits_of(found: Diagnosis) -> list[tuple[Expectation, str, str]]:
     """What to draw: the believed model fitted, and the extended one where there is one; with colour and label."""
-    fits = [(found.null.found[0], BEFORE, "believed model, fitted")]
-    if len(found.final.parts) > len(found.null.parts):
-        fits.append((found.final.found[0], AFTER, "extended model"))
+    fits = [(found.null.expectations[0], BEFORE, "believed model, fitted")]
+    if len(found.final.terms) > len(found.null.terms):
+        fits.append((found.final.expectations[0], AFTER, "extended model"))
     return fits
 
 
 def spectra(fits: Fits, model: FlightModel) -> Any:
     """Each tip's spectrum, and the phase of right against left."""
-    sides = model.seen.sides
+    sides = model.observations.sides
     figure, axes = _figure(3.5, len(sides) + (1 if len(sides) == 2 else 0))
     f_hz, data = model.band_hz, model.data_in_band()
     for channel, (axis, side) in enumerate(zip(axes, sides, strict=False)):
@@ -78,16 +78,16 @@ def innovations(fits: Fits, model: FlightModel) -> Any:
 
 def ranges(fits: Fits, model: FlightModel) -> Any:
     """The range residual as toe, over time and against what it might follow."""
-    toe = model.seen.toe
+    toe = model.observations.toe
     assert toe is not None
-    load = np.interp(toe.t_s, model.seen.t_s, model.seen.load_factor)
+    load = np.interp(toe.t_s, model.observations.t_s, model.observations.load_factor)
     varies = float(np.std(load)) > _LOAD_VARIES
     figure, axes = _figure(3.1, 5 if varies else 4, sharey=True)
     for fitted, colour, label in fits:
         residual = 1e3 * fitted.toe_residual_rad
         sigma = np.full(len(residual), 1e3 * model.belief.match_sigma_rad())
-        deflection = 1e3 * np.interp(toe.t_s, model.seen.t_s, fitted.q_m[0])
-        speed = 1e3 * np.interp(toe.t_s, model.seen.t_s, fitted.qdot_mps[0])
+        deflection = 1e3 * np.interp(toe.t_s, model.observations.t_s, fitted.q_m[0])
+        speed = 1e3 * np.interp(toe.t_s, model.observations.t_s, fitted.qdot_mps[0])
         distance = 1.0 / toe.inverse_m
         for axis, values in zip(axes, (toe.t_s, deflection, speed, distance, load), strict=False):
             dots(axis, values, residual, sigma, colour, label)
@@ -107,8 +107,8 @@ def screening(found: Diagnosis) -> Any:
     shown = found.screening.candidates[:_SHOWN]
     figure = Figure(figsize=(11.5, 4.8), layout="constrained")
     bars, matrix = figure.subplots(1, 2, width_ratios=(1.2, 1))
-    names = [entry.name + (f" ({entry.part.channel})" if entry.part.channel else "") for entry in shown]
-    named = {cause.part.effect.name for cause in found.causes}
+    names = [entry.name + (f" ({entry.term.channel})" if entry.term.channel else "") for entry in shown]
+    named = {cause.term.effect.name for cause in found.causes}
     bars.barh(range(len(shown)), [e.z for e in shown], color=[AFTER if e.name in named else DATA for e in shown])
     bars.set_yticks(range(len(shown)), names, fontsize=8)
     bars.invert_yaxis()

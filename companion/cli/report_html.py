@@ -28,7 +28,7 @@ def write_report(found: Diagnosis, models: Sequence[FlightModel], plain: dict[st
         picture(figures.spectra(fits, model), "spectra of both tips, recorded and modelled"),
         picture(figures.innovations(fits, model), "innovations, backbone and missing force"),
     ]
-    if model.seen.toe is not None:
+    if model.observations.toe is not None:
         body.append(picture(figures.ranges(fits, model), "range residuals"))
     body += [*_views(plain), *_gain(found, plain)]
     if found.verdict is not Verdict.NOT_IDENTIFIABLE:
@@ -41,7 +41,7 @@ def write_report(found: Diagnosis, models: Sequence[FlightModel], plain: dict[st
 
 
 def _what(plain: dict[str, Any], models: Sequence[FlightModel]) -> str:
-    seconds = sum(model.seen.duration_s for model in models)
+    seconds = sum(model.observations.duration_s for model in models)
     return (
         f"{', '.join(plain['recordings'])}: {seconds:.0f} s judged, against the believed airframe {plain['airframe']}"
     )

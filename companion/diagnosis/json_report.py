@@ -17,75 +17,77 @@ _SHOWN_CHECKS = 12
 
 
 def as_json(
-    found: Diagnosis, models: Sequence[FlightModel], recordings: Sequence[str], with_views: bool = False
+    diagnosis: Diagnosis, models: Sequence[FlightModel], recordings: Sequence[str], with_views: bool = False
 ) -> dict[str, Any]:
     """Everything that a program would read; numbers in SI, None where there is nothing to say.
 
     ``with_views`` also simulates what the views of the page are worth, which takes some seconds.
     """
-    gain = _gain(found.gain)
+    gain = _gain(diagnosis.gain)
     return {
         "format": FORMAT,
         "recordings": list(recordings),
         "airframe": models[0].belief.airframe.name,
-        "verdict": str(found.verdict),
-        "reason": found.reason,
-        "causes": [_cause(entry, gain) for entry in found.causes],
-        "nearest": found.nearest or None,
-        "nearest_causes": [_cause(entry, gain) for entry in found.nearest_causes],
+        "verdict": str(diagnosis.verdict),
+        "reason": diagnosis.reason,
+        "causes": [_cause(entry, gain) for entry in diagnosis.causes],
+        "nearest": diagnosis.nearest or None,
+        "nearest_causes": [_cause(entry, gain) for entry in diagnosis.nearest_causes],
         "gain": gain,
         "adequacy": {
-            "before": [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in found.before],
-            "after": [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in found.after],
+            "before": [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in diagnosis.before],
+            "after": [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in diagnosis.after],
         },
-        "residual": _residual(found),
-        "views": _views(found, models[0]) if with_views else [],
+        "residual": _residual(diagnosis),
+        "views": _views(diagnosis, models[0]) if with_views else [],
         "screening": [
-            {"name": entry.name, "channel": entry.part.channel or None, "z": entry.z, "log_odds": entry.log_odds}
-            for entry in found.screening.candidates
+            {"name": entry.name, "channel": entry.term.channel or None, "z": entry.z, "log_odds": entry.log_odds}
+            for entry in diagnosis.screening.candidates
         ],
-        "airframe_parameters": _nuisances(found, models[0]),
-        "notes": [note for model in models for note in model.seen.notes],
+        "airframe_parameters": _nuisances(diagnosis, models[0]),
+        "notes": [note for model in models for note in model.observations.notes],
     }
 
 
-def _views(found: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
+def _views(diagnosis: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
     """Statistics of the views of the first recording: those simulated, and those of its ranges from the adequacy."""
     count = len(model.belief.nuisances)
-    before = strengths(model, found.null.found[0], found.null.values[:count], found.null.parts)
+    before = strengths(model, diagnosis.null.expectations[0], diagnosis.null.values[:count], diagnosis.null.terms)
     after: dict[str, float] = {}
-    if found.final is not found.null:
-        after = strengths(model, found.final.found[0], found.final.values[:count], found.final.parts)
-    told = ("all spectra", "range residual")
-    before |= {entry.name: entry.z for entry in found.before if entry.name.startswith(told)}
-    after |= {entry.name: entry.z for entry in found.after if entry.name.startswith(told) and found.causes}
+    if diagnosis.final is not diagnosis.null:
+        after = strengths(model, diagnosis.final.expectations[0], diagnosis.final.values[:count], diagnosis.final.terms)
+    range_views = ("all spectra", "range residual")
+    before |= {entry.name: entry.z for entry in diagnosis.before if entry.name.startswith(range_views)}
+    after |= {
+        entry.name: entry.z for entry in diagnosis.after if entry.name.startswith(range_views) and diagnosis.causes
+    }
     return [{"view": name, "before": z, "after": after.get(name)} for name, z in before.items()]
 
 
-def sentence(found: Diagnosis) -> str:
+def sentence(diagnosis: Diagnosis) -> str:
     """The verdict in one line."""
-    if found.verdict is Verdict.ADEQUATE:
+    if diagnosis.verdict is Verdict.ADEQUATE:
         return "adequate: the believed airframe explains this recording"
-    if found.verdict is Verdict.NOT_IDENTIFIABLE:
-        return f"not identifiable from this recording: {found.reason}"
-    named = ", ".join(_with_group(cause) for cause in found.causes)
-    if found.verdict is Verdict.EXPLAINED:
+    if diagnosis.verdict is Verdict.NOT_IDENTIFIABLE:
+        return f"not identifiable from this recording: {diagnosis.reason}"
+    named = ", ".join(_with_group(cause) for cause in diagnosis.causes)
+    if diagnosis.verdict is Verdict.EXPLAINED:
         return f"explained by {named}"
-    return f"unexplained (nearest: {found.nearest or 'none'}); {found.reason}"
+    return f"unexplained (nearest: {diagnosis.nearest or 'none'}); {diagnosis.reason}"
 
 
 def _with_group(cause: Cause) -> str:
-    name = cause.part.effect.name
-    if cause.part.channel:
-        name = f"{name} ({cause.part.channel})"
+    name = cause.term.effect.name
+    if cause.term.channel:
+        name = f"{name} ({cause.term.channel})"
     return f"{name} (or {', '.join(cause.group)})" if cause.group else name
 
 
 def _cause(cause: Cause, gain: dict[str, Any] | None) -> dict[str, Any]:
-    declared = cause.part.effect.parameters()
+    declared = cause.term.effect.parameters()
     return {
-        "name": cause.part.effect.name,
-        "channel": cause.part.channel or None,
+        "name": cause.term.effect.name,
+        "channel": cause.term.channel or None,
         "group": list(cause.group),
         "log_bayes_factor": cause.log_bayes_factor,
         "bic": cause.bic,
@@ -101,8 +103,8 @@ def _cause(cause: Cause, gain: dict[str, Any] | None) -> dict[str, Any]:
             for entry, value, sigma in zip(declared, cause.values, cause.sigmas, strict=True)
         },
         "gain": gain["total"] if gain else None,
-        "seen_in_samples": cause.seen or None,
-        "advice": cause.part.effect.advice,
+        "seen_in_samples": cause.evidence or None,
+        "advice": cause.term.effect.advice,
     }
 
 
@@ -134,24 +136,24 @@ def _pair(pair: tuple[float, float] | None, interval: tuple[float, float] | None
     return {"before": pair[0], "after": pair[1], "unit": "rad", "share_of_square_gone": list(interval)}
 
 
-def _residual(found: Diagnosis) -> dict[str, Any] | None:
+def _residual(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """What is left, described and not named."""
-    if found.verdict is not Verdict.UNEXPLAINED:
+    if diagnosis.verdict is not Verdict.UNEXPLAINED:
         return None
-    left = [entry for entry in found.after if not entry.passed][:_SHOWN_CHECKS]
-    forces = [entry for entry in found.after if entry.name.startswith("force with")][:3]
+    failed = [entry for entry in diagnosis.after if not entry.passed][:_SHOWN_CHECKS]
+    forces = [entry for entry in diagnosis.after if entry.name.startswith("force with")][:3]
     return {
-        "description": found.reason,
-        "failed": [{"test": entry.name, "z": entry.z} for entry in left],
+        "description": diagnosis.reason,
+        "failed": [{"test": entry.name, "z": entry.z} for entry in failed],
         "latent_force": [{"follows": entry.name.removeprefix("force with "), "z": entry.z} for entry in forces],
     }
 
 
-def _nuisances(found: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
+def _nuisances(diagnosis: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
     """What the fit made of the airframe's own parameters."""
     rows = []
     for i, entry in enumerate(model.belief.nuisances):
-        value, sigma = float(found.final.values[i]), math.sqrt(float(found.final.covariance[i, i]))
+        value, sigma = float(diagnosis.final.values[i]), math.sqrt(float(diagnosis.final.covariance[i, i]))
         rows.append(
             {
                 "name": entry.key,

@@ -21,13 +21,13 @@ def product(a: Complexes, b: Complexes) -> Complexes:
         return np.asarray(a[:, None] * b)
     if b.ndim == 2:
         return np.asarray(a * b[None])
-    found = np.empty((a.shape[0], b.shape[1], max(a.shape[2], b.shape[2])), dtype=np.complex128)
+    result = np.empty((a.shape[0], b.shape[1], max(a.shape[2], b.shape[2])), dtype=np.complex128)
     for i, k in np.ndindex(a.shape[0], b.shape[1]):
         total = a[i, 0] * b[0, k]
         for j in range(1, a.shape[1]):
             total += a[i, j] * b[j, k]
-        found[i, k] = total
-    return found
+        result[i, k] = total
+    return result
 
 
 def apply(a: Complexes, vector: Complexes) -> Complexes:
@@ -46,9 +46,9 @@ def full(a: Complexes) -> Complexes:
     """A diagonal matrix written out."""
     if a.ndim == 3:
         return a
-    found = np.zeros((len(a), *a.shape), dtype=np.complex128)
-    found[np.diag_indices(len(a))] = a
-    return found
+    result = np.zeros((len(a), *a.shape), dtype=np.complex128)
+    result[np.diag_indices(len(a))] = a
+    return result
 
 
 def inverse(a: Complexes) -> Complexes:
@@ -59,30 +59,30 @@ def inverse(a: Complexes) -> Complexes:
     if n == 1:
         return np.asarray(1.0 / a)
     if n == 2:
-        share = 1.0 / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
-        return np.stack([[a[1, 1] * share, -a[0, 1] * share], [-a[1, 0] * share, a[0, 0] * share]])
-    work, found = a.copy(), full(np.ones(a.shape[1:], dtype=np.complex128))
+        reciprocal = 1.0 / (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0])
+        return np.stack([[a[1, 1] * reciprocal, -a[0, 1] * reciprocal], [-a[1, 0] * reciprocal, a[0, 0] * reciprocal]])
+    work, result = a.copy(), full(np.ones(a.shape[1:], dtype=np.complex128))
     for k in range(n):
-        share = 1.0 / work[k, k]
-        work[k], found[k] = work[k] * share, found[k] * share
+        reciprocal = 1.0 / work[k, k]
+        work[k], result[k] = work[k] * reciprocal, result[k] * reciprocal
         for i in range(n):
             if i != k:
                 times = work[i, k].copy()
                 work[i] -= times * work[k]
-                found[i] -= times * found[k]
-    return found
+                result[i] -= times * result[k]
+    return result
 
 
 def cholesky(a: Complexes) -> Complexes:
     """Lower triangular L with L L^H = a, for Hermitian positive ``a`` (n, n, f)."""
-    found = np.zeros_like(a)
+    factor = np.zeros_like(a)
     for j in range(len(a)):
-        left = a[j, j].real - np.sum(np.abs(found[j, :j]) ** 2, axis=0)
-        found[j, j] = np.sqrt(left)
+        pivot = a[j, j].real - np.sum(np.abs(factor[j, :j]) ** 2, axis=0)
+        factor[j, j] = np.sqrt(pivot)
         for i in range(j + 1, len(a)):
-            shared = np.sum(found[i, :j] * found[j, :j].conj(), axis=0)
-            found[i, j] = (a[i, j] - shared) / found[j, j]
-    return found
+            shared = np.sum(factor[i, :j] * factor[j, :j].conj(), axis=0)
+            factor[i, j] = (a[i, j] - shared) / factor[j, j]
+    return factor
 
 
 def log_determinant(a: Complexes) -> Floats:

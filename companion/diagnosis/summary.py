@@ -14,15 +14,15 @@ def summary_sentences(plain: dict[str, Any], tones: list[str]) -> dict[str, str]
 
     ``tones`` are sentences of the steady tones that single stations show.
     """
-    told = {"cause": _cause(plain), "worth": _worth(plain), "next": _next(plain)}
+    sentences = {"cause": _cause(plain), "worth": _worth(plain), "next": _next(plain)}
     if tones and plain["verdict"] != "adequate":
-        told["cause"] += f" A steady tone is there, which no gust makes: {'; '.join(tones)}."
+        sentences["cause"] += f" A steady tone is there, which no gust makes: {'; '.join(tones)}."
         if plain["verdict"] == "unexplained":
-            told["next"] = (
+            sentences["next"] = (
                 "A propeller, a shaker or a supply makes a steady tone: look what turns or is switched at its "
-                "frequency, and record once more without it. " + told["next"]
+                "frequency, and record once more without it. " + sentences["next"]
             )
-    return told
+    return sentences
 
 
 def _cause(plain: dict[str, Any]) -> str:
@@ -82,16 +82,16 @@ def _next(plain: dict[str, Any]) -> str:
     causes = plain["causes"] or plain["nearest_causes"]
     advice = "; ".join(dict.fromkeys(cause["advice"] for cause in causes if cause["advice"]))
     apart = [cause["name"] for cause in causes if cause["group"]]
-    told = []
+    sentences = []
     if plain["verdict"] == "explained":
-        kept = worthwhile(plain)
-        told.append(
+        worth_it = worthwhile(plain)
+        sentences.append(
             "Leave the airframe file as it is."
-            if kept is False
+            if worth_it is False
             else "Write it into the airframe file with --apply, and fly once more to confirm it."
         )
     elif not advice:
-        told.append("Record again with cameras, and with what may have changed: temperature, speed, rpm.")
+        sentences.append("Record again with cameras, and with what may have changed: temperature, speed, rpm.")
     if advice:
-        told.append(f"To {'tell it from its group' if apart else 'check it'}: {advice}.")
-    return " ".join(told)
+        sentences.append(f"To {'tell it from its group' if apart else 'check it'}: {advice}.")
+    return " ".join(sentences)

@@ -63,9 +63,9 @@ class Backbone:
     work_sigma: Floats
 
 
-def autocorrelation(model: FlightModel, found: Expectation) -> Autocorrelation:
+def autocorrelation(model: FlightModel, expectation: Expectation) -> Autocorrelation:
     """Of what the model leaves of each accelerometer; white where nothing is left."""
-    white = apply(adjoint(found.motion.whitener), found.residual)
+    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     lag_s = np.linspace(0.0, _LAGS_S, 201)[1:]
     turn = np.exp(2j * np.pi * np.outer(model.band_hz, lag_s))
     values = (np.abs(white) ** 2 @ turn).real / np.sum(np.abs(white) ** 2, axis=1, keepdims=True)
@@ -75,75 +75,77 @@ def autocorrelation(model: FlightModel, found: Expectation) -> Autocorrelation:
     return Autocorrelation(lag_s, np.asarray(values - window), bound)
 
 
-def force_map(model: FlightModel, found: Expectation) -> ForceMap:
+def force_map(model: FlightModel, expectation: Expectation) -> ForceMap:
     """Where in deflection and speed a force is missing."""
-    force = _force(model, found)
-    q, v = found.q_m[0] / np.std(found.q_m[0]), found.qdot_mps[0] / np.std(found.qdot_mps[0])
+    force = _force(model, expectation)
+    q, v = expectation.q_m[0] / np.std(expectation.q_m[0]), expectation.qdot_mps[0] / np.std(expectation.qdot_mps[0])
     edges = np.linspace(-_REACH, _REACH, _CELLS + 1)
     total = np.histogram2d(v, q, (edges, edges), weights=force)[0]
     count = np.histogram2d(v, q, (edges, edges))[0]
     return ForceMap(edges, np.where(count >= _FEWEST, total / np.maximum(count, 1), np.nan))
 
 
-def backbone(model: FlightModel, found: Expectation, bins: int = 8) -> Backbone:
+def backbone(model: FlightModel, expectation: Expectation, bins: int = 8) -> Backbone:
     """How the symmetric mode's frequency and damping go with its amplitude."""
     wing = model.belief.airframe.wing.symmetric
     omega = 2.0 * np.pi * wing.frequency_hz.value
-    spectrum = np.fft.rfft(found.q_m[0])
-    f_hz = np.fft.rfftfreq(len(found.q_m[0]), 1.0 / model.seen.rate_hz)
+    spectrum = np.fft.rfft(expectation.q_m[0])
+    f_hz = np.fft.rfftfreq(len(expectation.q_m[0]), 1.0 / model.observations.rate_hz)
     near = (f_hz > 0.6 * wing.frequency_hz.value) & (f_hz < 1.5 * wing.frequency_hz.value)
-    analytic = np.fft.ifft(np.where(near, 2.0 * spectrum, 0.0), len(found.q_m[0]))
+    analytic = np.fft.ifft(np.where(near, 2.0 * spectrum, 0.0), len(expectation.q_m[0]))
     amplitude = np.abs(analytic)
-    turn = np.diff(np.unwrap(np.angle(analytic)), append=np.nan) * model.seen.rate_hz / (2.0 * np.pi)
+    turn = np.diff(np.unwrap(np.angle(analytic)), append=np.nan) * model.observations.rate_hz / (2.0 * np.pi)
     turn[-1] = turn[-2]
-    force, speed = _force(model, found), found.qdot_mps[0]
+    force, speed = _force(model, expectation), expectation.qdot_mps[0]
     rows = []
-    for part in np.array_split(np.argsort(amplitude), bins):
-        weight = amplitude[part] ** 2
-        mean = float(np.sum(weight * turn[part]) / np.sum(weight))
+    for index in np.array_split(np.argsort(amplitude), bins):
+        weight = amplitude[index] ** 2
+        mean = float(np.sum(weight * turn[index]) / np.sum(weight))
         # neighbours swing together for about 1/(zeta omega)
-        alone = max(len(part) / (model.seen.rate_hz / (wing.damping.value * omega)), 2.0)
-        spread = float(np.sqrt(np.sum(weight * (turn[part] - mean) ** 2) / np.sum(weight) / alone))
-        work = -force[part] * speed[part] / np.sqrt(np.mean(speed[part] ** 2))
-        rows.append([float(np.median(amplitude[part])), mean, spread, np.mean(work), np.std(work) / np.sqrt(alone)])
+        alone = max(len(index) / (model.observations.rate_hz / (wing.damping.value * omega)), 2.0)
+        spread = float(np.sqrt(np.sum(weight * (turn[index] - mean) ** 2) / np.sum(weight) / alone))
+        work = -force[index] * speed[index] / np.sqrt(np.mean(speed[index] ** 2))
+        rows.append([float(np.median(amplitude[index])), mean, spread, np.mean(work), np.std(work) / np.sqrt(alone)])
     return Backbone(*np.array(rows).T)
 
 
-def strengths(model: FlightModel, found: Expectation, values: Floats, parts: Sequence[EffectTerm]) -> dict[str, float]:
+def strengths(
+    model: FlightModel, expectation: Expectation, values: Floats, terms: Sequence[EffectTerm]
+) -> dict[str, float]:
     """By view: standard deviations of its statistic from the mean of simulated recordings of the same model.
 
-    ``values`` and ``parts`` are the fit's own, of which ``found`` is what it makes of the recording.
+    ``values`` and ``terms`` are the fit's own, of which ``expectation`` is what it makes of the recording.
     """
     rng = np.random.default_rng(_SEED)
     count = len(model.belief.nuisances)
     drawn: list[dict[str, float]] = []
     for _ in range(_DRAWS):
-        up = np.ascontiguousarray(model.draw(found, rng).T)
-        seen = dataclasses.replace(model.seen, up_mps2=up, fine_mps2=None, toe=None, inputs={})
-        twin = FlightModel(model.belief, seen, model.top_hz, model.recording)
-        drawn.append(_statistics(twin, twin.expect(values[:count], parts)))
-    real = _statistics(model, found)
-    table = {name: np.array([one[name] for one in drawn]) for name in real}
+        up = np.ascontiguousarray(model.draw(expectation, rng).T)
+        simulated = dataclasses.replace(model.observations, up_mps2=up, fine_mps2=None, toe=None, inputs={})
+        twin = FlightModel(model.belief, simulated, model.top_hz, model.recording)
+        drawn.append(_statistics(twin, twin.expect(values[:count], terms)))
+    real = _statistics(model, expectation)
+    table = {name: np.array([statistics[name] for statistics in drawn]) for name in real}
     return {name: float((real[name] - table[name].mean()) / max(table[name].std(), 1e-300)) for name in real}
 
 
-def _statistics(model: FlightModel, found: Expectation) -> dict[str, float]:
+def _statistics(model: FlightModel, expectation: Expectation) -> dict[str, float]:
     """One number for each view, larger the less it looks as it should; logarithms, which scatter more evenly."""
-    spine, force = backbone(model, found), force_map(model, found).force
-    known = {
-        AUTOCORRELATION: float(np.max(np.abs(autocorrelation(model, found).values))),
+    spine, force = backbone(model, expectation), force_map(model, expectation).force
+    statistics = {
+        AUTOCORRELATION: float(np.max(np.abs(autocorrelation(model, expectation).values))),
         BACKBONE: float(np.std(spine.frequency_hz)),
         WORK: float(np.mean(spine.work**2)),
         FORCE: float(np.nanmean(force**2)),
     }
-    white = apply(adjoint(found.motion.whitener), found.residual)
+    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     if len(white) > 1:
-        parts = np.array_split(white[0] * white[1].conj(), _PARTS)
-        known[SIDES] = max(abs(complex(np.sum(part))) / float(np.sqrt(len(part))) for part in parts)
-    return {name: float(np.log(max(value, 1e-300))) for name, value in known.items()}
+        segments = np.array_split(white[0] * white[1].conj(), _PARTS)
+        statistics[SIDES] = max(abs(complex(np.sum(segment))) / float(np.sqrt(len(segment))) for segment in segments)
+    return {name: float(np.log(max(value, 1e-300))) for name, value in statistics.items()}
 
 
-def _force(model: FlightModel, found: Expectation) -> Floats:
+def _force(model: FlightModel, expectation: Expectation) -> Floats:
     """Residual force on the symmetric mode in units of its own rms."""
-    score = model.force_score(found)[0]
+    score = model.force_score(expectation)[0]
     return np.asarray(score / max(float(np.std(score)), 1e-300))

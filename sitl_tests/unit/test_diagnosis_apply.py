@@ -84,7 +84,7 @@ def test_every_effect_survives_its_file_and_is_in_force_for_all(name: str) -> No
     assert again == extended
     assert WingModel.from_airframe(again).effects == (make_effect(entry),)
     believed = believe(again, (Side.LEFT, Side.RIGHT), False, False)
-    assert believed.parts == (EffectTerm(make_effect(entry), entry.channel),)
+    assert believed.terms == (EffectTerm(make_effect(entry), entry.channel),)
     value = folded(again)
     assert value.effects == again.effects or (not value.effects and value != AIRFRAME)
 
@@ -106,7 +106,7 @@ def test_an_effect_in_force_follows_its_channel_in_the_units_it_was_found_in() -
         seen = observe(raw, airframe, 40.0)
         model = FlightModel(believe(airframe, seen.sides, False, False), seen, 40.0)
         if effect and effect.channel:
-            assert model.seen.covariates["airspeed_mps"].mean() == pytest.approx(-1.0, abs=0.2)
+            assert model.observations.covariates["airspeed_mps"].mean() == pytest.approx(-1.0, abs=0.2)
         return model.log_likelihood(model.expect(np.zeros(len(model.belief.nuisances))))
 
     plain, lost = likelihood(None), likelihood(dataclasses.replace(entry, channel=""))

@@ -58,7 +58,7 @@ def test_a_swelling_reading_scatters_by_the_root_of_two(name: str) -> None:
     law = next(effect for title, effect in laws() if title == f"sensors with acceleration, {name}")
     unit = dataclasses.replace(law, strength=1e-3)  # type: ignore[call-arg]
     # 40 draws tell a standard deviation to 11 %
-    assert score_scatter([model], found.found, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
+    assert score_scatter([model], found.expectations, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
 
 
 @pytest.mark.slow
@@ -80,13 +80,13 @@ def test_scores_of_crooked_sensors_and_skewed_clocks_are_standard_normal_by_chan
 def test_a_late_stream_is_screened_from_its_own_side(late: Side) -> None:
     """The first step leads to the side that is late, by as much; the other side's half of the effect counts nothing."""
     delay_s, model = 0.003, drawn(20)
-    up = model.seen.up_mps2.copy()
+    up = model.observations.up_mps2.copy()
     turned = np.fft.rfft(up[:, late]) * np.exp(-2j * np.pi * np.fft.rfftfreq(len(up), 1.0 / RATE_HZ) * delay_s)
     up[:, late] = np.fft.irfft(turned, len(up))
     shown = model_of(up)
-    part = EffectTerm(catalogue()["stream-delay"]())
-    assert len(candidates_of([type(part.effect)], ())) == 1
-    found = screen([shown], fit([shown], ()), [part]).candidates
+    term = EffectTerm(catalogue()["stream-delay"]())
+    assert len(candidates_of([type(term.effect)], ())) == 1
+    found = screen([shown], fit([shown], ()), [term]).candidates
     assert len(found) == 1
     step_s = 0.005 * float(found[0].score[0] / (found[0].information[0, 0] + 1.0))
     assert found[0].z > 5.0
@@ -98,7 +98,7 @@ def test_a_clock_that_runs_away_is_told_with_its_sigma() -> None:
     skew, rng = 0.006, np.random.default_rng(3)
     plain = drawn(30)
     t_s = np.arange(COUNT) / RATE_HZ
-    up = plain.seen.up_mps2.copy()
+    up = plain.observations.up_mps2.copy()
     fine = np.fft.irfft(np.fft.rfft(up[:, 1]), 32 * COUNT) * 32.0
     up[:, 1] = np.interp(t_s - skew / 60.0 * t_s, np.arange(32 * COUNT) / (32 * RATE_HZ), fine)
     up += 0.5 * rng.standard_normal(up.shape)
@@ -115,12 +115,12 @@ def test_a_clock_that_was_named_leaves_no_warp_and_no_crooked_sensor() -> None:
     """Other laws of the samples are held against the stream as the named one has set it right."""
     skew, plain = 0.02, drawn(31)
     t_s = np.arange(COUNT) / RATE_HZ
-    up = plain.seen.up_mps2.copy()
+    up = plain.observations.up_mps2.copy()
     fine = np.fft.irfft(np.fft.rfft(up[:, 1]), 32 * COUNT) * 32.0
     up[:, 1] = np.interp(t_s - skew / 60.0 * t_s, np.arange(32 * COUNT) / (32 * RATE_HZ), fine)
     model = model_of(up)
-    part = EffectTerm(catalogue()["clock-skew"].from_values({"skew_s_per_min": skew}))
-    found = lack_of_fit_tests([model], fit([model], [part], fit([model], ()).values))
+    term = EffectTerm(catalogue()["clock-skew"].from_values({"skew_s_per_min": skew}))
+    found = lack_of_fit_tests([model], fit([model], [term], fit([model], ()).values))
     for name in ("right side ever later", "all sensors together"):
         assert abs(found[name]) < 4.2
 
@@ -128,7 +128,7 @@ def test_a_clock_that_was_named_leaves_no_warp_and_no_crooked_sensor() -> None:
 def test_a_fit_begins_anywhere() -> None:
     """Sensors two hundred times noisier than the file says, a gust ten times as strong: the same answer."""
     quiet = parse_airframe(airframe_text(0.15 / 200.0), "quiet")
-    near, far = drawn(4, 3.0), model_of(drawn(4, 3.0).seen.up_mps2, quiet)
+    near, far = drawn(4, 3.0), model_of(drawn(4, 3.0).observations.up_mps2, quiet)
     right = fit([near], (), begin([near], np.zeros(len(near.belief.nuisances))))
     from_far = fit([far], (), begin([far], np.zeros(len(far.belief.nuisances))))
     names = [entry.key for entry in near.belief.nuisances]
@@ -147,9 +147,9 @@ def test_two_lines_that_were_never_there_together_are_no_two_modes() -> None:
     plain = drawn(5, count=count)
     still = {one.name: one.z for one in check([plain], fit([plain], ()))}
     assert max(abs(still[name]) for name in still if "changing in time" in name) < 4.0
-    spectrum = np.fft.rfft(plain.seen.up_mps2, axis=0)
+    spectrum = np.fft.rfft(plain.observations.up_mps2, axis=0)
     below = np.fft.rfftfreq(count, 1.0 / RATE_HZ) < 5.6
-    low, high = (np.fft.irfft(spectrum * part[:, None], count, axis=0) for part in (below, ~below))
+    low, high = (np.fft.irfft(spectrum * band[:, None], count, axis=0) for band in (below, ~below))
     first = np.sqrt(1.0 + 0.95 * np.sin(2.0 * np.pi * np.arange(count) / count))[:, None]
     jumped = model_of(low * first + high * np.sqrt(2.0 - first**2))
     changed = {one.name: one.z for one in check([jumped], fit([jumped], ()))}

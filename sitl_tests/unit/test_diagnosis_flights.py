@@ -106,8 +106,8 @@ def test_a_laboratory_s_own_table_reaches_the_model_in_si(tmp_path: Path) -> Non
     rows = [f"{t:.1f},{a:.6f},{b:.6f},{20 + 1e-4 * t:.3f}" for t, a, b in zip(t_ms, left, right, strict=True)]
     (tmp_path / "wing.csv").write_text("time_ms,left_g,right_g,airspeed_kt\n" + "\n".join(rows) + "\n")
     (model,) = models_of([tmp_path / "wing.csv"], load_airframe("nadir-2m"), load_mapping("two-accelerometers"))
-    assert model.seen.sides == (Side.LEFT, Side.RIGHT)
-    assert "airspeed_mps" in model.seen.covariates
+    assert model.observations.sides == (Side.LEFT, Side.RIGHT)
+    assert "airspeed_mps" in model.observations.covariates
     # 0.01 g rms of white noise over 125 Hz, of which the model's band keeps its share
-    kept = 0.01 * 9.80665 * np.sqrt(0.5 * model.seen.rate_hz / 125.0)
-    np.testing.assert_allclose(model.seen.up_mps2.std(0), kept, rtol=0.1)
+    kept = 0.01 * 9.80665 * np.sqrt(0.5 * model.observations.rate_hz / 125.0)
+    np.testing.assert_allclose(model.observations.up_mps2.std(0), kept, rtol=0.1)

@@ -90,7 +90,7 @@ def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
     steps = kalman.matrices(modes, 0.025)
     y = rng.standard_normal((60, 4))
     found = []
-    for sweep in (kalman.together, kalman.one_by_one):
+    for sweep in (kalman.filter_batch, kalman.filter_each):
         out = np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))
         sweep(steps.transition, steps.spread, steps.seen, steps.along, steps.variance, y, *out)
         found.append(out)

@@ -114,7 +114,7 @@ def test_what_shows_in_the_samples_is_left_over_where_it_has_no_name(snr_db: flo
     (tables,) = fly([Hidden({"quantisation": step_mps2})], snr_db, 77, 20.0)
     model = model_of(tables, parse_airframe(airframe_text(noise_density(snr_db)), "trial"))
     named = diagnose([model], [catalogue()["quantisation"]])
-    assert [cause.part.effect.name for cause in named.causes] == ["quantisation"]
+    assert [cause.term.effect.name for cause in named.causes] == ["quantisation"]
     without = diagnose([model], [])
     assert without.verdict is Verdict.UNEXPLAINED
     assert f"multiples of {step_mps2:g}" in without.reason
@@ -126,7 +126,7 @@ def test_kicks_are_named_though_no_block_foretells_another_ones() -> None:
     (tables,) = fly([label], 20.0, 78)
     model = model_of(tables, parse_airframe(airframe_text(noise_density(20.0)), "trial"))
     found = diagnose([model], [catalogue()["impulsive-forcing"]])
-    assert [cause.part.effect.name for cause in found.causes] == ["impulsive-forcing"]
+    assert [cause.term.effect.name for cause in found.causes] == ["impulsive-forcing"]
     (cause,) = found.causes
     for value, sigma in zip(cause.values[::3], cause.sigmas[::3], strict=True):
         assert abs(value - label.effects["impulsive-forcing"]) < 4.0 * sigma < 0.2
@@ -139,8 +139,8 @@ def test_a_tone_pays_once_for_the_frequencies_that_it_might_have_had() -> None:
     up[:, 1] += 1.5 * np.sin(2.0 * np.pi * 17.3 * t_s)
     model = seen_by(TEXT, up)
     found = diagnose([model], [catalogue()["tone"]])
-    assert [cause.part.effect.name for cause in found.causes] == ["tone"]
-    whole = fit([model], (found.causes[0].part,), found.null.values)
+    assert [cause.term.effect.name for cause in found.causes] == ["tone"]
+    whole = fit([model], (found.causes[0].term,), found.null.values)
     assert found.causes[0].log_bayes_factor == pytest.approx(whole.log_evidence - found.null.log_evidence, abs=0.5)
 
 
@@ -219,8 +219,8 @@ def test_a_second_mode_named_torsion_is_seen_by_the_cameras_that_it_tilts() -> N
     model = model_of(tables, parse_airframe(airframe_text(noise_density(30.0)), "trial"))
     null, named = fit([model], ()), {}
     for name, strength in (("torsion-coupling", "coupling"), ("second-mode", "participation")):
-        part = EffectTerm(catalogue()[name].from_values({strength: 0.004, "frequency_hz": 26.0}))
-        named[name] = lack_of_fit_tests([model], fit([model], (part,), null.values))
+        term = EffectTerm(catalogue()[name].from_values({strength: 0.004, "frequency_hz": 26.0}))
+        named[name] = lack_of_fit_tests([model], fit([model], (term,), null.values))
     tilted = "range residual against deflection of a further mode"
     assert named["torsion-coupling"][tilted] > 5.0
     assert abs(named["second-mode"][tilted]) < 4.0
@@ -234,7 +234,7 @@ def test_a_second_mode_in_noise_is_one_group_with_torsion_however_likely_either_
     model = model_of(tables, parse_airframe(airframe_text(noise_density(10.0)), "trial"))
     found = diagnose([model], [catalogue()[name] for name in ("second-mode", "torsion-coupling")])
     assert len(found.causes) == 1
-    names = {found.causes[0].part.effect.name, *found.causes[0].group}
+    names = {found.causes[0].term.effect.name, *found.causes[0].group}
     assert names == {"second-mode", "torsion-coupling"}
 
 
@@ -267,7 +267,7 @@ def test_a_name_that_comes_near_is_not_said_if_a_law_without_a_name_explains_mor
     both = [catalogue()[name] for name in ("baseline-error", "focal-error")]
     named = diagnose([model], both)
     assert named.verdict is Verdict.EXPLAINED
-    assert [cause.part.effect.name for cause in named.causes] == ["baseline-error"]
+    assert [cause.term.effect.name for cause in named.causes] == ["baseline-error"]
     without = diagnose([model], both[1:])
     assert without.verdict is Verdict.UNEXPLAINED
     assert without.nearest == "focal-error"

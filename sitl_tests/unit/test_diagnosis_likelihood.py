@@ -75,15 +75,15 @@ def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: Flig
 
 
 def test_the_gradient_is_the_slope_of_the_likelihood(drawn: FlightModel) -> None:
-    parts = (EffectTerm(catalogue()["stream-delay"](0.0004)), EffectTerm(catalogue()["frequency-shift"](0.01)))
-    _, sigmas = priors(drawn.belief, parts)
+    terms = (EffectTerm(catalogue()["stream-delay"](0.0004)), EffectTerm(catalogue()["frequency-shift"](0.01)))
+    _, sigmas = priors(drawn.belief, terms)
     values = np.concatenate([np.zeros(len(drawn.belief.nuisances)), [0.0004, 0.01]])
-    found = expect([drawn], values, parts)
-    gradient, information = joint_scores([drawn], found, derivatives([drawn], values, parts, found, sigmas))
+    found = expect([drawn], values, terms)
+    gradient, information = joint_scores([drawn], found, derivatives([drawn], values, terms, found, sigmas))
     for i in range(len(values)):
         step = np.zeros(len(values))
         step[i] = 1e-3 * sigmas[i]
-        up, down = (log_likelihood([drawn], expect([drawn], values + sign * step, parts)) for sign in (1.0, -1.0))
+        up, down = (log_likelihood([drawn], expect([drawn], values + sign * step, terms)) for sign in (1.0, -1.0))
         slope = (up - down) / (2.0 * step[i])
         assert slope == pytest.approx(gradient[i], abs=0.02 * np.sqrt(information[i, i]) + 0.02 / sigmas[i])
 

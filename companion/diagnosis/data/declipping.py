@@ -49,13 +49,13 @@ def impute_clipped(values: Floats, beyond: Floats, interpolated: Floats) -> Floa
     smooth, model = _Smoother(count), None
     for sweep in range(_SWEEPS):
         mean = drawn.mean(1, keepdims=True)
-        seen = np.fft.rfft(drawn - mean, norm="ortho")
+        spectrum = np.fft.rfft(drawn - mean, norm="ortho")
         if sweep % _RELEARNT == 0:
-            new = smooth(seen[:, None] * seen.conj()[None])
-            share = min(_LEARNT, _RELEARNT / max(sweep - _SETTLED, _RELEARNT))
-            model = _Split(new if model is None else model.spectra + share * (new - model.spectra), affected)
+            new = smooth(spectrum[:, None] * spectrum.conj()[None])
+            step = min(_LEARNT, _RELEARNT / max(sweep - _SETTLED, _RELEARNT))
+            model = _Split(new if model is None else model.spectra + step * (new - model.spectra), affected)
         assert model is not None
-        for i, wave in zip(affected, model.draw(seen, rng), strict=True):
+        for i, wave in zip(affected, model.draw(spectrum, rng), strict=True):
             cut = beyond[i] != 0.0
             middle = np.fft.irfft(wave, count, norm="ortho")[cut] + mean[i]
             drawn[i, cut] = _beyond(values[i, cut], beyond[i, cut], middle, np.sqrt(model.white), rng)
@@ -73,19 +73,19 @@ class _Split:
         self.spectra = spectra
         floor = _FAINTEST * float(np.mean(np.einsum("iif->if", spectra).real))
         precision = inverse(spectra + floor * np.eye(len(spectra))[..., None])[affected]
-        own = np.linalg.eigvalsh(np.moveaxis(precision[:, affected], -1, 0))[:, -1]
-        bands = np.array_split(own, max(len(own) // _BAND, 1))
+        largest = np.linalg.eigvalsh(np.moveaxis(precision[:, affected], -1, 0))[:, -1]
+        bands = np.array_split(largest, max(len(largest) // _BAND, 1))
         self.white = _SHARE / max(float(np.mean(band)) for band in bands)
-        precision = precision * np.minimum(1.0, _MOST / (self.white * own))
+        precision = precision * np.minimum(1.0, _MOST / (self.white * largest))
         self._affected, self._share = affected, self.white * precision
-        left = np.eye(len(affected))[..., None] - self._share[:, affected]
-        self._spread = cholesky(self.white * 0.5 * (left + adjoint(left)))
+        remaining = np.eye(len(affected))[..., None] - self._share[:, affected]
+        self._spread = cholesky(self.white * 0.5 * (remaining + adjoint(remaining)))
 
-    def draw(self, seen: Complexes, rng: np.random.Generator) -> Complexes:
+    def draw(self, spectrum: Complexes, rng: np.random.Generator) -> Complexes:
         """The rest from its posterior, given the spectrum of all channels, (a, f)."""
-        noise = rng.standard_normal((2, len(self._affected), seen.shape[1]))
+        noise = rng.standard_normal((2, len(self._affected), spectrum.shape[1]))
         white = np.sqrt(0.5) * (noise[0] + 1j * noise[1])
-        return np.asarray(seen[self._affected] - apply(self._share, seen) + apply(self._spread, white))
+        return np.asarray(spectrum[self._affected] - apply(self._share, spectrum) + apply(self._spread, white))
 
 
 def _beyond(limit: Floats, side: Floats, middle: Floats, spread: float, rng: np.random.Generator) -> Floats:

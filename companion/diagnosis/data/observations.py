@@ -21,7 +21,7 @@ from companion.diagnosis.data.sample_defects import (
     clipped_sides,
     find_sample_defects,
     interpolate_clipped,
-    together,
+    worst_defects,
 )
 from companion.diagnosis.data.transforms import TAPER, fast_length
 from companion.errors import RecordingError
@@ -182,8 +182,8 @@ class Observations:
         if self.fine_mps2 is None:
             return None
         ratio = self.fine_hz / self.rate_hz
-        part = self.fine_mps2[round(first * ratio) : round(last * ratio)]
-        return np.asarray(part - part.mean(0))
+        segment = self.fine_mps2[round(first * ratio) : round(last * ratio)]
+        return np.asarray(segment - segment.mean(0))
 
 
 def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observations:
@@ -209,7 +209,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     mended = {side: _mended(raw.tips[side], faults[side]) for side in sides}
     tips = np.stack([_on_grid(mended[side], fine_t) for side in sides], 1)
     cut = {side: clipped_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides}
-    if any(np.any(mine) for mine in cut.values()):
+    if any(np.any(clipped) for clipped in cut.values()):
         tips = _restored(tips, [raw.tips[side] for side in sides], [cut[side] for side in sides], fine_t)
     root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
     if raw.root:
@@ -219,8 +219,8 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         for i, side in enumerate(sides):
             recorded = raw.tips[side].force_y_mps2
             if recorded is not None and lateral is not None:
-                own = _on_grid(RawStream(raw.tips[side].t_s, recorded), fine_t)
-                tips[:, i] = tip_axes_corrected(own, tips[:, i], lateral + felt[i, 1])
+                lateral_y = _on_grid(RawStream(raw.tips[side].t_s, recorded), fine_t)
+                tips[:, i] = tip_axes_corrected(lateral_y, tips[:, i], lateral + felt[i, 1])
         turning = felt[:, 2].T
         tips -= turning
     up = root[:, None] - tips
@@ -242,7 +242,7 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
         up - up.mean(0),
         fine_hz,
-        together([entry for side in sides for entry in faults[side]]),
+        worst_defects([entry for side in sides for entry in faults[side]]),
         notes=tuple(notes),
         centre_s=0.5 * keep / rate_hz,
         units=units,
@@ -291,9 +291,9 @@ def _mended(stream: RawStream, faults: Sequence[SampleDefect]) -> RawStream:
 def _restored(tips: Floats, streams: Sequence[RawStream], cut: Sequence[Floats], t_s: Floats) -> Floats:
     """Tips (m, c) on their grid with what was cut drawn anew."""
     limits, beyond = tips.T.copy(), np.zeros(tips.T.shape)
-    for i, (stream, mine) in enumerate(zip(streams, cut, strict=True)):
+    for i, (stream, clipped) in enumerate(zip(streams, cut, strict=True)):
         nearest = np.clip(np.searchsorted(0.5 * (stream.t_s[1:] + stream.t_s[:-1]), t_s), 0, len(stream.t_s) - 1)
-        beyond[i] = mine[nearest]
+        beyond[i] = clipped[nearest]
         limits[i] = np.where(beyond[i] != 0.0, stream.force_z_mps2[nearest], limits[i])
     return np.ascontiguousarray(impute_clipped(limits, beyond, tips.T).T)
 
@@ -343,20 +343,20 @@ def _units(channels: Mapping[str, Floats], airframe: Airframe) -> dict[str, tupl
 
 
 def _toe(ranges: RawRanges | None, airframe: Airframe, start_s: float, stop_s: float) -> ToeData | None:
-    left, right = airframe.left_camera, airframe.right_camera
-    if ranges is None or left is None or right is None:
+    left_camera, right_camera = airframe.left_camera, airframe.right_camera
+    if ranges is None or left_camera is None or right_camera is None:
         return None
-    baseline_m = right.position_m[1] - left.position_m[1]
+    baseline_m = right_camera.position_m[1] - left_camera.position_m[1]
     inside = _amid(ranges.t_s, start_s, stop_s) & (ranges.range_m != 0.0)
     inverse = 1.0 / ranges.range_m[inside]  # of an infinite range it is 0, which is what was measured
     t_s = ranges.t_s[inside] - start_s
     if len(t_s) < 20:
         return None
-    known = ranges.reference_m is not None
+    has_reference = ranges.reference_m is not None
     reference = (
         1.0 / ranges.reference_m[inside] if ranges.reference_m is not None else np.full(len(t_s), inverse.mean())
     )
-    return ToeData(t_s, baseline_m * (inverse - reference), reference, known)
+    return ToeData(t_s, baseline_m * (inverse - reference), reference, has_reference)
 
 
 def _amid(t_s: Floats, start_s: float, stop_s: float) -> Bools:

@@ -34,20 +34,20 @@ class SampleDefect:
     name: str
     values: dict[str, float]
     sigmas: dict[str, float]
-    seen: str
+    evidence: str
     log_bayes_factor: float
 
 
 def find_sample_defects(t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> list[SampleDefect]:
     """Look at one stream's stamps and values."""
-    found = [find_saturation(force_z_mps2), coarse(t_s, force_z_mps2, sensor), find_timing_defect(t_s)]
-    return [entry for entry in found if entry is not None]
+    defects = [find_saturation(force_z_mps2), coarse(t_s, force_z_mps2, sensor), find_timing_defect(t_s)]
+    return [entry for entry in defects if entry is not None]
 
 
-def together(found: Sequence[SampleDefect]) -> tuple[SampleDefect, ...]:
+def worst_defects(defects: Sequence[SampleDefect]) -> tuple[SampleDefect, ...]:
     """Of each name the most certain; what was seen on either side is told."""
-    names = sorted({entry.name for entry in found})
-    best = [max((e for e in found if e.name == name), key=lambda e: e.log_bayes_factor) for name in names]
+    names = sorted({entry.name for entry in defects})
+    best = [max((e for e in defects if e.name == name), key=lambda e: e.log_bayes_factor) for name in names]
     return tuple(sorted(best, key=lambda entry: -entry.log_bayes_factor))
 
 
@@ -90,13 +90,13 @@ def find_timing_defect(t_s: Floats) -> SampleDefect | None:
     """Stamps that are missing, or wander about a steady rate."""
     steps = np.diff(t_s)
     period = float(np.median(steps))
-    whole = np.maximum(np.round(steps / period), 1.0)
-    single = whole <= _LONGEST_LOSS  # longer ones are gaps, which are told elsewhere
-    lost = float(np.sum(whole[single] - 1.0) / np.sum(whole[single]))
-    index = np.concatenate([[0.0], np.cumsum(whole)])
+    periods = np.maximum(np.round(steps / period), 1.0)
+    single = periods <= _LONGEST_LOSS  # longer ones are gaps, which are told elsewhere
+    lost = float(np.sum(periods[single] - 1.0) / np.sum(periods[single]))
+    index = np.concatenate([[0.0], np.cumsum(periods)])
     line = np.polynomial.Polynomial.fit(index, t_s, 1)
     jitter = float(np.std(t_s - line(index)))
-    wanders = float(np.std(np.where(whole > 1, 0.0, steps - period))) / math.sqrt(2.0)
+    wanders = float(np.std(np.where(periods > 1, 0.0, steps - period))) / math.sqrt(2.0)
     if lost < _LOST and wanders < _WANDERING * period:
         return None
     jitter = min(jitter, wanders)

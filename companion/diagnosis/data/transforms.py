@@ -43,9 +43,9 @@ class Transforms:
         """
         fine = np.fft.irfft(spectrum, _FINER * self.count) * _FINER
         place = (at_s - self.start_s) * (_FINER / self.dt_s)
-        whole = np.rint(place).astype(np.int64)
-        rows = (whole[:, None] + _POINTS.astype(np.int64)) % len(fine)
-        return np.asarray(np.sum(fine[rows] * _lagrange(place - whole), axis=1))
+        nearest = np.rint(place).astype(np.int64)
+        rows = (nearest[:, None] + _POINTS.astype(np.int64)) % len(fine)
+        return np.asarray(np.sum(fine[rows] * _lagrange(place - nearest), axis=1))
 
 
 def fast_length(count: int, up: bool) -> int:
@@ -64,16 +64,16 @@ def fast_length(count: int, up: bool) -> int:
 def _lagrange(u: Floats) -> Floats:
     """Weights (k, 9) of the points at -4..4 for a place ``u`` between -0.5 and 0.5."""
     weights = np.ones((len(u), len(_POINTS)))
-    for j, own in enumerate(_POINTS):
+    for j, point in enumerate(_POINTS):
         for other in _POINTS:
-            if other != own:
-                weights[:, j] *= (u - other) / (own - other)
+            if other != point:
+                weights[:, j] *= (u - other) / (point - other)
     return weights
 
 
-def _tukey(count: int, share: float) -> Floats:
+def _tukey(count: int, taper: float) -> Floats:
     window = np.ones(count)
-    width = max(int(share * count), 1)
+    width = max(int(taper * count), 1)
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(width) + 0.5) / width)
     window[:width], window[-width:] = ramp, ramp[::-1]
     return window

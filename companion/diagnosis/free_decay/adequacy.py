@@ -46,22 +46,22 @@ class Whitened:
 def whitened(fitted: FreeDecayFit) -> list[Whitened]:
     """Innovations over their standard deviation, by recording."""
     rows = [fitted.values[None, :]] * len(fitted.model.recordings)
-    found = []
-    for one in filter_all(fitted.model, rows):
-        variance = one.variance[0]
+    innovations = []
+    for filtered in filter_all(fitted.model, rows):
+        variance = filtered.variance[0]
         quiet = variance < _QUIET * float(np.percentile(variance, 10))
-        found.append(Whitened(one.innovation[0] / np.sqrt(variance), quiet))
-    return found
+        innovations.append(Whitened(filtered.innovation[0] / np.sqrt(variance), quiet))
+    return innovations
 
 
 def checks(fitted: FreeDecayFit, seed: int = 20250101) -> list[Check]:
     """All statistics, the worst first; of each kind the worst recording's is kept."""
     rng = np.random.default_rng(seed)
     worst: dict[str, Check] = {}
-    for one, white in zip(fitted.model.recordings, whitened(fitted), strict=True):
+    for record, white in zip(fitted.model.recordings, whitened(fitted), strict=True):
         for name, z in judged(white, rng).items():
             if name not in worst or abs(z) > abs(worst[name].z):
-                worst[name] = Check(f"{name} ({one.name})", z)
+                worst[name] = Check(f"{name} ({record.name})", z)
     return sorted(worst.values(), key=lambda entry: -abs(entry.z))
 
 
@@ -83,7 +83,7 @@ def autocorrelation(values: Floats, quiet: Mask) -> Floats:
 def _statistics(values: Floats, quiet: Mask) -> Floats:
     still = values[quiet]
     power = np.mean(still**2)
-    blocks = np.array([np.mean(part**2) for part in np.array_split(still, _BLOCKS)])
+    blocks = np.array([np.mean(block**2) for block in np.array_split(still, _BLOCKS)])
     # each is near normal in its root or logarithm, so that few draws tell its spread
     return np.array(
         [

@@ -71,39 +71,43 @@ class PredictionError:
 
 def folds(recordings: Sequence[FreeDecay]) -> list[Fold]:
     """Two folds of interleaved blocks."""
-    found = []
+    folds_of = []
     for parity in range(2):
         fitted, scored = [], []
-        for one in recordings:
-            within = one.t_s % _BLOCK_S
-            mine = (one.t_s // _BLOCK_S).astype(int) % 2 == parity
-            fitted.append(mine & (within > _GUARD_S) & (within < _BLOCK_S - _GUARD_S))
-            scored.append(~mine)
-        found.append(Fold(tuple(fitted), tuple(scored)))
-    return found
+        for record in recordings:
+            within = record.t_s % _BLOCK_S
+            in_fold = (record.t_s // _BLOCK_S).astype(int) % 2 == parity
+            fitted.append(in_fold & (within > _GUARD_S) & (within < _BLOCK_S - _GUARD_S))
+            scored.append(~in_fold)
+        folds_of.append(Fold(tuple(fitted), tuple(scored)))
+    return folds_of
 
 
-def prediction_error(whole: FreeDecayFit, parts: Sequence[Fold], ahead: int) -> PredictionError:
+def prediction_error(fitted: FreeDecayFit, splits: Sequence[Fold], ahead: int) -> PredictionError:
     """Fit again on each fold and score on the rest; what is a recording's own is fitted on its fitted blocks too."""
-    recordings = whole.model.recordings
+    recordings = fitted.model.recordings
     squares, powers, scores = [], [], []
-    for part in parts:
-        again = fit(whole.model, whole.values, part.fitted, _ROUNDS)
+    for fold in splits:
+        again = fit(fitted.model, fitted.values, fold.fitted, _ROUNDS)
         vectors = [again.values[None, :]] * len(recordings)
-        for one, filtered, mask in zip(recordings, filter_all(whole.model, vectors, ahead), part.scored, strict=True):
+        for record, filtered, mask in zip(
+            recordings, filter_all(fitted.model, vectors, ahead), fold.scored, strict=True
+        ):
             assert filtered.ahead is not None
-            still = mask & quiet_samples(one, ahead)
+            still = mask & quiet_samples(record, ahead)
             e, s = filtered.innovation[0], filtered.variance[0]
             terms = -0.5 * (e**2 / s + np.log(s))
-            block = (one.t_s // _BLOCK_S).astype(int)
+            block = (record.t_s // _BLOCK_S).astype(int)
             for k in np.unique(block[mask]):
-                mine = block == k
-                error = (one.up_mps2 - filtered.ahead[0])[mine & still]
+                in_block = block == k
+                error = (record.up_mps2 - filtered.ahead[0])[in_block & still]
                 squares.append(float(np.sum(error**2)))
-                powers.append(float(np.sum(one.up_mps2[mine & still] ** 2)))
-                scores.append(float(np.sum(terms[mine & mask])))
+                powers.append(float(np.sum(record.up_mps2[in_block & still] ** 2)))
+                scores.append(float(np.sum(terms[in_block & mask])))
     count = sum(
-        int((m & quiet_samples(one, ahead)).sum()) for p in parts for one, m in zip(recordings, p.scored, strict=True)
+        int((m & quiet_samples(record, ahead)).sum())
+        for p in splits
+        for record, m in zip(recordings, p.scored, strict=True)
     )
     error, power = np.array(squares), np.array(powers)
     return PredictionError(
@@ -117,8 +121,8 @@ def prediction_error(whole: FreeDecayFit, parts: Sequence[Fold], ahead: int) -> 
     )
 
 
-def quiet_samples(one: FreeDecay, ahead: int) -> Mask:
+def quiet_samples(record: FreeDecay, ahead: int) -> Mask:
     """Samples before which no knock came within ``ahead`` steps."""
-    loud = one.impulse_mps2**2 > _QUIET * float(np.mean(one.impulse_mps2**2))
+    loud = record.impulse_mps2**2 > _QUIET * float(np.mean(record.impulse_mps2**2))
     near = np.convolve(loud, np.ones(ahead + 2))[: len(loud)] > 0.5
     return np.asarray(~near)

@@ -56,16 +56,16 @@ def fit(model: FreeDecayModel, start: Floats, masks: Sequence[Mask], rounds: int
         if float(gradient @ move) < _ENOUGH:
             break
         move *= min(1.0, _LONGEST_MOVE / float(np.max(np.abs(move / sigmas))))
-        there = _scored(model, values + move, masks)
-        if not there[0] > score:
-            offered = np.stack([values + share * move for share in _SHARES])
+        reached = _scored(model, values + move, masks)
+        if not reached[0] > score:
+            offered = np.stack([values + fraction * move for fraction in _SHARES])
             gained = log_likelihoods(model, offered, masks) - 0.5 * np.sum(((offered - centres) / sigmas) ** 2, 1)
             best = int(np.argmax(gained))
             if not gained[best] > score:
                 break
-            move, there = _SHARES[best] * move, _scored(model, offered[best], masks)
-        gained_now, score = there[0] - score, there[0]
-        values, gradient, information = values + move, there[1], there[2]
+            move, reached = _SHARES[best] * move, _scored(model, offered[best], masks)
+        gained_now, score = reached[0] - score, reached[0]
+        values, gradient, information = values + move, reached[1], reached[2]
         if gained_now < _ENOUGH:
             break
     _, log_det = np.linalg.slogdet(information)
@@ -85,30 +85,34 @@ def begin(model: FreeDecayModel, offered: Floats, masks: Sequence[Mask]) -> Floa
 def log_likelihoods(model: FreeDecayModel, offered: Floats, masks: Sequence[Mask]) -> Floats:
     """Of all recordings, for each vector (b, p)."""
     filtered = filter_all(model, [offered] * len(model.recordings))
-    return np.asarray(np.sum([_log_likelihood(one, mask) for one, mask in zip(filtered, masks, strict=True)], axis=0))
+    return np.asarray(
+        np.sum([_log_likelihood(recording, mask) for recording, mask in zip(filtered, masks, strict=True)], axis=0)
+    )
 
 
 def filter_all(model: FreeDecayModel, vectors: Sequence[Floats], ahead: int = 0) -> list[Filtered]:
     """Filter every recording under vectors (b, p) of its own, all in one sweep."""
     each = [model.modes(values, k) for k, values in enumerate(vectors)]
-    longest = max(len(one.t_s) for one in model.recordings)
+    longest = max(len(record.t_s) for record in model.recordings)
     # what is shorter is followed by samples that say nothing
     modes = Modes(
-        np.concatenate([_longer(one.omega_radps, longest) for one in each]),
-        np.concatenate([_longer(one.zeta, longest) for one in each]),
-        np.concatenate([_longer(one.load, longest) for one in each]),
-        np.concatenate([_longer(one.noise, longest) for one in each]),
+        np.concatenate([_longer(record.omega_radps, longest) for record in each]),
+        np.concatenate([_longer(record.zeta, longest) for record in each]),
+        np.concatenate([_longer(record.load, longest) for record in each]),
+        np.concatenate([_longer(record.noise, longest) for record in each]),
     )
-    y = [np.tile(np.pad(one.up_mps2, (0, longest - len(one.t_s))), (len(v), 1))
-         for one, v in zip(model.recordings, vectors, strict=True)]  # fmt: skip
+    y = [np.tile(np.pad(record.up_mps2, (0, longest - len(record.t_s))), (len(v), 1))
+         for record, v in zip(model.recordings, vectors, strict=True)]  # fmt: skip
     filtered = run(modes, np.concatenate(y), 1.0 / model.recordings[0].rate_hz, ahead)
-    parts, at = [], 0
-    for one, values in zip(model.recordings, vectors, strict=True):
-        rows, length = slice(at, at + len(values)), len(one.t_s)
+    filtered_by_recording, at = [], 0
+    for record, values in zip(model.recordings, vectors, strict=True):
+        rows, length = slice(at, at + len(values)), len(record.t_s)
         predicted = None if filtered.ahead is None else filtered.ahead[rows, :length]
-        parts.append(Filtered(filtered.innovation[rows, :length], filtered.variance[rows, :length], predicted))
+        filtered_by_recording.append(
+            Filtered(filtered.innovation[rows, :length], filtered.variance[rows, :length], predicted)
+        )
         at += len(values)
-    return parts
+    return filtered_by_recording
 
 
 def _longer(values: Floats, length: int) -> Floats:
@@ -117,8 +121,8 @@ def _longer(values: Floats, length: int) -> Floats:
     return np.pad(values, extra, mode="edge")
 
 
-def _log_likelihood(one: Filtered, mask: Mask) -> Floats:
-    terms = one.innovation**2 / one.variance + np.log(one.variance)
+def _log_likelihood(filtered: Filtered, mask: Mask) -> Floats:
+    terms = filtered.innovation**2 / filtered.variance + np.log(filtered.variance)
     return np.asarray(-0.5 * np.sum(terms[:, mask], axis=1))
 
 
@@ -130,13 +134,13 @@ def _scored(model: FreeDecayModel, values: Floats, masks: Sequence[Mask]) -> tup
     score = -0.5 * float(np.sum(((values - centres) / sigmas) ** 2))
     gradient = -(values - centres) / sigmas**2
     information = np.diag(1.0 / sigmas**2)
-    for k, (one, mask) in enumerate(zip(filtered, masks, strict=True)):
+    for k, (recording, mask) in enumerate(zip(filtered, masks, strict=True)):
         places = [*range(model.shared), *model.own(k)]
-        score += float(_log_likelihood(one, mask)[0])
-        e, s = one.innovation[0, mask], one.variance[0, mask]
+        score += float(_log_likelihood(recording, mask)[0])
+        e, s = recording.innovation[0, mask], recording.variance[0, mask]
         step = (_STEP * sigmas[places])[:, None]
-        de = (one.innovation[1:, mask] - e) / step
-        ds = (one.variance[1:, mask] - s) / step
+        de = (recording.innovation[1:, mask] - e) / step
+        ds = (recording.variance[1:, mask] - s) / step
         gradient[places] += -(de @ (e / s)) - 0.5 * (ds @ (1.0 / s - e**2 / s**2))
         information[np.ix_(places, places)] += (de / s) @ de.T + 0.5 * (ds / s**2) @ ds.T
     return score, gradient, information

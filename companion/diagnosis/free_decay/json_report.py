@@ -27,90 +27,93 @@ _ADVICE = {
 }
 
 
-def as_json(found: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe: str | None) -> dict[str, Any]:
+def as_json(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe: str | None) -> dict[str, Any]:
     """Everything that a program would read."""
-    before, after = checks(found.null), checks(found.final)
-    named = [i for i, entry in enumerate(found.accepted) if name_of(entry, found) and _useful(found, i)]
-    verdict = _verdict(found, after)
-    recordings = found.null.model.recordings
+    before, after = checks(diagnosis.null), checks(diagnosis.final)
+    named = [i for i, entry in enumerate(diagnosis.accepted) if name_of(entry, diagnosis) and _useful(diagnosis, i)]
+    verdict = _verdict(diagnosis, after)
+    recordings = diagnosis.null.model.recordings
     return {
         "format": 1,
-        "recordings": [one.name for one in recordings],
+        "recordings": [record.name for record in recordings],
         "airframe": airframe,
         "verdict": verdict,
-        "reason": _reason(found, named, after),
-        "causes": [_cause(found, i, scales) for i in named],
-        "nearest": (name_of(found.accepted[named[0]], found) if named else None) if verdict == "unexplained" else None,
-        "gain": _gain(found.errors[0], found.errors[-1]) if found.accepted else None,
+        "reason": _reason(diagnosis, named, after),
+        "causes": [_cause(diagnosis, i, scales) for i in named],
+        "nearest": (name_of(diagnosis.accepted[named[0]], diagnosis) if named else None)
+        if verdict == "unexplained"
+        else None,
+        "gain": _gain(diagnosis.errors[0], diagnosis.errors[-1]) if diagnosis.accepted else None,
         "adequacy": {"before": [_plain(entry) for entry in before], "after": [_plain(entry) for entry in after]},
-        "residual": _residual(found, after) if verdict == "unexplained" else None,
-        "screening": [_screened(found, entry) for entry in (found.rounds[0] if found.rounds else ())],
-        "modes": _modes(found, scales),
-        "airframe_parameters": _believed(found),
-        "notes": [note for one in recordings for note in one.notes],
+        "residual": _residual(diagnosis, after) if verdict == "unexplained" else None,
+        "screening": [_screened(diagnosis, entry) for entry in (diagnosis.rounds[0] if diagnosis.rounds else ())],
+        "modes": _modes(diagnosis, scales),
+        "airframe_parameters": _believed(diagnosis),
+        "notes": [note for record in recordings for note in record.notes],
     }
 
 
-def name_of(entry: Tried, found: FreeDecayDiagnosis) -> str:
+def name_of(entry: Tried, diagnosis: FreeDecayDiagnosis) -> str:
     """The catalogue's name of an accepted extension, "" for what only describes."""
     if isinstance(entry.extension, Law):
         return entry.extension.name
-    apart = min(abs(one["second_hz"] / one["first_hz"] - 1.0) for one in _pairs(found))
+    apart = min(abs(pair["second_hz"] / pair["first_hz"] - 1.0) for pair in _pairs(diagnosis))
     return "close-mode" if apart < _CLOSE else "second-mode"
 
 
-def _useful(found: FreeDecayDiagnosis, index: int) -> bool:
+def _useful(diagnosis: FreeDecayDiagnosis, index: int) -> bool:
     """Whether a law foretells blocks of which it was not fitted, beyond chance."""
-    return found.errors[index + 1].gone(found.errors[index])[1] > 0.0
+    return diagnosis.errors[index + 1].gone(diagnosis.errors[index])[1] > 0.0
 
 
-def _verdict(found: FreeDecayDiagnosis, after: list[Check]) -> str:
-    descriptive = [entry for entry in found.accepted if not name_of(entry, found)]
+def _verdict(diagnosis: FreeDecayDiagnosis, after: list[Check]) -> str:
+    descriptive = [entry for entry in diagnosis.accepted if not name_of(entry, diagnosis)]
     if descriptive or not all(entry.passed for entry in after):
         return "unexplained"
-    return "explained" if found.accepted else "adequate"
+    return "explained" if diagnosis.accepted else "adequate"
 
 
-def _reason(found: FreeDecayDiagnosis, named: list[int], after: list[Check]) -> str:
-    told = []
+def _reason(diagnosis: FreeDecayDiagnosis, named: list[int], after: list[Check]) -> str:
+    sentences = []
     if named:
-        told.append(
-            "explained so far: " + ", ".join(_with_channel(found.accepted[i].extension, found, i) for i in named)
+        sentences.append(
+            "explained so far: "
+            + ", ".join(_with_channel(diagnosis.accepted[i].extension, diagnosis, i) for i in named)
         )
-    left = [entry.extension.text for entry in found.accepted if not name_of(entry, found)]
+    remaining = [entry.extension.text for entry in diagnosis.accepted if not name_of(entry, diagnosis)]
     failed = [f"{entry.name} {entry.z:+.1f} sigma" for entry in after if not entry.passed][:2]
-    if left or failed:
-        told.append("left over: " + "; ".join([*left, *failed]))
-    return "; ".join(told) or "a mode of constant frequency and damping explains these recordings"
+    if remaining or failed:
+        sentences.append("left over: " + "; ".join([*remaining, *failed]))
+    return "; ".join(sentences) or "a mode of constant frequency and damping explains these recordings"
 
 
-def _with_channel(extension: Extension, found: FreeDecayDiagnosis, index: int) -> str:
-    name = name_of(found.accepted[index], found)
+def _with_channel(extension: Extension, diagnosis: FreeDecayDiagnosis, index: int) -> str:
+    name = name_of(diagnosis.accepted[index], diagnosis)
     if isinstance(extension, Law):
         return f"{name} ({extension.channel})" if extension.channel else name
-    model, values = found.final.model, found.final.values[None, :]
+    model, values = diagnosis.final.model, diagnosis.final.values[None, :]
     at_end = [model.modes(values, k).omega_radps[0, -1] for k in range(len(model.recordings))]
     first, second = np.mean(at_end, axis=0) / (2.0 * np.pi)
     return f"{name} ({second:.1f} beside {first:.1f} Hz in the last decay)"
 
 
-def _descriptions(found: FreeDecayDiagnosis) -> list[str]:
+def _descriptions(diagnosis: FreeDecayDiagnosis) -> list[str]:
     """What was needed and has no name, as a sentence each."""
-    told = []
-    for entry in found.accepted:
+    sentences = []
+    for entry in diagnosis.accepted:
         law = entry.extension
         if isinstance(law, Law) and not law.name:
-            value, sigma = found.final.value(key_of(law))
-            told.append(f"{law.text} ({law.parameter} {value:+.3g} ± {sigma:.2g}, log Bayes factor "
+            value, sigma = diagnosis.final.value(key_of(law))
+            sentences.append(f"{law.text} ({law.parameter} {value:+.3g} ± {sigma:.2g}, log Bayes factor "
                         f"{entry.log_bayes_factor:.0f})")  # fmt: skip
-    return told
+    return sentences
 
 
-def _cause(found: FreeDecayDiagnosis, index: int, scales: Mapping[str, Scale]) -> dict[str, Any]:
-    entry = found.accepted[index]
-    name, law = name_of(entry, found), entry.extension
+def _cause(diagnosis: FreeDecayDiagnosis, index: int, scales: Mapping[str, Scale]) -> dict[str, Any]:
+    entry = diagnosis.accepted[index]
+    name, law = name_of(entry, diagnosis), entry.extension
     channel = law.channel if isinstance(law, Law) and law.channel else None
-    parameters = _of_law(found, law, scales) if isinstance(law, Law) else _of_second(found)
+    parameters = _of_law(diagnosis, law, scales) if isinstance(law, Law) else _of_second(diagnosis)
     main = next(iter(parameters.values()))
     return {
         "name": name,
@@ -120,13 +123,13 @@ def _cause(found: FreeDecayDiagnosis, index: int, scales: Mapping[str, Scale]) -
         "bic": entry.bic,
         "z": abs(main["value"]) / main["sigma"] if isinstance(law, Law) else math.sqrt(2.0 * entry.log_bayes_factor),
         "parameters": parameters,
-        "gain": _gain(found.errors[index], found.errors[index + 1])["error"],
+        "gain": _gain(diagnosis.errors[index], diagnosis.errors[index + 1])["error"],
         "advice": _ADVICE.get(name, ""),
     }
 
 
-def _of_law(found: FreeDecayDiagnosis, law: Law, scales: Mapping[str, Scale]) -> dict[str, Any]:
-    value, sigma = found.final.value(key_of(law))
+def _of_law(diagnosis: FreeDecayDiagnosis, law: Law, scales: Mapping[str, Scale]) -> dict[str, Any]:
+    value, sigma = diagnosis.final.value(key_of(law))
     parameters = {law.parameter: _quantity(value, sigma, law.unit, law.meaning)}
     if law.channel in scales:
         scale = scales[law.channel]
@@ -136,11 +139,11 @@ def _of_law(found: FreeDecayDiagnosis, law: Law, scales: Mapping[str, Scale]) ->
     return parameters
 
 
-def _of_second(found: FreeDecayDiagnosis) -> dict[str, Any]:
-    f_log, f_sigma = found.final.value("second log frequency")
-    z_log, z_sigma = found.final.value("second log damping")
-    p_log, p_sigma = found.final.value("second log participation")
-    follow, follow_sigma = found.final.value("second follow")
+def _of_second(diagnosis: FreeDecayDiagnosis) -> dict[str, Any]:
+    f_log, f_sigma = diagnosis.final.value("second log frequency")
+    z_log, z_sigma = diagnosis.final.value("second log damping")
+    p_log, p_sigma = diagnosis.final.value("second log participation")
+    follow, follow_sigma = diagnosis.final.value("second follow")
     f_hz, zeta, power = math.exp(f_log), math.exp(z_log), math.exp(p_log)
     return {
         "frequency_hz": _quantity(f_hz, f_hz * f_sigma, "Hz", "of the second mode, channels at their mean"),
@@ -177,16 +180,16 @@ def _plain(entry: Check) -> dict[str, Any]:
     return {"test": entry.name, "z": entry.z, "passed": entry.passed}
 
 
-def _residual(found: FreeDecayDiagnosis, after: list[Check]) -> dict[str, Any]:
-    left = _descriptions(found)
+def _residual(diagnosis: FreeDecayDiagnosis, after: list[Check]) -> dict[str, Any]:
+    remaining = _descriptions(diagnosis)
     return {
-        "description": "; ".join(left) or "innovations are not white",
+        "description": "; ".join(remaining) or "innovations are not white",
         "failed": [{"test": entry.name, "z": entry.z} for entry in after if not entry.passed],
-        "unnamed": left,
+        "unnamed": remaining,
     }
 
 
-def _screened(found: FreeDecayDiagnosis, entry: Tried) -> dict[str, Any]:
+def _screened(diagnosis: FreeDecayDiagnosis, entry: Tried) -> dict[str, Any]:
     """One law against the null alone: its evidence, and what it foretells, are two things."""
     law = entry.extension
     row: dict[str, Any] = {
@@ -196,16 +199,16 @@ def _screened(found: FreeDecayDiagnosis, entry: Tried) -> dict[str, Any]:
         "log_odds": entry.log_bayes_factor,
         "gain": None,
     }
-    if law.text in found.alone:
-        row["gain"] = _gain(found.errors[0], found.alone[law.text])["error"]
+    if law.text in diagnosis.alone:
+        row["gain"] = _gain(diagnosis.errors[0], diagnosis.alone[law.text])["error"]
     return row
 
 
-def _pairs(found: FreeDecayDiagnosis) -> list[dict[str, float]]:
+def _pairs(diagnosis: FreeDecayDiagnosis) -> list[dict[str, float]]:
     """Frequencies of both modes at the lowest and the highest of what the first one did."""
-    model, rows = found.final.model, []
+    model, rows = diagnosis.final.model, []
     for k in range(len(model.recordings)):
-        omega = model.modes(found.final.values[None, :], k).omega_radps[0] / (2.0 * np.pi)
+        omega = model.modes(diagnosis.final.values[None, :], k).omega_radps[0] / (2.0 * np.pi)
         if omega.shape[1] < 2:
             return [{"first_hz": 1.0, "second_hz": math.inf}]
         for at in (int(np.argmin(omega[:, 0])), int(np.argmax(omega[:, 0]))):
@@ -213,28 +216,31 @@ def _pairs(found: FreeDecayDiagnosis) -> list[dict[str, float]]:
     return rows
 
 
-def _modes(found: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[str, Any]:
+def _modes(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[str, Any]:
     """Where the modes are when the recordings end at rest, and over what the first one moved."""
-    model = found.final.model
+    model = diagnosis.final.model
     at_end = []
-    for k, one in enumerate(model.recordings):
-        modes = model.modes(found.final.values[None, :], k)
-        row: dict[str, Any] = {"recording": one.name, "frequency_hz": (modes.omega_radps[0, -1] / 6.283185307).tolist()}
+    for k, record in enumerate(model.recordings):
+        modes = model.modes(diagnosis.final.values[None, :], k)
+        row: dict[str, Any] = {
+            "recording": record.name,
+            "frequency_hz": (modes.omega_radps[0, -1] / 6.283185307).tolist(),
+        }
         row["damping"] = modes.zeta[0, -1].tolist()
         for name, scale in scales.items():
-            row[name] = float(scale.mean + scale.rms * one.channels[name][-1])
+            row[name] = float(scale.mean + scale.rms * record.channels[name][-1])
         at_end.append(row)
     swept = np.concatenate(
-        [model.modes(found.final.values[None, :], k).omega_radps[0, :, 0] for k in range(len(model.recordings))]
+        [model.modes(diagnosis.final.values[None, :], k).omega_radps[0, :, 0] for k in range(len(model.recordings))]
     )
     return {"first_from_hz": float(swept.min() / 6.283185307), "first_to_hz": float(swept.max() / 6.283185307),
             "in_the_last_decay": at_end}  # fmt: skip
 
 
-def _believed(found: FreeDecayDiagnosis) -> list[dict[str, Any]]:
+def _believed(diagnosis: FreeDecayDiagnosis) -> list[dict[str, Any]]:
     rows = []
-    for i, entry in enumerate(found.final.model.parameters[:2]):
-        value, sigma = float(found.final.values[i]) - entry.centre, float(found.final.sigmas[i])
+    for i, entry in enumerate(diagnosis.final.model.parameters[:2]):
+        value, sigma = float(diagnosis.final.values[i]) - entry.centre, float(diagnosis.final.sigmas[i])
         rows.append({"name": entry.key.removeprefix("log "), "deviation": value, "logarithmic": True,
                      "prior_sigma": entry.sigma, "sigma": sigma, "prior_sigmas_away": value / entry.sigma})  # fmt: skip
     return rows

@@ -64,9 +64,9 @@ class Steps:
     """
 
     transition: Floats
-    spread: Floats
-    seen: Floats
-    along: Floats
+    process_noise: Floats
+    H: Floats
+    cross_covariance: Floats
     variance: Floats
 
 
@@ -76,57 +76,72 @@ def run(modes: Modes, y: Floats, step_s: float, ahead: int = 0) -> Filtered:
     The predictions take frequency and damping as they are when the prediction is made.
     """
     steps = matrices(modes, step_s)
-    count, batch, states = steps.seen.shape
+    count, batch, order = steps.H.shape
     innovation, variance = np.empty((count, batch)), np.empty((count, batch))
-    kept = np.empty((count, batch, states))
-    sweep = one_by_one if COMPILED else together
-    shown = np.ascontiguousarray(y.T)
-    sweep(steps.transition, steps.spread, steps.seen, steps.along, steps.variance, shown, innovation, variance, kept)
-    return Filtered(innovation.T, variance.T, _ahead(steps, kept, ahead) if ahead else None)
+    state = np.empty((count, batch, order))
+    kalman_filter = filter_each if COMPILED else filter_batch
+    samples = np.ascontiguousarray(y.T)
+    kalman_filter(
+        steps.transition,
+        steps.process_noise,
+        steps.H,
+        steps.cross_covariance,
+        steps.variance,
+        samples,
+        innovation,
+        variance,
+        state,
+    )
+    return Filtered(innovation.T, variance.T, _ahead(steps, state, ahead) if ahead else None)
 
 
-def together(
+def filter_batch(
     transition: Floats,
-    spread: Floats,
-    seen: Floats,
-    along: Floats,
+    process_noise: Floats,
+    H: Floats,
+    cross_covariance: Floats,
     noise: Floats,
     y: Floats,
     innovation: Floats,
     variance: Floats,
-    kept: Floats,
+    state: Floats,
 ) -> None:
     """Step by step, all hypotheses at once: numpy's way. Fills the last three, (t, b) and (t, b, n)."""
-    count, batch, states = seen.shape
-    x, p = np.zeros((batch, states, 1)), np.zeros((batch, states, states))
-    p[:, range(states), range(states)] = _AT_REST * noise[0][:, None]
-    rows, columns, own, turned = seen[:, :, None, :], seen[..., None], along[..., None], transition.swapaxes(2, 3)
+    count, batch, order = H.shape
+    x, p = np.zeros((batch, order, 1)), np.zeros((batch, order, order))
+    p[:, range(order), range(order)] = _AT_REST * noise[0][:, None]
+    h_rows, h_columns, added, transposed = (
+        H[:, :, None, :],
+        H[..., None],
+        cross_covariance[..., None],
+        transition.swapaxes(2, 3),
+    )
     for t in range(count):
-        shown = p @ columns[t]
-        s = (rows[t] @ shown) + noise[t][:, None, None]
-        e = y[t][:, None, None] - rows[t] @ x
-        gain = (transition[t] @ shown + own[t]) / s
+        ph = p @ h_columns[t]
+        s = (h_rows[t] @ ph) + noise[t][:, None, None]
+        e = y[t][:, None, None] - h_rows[t] @ x
+        gain = (transition[t] @ ph + added[t]) / s
         x = transition[t] @ x + gain * e
-        p = transition[t] @ p @ turned[t] + spread[t] - (gain * s) * gain.swapaxes(1, 2)
-        innovation[t], variance[t], kept[t] = e[:, 0, 0], s[:, 0, 0], x[:, :, 0]
+        p = transition[t] @ p @ transposed[t] + process_noise[t] - (gain * s) * gain.swapaxes(1, 2)
+        innovation[t], variance[t], state[t] = e[:, 0, 0], s[:, 0, 0], x[:, :, 0]
 
 
 @compiled
-def one_by_one(
+def filter_each(
     transition: Floats,
-    spread: Floats,
-    seen: Floats,
-    along: Floats,
+    process_noise: Floats,
+    H: Floats,
+    cross_covariance: Floats,
     noise: Floats,
     y: Floats,
     innovation: Floats,
     variance: Floats,
-    kept: Floats,
+    state: Floats,
 ) -> None:
-    """Hypothesis by hypothesis: the compiler's way, with the numbers of :func:`together`."""
-    count, batch, n = seen.shape
+    """Hypothesis by hypothesis: the compiler's way, with the numbers of :func:`filter_batch`."""
+    count, batch, n = H.shape
     for b in range(batch):
-        x, moved, shown, gain = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        x, moved, ph, gain = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         p, half = np.zeros((n, n)), np.zeros((n, n))
         for i in range(n):
             p[i, i] = _AT_REST * noise[0, b]
@@ -134,15 +149,15 @@ def one_by_one(
             a = transition[t, b]
             s, e = noise[t, b], y[t, b]
             for i in range(n):
-                shown[i] = 0.0
+                ph[i] = 0.0
                 for j in range(n):
-                    shown[i] += p[i, j] * seen[t, b, j]
-                s += shown[i] * seen[t, b, i]
-                e -= x[i] * seen[t, b, i]
+                    ph[i] += p[i, j] * H[t, b, j]
+                s += ph[i] * H[t, b, i]
+                e -= x[i] * H[t, b, i]
             for i in range(n):
-                gain[i], moved[i] = along[t, b, i], 0.0
+                gain[i], moved[i] = cross_covariance[t, b, i], 0.0
                 for j in range(n):
-                    gain[i] += a[i, j] * shown[j]
+                    gain[i] += a[i, j] * ph[j]
                     moved[i] += a[i, j] * x[j]
                     half[i, j] = 0.0
                     for k in range(n):
@@ -150,9 +165,9 @@ def one_by_one(
                 gain[i] /= s
             for i in range(n):
                 x[i] = moved[i] + gain[i] * e
-                kept[t, b, i] = x[i]
+                state[t, b, i] = x[i]
                 for j in range(n):
-                    p[i, j] = spread[t, b, i, j] - gain[i] * gain[j] * s
+                    p[i, j] = process_noise[t, b, i, j] - gain[i] * gain[j] * s
                     for k in range(n):
                         p[i, j] += half[i, k] * a[j, k]
             innovation[t, b], variance[t, b] = e, s
@@ -163,22 +178,22 @@ def _ahead(steps: Steps, states: Floats, ahead: int) -> Floats:
     moved = states[:, :, :, None]
     for _ in range(ahead - 1):
         moved = steps.transition @ moved
-    predicted = np.einsum("tbi,tbi->bt", steps.seen, moved[..., 0])
-    found: Floats = np.zeros_like(predicted)
-    found[:, ahead:] = predicted[:, :-ahead]
-    return found
+    predicted = np.einsum("tbi,tbi->bt", steps.H, moved[..., 0])
+    stamped: Floats = np.zeros_like(predicted)
+    stamped[:, ahead:] = predicted[:, :-ahead]
+    return stamped
 
 
 def matrices(modes: Modes, step_s: float) -> Steps:
     """Write a batch as matrices."""
     omega, zeta, load = (
-        np.ascontiguousarray(part.swapaxes(0, 1)) for part in (modes.omega_radps, modes.zeta, modes.load)
+        np.ascontiguousarray(field_of.swapaxes(0, 1)) for field_of in (modes.omega_radps, modes.zeta, modes.load)
     )
     reference = omega.mean(axis=0, keepdims=True)
     count, batch, several = omega.shape
     transition = np.zeros((count, batch, 2 * several, 2 * several))
-    spread = np.zeros_like(transition)
-    seen, along = np.empty((count, batch, 2 * several)), np.empty((count, batch, 2 * several))
+    process_noise = np.zeros_like(transition)
+    H, cross_covariance = np.empty((count, batch, 2 * several)), np.empty((count, batch, 2 * several))
     variance = modes.noise.T.copy()
     for k in range(several):
         u, v = 2 * k, 2 * k + 1
@@ -186,11 +201,14 @@ def matrices(modes: Modes, step_s: float) -> Steps:
         for row, column, value in ((u, u, uu), (u, v, uv), (v, u, vu), (v, v, vv)):
             transition[:, :, row, column] = value
         for row, column, value in zip((u, u, v, v), (u, v, u, v), np.array(covariance)[[0, 1, 1, 2]], strict=True):
-            spread[:, :, row, column] = load[..., k] * value
-        seen[:, :, u], seen[:, :, v] = vu / step_s, (vv - 1.0) / step_s
-        along[:, :, u], along[:, :, v] = spread[:, :, u, v] / step_s, spread[:, :, v, v] / step_s
-        variance += spread[:, :, v, v] / step_s**2
-    return Steps(transition, spread, seen, along, variance)
+            process_noise[:, :, row, column] = load[..., k] * value
+        H[:, :, u], H[:, :, v] = vu / step_s, (vv - 1.0) / step_s
+        cross_covariance[:, :, u], cross_covariance[:, :, v] = (
+            process_noise[:, :, u, v] / step_s,
+            process_noise[:, :, v, v] / step_s,
+        )
+        variance += process_noise[:, :, v, v] / step_s**2
+    return Steps(transition, process_noise, H, cross_covariance, variance)
 
 
 def _step(
@@ -217,10 +235,10 @@ def _squares(
     rate: Floats, damped: Floats, fade: Floats, cosine: Floats, sine: Floats, step_s: float
 ) -> tuple[Floats, Floats, Floats]:
     """Integrals over a step of e^(-rate t) times sin^2, sin cos and cos^2 of damped t."""
-    both, left = 2.0 * damped, fade**2
+    both, faded = 2.0 * damped, fade**2
     twice_cosine, twice_sine = cosine**2 - sine**2, 2.0 * sine * cosine
     level = -np.expm1(-rate * step_s) / rate
-    share = 1.0 / (rate**2 + both**2)
-    waved = share * (rate * (1.0 - left * twice_cosine) + both * left * twice_sine)
-    shifted = share * (both * (1.0 - left * twice_cosine) - rate * left * twice_sine)
+    scale = 1.0 / (rate**2 + both**2)
+    waved = scale * (rate * (1.0 - faded * twice_cosine) + both * faded * twice_sine)
+    shifted = scale * (both * (1.0 - faded * twice_cosine) - rate * faded * twice_sine)
     return 0.5 * (level - waved), 0.5 * shifted, 0.5 * (level + waved)

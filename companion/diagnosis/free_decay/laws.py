@@ -68,12 +68,12 @@ Extension = Law | SecondMode
 
 def laws_for(channels: Sequence[str]) -> list[Extension]:
     """Everything that is tried, for the channels that were recorded."""
-    found: list[Extension] = [SecondMode()]
+    extensions: list[Extension] = [SecondMode()]
     for channel in channels:
-        found.append(_covariate(channel))
-        found.append(_bent(channel))
-        found.append(_damping(channel))
-    return [*found, _drift(), _cubic(), _quadratic()]
+        extensions.append(_covariate(channel))
+        extensions.append(_bent(channel))
+        extensions.append(_damping(channel))
+    return [*extensions, _drift(), _cubic(), _quadratic()]
 
 
 def _covariate(channel: str) -> Law:
@@ -82,7 +82,7 @@ def _covariate(channel: str) -> Law:
         f"frequency follows {channel}",
         channel,
         Follows.FREQUENCY,
-        lambda one: one.channels[channel],
+        lambda record: record.channels[channel],
         "ratio_per_rms",
         "",
         "relative change of the natural frequency per rms of the channel",
@@ -97,7 +97,7 @@ def _bent(channel: str) -> Law:
         f"frequency bends with {channel}: it is no straight line",
         channel,
         Follows.FREQUENCY,
-        lambda one: one.channels[channel] ** 2 - 1.0,
+        lambda record: record.channels[channel] ** 2 - 1.0,
         "ratio_per_rms2",
         "",
         "relative change of the natural frequency per squared rms of the channel",
@@ -112,7 +112,7 @@ def _damping(channel: str) -> Law:
         f"damping follows {channel}",
         channel,
         Follows.DAMPING,
-        lambda one: one.channels[channel],
+        lambda record: record.channels[channel],
         "log_ratio_per_rms",
         "",
         "change of the logarithm of the damping ratio per rms of the channel",
@@ -127,7 +127,7 @@ def _drift() -> Law:
         "frequency drifts in time",
         "",
         Follows.FREQUENCY,
-        lambda one: (one.t_s - 0.5 * one.t_s[-1]) / _MINUTE_S,
+        lambda record: (record.t_s - 0.5 * record.t_s[-1]) / _MINUTE_S,
         "ratio_per_min",
         "1/min",
         "relative change of the natural frequency per minute",
@@ -142,7 +142,7 @@ def _cubic() -> Law:
         "frequency follows the amplitude's square",
         "",
         Follows.FREQUENCY,
-        lambda one: one.amplitude**2 / (1.0 + 0.1 * one.amplitude**2),
+        lambda record: record.amplitude**2 / (1.0 + 0.1 * record.amplitude**2),
         "ratio_at_rms",
         "",
         "relative change of the natural frequency at the rms amplitude",
@@ -157,7 +157,7 @@ def _quadratic() -> Law:
         "damping follows the amplitude",
         "",
         Follows.DAMPING,
-        lambda one: np.log(0.1 + one.amplitude),
+        lambda record: np.log(0.1 + record.amplitude),
         "log_ratio_per_log_amplitude",
         "",
         "exponent with which the damping ratio grows with the amplitude (1: force with speed squared)",

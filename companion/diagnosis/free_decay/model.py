@@ -65,19 +65,19 @@ class FreeDecayModel:
 
     def values_from(self, other: FreeDecayModel, values: Floats) -> Floats:
         """A vector of this model with what another one has in common with it."""
-        there = {entry.key: float(value) for entry, value in zip(other.parameters, values, strict=True)}
-        return np.array([there.get(entry.key, entry.centre) for entry in self.parameters])
+        known_values = {entry.key: float(value) for entry, value in zip(other.parameters, values, strict=True)}
+        return np.array([known_values.get(entry.key, entry.centre) for entry in self.parameters])
 
     def modes(self, values: Floats, recording: int) -> Modes:
         """What the rows of ``values`` (b, p) say of one recording."""
-        one = self.recordings[recording]
+        record = self.recordings[recording]
         columns = {entry.key: values[:, i : i + 1] for i, entry in enumerate(self.parameters)}
-        swing, log_zeta = self.swing(columns, one), columns["log damping"] + np.zeros_like(one.t_s)
+        swing, log_zeta = self.swing(columns, record), columns["log damping"] + np.zeros_like(record.t_s)
         for law in self.extensions:
             if isinstance(law, Law) and law.follows is Follows.DAMPING:
-                log_zeta = log_zeta + columns[key_of(law)] * law.basis(one)
+                log_zeta = log_zeta + columns[key_of(law)] * law.basis(record)
         first = 2.0 * np.pi * np.exp(columns["log frequency"]) * np.maximum(swing, _SLOWEST)
-        loudness = np.exp(2.0 * columns[f"knock to load #{recording}"]) * one.impulse_mps2**2
+        loudness = np.exp(2.0 * columns[f"knock to load #{recording}"]) * record.impulse_mps2**2
         omega, zeta, load = [first], [np.exp(log_zeta)], [loudness]
         if any(isinstance(entry, SecondMode) for entry in self.extensions):
             follow = 1.0 + columns["second follow"] * (swing - 1.0)
@@ -85,36 +85,36 @@ class FreeDecayModel:
             zeta.append(np.exp(columns["second log damping"]) + np.zeros_like(log_zeta))
             load.append(loudness * np.exp(columns["second log participation"]))
         noise = np.exp(2.0 * columns[f"noise #{recording}"])
-        noise = noise + np.exp(2.0 * columns[f"knock to noise #{recording}"]) * one.leakage_mps2**2
+        noise = noise + np.exp(2.0 * columns[f"knock to noise #{recording}"]) * record.leakage_mps2**2
         return Modes(np.stack(omega, 2), np.clip(np.stack(zeta, 2), *_ZETA), np.stack(load, 2), noise)
 
-    def swing(self, columns: dict[str, Floats], one: FreeDecay) -> Floats:
+    def swing(self, columns: dict[str, Floats], record: FreeDecay) -> Floats:
         """The first mode's frequency over its constant part, (b, t)."""
-        swing = np.ones((len(columns["log frequency"]), len(one.t_s)))
+        swing = np.ones((len(columns["log frequency"]), len(record.t_s)))
         for law in self.extensions:
             if isinstance(law, Law) and law.follows is Follows.FREQUENCY:
-                swing = swing + columns[key_of(law)] * law.basis(one)
+                swing = swing + columns[key_of(law)] * law.basis(record)
         return swing
 
     def _parameters(self) -> list[Parameter]:
         relative = self.frequency_hz.sigma / self.frequency_hz.value
-        found = [
+        parameters = [
             Parameter("log frequency", math.log(self.frequency_hz.value), relative),
             Parameter("log damping", math.log(self.damping.value), self.damping.sigma / self.damping.value),
         ]
         for entry in self.extensions:
             if isinstance(entry, Law):
-                found.append(Parameter(key_of(entry), 0.0, entry.sigma))
+                parameters.append(Parameter(key_of(entry), 0.0, entry.sigma))
             else:
-                found += _of_second(found[0], found[1])
-        for k, one in enumerate(self.recordings):
-            quiet = math.log(float(np.percentile(np.abs(one.up_mps2), 5)) + 1e-9)
-            found += [
+                parameters += _of_second(parameters[0], parameters[1])
+        for k, record in enumerate(self.recordings):
+            quiet = math.log(float(np.percentile(np.abs(record.up_mps2), 5)) + 1e-9)
+            parameters += [
                 Parameter(f"knock to load #{k}", -1.0, 3.0),
                 Parameter(f"noise #{k}", quiet, 3.0),
                 Parameter(f"knock to noise #{k}", -1.0, 2.0),
             ]
-        return found
+        return parameters
 
 
 def key_of(law: Law) -> str:

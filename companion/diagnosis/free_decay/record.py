@@ -91,25 +91,27 @@ def prepare(raws: Sequence[RawFreeDecay], band_hz: tuple[float, float]) -> tuple
     coarse = [_coarse(raw, band_hz, shared, note) for raw, note in cut]
     scales = {}
     for name in shared:
-        together = np.concatenate([one.channels[name] for one in coarse])
-        if float(together.std()) > 0.0:
-            scales[name] = Scale(float(together.mean()), float(together.std()))
-    told = [f"{name} vibrates with the structure: taken for a response, not for a cause" for name in vibrating]
-    found = [
-        FreeDecay(
-            one.name,
-            one.rate_hz,
-            one.t_s,
-            one.up_mps2,
-            one.impulse_mps2,
-            one.leakage_mps2,
-            {name: (one.channels[name] - scale.mean) / scale.rms for name, scale in scales.items()},
-            one.amplitude,
-            (*one.notes, *told) if one is coarse[0] else one.notes,
-        )
-        for one in coarse
+        pooled = np.concatenate([record.channels[name] for record in coarse])
+        if float(pooled.std()) > 0.0:
+            scales[name] = Scale(float(pooled.mean()), float(pooled.std()))
+    vibration_notes = [
+        f"{name} vibrates with the structure: taken for a response, not for a cause" for name in vibrating
     ]
-    return found, scales
+    records = [
+        FreeDecay(
+            record.name,
+            record.rate_hz,
+            record.t_s,
+            record.up_mps2,
+            record.impulse_mps2,
+            record.leakage_mps2,
+            {name: (record.channels[name] - scale.mean) / scale.rms for name, scale in scales.items()},
+            record.amplitude,
+            (*record.notes, *vibration_notes) if record is coarse[0] else record.notes,
+        )
+        for record in coarse
+    ]
+    return records, scales
 
 
 def _vibrates(raw: RawFreeDecay, name: str, band_hz: tuple[float, float]) -> bool:
@@ -131,12 +133,14 @@ def _longest(raw: RawFreeDecay) -> tuple[RawFreeDecay, tuple[str, ...]]:
         raise RecordingError(
             f"{raw.name}: the longest stretch without a gap is {length_s:.1f} s; {_LEAST_S:g} s needed"
         )
-    part = slice(first, last)
-    kept = RawFreeDecay(raw.name, raw.t_s[part], raw.up_mps2[part], {k: v[part] for k, v in raw.channels.items()})
+    segment = slice(first, last)
+    longest = RawFreeDecay(
+        raw.name, raw.t_s[segment], raw.up_mps2[segment], {k: v[segment] for k, v in raw.channels.items()}
+    )
     if not wide.size:
-        return kept, ()
+        return longest, ()
     note = f"{raw.name}: {wide.size} gaps; judged is the longest stretch without one, {length_s:.1f} s"
-    return kept, (note,)
+    return longest, (note,)
 
 
 def _coarse(

@@ -73,18 +73,20 @@ def search(
     ``frequency_hz`` and ``damping`` are as believed before, ``band_hz`` is where modes may be; at most ``most``
     extensions are accepted.
     """
-    masks = [np.ones(len(one.t_s), dtype=np.bool_) for one in recordings]
+    masks = [np.ones(len(entry.t_s), dtype=np.bool_) for entry in recordings]
     progress("fit a mode of constant frequency", 0.0)
     null = _null(FreeDecayModel(recordings, frequency_hz, damping), masks)
     offered = laws_for(sorted(recordings[0].channels))
     current, accepted, rounds = null, list[Tried](), list[tuple[Tried, ...]]()
     while len(accepted) < most:
-        left = [entry for entry in offered if entry not in current.model.extensions]
+        remaining = [entry for entry in offered if entry not in current.model.extensions]
         tried = list[Tried]()
-        for i, entry in enumerate(left):
-            progress(f"round {len(rounds) + 1}: {entry.text}", i / len(left))
+        for i, entry in enumerate(remaining):
+            progress(f"round {len(rounds) + 1}: {entry.text}", i / len(remaining))
             tried.append(_try(entry, current, masks))
-        tried = sorted((one for one in tried if _is_a_mode(one, band_hz)), key=lambda one: -one.log_bayes_factor)
+        tried = sorted(
+            (entry for entry in tried if _is_a_mode(entry, band_hz)), key=lambda entry: -entry.log_bayes_factor
+        )
         rounds.append(tuple(tried))
         if not tried or tried[0].log_bayes_factor < ENOUGH:
             break
@@ -113,11 +115,11 @@ def _try(entry: Extension, current: FreeDecayFit, masks: Sequence[Mask]) -> Trie
     return _against(entry, fit(model, begin(model, offered, masks), masks, _QUICK), current)
 
 
-def _is_a_mode(one: Tried, band_hz: tuple[float, float]) -> bool:
+def _is_a_mode(tried: Tried, band_hz: tuple[float, float]) -> bool:
     """Whether a second mode rings, and within the band; true of all that is no second mode."""
-    if isinstance(one.extension, Law):
+    if isinstance(tried.extension, Law):
         return True
-    frequency_hz, zeta = (math.exp(one.fitted.value(f"second log {name}")[0]) for name in ("frequency", "damping"))
+    frequency_hz, zeta = (math.exp(tried.fitted.value(f"second log {name}")[0]) for name in ("frequency", "damping"))
     return band_hz[0] < frequency_hz < band_hz[1] and zeta < _RINGS
 
 
@@ -153,21 +155,21 @@ def _scored(stages: Sequence[FreeDecayFit], progress: Progress, what: str) -> li
     recordings = stages[0].model.recordings
     frequency_hz = math.exp(float(stages[0].values[0]))
     ahead = max(round(recordings[0].rate_hz / frequency_hz), 1)
-    found = []
+    errors = []
     for i, stage in enumerate(stages):
         progress(what, i / len(stages))
-        found.append(prediction_error(stage, folds(recordings), ahead))
-    return found
+        errors.append(prediction_error(stage, folds(recordings), ahead))
+    return errors
 
 
 def _alone(first: Sequence[Tried], progress: Progress) -> dict[str, PredictionError]:
     laws = [
-        one
-        for one in first
-        if isinstance(one.extension, Law)
-        and one.extension.name
-        and one.extension.follows is Follows.FREQUENCY
-        and one.log_bayes_factor > ENOUGH
+        tried
+        for tried in first
+        if isinstance(tried.extension, Law)
+        and tried.extension.name
+        and tried.extension.follows is Follows.FREQUENCY
+        and tried.log_bayes_factor > ENOUGH
     ]
-    errors = _scored([one.fitted for one in laws], progress, "hold out blocks for each law alone") if laws else []
-    return {one.extension.text: error for one, error in zip(laws, errors, strict=True)}
+    errors = _scored([tried.fitted for tried in laws], progress, "hold out blocks for each law alone") if laws else []
+    return {tried.extension.text: error for tried, error in zip(laws, errors, strict=True)}

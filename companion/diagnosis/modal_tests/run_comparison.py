@@ -70,11 +70,15 @@ class ChangedMode:
 
     def causes(self) -> list[Channel]:
         """Channels whose values came back, and the frequency with them."""
-        return [one for one in self.channels if one.came_back and one.agree_z is not None and one.agree_z < CHANGED]
+        return [
+            channel
+            for channel in self.channels
+            if channel.came_back and channel.agree_z is not None and channel.agree_z < CHANGED
+        ]
 
     def confounded(self) -> list[str]:
         """Channels that go hand in hand with run order."""
-        return [one.name for one in self.channels if not one.came_back]
+        return [channel.name for channel in self.channels if not channel.came_back]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +94,10 @@ class Comparison:
 
 def compare(modes: Sequence[ModeOverRuns], constants: Sequence[Mapping[str, float]]) -> Comparison:
     """Judge modes by run, ``constants`` being what was set in each."""
-    found = [_changed(mode, constants) for mode in modes]
-    changed = sorted((one for one in found if one is not None), key=lambda one: -abs(one.change_hz) / _middle(one.mode))
+    candidates = [_changed(mode, constants) for mode in modes]
+    changed = sorted(
+        (mode for mode in candidates if mode is not None), key=lambda mode: -abs(mode.change_hz) / _middle(mode.mode)
+    )
     if not changed:
         reason = f"every frequency is the same in all {len(constants)} runs, to {100 * _WORTH:g} %"
         return Comparison(tuple(modes), (), Verdict.ADEQUATE, reason, ())
@@ -103,7 +109,7 @@ def compare(modes: Sequence[ModeOverRuns], constants: Sequence[Mapping[str, floa
         return Comparison(
             tuple(modes), tuple(changed), Verdict.NOT_IDENTIFIABLE, _not_identifiable(leading), _advice(leading)
         )
-    reason = f"{_told(leading)}; nothing that was recorded of the runs goes with it"
+    reason = f"{_change_in_words(leading)}; nothing that was recorded of the runs goes with it"
     return Comparison(tuple(modes), tuple(changed), Verdict.UNEXPLAINED, reason, ("record what differs between runs",))
 
 
@@ -114,8 +120,8 @@ def _changed(mode: ModeOverRuns, constants: Sequence[Mapping[str, float]]) -> Ch
         return None
     first = _end_of_steady(f_hz, sigma)
     last = int(np.argmax(np.abs(f_hz - f_hz[: first + 1].mean())))
-    names = [name for name in constants[0] if name != ORDER and len({one.get(name) for one in constants}) > 1]
-    channels = tuple(_channel(name, [float(one[name]) for one in constants], f_hz, sigma) for name in names)
+    names = [name for name in constants[0] if name != ORDER and len({run.get(name) for run in constants}) > 1]
+    channels = tuple(_channel(name, [float(run[name]) for run in constants], f_hz, sigma) for name in names)
     return ChangedMode(mode, first, last, z, channels)
 
 
@@ -171,11 +177,11 @@ def _middle(mode: ModeOverRuns) -> float:
     return float(np.median(mode.frequency_hz))
 
 
-def _told(one: ChangedMode) -> str:
-    runs, f_hz = one.mode.runs, one.mode.frequency_hz
+def _change_in_words(changed: ChangedMode) -> str:
+    runs, f_hz = changed.mode.runs, changed.mode.frequency_hz
     return (
-        f"the frequency changed between runs {runs[one.first]} and {runs[one.last]} "
-        f"({f_hz[one.first]:.2f} -> {f_hz[one.last]:.2f} Hz)"
+        f"the frequency changed between runs {runs[changed.first]} and {runs[changed.last]} "
+        f"({f_hz[changed.first]:.2f} -> {f_hz[changed.last]:.2f} Hz)"
     )
 
 
@@ -185,28 +191,30 @@ def _plainly(name: str) -> str:
     return (stem if stem and len(unit) <= _LONGEST_UNIT else name).replace("_", " ")
 
 
-def _explained(one: ChangedMode, causes: Sequence[Channel]) -> str:
+def _explained(changed: ChangedMode, causes: Sequence[Channel]) -> str:
     named = " or ".join(_plainly(cause.name) for cause in causes)
-    return f"{_told(one)}; runs of equal {named} agree, whenever they were made"
+    return f"{_change_in_words(changed)}; runs of equal {named} agree, whenever they were made"
 
 
-def _not_identifiable(one: ChangedMode) -> str:
-    names = [_plainly(name) for name in one.confounded()]
+def _not_identifiable(changed: ChangedMode) -> str:
+    names = [_plainly(name) for name in changed.confounded()]
     return (
-        f"{_told(one)}, but its cause is not identifiable: {' and '.join(['run order', *names])} are confounded, for "
-        f"no {' and no '.join(names)} was measured again later{_ruled_out(one)}"
+        f"{_change_in_words(changed)}, but its cause is not identifiable: {' and '.join(['run order', *names])} are confounded, for "
+        f"no {' and no '.join(names)} was measured again later{_ruled_out(changed)}"
     )
 
 
-def _ruled_out(one: ChangedMode) -> str:
+def _ruled_out(changed: ChangedMode) -> str:
     """What came back while the frequency did not."""
-    names = [_plainly(channel.name) for channel in one.channels if channel.came_back and channel not in one.causes()]
+    names = [
+        _plainly(channel.name) for channel in changed.channels if channel.came_back and channel not in changed.causes()
+    ]
     return f"; {' and '.join(names)} came back and the frequency did not, so alone that is not it" if names else ""
 
 
-def _advice(one: ChangedMode) -> tuple[str, ...]:
-    names = " and ".join(_plainly(name) for name in one.confounded())
-    runs = one.mode.runs
+def _advice(changed: ChangedMode) -> tuple[str, ...]:
+    names = " and ".join(_plainly(name) for name in changed.confounded())
+    runs = changed.mode.runs
     return (
         f"measure once more with the {names} of run {runs[0]} after run {runs[-1]}: the frequency of run {runs[0]} "
         f"again means that the {names} is the cause, another one that time or handling is",
@@ -216,37 +224,39 @@ def _advice(one: ChangedMode) -> tuple[str, ...]:
     )
 
 
-def as_json(found: Comparison, recordings: Sequence[str], airframe: str | None) -> dict[str, Any]:
+def as_json(comparison: Comparison, recordings: Sequence[str], airframe: str | None) -> dict[str, Any]:
     """The comparison in the layout of every diagnosis (companion/diagnosis/README.md)."""
     return {
         "format": 1,
         "recordings": list(recordings),
         "airframe": airframe,
-        "verdict": str(found.verdict),
-        "reason": found.reason,
-        "causes": _causes(found),
+        "verdict": str(comparison.verdict),
+        "reason": comparison.reason,
+        "causes": _causes(comparison),
         "nearest": None,
         "gain": None,
-        "adequacy": {"before": [_check(mode) for mode in found.modes], "after": []},
-        "residual": None if found.verdict is not Verdict.UNEXPLAINED else {"description": found.reason, "failed": []},
-        "confounded": _confounded(found),
-        "advice": list(found.advice),
-        "modes": [_mode(mode) for mode in found.modes],
+        "adequacy": {"before": [_check(mode) for mode in comparison.modes], "after": []},
+        "residual": None
+        if comparison.verdict is not Verdict.UNEXPLAINED
+        else {"description": comparison.reason, "failed": []},
+        "confounded": _confounded(comparison),
+        "advice": list(comparison.advice),
+        "modes": [_mode(mode) for mode in comparison.modes],
         "airframe_parameters": [],
-        "notes": [_note(one) for one in found.changed[1:]],
+        "notes": [_note(changed) for changed in comparison.changed[1:]],
     }
 
 
-def _confounded(found: Comparison) -> list[str]:
-    if found.verdict is not Verdict.NOT_IDENTIFIABLE:
+def _confounded(comparison: Comparison) -> list[str]:
+    if comparison.verdict is not Verdict.NOT_IDENTIFIABLE:
         return []
-    return [ORDER, *found.changed[0].confounded()]
+    return [ORDER, *comparison.changed[0].confounded()]
 
 
-def _causes(found: Comparison) -> list[dict[str, Any]]:
-    if found.verdict is not Verdict.EXPLAINED:
+def _causes(comparison: Comparison) -> list[dict[str, Any]]:
+    if comparison.verdict is not Verdict.EXPLAINED:
         return []
-    leading = found.changed[0]
+    leading = comparison.changed[0]
     causes = leading.causes()
     f_hz = leading.mode.frequency_hz
     same = [cause.name for cause in causes[1:]]
@@ -285,11 +295,11 @@ def _mode(mode: ModeOverRuns) -> dict[str, Any]:
         "runs": list(mode.runs),
         "frequency_hz": mode.frequency_hz.tolist(),
         "sigma_hz": mode.sigma_hz.tolist(),
-        "damping": [one.damping for one in mode.of_runs],
+        "damping": [run.damping for run in mode.of_runs],
     }
 
 
-def _note(one: ChangedMode) -> str:
-    runs, f_hz = one.mode.runs, one.mode.frequency_hz
-    share = 100.0 * one.change_hz / f_hz[one.first]
-    return f"also near {_middle(one.mode):.2f} Hz: {share:+.1f} % from run {runs[one.first]} to run {runs[one.last]}"
+def _note(changed: ChangedMode) -> str:
+    runs, f_hz = changed.mode.runs, changed.mode.frequency_hz
+    percent = 100.0 * changed.change_hz / f_hz[changed.first]
+    return f"also near {_middle(changed.mode):.2f} Hz: {percent:+.1f} % from run {runs[changed.first]} to run {runs[changed.last]}"

@@ -58,12 +58,12 @@ class ModeOverRuns:
     @property
     def frequency_hz(self) -> Floats:
         """By run."""
-        return np.array([one.frequency_hz for one in self.of_runs])
+        return np.array([mode.frequency_hz for mode in self.of_runs])
 
     @property
     def sigma_hz(self) -> Floats:
         """By run."""
-        return np.array([one.frequency_sigma_hz for one in self.of_runs])
+        return np.array([mode.frequency_sigma_hz for mode in self.of_runs])
 
 
 def responses(
@@ -99,14 +99,14 @@ def mode_of(run: VibrationRun, near_hz: float) -> ModeOfRun:
         return np.concatenate([residual.real.ravel(), residual.imag.ravel()])
 
     tries = [least_squares(left, [peak_hz, np.log(zeta)], x_scale=[0.01 * peak_hz, 0.3]) for zeta in _DAMPINGS]
-    best = min(tries, key=lambda one: float(one.cost))
+    best = min(tries, key=lambda solution: float(solution.cost))
     freedom = len(best.fun) - 2 - 6 * shown.shape[1]
     variance = 2.0 * float(best.cost) / max(freedom, 1)
     slope = np.asarray(best.jac, dtype=np.float64)
     spread = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)) * variance)
     zeta = float(np.exp(best.x[1]))
-    share = float(np.sqrt(2.0 * best.cost / np.sum(np.abs(shown) ** 2)))
-    return ModeOfRun(float(best.x[0]), float(spread[0]), zeta, zeta * float(spread[1]), share)
+    relative_misfit = float(np.sqrt(2.0 * best.cost / np.sum(np.abs(shown) ** 2)))
+    return ModeOfRun(float(best.x[0]), float(spread[0]), zeta, zeta * float(spread[1]), relative_misfit)
 
 
 def _design(omega: Floats, guess: Floats) -> Complexes:

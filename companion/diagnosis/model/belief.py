@@ -49,7 +49,7 @@ class Belief:
 
     airframe: Airframe
     nuisances: tuple[Nuisance, ...]
-    parts: tuple[EffectTerm, ...] = ()
+    terms: tuple[EffectTerm, ...] = ()
     """Effects that the airframe file has in force already."""
 
     @property
@@ -59,12 +59,12 @@ class Belief:
 
     def named(self, deviations: Sequence[float] | Floats, recording: int = 0) -> dict[str, float]:
         """Deviations by key as one recording has them: its own, and those that all share."""
-        found = {}
+        deviations_by_key = {}
         for entry, value in zip(self.nuisances, deviations, strict=True):
             key, _, owner = entry.key.partition(_OWN)
             if not owner or int(owner) == recording:
-                found[key] = float(value)
-        return found
+                deviations_by_key[key] = float(value)
+        return deviations_by_key
 
     def concerns(self, index: int, recording: int) -> bool:
         """Whether a nuisance has a say in a recording."""
@@ -103,30 +103,30 @@ def believe(
     What differs from flight to flight (gust, noise, bias, matching) is a nuisance of each recording. ``inputs`` are the
     measured ones with their rms: what they do to the wing per unit is free.
     """
-    found = [entry for name in SLOT_NAMES for entry in _of_mode(getattr(airframe.wing, name), name, with_range)]
+    nuisances = [entry for name in SLOT_NAMES for entry in _of_mode(getattr(airframe.wing, name), name, with_range)]
     seconds = [name for name in SLOT_NAMES[2:] if getattr(airframe.wing, name) is not None]
-    found += [Nuisance(f"{name}.coherence", _COHERENCE) for name in (*seconds, ADDED)]
-    found += [Nuisance(f"corner{i}", _CORNER_SIGMA, True) for i, c in enumerate(airframe.wing.gust.corners_hz) if c]
+    nuisances += [Nuisance(f"{name}.coherence", _COHERENCE) for name in (*seconds, ADDED)]
+    nuisances += [Nuisance(f"corner{i}", _CORNER_SIGMA, True) for i, c in enumerate(airframe.wing.gust.corners_hz) if c]
     for side in sides:
         sensor = (airframe.left, airframe.right)[side]
         name = side.name.lower()
-        found.append(Nuisance(f"{name}.noise", _UNKNOWN_NOISE, True))
-        found.append(Nuisance(f"{name}.scale", sensor.accel_scale_sigma))
-        found.append(Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s))
-        found.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))
+        nuisances.append(Nuisance(f"{name}.noise", _UNKNOWN_NOISE, True))
+        nuisances.append(Nuisance(f"{name}.scale", sensor.accel_scale_sigma))
+        nuisances.append(Nuisance(f"{name}.delay_s", sensor.time_offset_sigma_s))
+        nuisances.append(Nuisance(f"{name}.bias_mps2", math.hypot(sensor.accel_bias_sigma_mps2, 1e-4)))
     if has_root:
         root = airframe.root
-        found.append(Nuisance("root.scale", root.accel_scale_sigma))
-        found.append(Nuisance("root.rate_scale", root.gyro_scale_sigma))
-        found.append(Nuisance("root.bias_mps2", root.accel_bias_sigma_mps2))
+        nuisances.append(Nuisance("root.scale", root.accel_scale_sigma))
+        nuisances.append(Nuisance("root.rate_scale", root.gyro_scale_sigma))
+        nuisances.append(Nuisance("root.bias_mps2", root.accel_bias_sigma_mps2))
     if with_range:
-        found += _of_cameras(airframe, load_varies)
-    found += [Nuisance(f"{_GAIN}{name}", _INPUT_MPS2 / rms) for name, rms in inputs.items() if rms > 0.0]
-    known = [entry for entry in found if entry.sigma > 0.0]
+        nuisances += _of_cameras(airframe, load_varies)
+    nuisances += [Nuisance(f"{_GAIN}{name}", _INPUT_MPS2 / rms) for name, rms in inputs.items() if rms > 0.0]
+    uncertain = [entry for entry in nuisances if entry.sigma > 0.0]
     if recordings > 1:
-        known = [one for entry in known for one in _for_each(entry, recordings)]
+        uncertain = [entry_of for entry in uncertain for entry_of in _for_each(entry, recordings)]
     in_force = tuple(EffectTerm(make_effect(entry), entry.channel) for entry in airframe.effects)
-    return Belief(airframe, tuple(known), in_force)
+    return Belief(airframe, tuple(uncertain), in_force)
 
 
 def is_range_only(key: str, load_moves: bool = False) -> bool:
@@ -150,28 +150,28 @@ def _for_each(entry: Nuisance, recordings: int) -> list[Nuisance]:
 def _of_mode(mode: Mode | None, name: str, with_range: bool) -> list[Nuisance]:
     if mode is None:
         return []
-    found = [
+    nuisances = [
         Nuisance(f"{name}.frequency", mode.frequency_hz.sigma / mode.frequency_hz.value, True),
         Nuisance(f"{name}.damping", mode.damping.sigma / max(mode.damping.value, 1e-6), True),
         Nuisance(f"{name}.level", _UNKNOWN_LEVEL, True),
     ]
     if with_range and not name.endswith("antisymmetric"):
         slope = mode.slope_factor_radpm
-        found.append(Nuisance(f"{name}.slope", slope.sigma / max(slope.value, 1e-6), True))
-    return found
+        nuisances.append(Nuisance(f"{name}.slope", slope.sigma / max(slope.value, 1e-6), True))
+    return nuisances
 
 
 def _of_cameras(airframe: Airframe, load_varies: bool) -> list[Nuisance]:
     camera = airframe.left_camera
     assert camera is not None
     wing = airframe.wing
-    found = [
+    nuisances = [
         Nuisance("toe_rad", math.sqrt(2.0) * camera.rotation_sigma_rad),
         Nuisance("focal", camera.focal_px.sigma / camera.focal_px.value / math.sqrt(2.0)),
         Nuisance("match", 0.7, True),
         Nuisance("trim_bend_m", wing.trim_bend_m.sigma),
     ]
-    return found + ([Nuisance("bend_per_g_m", wing.bend_per_g_m.sigma)] if load_varies else [])
+    return nuisances + ([Nuisance("bend_per_g_m", wing.bend_per_g_m.sigma)] if load_varies else [])
 
 
 def _moved(mode: Mode, name: str, deviation: dict[str, float]) -> Mode:

@@ -37,17 +37,17 @@ class FlightModel:
     ``recording`` is the number by which the belief's nuisances know it, where several are fitted jointly.
     """
 
-    def __init__(self, belief: Belief, seen: Observations, top_hz: float, recording: int = 0) -> None:
-        self.belief, self.seen, self.top_hz, self.recording = belief, seen, top_hz, recording
-        self.transforms = Transforms(len(seen.up_mps2), 1.0 / seen.rate_hz, seen.start_s)
+    def __init__(self, belief: Belief, observations: Observations, top_hz: float, recording: int = 0) -> None:
+        self.belief, self.observations, self.top_hz, self.recording = belief, observations, top_hz, recording
+        self.transforms = Transforms(len(observations.up_mps2), 1.0 / observations.rate_hz, observations.start_s)
         all_hz = self.transforms.f_hz
         low_hz = _LOW * belief.airframe.wing.symmetric.frequency_hz.value
         self._low = int(np.searchsorted(all_hz, low_hz))
-        top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * seen.rate_hz), side="right"))
+        top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * observations.rate_hz), side="right"))
         self.band_hz: Floats = all_hz[self._low : top]
         self.weight = self.transforms.weight
-        self._spectra = Spectra(belief.airframe, seen.sides, all_hz[:top], seen.has_root)
-        lineariser = SensorLineariser(seen, self.transforms)
+        self._spectra = Spectra(belief.airframe, observations.sides, all_hz[:top], observations.has_root)
+        lineariser = SensorLineariser(observations, self.transforms)
         up = lineariser.recorded_mps2
         recorded = self.transforms.spectrum(up)[:, :top], self.transforms.tapered(up)[:, self._low : top]
         self._grid = Grid(lineariser, self.transforms, self._low, recorded)
@@ -56,11 +56,11 @@ class FlightModel:
             heave, turning = (self.transforms.spectrum(values)[..., :top] for values in lineariser.rigid_mps2)
             self._rigid = heave, turning
         self._toe: ToeModel | None = None
-        if seen.toe is not None:
-            self._toe = ToeModel(belief, seen, seen.toe, self.transforms, all_hz[:top])
+        if observations.toe is not None:
+            self._toe = ToeModel(belief, observations, observations.toe, self.transforms, all_hz[:top])
 
     def expect(
-        self, deviations: Floats, parts: Sequence[EffectTerm] = (), near: Expectation | None = None
+        self, deviations: Floats, terms: Sequence[EffectTerm] = (), near: Expectation | None = None
     ) -> Expectation:
         """Hold a model against the recording.
 
@@ -68,16 +68,16 @@ class FlightModel:
         ----------
         deviations : (p,)
             Nuisances, in the belief's order.
-        parts : sequence of Part
+        terms : sequence of EffectTerm
             Named effects in force.
         near : Expectation, optional
             Of a neighbouring model, which lends its ``toe_posterior``, the dear part, and all that is the same.
         """
         deviation = self.belief.named(deviations, self.recording)
-        parts = (*self.belief.parts, *parts)
-        effects = tuple(part.effect for part in parts)
+        terms = (*self.belief.terms, *terms)
+        effects = tuple(term.effect for term in terms)
         wing = WingModel(self.belief.wing(deviation), effects)
-        motion = self._motion(wing, parts, deviation, near)
+        motion = self._motion(wing, terms, deviation, near)
         posterior = near.toe_posterior if near is not None else np.zeros((0, 0))
         toe, variance = np.zeros(0), np.zeros(0)
         if self._toe is not None:
@@ -88,26 +88,28 @@ class FlightModel:
     def acceleration_spectrum(self, deviations: Floats) -> Complexes:
         """Two-sided density of the accelerations in the band without any effect beyond the belief's, (c, c, b)."""
         deviation = self.belief.named(deviations, self.recording)
-        effects = tuple(part.effect for part in self.belief.parts if part.effect.group is not Group.CAMERA)
+        effects = tuple(term.effect for term in self.belief.terms if term.effect.group is not Group.CAMERA)
         structure = WingModel(self.belief.wing(deviation), effects).structure
-        scale = np.ones(len(self.seen.sides))
+        scale = np.ones(len(self.observations.sides))
         return spectrum_of(self._spectra.linear(structure, scale, effects, deviation), self._low)
 
-    def log_likelihood(self, found: Expectation) -> float:
+    def log_likelihood(self, expectation: Expectation) -> float:
         """Log likelihood of the recording under an expectation, up to a constant."""
-        return float(sum(self.log_scores(found).values()))
+        return float(sum(self.log_scores(expectation).values()))
 
-    def log_scores(self, found: Expectation) -> dict[str, float]:
+    def log_scores(self, expectation: Expectation) -> dict[str, float]:
         """Log likelihood by channel: accelerations, toe given them, and the sensors' mean."""
-        spread = float(np.sum(log_determinant(found.spectrum)))
-        misfit = quadratic_form(found.inverse, found.residual)
+        spread = float(np.sum(log_determinant(expectation.spectrum)))
+        misfit = quadratic_form(expectation.inverse, expectation.residual)
         scores = {"acceleration": -self.weight * (spread + misfit)}
-        if len(found.toe_residual_rad):
-            factor = cho_factor(found.toe_covariance, lower=True, check_finite=False)
-            whitened = found.toe_residual_rad @ cho_solve(factor, found.toe_residual_rad, check_finite=False)
+        if len(expectation.toe_residual_rad):
+            factor = cho_factor(expectation.toe_covariance, lower=True, check_finite=False)
+            whitened = expectation.toe_residual_rad @ cho_solve(
+                factor, expectation.toe_residual_rad, check_finite=False
+            )
             scores["range"] = float(-np.sum(np.log(np.diag(factor[0]))) - 0.5 * whitened)
-        rest = found.rest_residual**2 / found.rest_variance
-        scores["rest"] = float(-0.5 * np.sum(rest + np.log(found.rest_variance)))
+        rest = expectation.rest_residual**2 / expectation.rest_variance
+        scores["rest"] = float(-0.5 * np.sum(rest + np.log(expectation.rest_variance)))
         return scores
 
     def data_in_band(self) -> Complexes:
@@ -118,24 +120,24 @@ class FlightModel:
         """Accelerations (c, m) as tapered spectrum in the band, (c, b)."""
         return self.transforms.tapered(values)[:, self._low : self._low + len(self.band_hz)]
 
-    def draw(self, found: Expectation, rng: np.random.Generator) -> Floats:
+    def draw(self, expectation: Expectation, rng: np.random.Generator) -> Floats:
         """Accelerations as a fitted model makes them by chance, (c, m)."""
-        shape = found.residual.shape
+        shape = expectation.residual.shape
         white = np.sqrt(0.5) * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
         spectrum = np.zeros((shape[0], len(self.transforms.f_hz)), dtype=np.complex128)
-        coloured = apply(inverse(adjoint(found.motion.whitener)), white)
+        coloured = apply(inverse(adjoint(expectation.motion.whitener)), white)
         spectrum[:, self._low : self._low + shape[1]] = coloured * np.sqrt(self.transforms.count / self.transforms.dt_s)
         return self.transforms.in_time(spectrum)
 
-    def force_score(self, found: Expectation) -> Floats:
+    def force_score(self, expectation: Expectation) -> Floats:
         """Score of the likelihood with respect to a force on each believed mode at each instant, (n, m)."""
         believed = WingModel(self.belief.airframe.wing).count
-        return self.transforms.in_time(found.motion.force_score[:believed])
+        return self.transforms.in_time(expectation.motion.force_score[:believed])
 
-    def spring_force(self, found: Expectation) -> Floats:
+    def spring_force(self, expectation: Expectation) -> Floats:
         """Spring force of the believed modes' smoothed motion, (n, m)."""
         stiffness = WingModel(self.belief.airframe.wing).structure.stiffness_radps2
-        return np.asarray(stiffness @ found.q_m[: len(stiffness)])
+        return np.asarray(stiffness @ expectation.q_m[: len(stiffness)])
 
     @property
     def baseline_m(self) -> float:
@@ -150,13 +152,17 @@ class FlightModel:
             return None
         declared = effect.parameters()[0]
         unit = kind.from_values({declared.name: declared.sigma})
-        t_s = self.seen.t_s
-        return np.stack([unit.sample_time(STATIONS[side], t_s) - t_s for side in self.seen.sides]) / declared.sigma
+        t_s = self.observations.t_s
+        return (
+            np.stack([unit.sample_time(STATIONS[side], t_s) - t_s for side in self.observations.sides]) / declared.sigma
+        )
 
     def delay_shift(self, key: str) -> Floats | None:
         """The same for a nuisance: (c, m) if it is a delay."""
-        late = [-1.0 if key.partition("#")[0] == f"{side.name.lower()}.delay_s" else 0.0 for side in self.seen.sides]
-        return np.outer(late, np.ones(len(self.seen.t_s))) if any(late) else None
+        late = [
+            -1.0 if key.partition("#")[0] == f"{side.name.lower()}.delay_s" else 0.0 for side in self.observations.sides
+        ]
+        return np.outer(late, np.ones(len(self.observations.t_s))) if any(late) else None
 
     def rigid_shifted(self, shift_s: Floats) -> Complexes | None:
         """What shifts in time (c, m) do to the rigid aircraft's motion: tapered and in the band, (c, b)."""
@@ -166,15 +172,15 @@ class FlightModel:
         return self.in_band(self.transforms.in_time(rate) * shift_s)
 
     def _motion(
-        self, wing: WingModel, parts: Sequence[EffectTerm], deviation: Mapping[str, float], near: Expectation | None
+        self, wing: WingModel, terms: Sequence[EffectTerm], deviation: Mapping[str, float], near: Expectation | None
     ) -> Motion:
         """What the accelerations have a say in; half of all parameters are of the cameras alone and leave it."""
-        inner = tuple(part for part in parts if part.effect.group is not Group.CAMERA)
-        bends = self.seen.has_root  # then the bend per g moves the wing, and not the ranges alone
+        inner = tuple(term for term in terms if term.effect.group is not Group.CAMERA)
+        bends = self.observations.has_root  # then the bend per g moves the wing, and not the ranges alone
         key = (inner, tuple(value for name, value in deviation.items() if not is_range_only(name, bends)))
         if near is not None and near.motion.key == key:
             return near.motion
-        effects = tuple(part.effect for part in inner)
+        effects = tuple(term.effect for term in inner)
         measured = self._grid.lineariser.measured_mps2(wing, input_gains(deviation))
         leaked = self._leaked_mps2(effects, deviation)
         return Motion(
@@ -192,13 +198,13 @@ class FlightModel:
         if self._rigid is None:
             return None
         heave, turning = self._rigid
-        left = (1.0 - self._spectra.responses(effects, deviation)) * (heave + turning)
-        left += deviation.get("root.scale", 0.0) * heave + deviation.get("root.rate_scale", 0.0) * turning
-        return self.transforms.in_time(left)
+        leaked = (1.0 - self._spectra.responses(effects, deviation)) * (heave + turning)
+        leaked += deviation.get("root.scale", 0.0) * heave + deviation.get("root.rate_scale", 0.0) * turning
+        return self.transforms.in_time(leaked)
 
     def _rest(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> tuple[Floats, Floats]:
-        mean_residual = self.seen.mean_force_mps2.copy()
-        for i, side in enumerate(self.seen.sides):
+        mean_residual = self.observations.mean_force_mps2.copy()
+        for i, side in enumerate(self.observations.sides):
             name = side.name.lower()
             mean_residual[i] -= deviation.get(f"{name}.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get(
                 f"{name}.scale", 0.0
@@ -206,5 +212,5 @@ class FlightModel:
             mean_residual[i] -= sum(effect.bias(STATIONS[side]) for effect in effects)
             mean_residual[i] += deviation.get("root.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get("root.scale", 0.0)
         # without a root sensor the mean load factor itself is in doubt, on both sides alike
-        mean_sigma_mps2 = 1e-3 if self.seen.has_root else 3e-3 * GRAVITY_MPS2
-        return mean_residual, np.full(len(mean_residual), mean_sigma_mps2**2 / self.seen.share)
+        mean_sigma_mps2 = 1e-3 if self.observations.has_root else 3e-3 * GRAVITY_MPS2
+        return mean_residual, np.full(len(mean_residual), mean_sigma_mps2**2 / self.observations.share)

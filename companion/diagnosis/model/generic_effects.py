@@ -267,18 +267,22 @@ def toe_regressors(
     values += [expected_rad, nearness, nearness**2, q * nearness, x, x**2, *modal[1:2], *rates[1:2]]
     values += [*modal[2:3], *rates[2:3]]
     offered = {}
-    for name, one in zip(TOE, values, strict=False):
-        one = one if name == "the whole reading" else one - np.mean(one)
-        size = float(np.sqrt(np.mean(one**2)))
+    for name, values_of in zip(TOE, values, strict=False):
+        values_of = values_of if name == "the whole reading" else values_of - np.mean(values_of)
+        size = float(np.sqrt(np.mean(values_of**2)))
         if size > 1e-12:
-            offered[name] = one / size
+            offered[name] = values_of / size
     return offered
 
 
 def toe_variance_regressors(toe: ToeData, modal: Floats, rates: Floats) -> dict[str, Floats]:
     """What the toe's variance might grow with, of mean 1, (k,)."""
     values = (modal[0] ** 2, rates[0] ** 2, toe.inverse_m**2, 0.5 * (1.0 + _across(toe.t_s)))
-    return {name: one / np.mean(one) for name, one in zip(SPREAD, values, strict=True) if float(np.std(one)) > 1e-12}
+    return {
+        name: regressor / np.mean(regressor)
+        for name, regressor in zip(SPREAD, values, strict=True)
+        if float(np.std(regressor)) > 1e-12
+    }
 
 
 def generic_effects() -> list[type[Effect]]:

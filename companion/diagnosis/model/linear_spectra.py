@@ -30,7 +30,7 @@ class Linear:
         Modal deflection per load.
     load : (n, n, f) or (n, f)
         Two-sided load density.
-    seen : (c, n, f)
+    sensing : (c, n, f)
         Accelerometer channel per modal deflection.
     noise : (c, c)
         Two-sided density; what a root sensor adds is the same on both sides.
@@ -38,7 +38,7 @@ class Linear:
 
     receptance: Complexes
     load: Complexes
-    seen: Complexes
+    sensing: Complexes
     noise: Floats
 
 
@@ -60,8 +60,8 @@ class Spectra:
         gains = scale[:, None] * self.responses(effects, deviation)
         noise = np.diag([self._noise(side, deviation) for side in self.sides]) + self._root_noise
         load = self._load(structure, effects, deviation)
-        seen: Complexes = gains[:, None] * inertia
-        return Linear(receptance(structure, self._omega), load, seen, noise)
+        sensing: Complexes = gains[:, None] * inertia
+        return Linear(receptance(structure, self._omega), load, sensing, noise)
 
     def responses(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         """What the accelerometers show of what they feel, (c, f)."""
@@ -103,8 +103,8 @@ class Spectra:
         late = np.exp(-1j * self._omega * deviation.get(f"{name}.delay_s", 0.0))
         gain = (1.0 + deviation.get(f"{name}.scale", 0.0)) * late * self._filters[channel]
         for effect in effects:
-            own = effect.response(STATIONS[side], self.f_hz)
-            gain = gain if own is None else gain * own
+            response = effect.response(STATIONS[side], self.f_hz)
+            gain = gain if response is None else gain * response
         return np.asarray(gain)
 
     def _noise(self, side: Side, deviation: Mapping[str, float]) -> float:
@@ -130,22 +130,22 @@ class Spectra:
 
 def spectrum_of(linear: Linear, low: int) -> Complexes:
     """Two-sided density of what is seen from frequency ``low`` on, (c, c, b)."""
-    part = Linear(linear.receptance[..., low:], linear.load[..., low:], linear.seen[..., low:], linear.noise)
-    per_load = product(part.seen, part.receptance)
-    return np.asarray(product(product(per_load, part.load), adjoint(per_load)) + linear.noise[..., None])
+    band = Linear(linear.receptance[..., low:], linear.load[..., low:], linear.sensing[..., low:], linear.noise)
+    per_load = product(band.sensing, band.receptance)
+    return np.asarray(product(product(per_load, band.load), adjoint(per_load)) + linear.noise[..., None])
 
 
 def receptance(structure: Structure, omega: Floats) -> Complexes:
     """Modal deflection per load, (n, n, f); (n, f) where stiffness and damping couple nothing."""
     stiffness, damping = structure.stiffness_radps2, structure.damping_radps
     dynamic: Complexes = stiffness[..., None] + 1j * omega * damping[..., None]
-    own = np.diag_indices(structure.count)
+    diagonal = np.diag_indices(structure.count)
     coupled = np.count_nonzero(stiffness - np.diag(np.diag(stiffness))) or np.count_nonzero(
         damping - np.diag(np.diag(damping))
     )
     if not coupled:
-        return np.asarray(1.0 / (dynamic[own] - omega**2))
-    dynamic[own] -= omega**2
+        return np.asarray(1.0 / (dynamic[diagonal] - omega**2))
+    dynamic[diagonal] -= omega**2
     return inverse(dynamic)
 
 

@@ -42,7 +42,7 @@ class Motion:
         self,
         key: object,
         wing: WingModel,
-        parts: Sequence[EffectTerm],
+        terms: Sequence[EffectTerm],
         grid: Grid,
         linear_of: Callable[..., Linear],
         measured_mps2: Floats | None = None,
@@ -50,7 +50,7 @@ class Motion:
     ) -> None:
         self.key = key
         self._grid, self._transforms, self._low = grid, grid.transforms, grid.low
-        effects = tuple(part.effect for part in parts)
+        effects = tuple(term.effect for term in terms)
         self._up_mps2, scale = grid.lineariser.corrected_mps2(effects)
         if leaked_mps2 is not None:
             self._up_mps2 = self._up_mps2 - leaked_mps2
@@ -58,14 +58,14 @@ class Motion:
         self._measured = None if measured_mps2 is None else grid.transforms.spectrum(measured_mps2)
         self._push: Complexes | None = self._measured
         self._take(linear_of(wing.structure, scale))
-        if any(part.effect.forces_modes() for part in parts):
-            self._linearise(wing, parts, lambda structure: linear_of(structure, scale))
+        if any(term.effect.forces_modes() for term in terms):
+            self._linearise(wing, terms, lambda structure: linear_of(structure, scale))
 
     def _take(self, linear: Linear) -> None:
         """Spectra of what is seen under a linear model."""
-        self.linear, self._top = linear, linear.seen.shape[-1]
+        self.linear, self._top = linear, linear.sensing.shape[-1]
         low = self._low
-        per_load = product(linear.seen, linear.receptance)
+        per_load = product(linear.sensing, linear.receptance)
         loaded = product(per_load, linear.load)
         self.cross = adjoint(product(loaded, adjoint(linear.receptance)))  # (n, c, f): q with what is seen
         self.spectrum = product(loaded[..., low:], adjoint(per_load[..., low:]))
@@ -73,14 +73,14 @@ class Motion:
         self.inverse = inverse(self.spectrum)
 
     def _linearise(
-        self, wing: WingModel, parts: Sequence[EffectTerm], linear_of: Callable[[Structure], Linear]
+        self, wing: WingModel, terms: Sequence[EffectTerm], linear_of: Callable[[Structure], Linear]
     ) -> None:
         """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
 
         A second pass sees what the rest of the first has moved: a wing that is softer one way sags with its amplitude.
         """
         for _ in range(_PASSES):
-            push = self._grid.lineariser.push(wing, parts, *self._smoothed(self._modal(self._smoother())))
+            push = self._grid.lineariser.push(wing, terms, *self._smoothed(self._modal(self._smoother())))
             stiffness = wing.structure.stiffness_radps2 - push.per_q
             damping = wing.structure.damping_radps - push.per_qdot
             if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
@@ -112,16 +112,16 @@ class Motion:
             return self._grid.recorded[1]
         up = self._up_mps2
         if self._push is not None:
-            up = up - self._transforms.in_time(apply(self.linear.seen, self._forced()))
+            up = up - self._transforms.in_time(apply(self.linear.sensing, self._forced()))
         return self._transforms.tapered(up)[:, self._low : self._top]
 
     @cached_property
     def force_score(self) -> Complexes:
         """What is left, weighed and taken back to the modes that a force would have moved, (n, f)."""
-        path = adjoint(product(self.linear.seen, self.linear.receptance))
-        found = np.zeros(path.shape[::2], dtype=np.complex128)
-        found[:, self._low :] = apply(path[..., self._low :], apply(self.inverse, self.residual))
-        return found
+        path = adjoint(product(self.linear.sensing, self.linear.receptance))
+        score = np.zeros(path.shape[::2], dtype=np.complex128)
+        score[:, self._low :] = apply(path[..., self._low :], apply(self.inverse, self.residual))
+        return score
 
     @cached_property
     def in_time(self) -> tuple[Floats, Floats]:
@@ -138,16 +138,16 @@ class Motion:
         if self._push is None:
             return apply(smoother, self._straight)
         forced = self._forced()
-        return np.asarray(apply(smoother, self._straight - apply(self.linear.seen, forced)) + forced)
+        return np.asarray(apply(smoother, self._straight - apply(self.linear.sensing, forced)) + forced)
 
     def _forced(self) -> Complexes:
         assert self._push is not None
         return apply(self.linear.receptance, self._push[:, : self._top])
 
     def _smoother(self) -> Complexes:
-        found = np.zeros_like(self.cross)
-        found[..., self._low :] = product(self.cross[..., self._low :], self.inverse)
-        return found
+        gain = np.zeros_like(self.cross)
+        gain[..., self._low :] = product(self.cross[..., self._low :], self.inverse)
+        return gain
 
     def _smoothed(self, modal: Complexes) -> tuple[Floats, Floats]:
         omega = 2j * np.pi * self._transforms.f_hz[: self._top]

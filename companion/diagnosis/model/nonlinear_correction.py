@@ -46,13 +46,13 @@ class StatisticalLinearisation:
 class SensorLineariser:
     """One recording's samples and what effects have done to them."""
 
-    def __init__(self, seen: Observations, transforms: Transforms) -> None:
-        self._seen, self._transforms = seen, transforms
+    def __init__(self, observations: Observations, transforms: Transforms) -> None:
+        self._observations, self._transforms = observations, transforms
         self._weight: Floats = transforms.taper**2  # the likelihood sees tapered data
-        self._up: Floats = np.ascontiguousarray(seen.up_mps2.T)
+        self._up: Floats = np.ascontiguousarray(observations.up_mps2.T)
         self._signs = _signs(len(self._weight))  # up and down alike, so that a law's curvature is no slope
-        self._fine = _Fine(seen, self._weight)
-        self._rigid = _rigid_mps2(seen)
+        self._fine = _Fine(observations, self._weight)
+        self._rigid = _rigid_mps2(observations)
         self._kept: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
 
     @property
@@ -74,12 +74,14 @@ class SensorLineariser:
             Accelerations, and the scale on them that the effects' linear part amounts to.
         """
         up, scale = self._up, np.ones(len(self._up))
-        mine = [one for one in effects if type(one).response is Effect.response and _acts_on_samples(one)]
-        bending = tuple(effect for effect in mine if not _shifts_samples(effect))
+        sensor_effects = [
+            effect for effect in effects if type(effect).response is Effect.response and _acts_on_samples(effect)
+        ]
+        bending = tuple(effect for effect in sensor_effects if not _shifts_samples(effect))
         if bending:
             change, scale = self._bent_by(bending)
             up = up - (change - (scale[:, None] - 1.0) * (up - change))
-        for effect in mine:
+        for effect in sensor_effects:
             if _shifts_samples(effect):
                 up = np.stack([self._on_time(effect, i, row) for i, row in enumerate(up)])
         return up, scale
@@ -87,31 +89,31 @@ class SensorLineariser:
     def nonlinear_part_mps2(self, effect: Effect) -> Floats:
         """What a slight effect on samples adds to a recording beyond its linear part, to first order, (c, m)."""
         fine, added = self._fine, np.empty_like(self._up)
-        for i, side in enumerate(self._seen.sides):
+        for i, side in enumerate(self._observations.sides):
             station, shown = STATIONS[side], fine.shown(i)
             change = fine.sensed(effect, station, shown) - self._of_root(effect)
-            share = fine.geometric_mean_gain(effect, station, shown) - 1.0
-            added[i] = fine.thinned(-change, len(self._up[i])) - share * self._up[i]
+            gain = fine.geometric_mean_gain(effect, station, shown) - 1.0
+            added[i] = fine.thinned(-change, len(self._up[i])) - gain * self._up[i]
         return added
 
     def measured_mps2(self, wing: WingModel, gains: Mapping[str, float]) -> Floats | None:
         """Modal loads (n, m) that were recorded: what the load factor bends, inputs times their gain; None for none."""
-        seen, structure = self._seen, wing.structure
-        load = np.zeros((wing.count, len(seen.up_mps2)))
-        if seen.has_root:
+        observations, structure = self._observations, wing.structure
+        load = np.zeros((wing.count, len(observations.up_mps2)))
+        if observations.has_root:
             bend = structure.stiffness_radps2 @ structure.static_per_g_m
-            load += np.outer(bend, seen.load_factor - np.mean(seen.load_factor))
-        for name, values in seen.inputs.items():
+            load += np.outer(bend, observations.load_factor - np.mean(observations.load_factor))
+        for name, values in observations.inputs.items():
             load[0] += gains.get(name, 0.0) * values
         return load if np.any(load) else None
 
     def push(
-        self, wing: WingModel, parts: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats
+        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats
     ) -> StatisticalLinearisation:
         """Forces of state and time on a smoothed motion (n, m), split by their mean slopes."""
-        forcing = [part for part in parts if part.effect.forces_modes()]
-        lasting = [part for part in forcing if type(part.effect).remember is not Effect.remember]
-        instant = [part for part in forcing if part not in lasting]
+        forcing = [term for term in terms if term.effect.forces_modes()]
+        lasting = [term for term in forcing if type(term.effect).remember is not Effect.remember]
+        instant = [term for term in forcing if term not in lasting]
         n = len(q_m)
         per_q, per_qdot = np.zeros((n, n)), np.zeros((n, n))
         rest = self._total(wing, instant, q_m, qdot_mps)
@@ -125,27 +127,27 @@ class SensorLineariser:
             rest = rest + self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
         return StatisticalLinearisation(per_q, per_qdot, rest)
 
-    def _total(self, wing: WingModel, parts: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats) -> Floats:
+    def _total(self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats) -> Floats:
         total = np.zeros_like(q_m)
-        for part in parts:
-            force = self._force(wing, part, q_m, qdot_mps)
+        for term in terms:
+            force = self._force(wing, term, q_m, qdot_mps)
             total = total if force is None else total + force
         return total
 
     def _mean_slopes(
-        self, wing: WingModel, parts: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats
+        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats
     ) -> tuple[Floats, Floats]:
         """Mean derivatives of forces by deflection and by speed, (n, n) each."""
-        n, share = len(q_m), self._weight * self._signs / np.sum(self._weight)
-        slopes, total = np.zeros((2, n, n)), self._total(wing, parts, q_m, qdot_mps)
+        n, signed_weight = len(q_m), self._weight * self._signs / np.sum(self._weight)
+        slopes, total = np.zeros((2, n, n)), self._total(wing, terms, q_m, qdot_mps)
         for which, motion in enumerate((q_m, qdot_mps)):
             for j in range(n):
                 bump = _BUMP_OF_MOTION * float(np.std(motion[j]))
                 if bump > 0.0:
-                    there = [q_m, qdot_mps]
-                    there[which] = motion.copy()
-                    there[which][j] += bump * self._signs
-                    slopes[which, :, j] = (self._total(wing, parts, *there) - total) @ share / bump
+                    perturbed = [q_m, qdot_mps]
+                    perturbed[which] = motion.copy()
+                    perturbed[which][j] += bump * self._signs
+                    slopes[which, :, j] = (self._total(wing, terms, *perturbed) - total) @ signed_weight / bump
         return slopes[0], slopes[1]
 
     def _regressed(self, force: Floats, basis: Floats) -> Floats:
@@ -153,8 +155,8 @@ class SensorLineariser:
         weighed = self._weight * basis
         scale = np.sqrt(np.maximum(np.sum(weighed * basis, axis=1), 1e-300))
         gram = (weighed @ basis.T) / np.outer(scale, scale)
-        found = np.linalg.lstsq(gram, (weighed / scale[:, None]) @ force.T, rcond=1e-9)[0] / scale[:, None]
-        return np.asarray(found.T)
+        weights = np.linalg.lstsq(gram, (weighed / scale[:, None]) @ force.T, rcond=1e-9)[0] / scale[:, None]
+        return np.asarray(weights.T)
 
     def _uncorrelated(self, rest: Floats, q_m: Floats) -> Floats:
         """What is left of a force once, band by band, all is out that a linear filter of the motion makes."""
@@ -173,16 +175,16 @@ class SensorLineariser:
         spectrum -= apply(in_each, np.fft.rfft(q_m, axis=1))
         return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1))
 
-    def _force(self, wing: WingModel, part: EffectTerm, q: Floats, qdot: Floats) -> Floats | None:
-        t_s: Any = self._seen.t_s
+    def _force(self, wing: WingModel, term: EffectTerm, q: Floats, qdot: Floats) -> Floats | None:
+        t_s: Any = self._observations.t_s
         static = np.zeros((wing.count, 1))
-        channel = self._seen.covariates.get(part.channel)
-        follows = np.zeros(len(self._seen.up_mps2)) if channel is None else channel
-        return part.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
+        channel = self._observations.covariates.get(term.channel)
+        follows = np.zeros(len(self._observations.up_mps2)) if channel is None else channel
+        return term.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
 
     def _on_time(self, effect: Effect, channel: int, up: Floats) -> Floats:
         """What a station shows, (m,), taken back to where it belongs: read at the mirrored instants."""
-        station, t_s = STATIONS[self._seen.sides[channel]], self._seen.t_s
+        station, t_s = STATIONS[self._observations.sides[channel]], self._observations.t_s
         stamped = effect.sample_time(station, t_s)
         if stamped is t_s:
             return up
@@ -195,7 +197,7 @@ class SensorLineariser:
         if effects not in self._kept:
             if len(self._kept) >= _KEPT:
                 self._kept.pop(next(iter(self._kept)))
-            bent = [self._bent(effects, side, i) for i, side in enumerate(self._seen.sides)]
+            bent = [self._bent(effects, side, i) for i, side in enumerate(self._observations.sides)]
             self._kept[effects] = np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
         return self._kept[effects]
 
@@ -213,25 +215,27 @@ class SensorLineariser:
     def _of_root(self, effect: Effect) -> Floats | float:
         """What an effect adds to a root sensor, which tells the load factor."""
         fine = self._fine
-        return fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor) if self._seen.has_root else 0.0
+        return (
+            fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor) if self._observations.has_root else 0.0
+        )
 
 
 class _Fine:
     """The same recording at its sensors' own rate, where what is crooked bends the whole band."""
 
-    def __init__(self, seen: Observations, weight: Floats) -> None:
-        up = seen.up_mps2 if seen.fine_mps2 is None else seen.fine_mps2
-        rate_hz = seen.rate_hz if seen.fine_mps2 is None else seen.fine_hz
+    def __init__(self, observations: Observations, weight: Floats) -> None:
+        up = observations.up_mps2 if observations.fine_mps2 is None else observations.fine_mps2
+        rate_hz = observations.rate_hz if observations.fine_mps2 is None else observations.fine_hz
         self.up_mps2: Floats = np.ascontiguousarray(up.T)
-        self._t_s: Floats = seen.start_s + np.arange(len(up)) / rate_hz
-        self.load_factor: Floats = np.interp(self._t_s, seen.t_s, seen.load_factor)
-        self._weight: Floats = np.interp(self._t_s, seen.t_s, weight)
+        self._t_s: Floats = observations.start_s + np.arange(len(up)) / rate_hz
+        self.load_factor: Floats = np.interp(self._t_s, observations.t_s, observations.load_factor)
+        self._weight: Floats = np.interp(self._t_s, observations.t_s, weight)
         # a law may know the samples' own mean, which a bump of all alike would move
         self._signs = _signs(len(up))
         self._rigid = np.zeros((len(up), 6))
         for name, column in _RIGID_COLUMNS.items():
-            if name in seen.rigid:
-                self._rigid[:, column] = np.interp(self._t_s, seen.t_s, seen.rigid[name])
+            if name in observations.rigid:
+                self._rigid[:, column] = np.interp(self._t_s, observations.t_s, observations.rigid[name])
 
     def shown(self, channel: int) -> Floats:
         """The vertical specific force that a channel shows."""
@@ -279,11 +283,13 @@ class _Fine:
         return np.asarray(np.fft.irfft(spectrum, count) * (count / len(values)))
 
 
-def _rigid_mps2(seen: Observations) -> tuple[Floats, Floats] | None:
-    if seen.turning_mps2 is None:
+def _rigid_mps2(observations: Observations) -> tuple[Floats, Floats] | None:
+    if observations.turning_mps2 is None:
         return None
-    turning = seen.turning_mps2 - seen.turning_mps2.mean(0)
-    return GRAVITY_MPS2 * (np.mean(seen.load_factor) - seen.load_factor), np.ascontiguousarray(turning.T)
+    turning = observations.turning_mps2 - observations.turning_mps2.mean(0)
+    return GRAVITY_MPS2 * (np.mean(observations.load_factor) - observations.load_factor), np.ascontiguousarray(
+        turning.T
+    )
 
 
 def _signs(count: int) -> Floats:

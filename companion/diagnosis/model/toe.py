@@ -28,13 +28,15 @@ _FOLLOWED = 3  # modes
 class ToeModel:
     """The exposures of one recording, on the grid and frequency axis of its accelerations."""
 
-    def __init__(self, belief: Belief, seen: Observations, toe: ToeData, transforms: Transforms, f_hz: Floats) -> None:
-        self._belief, self._seen, self._toe, self._transforms = belief, seen, toe, transforms
+    def __init__(
+        self, belief: Belief, observations: Observations, toe: ToeData, transforms: Transforms, f_hz: Floats
+    ) -> None:
+        self._belief, self._observations, self._toe, self._transforms = belief, observations, toe, transforms
         self._omega: Floats = 2.0 * np.pi * f_hz
-        left, right = belief.airframe.left_camera, belief.airframe.right_camera
-        assert left is not None
-        assert right is not None
-        self.baseline_m = right.position_m[1] - left.position_m[1]
+        left_camera, right_camera = belief.airframe.left_camera, belief.airframe.right_camera
+        assert left_camera is not None
+        assert right_camera is not None
+        self.baseline_m = right_camera.position_m[1] - left_camera.position_m[1]
         place = np.abs(np.subtract.outer(toe.t_s, toe.t_s)) * (_FINER / transforms.dt_s)
         self._lag = place.astype(np.int32)
         self._beyond = place - self._lag
@@ -76,16 +78,16 @@ class ToeModel:
         if not toe_terms:
             return 0.0
         toe = self._toe
-        load = np.interp(toe.t_s, self._seen.t_s, self._seen.load_factor)
+        load = np.interp(toe.t_s, self._observations.t_s, self._observations.load_factor)
         reading_rad = self.baseline_m * toe.inverse_m + expected
         offered = toe_regressors(toe, *self._modes(motion), load, reading_rad)
         return sum(effect.added(offered) for effect in toe_terms)
 
     def _modes(self, motion: Motion) -> tuple[Floats, Floats]:
         """Smoothed deflection and speed of the first modes, and of one more, at the exposures, (n, k) each."""
-        t_s = self._seen.t_s
+        t_s = self._observations.t_s
         deflection, speed = (
-            np.stack([np.interp(self._toe.t_s, t_s, row) for row in one[:_FOLLOWED]]) for one in motion.in_time
+            np.stack([np.interp(self._toe.t_s, t_s, row) for row in series[:_FOLLOWED]]) for series in motion.in_time
         )
         return deflection, speed
 
@@ -95,10 +97,10 @@ class ToeModel:
         row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
         prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
         unknown = prior - product(motion.smoother, adjoint(motion.cross))
-        left = product(product(row, unknown), adjoint(row))[0, 0].real
-        left[0] = 0.0  # the constant part is trim and toe, which are parameters
+        density = product(product(row, unknown), adjoint(row))[0, 0].real
+        density[0] = 0.0  # the constant part is trim and toe, which are parameters
         m = _FINER * self._transforms.count
-        lags = np.fft.irfft(np.maximum(left, 0.0), m) * (_FINER / self._transforms.dt_s)
+        lags = np.fft.irfft(np.maximum(density, 0.0), m) * (_FINER / self._transforms.dt_s)
         # periodic like the transform, which keeps it positive definite
         lags = np.append(lags, lags[0])
         return np.asarray(lags[self._lag] * (1.0 - self._beyond) + lags[self._lag + 1] * self._beyond)
@@ -109,10 +111,10 @@ class ToeModel:
         key = (row.tobytes(), late_s)
         if steady and self._kept is not None and self._kept[0] is motion and self._kept[1] == key:
             return self._kept[2]
-        found = self._transforms.at(np.sum(row * motion.modal, axis=0), self._toe.t_s + late_s)
+        bending_rad = self._transforms.at(np.sum(row * motion.modal, axis=0), self._toe.t_s + late_s)
         if steady:
-            self._kept = (motion, key, found)
-        return found
+            self._kept = (motion, key, bending_rad)
+        return bending_rad
 
     def _slope(self, wing: WingModel, views: Sequence[CameraView]) -> Complexes:
         """Slope of either camera per modal deflection, (2, n, f); (2, n, 1) where every frequency is followed alike."""
@@ -122,6 +124,6 @@ class ToeModel:
     def _static(self, wing: WingModel, side: Side, view: CameraView, at_s: Floats) -> Floats:
         structure = wing.structure
         # what the load factor bends beyond its mean is in the motion: it drives the wing
-        load = np.full(len(at_s), float(np.mean(self._seen.load_factor)) - 1.0)
+        load = np.full(len(at_s), float(np.mean(self._observations.load_factor)) - 1.0)
         bend = structure.static_trim_m[:, None] + structure.static_per_g_m[:, None] * load
         return np.asarray(view.slope_gain * (structure.slope_radpm[side] @ bend))

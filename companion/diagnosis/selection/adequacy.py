@@ -61,46 +61,52 @@ def check(models: Sequence[FlightModel], fitted: Fit, seed: int = 20250101) -> l
     """All checks of a fitted model, the worst first."""
     rng = np.random.default_rng(seed)
     checks = lack_of_fit_tests(models, fitted)
-    for model, found in zip(models, fitted.found, strict=True):
-        tests = {**_unsteady(model, found, rng), **_changing(model, found, rng), **_lines(model, found)}
-        for name, z in {**tests, **_toe(model, found, rng)}.items():
+    for model, expectation in zip(models, fitted.expectations, strict=True):
+        tests = {
+            **_unsteady(model, expectation, rng),
+            **_changing(model, expectation, rng),
+            **_lines(model, expectation),
+        }
+        for name, z in {**tests, **_toe(model, expectation, rng)}.items():
             if abs(z) > abs(checks.get(name, 0.0)) or name not in checks:
                 checks[name] = z
     checks |= prior_tension(models[0].belief, fitted)
-    limit = LIMIT_OF_NAMES if fitted.parts else LIMIT
+    limit = LIMIT_OF_NAMES if fitted.terms else LIMIT
     return sorted((Check(name, z, limit) for name, z in checks.items()), key=lambda entry: -abs(entry.z))
 
 
-def _lines(model: FlightModel, found: Expectation) -> dict[str, float]:
+def _lines(model: FlightModel, expectation: Expectation) -> dict[str, float]:
     """The strongest single frequency of the residual, and of the stiffness, paid for the looking."""
     strengths = {}
     for name, line in (
-        ("single line", strongest_line(model, found)),
-        ("swing", strongest_parametric_excitation(model, found)),
+        ("single line", strongest_line(model, expectation)),
+        ("swing", strongest_parametric_excitation(model, expectation)),
     ):
         if line is not None:
             strengths[f"{name} in the residual"] = normal_score(min(line.log_tail, 0.0))
     return strengths
 
 
-def _unsteady(model: FlightModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+def _unsteady(model: FlightModel, expectation: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Outliers and swelling of the whitened residual in time, against as much white noise."""
-    white = apply(adjoint(found.motion.whitener), found.residual)
+    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     in_time = np.fft.ifft(white, axis=1, norm="ortho")
     middle = in_time[:, in_time.shape[1] // 16 : -in_time.shape[1] // 16]  # clear of the taper
-    names = [f"{side.name.lower()} {what}" for what in ("outliers", "unsteadiness") for side in model.seen.sides]
+    names = [
+        f"{side.name.lower()} {what}" for what in ("outliers", "unsteadiness") for side in model.observations.sides
+    ]
     real = _of_envelope(np.abs(middle) ** 2)
     drawn = np.stack([_of_envelope(rng.standard_exponential(middle.shape)) for _ in range(_SIMULATED)])
     return dict(zip(names, [strength(*entry) for entry in zip(real, drawn.T, strict=True)], strict=True))
 
 
-def _changing(model: FlightModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+def _changing(model: FlightModel, expectation: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Whether the spectrum changes in time, by narrow bands, against as much tapered white noise.
 
     How the power in a band swings with a period of T/m is the sum over the band of one bin times the m-th after it; two
     lines that were never there together are no two modes.
     """
-    white = apply(adjoint(found.motion.whitener), found.residual)
+    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     count = white.shape[1]
     edges = np.unique(
         np.searchsorted(model.band_hz, np.geomspace(model.band_hz[0], model.band_hz[-1], _NARROW + 1)[:-1])
@@ -122,14 +128,14 @@ def _changing(model: FlightModel, found: Expectation, rng: np.random.Generator) 
     # the tail of a single band is exponential only where many bins are in it
     worst = (real / mean).max(axis=(0, 1)) * (np.diff(np.append(edges, count)) >= _MANY)
     best, log_trials = int(np.argmax(worst)), math.log(real.size)
-    found_in = {
+    tests = {
         f"power changing in time near {centre_hz[best]:.1f} Hz": normal_score(min(log_trials - float(worst[best]), 0.0))
     }
     for name, inside in (("spectra", centre_hz > 0.0), ("first modes", _near_modes(model, centre_hz))):
         if inside.any():
-            whole = np.sum(table[..., inside], axis=(1, 2, 3))
-            found_in[f"{name} changing in time"] = strength(float(np.sum(real[..., inside])), whole)
-    return found_in
+            total = np.sum(table[..., inside], axis=(1, 2, 3))
+            tests[f"{name} changing in time"] = strength(float(np.sum(real[..., inside])), total)
+    return tests
 
 
 def _near_modes(model: FlightModel, f_hz: Floats) -> Mask:
@@ -140,12 +146,12 @@ def _near_modes(model: FlightModel, f_hz: Floats) -> Mask:
 
 def _swings(white: Complexes, edges: Indices) -> Floats:
     """Strength of the m-th swing of the power in each band, (c, swings, bands); of chance about 1."""
-    found = []
+    strengths = []
     for m in range(1, _SWINGS + 1):
         products = white[:, :-m] * white[:, m:].conj()
         counts = np.diff(np.append(edges, products.shape[1]))
-        found.append(np.abs(np.add.reduceat(products, edges, axis=1)) ** 2 / counts)
-    return np.stack(found, 1)
+        strengths.append(np.abs(np.add.reduceat(products, edges, axis=1)) ** 2 / counts)
+    return np.stack(strengths, 1)
 
 
 def _of_envelope(power: Floats) -> Floats:
@@ -155,12 +161,12 @@ def _of_envelope(power: Floats) -> Floats:
     return np.concatenate([np.log(kurtosis), blocks.var(1) / blocks.mean(1) ** 2])
 
 
-def _toe(model: FlightModel, found: Expectation, rng: np.random.Generator) -> dict[str, float]:
+def _toe(model: FlightModel, expectation: Expectation, rng: np.random.Generator) -> dict[str, float]:
     """Size, neighbours and outliers of the whitened toe residual, against as much white noise."""
-    if model.seen.toe is None:
+    if model.observations.toe is None:
         return {}
-    root = np.linalg.cholesky(found.toe_covariance)
-    white = solve_triangular(root, found.toe_residual_rad, lower=True)
+    root = np.linalg.cholesky(expectation.toe_covariance)
+    white = solve_triangular(root, expectation.toe_residual_rad, lower=True)
     drawn = np.stack([_of_residual(rng.standard_normal(len(root))) for _ in range(_SIMULATED)])
     names = ("range residual size", "range residual neighbours")
     tests = {name: strength(*entry) for name, *entry in zip(names, _of_residual(white), drawn.T, strict=True)}

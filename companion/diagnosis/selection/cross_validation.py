@@ -66,12 +66,14 @@ def cross_validate(
 
     Of a short recording there are fewer than ``most`` blocks: each must hold exposures between its guards and margins.
     """
-    parts = [_blocks(model, min(most, max(2, 2 * int(model.seen.duration_s / (2.0 * _BLOCK_S))))) for model in models]
+    blocks = [
+        _blocks(model, min(most, max(2, 2 * int(model.observations.duration_s / (2.0 * _BLOCK_S))))) for model in models
+    ]
     scores: list[dict[str, float]] = []
     residuals: list[tuple[Floats, Floats]] = []
     for fold in range(2):
-        train = [block for pieces in parts for block in pieces[fold::2]]
-        test = [block for pieces in parts for block in pieces[1 - fold :: 2]]
+        train = [block for pieces in blocks for block in pieces[fold::2]]
+        test = [block for pieces in blocks for block in pieces[1 - fold :: 2]]
         first = _again(train, before)
         progress((2 * fold + 1) / 4.0)
         second = _again(train, after)
@@ -80,24 +82,26 @@ def cross_validate(
             old, new = _judge(block, first), _judge(block, second)
             scores.append({name: new[0][name] - old[0][name] for name in new[0]})
             residuals.append((old[1], new[1]))
-    own = len(models[0].belief.nuisances)
-    return _summary(scores, residuals, models, before.neg_log_prior(own) - after.neg_log_prior(own))
+    count = len(models[0].belief.nuisances)
+    return _summary(scores, residuals, models, before.neg_log_prior(count) - after.neg_log_prior(count))
 
 
 def _blocks(model: FlightModel, count: int) -> list[FlightModel]:
-    seen = model.seen
-    length = seen.duration_s / count
+    observations = model.observations
+    length = observations.duration_s / count
     windows = [(k * length + _GUARD_S, (k + 1) * length - _GUARD_S) for k in range(count)]
-    return [FlightModel(model.belief, seen.window(*window), model.top_hz, model.recording) for window in windows]
+    return [
+        FlightModel(model.belief, observations.window(*window), model.top_hz, model.recording) for window in windows
+    ]
 
 
-def _again(train: Sequence[FlightModel], whole: Fit) -> Fit:
-    return fit(train, whole.parts, whole.values, rounds=3, wider=_WIDER)
+def _again(train: Sequence[FlightModel], fitted: Fit) -> Fit:
+    return fit(train, fitted.terms, fitted.values, rounds=3, wider=_WIDER)
 
 
 def _judge(block: FlightModel, fitted: Fit) -> tuple[dict[str, float], Floats]:
-    (found,) = expect([block], fitted.values, fitted.parts)
-    return block.log_scores(found), found.toe_residual_rad
+    (expectation,) = expect([block], fitted.values, fitted.terms)
+    return block.log_scores(expectation), expectation.toe_residual_rad
 
 
 def _summary(

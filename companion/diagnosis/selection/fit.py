@@ -33,7 +33,7 @@ class Fit:
 
     Attributes
     ----------
-    parts : tuple of Part
+    terms : tuple of EffectTerm
         The effects at their fitted values.
     values : (p,)
         Nuisance deviations, then effect parameters in order.
@@ -42,21 +42,21 @@ class Fit:
     covariance : (p, p)
         Posterior covariance.
     log_likelihood, log_evidence : float
-    found : tuple of Expectation
+    expectations : tuple of Expectation
         At the fitted values, by recording.
     columns : tuple of tuple of Column
         Derivatives there, by recording and parameter.
     converged : bool
     """
 
-    parts: tuple[EffectTerm, ...]
+    terms: tuple[EffectTerm, ...]
     values: Floats
     centres: Floats
     sigmas: Floats
     covariance: Floats
     log_likelihood: float
     log_evidence: float
-    found: tuple[Expectation, ...]
+    expectations: tuple[Expectation, ...]
     columns: tuple[tuple[Column, ...], ...]
     converged: bool
 
@@ -68,51 +68,51 @@ class Fit:
 
 def fit(
     models: Sequence[FlightModel],
-    parts: Sequence[EffectTerm],
+    terms: Sequence[EffectTerm],
     start: Floats | None = None,
     rounds: int = 24,
     wider: float = 1.0,
 ) -> Fit:
     """Find the most probable parameters in at most ``rounds`` scoring steps.
 
-    Effects begin at the values of ``parts``, nuisances at those of ``start`` or at the belief. The priors of the
+    Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief. The priors of the
     effects are made ``wider`` times as wide: for values and intervals that are the data's own.
     """
     belief = models[0].belief
-    centres, sigmas = priors(belief, parts)
+    centres, sigmas = priors(belief, terms)
     sigmas[len(belief.nuisances) :] *= wider
-    values = np.concatenate([np.zeros(len(belief.nuisances)), *[_values(part) for part in parts]])
+    values = np.concatenate([np.zeros(len(belief.nuisances)), *[_values(term) for term in terms]])
     if start is not None:
         count = min(len(start), len(belief.nuisances))
         values[:count] = start[:count]
-    found = expect(models, values, parts)
-    score, converged, damping = log_posterior(models, found, values, centres, sigmas), False, 0.0
-    columns = derivatives(models, values, parts, found, sigmas)
+    expectations = expect(models, values, terms)
+    score, converged, damping = log_posterior(models, expectations, values, centres, sigmas), False, 0.0
+    columns = derivatives(models, values, terms, expectations, sigmas)
     for _ in range(rounds):
-        gradient, information = _posterior_scores(models, values, found, columns, centres, sigmas)
-        better = _climb(models, parts, found, values, (gradient, information), score, centres, sigmas, damping)
+        gradient, information = _posterior_scores(models, values, expectations, columns, centres, sigmas)
+        better = _climb(models, terms, expectations, values, (gradient, information), score, centres, sigmas, damping)
         if better is None:
             converged = float(gradient @ np.linalg.solve(information, gradient)) < 1.0
             break
         gained = better[1] - score
         values, damping = better[0], better[2]
-        found = expect(models, values, parts)
-        score = log_posterior(models, found, values, centres, sigmas)
-        columns = derivatives(models, values, parts, found, sigmas)
+        expectations = expect(models, values, terms)
+        score = log_posterior(models, expectations, values, centres, sigmas)
+        columns = derivatives(models, values, terms, expectations, sigmas)
         if gained < _ENOUGH:
             converged = True
             break
-    information = _posterior_scores(models, values, found, columns, centres, sigmas)[1]
+    information = _posterior_scores(models, values, expectations, columns, centres, sigmas)[1]
     _, log_det = np.linalg.slogdet(information)
     return Fit(
-        placed(belief, values, parts),
+        placed(belief, values, terms),
         values,
         centres,
         sigmas,
         np.asarray(np.linalg.inv(information), dtype=np.float64),
-        log_likelihood(models, found),
+        log_likelihood(models, expectations),
         score - float(np.sum(np.log(sigmas))) - 0.5 * float(log_det),
-        found,
+        expectations,
         tuple(tuple(entry) for entry in columns),
         converged,
     )
@@ -121,73 +121,75 @@ def fit(
 def _posterior_scores(
     models: Sequence[FlightModel],
     values: Floats,
-    found: Sequence[Expectation],
+    expectations: Sequence[Expectation],
     columns: Sequence[Sequence[Column]],
     centres: Floats,
     sigmas: Floats,
 ) -> tuple[Floats, Floats]:
-    gradient, information = joint_scores(models, found, columns)
+    gradient, information = joint_scores(models, expectations, columns)
     gradient -= (values - centres) / sigmas**2
     information[np.diag_indices(len(values))] += 1.0 / sigmas**2
     return gradient, information
 
 
-def log_likelihood(models: Sequence[FlightModel], found: Sequence[Expectation]) -> float:
+def log_likelihood(models: Sequence[FlightModel], expectations: Sequence[Expectation]) -> float:
     """Log likelihood of all recordings together."""
-    return sum(model.log_likelihood(one) for model, one in zip(models, found, strict=True))
+    return sum(model.log_likelihood(expectation) for model, expectation in zip(models, expectations, strict=True))
 
 
 def joint_scores(
-    models: Sequence[FlightModel], found: Sequence[Expectation], columns: Sequence[Sequence[Column]]
+    models: Sequence[FlightModel], expectations: Sequence[Expectation], columns: Sequence[Sequence[Column]]
 ) -> tuple[Floats, Floats]:
     """Gradient and information of all recordings together; ``columns`` by recording."""
-    each = [scores(*entry) for entry in zip(models, found, columns, strict=True)]
+    each = [scores(*entry) for entry in zip(models, expectations, columns, strict=True)]
     return np.sum([gradient for gradient, _ in each], axis=0), np.sum([matrix for _, matrix in each], axis=0)
 
 
 def expect(
     models: Sequence[FlightModel],
     values: Floats,
-    parts: Sequence[EffectTerm],
+    terms: Sequence[EffectTerm],
     near: Sequence[Expectation] | None = None,
 ) -> tuple[Expectation, ...]:
     """Hold a whole parameter vector against the recordings; ``near`` lends how well the toe is told."""
     belief = models[0].belief
-    there = placed(belief, values, parts)
+    placed_terms = placed(belief, values, terms)
     lent = near if near else [None] * len(models)
     deviations = values[: len(belief.nuisances)]
-    return tuple(model.expect(deviations, there, own) for model, own in zip(models, lent, strict=True))
+    return tuple(
+        model.expect(deviations, placed_terms, neighbour) for model, neighbour in zip(models, lent, strict=True)
+    )
 
 
-def placed(belief: Belief, values: Floats, parts: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
+def placed(belief: Belief, values: Floats, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     """The effects with the values of a parameter vector."""
     at, done = len(belief.nuisances), []
-    for part in parts:
-        names = [entry.name for entry in part.effect.parameters()]
-        done.append(part.with_values(dict(zip(names, values[at : at + len(names)].tolist(), strict=True))))
+    for term in terms:
+        names = [entry.name for entry in term.effect.parameters()]
+        done.append(term.with_values(dict(zip(names, values[at : at + len(names)].tolist(), strict=True))))
         at += len(names)
     return tuple(done)
 
 
-def priors(belief: Belief, parts: Sequence[EffectTerm]) -> tuple[Floats, Floats]:
+def priors(belief: Belief, terms: Sequence[EffectTerm]) -> tuple[Floats, Floats]:
     """Centres and sigmas of the whole parameter vector."""
-    declared = [entry for part in parts for entry in part.effect.parameters()]
+    declared = [entry for term in terms for entry in term.effect.parameters()]
     centres = np.concatenate([np.zeros(len(belief.nuisances)), [entry.default for entry in declared]])
     return centres, np.concatenate([belief.sigmas, [entry.sigma for entry in declared]])
 
 
 def log_posterior(
-    models: Sequence[FlightModel], found: Sequence[Expectation], values: Floats, centres: Floats, sigmas: Floats
+    models: Sequence[FlightModel], expectations: Sequence[Expectation], values: Floats, centres: Floats, sigmas: Floats
 ) -> float:
     """Log likelihood and prior, up to a constant."""
-    return log_likelihood(models, found) - 0.5 * float(np.sum(((values - centres) / sigmas) ** 2))
+    return log_likelihood(models, expectations) - 0.5 * float(np.sum(((values - centres) / sigmas) ** 2))
 
 
 def derivatives(
     models: Sequence[FlightModel],
     values: Floats,
-    parts: Sequence[EffectTerm],
-    found: Sequence[Expectation],
+    terms: Sequence[EffectTerm],
+    expectations: Sequence[Expectation],
     sigmas: Floats,
     only: Sequence[int] | None = None,
 ) -> list[list[Column]]:
@@ -195,7 +197,7 @@ def derivatives(
     belief = models[0].belief
     keys = [entry.key for entry in belief.nuisances]
     owners: list[Effect | None] = [None] * len(keys)
-    owners += [part.effect for part in parts for _ in part.effect.parameters()]
+    owners += [term.effect for term in terms for _ in term.effect.parameters()]
     columns: list[list[Column]] = [[] for _ in models]
     for i in range(len(values)) if only is None else only:
         owner = owners[i]
@@ -203,27 +205,27 @@ def derivatives(
         alone = (i < len(keys) and keys[i].startswith("match")) or (
             owner is not None and (owner.name == "exposure-jitter" or isinstance(owner, GenericToeVariance))
         )
-        for model, one, mine in zip(models, found, columns, strict=True):
+        for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
             if i < len(keys) and not belief.concerns(i, model.recording):
-                mine.append(Column())
+                recording_columns.append(Column())
                 continue
-            other, step = _beside(model, one, values, i, float(sigmas[i]), parts)
+            other, step = _beside(model, expectation, values, i, float(sigmas[i]), terms)
             shift = model.time_shift(owner) if owner is not None else model.delay_shift(keys[i])
             warps = owner is not None and shift is not None and type(owner).response is Effect.response
-            mine.append(column(one, other, step, alone, shift, warps))
+            recording_columns.append(column(expectation, other, step, alone, shift, warps))
     return columns
 
 
 def _beside(
-    model: FlightModel, found: Expectation, values: Floats, i: int, sigma: float, parts: Sequence[EffectTerm]
+    model: FlightModel, expectation: Expectation, values: Floats, i: int, sigma: float, terms: Sequence[EffectTerm]
 ) -> tuple[Expectation, float]:
     """An expectation with one parameter a little further on, or back where further on nothing is physical."""
     count = len(model.belief.nuisances)
     for step in (_STEP * sigma, -_STEP * sigma):
-        there = values.copy()
-        there[i] += step
+        perturbed = values.copy()
+        perturbed[i] += step
         try:
-            return model.expect(there[:count], placed(model.belief, there, parts), found), step
+            return model.expect(perturbed[:count], placed(model.belief, perturbed, terms), expectation), step
         except ValueError as error:
             edge = error
     raise edge
@@ -231,7 +233,7 @@ def _beside(
 
 def _climb(
     models: Sequence[FlightModel],
-    parts: Sequence[EffectTerm],
+    terms: Sequence[EffectTerm],
     near: Sequence[Expectation],
     values: Floats,
     slope: tuple[Floats, Floats],
@@ -250,17 +252,17 @@ def _climb(
         move = np.linalg.solve(information + damping * np.diag(1.0 / sigmas**2), gradient)
         move *= 0.4 ** max(0, k - _DAMPED_TRIES)
         move *= min(1.0, _FARTHEST / max(float(np.max(np.abs(move) / np.maximum(sigmas, 1e-12))), _FARTHEST))
-        there: Floats = np.asarray(values + move, dtype=np.float64)
+        candidate: Floats = np.asarray(values + move, dtype=np.float64)
         try:
-            reached = log_posterior(models, expect(models, there, parts, near), there, centres, sigmas)
+            reached = log_posterior(models, expect(models, candidate, terms, near), candidate, centres, sigmas)
         except (ValueError, FloatingPointError, np.linalg.LinAlgError):
             reached = -np.inf  # beyond what is physical
         if reached > score:
             softer = damping / _SOFTER if k == 0 else damping
-            return there, reached, softer if softer >= _UNDAMPED else 0.0
+            return candidate, reached, softer if softer >= _UNDAMPED else 0.0
         damping = max(_HARDER * damping, _DAMPING)
     return None
 
 
-def _values(part: EffectTerm) -> list[float]:
-    return [float(getattr(part.effect, entry.name)) for entry in part.effect.parameters()]
+def _values(term: EffectTerm) -> list[float]:
+    return [float(getattr(term.effect, entry.name)) for entry in term.effect.parameters()]

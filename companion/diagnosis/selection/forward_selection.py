@@ -61,12 +61,12 @@ class Extension:
 
     def __init__(self, models: Sequence[FlightModel], kinds: Sequence[type[Effect]], progress: Progress) -> None:
         self._models, self._kinds, self._progress = models, kinds, progress
-        self._channels = sorted({name for model in models for name in model.seen.covariates})
+        self._channels = sorted({name for model in models for name in model.observations.covariates})
 
     def screen(self, fitted: Fit) -> Screening:
         """Score the whole catalogue at a fitted model."""
-        parts = candidates_of(self._kinds, self._channels, find_proposals(self._models, fitted))
-        return screen(self._models, fitted, parts, lambda share: self._progress("screen the catalogue", share))
+        terms = candidates_of(self._kinds, self._channels, find_proposals(self._models, fitted))
+        return screen(self._models, fitted, terms, lambda fraction: self._progress("screen the catalogue", fraction))
 
     def search(self, null: Fit, first: Screening, most: int) -> Path:
         """The path of at most ``most`` effects with the largest evidence, without effects that it can do without."""
@@ -90,7 +90,7 @@ class Extension:
     def _screened(self, beam: Sequence[Path]) -> list[Screening]:
         """Screenings of the paths; none where the foremost leaves nothing: the others could at best draw level."""
         foremost = self.screen(beam[0].fitted)
-        if not any(one.z > CERTAIN_Z for one in _fresh(beam[0], foremost)):
+        if not any(candidate.z > CERTAIN_Z for candidate in _fresh(beam[0], foremost)):
             return []
         return [foremost, *(self.screen(path.fitted) for path in beam[1:])]
 
@@ -100,7 +100,7 @@ class Extension:
             return path
         self._progress("measure what was found", 0.0)
         try:
-            fitted = fit(self._models, path.fitted.parts, path.fitted.values, wider=UNPREJUDICED)
+            fitted = fit(self._models, path.fitted.terms, path.fitted.values, wider=UNPREJUDICED)
         except (ValueError, FloatingPointError, np.linalg.LinAlgError):
             return path
         return Path(fitted, restated(path.causes, fitted)) if fitted.converged else path
@@ -120,8 +120,8 @@ class Extension:
         started: list[tuple[Candidate, Fit]] = []
         for i, candidate in enumerate(leading):
             self._progress(f"refit {candidate.name}", i / len(leading))
-            led = mount_resonance_proposal(self._models, path.fitted, candidate.part)
-            offered = candidate if led is None else dataclasses.replace(candidate, part=led)
+            led = mount_resonance_proposal(self._models, path.fitted, candidate.term)
+            offered = candidate if led is None else dataclasses.replace(candidate, term=led)
             fitted = self._fitted(path, offered, () if led is None else (led,))
             if fitted is not None:
                 started.append((offered, fitted))
@@ -129,8 +129,8 @@ class Extension:
         most = max((fitted.log_evidence for _, fitted in started), default=0.0)
         for candidate, fitted in started:
             if not fitted.converged and most - fitted.log_evidence < _WITHIN:
-                fitted = fit(self._models, fitted.parts, fitted.values, _TO_THE_END)
-            if candidate.part.effect.one_way and fitted.values[len(path.fitted.values)] <= 0.0:
+                fitted = fit(self._models, fitted.terms, fitted.values, _TO_THE_END)
+            if candidate.term.effect.one_way and fitted.values[len(path.fitted.values)] <= 0.0:
                 continue
             # how many frequencies or instants were looked at is paid for by the prior of the one that was fitted
             factor = fitted.log_evidence - path.fitted.log_evidence
@@ -140,9 +140,9 @@ class Extension:
 
     def _fitted(self, path: Path, candidate: Candidate, led: tuple[EffectTerm, ...] = ()) -> Fit | None:
         """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
-        for part in (*led, *(perturbed_start(candidate, step) for step in _FIRST_STEPS)):
+        for term in (*led, *(perturbed_start(candidate, step) for step in _FIRST_STEPS)):
             try:
-                return fit(self._models, (*path.fitted.parts, part), path.fitted.values, _AT_FIRST)
+                return fit(self._models, (*path.fitted.terms, term), path.fitted.values, _AT_FIRST)
             except (ValueError, FloatingPointError, np.linalg.LinAlgError):
                 continue
         return None
@@ -154,7 +154,7 @@ class Extension:
     def _step(self, path: Path, best: _Tried, tried: Sequence[_Tried], screening: Screening) -> Path:
         size = len(best.fitted.values) - len(path.fitted.values)
         cause = Cause(
-            best.fitted.parts[-1],
+            best.fitted.terms[-1],
             _alike(best, tried, screening),
             best.log_bayes_factor,
             best.bic,
@@ -166,28 +166,30 @@ class Extension:
 
     def _pruned(self, path: Path, null: Fit) -> Path:
         """Leave out what later effects have made superfluous; restate what each is worth beside the others."""
-        kept = path
+        pruned = path
         for cause in path.causes if len(path.causes) > 1 else ():
-            index = [entry.part.effect.name for entry in kept.causes].index(cause.part.effect.name)
-            parts = tuple(part for i, part in enumerate(kept.fitted.parts) if i != index)
-            self._progress(f"do without {cause.part.effect.name}", 0.0)
-            without = fit(self._models, parts, kept.fitted.values[: len(null.values)])
-            factor = kept.fitted.log_evidence - without.log_evidence
-            others = tuple(entry for i, entry in enumerate(kept.causes) if i != index)
+            index = [entry.term.effect.name for entry in pruned.causes].index(cause.term.effect.name)
+            terms = tuple(term for i, term in enumerate(pruned.fitted.terms) if i != index)
+            self._progress(f"do without {cause.term.effect.name}", 0.0)
+            without = fit(self._models, terms, pruned.fitted.values[: len(null.values)])
+            factor = pruned.fitted.log_evidence - without.log_evidence
+            others = tuple(entry for i, entry in enumerate(pruned.causes) if i != index)
             if factor < ENOUGH_MORE and others:
-                kept = Path(without, restated(others, without))
+                pruned = Path(without, restated(others, without))
             else:
-                bic = self._bic(without, kept.fitted)
-                causes = list(kept.causes)
-                own = causes[index]
-                causes[index] = Cause(own.part, own.group, factor, bic, own.z, own.values, own.sigmas)
-                kept = Path(kept.fitted, tuple(causes))
-        return kept
+                bic = self._bic(without, pruned.fitted)
+                causes = list(pruned.causes)
+                cause_old = causes[index]
+                causes[index] = Cause(
+                    cause_old.term, cause_old.group, factor, bic, cause_old.z, cause_old.values, cause_old.sigmas
+                )
+                pruned = Path(pruned.fitted, tuple(causes))
+        return pruned
 
 
 def log_count(models: Sequence[FlightModel]) -> float:
     """Logarithm of how many numbers the accelerations are, which BIC charges for each parameter."""
-    return math.log(sum(len(model.band_hz) * 2 * len(model.seen.sides) for model in models))
+    return math.log(sum(len(model.band_hz) * 2 * len(model.observations.sides) for model in models))
 
 
 def penalised_log_likelihood(models: Sequence[FlightModel], fitted: Fit, null: Fit) -> float:
@@ -198,7 +200,7 @@ def penalised_log_likelihood(models: Sequence[FlightModel], fitted: Fit, null: F
     """
     count, extra = len(null.values), len(fitted.values) - len(null.values)
     gained = fitted.log_likelihood - null.log_likelihood - (fitted.neg_log_prior(count) - null.neg_log_prior(count))
-    return gained - 0.5 * extra * log_count(models) - sum(part.log_trials for part in fitted.parts)
+    return gained - 0.5 * extra * log_count(models) - sum(term.log_trials for term in fitted.terms)
 
 
 def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
@@ -206,30 +208,30 @@ def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
     sizes = [len(cause.values) for cause in causes]
     at = len(final.values) - sum(sizes)
     spread = np.sqrt(np.diag(final.covariance))
-    found = []
-    for cause, part, size in zip(causes, final.parts, sizes, strict=True):
-        mine = slice(at, at + size)
+    causes_restated = []
+    for cause, term, size in zip(causes, final.terms, sizes, strict=True):
+        block = slice(at, at + size)
         at += size
-        values, sigmas = tuple(final.values[mine].tolist()), tuple(spread[mine].tolist())
-        found.append(Cause(part, cause.group, cause.log_bayes_factor, cause.bic, cause.z, values, sigmas))
-    return tuple(found)
+        values, sigmas = tuple(final.values[block].tolist()), tuple(spread[block].tolist())
+        causes_restated.append(Cause(term, cause.group, cause.log_bayes_factor, cause.bic, cause.z, values, sigmas))
+    return tuple(causes_restated)
 
 
 def _fresh(path: Path, screening: Screening) -> list[Candidate]:
-    names = {cause.part.effect.name for cause in path.causes}
+    names = {cause.term.effect.name for cause in path.causes}
     return [entry for entry in screening.candidates if entry.name not in names]
 
 
 def _foremost(paths: Sequence[Path]) -> list[Path]:
     """The best paths, each set of names once."""
-    found: list[Path] = []
-    seen: set[frozenset[tuple[str, str]]] = set()
+    best: list[Path] = []
+    names_listed: set[frozenset[tuple[str, str]]] = set()
     for path in sorted(paths, key=lambda entry: -entry.fitted.log_evidence):
-        names = frozenset((part.effect.name, part.channel) for part in path.fitted.parts)
-        if names not in seen and (not found or _behind(path, found[0]) < _WITHIN):
-            seen.add(names)
-            found.append(path)
-    return found[:_BEAM]
+        names = frozenset((term.effect.name, term.channel) for term in path.fitted.terms)
+        if names not in names_listed and (not best or _behind(path, best[0]) < _WITHIN):
+            names_listed.add(names)
+            best.append(path)
+    return best[:_BEAM]
 
 
 def _behind(path: Path, best: Path) -> float:
@@ -242,14 +244,14 @@ def perturbed_start(candidate: Candidate, most: float) -> EffectTerm:
     What the data have led to, a frequency or instants, begins as strong as the score says: from less, the fit would
     move these astray before the strength has grown.
     """
-    declared = candidate.part.effect.parameters()
-    values = {entry.name: float(getattr(candidate.part.effect, entry.name)) for entry in declared}
+    declared = candidate.term.effect.parameters()
+    values = {entry.name: float(getattr(candidate.term.effect, entry.name)) for entry in declared}
     information = candidate.information + np.eye(len(declared))
     step = np.linalg.solve(information, candidate.score)
-    steps = step / _FIRST_STEPS[0] if candidate.part.log_trials else np.clip(step, -1.0, 1.0)
-    for entry, share in zip(declared, steps.tolist(), strict=True):
-        values[entry.name] += most * entry.sigma * share
-    return candidate.part.with_values(values)
+    steps = step / _FIRST_STEPS[0] if candidate.term.log_trials else np.clip(step, -1.0, 1.0)
+    for entry, step_sigmas in zip(declared, steps.tolist(), strict=True):
+        values[entry.name] += most * entry.sigma * step_sigmas
+    return candidate.term.with_values(values)
 
 
 def _alike(best: _Tried, tried: Sequence[_Tried], screening: Screening) -> tuple[str, ...]:
@@ -257,8 +259,8 @@ def _alike(best: _Tried, tried: Sequence[_Tried], screening: Screening) -> tuple
 
     So is what the recording itself says for either, where it is the prior of a strength that ranks the two.
     """
-    own = best.candidate.name, best.candidate.part.channel
-    mine = [(one.name, one.part.channel) for one in screening.candidates].index(own)
+    key = best.candidate.name, best.candidate.term.channel
+    row = [(candidate.name, candidate.term.channel) for candidate in screening.candidates].index(key)
     refitted = {entry.candidate.name: entry.log_bayes_factor for entry in tried}
     alike = {name for name, factor in refitted.items() if best.log_bayes_factor - factor < _TOO_CLOSE}
     alike |= {
@@ -266,7 +268,7 @@ def _alike(best: _Tried, tried: Sequence[_Tried], screening: Screening) -> tuple
         for entry in tried
         if best.worth - entry.worth < _TOO_CLOSE and best.log_bayes_factor - entry.log_bayes_factor < _CONCEIVABLE
     }
-    for other, rho in zip(screening.candidates, screening.correlation[mine], strict=True):
+    for other, rho in zip(screening.candidates, screening.correlation[row], strict=True):
         factor = refitted.get(other.name, other.log_odds)
         if abs(rho) > SAME and best.log_bayes_factor - factor < _CONCEIVABLE:
             alike.add(other.name)

@@ -36,28 +36,28 @@ def begin(models: Sequence[FlightModel], start: Floats) -> Floats:
     belief = models[0].belief
     sigmas = belief.sigmas
     free = [i for i, entry in enumerate(belief.nuisances) if not is_range_only(entry.key.partition("#")[0])]
-    seen = np.concatenate([_logarithms(_power(model)) for model in models])
+    measured = np.concatenate([_logarithms(_power(model)) for model in models])
 
     def residual(values: Floats) -> Floats:
-        made = [np.real(np.einsum("iif->if", model.acceleration_spectrum(values))) for model in models]
-        return np.asarray((seen - np.concatenate([_logarithms(one) for one in made])) * np.sqrt(_CHUNK))
+        modelled = [np.real(np.einsum("iif->if", model.acceleration_spectrum(values))) for model in models]
+        return np.asarray((measured - np.concatenate([_logarithms(power) for power in modelled])) * np.sqrt(_CHUNK))
 
     values = start.copy()
-    left = residual(values)
-    if not len(left) or np.mean(left**2) < _CLOSE:
+    misfit = residual(values)
+    if not len(misfit) or np.mean(misfit**2) < _CLOSE:
         return values
-    values, left = min(
-        ((there, residual(there)) for there in (values, noise_floor_start(models, values))),
-        key=lambda one: _penalised_squares(one[1], one[0], sigmas),
+    values, misfit = min(
+        ((candidate, residual(candidate)) for candidate in (values, noise_floor_start(models, values))),
+        key=lambda power: _penalised_squares(power[1], power[0], sigmas),
     )
     for _ in range(_ROUNDS):
-        slopes = np.stack([(residual(_moved(values, i, sigmas)) - left) / (_STEP * sigmas[i]) for i in free], 1)
-        better = _step(residual, values, left, slopes, free, sigmas)
+        slopes = np.stack([(residual(_moved(values, i, sigmas)) - misfit) / (_STEP * sigmas[i]) for i in free], 1)
+        better = _step(residual, values, misfit, slopes, free, sigmas)
         if better is None:
             break
-        gained = _penalised_squares(left, values, sigmas) - _penalised_squares(better[1], better[0], sigmas)
-        values, left = better
-        if gained < _ENOUGH * len(left):
+        gained = _penalised_squares(misfit, values, sigmas) - _penalised_squares(better[1], better[0], sigmas)
+        values, misfit = better
+        if gained < _ENOUGH * len(misfit):
             break
     return values
 
@@ -67,44 +67,49 @@ def noise_floor_start(models: Sequence[FlightModel], start: Floats) -> Floats:
     belief, values = models[0].belief, start.copy()
     for model in models:
         edges = np.geomspace(float(model.band_hz[0]), float(model.band_hz[-1]) * 1.0001, _PARTS + 1)
-        part = np.digitize(model.band_hz, edges)
-        for side, power in zip(model.seen.sides, _power(model), strict=True):
-            means = [float(power[part == k].mean()) for k in range(1, _PARTS + 1) if np.sum(part == k) > _CHUNK]
+        band_of = np.digitize(model.band_hz, edges)
+        for side, power in zip(model.observations.sides, _power(model), strict=True):
+            means = [float(power[band_of == k].mean()) for k in range(1, _PARTS + 1) if np.sum(band_of == k) > _CHUNK]
             believed = 0.5 * belief.airframe.sensor(STATIONS[side]).accel_noise_mps2_rthz ** 2
             for i, entry in enumerate(belief.nuisances):
-                own = entry.key.partition("#")[0] == f"{side.name.lower()}.noise"
-                if own and belief.concerns(i, model.recording) and means and believed > 0.0:
+                is_noise = entry.key.partition("#")[0] == f"{side.name.lower()}.noise"
+                if is_noise and belief.concerns(i, model.recording) and means and believed > 0.0:
                     values[i] = 0.5 * np.log(min(means) / believed)
     return values
 
 
 def _step(
-    residual: Callable[[Floats], Floats], values: Floats, left: Floats, slopes: Floats, free: list[int], sigmas: Floats
+    residual: Callable[[Floats], Floats],
+    values: Floats,
+    misfit: Floats,
+    slopes: Floats,
+    free: list[int],
+    sigmas: Floats,
 ) -> tuple[Floats, Floats] | None:
     """One step of damped Gauss and Newton that lowers the sum of squares with the priors; None where there is none."""
     prior = 1.0 / sigmas[free] ** 2
-    normal, pull = slopes.T @ slopes + np.diag(prior), -slopes.T @ left - prior * values[free]
+    normal, pull = slopes.T @ slopes + np.diag(prior), -slopes.T @ misfit - prior * values[free]
     for damping in (1e-3, 1e-1, 1.0, 10.0, 100.0):
         move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
-        there = values.copy()
-        there[free] += np.clip(move, -_MOST * sigmas[free], _MOST * sigmas[free])
+        candidate = values.copy()
+        candidate[free] += np.clip(move, -_MOST * sigmas[free], _MOST * sigmas[free])
         try:
-            after = residual(there)
+            after = residual(candidate)
         except (ValueError, FloatingPointError, np.linalg.LinAlgError):
             continue
-        if _penalised_squares(after, there, sigmas) < _penalised_squares(left, values, sigmas):
-            return there, after
+        if _penalised_squares(after, candidate, sigmas) < _penalised_squares(misfit, values, sigmas):
+            return candidate, after
     return None
 
 
-def _penalised_squares(left: Floats, values: Floats, sigmas: Floats) -> float:
-    return float(np.sum(left**2) + np.sum((values / sigmas) ** 2))
+def _penalised_squares(misfit: Floats, values: Floats, sigmas: Floats) -> float:
+    return float(np.sum(misfit**2) + np.sum((values / sigmas) ** 2))
 
 
 def _moved(values: Floats, i: int, sigmas: Floats) -> Floats:
-    there = values.copy()
-    there[i] += _STEP * sigmas[i]
-    return there
+    perturbed = values.copy()
+    perturbed[i] += _STEP * sigmas[i]
+    return perturbed
 
 
 def _power(model: FlightModel) -> Floats:
@@ -113,5 +118,5 @@ def _power(model: FlightModel) -> Floats:
 
 def _logarithms(power: Floats) -> Floats:
     """Of means over neighbouring frequencies, all channels in one row."""
-    whole = power[:, : power.shape[1] // _CHUNK * _CHUNK]
-    return np.asarray(np.log(whole.reshape(len(power), -1, _CHUNK).mean(2)).ravel())
+    trimmed = power[:, : power.shape[1] // _CHUNK * _CHUNK]
+    return np.asarray(np.log(trimmed.reshape(len(power), -1, _CHUNK).mean(2)).ravel())

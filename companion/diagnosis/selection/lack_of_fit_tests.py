@@ -67,58 +67,61 @@ def lack_of_fit_tests(models: Sequence[FlightModel], fitted: Fit) -> dict[str, f
     """Standard deviations of every direction, and of each family as a whole."""
     families = [
         _spectral(models),
-        _anywhere(models, fitted.found),
+        _anywhere(models, fitted.expectations),
         *_laws(models, fitted),
     ]
     families = [family for family in families if family.names]
-    found = [
-        [*mine, *itertools.chain.from_iterable(family.columns[k] for family in families)]
-        for k, mine in enumerate(fitted.columns)
+    columns = [
+        [*fitted_columns, *itertools.chain.from_iterable(family.columns[k] for family in families)]
+        for k, fitted_columns in enumerate(fitted.columns)
     ]
-    score, left = efficient(models, fitted, found)
+    score, information = efficient(models, fitted, columns)
     strengths: dict[str, float] = {}
     at = 0
     for family in families:
-        part = slice(at, at + len(family.names))
-        at = part.stop
+        block = slice(at, at + len(family.names))
+        at = block.stop
         wider = np.ones(len(family.names)) if family.wider is None else family.wider
-        strengths |= _strengths(family, score[part], left[part, part] * np.outer(wider, wider))
+        strengths |= _strengths(family, score[block], information[block, block] * np.outer(wider, wider))
     return strengths
 
 
-def _strengths(family: _Family, score: Floats, left: Floats) -> dict[str, float]:
-    spread = np.diag(left)
+def _strengths(family: _Family, score: Floats, information: Floats) -> dict[str, float]:
+    spread = np.diag(information)
     positive = spread[spread > 0.0]
     telling = spread > _KNOWN * (float(np.median(positive)) if len(positive) else 0.0) * 1e-6
     telling &= spread > 0.0
     z = score / np.sqrt(np.where(telling, spread, 1.0))
     if family.skewness is not None:
         z = np.array(
-            [normal_score_of_gamma(one, skew) for one, skew in zip(z.tolist(), family.skewness.tolist(), strict=True)]
+            [
+                normal_score_of_gamma(value, skew)
+                for value, skew in zip(z.tolist(), family.skewness.tolist(), strict=True)
+            ]
         )
     if family.kurtosis is not None:
         even = np.abs(family.skewness) < _STRAIGHT if family.skewness is not None else np.ones(len(z), dtype=bool)
         z[even] = [
-            normal_score_of_products(one, bins)
-            for one, bins in zip(z[even], _LAPLACE / family.kurtosis[even], strict=True)
+            normal_score_of_products(value, bins)
+            for value, bins in zip(z[even], _LAPLACE / family.kurtosis[even], strict=True)
         ]
     if family.wider is not None:
-        z = np.array([normal_score_of_student(one, DRAWS - 1) for one in z.tolist()])
-    mine = np.flatnonzero(telling)
+        z = np.array([normal_score_of_student(value, DRAWS - 1) for value in z.tolist()])
+    index = np.flatnonzero(telling)
     if family.scanned:
-        return _best(family, z, mine)
-    strengths = {family.names[i]: float(z[i]) for i in mine}
-    if family.title and len(mine) > 1:
-        longer = 0.0 if family.kurtosis is None else float(np.sum(family.kurtosis[mine]))
-        strengths[family.title] = _together(score[mine], left[np.ix_(mine, mine)], longer)
+        return _best(family, z, index)
+    strengths = {family.names[i]: float(z[i]) for i in index}
+    if family.title and len(index) > 1:
+        longer = 0.0 if family.kurtosis is None else float(np.sum(family.kurtosis[index]))
+        strengths[family.title] = _together(score[index], information[np.ix_(index, index)], longer)
     return strengths
 
 
-def _best(family: _Family, z: Floats, mine: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> dict[str, float]:
-    if not len(mine):
+def _best(family: _Family, z: Floats, index: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> dict[str, float]:
+    if not len(index):
         return {}
-    best = int(mine[np.argmax(np.abs(z[mine]))])
-    paid = normal_score(min(_log_tail(abs(float(z[best]))) + math.log(len(mine)), 0.0))
+    best = int(index[np.argmax(np.abs(z[index]))])
+    paid = normal_score(min(_log_tail(abs(float(z[best]))) + math.log(len(index)), 0.0))
     return {family.names[best]: math.copysign(paid, float(z[best]))}
 
 
@@ -127,14 +130,14 @@ def _log_tail(z: float) -> float:
     return float(chi2.logsf(z**2, 1))
 
 
-def _together(score: Floats, left: Floats, kurtosis: float) -> float:
+def _together(score: Floats, information: Floats, kurtosis: float) -> float:
     """Of a family as a whole: the sum of its squares, whose variance by chance each one's excess kurtosis adds to."""
-    unit = 1.0 / np.sqrt(np.diag(left))
-    values, vectors = np.linalg.eigh(left * np.outer(unit, unit))
-    kept = values > _ITS_OWN
-    along = vectors[:, kept].T @ (score * unit)
-    count = int(kept.sum())
-    beyond = float(np.sum(along**2 / values[kept])) - count
+    unit = 1.0 / np.sqrt(np.diag(information))
+    values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
+    independent = values > _ITS_OWN
+    along = vectors[:, independent].T @ (score * unit)
+    count = int(independent.sum())
+    beyond = float(np.sum(along**2 / values[independent])) - count
     return normal_score(float(chi2.logsf(count + beyond / math.sqrt(1.0 + 0.5 * kurtosis / count), count)))
 
 
@@ -159,9 +162,9 @@ def normal_score_of_products(z: float, bins: float) -> float:
     if abs(z) < _SMALL:
         return z
     t = (math.sqrt(1.0 + 2.0 * z**2 / bins) - 1.0) * bins / abs(z)
-    left = 1.0 - t**2 / (2.0 * bins)
-    root = math.sqrt(2.0 * (t * abs(z) + bins * math.log(left)))
-    slope = t * math.sqrt((2.0 - left) / left**2)
+    remaining = 1.0 - t**2 / (2.0 * bins)
+    root = math.sqrt(2.0 * (t * abs(z) + bins * math.log(remaining)))
+    slope = t * math.sqrt((2.0 - remaining) / remaining**2)
     return math.copysign(root + math.log(slope / root) / root, z)
 
 
@@ -174,23 +177,23 @@ def _laws(models: Sequence[FlightModel], fitted: Fit) -> list[_Family]:
     """Forces, sensors and ranges by law."""
     kinds = generic_effects()
     forces = [kind for kind in kinds if issubclass(kind, GenericForce)]
-    stepped = any(entry.name == "quantisation" for model in models for entry in model.seen.sample_defects)
+    stepped = any(entry.name == "quantisation" for model in models for entry in model.observations.sample_defects)
     # a smooth law is not told from a staircase, which has no slope to speak of
     sensors = [kind for kind in kinds if issubclass(kind, GenericSensorLaw) and not stepped]
     timing = [kind for kind in kinds if issubclass(kind, (GenericRollOff, GenericClockDrift))]
     toe = [kind for kind in kinds if issubclass(kind, GenericToe)]
     spread = [kind for kind in kinds if issubclass(kind, GenericToeVariance)]
     slight = [kind.from_values({"strength": 1e-3}) for kind in sensors]
-    wider = score_scatter(models, fitted.found, slight) if slight else np.zeros(0)
+    wider = score_scatter(models, fitted.expectations, slight) if slight else np.zeros(0)
     families = [
         _family(models, fitted, forces, "all forces together"),
         dataclasses.replace(_family(models, fitted, sensors, "all sensors together"), wider=wider),
         _family(models, fitted, timing),
     ]
-    if any(model.seen.toe is not None for model in models):
+    if any(model.observations.toe is not None for model in models):
         families.append(_family(models, fitted, toe, "all range residuals together"))
         variances = _family(models, fitted, spread)
-        families.append(dataclasses.replace(variances, skewness=_skewness(variances, fitted.found)))
+        families.append(dataclasses.replace(variances, skewness=_skewness(variances, fitted.expectations)))
     return families
 
 
@@ -200,28 +203,28 @@ def _family(models: Sequence[FlightModel], fitted: Fit, kinds: Sequence[type[Eff
         effect = kind()
         values = np.append(fitted.values, 0.0)
         sigmas = np.append(fitted.sigmas, effect.parameters()[0].sigma)
-        own = derivatives(
-            models, values, (*fitted.parts, EffectTerm(effect)), fitted.found, sigmas, [len(fitted.values)]
+        new_columns = derivatives(
+            models, values, (*fitted.terms, EffectTerm(effect)), fitted.expectations, sigmas, [len(fitted.values)]
         )
-        columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
+        columns = [[*before, *new] for before, new in zip(columns, new_columns, strict=True)]
     return _Family([kind.name for kind in kinds], columns, title)
 
 
-def _skewness(family: _Family, found: Sequence[Expectation]) -> Floats:
+def _skewness(family: _Family, expectations: Sequence[Expectation]) -> Floats:
     """Of scores of the toe's variance."""
     cubes, squares = np.zeros(len(family.names)), np.zeros(len(family.names))
-    for mine, one in zip(family.columns, found, strict=True):
-        for i, entry in enumerate(mine):
+    for recording_columns, expectation in zip(family.columns, expectations, strict=True):
+        for i, entry in enumerate(recording_columns):
             if entry.toe_variance is not None and len(entry.toe_variance):
-                known = entry.toe_variance / np.diag(one.toe_covariance)
-                known = known - np.mean(known)  # how large it is as a whole is fitted
-                cubes[i] += np.sum(known**3)
-                squares[i] += 0.5 * np.sum(known**2)
+                relative = entry.toe_variance / np.diag(expectation.toe_covariance)
+                relative = relative - np.mean(relative)  # how large it is as a whole is fitted
+                cubes[i] += np.sum(relative**3)
+                squares[i] += 0.5 * np.sum(relative**2)
     return np.asarray(cubes / np.maximum(squares, 1e-100) ** 1.5)
 
 
-def _anywhere(models: Sequence[FlightModel], found: Sequence[Expectation]) -> _Family:
-    names, columns, skewness = peaks(models, found)
+def _anywhere(models: Sequence[FlightModel], expectations: Sequence[Expectation]) -> _Family:
+    names, columns, skewness = peaks(models, expectations)
     return _Family(names, columns, "", skewness, None, True)
 
 
@@ -239,14 +242,14 @@ def _spectral(models: Sequence[FlightModel]) -> _Family:
             continue
         for k, what in enumerate(_entries(models[0])):
             names.append(f"{what} near {np.sqrt(low * high):.1f} Hz")
-            own = what.endswith("spectrum")
-            skewness.append(2.0 / math.sqrt(bins) if own else 0.0)
-            kurtosis.append((_EXPONENTIAL if own else _LAPLACE) / bins)
-            for model, mine in zip(models, columns, strict=True):
+            is_power = what.endswith("spectrum")
+            skewness.append(2.0 / math.sqrt(bins) if is_power else 0.0)
+            kurtosis.append((_EXPONENTIAL if is_power else _LAPLACE) / bins)
+            for model, recording_columns in zip(models, columns, strict=True):
                 inside = _inside(model, low, high).astype(float)
                 packed = np.zeros(len(_entries(model)) * len(inside))
                 packed[k * len(inside) : (k + 1) * len(inside)] = inside
-                mine.append(Column(power=packed))
+                recording_columns.append(Column(power=packed))
     return _Family(names, columns, "all spectra together", np.array(skewness), kurtosis=np.array(kurtosis))
 
 
@@ -255,7 +258,7 @@ def _inside(model: FlightModel, low: float, high: float) -> np.ndarray[tuple[int
 
 
 def _entries(model: FlightModel) -> list[str]:
-    sides = [side.name.lower() for side in model.seen.sides]
+    sides = [side.name.lower() for side in model.observations.sides]
     return [f"{side} spectrum" for side in sides] + (
         ["left with right", "left before right"] if len(sides) == 2 else []
     )

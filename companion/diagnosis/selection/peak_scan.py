@@ -20,22 +20,24 @@ _APART = 1.05
 _DAMPING = 0.02
 
 
-def peaks(models: Sequence[FlightModel], found: Sequence[Expectation]) -> tuple[list[str], list[list[Column]], Floats]:
+def peaks(
+    models: Sequence[FlightModel], expectations: Sequence[Expectation]
+) -> tuple[list[str], list[list[Column]], Floats]:
     """Names, columns by recording, and the skewness of each score by chance."""
     low_hz = max(float(model.band_hz[0]) for model in models)
     top_hz = max(float(model.band_hz[-1]) for model in models)
     places = np.exp(np.arange(np.log(_APART * low_hz), np.log(top_hz), np.log(_APART))).tolist()
-    sides = len(models[0].seen.sides)
+    sides = len(models[0].observations.sides)
     signs = ((1.0, "both sides together"), (-1.0, "side against side")) if sides == 2 else ((1.0, "the side"),)
     names = [f"{what} near {place:.1f} Hz" for _, what in signs for place in places]
     columns: list[list[Column]] = [[] for _ in models]
     cubes, squares = np.zeros(len(names)), np.zeros(len(names))
-    for model, one, mine in zip(models, found, columns, strict=True):
+    for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
         vectors = [np.array([sign, 1.0][-sides:])[:, None] * np.ones_like(model.band_hz) for sign, _ in signs]
-        seen = [apply(adjoint(one.motion.whitener), vector.astype(np.complex128)) for vector in vectors]
-        for i, (white, place) in enumerate((white, place) for white in seen for place in places):
+        whitened = [apply(adjoint(expectation.motion.whitener), vector.astype(np.complex128)) for vector in vectors]
+        for i, (white, place) in enumerate((white, place) for white in whitened for place in places):
             shape = _peak(model.band_hz, place)
-            mine.append(Column(power=packed((white[:, None] * white.conj()[None]) * shape)))
+            recording_columns.append(Column(power=packed((white[:, None] * white.conj()[None]) * shape)))
             power = shape * np.sum(np.abs(white) ** 2, axis=0)
             cubes[i] += model.weight * np.sum(power**3)
             squares[i] += model.weight * np.sum(power**2)

@@ -20,22 +20,22 @@ _OF_THE_FILE = (".frequency", ".damping", ".slope", ".scale", ".delay_s", ".bias
 def prior_tension(belief: Belief, fitted: Fit) -> dict[str, float]:
     """Standard deviations of each airframe parameter from its prior, and of all together; levels and noise are free."""
     keys = [entry.key.partition("#")[0] for entry in belief.nuisances]
-    mine = [i for i, key in enumerate(keys) if key.endswith(_OF_THE_FILE)]
-    if not mine:
+    index = [i for i, key in enumerate(keys) if key.endswith(_OF_THE_FILE)]
+    if not index:
         return {}
-    unit = fitted.sigmas[mine]
-    moved = fitted.values[mine] / unit
-    spread = np.eye(len(mine)) - fitted.covariance[np.ix_(mine, mine)] / np.outer(unit, unit)
-    own = np.diag(spread)
-    found = {
-        f"{belief.nuisances[i].key} beyond its prior": float(moved[k] / np.sqrt(own[k]))
-        for k, i in enumerate(mine)
-        if own[k] > _TOLD
+    unit = fitted.sigmas[index]
+    moved = fitted.values[index] / unit
+    spread = np.eye(len(index)) - fitted.covariance[np.ix_(index, index)] / np.outer(unit, unit)
+    variances = np.diag(spread)
+    tensions = {
+        f"{belief.nuisances[i].key} beyond its prior": float(moved[k] / np.sqrt(variances[k]))
+        for k, i in enumerate(index)
+        if variances[k] > _TOLD
     }
     values, vectors = np.linalg.eigh(spread)
-    told = values > _TOLD
-    if told.sum() > 1:
-        along = vectors[:, told].T @ moved
-        tail = float(chi2.logsf(np.sum(along**2 / values[told]), int(told.sum())))
-        found["all airframe parameters together"] = normal_score(tail)
-    return found
+    informed = values > _TOLD
+    if informed.sum() > 1:
+        along = vectors[:, informed].T @ moved
+        tail = float(chi2.logsf(np.sum(along**2 / values[informed]), int(informed.sum())))
+        tensions["all airframe parameters together"] = normal_score(tail)
+    return tensions

@@ -51,8 +51,11 @@ def find_proposals(models: Sequence[FlightModel], fitted: Fit) -> Proposals:
     """What the residuals of one recording lead to; several recordings share no phase, and give none."""
     if len({model.recording for model in models}) > 1:
         return NO_PROPOSALS
-    model, found = models[0], fitted.found[0]
-    tones, swings = _proposed(strongest_line(model, found)), _proposed(strongest_parametric_excitation(model, found))
+    model, expectation = models[0], fitted.expectations[0]
+    tones, swings = (
+        _proposed(strongest_line(model, expectation)),
+        _proposed(strongest_parametric_excitation(model, expectation)),
+    )
     kicks = _impulses(models, fitted)
     return {"tone": tones, "periodic-forcing": tones, "parametric-stiffness": swings, "impulsive-forcing": kicks}
 
@@ -63,12 +66,12 @@ def _proposed(line: Line | None) -> tuple[Proposal, ...]:
     return (Proposal({"frequency_hz": line.frequency_hz}, line.log_trials),)
 
 
-def mount_resonance_proposal(models: Sequence[FlightModel], fitted: Fit, part: EffectTerm) -> EffectTerm | None:
+def mount_resonance_proposal(models: Sequence[FlightModel], fitted: Fit, term: EffectTerm) -> EffectTerm | None:
     """Where a camera's mount rings, if it follows its station as an oscillator; None where no place beats none.
 
     A little softness is a gain that grows; a resonance in the band is found only by going to where it is.
     """
-    if part.effect.name != "mount-resonance":
+    if term.effect.name != "mount-resonance":
         return None
     places_hz = np.exp(np.arange(math.log(_MOUNT_HZ[0]), math.log(_MOUNT_HZ[1]), _MOUNT_APART))
     first_hz = models[0].belief.airframe.wing.symmetric.frequency_hz.value
@@ -79,8 +82,8 @@ def mount_resonance_proposal(models: Sequence[FlightModel], fitted: Fit, part: E
             expect(
                 models,
                 np.append(fitted.values, value),
-                (*fitted.parts, part.with_values({"softness_s2": value})),
-                fitted.found,
+                (*fitted.terms, term.with_values({"softness_s2": value})),
+                fitted.expectations,
             ),
         )
         for value in softness
@@ -88,7 +91,7 @@ def mount_resonance_proposal(models: Sequence[FlightModel], fitted: Fit, part: E
     best, log_trials = int(np.argmax(likelihoods)), math.log(len(softness))
     if likelihoods[best] - log_trials < fitted.log_likelihood:
         return None
-    return replace(part.with_values({"softness_s2": softness[best]}), log_trials=log_trials)
+    return replace(term.with_values({"softness_s2": softness[best]}), log_trials=log_trials)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +103,9 @@ class Line:
     log_trials: float
 
 
-def strongest_line(model: FlightModel, found: Expectation) -> Line:
+def strongest_line(model: FlightModel, expectation: Expectation) -> Line:
     """The highest peak of the whitened periodogram."""
-    white = apply(adjoint(found.motion.whitener), found.residual)
+    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     power = np.sum(np.abs(white) ** 2, axis=0)
     best, log_trials = int(np.argmax(power)), math.log(power.size)
     # of c channels the power is Gamma(c, 1); neighbours that the taper ties together are counted all the same
@@ -116,11 +119,11 @@ def strongest_line(model: FlightModel, found: Expectation) -> Line:
     return Line(float(model.band_hz[0] + step * fine[np.argmax(peak)]), tail + log_trials, log_trials)
 
 
-def strongest_parametric_excitation(model: FlightModel, found: Expectation) -> Line | None:
+def strongest_parametric_excitation(model: FlightModel, expectation: Expectation) -> Line | None:
     """The highest peak of the periodogram of residual force times spring force; None where there is no room for one."""
-    product = np.sum(model.force_score(found) * model.spring_force(found), axis=0)
+    product = np.sum(model.force_score(expectation) * model.spring_force(expectation), axis=0)
     power = np.abs(np.fft.rfft(product - product.mean())) ** 2
-    step = 1.0 / model.seen.duration_s
+    step = 1.0 / model.observations.duration_s
     first_hz = model.belief.airframe.wing.symmetric.frequency_hz.value
     low, high = math.ceil(_SLOWEST_CYCLES), min(int(_FASTEST * first_hz / step), len(power) - 1)
     if high - low < _FEWEST_BINS:
@@ -131,18 +134,18 @@ def strongest_parametric_excitation(model: FlightModel, found: Expectation) -> L
     ratio = power / (np.median(around, axis=1) / math.log(2.0))  # the median of an exponential is ln 2 of its mean
     best, log_trials = int(np.argmax(ratio)), math.log(len(ratio))
     fine = (low + best + np.linspace(-0.8, 0.8, 33)) * step
-    turn = np.exp(-2j * np.pi * np.outer(fine, model.seen.t_s))
+    turn = np.exp(-2j * np.pi * np.outer(fine, model.observations.t_s))
     return Line(float(fine[np.argmax(np.abs(turn @ product))]), -float(ratio[best]) + log_trials, log_trials)
 
 
 def _impulses(models: Sequence[FlightModel], fitted: Fit) -> tuple[Proposal, ...]:
     """The strongest instants of the residual force; three are taken, so three pay for the looking."""
     t_s, strength = [], []
-    for model, found in zip(models, fitted.found, strict=True):
-        force = model.force_score(found)[:2]
-        inner = slice(len(model.seen.t_s) // 16, -len(model.seen.t_s) // 16)
+    for model, expectation in zip(models, fitted.expectations, strict=True):
+        force = model.force_score(expectation)[:2]
+        inner = slice(len(model.observations.t_s) // 16, -len(model.observations.t_s) // 16)
         typical = np.median(np.abs(force[:, inner]), axis=1, keepdims=True) / 0.6745
-        t_s.append(model.seen.t_s[inner])
+        t_s.append(model.observations.t_s[inner])
         strength.append(np.sum((force / typical)[:, inner] ** 2, axis=0))
     at_s, power = np.concatenate(t_s), np.concatenate(strength)
     places = len(power) / 4.0

@@ -56,38 +56,40 @@ def strongest_rival_model(
     ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score is that of a
     name is that name, and no rival.
     """
-    named = [EffectTerm(type(cause.part.effect)(), cause.part.channel) for cause in path.causes]
+    named = [EffectTerm(type(cause.term.effect)(), cause.term.channel) for cause in path.causes]
     screening = screen(models, null, [*_offered(models, null, before), *named])
-    mine = {part.effect.name for part in named}
-    own = [i for i, one in enumerate(screening.candidates) if one.name in mine]
-    alike = np.abs(screening.correlation[own]).max(axis=0) if own else np.zeros(len(screening.candidates))
+    names = {term.effect.name for term in named}
+    named_rows = [i for i, candidate in enumerate(screening.candidates) if candidate.name in names]
+    alike = np.abs(screening.correlation[named_rows]).max(axis=0) if named_rows else np.zeros(len(screening.candidates))
     worth = penalised_log_likelihood(models, path.fitted, null)
     enough = _OUT_OF_REACH * worth
     leading = [
-        one for one, rho in zip(screening.candidates, alike, strict=True) if one.log_odds > enough and rho < SAME
+        candidate
+        for candidate, rho in zip(screening.candidates, alike, strict=True)
+        if candidate.log_odds > enough and rho < SAME
     ]
     rivals = [
-        RivalModel(one.name, penalised_log_likelihood(models, fitted, null) - worth)
-        for one in sorted(leading, key=lambda entry: -entry.log_odds)[:_REFITTED]
-        if (fitted := _refitted(models, null, one)) is not None
+        RivalModel(candidate.name, penalised_log_likelihood(models, fitted, null) - worth)
+        for candidate in sorted(leading, key=lambda entry: -entry.log_odds)[:_REFITTED]
+        if (fitted := _refitted(models, null, candidate)) is not None
     ]
-    return max(rivals, key=lambda one: one.ahead, default=None)
+    return max(rivals, key=lambda candidate: candidate.ahead, default=None)
 
 
 def _offered(models: Sequence[FlightModel], null: Fit, before: Sequence[Check]) -> list[EffectTerm]:
     strength = {entry.name: abs(entry.z) for entry in before}
     kinds = generic_effects()
     tested = sorted((kind for kind in kinds if kind.name in strength), key=lambda kind: -strength[kind.name])
-    parts = [
+    terms = [
         EffectTerm(kind()) for kind in (*tested[:_REFITTED], *(kind for kind in kinds if kind.name not in strength))
     ]
     for lead in find_proposals(models, null).get("tone", ()):
-        parts += [EffectTerm(kind.from_values(lead.values), log_trials=lead.log_trials) for kind in lines()]
-    return parts
+        terms += [EffectTerm(kind.from_values(lead.values), log_trials=lead.log_trials) for kind in lines()]
+    return terms
 
 
 def _refitted(models: Sequence[FlightModel], base: Fit, candidate: Candidate) -> Fit | None:
     try:
-        return fit(models, (*base.parts, perturbed_start(candidate, _FIRST_STEP)), base.values, _ROUNDS, UNPREJUDICED)
+        return fit(models, (*base.terms, perturbed_start(candidate, _FIRST_STEP)), base.values, _ROUNDS, UNPREJUDICED)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None

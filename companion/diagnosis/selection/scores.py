@@ -39,41 +39,41 @@ class Column:
 
 
 def column(
-    found: Expectation, there: Expectation, step: float, alone: bool, shift_s: Floats | None, warps: bool
+    expectation: Expectation, perturbed: Expectation, step: float, alone: bool, shift_s: Floats | None, warps: bool
 ) -> Column:
     """Difference of two expectations ``step`` apart; ``alone`` for what changes the toe's noise and nothing else."""
     power = mean = toe = noise = rest = None
-    if there.motion is not found.motion:
-        white = found.motion.whitener
-        if there.spectrum is not found.spectrum:
-            change = there.spectrum - found.spectrum
+    if perturbed.motion is not expectation.motion:
+        white = expectation.motion.whitener
+        if perturbed.spectrum is not expectation.spectrum:
+            change = perturbed.spectrum - expectation.spectrum
             power = packed(product(product(adjoint(white), change), white)) / step
-        if there.residual is not found.residual:
-            mean = _whitened(found, (there.residual - found.residual) / step)
-    if len(found.toe_residual_rad):
-        toe = (there.toe_residual_rad - found.toe_residual_rad) / step
-        noise = (there.toe_variance - found.toe_variance) / step if alone else None
-    rest = (there.rest_residual - found.rest_residual) / step
+        if perturbed.residual is not expectation.residual:
+            mean = _whitened(expectation, (perturbed.residual - expectation.residual) / step)
+    if len(expectation.toe_residual_rad):
+        toe = (perturbed.toe_residual_rad - expectation.toe_residual_rad) / step
+        noise = (perturbed.toe_variance - expectation.toe_variance) / step if alone else None
+    rest = (perturbed.rest_residual - expectation.rest_residual) / step
     return Column(power, mean, toe, noise, rest, shift_s, warps)
 
 
-def scores(model: FlightModel, found: Expectation, columns: Sequence[Column]) -> tuple[Floats, Floats]:
+def scores(model: FlightModel, expectation: Expectation, columns: Sequence[Column]) -> tuple[Floats, Floats]:
     """Gradient of the log likelihood and its Fisher information, (p,) and (p, p)."""
     p, weight = len(columns), model.weight
     gradient, information = np.zeros(p), np.zeros((p, p))
-    white = apply(adjoint(found.motion.whitener), found.residual)
+    white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     outer = packed(white[:, None] * white.conj()[None])
     chance = packed(np.broadcast_to(np.eye(len(white))[..., None], (*[len(white)] * 2, white.shape[1])))
-    _add(columns, lambda one: one.power, weight * (outer - chance), weight, gradient, information)
+    _add(columns, lambda entry: entry.power, weight * (outer - chance), weight, gradient, information)
     straight = np.concatenate([white.real.ravel(), white.imag.ravel()])
-    _add(columns, lambda one: one.mean, -2.0 * weight * straight, 2.0 * weight, gradient, information)
-    _add_warps(model, found, columns, information)
-    _add_toe(found, columns, gradient, information)
-    rest = 1.0 / np.sqrt(found.rest_variance)
+    _add(columns, lambda entry: entry.mean, -2.0 * weight * straight, 2.0 * weight, gradient, information)
+    _add_warps(model, expectation, columns, information)
+    _add_toe(expectation, columns, gradient, information)
+    rest = 1.0 / np.sqrt(expectation.rest_variance)
     _add(
         columns,
-        lambda one: None if one.rest is None else one.rest * rest,
-        -found.rest_residual * rest,
+        lambda entry: None if entry.rest is None else entry.rest * rest,
+        -expectation.rest_residual * rest,
         1.0,
         gradient,
         information,
@@ -90,16 +90,16 @@ def _add(
     information: Floats,
 ) -> None:
     """Add the share of one kind of derivative: its product with the data, and with itself."""
-    mine = [(i, vector) for i, one in enumerate(columns) if (vector := of(one)) is not None]
-    if not mine:
+    vectors = [(i, vector) for i, entry in enumerate(columns) if (vector := of(entry)) is not None]
+    if not vectors:
         return
-    index = np.array([i for i, _ in mine])
-    table = np.stack([vector for _, vector in mine])
+    index = np.array([i for i, _ in vectors])
+    table = np.stack([vector for _, vector in vectors])
     gradient[index] += table @ against
     information[np.ix_(index, index)] += weight * (table @ table.T)
 
 
-def _add_warps(model: FlightModel, found: Expectation, columns: Sequence[Column], information: Floats) -> None:
+def _add_warps(model: FlightModel, expectation: Expectation, columns: Sequence[Column], information: Floats) -> None:
     """Put the expected information of shifts in time where the products of their columns stand for it badly.
 
     With S the spectral matrix, shifts of channels c and d by a and b are worth
@@ -107,11 +107,11 @@ def _add_warps(model: FlightModel, found: Expectation, columns: Sequence[Column]
     of the samples is a change of the mean, a constant delay one of the spectrum; their columns have no product, but a
     warp's constant part is a delay. What is late of the rigid aircraft's motion is no matter of chance: it stays.
     """
-    shifts = [(i, one.shift_s, one.warps) for i, one in enumerate(columns) if one.shift_s is not None]
+    shifts = [(i, entry.shift_s, entry.warps) for i, entry in enumerate(columns) if entry.shift_s is not None]
     if not any(warps for _, _, warps in shifts):
         return
-    agreed = 2.0 * model.weight * np.sum((2.0 * np.pi * model.band_hz) ** 2 * _agreement(found), axis=2)
-    rigid = {i: _whitened(found, model.rigid_shifted(shift)) for i, shift, _ in shifts}
+    agreed = 2.0 * model.weight * np.sum((2.0 * np.pi * model.band_hz) ** 2 * _agreement(expectation), axis=2)
+    rigid = {i: _whitened(expectation, model.rigid_shifted(shift)) for i, shift, _ in shifts}
     for i, first, warps_i in shifts:
         for j, second, warps_j in shifts:
             if warps_i or warps_j:
@@ -120,17 +120,17 @@ def _add_warps(model: FlightModel, found: Expectation, columns: Sequence[Column]
                 information[i, j] += expected - 2.0 * model.weight * by_chance
 
 
-def _agreement(found: Expectation) -> Floats:
-    agreement = (found.inverse * found.spectrum.swapaxes(0, 1)).real
-    own = np.arange(len(agreement))
-    agreement[own, own] -= 1.0
+def _agreement(expectation: Expectation) -> Floats:
+    agreement = (expectation.inverse * expectation.spectrum.swapaxes(0, 1)).real
+    diagonal = np.arange(len(agreement))
+    agreement[diagonal, diagonal] -= 1.0
     return agreement
 
 
-def _whitened(found: Expectation, values: Complexes | None) -> Floats | None:
+def _whitened(expectation: Expectation, values: Complexes | None) -> Floats | None:
     if values is None:
         return None
-    white = apply(adjoint(found.motion.whitener), values)
+    white = apply(adjoint(expectation.motion.whitener), values)
     return np.concatenate([white.real.ravel(), white.imag.ravel()])
 
 
@@ -138,19 +138,19 @@ def _product(first: Floats | None, second: Floats | None) -> float:
     return 0.0 if first is None or second is None else float(first @ second)
 
 
-def _add_toe(found: Expectation, columns: Sequence[Column], gradient: Floats, information: Floats) -> None:
-    index = np.array([i for i, one in enumerate(columns) if one.toe is not None], dtype=np.int64)
-    if not len(found.toe_residual_rad) or not len(index):
+def _add_toe(expectation: Expectation, columns: Sequence[Column], gradient: Floats, information: Floats) -> None:
+    index = np.array([i for i, entry in enumerate(columns) if entry.toe is not None], dtype=np.int64)
+    if not len(expectation.toe_residual_rad) or not len(index):
         return
-    factor = cho_factor(found.toe_covariance, lower=True, check_finite=False)
-    toe = np.stack([one.toe for one in columns if one.toe is not None], 1)
+    factor = cho_factor(expectation.toe_covariance, lower=True, check_finite=False)
+    toe = np.stack([entry.toe for entry in columns if entry.toe is not None], 1)
     weighed = cho_solve(factor, toe, check_finite=False)
-    gradient[index] -= weighed.T @ found.toe_residual_rad
+    gradient[index] -= weighed.T @ expectation.toe_residual_rad
     information[np.ix_(index, index)] += toe.T @ weighed
-    random = [(i, one.toe_variance) for i, one in enumerate(columns) if one.toe_variance is not None]
+    random = [(i, entry.toe_variance) for i, entry in enumerate(columns) if entry.toe_variance is not None]
     if not random:
         return
-    white = cho_solve(factor, found.toe_residual_rad, check_finite=False)
+    white = cho_solve(factor, expectation.toe_residual_rad, check_finite=False)
     precision = cho_solve(factor, np.eye(len(white)), check_finite=False)
     for i, changed in random:
         gradient[i] += 0.5 * float(changed @ (white**2 - np.diag(precision)))
@@ -161,8 +161,8 @@ def _add_toe(found: Expectation, columns: Sequence[Column], gradient: Floats, in
 def packed(hermitian: Complexes) -> Floats:
     """A Hermitian matrix per frequency as one real vector; dot products are traces of products."""
     n = len(hermitian)
-    parts = [hermitian[i, i].real for i in range(n)]
+    entries = [hermitian[i, i].real for i in range(n)]
     for i in range(n):
         for j in range(i):
-            parts += [_ROOT2 * hermitian[i, j].real, _ROOT2 * hermitian[i, j].imag]
-    return np.concatenate(parts)
+            entries += [_ROOT2 * hermitian[i, j].real, _ROOT2 * hermitian[i, j].imag]
+    return np.concatenate(entries)

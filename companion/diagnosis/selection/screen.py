@@ -36,7 +36,7 @@ class Candidate:
 
     Attributes
     ----------
-    part : Part
+    term : EffectTerm
         The effect at the values from which a refit should start.
     z : float
         Its strength as the equivalent of a standard normal (two-sided).
@@ -48,7 +48,7 @@ class Candidate:
         Efficient, in units of the prior sigmas.
     """
 
-    part: EffectTerm
+    term: EffectTerm
     z: float
     log_odds: float
     sigma: Floats
@@ -59,7 +59,7 @@ class Candidate:
     @property
     def name(self) -> str:
         """The effect's stable name."""
-        return self.part.effect.name
+        return self.term.effect.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Screening:
 class _Tested:
     """An effect, the prior sigmas of its parameters, and to which side it was moved."""
 
-    part: EffectTerm
+    term: EffectTerm
     sigmas: Floats
     side: float
 
@@ -87,52 +87,54 @@ def candidates_of(
     Effects that the data themselves must lead to (a tone's frequency) begin where ``leads`` say, or not at all;
     effects that show in the samples themselves are not screened.
     """
-    parts = []
+    terms = []
     for kind in kinds:
         if kind.name in SEEN_IN_SAMPLES:
             continue
         if kind.name in LED:
-            found = leads.get(kind.name, ())
-            parts += [EffectTerm(kind.from_values(entry.values), log_trials=entry.log_trials) for entry in found]
+            proposals_of_kind = leads.get(kind.name, ())
+            terms += [
+                EffectTerm(kind.from_values(entry.values), log_trials=entry.log_trials) for entry in proposals_of_kind
+            ]
             continue
         follows = [channel for channel in channels if kind.may_follow(channel)] if kind.follows_channel else [""]
         names, grids = list(kind.scan), [kind.scan[name] for name in kind.scan]
         for values in itertools.product(*grids):
             effect = kind.from_values(dict(zip(names, values, strict=True)))
-            parts += [EffectTerm(effect, channel) for channel in follows]
-    return parts
+            terms += [EffectTerm(effect, channel) for channel in follows]
+    return terms
 
 
 def screen(
     models: Sequence[FlightModel],
     null: Fit,
-    parts: Sequence[EffectTerm],
+    terms: Sequence[EffectTerm],
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Screening:
     """Score every part at a fitted model ``null``, which may hold effects that have been accepted.
 
-    ``parts`` as :func:`candidates_of` gives them; ``progress`` is told the share that is done.
+    ``terms`` as :func:`candidates_of` gives them; ``progress`` is told the share that is done.
     """
     columns = [list(entry) for entry in null.columns]
     tested: list[_Tested] = []
-    sided = [(part, side) for part in parts for side in ((1.0, -1.0) if part.effect.hinged else (1.0,))]
-    for done, (part, side) in enumerate(sided):
-        declared = part.effect.parameters()
+    sided = [(term, side) for term in terms for side in ((1.0, -1.0) if term.effect.hinged else (1.0,))]
+    for done, (term, side) in enumerate(sided):
+        declared = term.effect.parameters()
         sigmas = np.array([entry.sigma for entry in declared])
-        values = np.concatenate([null.values, [getattr(part.effect, entry.name) for entry in declared]])
+        values = np.concatenate([null.values, [getattr(term.effect, entry.name) for entry in declared]])
         # a mode's frequency means nothing while its participation is 0: what is scanned for has one column
-        count = 1 if part.effect.scan else len(declared)
+        count = 1 if term.effect.scan else len(declared)
         only = range(len(null.values), len(null.values) + count)
         wide = np.concatenate([null.sigmas, side * sigmas])  # its sign is that of the step
-        own = derivatives(models, values, (*null.parts, part), null.found, wide, only)
-        own = [[*mine, *[Column()] * (len(declared) - count)] for mine in own]
-        columns = [[*before, *new] for before, new in zip(columns, own, strict=True)]
-        tested.append(_Tested(part, sigmas, side))
+        new_columns = derivatives(models, values, (*null.terms, term), null.expectations, wide, only)
+        new_columns = [[*recording, *[Column()] * (len(declared) - count)] for recording in new_columns]
+        columns = [[*before, *new] for before, new in zip(columns, new_columns, strict=True)]
+        tested.append(_Tested(term, sigmas, side))
         progress((done + 1) / len(sided))
-    score, left = efficient(models, null, columns)
+    score, information = efficient(models, null, columns)
     wider = _score_scatter(models, null, tested)
-    left = left * np.outer(wider, wider)
-    return _ranked(tested, score, left)
+    information = information * np.outer(wider, wider)
+    return _ranked(tested, score, information)
 
 
 def efficient(models: Sequence[FlightModel], null: Fit, columns: Sequence[Sequence[Column]]) -> tuple[Floats, Floats]:
@@ -140,70 +142,70 @@ def efficient(models: Sequence[FlightModel], null: Fit, columns: Sequence[Sequen
 
     ``columns`` by recording: those of the fit, then d others; gives (d,) and (d, d).
     """
-    gradient, information = joint_scores(models, null.found, columns)
+    gradient, information = joint_scores(models, null.expectations, columns)
     p = len(null.values)
     nuisance = information[:p, :p] + np.diag(1.0 / null.sigmas**2)
     pull = gradient[:p] - (null.values - null.centres) / null.sigmas**2
-    share = np.linalg.solve(nuisance, information[:p, p:])
-    return gradient[p:] - share.T @ pull, information[p:, p:] - information[p:, :p] @ share
+    projection = np.linalg.solve(nuisance, information[:p, p:])
+    return gradient[p:] - projection.T @ pull, information[p:, p:] - information[p:, :p] @ projection
 
 
 def _score_scatter(models: Sequence[FlightModel], null: Fit, tested: Sequence[_Tested]) -> Floats:
     """How much more each parameter's score scatters than its column says: 1 but for crooked sensors."""
-    wider, at = np.ones(sum(len(one.sigmas) for one in tested)), 0
+    wider, at = np.ones(sum(len(candidate.sigmas) for candidate in tested)), 0
     bent: dict[int, Effect] = {}
-    for one in tested:
-        names = [entry.name for entry in one.part.effect.parameters()]
-        if is_sample_nonlinearity(one.part.effect) and len(names) == 1:
-            bent[at] = one.part.with_values({names[0]: _UNIT * float(one.sigmas[0])}).effect
-        at += len(one.sigmas)
+    for candidate in tested:
+        names = [entry.name for entry in candidate.term.effect.parameters()]
+        if is_sample_nonlinearity(candidate.term.effect) and len(names) == 1:
+            bent[at] = candidate.term.with_values({names[0]: _UNIT * float(candidate.sigmas[0])}).effect
+        at += len(candidate.sigmas)
     if bent:
-        wider[list(bent)] = score_scatter(models, null.found, list(bent.values()))
+        wider[list(bent)] = score_scatter(models, null.expectations, list(bent.values()))
     return wider
 
 
-def _ranked(tested: Sequence[_Tested], score: Floats, left: Floats) -> Screening:
-    unit = np.concatenate([one.sigmas for one in tested]) if tested else np.zeros(0)
-    score, left = score * unit, left * np.outer(unit, unit)
-    found, at = [], 0
-    for one in tested:
-        mine = slice(at, at + len(one.sigmas))
-        found.append((_candidate(one, score[mine], left[mine, mine]), mine))
-        at += len(one.sigmas)
+def _ranked(tested: Sequence[_Tested], score: Floats, information: Floats) -> Screening:
+    unit = np.concatenate([entry.sigmas for entry in tested]) if tested else np.zeros(0)
+    score, information = score * unit, information * np.outer(unit, unit)
+    scored, at = [], 0
+    for move in tested:
+        block = slice(at, at + len(move.sigmas))
+        scored.append((_candidate(move, score[block], information[block, block]), block))
+        at += len(move.sigmas)
     best: dict[tuple[str, str], tuple[Candidate, slice]] = {}
-    for entry in found:
-        key = (entry[0].name, entry[0].part.channel)
+    for entry in scored:
+        key = (entry[0].name, entry[0].term.channel)
         if key not in best or entry[0].z > best[key][0].z:
             best[key] = entry
     ranked = sorted(best.values(), key=lambda entry: -entry[0].z)
     directions = np.zeros((len(ranked), len(score)))
-    for i, (candidate, mine) in enumerate(ranked):
-        directions[i, mine] = candidate.direction
-    shared = directions @ left @ directions.T
+    for i, (candidate, block) in enumerate(ranked):
+        directions[i, block] = candidate.direction
+    shared = directions @ information @ directions.T
     scale = np.sqrt(np.maximum(np.diag(shared), 1e-30))
     return Screening(tuple(entry[0] for entry in ranked), shared / np.outer(scale, scale))
 
 
-def _candidate(one: _Tested, score: Floats, information: Floats) -> Candidate:
+def _candidate(tested: _Tested, score: Floats, information: Floats) -> Candidate:
     """Test the parameters that this recording says anything about; what nature has one way only, that way only."""
-    part, sigmas = one.part, one.sigmas
+    term, sigmas = tested.term, tested.sigmas
     values, vectors = np.linalg.eigh(information)
     telling = values > max(_BARELY * float(values[-1]), _BARELY)
-    one_way = part.effect.one_way or part.effect.hinged
-    if not telling.any() or (one_way and one.side * score[0] < 0.0):
-        return Candidate(part, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
+    one_way = term.effect.one_way or term.effect.hinged
+    if not telling.any() or (one_way and tested.side * score[0] < 0.0):
+        return Candidate(term, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
     along = vectors[:, telling].T @ score
     # with the prior: a change far beyond what is physical is not what explains
     power = float(np.sum(along**2 / (values[telling] + 1.0)))
     # directions that the prior already knows better count for nothing
     freedom = max(int(np.sum(values > 0.1)), 1)
-    tail = min(float(chi2.logsf(power, freedom)) + part.log_trials, 0.0)
+    tail = min(float(chi2.logsf(power, freedom)) + term.log_trials, 0.0)
     z = normal_score(tail)
-    odds = 0.5 * power - part.log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
+    odds = 0.5 * power - term.log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
     step = vectors[:, telling] @ (along / (values[telling] + 1.0))
     length = float(np.linalg.norm(step))
     spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas
-    return Candidate(part, z, odds, spread, score, information, step / length if length else step)
+    return Candidate(term, z, odds, spread, score, information, step / length if length else step)
 
 
 def normal_score(log_tail: float) -> float:

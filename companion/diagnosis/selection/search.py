@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.data.sample_defects import SampleDefect, together
+from companion.diagnosis.data.sample_defects import SampleDefect, worst_defects
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.adequacy import Check, check
@@ -36,7 +36,7 @@ def diagnose(
     ``progress`` is told what is being done and the share that is done.
     """
     progress("fit the believed model", 0.0)
-    null = max((fit(models, (), start) for start in starts(models)), key=lambda one: one.log_evidence)
+    null = max((fit(models, (), start) for start in starts(models)), key=lambda candidate: candidate.log_evidence)
     extension = Extension(models, kinds, progress)
     first = extension.screen(null)
     if not _excited(models, null):
@@ -45,8 +45,8 @@ def diagnose(
     path = extension.search(null, first, max_causes)
     progress("test what is left", 0.0)
     offered = {kind.name for kind in kinds}
-    shown = together([entry for model in models for entry in model.seen.sample_defects])
-    faults = [Check(entry.seen, _strength(entry)) for entry in shown if entry.name not in offered]
+    shown = worst_defects([entry for model in models for entry in model.observations.sample_defects])
+    faults = [Check(entry.evidence, _strength(entry)) for entry in shown if entry.name not in offered]
     after = (*faults, *check(models, path.fitted))
     before = (*faults, *check(models, null)) if path.causes else after
     gain = rival = None
@@ -54,7 +54,7 @@ def diagnose(
         progress("hold the names against laws without one", 0.0)
         rival = strongest_rival_model(models, null, before, path)
         gain = cross_validate(
-            models, null, path.fitted, lambda share: progress("measure the gain on held-out blocks", share)
+            models, null, path.fitted, lambda fraction: progress("measure the gain on held-out blocks", fraction)
         )
     named = tuple(_seen(entry) for entry in shown if entry.name in offered)
     return _conclude(null, path, named, first, before, after, gain, rival)
@@ -62,37 +62,37 @@ def diagnose(
 
 def _excited(models: Sequence[FlightModel], null: Fit) -> bool:
     """Whether the accelerations stand above the sensors' noise anywhere in the band."""
-    for found in null.found:
-        power = np.einsum("iif->if", found.spectrum).real
+    for expectation in null.expectations:
+        power = np.einsum("iif->if", expectation.spectrum).real
         if np.any(10.0 * np.log10(power.max(1) / power.min(1)) > _QUIET_DB):
             return True
     return not models
 
 
-def _seen(found: SampleDefect) -> Cause:
+def _seen(defect: SampleDefect) -> Cause:
     """A cause that the samples themselves show."""
-    kind = catalogue()[found.name]
+    kind = catalogue()[defect.name]
     names = [entry.name for entry in kind.parameters()]
     return Cause(
-        EffectTerm(kind.from_values(found.values)),
+        EffectTerm(kind.from_values(defect.values)),
         (),
-        found.log_bayes_factor,
-        -2.0 * found.log_bayes_factor,
-        _strength(found),
-        tuple(found.values[name] for name in names),
-        tuple(found.sigmas[name] for name in names),
-        found.seen,
+        defect.log_bayes_factor,
+        -2.0 * defect.log_bayes_factor,
+        _strength(defect),
+        tuple(defect.values[name] for name in names),
+        tuple(defect.sigmas[name] for name in names),
+        defect.evidence,
     )
 
 
-def _strength(found: SampleDefect) -> float:
-    return math.sqrt(2.0 * found.log_bayes_factor)
+def _strength(defect: SampleDefect) -> float:
+    return math.sqrt(2.0 * defect.log_bayes_factor)
 
 
 def _conclude(
     null: Fit,
     path: Path,
-    seen: tuple[Cause, ...],
+    sample_causes: tuple[Cause, ...],
     first: Screening,
     before: Sequence[Check],
     after: Sequence[Check],
@@ -101,8 +101,8 @@ def _conclude(
 ) -> Diagnosis:
     failed = [entry for entry in after if not entry.passed]
     leading = first.candidates[0].name if first.candidates else ""
-    causes = tuple(sorted((*seen, *path.causes), key=lambda cause: -cause.log_bayes_factor))
-    nearest = path.causes[0].part.effect.name if path.causes else leading
+    causes = tuple(sorted((*sample_causes, *path.causes), key=lambda cause: -cause.log_bayes_factor))
+    nearest = path.causes[0].term.effect.name if path.causes else leading
     outcome = (null, path.fitted, first, tuple(before), tuple(after), gain)
     if failed:
         reason = "left over: " + "; ".join(f"{entry.name} ({entry.z:+.1f} sigma)" for entry in failed[:4])
@@ -112,7 +112,7 @@ def _conclude(
     if rival is not None and rival.explains_more:
         reason = f"a law without a name explains it better: {rival.title} (by {rival.ahead:.1f} nat)"
         return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
-    foretold = any(part.effect.name not in EVENTS for part in path.fitted.parts)
+    foretold = any(term.effect.name not in EVENTS for term in path.fitted.terms)
     if gain is not None and foretold and not gain.improves:
         reason = "no extension predicts held-out blocks better"
         return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)

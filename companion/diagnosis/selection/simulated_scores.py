@@ -30,29 +30,31 @@ def is_sample_nonlinearity(effect: Effect) -> bool:
     return kind.sense is not Effect.sense and kind.response is Effect.response
 
 
-def score_scatter(models: Sequence[FlightModel], found: Sequence[Expectation], effects: Sequence[Effect]) -> Floats:
+def score_scatter(
+    models: Sequence[FlightModel], expectations: Sequence[Expectation], effects: Sequence[Effect]
+) -> Floats:
     """Standard deviation of each effect's score over what the product of its column says, (e,); effects not at 0."""
     squares, products = np.zeros(len(effects)), np.zeros(len(effects))
-    for model, one in zip(models, found, strict=True):
-        scores, naive = _drawn(model, one, effects)
+    for model, expectation in zip(models, expectations, strict=True):
+        scores, naive = _drawn(model, expectation, effects)
         squares += np.var(scores, axis=0)
         products += np.mean(naive, axis=0)
     ratio = np.divide(squares, products, out=np.ones(len(effects)), where=products > 0.0)
     return np.asarray(np.sqrt(np.maximum(ratio, 1.0)))
 
 
-def _drawn(model: FlightModel, found: Expectation, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
+def _drawn(model: FlightModel, expectation: Expectation, effects: Sequence[Effect]) -> tuple[Floats, Floats]:
     """Scores and products of columns in simulated recordings, (draws, e)."""
     rng = np.random.default_rng(_SEED)
     scores, naive = np.zeros((DRAWS, len(effects))), np.zeros((DRAWS, len(effects)))
     for k in range(DRAWS):
-        recording = model.draw(found, rng)
-        seen = dataclasses.replace(model.seen, up_mps2=np.ascontiguousarray(recording.T), fine_mps2=None)
-        lineariser = SensorLineariser(seen, model.transforms)
-        left = _white(model, found, recording)
+        recording = model.draw(expectation, rng)
+        simulated = dataclasses.replace(model.observations, up_mps2=np.ascontiguousarray(recording.T), fine_mps2=None)
+        lineariser = SensorLineariser(simulated, model.transforms)
+        residual = _white(model, expectation, recording)
         for i, effect in enumerate(effects):
-            change = _white(model, found, _change(lineariser, effect))
-            scores[k, i] = 2.0 * model.weight * float(np.sum(left.conj() * change).real)
+            change = _white(model, expectation, _change(lineariser, effect))
+            scores[k, i] = 2.0 * model.weight * float(np.sum(residual.conj() * change).real)
             naive[k, i] = 2.0 * model.weight * float(np.sum(np.abs(change) ** 2))
     return scores, naive
 
@@ -65,6 +67,6 @@ def _change(lineariser: SensorLineariser, effect: Effect) -> Floats:
 
 
 def _white(
-    model: FlightModel, found: Expectation, values: Floats
+    model: FlightModel, expectation: Expectation, values: Floats
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-    return apply(adjoint(found.motion.whitener), model.in_band(values))
+    return apply(adjoint(expectation.motion.whitener), model.in_band(values))

@@ -26,18 +26,18 @@ class Cause:
     """One accepted effect.
 
     ``group`` are the names that this recording cannot tell from it; ``log_bayes_factor`` and ``bic`` are against the
-    model without it (BIC negative: better). ``seen`` says what the samples show, for causes that no model was needed
-    for.
+    model without it (BIC negative: better). ``evidence`` says what the samples show, for causes that needed no
+    model.
     """
 
-    part: EffectTerm
+    term: EffectTerm
     group: tuple[str, ...]
     log_bayes_factor: float
     bic: float
     z: float
     values: tuple[float, ...]
     sigmas: tuple[float, ...]
-    seen: str = ""
+    evidence: str = ""
 
 
 @dataclass(frozen=True, slots=True)
