@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from companion.records import Reject
 LEFT = 0.05  # share of the toe that the correction leaves
 EMPTY = "antisymmetric"  # the planner finds nothing there
 TOES_MRAD = (4.0, -4.0, 3.0, -3.0)
+SIGMA_M = {"corrected": 0.3, "published": 0.2}
 
 
 def shot(trial: Trial, baseline_m: float, toe_mrad: float, planned: bool) -> Scored:
@@ -42,7 +44,8 @@ def shot(trial: Trial, baseline_m: float, toe_mrad: float, planned: bool) -> Sco
     upper = whole if trial.airframe == "forward-2m" else {}
     half = 0.5e-3 * toe_mrad
     reject = None if planned else Reject.SIGMA_TOO_LARGE
-    return Scored(planned, whole, upper, reject, (half, half), 0.05 if planned else 0.2, 2.0 if planned else 45.0)
+    blur_px, phase_deg = (0.05, 2.0) if planned else (0.2, 45.0)
+    return Scored(planned, whole, upper, reject, (half, half), blur_px, phase_deg, SIGMA_M)
 
 
 def outcome(trial: Trial) -> Outcome:
@@ -70,6 +73,42 @@ def sections(results: Results) -> list[Section]:
     ]
 
 
+@pytest.fixture
+def figures(results: Results, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Pictures of the experiments by their captions."""
+    from matplotlib.figure import Figure
+
+    drawn: list[Any] = []
+    save = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda self, *a, **k: (drawn.append(self), save(self, *a, **k))[1])
+    shown = [*own_experiments.section(results).pictures[:2], *triggering.section(results).pictures]
+    return {picture.title: figure for picture, figure in zip(shown, drawn, strict=True)}
+
+
+def test_every_picture_of_an_experiment_says_its_figure_and_unit(figures: dict[str, Any], results: Results) -> None:
+    for figure in figures.values():
+        assert re.search(r"\d (%|m|px) of", figure.get_suptitle().replace("\u00a0", " "))
+        for axis in figure.axes:
+            assert axis.get_title(loc="left")
+            assert axis.get_ylabel()
+    bars = next(figure for title, figure in figures.items() if title.startswith("Range errors"))
+    for way in ("rigid", "corrected", "published_trusted"):
+        assert percent(results.peaks["wing_60m"][way]["rms_percent"] / 100) in bars.get_suptitle()
+
+
+def test_dots_and_bars_of_the_experiments_carry_their_sigma(figures: dict[str, Any], results: Results) -> None:
+    scatter = next(figure for title, figure in figures.items() if title.startswith("Every shot"))
+    _, left = scatter.axes
+    for container, sigma_m in zip(left.containers, SIGMA_M.values(), strict=True):
+        low, high = np.array(container.lines[2][0].get_segments())[:, :, 1].T
+        np.testing.assert_allclose(high - low, 2.0 * sigma_m, atol=1e-9)
+    bars = next(figure for title, figure in figures.items() if title.startswith("Range errors"))
+    rigid = next(entry for entry in bars.axes[0].containers if entry.get_label() == "rigid")
+    low, high = np.array(rigid.errorbar.lines[2][0].get_segments())[:, :, 1].T
+    rms = np.array([results.peaks[key]["rigid"]["rms_percent"] for key in results.own])
+    np.testing.assert_allclose(high - low, 2.0 * rms / np.sqrt(2.0 * len(TOES_MRAD)))
+
+
 def test_what_is_removed_is_what_the_correction_takes_out(results: Results) -> None:
     for key in results.outcomes:
         found = results.randoms[key]
@@ -90,7 +129,7 @@ def test_one_tip_sees_symmetric_bending_rightly_and_antisymmetric_doubly(results
     trial = results.outcomes["lift"].trial
     symmetric = [shot(trial, 1.98, toe, True) for toe in TOES_MRAD]
     assert one_tip_toe_error_mrad(symmetric) == pytest.approx(0.0, abs=1e-12)
-    twisted = [Scored(True, {}, {}, None, (-0.001, 0.001), 0.0, 0.0)]
+    twisted = [Scored(True, {}, {}, None, (-0.001, 0.001), 0.0, 0.0, SIGMA_M)]
     assert one_tip_toe_error_mrad(twisted) == pytest.approx(2.0)
 
 

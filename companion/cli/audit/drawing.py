@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from companion.cli.audit.findings import Picture
-from companion.cli.plotting import BLUE, GREEN, GREY, ORANGE, VERMILLION
+from companion.cli.plotting import BLUE, GREEN, GREY, ORANGE, VERMILLION, headline
 
 __all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "draw"]
 
@@ -29,9 +29,12 @@ _STYLE = {
 }
 
 
-def draw(title: str, rows: int, columns: int, paint: Callable[[Any], None], height_in: float = 3.2) -> Picture:
-    """A figure of ``rows`` x ``columns`` axes, which ``paint`` fills; it is given the array of axes.
+def draw(
+    title: str, rows: int, columns: int, paint: Callable[[Any], None], height_in: float = 3.2, *, said: str
+) -> Picture:
+    """Figure of ``rows`` x ``columns`` axes, which ``paint`` fills; it is given the array of axes.
 
+    ``said`` is the number that counts, in a sentence: it is written on the picture, which is seen without its caption.
     Lines of many points are drawn as pixels where ``paint`` rasterizes them, so that the file stays small.
     """
     import matplotlib as mpl  # takes most of a second to import
@@ -42,6 +45,7 @@ def draw(title: str, rows: int, columns: int, paint: Callable[[Any], None], heig
         figure = Figure(figsize=(9.5, height_in * rows), layout="constrained", dpi=110)
         FigureCanvasSVG(figure)
         paint(figure.subplots(rows, columns, squeeze=False))
+        headline(figure, said)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
     return Picture(title, text.getvalue())

@@ -46,4 +46,5 @@ def _draw_mode(station: Floats, mode: BeamMode) -> Picture:
         slope.plot(1e3 * station, mode.slope(station) / mode.slope_at_tip_radpm, color=RED)
         slope.set(title="Normalised slope", xlabel="station, mm", ylabel="slope / tip")
 
-    return draw("Fig. 4: normalised first mode shape and slope along the boom", 1, 2, paint)
+    said = f"{number(mode.slope_at_tip_radpm)} rad of slope per metre of deflection at the tip"
+    return draw("Fig. 4: normalised first mode shape and slope along the boom", 1, 2, paint, said=said)

@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from companion.cli.audit import printed
-from companion.cli.audit.drawing import BLUE, GREY, RED, draw
+from companion.cli.audit.drawing import BLUE, GREEN, GREY, RED, draw
 from companion.cli.audit.experiments import Outcome
 from companion.cli.audit.findings import Picture, Section, Table, number, percent
 from companion.cli.audit.scores import Results
 from companion.cli.audit.shots import Scored
-from companion.records import Side
+from companion.cli.plotting import INK, dots
+from companion.records import Floats, Side
 
-COLOURS = {"rigid": RED, "corrected": BLUE, "oracle": GREY}
-NAMES = {"rigid": "rigid", "corrected": "corrected", "oracle": "true extrinsics (oracle)"}
+COLOURS = {"rigid": RED, "corrected": BLUE, "published": GREEN, "oracle": GREY}
+NAMES = {
+    "rigid": "rigid",
+    "corrected": "corrected by the wing's sensors",
+    "published": "published",
+    "oracle": "true extrinsics (oracle)",
+}
+_TOLD = {"published": "published_trusted"}  # what leaves the service
+_TOLD_APART = {"corrected": -0.002, "published": 0.002}  # of the axis: dots of one shot lie beside each other
+_STEP = 0.2
 _MEDIAN_SIGMA = 1.2533  # of a median over that of a mean, normal errors
 _WING = ("wing_checker", "wing_bucket", "wing_cone", "wing_60m")
 
@@ -150,43 +159,71 @@ def _draws_table(results: Results) -> tuple[Table, ...]:
 
 
 def _bars(results: Results) -> Picture:
+    peaks = [results.peaks[key] for key in results.own]
+
     def paint(axes: Any) -> None:
         axis = axes[0, 0]
         at = np.arange(len(results.own))
-        peaks = [results.peaks[key] for key in results.own]
         for i, (way, colour) in enumerate(COLOURS.items()):
-            values = [peak[way]["rms_percent"] for peak in peaks]
-            axis.bar(at + 0.22 * (i - 1), values, 0.2, color=colour, label=NAMES[way])
+            values = np.array([peak[_TOLD.get(way, way)]["rms_percent"] for peak in peaks])
+            counts = np.array([peak[_TOLD.get(way, way)]["n"] for peak in peaks])
+            sigma = values / np.sqrt(2.0 * np.maximum(counts, 1))  # of an rms over n shots
+            axis.bar(at + _STEP * (i - 1.5), values, 0.9 * _STEP, color=colour, label=NAMES[way],
+                     yerr=sigma, error_kw={"elinewidth": 0.8, "ecolor": INK})  # fmt: skip
         for i, key in enumerate(results.own):
             trial = results.outcomes[key].trial
             if trial.paper_before_percent:
                 marks = [trial.paper_before_percent, trial.paper_after_percent or np.nan]
-                axis.plot([i - 0.22, i], marks, "kD", ms=4, label="paper" if key == "wing_60m" else None)
-        axis.set(yscale="log", ylabel="range error, %", title="rms at peaks; diamonds: the paper, before and after")
+                places = [i - 1.5 * _STEP, i - 0.5 * _STEP]
+                axis.plot(places, marks, "D", ms=4.5, color=INK, mfc="white",
+                          label="the paper, before and after" if key == "wing_60m" else None)  # fmt: skip
+        axis.set(yscale="log", ylabel="range error, %", title="rms over the shots at peaks, ±1 sigma")
         names = [re.sub(", | (?=at |on )", "\n", results.outcomes[key].trial.title) for key in results.own]
         axis.set_xticks(at, names, fontsize=7)
-        axis.legend(ncols=4, loc="upper left")
+        axis.legend(ncols=5, loc="upper left")
         axis.set_ylim(top=20 * max(peak["rigid"]["rms_percent"] for peak in peaks))
 
-    return draw("Range errors of the paper's experiments: the paper's, ours, and with true extrinsics", 1, 1, paint)
+    far = results.peaks["wing_60m"]
+    before, after, sent = (
+        percent(far[way]["rms_percent"] / 100) for way in ("rigid", "corrected", "published_trusted")
+    )
+    said = f"At 60 m {before} of range error become {after}, {sent} where published (rms at peaks)"
+    title = "Range errors of the paper's experiments: the paper's, ours, and with true extrinsics"
+    return draw(title, 1, 1, paint, 3.8, said=said)
 
 
 def _scatter(outcome: Outcome) -> Picture:
-    def paint(axes: Any) -> None:
-        axis = axes[0, 0]
-        toe = 1e3 * np.array([shot.toe_rad for shot in outcome.flown.shots])
-        line = np.linspace(toe.min(), toe.max(), 101)
-        z = outcome.trial.distance_m
-        closed = 1.0 / (1.0 / z + 1e-3 * line / printed.BASELINE_M)
-        axis.plot(line, closed, color=RED, lw=0.8, alpha=0.5, label="1/Z' = 1/Z + theta/B")
-        for way, colour in COLOURS.items():
-            readings = [shot.whole[way] for shot in outcome.flown.shots]
-            read = [np.nan if entry is None else 1.0 / entry.inverse_pm for entry in readings]
-            axis.plot(toe, read, "o", ms=3.5, color=colour, label=NAMES[way])
-        axis.set(xlabel="true relative toe at the exposure, mrad", ylabel="range, m", title=outcome.trial.title)
-        axis.legend()
+    shots, z = outcome.flown.shots, outcome.trial.distance_m
 
-    return draw("Every shot of the 60 m experiment: range against the toe of that instant", 1, 1, paint)
+    def paint(axes: Any) -> None:
+        top, bottom = axes[:, 0]
+        toe = 1e3 * np.array([shot.toe_rad for shot in shots])
+        line = np.linspace(toe.min(), toe.max(), 101)
+        closed = 1.0 / (1.0 / z + 1e-3 * line / printed.BASELINE_M)
+        top.plot(line, closed, color=RED, lw=0.8, alpha=0.5, label="1/Z' = 1/Z + theta/B")
+        for way, colour in COLOURS.items():
+            read_m, sigma_m = _read_m(shots, way)
+            top.plot(toe, read_m, "o", ms=3.5, color=colour, label=NAMES[way])
+            if way in _TOLD_APART:
+                beside = toe + _TOLD_APART[way] * (toe.max() - toe.min())
+                dots(bottom, beside, read_m - z, sigma_m, colour, f"{NAMES[way]}, ±1 sigma")
+        bottom.axhline(0.0, color=INK, lw=0.8)
+        bottom.sharex(top)
+        top.set(ylabel="range, m", title=f"{outcome.trial.title}: range")
+        bottom.set(xlabel="true relative toe at the exposure, mrad", ylabel="error, m", title="What is left, magnified")
+        top.legend(ncols=2)
+        bottom.legend(ncols=2)
+
+    worst_m, left_most_m = (np.nanmax(np.abs(_read_m(shots, way)[0] - z)) for way in ("rigid", "corrected"))
+    said = f"At {z:g} m up to {number(worst_m, 2)} m of error become at most {number(left_most_m, 2)} m"
+    return draw("Every shot of the 60 m experiment: range against the toe of that instant", 2, 1, paint, 2.8, said=said)
+
+
+def _read_m(shots: Sequence[Scored], way: str) -> tuple[Floats, Floats]:
+    """Ranges of one way and their sigmas (n,), metres; NaN where there is none."""
+    readings = [shot.whole[way] for shot in shots]
+    read_m = [np.nan if entry is None else 1.0 / entry.inverse_pm for entry in readings]
+    return np.array(read_m), np.array([shot.sigma_m.get(way, np.nan) for shot in shots])
 
 
 def _images(outcome: Outcome) -> Picture:

@@ -54,7 +54,7 @@ def section() -> Section:
         ),
         f"Damping {data['damping']:g} is the airframe's belief; the paper gives none. Modes 1 and 2 of Table 2's beam.",
     )
-    pictures = (_draw_time(shaken), _draw_response(response))
+    pictures = (_draw_time(shaken, data), _draw_response(response, data))
     return Section("figs_11_12", "Figs. 11 and 12: random excitation", findings, (table,), pictures, data)
 
 
@@ -98,7 +98,7 @@ def _share(parts: Floats) -> float:
     return float(variance[0] / variance.sum())
 
 
-def _draw_time(shaken: Shaken) -> Picture:
+def _draw_time(shaken: Shaken, data: dict[str, Any]) -> Picture:
     shown = round(_SHOWN_S * shaken.rate_hz)
     t_s = np.arange(shown) / shaken.rate_hz
 
@@ -110,10 +110,12 @@ def _draw_time(shaken: Shaken) -> Picture:
         bottom.plot(t_s, shaken.tip_mps2[:shown], color=BLUE, lw=0.6, rasterized=True)
         bottom.set(title="Accelerometer at the tip", xlabel="time, s", ylabel="m/s²")
 
-    return draw("Fig. 11: random input (top) and the tip's response (bottom)", 2, 1, paint, 1.9)
+    rms = " become ".join(number(float(np.std(each)), 3) for each in (shaken.base_mps2, shaken.tip_mps2))
+    said = f"{rms} m/s² rms at the tip, which swings by {number(data['tip_deflection_rms_mm'], 2)} mm rms"
+    return draw("Fig. 11: random input (top) and the tip's response (bottom)", 2, 1, paint, 1.9, said=said)
 
 
-def _draw_response(response: Response) -> Picture:
+def _draw_response(response: Response, data: dict[str, Any]) -> Picture:
     def paint(axes: Any) -> None:
         top, bottom = axes[:, 0]
         top.plot(response.frequency_hz, response.coherence, color=GREY, lw=0.9)
@@ -124,4 +126,8 @@ def _draw_response(response: Response) -> Picture:
         bottom.legend(loc="upper right")
         bottom.set(title="Transfer function, tip over base", xlabel="frequency, Hz", ylabel="gain")
 
-    return draw(f"Fig. 12: coherence and transfer function, {response.averages} averages", 2, 1, paint, 1.9)
+    gap = percent(data["median_gap_to_closed_form"])
+    said = (
+        f"Gain {number(data['peak_gain'], 3)} at {number(data['peak_hz'])} Hz, within {gap} of the closed form (median)"
+    )
+    return draw(f"Fig. 12: coherence and transfer function, {response.averages} averages", 2, 1, paint, 1.9, said=said)

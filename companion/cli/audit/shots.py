@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.cli.judge import Judge, Reading
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.ranging import correct
 from companion.records import CorrectedRange, Deflection, Floats, MatchSet, Reject, RelativeRotation, Side
 from companion.sim.flight import Flight
 
@@ -39,7 +41,8 @@ class Scored:
     ``upper`` is the same from the upper third of the image alone, for pairs that look forward (else empty).
     ``tip_rad`` is the true slope of the left and right tip beyond rest, ``toe_rad`` their sum; ``blur_px`` is what
     bending alone smears in the worse camera; ``phase_deg`` is 0 where that camera's slope turns and 90 where it is
-    fastest; ``reject`` is why the range was not trusted.
+    fastest; ``reject`` is why the range was not trusted. ``sigma_m`` is one sigma of the ranges that state one: by the
+    wing's sensors (``corrected``) and as published.
     """
 
     planned: bool
@@ -49,6 +52,7 @@ class Scored:
     tip_rad: tuple[float, float]
     blur_px: float
     phase_deg: float
+    sigma_m: Mapping[str, float]
 
     @property
     def toe_rad(self) -> float:
@@ -109,7 +113,15 @@ def score(judge: Judge, usual: Usual, matches: MatchSet, answer: Answer, planned
         tip_rad=(float(slope[0]), float(slope[1])),
         blur_px=lens.focal_px * matches.exposure_ns * 1e-9 * float(rate[worse]),
         phase_deg=usual.phase_deg(worse, float(slope[worse]), float(rate[worse])),
+        sigma_m={"corrected": _sensors_sigma_m(judge, matches, answer), "published": answer.range.sigma_m},
     )
+
+
+def _sensors_sigma_m(judge: Judge, matches: MatchSet, answer: Answer) -> float:
+    """One sigma, in metres, of the range by the wing's sensors alone."""
+    airframe = judge.flight.airframe
+    rig = Rig.from_airframe(airframe)
+    return correct(matches, answer.left, answer.right, rig, airframe, judge.settings).range.sigma_m
 
 
 def _readings(judge: Judge, matches: MatchSet, answer: Answer) -> dict[str, Reading | None]:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from companion.cli.audit.drawing import BLUE, ORANGE, draw
-from companion.cli.audit.experiments import Outcome
 from companion.cli.audit.findings import Picture, Section, Table, number, percent
 from companion.cli.audit.scores import Results, toe_error_mrad
 
@@ -37,7 +36,7 @@ def section(results: Results) -> Section:
         "peaks or at random.",
     )
     data = {"random": dict(randoms), "peaks": dict(peaks)}
-    picture = _blur(results.outcomes["wing_random"])
+    picture = _blur(results)
     return Section("triggering", "Triggering against correction", findings, (_table(results),), (picture,), data)
 
 
@@ -74,7 +73,10 @@ def _table(results: Results) -> Table:
     )
 
 
-def _blur(outcome: Outcome) -> Picture:
+def _blur(results: Results) -> Picture:
+    outcome = results.outcomes["wing_random"]
+    before, after = (scores["wing_random"]["blur_median_px"] for scores in (results.randoms, results.peaks))
+
     def paint(axes: Any) -> None:
         axis = axes[0, 0]
         groups = {True: ("triggered at peaks", BLUE), False: ("random instants", ORANGE)}
@@ -86,4 +88,5 @@ def _blur(outcome: Outcome) -> Picture:
         axis.set(xlabel="blur by bending, px", ylabel="share of shots below", title=outcome.trial.title, xlim=(0, top))
         axis.legend()
 
-    return draw("What triggering at peaks is worth: blur under random load", 1, 1, paint, 2.6)
+    said = f"{number(before, 2)} px of blur at random instants become {number(after, 2)} px at peaks (median)"
+    return draw("What triggering at peaks is worth: blur under random load", 1, 1, paint, 2.6, said=said)

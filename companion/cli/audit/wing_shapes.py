@@ -13,6 +13,7 @@ from companion.cli.audit.findings import Picture, Section, Table, deviation, num
 from companion.cli.audit.modal_peaks import GVT_TIP_CHORD_M, gvt_folder, measured_points
 from companion.cli.audit.range_tables import toe_rad, wide_factor
 from companion.cli.audit.vibration_test import GAIN_SIGMA, STATIONS_M, TESTS, simulated_points, survey, true_shapes
+from companion.cli.plotting import INK, dots
 from companion.core.wing.beam import BeamMode
 from companion.core.wing.shapes import WingShape
 from companion.params.files import load_airframe
@@ -50,7 +51,7 @@ def section() -> Section:
         + ". The correction angle is wrong by as much before any camera looks.",
         f"Table 3's angles are {', '.join(f'{value:.2f}' for value in scaled)} mm of tip deflection.",
     ]
-    pictures = [_draw("simulated wing", simulated, scaled[0] / 1e3, first)]
+    pictures = [_draw("simulated wing", simulated, factor, scaled[0] / 1e3, first)]
     rows = [_row("simulated, 2 m span", simulated, whole)]
     folder = gvt_folder()
     if folder.is_dir():
@@ -58,7 +59,7 @@ def section() -> Section:
         found, text = _measured(real)
         data["measured"] = found
         findings.append(text)
-        pictures.append(_draw("measured wing (mAEWing1)", real, None))
+        pictures.append(_draw("measured wing (mAEWing1)", real, found["slope_factor_radpm"], None))
         rows.append(_row("measured, mAEWing1", real, found["slope_factor_radpm"]))
     else:
         data["measured"] = None
@@ -138,17 +139,22 @@ def _scaled_mm(factor_radpm: float) -> list[float]:
     ]
 
 
-def _draw(name: str, fitted: Fitted, tip_m: float | None, truth: BeamMode | None = None) -> Picture:
+def _draw(
+    name: str, fitted: Fitted, factor_radpm: float, tip_m: float | None, truth: BeamMode | None = None
+) -> Picture:
     def paint(axes: Any) -> None:
         _paint_edges(axes[:, 0], fitted)
         _paint_shape(axes[:, 1], fitted, tip_m)
         if truth is not None and tip_m is not None:
             _paint_truth(axes[:, 1], fitted.reach_m, tip_m, truth)
         for top, bottom in zip(*axes, strict=True):
+            top.sharex(bottom)
             top.tick_params(labelbottom=False)
             bottom.set_xlabel("span station, m (right positive)")
 
-    return draw(f"Figs. 9 and 10, {name}: edge fits (left), scaled shape and slope (right)", 2, 2, paint, 2.4)
+    title = f"Figs. 9 and 10, {name}: edge fits (left), scaled shape and slope (right)"
+    said = f"{name[:1].upper()}{name[1:]}: {number(factor_radpm)} rad of slope per metre of tip deflection"
+    return draw(title, 2, 2, paint, 2.4, said=said)
 
 
 def _paint_edges(axes: Any, fitted: Fitted) -> None:
@@ -159,8 +165,10 @@ def _paint_edges(axes: Any, fitted: Fitted) -> None:
     for axis, (title, fit, points, colour) in zip(axes, edges, strict=True):
         inside = np.linspace(*fit.span_m, 201)
         axis.plot(inside, fit.deflection(inside), color=colour)
-        axis.plot(points.span_m, points.deflection, "o", ms=4, color=GREY)
+        sigma = np.full(len(points.span_m), fit.residual_sigma)
+        dots(axis, points.span_m, points.deflection, sigma, INK, "peaks, ±1 sigma of the fit's residuals")
         axis.set(title=f"{title}: modal peaks and polynomial", ylabel="peak, acceleration / force")
+        axis.legend()
 
 
 def _paint_shape(axes: Any, fitted: Fitted, tip_m: float | None) -> None:
