@@ -71,10 +71,10 @@ def test_a_step_of_the_filter_is_the_exact_one(zeta: float) -> None:
         both[:2, :2], both[2:, 2:], both[1, 3] = -flow, flow.T, 3.0
         there = expm(both * step_s)
         spread = there[2:, 2:].T @ there[:2, 2:]
-        np.testing.assert_allclose(steps.spread[t, 0], spread, rtol=1e-9)
+        np.testing.assert_allclose(steps.process_noise[t, 0], spread, rtol=1e-9)
         # a sample is the mean acceleration of its step: (v after - v before) / step
-        np.testing.assert_allclose(steps.seen[t, 0], (expm(flow * step_s) - np.eye(2))[1] / step_s, atol=1e-9)
-        np.testing.assert_allclose(steps.along[t, 0], spread[:, 1] / step_s, rtol=1e-9)
+        np.testing.assert_allclose(steps.H[t, 0], (expm(flow * step_s) - np.eye(2))[1] / step_s, atol=1e-9)
+        np.testing.assert_allclose(steps.cross_covariance[t, 0], spread[:, 1] / step_s, rtol=1e-9)
         assert steps.variance[t, 0] == pytest.approx(spread[1, 1] / step_s**2 + 1.0)
 
 
@@ -92,7 +92,7 @@ def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
     found = []
     for sweep in (kalman.filter_batch, kalman.filter_each):
         out = np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))
-        sweep(steps.transition, steps.spread, steps.seen, steps.along, steps.variance, y, *out)
+        sweep(steps.transition, steps.process_noise, steps.H, steps.cross_covariance, steps.variance, y, *out)
         found.append(out)
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)

@@ -199,8 +199,8 @@ def _explained(changed: ChangedMode, causes: Sequence[Channel]) -> str:
 def _not_identifiable(changed: ChangedMode) -> str:
     names = [_plainly(name) for name in changed.confounded()]
     return (
-        f"{_change_in_words(changed)}, but its cause is not identifiable: {' and '.join(['run order', *names])} are confounded, for "
-        f"no {' and no '.join(names)} was measured again later{_ruled_out(changed)}"
+        f"{_change_in_words(changed)}, but its cause is not identifiable: {' and '.join(['run order', *names])} "
+        f"are confounded, for no {' and no '.join(names)} was measured again later{_ruled_out(changed)}"
     )
 
 
@@ -302,4 +302,7 @@ def _mode(mode: ModeOverRuns) -> dict[str, Any]:
 def _note(changed: ChangedMode) -> str:
     runs, f_hz = changed.mode.runs, changed.mode.frequency_hz
     percent = 100.0 * changed.change_hz / f_hz[changed.first]
-    return f"also near {_middle(changed.mode):.2f} Hz: {percent:+.1f} % from run {runs[changed.first]} to run {runs[changed.last]}"
+    return (
+        f"also near {_middle(changed.mode):.2f} Hz: {percent:+.1f} % "
+        f"from run {runs[changed.first]} to run {runs[changed.last]}"
+    )
