@@ -107,7 +107,7 @@ def test_innovations_of_the_filter_s_own_data_are_white_and_of_unit_size(omega: 
     shape = (1, steps, 1)
     modes = Modes(np.full(shape, omega), np.full(shape, zeta), np.full(shape, 2.0), np.full((1, steps), 0.5))
     step = kalman.matrices(modes, 0.02)
-    root = np.linalg.cholesky(step.spread[0, 0])
+    root = np.linalg.cholesky(step.process_noise[0, 0])
     x, y = np.zeros(2), np.empty((1, steps))
     for t in range(steps):
         after = step.transition[t, 0] @ x + root @ rng.standard_normal(2)
