@@ -48,7 +48,7 @@ fast: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m "not slow and not realtime and not long"
 
 warm: $(STAMP)   ## compile the inner loops ahead of their first use
-	$(BIN)/python -c 'from companion.core.warming import warm_up; from companion.params.files import load_airframe; from companion.params.settings import Settings; warm_up(load_airframe("nadir-2m"), Settings())'
+	$(BIN)/python -c 'from companion.core.warmup import warm_up; from companion.params.files import load_airframe; from companion.params.settings import Settings; warm_up(load_airframe("nadir-2m"), Settings())'
 
 bench: $(STAMP)  ## speed, memory and accuracy figures, side by side with the alternatives
 	$(BIN)/python -m tools.bench

@@ -22,7 +22,7 @@ def _keep_machine_code_by_its_sources() -> None:
         return
     here = Path(__file__).parent
     sources = {path: path.read_bytes() for path in sorted(here.rglob("*.py"))}
-    folders = {path.parent for path, text in sources.items() if b"core.compiled import" in text}
+    folders = {path.parent for path, text in sources.items() if b"kernels.compiled import" in text}
     digest = hashlib.sha256(b"".join(text for path, text in sources.items() if path.parent in folders))
     name, beside = f"machine-code-{digest.hexdigest()[:16]}", here / "__pycache__"
     home = beside if _writable(beside) or _writable(here) else next(filter(_ours, _elsewhere()), None)

@@ -20,7 +20,7 @@ os.environ.setdefault("DEPTHAI_TELEMETRY", "0")  # tests import the library them
 @pytest.fixture(scope="session", autouse=True)
 def _textures_are_made_once() -> Iterator[None]:
     """The noise that surfaces are painted with follows from a seed alone, and is a quarter of what a renderer costs."""
-    texture = sys.modules.get("companion.sim.texture")  # none of the tests chosen may need it
+    texture = sys.modules.get("companion.sim.vision.texture")  # none of the tests chosen may need it
     with pytest.MonkeyPatch.context() as patch:
         if texture is not None:
             patch.setattr(texture, "noise_period", functools.lru_cache(maxsize=8)(texture.noise_period))

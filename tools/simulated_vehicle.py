@@ -12,8 +12,8 @@ import signal
 import threading
 
 from companion.params.files import load_airframe
-from companion.sim.flight import build_flight
-from companion.sim.rehearsal import Rehearsal
+from companion.sim.flight.flight import build_flight
+from companion.sim.rehearsal.vehicle import Rehearsal
 
 
 def main() -> int:

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.cli.diagnose_models import belief_for
+from companion.cli.steps.diagnose_models import belief_for
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import RawRanges, RawRecording, RawStream, observe
 from companion.diagnosis.model.flight_model import FlightModel

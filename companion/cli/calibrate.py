@@ -8,21 +8,31 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.adapters.cameras import opening as cameras
+from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.cameras.folder import list_images, read_grey
-from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.calibration.attitudes import find_attitudes
 from companion.calibration.boards import Board
 from companion.calibration.guidance import advice
 from companion.calibration.latency import trigger_latency
 from companion.calibration.mounting import airframe_with_mounting, disagreement_rad, mount
 from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate_rig, find_views
-from companion.cli.calibrate_live import take_views
-from companion.cli.calibrate_rehearsal import Rehearsal, errors_in_sigmas
-from companion.cli.calibrate_report import Pairs, report, rows, verdict
-from companion.cli.numbers import number, seconds, seed, whole
-from companion.cli.options import make_folder
+from companion.cli.steps.calibrate_live import take_views
+from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
+from companion.cli.steps.numbers import (
+    number,
+    seconds,
+    seed,
+    whole,
+)
+from companion.cli.steps.options import make_folder
 from companion.errors import ConfigError
+from companion.evaluation.pages.calibration_page import (
+    Pairs,
+    report,
+    rows,
+    verdict,
+)
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import dump_airframe, load_airframe
 from companion.ports import CameraPair

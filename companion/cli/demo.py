@@ -12,22 +12,22 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from companion.cli.debrief import debrief
-from companion.cli.demo_realtime import fly_in_real_time
-from companion.cli.flying import fly
-from companion.cli.lockstep import LockStepService
-from companion.cli.numbers import seconds, seed
-from companion.cli.options import add_settings, make_folder, read_settings
-from companion.cli.picture import draw
-from companion.cli.shots import Stage
-from companion.cli.summary import print_summary
-from companion.cli.view import View
-from companion.core.warming import warm_up
+from companion.cli.steps.demo_realtime import fly_in_real_time
+from companion.cli.steps.demo_summary import print_summary
+from companion.cli.steps.flying import fly
+from companion.cli.steps.lockstep import LockStepService
+from companion.cli.steps.numbers import seconds, seed
+from companion.cli.steps.options import add_settings, make_folder, read_settings
+from companion.cli.steps.view import View
+from companion.core.warmup import warm_up
 from companion.errors import ConfigError
+from companion.evaluation.flight_evaluation import debrief
+from companion.evaluation.pages.demo_picture import draw
+from companion.evaluation.rendered_shots import Stage
 from companion.params.files import load_airframe
 from companion.service.config import ServiceConfig
-from companion.sim.flight import Flight, build_flight
-from companion.sim.lockstep import EPOCH_NS
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.lockstep import EPOCH_NS
 
 _NOTHING = 3
 

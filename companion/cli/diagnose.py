@@ -8,15 +8,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from companion.adapters.recordings.mapping import TestKind, load_mapping
-from companion.cli import flights, measured
-from companion.cli.diagnose_apply import extended
-from companion.cli.diagnose_models import models_of
-from companion.cli.effect_list import add_effect_list
-from companion.cli.evidence import airframe_of
-from companion.cli.numbers import whole
-from companion.cli.options import check_output
-from companion.cli.report_html import write_report
+from companion.adapters.recordings.tables.mapping import TestKind, load_mapping
+from companion.cli.steps import flights, measured
+from companion.cli.steps.diagnose_apply import extended
+from companion.cli.steps.diagnose_models import models_of
+from companion.cli.steps.diagnosis_evidence import airframe_of
+from companion.cli.steps.effect_list import add_effect_list
+from companion.cli.steps.numbers import whole
+from companion.cli.steps.options import check_output
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.json_report import as_json, sentence
 from companion.diagnosis.selection.search import diagnose

@@ -13,17 +13,22 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
-from companion.adapters.mavlink.link import open_link
-from companion.adapters.mavlink.signing import load_signing
-from companion.cli.checks.evidence import Evidence, Finding, Fix, Level
-from companion.cli.checks.examine import Examination, read_log
-from companion.cli.checks.link import check_computer, check_link
-from companion.cli.checks.parameters import check_parameters
-from companion.cli.checks.ranging import check_ranging
-from companion.cli.checks.timing import check_clocks, check_filters, check_rates
-from companion.cli.checks.wing import check_cameras, check_nodes
-from companion.cli.numbers import seconds
-from companion.cli.options import add_settings, read_settings
+from companion.adapters.mavlink.link.link import open_link
+from companion.adapters.mavlink.link.signing import load_signing
+from companion.cli.steps.numbers import seconds
+from companion.cli.steps.options import add_settings, read_settings
+from companion.doctor.evidence import (
+    Evidence,
+    Finding,
+    Fix,
+    Level,
+)
+from companion.doctor.examine import Examination, read_log
+from companion.doctor.link import check_computer, check_link
+from companion.doctor.parameters import check_parameters
+from companion.doctor.ranging import check_ranging
+from companion.doctor.timing import check_clocks, check_filters, check_rates
+from companion.doctor.wing import check_cameras, check_nodes
 from companion.params.files import load_airframe
 from companion.ports import Clock
 

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.adapters.recordings.matlab_file import read_matlab
-from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.calibration.ambient import AmbientMode
 from companion.calibration.flight_modes import wing_motion
 from companion.calibration.modes import IdentifiedMode, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import BendingMode, airframe_with, bending_modes, stations, symmetry
-from companion.cli.identify_picture import draw_flight, draw_test
-from companion.cli.numbers import number
-from companion.cli.options import make_folder
+from companion.cli.steps.numbers import number
+from companion.cli.steps.options import make_folder
+from companion.evaluation.pages.identification_figures import draw_flight, draw_test
 from companion.params.airframe import Airframe, Mode, Uncertain
 from companion.params.files import dump_airframe, load_airframe
 

@@ -9,11 +9,11 @@ import sys
 import time
 from pathlib import Path
 
-from companion.cli.audit.report import make_sections, plain, write
-from companion.cli.audit.trials import FULL, QUICK, SEEDS
-from companion.cli.numbers import whole
-from companion.cli.options import check_output, make_folder
+from companion.cli.steps.numbers import whole
+from companion.cli.steps.options import check_output, make_folder
 from companion.errors import ConfigError
+from companion.paper.report import make_sections, plain, write
+from companion.paper.trials import FULL, QUICK, SEEDS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from companion.cli.options import check_output
+from companion.cli.steps.options import check_output
 from companion.errors import ConfigError
 from companion.params.document import parameters_page
 from companion.params.metadata import apm_pdef_xml

@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from companion.adapters.recordings.codec import codec_of
-from companion.adapters.recordings.opening import open_recording
-from companion.adapters.recordings.reader import McapRecording
+from companion.adapters.recordings.mcap.codec import codec_of
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording import Recording
-from companion.adapters.recordings.writer import About, McapWriter
-from companion.cli.options import add_settings, check_output, read_settings
-from companion.cli.progress import Progress, length_ns
-from companion.cli.replaying import drive, foreign_inputs, own_inputs
-from companion.cli.stations import StationAnalysis
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.steps.options import add_settings, check_output, read_settings
+from companion.cli.steps.progress import Progress, length_ns
 from companion.errors import RecordingError
+from companion.evaluation.replay import drive, foreign_inputs, own_inputs
+from companion.evaluation.station_tones import StationAnalysis
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (

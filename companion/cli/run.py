@@ -8,15 +8,20 @@ import sys
 import time
 from pathlib import Path
 
-from companion.adapters.cameras import opening as cameras
-from companion.adapters.triggers import opening as triggers
+from companion.adapters.cameras import camera_factory as cameras
+from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
-from companion.cli.flying import fly
-from companion.cli.numbers import seconds
-from companion.cli.options import add_settings, read_settings, state_file
-from companion.cli.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
-from companion.cli.view import View
+from companion.cli.steps.flying import fly
+from companion.cli.steps.numbers import seconds
+from companion.cli.steps.options import add_settings, read_settings, state_file
+from companion.cli.steps.simulated_devices import (
+    SPELLING,
+    opens_at_take_off,
+    simulated_cameras,
+    simulated_trigger,
+)
+from companion.cli.steps.view import View
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe

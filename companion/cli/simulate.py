@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from companion.cli.effect_list import add_effect_list
-from companion.cli.numbers import seconds, seed
-from companion.cli.options import make_folder
+from companion.cli.steps.effect_list import add_effect_list
+from companion.cli.steps.numbers import seconds, seed
+from companion.cli.steps.options import make_folder
 from companion.core.wing.effects import catalogue
 from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
 from companion.params.files import load_airframe
-from companion.sim.flight import GustKind, build_flight
-from companion.sim.tables import write_csv
+from companion.sim.flight.flight import GustKind, build_flight
+from companion.sim.flight.tables import write_csv
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

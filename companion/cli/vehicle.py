@@ -10,16 +10,16 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from companion.cli.numbers import seconds, seed
-from companion.cli.simulated_devices import frames_path, line_path
+from companion.cli.steps.numbers import seconds, seed
+from companion.cli.steps.simulated_devices import frames_path, line_path
 from companion.errors import ConfigError, DeviceError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
-from companion.sim.camera_server import CameraServerConfig, start_camera_server
-from companion.sim.flight import Flight, build_flight
-from companion.sim.routing import Port, Router
-from companion.sim.scene import ground_scene, obstacle_scene
-from companion.sim.world import Link, WorldOptions, serve
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.routing import Port, Router
+from companion.sim.vehicle.world import Link, WorldOptions, serve
+from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
+from companion.sim.vision.scene import ground_scene, obstacle_scene
 
 _LINKS = ("udpout:127.0.0.1:14550", "udpout:127.0.0.1:14551")
 _DOWN = 25

@@ -14,20 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from companion.core.clock.alignment import SIGMAS
+from companion.core.autopilot_filters import VehicleFilters
 from companion.core.clock.bank import ClockBank
-from companion.core.clock.silent import SilentNodes
-from companion.core.delivery import Delivery
-from companion.core.mode.stream import within_range
-from companion.core.mode.tracker import WingTracker
-from companion.core.publishing import Publishing
+from companion.core.clock.motion_alignment import SIGMAS
+from companion.core.clock.unsynced_nodes import SilentNodes
+from companion.core.output_scheduler import Publishing
+from companion.core.rate_monitor import Delivery
 from companion.core.silence import RangeSilence
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.vision import VisionState, vision_step
+from companion.core.tracking.streams import within_range
+from companion.core.tracking.tracker import WingTracker
 from companion.core.trigger.blur import Motion
-from companion.core.trigger.feedback import Feedback
+from companion.core.trigger.exposure_feedback import Feedback
 from companion.core.trigger.scheduling import Scheduling
-from companion.core.vehicle_filters import VehicleFilters
 from companion.core.wing.folding import folded
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings

@@ -12,18 +12,18 @@ from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.compiler_cache import outlive_full_disk
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.component import OwnComponent
-from companion.adapters.mavlink.link import open_link
-from companion.adapters.mavlink.parameter_server import ParameterServer
-from companion.adapters.mavlink.signing import Signing, load_signing
-from companion.adapters.recordings.inlet import Inlet, recorder_channel
-from companion.adapters.recordings.recorder import keep_recording
-from companion.adapters.recordings.writer import About
+from companion.adapters.mavlink.component.component import OwnComponent
+from companion.adapters.mavlink.component.parameter_server import ParameterServer
+from companion.adapters.mavlink.link.link import open_link
+from companion.adapters.mavlink.link.signing import Signing, load_signing
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
+from companion.adapters.recordings.mcap.recorder import keep_recording
+from companion.adapters.recordings.mcap.recorder_client import Inlet, recorder_channel
+from companion.adapters.recordings.mcap.writer import About
 from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
-from companion.core.warming import warm_up
+from companion.core.warmup import warm_up
 from companion.errors import ConfigError, SpanwiseError
 from companion.params.persist import Keeper, load_stored
 from companion.params.settings import Settings, tunables

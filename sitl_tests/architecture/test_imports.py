@@ -11,6 +11,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 ANY = frozenset({"*"})
 
+# what judges a flight or a paper: everything below it, and the reporting room
+_JUDGES = frozenset(
+    {"core", "sim", "diagnosis", "calibration", "adapters", "reporting", "ports", "records", "errors", "params"}
+)
+
 # room (longest prefix wins) -> (rooms of ours, third parties)
 TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.records": (frozenset(), frozenset({"numpy"})),
@@ -20,7 +25,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.ports": (frozenset({"records", "errors"}), frozenset()),
     "companion.core": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy"})),
     # the optional accelerator, in one file
-    "companion.core.compiled": (frozenset(), frozenset({"numba"})),
+    "companion.core.kernels.compiled": (frozenset(), frozenset({"numba"})),
     "companion.core.stereo": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy", "cv2"})),
     "companion.adapters": (frozenset({"adapters", "lifetime", "ports", "records", "errors", "params"}), ANY),
     "companion.sim": (
@@ -47,13 +52,17 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"diagnosis", "core", "sim", "records", "errors", "params"}),
         frozenset({"numpy", "scipy"}),
     ),
+    "companion.reporting": (frozenset({"reporting", "records"}), frozenset({"numpy", "matplotlib", "jinja2"})),
+    "companion.evaluation": (_JUDGES | {"evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
+    "companion.doctor": (_JUDGES | {"doctor", "evaluation.plan_outcomes"}, frozenset({"numpy", "pymavlink"})),
+    "companion.paper": (_JUDGES | {"paper", "evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
     "companion.service": (
         frozenset({"service", "core.pipeline", "core.containment", "lifetime", "ports", "params", "records", "errors"}),
         frozenset({"numpy"}),
     ),
     "companion.service.wiring": (
         frozenset(
-            {"service", "core.pipeline", "core.warming", "lifetime", "ports", "params", "records", "errors", "adapters"}
+            {"service", "core.pipeline", "core.warmup", "lifetime", "ports", "params", "records", "errors", "adapters"}
         ),
         frozenset({"numpy"}),
     ),
@@ -68,6 +77,8 @@ CLOCK_ROOMS = (
     "companion.lifetime",
     "companion.service",
     "companion.sim",
+    "companion.evaluation",
+    "companion.doctor",
     "companion.cli",
     "mission_scripts",
 )

@@ -17,9 +17,9 @@ from typing import Any
 import pytest
 
 from companion.params.airframe import Airframe
-from companion.sim.camera_server import CameraServerConfig
-from companion.sim.flight import Flight, build_flight
-from companion.sim.scene import ground_scene, obstacle_scene
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vision.camera_server import CameraServerConfig
+from companion.sim.vision.scene import ground_scene, obstacle_scene
 from sitl_tests.ardupilot.eyes import NOT_YET_NS, open_eyes
 from sitl_tests.ardupilot.physics import PhysicsOptions, start_physics
 from sitl_tests.ardupilot.station import COMPANION, Station

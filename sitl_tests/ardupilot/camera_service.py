@@ -11,7 +11,7 @@ import functools
 from pathlib import Path
 
 from companion.cli import run
-from companion.sim.cameras import SimCameraPair
+from companion.sim.vision.cameras import SimCameraPair
 
 
 def main() -> None:

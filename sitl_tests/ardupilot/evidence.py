@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pymavlink import mavutil
 
-from companion.adapters.recordings.reader import McapRecording
+from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.records import ClockName, ClockState, Floats, ImuBatch, Ints, Station, Tick
 from sitl_tests.ardupilot.rail import RATE_HZ
 

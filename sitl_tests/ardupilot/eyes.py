@@ -7,7 +7,7 @@ import multiprocessing
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-from companion.sim.camera_server import CameraServer, CameraServerConfig
+from companion.sim.vision.camera_server import CameraServer, CameraServerConfig
 
 NOT_YET_NS = 1 << 62
 

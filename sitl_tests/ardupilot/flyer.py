@@ -17,7 +17,7 @@ from pathlib import Path
 from pymavlink import mavutil
 
 from companion.params.files import dump_airframe
-from companion.sim.standin import RangeFaults, RangeStandIn
+from companion.sim.vehicle.companion_stub import RangeFaults, RangeStandIn
 from sitl_tests.loop.rehearsals import Script, airframe, free_port
 
 SPEED = 3.0

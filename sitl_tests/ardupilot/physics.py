@@ -25,13 +25,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.errors import DeviceError
 from companion.params.airframe import Airframe
-from companion.sim.cameras import PLAN_UNKNOWN, SimTriggerLine
-from companion.sim.faults import Faults
-from companion.sim.flight import Flight, build_flight
-from companion.sim.nodes import WingNode
-from companion.sim.perturb import RemoteClock
-from companion.sim.sensors import SensorStream
-from companion.sim.world import Link
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.perturb import RemoteClock
+from companion.sim.flight.sensors import SensorStream
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.nodes import WingNode
+from companion.sim.vehicle.world import Link
+from companion.sim.vision.cameras import PLAN_UNKNOWN, SimTriggerLine
 from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, flight_motion, launch_motion, lines
 
 SERVOS_16, SERVOS_32 = 18458, 29569

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.params.files import load_airframe
 from companion.records import ImuBatch, Station
 from mission_scripts import calibrate_target, climb_sweep, excite_wing, landing_approach

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from companion.params.files import load_airframe
-from companion.sim.flight import Flight, build_flight
-from companion.sim.truth import body_from_ned_matrix
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.truth import body_from_ned_matrix
 from sitl_tests.ardupilot.physics import (
     CAMERA_CHANNELS,
     CAMERA_OFF_PWM,

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.params.files import load_airframe
 from companion.params.settings import Settings, tunables
 from companion.records import ClockName, ClockState, ServiceStatus, Station
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.ardupilot.bench import Run
 from sitl_tests.ardupilot.evidence import RANGE_GOOD, RANGE_TOO_FAR, Tape, boot_clock, frames_ns, rangefinder_log
 from sitl_tests.ardupilot.pace import skip_if_busy

@@ -16,15 +16,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
+from companion.core.stereo.inverse_depth import Product, read
 from companion.core.stereo.ranging import range_axis
 from companion.core.stereo.rotation import exp_rotation, log_rotation
-from companion.core.stereo.surface import Product, read
 from companion.core.stereo.triangulation import Depths, sight_along
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import ClockName, CorrectedRange, MatchSet, Side
-from companion.sim.flight import Flight, build_flight
-from companion.sim.lockstep import LockStepClock
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.lockstep import LockStepClock
 from sitl_tests.loop.simulated_service import EPOCH_NS, MS, Cameras, SimulatedService
 
 FLOWN_S, SETTLED_S, KNOCK_S = 22.0, 10.5, (12.5, 17.0)

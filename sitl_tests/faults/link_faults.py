@@ -21,14 +21,14 @@ from typing import Protocol
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.clocks import MonotonicClock
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.link import open_link
+from companion.adapters.mavlink.link.link import open_link
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, Health, ImuBatch, Notice, ServiceStatus
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.faults.test_link_strangers import NODE, PILOT, Choosing, Port
 from sitl_tests.faults.test_process_lifetime import record_on_a_full_disk
 from sitl_tests.faults.test_process_restart import Vehicle, killed_and_back

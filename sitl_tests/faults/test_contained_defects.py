@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.decode import Decoder
-from companion.adapters.mavlink.translate import Translator
+from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.mavlink.decode.message_records import Translator
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.cli.main import main
 from companion.core import pipeline
 from companion.core.containment import contained
-from companion.core.mode.tracker import WingTracker
 from companion.core.pipeline import start, step
+from companion.core.tracking.tracker import WingTracker
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -34,7 +34,7 @@ from companion.records import (
     Tick,
     TimesyncReply,
 )
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import EPOCH_NS, SimulatedService
 
 pytestmark = pytest.mark.defect

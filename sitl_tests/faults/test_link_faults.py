@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.link import CHUNK_BYTES, Link, open_link
-from companion.adapters.mavlink.reconnect import Backoff
-from companion.adapters.mavlink.tcp import TcpServer
-from companion.adapters.mavlink.udp import UdpIn
+from companion.adapters.mavlink.link.link import CHUNK_BYTES, Link, open_link
+from companion.adapters.mavlink.link.reconnect import Backoff
+from companion.adapters.mavlink.link.tcp import TcpServer
+from companion.adapters.mavlink.link.udp import UdpIn
 from companion.errors import LinkError
 
 S = 1_000_000_000

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.bulk import COMPILED, Bulk
-from companion.adapters.mavlink.mapping import build_mapping
-from companion.adapters.mavlink.scan import Scanner
-from companion.adapters.mavlink.signing import SignedTransport, Signing
-from companion.adapters.recordings.tlog import TlogRecording
+from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.decode.source_map import build_mapping
+from companion.adapters.mavlink.link.scan import Scanner
+from companion.adapters.mavlink.link.signing import SignedTransport, Signing
+from companion.adapters.recordings.logs.tlog import TlogRecording
 from companion.params.files import load_airframe
 from sitl_tests.loop.ground_stations import TurnedClock, Wire
 

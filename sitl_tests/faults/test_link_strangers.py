@@ -10,10 +10,10 @@ from collections.abc import Iterator
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.link import Link
-from companion.adapters.mavlink.signing import SignedTransport, Signing
-from companion.adapters.mavlink.udp import UdpIn
+from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.link.signing import SignedTransport, Signing
+from companion.adapters.mavlink.link.udp import UdpIn
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockRestart, ImuBatch, Notice, Record, Reject, Rejected

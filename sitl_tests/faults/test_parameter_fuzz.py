@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink import encode
-from companion.adapters.mavlink.component import OwnComponent
-from companion.adapters.mavlink.dialect import ID_OF, build_message
-from companion.adapters.mavlink.parameter_server import ParameterServer
-from companion.adapters.mavlink.translate import Heard
+from companion.adapters.mavlink.component import encode
+from companion.adapters.mavlink.component.component import OwnComponent
+from companion.adapters.mavlink.component.parameter_server import ParameterServer
+from companion.adapters.mavlink.decode.message_records import Heard
+from companion.adapters.mavlink.link.dialect import ID_OF, build_message
 from companion.params.settings import Settings, tunables
 from sitl_tests.loop.ground_stations import COMPANION, MS, SYSTEM
 

@@ -17,13 +17,13 @@ from typing import Any
 
 import pytest
 
-from companion.adapters.mavlink.absence import Absence
-from companion.adapters.recordings import recorder as recorder_room
-from companion.adapters.recordings.inlet import Inlet, recorder_channel
-from companion.adapters.recordings.reader import McapRecording
-from companion.adapters.recordings.recorder import keep_recording
-from companion.adapters.recordings.writer import About, McapWriter
-from companion.cli.view import View
+from companion.adapters.mavlink.vehicle.absence import Absence
+from companion.adapters.recordings.mcap import recorder as recorder_room
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.mcap.recorder import keep_recording
+from companion.adapters.recordings.mcap.recorder_client import Inlet, recorder_channel
+from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.cli.steps.view import View
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.params.settings import Settings

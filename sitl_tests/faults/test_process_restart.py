@@ -26,7 +26,7 @@ from companion.service import wiring
 from companion.service.channel import channel
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service, resumed
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 
 US = 191

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.records import Health
-from companion.sim.flight import Flight
+from companion.sim.flight.flight import Flight
 from sitl_tests.faults import link_faults
 from sitl_tests.faults.link_faults import LinkOutcome
 from sitl_tests.faults.lying_samples import ROOT, lie

@@ -18,10 +18,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.params.files import load_airframe
 from companion.records import CorrectedRange, Health, Rejected, ServiceStatus, Tick
-from companion.sim.aircraft import Jolt, demo_plan
-from companion.sim.faults import Faults
-from companion.sim.flight import Flight, build_flight
-from companion.sim.lockstep import LockStepClock
+from companion.sim.flight.aircraft import Jolt, demo_plan
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.lockstep import LockStepClock
 from sitl_tests.faults import link_faults
 from sitl_tests.faults.camera_faults import CameraFault, StruckCameras
 from sitl_tests.faults.link_faults import LinkOutcome

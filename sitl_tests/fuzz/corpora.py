@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from scipy.io import savemat
 
-from companion.adapters.recordings.images import ImageFormat
-from companion.adapters.recordings.writer import McapWriter
+from companion.adapters.recordings.mcap.images import ImageFormat
+from companion.adapters.recordings.mcap.writer import McapWriter
 from companion.params.files import load_airframe
 from companion.records import FramePair, Side
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 from sitl_tests.unit import test_recordings_bin as onboard
 from sitl_tests.unit import test_recordings_mcap as ours

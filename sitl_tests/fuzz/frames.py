@@ -10,13 +10,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from companion.adapters.mavlink.bulk import COMPILED, Bulk
-from companion.adapters.mavlink.decode import Decoder
-from companion.adapters.mavlink.dialect import build_message
-from companion.adapters.mavlink.scan import Scanner, sender
+from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.mavlink.link.dialect import build_message
+from companion.adapters.mavlink.link.scan import Scanner, sender
 from companion.params.files import load_airframe
 from companion.records import AutopilotParameter, ImuBatch, RawChunk, VehicleState
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.fuzz import mutators, structured
 from sitl_tests.fuzz.target import Ending, Violation
 from sitl_tests.loop.simulated_service import SimulatedService

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.params.files import load_airframe
 from companion.params.settings import tunables
 from companion.records import CorrectedRange, Reject, Rejected, ServiceStatus
-from companion.sim.flight import Flight, build_flight
+from companion.sim.flight.flight import Flight, build_flight
 from sitl_tests.fuzz import mutators, structured
 from sitl_tests.fuzz.target import Ending, Violation
 from sitl_tests.loop.simulated_service import GROUND_M, SimulatedService

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.cameras.folder import FolderPair
-from companion.adapters.recordings import images
-from companion.adapters.recordings.images import ImageFormat
-from companion.adapters.recordings.mapped_recording import MappedRecording
-from companion.adapters.recordings.mapping import parse_mapping
-from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.mcap import images
+from companion.adapters.recordings.mcap.images import ImageFormat
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.tables.mapped_recording import MappedRecording
+from companion.adapters.recordings.tables.mapping import parse_mapping
 from companion.errors import SpanwiseError
 from companion.params.files import load_airframe
 from companion.records import ImuBatch, Side

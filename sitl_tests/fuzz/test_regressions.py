@@ -13,12 +13,12 @@ import pytest
 from scipy.io import savemat
 
 from companion.adapters.cameras.folder import read_grey
-from companion.adapters.recordings.bin import BinRecording
-from companion.adapters.recordings.mapped_recording import MappedRecording
-from companion.adapters.recordings.mapping import parse_mapping
-from companion.adapters.recordings.matlab_file import read_matlab
-from companion.adapters.recordings.opening import open_recording
-from companion.adapters.recordings.reader import McapRecording
+from companion.adapters.recordings.logs.bin import BinRecording
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.tables.mapped_recording import MappedRecording
+from companion.adapters.recordings.tables.mapping import parse_mapping
+from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.calibration.vibration import read_vibration_test
 from companion.cli.main import main
 from companion.errors import ConfigError, DeviceError, RecordingError

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.cameras.opening import camera_factory
-from companion.adapters.mavlink.mapping import build_mapping
-from companion.adapters.recordings.mapped_recording import MappedRecording
-from companion.adapters.recordings.mapping import parse_mapping
-from companion.adapters.triggers.opening import trigger_factory
+from companion.adapters.cameras.camera_factory import camera_factory
+from companion.adapters.mavlink.decode.source_map import build_mapping
+from companion.adapters.recordings.tables.mapped_recording import MappedRecording
+from companion.adapters.recordings.tables.mapping import parse_mapping
+from companion.adapters.triggers.trigger_factory import trigger_factory
 from companion.calibration.vibration import read_vibration_test
-from companion.cli.options import read_settings
+from companion.cli.steps.options import read_settings
 from companion.core.pipeline import start
 from companion.errors import SpanwiseError
 from companion.params.files import dump_airframe, known_airframes, load_airframe, parse_airframe

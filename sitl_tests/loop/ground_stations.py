@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.component import OwnComponent
-from companion.adapters.mavlink.link import Link
-from companion.adapters.mavlink.parameter_server import ParameterServer, Store
+from companion.adapters.mavlink.component.component import OwnComponent
+from companion.adapters.mavlink.component.parameter_server import ParameterServer, Store
+from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Record

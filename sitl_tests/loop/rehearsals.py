@@ -13,9 +13,9 @@ from pathlib import Path
 
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe, load_airframe
-from companion.sim.faults import Faults
-from companion.sim.flight import Flight, build_flight
-from companion.sim.rehearsal import Rehearsal
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.rehearsal.vehicle import Rehearsal
+from companion.sim.vehicle.faults import Faults
 
 Script = Callable[[Sequence[str]], int]
 SPEED = 8.0

@@ -1,7 +1,7 @@
 """The service's own loop against the simulated vehicle, in simulated time: no process, no socket, no waiting.
 
 The cameras are this file's; the autopilot adapter, the decoder, the loop, the pipeline and the simulated vehicle are
-the real ones, on the clock and the wire of ``companion.sim.lockstep``.
+the real ones, on the clock and the wire of ``companion.sim.vehicle.lockstep``.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.link import Link
-from companion.adapters.recordings.writer import About, McapWriter
+from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
+from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.core.pipeline import start
 from companion.core.stereo.geometry import Rig
 from companion.params.airframe import Airframe
@@ -24,10 +24,10 @@ from companion.params.settings import Settings
 from companion.ports import Recorder
 from companion.records import ClockName, Firing, MatchSet, Record, Rejected, Shot, TriggerPlan
 from companion.service.inertial import InertialLoop
-from companion.sim.faults import Faults
-from companion.sim.flight import Flight
-from companion.sim.lockstep import EPOCH_NS, LockStepClock, MemoryWire
-from companion.sim.world import World, WorldOptions
+from companion.sim.flight.flight import Flight
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.lockstep import EPOCH_NS, LockStepClock, MemoryWire
+from companion.sim.vehicle.world import World, WorldOptions
 from sitl_tests.unit.stereo_cases import ground_below, seen
 
 GROUND_M = 40.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from companion.params.files import load_airframe
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from tools.bench import clock_flight
 
 

@@ -14,8 +14,8 @@ from lxml import objectify
 from pymavlink import mavftp
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.ftp import FileServer
-from companion.adapters.mavlink.translate import Heard
+from companion.adapters.mavlink.component.ftp import FileServer
+from companion.adapters.mavlink.decode.message_records import Heard
 from companion.params.metadata import apm_pdef_xml, mavlink_crc32, metadata_files, parameter_json
 from companion.params.settings import tunables
 from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, S, Station

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.decode import Decoder
+from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.core.pipeline import start, step
 from companion.params.files import load_airframe
 from companion.params.persist import Keeper, load_stored

@@ -8,18 +8,18 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.questions import NEEDED_PARAMETERS
-from companion.cli.checks.evidence import Evidence, Level
-from companion.cli.checks.examine import WANTED
-from companion.cli.checks.parameters import check_parameters
+from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS
 from companion.cli.doctor import diagnose
+from companion.core.autopilot_filters import NAMES
 from companion.core.pipeline import start, step
-from companion.core.vehicle_filters import NAMES
+from companion.doctor.evidence import Evidence, Level
+from companion.doctor.examine import WANTED
+from companion.doctor.parameters import check_parameters
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.params.vehicle import VEHICLE_PARAMETERS, implausible
 from companion.records import AutopilotParameter, CorrectedRange, Notice, Reject, Rejected
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 
 WILD = (

@@ -11,18 +11,24 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli.lockstep import MATCHING_NS, LockStepCameras
 from companion.cli.main import main
-from companion.cli.shots import Pull, Seen, Stage, Studio, Studios
+from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras
 from companion.errors import DeviceError
+from companion.evaluation.rendered_shots import (
+    Pull,
+    Seen,
+    Stage,
+    Studio,
+    Studios,
+)
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Firing, MatchSet, Reject, Rejected, Shot, TriggerPlan
-from companion.sim.cameras import Shutters
-from companion.sim.faults import Faults
-from companion.sim.flight import Flight, build_flight
-from companion.sim.lockstep import EPOCH_NS, LockStepClock, MemoryWire
-from companion.sim.world import World, WorldOptions
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.lockstep import EPOCH_NS, LockStepClock, MemoryWire
+from companion.sim.vehicle.world import World, WorldOptions
+from companion.sim.vision.cameras import Shutters
 
 MS = 1_000_000
 FLOWN_S = 12.5  # ten seconds of learning, and what is judged

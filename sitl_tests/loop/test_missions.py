@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main as spanwise
 from companion.params.files import load_airframe
 from companion.records import ImuBatch, Station
-from companion.sim.faults import Faults
-from companion.sim.pilot import Mode
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.scripted_pilot import Mode
 from mission_scripts import calibrate_target, climb_sweep, excite_wing, landing_approach, obstacle_pass
 from mission_scripts.common.outcome import Exit
 from sitl_tests.loop.rehearsals import SPEED, Stage, interrupt

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.cli.checks.evidence import Fix
 from companion.cli.doctor import apply
+from companion.doctor.evidence import Fix
 from companion.params.files import load_airframe
 from companion.records import AutopilotParameter, ClockName, ClockState, CorrectedRange, Deflection, Health, Shot
-from companion.sim.flight import Flight, build_flight
-from companion.sim.px4 import interval_means
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.px4 import interval_means
 from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, MS, SimulatedService
 from sitl_tests.loop.test_vehicle_doctor import Ward, wrong
 

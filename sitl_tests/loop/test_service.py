@@ -13,7 +13,7 @@ import pytest
 from companion.cli.main import main
 from companion.params.files import load_airframe
 from companion.records import CorrectedRange, Firing, Health, ServiceStatus, TriggerPlan
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import EPOCH_NS, GROUND_M, MS, SimulatedService
 
 BASELINE_M = 1.98

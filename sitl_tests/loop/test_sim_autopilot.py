@@ -19,9 +19,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.errors import LinkError
 from companion.params.files import load_airframe
 from companion.records import ClockName, Station
-from companion.sim.faults import Faults
-from companion.sim.flight import Flight, build_flight
-from companion.sim.world import Link, World, WorldOptions, serve, serve_new
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.world import (
+    Link,
+    World,
+    WorldOptions,
+    serve,
+    serve_new,
+)
 
 COMPANION = 191
 MS = 1_000_000

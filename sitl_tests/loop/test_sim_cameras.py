@@ -20,10 +20,16 @@ from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
 from companion.ports import CameraPair, Trigger
 from companion.records import ClockName, Firing, Frame, Side, TriggerPlan
-from companion.sim.camera_server import CameraServer, CameraServerConfig, start_camera_server
-from companion.sim.cameras import PLAN_UNKNOWN, Shutters, SimCameraPair, SimTriggerLine, render_pair
-from companion.sim.renderer import Exposure, Renderer
-from companion.sim.scene import ground_scene
+from companion.sim.vision.camera_server import CameraServer, CameraServerConfig, start_camera_server
+from companion.sim.vision.cameras import (
+    PLAN_UNKNOWN,
+    Shutters,
+    SimCameraPair,
+    SimTriggerLine,
+    render_pair,
+)
+from companion.sim.vision.renderer import Exposure, Renderer
+from companion.sim.vision.scene import ground_scene
 from sitl_tests.physics.camera_flight import Path as FlightPath
 from sitl_tests.physics.camera_flight import fly
 
@@ -117,8 +123,8 @@ def test_a_pair_without_sockets_is_the_same_pair() -> None:
 
 
 def test_nobody_at_the_other_end_is_a_device_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.sim.cameras._CONNECT_TRIES", 2)
-    monkeypatch.setattr("companion.sim.cameras._CONNECT_WAIT_S", 0.01)
+    monkeypatch.setattr("companion.sim.vision.cameras._CONNECT_TRIES", 2)
+    monkeypatch.setattr("companion.sim.vision.cameras._CONNECT_WAIT_S", 0.01)
     with pytest.raises(DeviceError, match="no simulated cameras"):
         SimCameraPair(tmp_path / "nothing")
     with pytest.raises(DeviceError, match="no simulated camera listens"):

@@ -9,7 +9,7 @@ import pytest
 
 from companion.params.files import load_airframe
 from companion.records import Deflection, Notice, Reject, Validity
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import EPOCH_NS, MS, SimulatedService
 
 FLOWN_S = 14.0

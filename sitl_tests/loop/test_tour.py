@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.core.warming import warm_up
+from companion.core.warmup import warm_up
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 

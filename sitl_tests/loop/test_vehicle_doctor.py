@@ -12,18 +12,24 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.link import Link
-from companion.adapters.mavlink.translate import Heard
+from companion.adapters.mavlink.decode.message_records import Heard
+from companion.adapters.mavlink.link.link import Link
 from companion.cli import doctor
-from companion.cli.checks.evidence import Beat, Evidence, Finding, Fix, Level
-from companion.cli.checks.examine import Examination, note, read_log
 from companion.cli.doctor import apply, diagnose
+from companion.doctor.evidence import (
+    Beat,
+    Evidence,
+    Finding,
+    Fix,
+    Level,
+)
+from companion.doctor.examine import Examination, note, read_log
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Axis, Station
-from companion.sim.faults import Faults
-from companion.sim.flight import Flight, build_flight
-from companion.sim.world import World, WorldOptions
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.world import World, WorldOptions
 from sitl_tests.loop.ground_stations import TurnedClock
 from sitl_tests.loop.simulated_service import SimulatedService
 

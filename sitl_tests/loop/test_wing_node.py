@@ -15,8 +15,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.clocks import MonotonicClock
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.link import Link
+from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.core.clock.bank import ClockBank
 from companion.params.files import load_airframe
 from companion.params.settings import Settings

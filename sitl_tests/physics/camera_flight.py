@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.core.wing.model import WingModel
 from companion.params.airframe import Airframe
-from companion.sim.truth import FlightTruth, TipShape
+from companion.sim.flight.truth import FlightTruth, TipShape
 
 MIDDLE_NS = 1_000_000_000
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.tables import read_table
+from companion.adapters.recordings.tables.number_table import read_table
 from companion.cli.main import main
 from sitl_tests.trials.stranger import GRAVITY, Flight, write
 

@@ -7,20 +7,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.cli.judge import Judge
 from companion.core.stereo.exposure import TipMotion, exposures
+from companion.core.stereo.inverse_depth import consistent
 from companion.core.stereo.ranging import range_axis
-from companion.core.stereo.surface import consistent
 from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
 from companion.core.stereo.vision import VisionState
+from companion.evaluation.true_geometry import Judge
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, FramePair, MatchSet, Side
-from companion.sim.cameras import Shutters, render_pair
-from companion.sim.flight import build_flight
-from companion.sim.offline import HOST_EPOCH_NS
-from companion.sim.renderer import Renderer
-from companion.sim.scene import obstacle_scene
+from companion.sim.flight.flight import build_flight
+from companion.sim.flight.offline import HOST_EPOCH_NS
+from companion.sim.vision.cameras import Shutters, render_pair
+from companion.sim.vision.renderer import Renderer
+from companion.sim.vision.scene import obstacle_scene
 
 SEED, FIRST_S, LAST_S, PAIRS = 3, 2.0, 9.0, 14
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.cli.audit import equations
+from companion.paper import equations
 
 EQUATIONS = {entry.label: entry for entry in equations.audit()}
 

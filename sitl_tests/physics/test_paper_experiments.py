@@ -8,18 +8,23 @@ import math
 import numpy as np
 import pytest
 
-from companion.cli.audit import experiments, scores, trials
-from companion.cli.audit.bench import Drive, Setup, hang, target
-from companion.cli.audit.rest_calibration import calibrate, settings_for
-from companion.cli.audit.untried import forward_errors_px
-from companion.cli.judge import Judge
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.search import trim_search
+from companion.evaluation.true_geometry import Judge
+from companion.paper import experiments, scores, trials
+from companion.paper.bench import (
+    Drive,
+    Setup,
+    hang,
+    target,
+)
+from companion.paper.rest_calibration import calibrate, settings_for
+from companion.paper.untried import forward_errors_px
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.sim.cameras import Shutters, render_pair
-from companion.sim.renderer import Renderer
+from companion.sim.vision.cameras import Shutters, render_pair
+from companion.sim.vision.renderer import Renderer
 
 
 def test_the_driven_wing_swings_as_wide_as_it_should() -> None:

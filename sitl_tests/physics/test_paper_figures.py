@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.cli.audit import edge_fits, fig_4, modal_peaks, shaken_boom, vibration_test, wing_shapes
 from companion.core.wing.beam import BeamMode
+from companion.paper import edge_fits, fig_4, modal_peaks, shaken_boom, vibration_test, wing_shapes
 from companion.params.files import load_airframe
 
 RATE = modal_peaks.RATE_HZ

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from companion.cli.audit import beam_tables, printed, range_tables
+from companion.paper import beam_tables, printed, range_tables
 
 
 def frequency_equation(x: float, mu: float) -> float:

@@ -12,8 +12,8 @@ from scipy.ndimage import map_coordinates
 from companion.params.airframe import Airframe, Camera
 from companion.params.files import load_airframe
 from companion.records import Side
-from companion.sim.renderer import Exposure, Renderer
-from companion.sim.scene import (
+from companion.sim.vision.renderer import Exposure, Renderer
+from companion.sim.vision.scene import (
     Product,
     Scene,
     View,
@@ -25,9 +25,9 @@ from companion.sim.scene import (
     terrace,
     true_range_m,
 )
-from companion.sim.shutter import PixelGrid
-from companion.sim.surface import SurfacePainter
-from companion.sim.texture import CENTRE_PER_TEXEL, NoiseTile, noise_period
+from companion.sim.vision.shutter import PixelGrid
+from companion.sim.vision.texture import CENTRE_PER_TEXEL, NoiseTile, noise_period
+from companion.sim.vision.textured_plane import SurfacePainter
 from sitl_tests.physics.camera_flight import MIDDLE_NS, Path, fly
 
 NADIR = load_airframe("nadir-2m")

@@ -11,9 +11,17 @@ import pytest
 from companion.params.airframe import Airframe, Sensor, Uncertain
 from companion.params.files import load_airframe
 from companion.records import Station
-from companion.sim.aircraft import FlightPlan, Jolt, Level, PullUp, Roll, demo_plan, still_plan
-from companion.sim.flight import Flight, GustKind, build_flight
-from companion.sim.sensors import station_readings
+from companion.sim.flight.aircraft import (
+    FlightPlan,
+    Jolt,
+    Level,
+    PullUp,
+    Roll,
+    demo_plan,
+    still_plan,
+)
+from companion.sim.flight.flight import Flight, GustKind, build_flight
+from companion.sim.flight.sensors import station_readings
 
 G = 9.80665
 SLOPE = 1.39

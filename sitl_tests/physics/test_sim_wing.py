@@ -12,7 +12,7 @@ from companion.core.wing.effects import make_effect
 from companion.core.wing.model import WingModel
 from companion.params.airframe import NamedEffect, Uncertain, Wing
 from companion.params.files import load_airframe
-from companion.sim.gust import (
+from companion.sim.flight.gust import (
     DrydenScales,
     LoadSpectrum,
     dryden_longitudinal,
@@ -22,7 +22,7 @@ from companion.sim.gust import (
     pole_spectrum,
     white_spectrum,
 )
-from companion.sim.wing import WingStepper, integrate
+from companion.sim.flight.wing import WingStepper, integrate
 
 OMEGA, ZETA = 2 * math.pi * 5.0, 0.03
 

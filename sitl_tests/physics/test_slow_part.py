@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from tools.bench.slow import SETTLED_S, WAYS, Scored, TrueEyes, one, run, wide_airframe
 
 pytestmark = pytest.mark.long

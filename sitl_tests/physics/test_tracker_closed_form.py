@@ -12,8 +12,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.core.mode.forecast import Forecast
-from companion.core.mode.tracker import WingTracker
+from companion.core.tracking.prediction import Forecast
+from companion.core.tracking.tracker import WingTracker
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings

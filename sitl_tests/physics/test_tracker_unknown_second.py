@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.core.mode.tracker import WingTracker
+from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
 from sitl_tests.reference.imu import EPOCH_HOST_NS, chunks, samples
 from sitl_tests.reference.truth import simulate

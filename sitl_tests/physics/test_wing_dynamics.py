@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import find_peaks
 
-from companion.core.wing.effects.cubic_stiffness import CubicStiffness
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.model import WingModel
 from companion.params.airframe import Gust, Mode, Uncertain, Wing
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.matlab_file import read_matlab
+from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.calibration.modes import IdentifiedMode, assurance, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import bending_modes, symmetry

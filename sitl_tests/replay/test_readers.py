@@ -13,12 +13,12 @@ import pytest
 from pymavlink import DFReader, mavutil
 from pyulog import ULog
 
-from companion.adapters.recordings.bin import BinRecording, raw_accelerometer
-from companion.adapters.recordings.dataflash import DataflashLog
-from companion.adapters.recordings.opening import open_recording
-from companion.adapters.recordings.reader import McapRecording
-from companion.adapters.recordings.ulog_messages import UlogMessages
-from companion.adapters.recordings.writer import About, McapWriter
+from companion.adapters.recordings.logs.bin import BinRecording, raw_accelerometer
+from companion.adapters.recordings.logs.dataflash import DataflashLog
+from companion.adapters.recordings.logs.ulog_messages import UlogMessages
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, ImuBatch, Station

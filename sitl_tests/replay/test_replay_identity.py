@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.opening import open_recording
-from companion.adapters.recordings.reader import McapRecording
-from companion.adapters.recordings.writer import About, McapWriter
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
 from companion.cli.replay import encoded
-from companion.cli.replaying import own_inputs
+from companion.evaluation.replay import own_inputs
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -39,7 +39,7 @@ from companion.records import (
     Tick,
     TriggerPlan,
 )
-from companion.sim.flight import build_flight
+from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 
 FLOWN_S = 6.0

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.bin import raw_accelerometer
-from companion.adapters.recordings.dataflash import DataflashLog
-from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.logs.bin import raw_accelerometer
+from companion.adapters.recordings.logs.dataflash import DataflashLog
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
-from companion.cli.replaying import drive, foreign_inputs
-from companion.cli.stations import StationAnalysis
-from companion.core.mode.tone import Tone
+from companion.core.tracking.tone import Tone
+from companion.evaluation.replay import drive, foreign_inputs
+from companion.evaluation.station_tones import StationAnalysis
 from companion.params.files import load_airframe
 from companion.records import Firing, ImuBatch, ModeState, Record, Station, TriggerPlan, Validity
 

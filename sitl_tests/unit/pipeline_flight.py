@@ -15,8 +15,8 @@ from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, ImuBatch, MatchSet, Record, Tick
-from companion.sim.flight import Flight, build_flight
-from companion.sim.offline import HOST_EPOCH_NS, flight_records
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
 from sitl_tests.unit.stereo_cases import ground_below, seen
 
 S = 1_000_000_000

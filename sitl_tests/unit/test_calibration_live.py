@@ -13,7 +13,7 @@ from companion.calibration.guidance import advice, is_new, perspective
 from companion.calibration.live import LiveViews
 from companion.calibration.stereo_rig import View
 from companion.cli import calibrate
-from companion.cli.calibrate_live import take_views
+from companion.cli.steps.calibrate_live import take_views
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation
 from companion.errors import ConfigError

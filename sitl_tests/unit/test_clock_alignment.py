@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from companion.core import pipeline
-from companion.core.clock.alignment import (
+from companion.core.clock.motion_alignment import (
     LARGEST_SIGMA_S,
     SIGMAS,
     Alignment,
@@ -32,9 +32,9 @@ from companion.records import (
     Station,
     TimesyncReply,
 )
-from companion.sim.aircraft import still_plan
-from companion.sim.flight import Flight, build_flight
-from companion.sim.offline import HOST_EPOCH_NS, flight_records
+from companion.sim.flight.aircraft import still_plan
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
 from sitl_tests.unit.pipeline_flight import in_order, run
 
 NODE = ClockName.NODE_LEFT

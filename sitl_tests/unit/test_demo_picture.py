@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.cli import picture
-from companion.cli.debrief import Debrief
+from companion.evaluation.flight_evaluation import Debrief
+from companion.evaluation.pages import demo_picture as picture
 
 GAP_S = (20.0, 32.0)
 

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.adapters.cameras import opening as cameras
+from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.cameras.oak import OakPair, OakSensor
 from companion.adapters.cameras.paced import PacedPair, RecordedPair
 from companion.adapters.clocks import ManualClock
-from companion.adapters.recordings.writer import About, McapWriter
-from companion.adapters.triggers import opening as triggers
+from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import LinkFiring, MavlinkTrigger, link_firing
 from companion.adapters.triggers.oak import SoftLine, soft_line
 from companion.adapters.triggers.serial_board import SerialBoardTrigger

@@ -16,7 +16,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.params.files import load_airframe
 from companion.records import Floats, Side, Station
-from companion.sim.wing import WingStepper
+from companion.sim.flight.wing import WingStepper
 
 AIRFRAME = load_airframe("nadir-2m")
 T_S = np.arange(8000) / 1000.0

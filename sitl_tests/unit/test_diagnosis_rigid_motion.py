@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.cli.diagnose_models import belief_for, top_of
+from companion.cli.steps.diagnose_models import belief_for, top_of
 from companion.diagnosis.data.observations import Observations, RawRecording, RawStream, observe
 from companion.diagnosis.data.rigid_motion import tip_axes_corrected
 from companion.diagnosis.model.flight_model import FlightModel

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.cli.page import page, table
-from companion.cli.plotting import with_gaps
-from companion.cli.report_html import _views
-from companion.cli.stations import StationAnalysis
 from companion.diagnosis.summary import summary_sentences, worthwhile
+from companion.evaluation.pages.diagnosis_page import _views
+from companion.evaluation.station_tones import StationAnalysis
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Station
+from companion.reporting.page import page, table
+from companion.reporting.plotting import with_gaps
 
 CAUSE = {
     "name": "stream-delay",

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.adapters.clocks import MonotonicClock
-from companion.adapters.mavlink.link import open_link
+from companion.adapters.mavlink.link.link import open_link
 from companion.errors import LinkError
 from companion.params.links import LinkAddress, LinkKind, parse_link
-from companion.sim.world import Link as VehicleLink
+from companion.sim.vehicle.world import Link as VehicleLink
 from mission_scripts.common.options import parser_for
 
 

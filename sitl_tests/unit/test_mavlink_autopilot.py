@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.decode import OUTGOING, Decoder
-from companion.adapters.mavlink.link import Link
-from companion.adapters.mavlink.translate import Heard
+from companion.adapters.mavlink.decode.decoder import OUTGOING, Decoder
+from companion.adapters.mavlink.decode.message_records import Heard
+from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.files import load_airframe
 from companion.params.settings import Settings

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink import decode
-from companion.adapters.mavlink.bulk import COMPILED, Bulk
-from companion.adapters.mavlink.decode import Decoder
+from companion.adapters.mavlink.decode import decoder as decode
+from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.params.airframe import Airframe, Source
 from companion.records import ClockName, ImuBatch, RawChunk, Record
 from sitl_tests.unit.test_mavlink_decode import airframe, highres, packed, pilot_heartbeat

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.decode import Decoder
-from companion.adapters.mavlink.layouts import TUNNEL_IMU_TYPE
+from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.mavlink.decode.layouts import TUNNEL_IMU_TYPE
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Source
 from companion.params.files import load_airframe

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink import encode
+from companion.adapters.mavlink.component import encode
 from companion.records import CorrectedRange, Health, ObstacleSectors
 
 ANY = st.floats(allow_nan=True, allow_infinity=True)

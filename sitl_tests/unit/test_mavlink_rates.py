@@ -7,8 +7,8 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.questions import ParameterReader, TimesyncTimer
-from companion.adapters.mavlink.rates import IntervalRequest, RateKeeper, needed_loop_rate_hz
+from companion.adapters.mavlink.vehicle.periodic_requests import ParameterReader, TimesyncTimer
+from companion.adapters.mavlink.vehicle.rates import IntervalRequest, RateKeeper, needed_loop_rate_hz
 from companion.records import ClockName
 
 S, MS = 1_000_000_000, 1_000_000

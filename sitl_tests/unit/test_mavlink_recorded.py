@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.decode import Decoder
+from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.params.airframe import Airframe, Source
 from companion.params.files import load_airframe
 from companion.records import ClockName, ImuBatch, RawChunk, Station

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator.mavcrc import x25crc
 
-from companion.adapters.mavlink.bulk import COMPILED, Bulk
-from companion.adapters.mavlink.dialect import build_message
-from companion.adapters.mavlink.scan import Scanner, sender
+from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.link.dialect import build_message
+from companion.adapters.mavlink.link.scan import Scanner, sender
 
 IDS = sorted(ardupilotmega.mavlink_map)
 WAYS = [

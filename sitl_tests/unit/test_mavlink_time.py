@@ -8,7 +8,7 @@ import random
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.decode import OUTGOING, Decoder
+from companion.adapters.mavlink.decode.decoder import OUTGOING, Decoder
 from companion.params.airframe import Source
 from companion.records import (
     AutopilotParameter,

@@ -12,13 +12,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.cli.audit import beam_tables, equations, fig_4, misprints, printed, range_tables, report
-from companion.cli.audit.findings import Section, number, percent
-from companion.cli.audit.scores import errors, rms
-from companion.cli.audit.shots import Usual
-from companion.cli.audit.trials import FULL, QUICK, REPEATED, SEEDS, SETTLE_S, Pace, flight_plan, trials
-from companion.cli.judge import Reading
 from companion.cli.main import main
+from companion.evaluation.true_geometry import Reading
+from companion.paper import beam_tables, equations, fig_4, misprints, printed, range_tables, report
+from companion.paper.findings import Section, number, percent
+from companion.paper.scores import errors, rms
+from companion.paper.shots import Usual
+from companion.paper.trials import (
+    FULL,
+    QUICK,
+    REPEATED,
+    SEEDS,
+    SETTLE_S,
+    Pace,
+    flight_plan,
+    trials,
+)
 from companion.params.files import load_airframe
 
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.cli.audit import digest, own_experiments, report, setups, triggering, untried
-from companion.cli.audit.experiments import Outcome
-from companion.cli.audit.findings import Section, percent
-from companion.cli.audit.scores import Results, one_tip_toe_error_mrad, toe_error_mrad
-from companion.cli.audit.shots import Flown, Readings, Scored
-from companion.cli.audit.trials import Trial, trials
-from companion.cli.judge import Reading
+from companion.evaluation.true_geometry import Reading
+from companion.paper import digest, own_experiments, report, setups, triggering, untried
+from companion.paper.experiments import Outcome
+from companion.paper.findings import Section, percent
+from companion.paper.scores import Results, one_tip_toe_error_mrad, toe_error_mrad
+from companion.paper.shots import Flown, Readings, Scored
+from companion.paper.trials import Trial, trials
 from companion.records import Reject
 
 LEFT = 0.05  # share of the toe that the correction leaves

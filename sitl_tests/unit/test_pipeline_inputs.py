@@ -36,7 +36,7 @@ from companion.records import (
     TriggerPlan,
     Validity,
 )
-from companion.sim.offline import HOST_EPOCH_NS
+from companion.sim.flight.offline import HOST_EPOCH_NS
 from sitl_tests.unit.pipeline_flight import GROUND_M, MS, Run, S, at_s, flight, inputs, run, without_samples
 
 STALE_S = 0.4

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from companion.cli.options import read_settings
+from companion.cli.steps.options import read_settings
 from companion.core.silence import RangeSilence
 from companion.core.trigger.planner import Policy
 from companion.errors import ConfigError
@@ -19,7 +19,7 @@ from companion.params.settings import Settings
 from companion.records import CorrectedRange, Firing, Health, Notice, Reject, Rejected, ServiceStatus, Shot, TriggerPlan
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
-from companion.sim.flight import Flight, build_flight
+from companion.sim.flight.flight import Flight, build_flight
 from sitl_tests.loop.ground_stations import Air, Station
 from sitl_tests.loop.simulated_service import EPOCH_NS, SimulatedService
 

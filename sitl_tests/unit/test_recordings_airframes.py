@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from companion.adapters.mavlink.mapping import build_mapping
-from companion.adapters.recordings.csv import CsvRecording
+from companion.adapters.mavlink.decode.source_map import build_mapping
+from companion.adapters.recordings.tables.csv import CsvRecording
 from companion.errors import TableError
 from companion.params import airframe as schema
 from companion.params.airframe import Airframe, Uncertain

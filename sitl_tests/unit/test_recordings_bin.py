@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion.adapters.recordings.bin import BinRecording, raw_accelerometer
-from companion.adapters.recordings.dataflash import DataflashLog
-from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.logs.bin import BinRecording, raw_accelerometer
+from companion.adapters.recordings.logs.dataflash import DataflashLog
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, Station, VehicleState

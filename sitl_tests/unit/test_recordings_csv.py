@@ -9,10 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion.adapters.recordings.csv import Covariate, CsvRecording, RangeTable
-from companion.adapters.recordings.csv_writer import streams_of, write_folder
-from companion.adapters.recordings.opening import open_recording
 from companion.adapters.recordings.recording import Stream
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.tables.csv import Covariate, CsvRecording, RangeTable
+from companion.adapters.recordings.tables.csv_writer import streams_of, write_folder
 from companion.errors import RecordingError, TableError
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Station

@@ -10,10 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from companion.adapters.recordings.mapped import files_of, read_mapped
-from companion.adapters.recordings.mapped_recording import MappedRecording
-from companion.adapters.recordings.mapping import TestKind, known_mappings, load_mapping, parse_mapping
-from companion.adapters.recordings.units import conversion
+from companion.adapters.recordings.tables.mapped_recording import MappedRecording
+from companion.adapters.recordings.tables.mapped_table import files_of, read_mapped
+from companion.adapters.recordings.tables.mapping import (
+    TestKind,
+    known_mappings,
+    load_mapping,
+    parse_mapping,
+)
+from companion.adapters.recordings.tables.units import conversion
 from companion.errors import ConfigError, RecordingError, TableError
 from companion.params.files import load_airframe
 from companion.records import Axis, Station

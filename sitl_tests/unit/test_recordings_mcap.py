@@ -15,13 +15,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from companion.adapters.mavlink.decode import OUTGOING
-from companion.adapters.recordings import channels
-from companion.adapters.recordings.images import ImageFormat
-from companion.adapters.recordings.opening import open_recording
-from companion.adapters.recordings.packed import pack, unpack
-from companion.adapters.recordings.reader import McapRecording
-from companion.adapters.recordings.writer import About, McapWriter
+from companion.adapters.mavlink.decode.decoder import OUTGOING
+from companion.adapters.recordings.mcap import channels
+from companion.adapters.recordings.mcap.images import ImageFormat
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.mcap.ros1_codec import pack, unpack
+from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.params.settings import Settings

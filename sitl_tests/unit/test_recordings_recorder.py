@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.inlet import Inlet, Outlet, recorder_channel
-from companion.adapters.recordings.reader import McapRecording
-from companion.adapters.recordings.recorder import ProcessRecorder, free_path, run_recorder
-from companion.adapters.recordings.writer import About
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.mcap.recorder import ProcessRecorder, free_path, run_recorder
+from companion.adapters.recordings.mcap.recorder_client import Inlet, Outlet, recorder_channel
+from companion.adapters.recordings.mcap.writer import About
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.params.settings import Settings

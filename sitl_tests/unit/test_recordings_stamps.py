@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.adapters.recordings.csv import CsvRecording
-from companion.adapters.recordings.stamps import without_rounding
+from companion.adapters.recordings.tables.csv import CsvRecording
+from companion.adapters.recordings.tables.stamps import without_rounding
 from companion.params.files import load_airframe
 from companion.records import Floats
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.recordings.opening import open_recording
-from companion.adapters.recordings.tlog import TlogRecording
+from companion.adapters.recordings.logs.tlog import TlogRecording
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Station, VehicleState

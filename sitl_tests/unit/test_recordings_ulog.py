@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.opening import open_recording
-from companion.adapters.recordings.ulog import UlogRecording
+from companion.adapters.recordings.logs.ulog import UlogRecording
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, Station, VehicleState

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.adapters.clocks import ManualClock
-from companion.core import warming
+from companion.core import warmup as warming
 from companion.core.pipeline import VisionState, start
 from companion.params.files import load_airframe
 from companion.params.settings import Settings

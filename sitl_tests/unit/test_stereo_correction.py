@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.codec import dumps
+from companion.adapters.recordings.mcap.codec import dumps
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.sectors import level_from_body

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from companion.core.stereo.dense import DenseMatcher, first_disparity, metric_pairs, points, raw_pairs
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import correct
-from companion.core.stereo.rectify import rectification, rectify, rest_rectification
+from companion.core.stereo.rectification import rectification, rectify, rest_rectification
 from companion.core.stereo.search import trim_search
 from companion.params.settings import Settings
 from companion.records import Side

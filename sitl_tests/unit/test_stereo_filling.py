@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.adapters.recordings.packed import pack, unpack
+from companion.adapters.recordings.mcap.ros1_codec import pack, unpack
 from companion.core.stereo.filling import filled, levelled
 from companion.core.stereo.geometry import MountedCamera, Pose, Rig
 from companion.core.stereo.matching import match_pair

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import settings as profile
 from hypothesis import strategies as st
 
-from companion.core.mode.forecast import Forecast
+from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.blur import BlurModel, Motion
 from companion.core.trigger.instants import still_instants
 from companion.core.trigger.latency import LatencyModel

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.computer import ComputerStatus
-from companion.adapters.mavlink.texts import TextLimiter
+from companion.adapters.mavlink.component.onboard_computer_status import ComputerStatus
+from companion.adapters.mavlink.component.statustext import TextLimiter
 from companion.records import Notice
 from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, S, Station
 

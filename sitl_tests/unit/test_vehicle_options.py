@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.cli.options import add_settings, read_settings, state_file
+from companion.cli.steps.options import add_settings, read_settings, state_file
 from companion.params.persist import store
 
 

@@ -11,10 +11,10 @@ import pytest
 
 from companion.core.wing.effect import CameraView, Effect, Group, ModalMotion, parameter, sensed, viewed
 from companion.core.wing.effects import catalogue, make_effect, make_effects
-from companion.core.wing.effects.cubic_stiffness import CubicStiffness
-from companion.core.wing.effects.damping_shift import DampingShift
-from companion.core.wing.effects.frequency_shift import FrequencyShift
-from companion.core.wing.effects.left_right_frequency import LeftRightFrequency
+from companion.core.wing.effects.damping.damping_shift import DampingShift
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
+from companion.core.wing.effects.stiffness.frequency_shift import FrequencyShift
+from companion.core.wing.effects.stiffness.left_right_frequency import LeftRightFrequency
 from companion.core.wing.model import WingModel
 from companion.errors import ConfigError
 from companion.params.airframe import Gust, Mode, NamedEffect, Uncertain, Wing

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.core.mode.tracker import WingTracker
+from companion.core.tracking.tracker import WingTracker
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, ModeState, Reject

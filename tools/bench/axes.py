@@ -15,20 +15,31 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.adapters.recordings.opening import open_recording
-from companion.cli.debrief import Shots, collect, judged, replayed, vertical_only
-from companion.cli.judge import Judge
-from companion.cli.lockstep import LockStepService
-from companion.cli.replaying import own_inputs
-from companion.cli.scoring import DISTANCES_M, FAST_HZ, near, slow_part
-from companion.cli.shots import Stage
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.steps.lockstep import LockStepService
+from companion.evaluation.flight_evaluation import (
+    Shots,
+    collect,
+    judged,
+    replayed,
+    vertical_only,
+)
+from companion.evaluation.metrics import (
+    DISTANCES_M,
+    FAST_HZ,
+    near,
+    slow_part,
+)
+from companion.evaluation.rendered_shots import Stage
+from companion.evaluation.replay import own_inputs
+from companion.evaluation.true_geometry import Judge
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Floats
 from companion.service.config import ServiceConfig
-from companion.sim.flight import build_flight
-from companion.sim.lockstep import EPOCH_NS
+from companion.sim.flight.flight import build_flight
+from companion.sim.vehicle.lockstep import EPOCH_NS
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.mavlink.autopilot import MavlinkAutopilot
-from companion.adapters.mavlink.link import Link
+from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.core.clock.bank import ClockBank
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, ClockRestart, TimesyncReply
-from companion.sim.faults import Faults
-from companion.sim.flight import Flight, build_flight
-from companion.sim.lockstep import EPOCH_NS, LockStepClock, MemoryWire
-from companion.sim.world import World, WorldOptions
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.lockstep import EPOCH_NS, LockStepClock, MemoryWire
+from companion.sim.vehicle.world import World, WorldOptions
 
 DURATION_S, REBOOT_S, SILENT_S = 120.0, 60.0, 1.0
 LOSS, JITTER_S = 0.2, 0.03

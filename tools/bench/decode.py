@@ -14,11 +14,11 @@ from typing import Any
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.bulk import COMPILED, Bulk
-from companion.adapters.mavlink.decode import Decoder
-from companion.adapters.mavlink.link import CHUNK_BYTES, Link
-from companion.adapters.mavlink.scan import Scanner
-from companion.adapters.mavlink.udp import UdpIn
+from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.mavlink.link.link import CHUNK_BYTES, Link
+from companion.adapters.mavlink.link.scan import Scanner
+from companion.adapters.mavlink.link.udp import UdpIn
 from companion.params.files import load_airframe
 from companion.records import ImuBatch, RawChunk
 

@@ -32,8 +32,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import butter, hilbert, sosfiltfilt
 
-from companion.core.mode.rig import Resonance, RigTracker
 from companion.records import Floats, Reject
+from tools.bench.single_sensor_ekf import Resonance, RigTracker
 
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared")) / "measured" / "dropbear8"
 # first, second and third bending, over the whole travel of the roller; the same for every file

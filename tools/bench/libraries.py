@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.mapped import files_of, read_mapped
-from companion.adapters.recordings.mapping import load_mapping
+from companion.adapters.recordings.tables.mapped_table import files_of, read_mapped
+from companion.adapters.recordings.tables.mapping import load_mapping
 from companion.diagnosis.free_decay.cross_validation import quiet_samples
 from companion.diagnosis.free_decay.fit import filter_all, fit
 from companion.diagnosis.free_decay.laws import Extension, Law, SecondMode, laws_for

@@ -17,19 +17,25 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from companion.cli.debrief import SETTLED_S, collect, judged, matches_of, pulls
-from companion.cli.judge import Judge
-from companion.cli.shots import Stage, Studio
 from companion.core.pipeline import start, step
 from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import divergence
+from companion.evaluation.flight_evaluation import (
+    SETTLED_S,
+    collect,
+    judged,
+    matches_of,
+    pulls,
+)
+from companion.evaluation.rendered_shots import Stage, Studio
+from companion.evaluation.true_geometry import Judge
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, Floats, MatchSet, Record
-from companion.sim.flight import build_flight
-from companion.sim.offline import HOST_EPOCH_NS
+from companion.sim.flight.flight import build_flight
+from companion.sim.flight.offline import HOST_EPOCH_NS
 from tools.bench.slow import in_order
 
 _FIRST_S, _LAST_S = 0.5, 0.6  # from the start, before the end

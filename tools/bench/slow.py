@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from companion.cli.scoring import slow_part
-from companion.core.mode.tracker import WingTracker
 from companion.core.pipeline import start, step
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import divergence
 from companion.core.stereo.rotation import exp_rotation, log_rotation
+from companion.core.tracking.tracker import WingTracker
+from companion.evaluation.metrics import slow_part
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -46,8 +46,8 @@ from companion.records import (
     Side,
     Tick,
 )
-from companion.sim.flight import Flight, build_flight
-from companion.sim.offline import HOST_EPOCH_NS, flight_records
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
 
 WAYS = ("tilt only", "epipolar only", "both")
 SETTLED_S = 10.0

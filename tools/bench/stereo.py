@@ -23,7 +23,7 @@ from companion.core.stereo.dense import DenseMatcher
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.matching import Matches, match
 from companion.core.stereo.ranging import correct
-from companion.core.stereo.rectify import rectification, rectify_pair, rest_rectification
+from companion.core.stereo.rectification import rectification, rectify_pair, rest_rectification
 from companion.core.stereo.search import expected_search, trim_search
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe

@@ -17,17 +17,17 @@ import numpy as np
 from filterpy.kalman import KalmanFilter  # type: ignore[import-untyped]
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.decode import Decoder
-from companion.core.mode.layout import make_layout
+from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.core.pipeline import start, step
+from companion.core.tracking.states import make_layout
 from companion.core.trigger.scheduling import Scheduling
-from companion.core.warming import warm_up
+from companion.core.warmup import warm_up
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Floats, OutputRecord, RawChunk, Record, Station, Tick, TimesyncReply
-from companion.sim.flight import Flight, build_flight
-from companion.sim.wire import inertial_format, payloads, stamped
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.vehicle.wire import inertial_format, payloads, stamped
 from tools.bench.decode import _udp_mavutil
 
 TARGET = 20.0

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.adapters.recordings.images import grey_of
+from companion.adapters.recordings.mcap.images import grey_of
 from companion.errors import DeviceError
 from companion.records import Bytes, ClockName, Frame, Side
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
-from companion.adapters.recordings.opening import open_recording
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import DeviceError
 from companion.ports import CameraPair, Clock
 from companion.records import ClockName, Frame, FramePair

@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from companion.adapters.recordings.channels import Recordable
+from companion.adapters.recordings.mcap.channels import Recordable
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
 from companion.params.settings import Settings

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.core.clock.remote import RemoteClock
+from companion.core.clock.remote_clock import RemoteClock
 from companion.records import ClockName, ClockRestart, ClockState, Ints, Reject, TimesyncReply
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from companion.core.stereo.consistency_gate import RangeGate, Verdict
 from companion.core.stereo.epipolar import YAW
 from companion.core.stereo.exposure import TipMotion, exposures
+from companion.core.stereo.extrinsics_drift import SlowRotation
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, RangeAnswer, correct
-from companion.core.stereo.slow import SlowRotation
 from companion.core.stereo.triangulation import match_rays
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.matching import Matches, expected_slopes, returned
-from companion.core.stereo.rectify import Rectification, rectify_pair
+from companion.core.stereo.rectification import Rectification, rectify_pair
 from companion.core.stereo.refine import HALF_WINDOW, refine
 from companion.core.stereo.search import Search
 from companion.records import Bools, Bytes, Floats

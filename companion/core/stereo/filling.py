@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.core.stereo.dense import DenseMatcher, Disparity, metric_pairs
 from companion.core.stereo.geometry import Pose, Rig
-from companion.core.stereo.rectify import Rectification, rectification, rectify_pair
+from companion.core.stereo.rectification import Rectification, rectification, rectify_pair
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import Search
 from companion.records import Bytes, Floats, FramePair, MatchSet

@@ -9,9 +9,15 @@ import numpy as np
 from companion.core.stereo.epipolar import epipolar_frame
 from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
 from companion.core.stereo.geometry import Rig, axes_from_body
+from companion.core.stereo.inverse_depth import Product, Reading, read
+from companion.core.stereo.range_sigma import (
+    Budget,
+    Gradient,
+    budget,
+    gradient_of,
+    toe_gradient,
+)
 from companion.core.stereo.sectors import matched_sectors
-from companion.core.stereo.sigma import Budget, Gradient, budget, gradient_of, toe_gradient
-from companion.core.stereo.surface import Product, Reading, read
 from companion.core.stereo.triangulation import Depths, Rays, Sight, match_rays, sight_along, triangulate
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from companion.core.stereo.geometry import Pose, Rig
-from companion.core.stereo.rectify import Rectification
+from companion.core.stereo.rectification import Rectification
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Bools, Bytes, Floats, Ints, Side

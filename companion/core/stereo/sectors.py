@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.stereo.surface import consistent
+from companion.core.stereo.inverse_depth import consistent
 from companion.core.stereo.triangulation import Depths, Sight
 from companion.params.settings import Settings
 from companion.records import Floats, ObstacleSectors

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.compiled import compiled
-from companion.core.mode.forecast import Forecast
+from companion.core.kernels.compiled import compiled
 from companion.core.stereo.geometry import Rig
+from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.latency import LatencyModel
 from companion.params.airframe import Airframe, Camera
 from companion.records import Floats, Ints, Side

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.compiled import compiled
+from companion.core.kernels.compiled import compiled
 from companion.core.trigger.blur import BlurForecast
 from companion.records import Floats, Ints
 

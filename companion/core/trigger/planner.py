@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.mode.forecast import Forecast
+from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.blur import BlurForecast, BlurModel, Motion
 from companion.core.trigger.instants import StillInstant, blur_at_px, still_instants
 from companion.core.trigger.latency import LatencyModel

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from companion.core.mode.tracker import WingTracker
+from companion.core.tracking.tracker import WingTracker
 from companion.core.trigger.blur import Motion
 from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.compiled import COMPILED, compiled
+from companion.core.kernels.compiled import COMPILED, compiled
 from companion.records import Floats
 
 _AT_REST = 1e-3

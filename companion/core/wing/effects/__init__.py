@@ -1,4 +1,4 @@
-"""The catalogue of named effects: one file each, found by being here."""
+"""The catalogue of named effects: one file each, by place of action, found by being here."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from companion.params.airframe import NamedEffect
 @functools.cache
 def catalogue() -> Mapping[str, type[Effect]]:
     """Every effect by its stable name, in alphabetical order."""
-    found = [kind for module in pkgutil.iter_modules(__path__) for kind in _effects_in(module.name)]
+    found = [kind for module in pkgutil.walk_packages(__path__, f"{__name__}.") for kind in _effects_in(module.name)]
     return MappingProxyType({kind.name: kind for kind in sorted(found, key=lambda kind: kind.name)})
 
 
@@ -40,6 +40,6 @@ def make_effect(named: NamedEffect) -> Effect:
 
 
 def _effects_in(module_name: str) -> list[type[Effect]]:
-    module = importlib.import_module(f"{__name__}.{module_name}")
+    module = importlib.import_module(module_name)
     members = [entry for entry in vars(module).values() if isinstance(entry, type) and issubclass(entry, Effect)]
     return [entry for entry in members if entry.__module__ == module.__name__]

@@ -1,0 +1,1 @@
+"""Our own MAVLink component: parameters, commands, files, texts, ranges."""

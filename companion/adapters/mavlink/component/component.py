@@ -1,0 +1,76 @@
+"""Our own MAVLink component, as others see it: parameters, identity, commands, files, and the computer's state."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+from companion.adapters.mavlink.component.commands import CommandServer
+from companion.adapters.mavlink.component.ftp import FileServer
+from companion.adapters.mavlink.component.onboard_computer_status import ComputerStatus
+from companion.adapters.mavlink.component.parameter_server import ParameterServer
+from companion.adapters.mavlink.component.statustext import TextLimiter
+from companion.adapters.mavlink.decode.message_records import Echo, Heard
+from companion.adapters.mavlink.link.signing import Signing
+from companion.adapters.mavlink.vehicle.id_conflict import IdentityWatch
+from companion.params.metadata import GENERAL_FILE, metadata_files
+from companion.records import Notice, ParameterChange
+
+_MOST_NOTICES = 16
+
+
+class OwnComponent:
+    """What a good component does beside its work. Told what was heard and sent, asked for what is due."""
+
+    def __init__(
+        self, parameters: ParameterServer, computer: ComputerStatus | None = None, signing: Signing | None = None
+    ) -> None:
+        self.parameters = parameters
+        self.signing = signing
+        self.identity = IdentityWatch()
+        self.texts = TextLimiter()
+        component = parameters.settings.component_id
+        files = metadata_files(component)
+        self.files = FileServer(files, component)
+        self.commands = CommandServer(component, files[GENERAL_FILE])
+        self._computer = ComputerStatus() if computer is None else computer
+        self._notices: deque[Notice] = deque(maxlen=_MOST_NOTICES)
+
+    def hear(self, heard: Heard, system: int) -> None:
+        """Take in a rare message of somebody else."""
+        if heard.name == "FILE_TRANSFER_PROTOCOL":
+            self.files.hear(heard, system)
+        elif heard.name in ("COMMAND_LONG", "COMMAND_INT"):
+            self.commands.hear(heard, system)
+        else:
+            self.parameters.hear(heard, system)
+
+    def echoed(self, echo: Echo) -> None:
+        """Take in a message that carries our own ids."""
+        notice = self.identity.heard(echo)
+        if notice is not None:
+            self._notices.append(notice)
+
+    def due(self, now_host_ns: int) -> Iterator[Any]:
+        """The messages to send now."""
+        for message in (
+            self.commands.due(),
+            self.parameters.due(now_host_ns),
+            self.files.due(now_host_ns),
+            self._computer.due(now_host_ns),
+        ):
+            if message is not None:
+                yield message
+        if self.signing is not None:
+            self._notices.extend(self.signing.notices(now_host_ns))
+
+    def close(self) -> None:
+        """Finish what is under way."""
+        self.parameters.close()
+
+    def events(self) -> list[ParameterChange | Notice]:
+        """Changes and sentences for the operator since the last call."""
+        taken = [*self.parameters.events(), *self._notices]
+        self._notices.clear()
+        return taken

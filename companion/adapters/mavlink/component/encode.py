@@ -1,0 +1,211 @@
+"""Output records as MAVLink messages. Nothing that is not finite or not representable ever leaves.
+
+Each encoder is a pure function that gives pymavlink's message object in wire units. What cannot be said becomes "alive,
+no range" (DISTANCE_SENSOR), "unknown" (OBSTACLE_DISTANCE) or nothing at all (NAMED_VALUE_FLOAT).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.mavlink.link.dialect import mavlink
+from companion.records import CorrectedRange, Health, ModeState, ObstacleSectors
+
+SECTORS = 72
+_SECTOR_DEG = 5
+_FIRST = 4  # so many sectors left of straight ahead the circle begins: where ArduPilot's face ahead does
+_CM = 100.0
+_LARGEST_CM = 65_533
+_UNKNOWN_CM = 65_535
+_NO_OBSTACLE_ID = 65_535
+_UNKNOWN_COVARIANCE = 255
+_LARGEST_COVARIANCE = 254
+NO_RANGE_QUALITY, _LEAST_QUALITY, _BEST_QUALITY = 1, 2, 100
+_UINT32 = 0xFFFFFFFF
+_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
+_NAME_CHARACTERS = 10
+_TEXT_CHARACTERS = 50
+_MOST_TEXT_CHUNKS = 5
+
+_STATE = {
+    Health.BOOT: mavlink.MAV_STATE_BOOT,
+    Health.STANDBY: mavlink.MAV_STATE_STANDBY,
+    Health.ACTIVE: mavlink.MAV_STATE_ACTIVE,
+    Health.CRITICAL: mavlink.MAV_STATE_CRITICAL,
+}
+
+
+def heartbeat(health: Health) -> Any:
+    """HEARTBEAT of an onboard computer; ``system_status`` tells our health."""
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, _STATE[health], 3
+    )
+
+
+def distance_sensor(record: CorrectedRange, min_m: float, max_m: float, time_boot_ms: int) -> Any:
+    """DISTANCE_SENSOR of a range.
+
+    A range that is not trusted, finite, positive and inside the limits is sent as :func:`no_range`. The covariance is
+    in cm^2, 1 to 254; a larger or unknown one is 255. The quality is what sigma leaves of 100, at least 2.
+    """
+    least, most = _limits_cm(min_m, max_m)
+    good = record.trusted and math.isfinite(record.range_m) and math.isfinite(record.sigma_m) and record.sigma_m >= 0
+    if not (good and record.range_m > 0 and least <= record.range_m * _CM <= most):
+        return no_range(record.orientation, min_m, max_m, time_boot_ms)
+    quality = _clamp(_BEST_QUALITY * (1.0 - record.sigma_m / record.range_m), _LEAST_QUALITY, _BEST_QUALITY)
+    distance = _clamp(record.range_m * _CM, least, most)
+    covariance = _covariance_cm2(record.sigma_m)
+    return _distance(record.orientation, (least, most), distance, covariance, quality, time_boot_ms)
+
+
+def no_range(orientation: int, min_m: float, max_m: float, time_boot_ms: int) -> Any:
+    """DISTANCE_SENSOR that says "alive, no range": one centimetre beyond the largest distance, with quality 1."""
+    least, most = _limits_cm(min_m, max_m)
+    return _distance(orientation, (least, most), most + 1, _UNKNOWN_COVARIANCE, NO_RANGE_QUALITY, time_boot_ms)
+
+
+def _distance(
+    orientation: int, limits_cm: tuple[int, int], distance_cm: int, covariance: int, quality: int, time_boot_ms: int
+) -> Any:
+    return mavlink.MAVLink_distance_sensor_message(
+        time_boot_ms & _UINT32,
+        *limits_cm,
+        distance_cm,
+        mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
+        0,
+        orientation if 0 <= orientation <= 255 else mavlink.MAV_SENSOR_ROTATION_NONE,
+        covariance,
+        signal_quality=quality,
+    )
+
+
+def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
+    """OBSTACLE_DISTANCE, the full circle of 72 sectors of 5 degrees in body FRD (frame 12), from 20 degrees left on.
+
+    ArduPilot gathers the elements into faces of 45 degrees in their order, and what it reads of a face later takes the
+    place of what it read before (AP_Proximity_MAV.cpp): in a circle that began ahead, the left half of the face ahead
+    would hide a nearer obstacle in its right half.
+
+    A known obstacle is clamped to the limits from below (never 0, which autopilots read as no data); beyond the largest
+    distance, or clear, is largest + 1; everything else is unknown, 65535.
+    """
+    least, most = _limits_cm(record.min_m, record.max_m)
+    finite = np.isfinite(record.distance_m) & (record.distance_m >= 0)
+    distance = np.where(finite, np.minimum(record.distance_m, 2 * _LARGEST_CM / _CM), 0.0) * _CM
+    known = record.known & finite
+    sectors = np.full(len(record.distance_m), _UNKNOWN_CM, dtype=np.int64)
+    sectors[record.clear] = most + 1
+    near = np.clip(np.rint(np.minimum(distance, most + 1)), max(least, 1), most + 1).astype(np.int64)
+    sectors[known & ~record.clear] = near[known & ~record.clear]
+    circle = np.full(SECTORS, _UNKNOWN_CM, dtype=np.int64)
+    circle[: len(sectors)] = sectors[:SECTORS]
+    circle = np.roll(circle, _FIRST)
+    return mavlink.MAVLink_obstacle_distance_message(
+        max(time_usec, 0),
+        mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
+        circle.tolist(),
+        _SECTOR_DEG,
+        least,
+        most,
+        float(_SECTOR_DEG),
+        float(-_FIRST * _SECTOR_DEG),
+        mavlink.MAV_FRAME_BODY_FRD,
+    )
+
+
+def obstacle_points(record: ObstacleSectors, time_boot_ms: int) -> list[Any]:
+    """OBSTACLE_DISTANCE_3D, one for each known sector, level with the body, all of one stamp.
+
+    ArduPilot takes points of one stamp for one look and uses it when the next stamp arrives. A look without a point
+    therefore still says one, beyond the largest distance, which it ignores; nothing can say that a direction is clear.
+    """
+    least_m, most_m = (limit / _CM for limit in _limits_cm(record.min_m, record.max_m))
+    sectors = np.flatnonzero(record.known[:SECTORS] & np.isfinite(record.distance_m[:SECTORS]))
+    points = [(math.radians(_SECTOR_DEG * index), float(record.distance_m[index])) for index in sectors.tolist()]
+    points = [(bearing, distance) for bearing, distance in points if least_m <= distance <= most_m]
+    return [
+        mavlink.MAVLink_obstacle_distance_3d_message(
+            time_boot_ms & _UINT32,
+            mavlink.MAV_DISTANCE_SENSOR_UNKNOWN,
+            mavlink.MAV_FRAME_BODY_FRD,
+            _NO_OBSTACLE_ID,
+            distance * math.cos(bearing),
+            distance * math.sin(bearing),
+            0.0,
+            least_m,
+            most_m,
+        )
+        for bearing, distance in points or [(0.0, most_m + 1.0)]
+    ]
+
+
+def unknown_sectors(at_host_ns: int, min_m: float, max_m: float) -> ObstacleSectors:
+    """Nothing is known in any direction: what stands for "alive, no range" among obstacles."""
+    none = np.zeros(SECTORS, dtype=np.bool_)
+    return ObstacleSectors(at_host_ns, np.zeros(SECTORS), np.zeros(SECTORS), none, none, min_m, max_m)
+
+
+def named_value(name: str, value: float, time_boot_ms: int) -> Any | None:
+    """NAMED_VALUE_FLOAT, the name cut at 10 characters; nothing where the value is no finite 32-bit float."""
+    if not math.isfinite(value) or abs(value) > _LARGEST_FLOAT32:
+        return None
+    return mavlink.MAVLink_named_value_float_message(
+        time_boot_ms & _UINT32, _ascii(name)[:_NAME_CHARACTERS].encode(), value
+    )
+
+
+def graph_values(record: ModeState | CorrectedRange) -> list[tuple[str, float]]:
+    """Give name and value of what is worth a graph; the names carry the unit."""
+    if isinstance(record, CorrectedRange):
+        return [("rng_sig_m", record.sigma_m), ("toe_mrad", record.toe_rad * 1e3), ("rigid_m", record.rigid_range_m)]
+    return [
+        ("q_sym_mm", float(record.q_m[0]) * 1e3),
+        ("q_anti_mm", float(record.q_m[1]) * 1e3),
+        ("f_sym_hz", record.symmetric.frequency_hz),
+        ("ph_sym_rad", record.symmetric.phase_rad),
+    ]
+
+
+def status_text(severity: int, text: str, identity: int) -> list[Any]:
+    """STATUSTEXT, in chunks of 50 characters that share ``identity`` (1 to 65535) where one is not enough."""
+    level = min(max(severity, mavlink.MAV_SEVERITY_EMERGENCY), mavlink.MAV_SEVERITY_DEBUG)
+    plain = _ascii(text)[: _MOST_TEXT_CHUNKS * _TEXT_CHARACTERS - 1]
+    if len(plain) <= _TEXT_CHARACTERS:
+        return [mavlink.MAVLink_statustext_message(level, plain.encode())]
+    # a text ends with the first chunk that is not full, so a last full one is followed by an empty one
+    starts = range(0, len(plain) + 1, _TEXT_CHARACTERS)
+    pieces = [plain[start : start + _TEXT_CHARACTERS].encode() for start in starts]
+    shared = (identity - 1) % 65_535 + 1
+    return [mavlink.MAVLink_statustext_message(level, piece, shared, index) for index, piece in enumerate(pieces)]
+
+
+def sendable(message: Any) -> bool:
+    """Whether no field of a message is NaN or infinite: the last gate before the link."""
+    for name in message.get_fieldnames():
+        value = getattr(message, name)
+        for item in value if isinstance(value, list | tuple) else (value,):
+            if isinstance(item, float) and not (math.isfinite(item) and abs(item) <= _LARGEST_FLOAT32):
+                return False
+    return True
+
+
+def _limits_cm(min_m: float, max_m: float) -> tuple[int, int]:
+    most = _clamp(max_m * _CM, 1, _LARGEST_CM)
+    return _clamp(min_m * _CM, 0, most), most
+
+
+def _clamp(value: float, least: int, most: int) -> int:
+    """Round into the limits; not a number counts as the upper one."""
+    return most if math.isnan(value) else round(min(max(value, least), most))
+
+
+def _covariance_cm2(sigma_m: float) -> int:
+    variance = (sigma_m * _CM) ** 2 if sigma_m < 1.0 else math.inf
+    return math.ceil(max(variance, 1.0)) if variance <= _LARGEST_COVARIANCE else _UNKNOWN_COVARIANCE
+
+
+def _ascii(text: str) -> str:
+    return "".join(letter if " " <= letter <= "~" else "?" for letter in text)

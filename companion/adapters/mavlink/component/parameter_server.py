@@ -1,0 +1,240 @@
+"""Our side of the MAVLink parameter protocol: list, read, set, and make ourselves known to a new ground station.
+
+The table is fixed after the start; an index is the row's place in it. Every value travels as REAL32, for which
+byte-wise and C-cast encodings agree. A PARAM_SET is answered with the value in force (for one that needs a restart: the
+one that will be), also when it was refused, and then a STATUSTEXT says why. Answers are paced, so that a slow radio
+link is not flooded, and each index waits at most once, so that a flood of requests costs no memory.
+
+QGroundControl on ArduPilot never asks other components for their parameters (QGC #13511), but fetches the rest as soon
+as it sees one of them: unsolicited PARAM_VALUEs greet every ground station that appears.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Collection, Mapping
+from typing import Any, Protocol
+
+from companion.adapters.mavlink.decode.message_records import Heard
+from companion.adapters.mavlink.link.dialect import mavlink
+from companion.params.persist import decimal32
+from companion.params.settings import Settings, Tunable, tunables
+from companion.records import Notice, ParameterChange
+
+_SECOND_NS = 1_000_000_000
+_PACE_NS = 25_000_000
+_GREETINGS = 3
+_GONE_NS = 10 * _SECOND_NS
+_ASKED_AGAIN_NS = 5 * _SECOND_NS
+_MOST_STATIONS = 16
+_MOST_EVENTS = 64
+_ERROR, _WARNING, _INFO = 3, 4, 6
+_REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+
+
+class Store(Protocol):
+    """Where values are kept over a restart; must not block."""
+
+    def keep(self, values: Mapping[str, float], /) -> None:
+        """Have all these values stored soon."""
+        ...
+
+    def problems(self) -> list[str]:
+        """What went wrong since the last call."""
+        ...
+
+    def close(self) -> None:
+        """Store what waits, and end."""
+        ...
+
+
+class _Station:
+    """A ground station: when it was heard last, and how often we have greeted it."""
+
+    def __init__(self) -> None:
+        self.heard_host_ns = 0
+        self.greeted = 0
+
+
+class ParameterServer:
+    """Serves the settings table; driven by heard messages and asked for what is due.
+
+    Parameters
+    ----------
+    settings
+        The values in force at the start.
+    store
+        Told every value that was set (by name) after each change; None keeps nothing.
+    kept
+        Values that were stored before, so that they stay stored.
+    reserved
+        Component ids of others, which ours must not become.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        store: Store | None = None,
+        kept: Mapping[str, float] | None = None,
+        reserved: Collection[int] = (),
+    ) -> None:
+        self.settings = settings
+        self._next = settings  # with what acts from the next start on
+        self._reserved = reserved
+        self.refused = 0
+        self._component = settings.component_id
+        self._rows: tuple[Tunable, ...] = tuple(tunables())
+        self._index = {row.name: index for index, row in enumerate(self._rows)}
+        self._values = {row.name: float(getattr(settings, row.attribute)) for row in self._rows}
+        self._store = store
+        self._kept = dict(kept or {})
+        self._waiting: deque[int] = deque()
+        self._answered: dict[int, int] = {}
+        self._twice: set[int] = set()
+        self._errors: deque[Any] = deque(maxlen=_MOST_EVENTS)
+        self._changes: list[ParameterChange] = []
+        self._notices: deque[Notice] = deque(maxlen=_MOST_EVENTS)
+        self._stations: dict[tuple[int, int], _Station] = {}
+        self._sent_host_ns = -_PACE_NS
+
+    # ------------------------------------------------------------------------------------------ hearing
+
+    def hear(self, heard: Heard, system: int) -> None:
+        """Take in a message; ``system`` is our own system id."""
+        name = heard.name
+        if name == "HEARTBEAT":
+            self._greet(heard)
+        elif name in ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"):
+            message = heard.message
+            if message.target_system not in (0, system) or message.target_component not in (0, self._component):
+                return
+            self._known(heard)
+            if name == "PARAM_REQUEST_LIST":
+                self._append(range(len(self._rows)))
+            elif name == "PARAM_REQUEST_READ":
+                self._read(heard)
+            else:
+                self._set(heard)
+
+    def _greet(self, heard: Heard) -> None:
+        if heard.message.type != mavlink.MAV_TYPE_GCS:
+            return
+        sender = (heard.system, heard.component)
+        if sender not in self._stations and len(self._stations) >= _MOST_STATIONS:
+            del self._stations[min(self._stations, key=lambda key: self._stations[key].heard_host_ns)]
+        station = self._stations.setdefault(sender, _Station())
+        if heard.received_host_ns - station.heard_host_ns > _GONE_NS:
+            station.greeted = 0
+        station.heard_host_ns = heard.received_host_ns
+        # the whole table once, as a station has few tries for what it lacks; then one value, in case all was lost
+        if station.greeted < _GREETINGS:
+            self._append(range(len(self._rows)) if station.greeted == 0 else (0,))
+            station.greeted += 1
+
+    def _known(self, heard: Heard) -> None:
+        station = self._stations.get((heard.system, heard.component))
+        if station is not None:
+            station.greeted = _GREETINGS
+
+    def _read(self, heard: Heard) -> None:
+        message = heard.message
+        index = message.param_index if message.param_index >= 0 else self._index.get(message.param_id, -1)
+        if 0 <= index < len(self._rows):
+            # whoever asks again has lost our answer, and most ground stations give up after a few tries
+            if heard.received_host_ns - self._answered.get(index, -_ASKED_AGAIN_NS) < _ASKED_AGAIN_NS:
+                self._twice.add(index)
+            self._first(index)
+        elif message.target_component == self._component:
+            self._complain(heard, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+
+    def _set(self, heard: Heard) -> None:
+        message = heard.message
+        index = self._index.get(message.param_id)
+        if index is None:
+            # a PARAM_SET to all components is most likely meant for the autopilot
+            if message.target_component == self._component:
+                self.refused += 1
+                self._complain(heard, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+                self._say(_WARNING, f"no parameter '{message.param_id}'", heard.received_host_ns)
+            return
+        row = self._rows[index]
+        value = decimal32(message.param_value)
+        problem = row.check(value)
+        if message.param_type != _REAL32:
+            problem = f"{row.name} is REAL32, not type {message.param_type}"
+        if problem is None:
+            clash = self._next.replace(row.name, value).conflict(self._reserved)
+            problem = None if clash is None else clash.text
+        if problem is not None:
+            self.refused += 1
+            self._say(_WARNING, problem, heard.received_host_ns)
+            self._complain(heard, mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)
+        elif value != self._values[row.name]:
+            self._accept(row, value, heard.received_host_ns)
+        self._first(index)
+
+    def _accept(self, row: Tunable, value: float, now_host_ns: int) -> None:
+        self._values[row.name] = self._kept[row.name] = value
+        self._next = self._next.replace(row.name, value)
+        if row.live:
+            self.settings = self.settings.replace(row.name, value)
+            self._changes.append(ParameterChange(row.name, value, now_host_ns))
+        else:
+            self._say(_INFO, f"{row.name} {value:g}: restart needed", now_host_ns)
+        if self._store is not None:
+            self._store.keep(dict(self._kept))
+
+    def _complain(self, heard: Heard, error: int) -> None:
+        message = heard.message
+        index = getattr(message, "param_index", -1)
+        self._errors.append(
+            mavlink.MAVLink_param_error_message(heard.system, heard.component, message.param_id.encode(), index, error)
+        )
+
+    def _say(self, severity: int, text: str, now_host_ns: int) -> None:
+        self._notices.append(Notice(severity, text, now_host_ns))
+
+    # ------------------------------------------------------------------------------------------ telling
+
+    def due(self, now_host_ns: int) -> Any | None:
+        """The next message to send, if it is time for one."""
+        for problem in () if self._store is None else self._store.problems():
+            self._say(_ERROR, problem, now_host_ns)
+        if now_host_ns - self._sent_host_ns < _PACE_NS or not (self._errors or self._waiting):
+            return None
+        self._sent_host_ns = now_host_ns
+        if self._errors:
+            return self._errors.popleft()
+        index = self._waiting.popleft()
+        self._answered[index] = now_host_ns
+        if index in self._twice:
+            self._twice.remove(index)
+            self._append((index,))
+        return self._value(index)
+
+    def events(self) -> list[ParameterChange | Notice]:
+        """Live changes, and then sentences for the operator, since the last call."""
+        taken: list[ParameterChange | Notice] = [*self._changes, *self._notices]
+        self._changes.clear()
+        self._notices.clear()
+        return taken
+
+    def close(self) -> None:
+        """Store what waits to be stored."""
+        if self._store is not None:
+            self._store.close()
+
+    def _value(self, index: int) -> Any:
+        row = self._rows[index]
+        (value,) = struct.unpack("<f", struct.pack("<f", self._values[row.name]))
+        return mavlink.MAVLink_param_value_message(row.name.encode(), value, _REAL32, len(self._rows), index)
+
+    def _first(self, index: int) -> None:
+        """Answer this one next: somebody waits for just it."""
+        if index in self._waiting:
+            self._waiting.remove(index)
+        self._waiting.appendleft(index)
+
+    def _append(self, indices: Any) -> None:
+        self._waiting.extend(index for index in indices if index not in self._waiting)

@@ -1,0 +1,72 @@
+"""Ranges and obstacles as they go out: at most at their rate, never an old number, stamps that advance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from companion.adapters.mavlink.component import encode
+from companion.params.settings import Settings
+from companion.records import CorrectedRange, NoRange, ObstacleSectors
+
+_FORWARD = 0
+_CIRCLE, _POINTS = 1, 2
+_RESTARTED_MS = 1000
+_EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be
+
+
+class RangeOutputs:
+    """Makes the messages of one vehicle.
+
+    A change between "here is a range" and "alive, no range" goes out at once; more of the same waits for its turn.
+    """
+
+    def __init__(self, settings: Settings, orientation: int) -> None:
+        self._settings = settings
+        self._forward = orientation == _FORWARD
+        self._sent_host_ns: dict[str, int] = {}
+        self._trusted = False
+        self._points_ms = 0
+
+    def adopt(self, settings: Settings) -> None:
+        """Use changed live settings from now on."""
+        self._settings = settings
+
+    def messages(
+        self, record: CorrectedRange | NoRange | ObstacleSectors, boot_offset_ns: int, now_host_ns: int
+    ) -> list[Any]:
+        """What to send for a record; ``boot_offset_ns`` takes host time to the autopilot's."""
+        limits_m = (self._settings.min_range_m, self._settings.max_range_m)
+        if isinstance(record, ObstacleSectors):
+            return self._obstacles(record, boot_offset_ns, now_host_ns)
+        if isinstance(record, CorrectedRange):
+            at_ns = record.t_host_ns
+            message = encode.distance_sensor(record, *limits_m, (at_ns + boot_offset_ns) // 1_000_000)
+        else:
+            at_ns = record.at_host_ns
+            message = encode.no_range(record.orientation, *limits_m, (at_ns + boot_offset_ns) // 1_000_000)
+        trusted = message.signal_quality != encode.NO_RANGE_QUALITY
+        changed, self._trusted = trusted != self._trusted, trusted
+        found = [message] if self._turn("range", now_host_ns) or changed else []
+        if isinstance(record, NoRange) and self._forward:
+            nothing = encode.unknown_sectors(record.at_host_ns, *limits_m)
+            found += self._obstacles(nothing, boot_offset_ns, now_host_ns)
+        return found
+
+    def _obstacles(self, record: ObstacleSectors, boot_offset_ns: int, now_host_ns: int) -> list[Any]:
+        form, boot_ns = self._settings.obstacles, record.t_host_ns + boot_offset_ns
+        if form not in (_CIRCLE, _POINTS) or not self._turn("obstacles", now_host_ns):
+            return []
+        if form == _CIRCLE:
+            return [encode.obstacle_distance(record, boot_ns // 1000)]
+        stamp_ms = boot_ns // 1_000_000
+        if stamp_ms > self._points_ms - _RESTARTED_MS:  # else the autopilot has restarted, and counts from 0 again
+            stamp_ms = max(stamp_ms, self._points_ms + 1)
+        self._points_ms = stamp_ms
+        return encode.obstacle_points(record, stamp_ms)
+
+    def _turn(self, what: str, now_host_ns: int) -> bool:
+        last = self._sent_host_ns.get(what)
+        if last is not None and now_host_ns - last < _EARLY * 1e9 / self._settings.publish_rate_hz:
+            return False
+        self._sent_host_ns[what] = now_host_ns
+        return True

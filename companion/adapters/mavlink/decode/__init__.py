@@ -1,0 +1,1 @@
+"""Frames to records: the one place where MAVLink's units become SI."""

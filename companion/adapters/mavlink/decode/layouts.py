@@ -1,0 +1,202 @@
+"""Inertial messages as numpy layouts: payloads of one message id in, stamps in ns and SI values out.
+
+Two batch layouts are our own, for nodes that send several samples at a time (``k`` counts from 0, little endian):
+
+DEBUG_FLOAT_ARRAY
+    ``name`` is the instance, ``time_usec`` the stamp of sample 0, ``array_id`` the sample period in us, ``data[0]`` the
+    number of samples (1 to 9), ``data[1 + 6k : 7 + 6k]`` x, y, z in m/s^2 and p, q, r in rad/s.
+TUNNEL
+    ``payload_type`` 0xA1C0; payload: ``uint64`` stamp of sample 0 in us, ``uint16`` period in us, ``uint8`` number of
+    samples (1 to 9), ``uint8`` instance, ``float32`` m/s^2 per count, ``float32`` rad/s per count, then per sample six
+    ``int16``: x, y, z, p, q, r.
+
+DEBUG_VECT carries one accelerometer sample: ``name`` is the instance, x, y, z in m/s^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
+from companion.records import Axis, Floats, Ints
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+TUNNEL_IMU_TYPE = 0xA1C0
+BATCH_SAMPLES = 9
+_IMPLAUSIBLE_SEVENTH = 0x20
+IMPLAUSIBLE_STAMP_US = _IMPLAUSIBLE_SEVENTH << 48
+_COMPLETE = frozenset(byte for byte in range(256) if byte & Axis.ALL == Axis.ALL)
+_Stamps = np.ndarray[tuple[int], np.dtype[np.uint64]]
+_MG = STANDARD_GRAVITY_MPS2 / 1000.0
+INTEGER_SCALE = np.array([_MG, _MG, _MG, 1e-3, 1e-3, 1e-3])
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Samples of equal payloads of one sender, sensor axes, SI.
+
+    ``values`` is (n, 6): specific force in m/s^2, angular rate in rad/s. ``fields`` is None, or (n,) the axes that each
+    sample says it updated. ``instances`` is None (one instance only), or (n,) the instance of each sample as text.
+    """
+
+    t_ns: Ints
+    values: Floats
+    fields: Ints | None = None
+    instances: list[str] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """One inertial message: its axes and its reader. ``named``: instances differ by name, else by number."""
+
+    message: str
+    axes: Axis
+    named: bool
+    read: Callable[[list[bytes]], tuple[Samples, int]]
+
+
+def _rows(payloads: list[bytes], size: int) -> bytes:
+    """Payloads of one message, untrimmed, end to end."""
+    lengths = set(map(len, payloads))
+    if len(lengths) == 1 and (length := lengths.pop()) <= size:
+        padding = bytes(size - length)
+        return padding.join(payloads) + padding
+    return b"".join([payload[:size].ljust(size, b"\0") for payload in payloads])
+
+
+def _table(payloads: list[bytes], dtype: np.dtype[np.void]) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    return np.frombuffer(_rows(payloads, dtype.itemsize), dtype)
+
+
+def _dtype(message: str, **fields: tuple[str, int]) -> np.dtype[np.void]:
+    formats = [spelling for spelling, _ in fields.values()]
+    offsets = [offset for _, offset in fields.values()]
+    size = payload_size(ID_OF[message])
+    return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+_HIGHRES = _dtype("HIGHRES_IMU", t=("<u8", 0), v=("(6,)<f4", 8), fields=("<u2", 60), id=("u1", 62))
+_RAW = _dtype("RAW_IMU", t=("<u8", 0), v=("(6,)<i2", 8), id=("u1", 26))
+_SCALED = _dtype("SCALED_IMU", t=("<u4", 0), v=("(6,)<i2", 4))
+_VECTOR = _dtype("DEBUG_VECT", t=("<u8", 0), v=("(3,)<f4", 8), name=("S10", 20))
+_ARRAY = _dtype("DEBUG_FLOAT_ARRAY", t=("<u8", 0), period=("<u2", 8), name=("S10", 10), v=("(58,)<f4", 20))
+_TUNNEL = _dtype(
+    "TUNNEL",
+    kind=("<u2", 0),
+    t=("<u8", 5),
+    period=("<u2", 13),
+    count=("u1", 15),
+    id=("u1", 16),
+    accel_scale=("<f4", 17),
+    gyro_scale=("<f4", 21),
+    v=("(54,)<i2", 25),
+)
+
+
+def _highres(payloads: list[bytes]) -> tuple[Samples, int]:
+    # single columns are looked at as bytes, which for the few samples of a live chunk is far cheaper than numpy
+    size = _HIGHRES.itemsize
+    rows = _rows(payloads, size)
+    table = np.frombuffer(rows, _HIGHRES)
+    complete = _COMPLETE.issuperset(rows[60::size])
+    fields = None if complete else table["fields"].astype(np.int64) & int(Axis.ALL)
+    stamps = _microseconds(table["t"], rows[6::size], rows[7::size])
+    return Samples(stamps, table["v"].astype(np.float64), fields, _numbers(rows[62::size])), 0
+
+
+def _raw(payloads: list[bytes]) -> tuple[Samples, int]:
+    size = _RAW.itemsize
+    rows = _rows(payloads, size)
+    table = np.frombuffer(rows, _RAW)
+    stamps = _microseconds(table["t"], rows[6::size], rows[7::size])
+    return Samples(stamps, table["v"] * INTEGER_SCALE, None, _numbers(rows[26::size])), 0
+
+
+def _scaled(payloads: list[bytes]) -> tuple[Samples, int]:
+    table = _table(payloads, _SCALED)
+    return Samples(table["t"].astype(np.int64) * 1_000_000, table["v"] * INTEGER_SCALE), 0
+
+
+def _vector(payloads: list[bytes]) -> tuple[Samples, int]:
+    table = _table(payloads, _VECTOR)
+    values = np.zeros((len(table), 6))
+    values[:, :3] = table["v"]
+    return Samples(_any_microseconds(table["t"]), values, None, _names(table["name"])), 0
+
+
+def _array(payloads: list[bytes]) -> tuple[Samples, int]:
+    table = _table(payloads, _ARRAY)
+    counts = np.nan_to_num(table["v"][:, 0], nan=0.0, posinf=0.0, neginf=0.0)
+    good = (counts >= 1) & (counts <= BATCH_SAMPLES) & (counts == np.floor(counts))
+    kept = table[good]
+    values = kept["v"][:, 1 : 1 + 6 * BATCH_SAMPLES].astype(np.float64)
+    batch = _unroll(kept["t"], kept["period"], counts[good].astype(np.int64), values, _names(kept["name"]))
+    return batch, len(table) - len(kept)
+
+
+def _tunnel(payloads: list[bytes]) -> tuple[Samples, int]:
+    table = _table(payloads, _TUNNEL)
+    ours = table[table["kind"] == TUNNEL_IMU_TYPE]
+    kept = ours[(ours["count"] >= 1) & (ours["count"] <= BATCH_SAMPLES)]
+    scale = np.empty((len(kept), 1, 6))
+    scale[:, :, :3] = kept["accel_scale"][:, None, None]
+    scale[:, :, 3:] = kept["gyro_scale"][:, None, None]
+    values = kept["v"].reshape(-1, BATCH_SAMPLES, 6) * scale
+    names = [str(number) for number in kept["id"].tolist()]
+    return _unroll(kept["t"], kept["period"], kept["count"].astype(np.int64), values, names), len(ours) - len(kept)
+
+
+def _unroll(
+    stamps: _Stamps,
+    periods: np.ndarray[tuple[int], np.dtype[np.uint16]],
+    counts: Ints,
+    values: Floats,
+    names: list[str],
+) -> Samples:
+    """Lay batches of several samples out as single samples."""
+    steps = np.arange(BATCH_SAMPLES)
+    present = steps < counts[:, None]
+    first = _any_microseconds(stamps)[:, None]
+    t_ns = np.where(first < 0, first, first + periods.astype(np.int64)[:, None] * 1000 * steps)
+    instances = [name for name, count in zip(names, counts.tolist(), strict=True) for _ in range(count)]
+    return Samples(t_ns[present], values.reshape(-1, BATCH_SAMPLES, 6)[present], None, instances)
+
+
+def _microseconds(stamps: _Stamps, seventh: bytes, eighth: bytes) -> Ints:
+    """Give ns, by a glance at the stamps' two highest bytes where those are plausible."""
+    if not any(eighth) and max(seventh) < _IMPLAUSIBLE_SEVENTH:
+        return stamps.astype(np.int64) * 1000
+    return _any_microseconds(stamps)
+
+
+def _any_microseconds(stamps: _Stamps) -> Ints:
+    """Give ns; a stamp beyond any clock becomes -1."""
+    possible = stamps < IMPLAUSIBLE_STAMP_US
+    return np.where(possible, np.where(possible, stamps, 0).astype(np.int64) * 1000, -1)
+
+
+def _numbers(column: bytes) -> list[str] | None:
+    """Instances as text; None where all are number 0."""
+    return [str(number) for number in column] if any(column) else None
+
+
+def _names(column: np.ndarray[tuple[int], np.dtype[np.bytes_]]) -> list[str]:
+    return [name.split(b"\0", 1)[0].decode("ascii", errors="replace") for name in column.tolist()]
+
+
+LAYOUTS: dict[int, Layout] = {
+    ID_OF[layout.message]: layout
+    for layout in (
+        Layout("HIGHRES_IMU", Axis.ALL, False, _highres),
+        Layout("RAW_IMU", Axis.ALL, False, _raw),
+        Layout("SCALED_IMU", Axis.ALL, False, _scaled),
+        Layout("SCALED_IMU2", Axis.ALL, False, _scaled),
+        Layout("SCALED_IMU3", Axis.ALL, False, _scaled),
+        Layout("DEBUG_FLOAT_ARRAY", Axis.ALL, True, _array),
+        Layout("TUNNEL", Axis.ALL, False, _tunnel),
+        Layout("DEBUG_VECT", Axis.ACCEL, True, _vector),
+    )
+}

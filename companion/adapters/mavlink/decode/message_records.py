@@ -1,0 +1,211 @@
+"""Rare messages to records: the autopilot's identity, TIMESYNC answers, flight state, parameters."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.mavlink.decode.counters import Tally
+from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT, Mapping
+from companion.adapters.mavlink.link.dialect import mavlink
+from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockWatch, Followed
+from companion.adapters.mavlink.vehicle.vehicle_choice import VehicleChoice
+from companion.params.vehicle import VEHICLE_PARAMETERS
+from companion.records import (
+    AutopilotParameter,
+    CameraFeedback,
+    ClockName,
+    ClockRestart,
+    Record,
+    Reject,
+    TimesyncReply,
+    VehicleState,
+)
+
+PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
+_MOST_REQUESTS = 32
+_STATE_PERIOD_MS = 20
+_PIN_TIMES_US = 1 << 32
+WHOLE_TYPES = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A rare message as it came: ``message`` is pymavlink's object, wire units."""
+
+    link: int
+    system: int
+    component: int
+    message: Any
+    received_host_ns: int
+
+    @property
+    def name(self) -> str:
+        """The message's name, as in the dialect."""
+        return str(self.message.get_type())
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """A rare message under our own system and component id: ours sent back by a router, or another's with our id."""
+
+    system: int
+    component: int
+    message: int
+    payload: bytes
+    received_host_ns: int
+
+
+def parameter_value(message: Any, *, bytewise: bool) -> float:
+    """The value of a PARAM_VALUE. PX4 puts the bytes of its integers where ArduPilot puts the number as a float."""
+    value = float(message.param_value)
+    if bytewise and message.param_type in WHOLE_TYPES:
+        return float(struct.unpack("<i", struct.pack("<f", value))[0])
+    return value
+
+
+def parameter_encoding(value: float, *, whole: bool) -> tuple[float, int]:
+    """The value and type of a PARAM_SET; ``whole`` is for PX4, which refuses another type than the parameter's."""
+    if not whole:
+        return value, int(mavlink.MAV_PARAM_TYPE_REAL32)
+    return struct.unpack("<f", struct.pack("<i", round(value)))[0], int(mavlink.MAV_PARAM_TYPE_INT32)
+
+
+class Translator:
+    """Keeps the little state that rare messages need; driven by chunks alone, so that a replay repeats it."""
+
+    def __init__(self, mapping: Mapping, watch: ClockWatch, tally: Tally, system: int = 0) -> None:
+        self.choice = VehicleChoice(system)
+        self._answers: dict[ClockName, Followed] = {}
+        self.armed = False
+        self._mapping = mapping
+        self._watch = watch
+        self._tally = tally
+        self._requests: dict[int, set[tuple[int, int]]] = {}
+        self._air: Any = None
+        self._last_state_ms: int | None = None
+        self._images: dict[int, int] = {}
+        self.px4 = False
+
+    @property
+    def system(self) -> int | None:
+        """The vehicle's system id, once its autopilot was heard."""
+        return self.choice.system
+
+    def sent(self, message: Any) -> None:
+        """Take note of a TIMESYNC request of ours."""
+        if message.get_type() == "TIMESYNC" and message.tc1 == 0:
+            self._requests[message.ts1] = set()
+            while len(self._requests) > _MOST_REQUESTS:
+                del self._requests[next(iter(self._requests))]
+
+    def records(self, heard: Heard) -> Iterator[Record]:
+        """Give what one message means to the pipeline, if anything."""
+        name = heard.name
+        if name == "HEARTBEAT":
+            yield from self._heartbeat(heard)
+        elif name == "TIMESYNC" and heard.component == AUTOPILOT_COMPONENT and heard.message.ts1 in self._requests:
+            self.choice.answered(heard.system, heard.received_host_ns)
+            if heard.system == self.system:
+                yield from self._timesync(heard)
+        elif heard.system != self.system:
+            return
+        elif name == "TIMESYNC":
+            yield from self._timesync(heard)
+        elif heard.component != AUTOPILOT_COMPONENT:
+            return
+        elif name == "ATTITUDE":
+            yield from self._attitude(heard)
+        elif name == "VFR_HUD":
+            self._vfr_hud(heard)
+        elif name == "PARAM_VALUE":
+            yield from self._parameter(heard)
+        elif name == "CAMERA_FEEDBACK":
+            yield from self._feedback(heard)
+
+    def _heartbeat(self, heard: Heard) -> Iterator[Record]:
+        message = heard.message
+        pilot = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and message.type != mavlink.MAV_TYPE_GCS
+        if heard.component != AUTOPILOT_COMPONENT or not pilot:
+            return
+        if self.choice.beat(heard.system, heard.received_host_ns):
+            for clock in dict.fromkeys(self._mapping.clocks.values()):  # another vehicle, and other clocks
+                self._watch.restart(clock, heard.received_host_ns)
+                yield ClockRestart(clock, heard.received_host_ns)
+        if heard.system == self.system:
+            self.px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
+            self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def _timesync(self, heard: Heard) -> Iterator[Record]:
+        message = heard.message
+        answered = self._requests.get(message.ts1)
+        clock = self._mapping.clocks.get(heard.component)
+        sender = (heard.system, heard.component)
+        # a routed copy of an answer is later than the answer, so only the first from each sender counts
+        if message.tc1 <= 0 or answered is None or clock is None or sender in answered:
+            return
+        answered.add(sender)
+        stamp = np.array([message.tc1], dtype=np.int64)
+        if clock not in self._answers:
+            self._answers[clock] = self._watch.follow(clock)
+        verdict = self._watch.check(self._answers[clock], stamp, heard.received_host_ns, confirmations=1)
+        if verdict.dropped:
+            self._tally.add(Reject.TIME_BACKWARDS, f"TIMESYNC of component {heard.component}")
+            return
+        if verdict.restart_at >= 0:
+            yield ClockRestart(clock, heard.received_host_ns)
+        yield TimesyncReply(clock, message.ts1, message.tc1, heard.received_host_ns)
+
+    def _vfr_hud(self, heard: Heard) -> None:
+        message = heard.message
+        if math.isfinite(message.airspeed) and math.isfinite(message.climb):
+            self._air = message
+        else:
+            self._tally.add(Reject.NOT_FINITE, "VFR_HUD")
+
+    def _attitude(self, heard: Heard) -> Iterator[Record]:
+        message, air, last = heard.message, self._air, self._last_state_ms
+        angles = (message.roll, message.pitch, message.yaw)
+        if not all(math.isfinite(angle) for angle in angles):
+            self._tally.add(Reject.NOT_FINITE, "ATTITUDE")
+            return
+        if air is None or (last is not None and 0 <= message.time_boot_ms - last < _STATE_PERIOD_MS):
+            return
+        self._last_state_ms = message.time_boot_ms
+        yield VehicleState(
+            message.time_boot_ms * 1_000_000,
+            heard.received_host_ns,
+            *angles,
+            air.airspeed,
+            air.climb,
+            air.throttle / 100.0,
+            self.armed,
+        )
+
+    def _feedback(self, heard: Heard) -> Iterator[Record]:
+        """An edge of the hot-shoe pin: boot time in 32 bits.
+
+        Without a pin ArduPilot sends the GPS time at which it gave the command (0 without GPS), which is no exposure;
+        with two cameras it tells each picture more than once.
+        """
+        message = heard.message
+        known = self._images.get(message.cam_idx) == message.img_idx
+        self._images[message.cam_idx] = message.img_idx
+        if not known and 0 < message.time_usec < _PIN_TIMES_US:
+            t_ns = message.time_usec * 1000
+            yield CameraFeedback(message.cam_idx, message.img_idx, t_ns, heard.received_host_ns)
+
+    def _parameter(self, heard: Heard) -> Iterator[Record]:
+        message = heard.message
+        if not message.param_id.startswith(PARAMETER_PREFIXES):
+            return
+        value = parameter_value(message, bytewise=self.px4)
+        if math.isfinite(value) or message.param_id in VEHICLE_PARAMETERS:  # the pipeline says what is wrong with it
+            yield AutopilotParameter(message.param_id, value, heard.received_host_ns)
+        else:
+            self._tally.add(Reject.NOT_FINITE, f"parameter {message.param_id}")

@@ -1,0 +1,1 @@
+"""Links: bytes in and out, frames found in them, signatures checked."""

@@ -1,0 +1,114 @@
+"""Links: bytes in and out of UDP, TCP and serial connections, in bulk and without ever blocking.
+
+How a link is spelled is told by :mod:`companion.params.links`.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from companion.adapters.mavlink.link.serial_link import SerialTransport
+from companion.adapters.mavlink.link.signing import SignedTransport, Signing
+from companion.adapters.mavlink.link.tcp import TcpClient, TcpServer
+from companion.adapters.mavlink.link.udp import UdpIn, UdpOut
+from companion.adapters.mavlink.vehicle.senders import Senders
+from companion.params.links import LinkAddress, LinkKind, parse_link
+from companion.ports import Clock
+from companion.records import RawChunk
+
+CHUNK_BYTES = 65536
+
+
+class Transport(Protocol):
+    """What carries the bytes. Nothing here blocks; a lost connection is opened again with growing pauses."""
+
+    def fileno(self) -> int:
+        """Descriptor to wait on, or -1 while there is none."""
+        ...
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        """Give what has arrived, about ``limit`` bytes at most; empty where there is nothing."""
+        ...
+
+    def send(self, data: bytes) -> bool:
+        """Send all of ``data`` or, where that cannot be done at once, nothing."""
+        ...
+
+    def close(self) -> None:
+        """Release the device or socket."""
+        ...
+
+
+class Link:
+    """One connection to the vehicle, with a number that stands in its chunks.
+
+    Attributes
+    ----------
+    knocks : bool
+        Whether the other side learns of us only when we speak first.
+    unsent : int
+        Writes given up because the connection was down or could not take them at once.
+    """
+
+    def __init__(self, number: int, spelling: str, transport: Transport, clock: Clock, *, knocks: bool = False) -> None:
+        self.number = number
+        self.spelling = spelling
+        self.knocks = knocks
+        self.unsent = 0
+        self._transport = transport
+        self._clock = clock
+
+    @property
+    def senders(self) -> Senders | None:
+        """Who has which id, where many can reach this link."""
+        return getattr(self._transport, "senders", None)
+
+    def fileno(self) -> int:
+        """Descriptor to wait on, or -1 while the connection is down."""
+        return self._transport.fileno()
+
+    def read(self) -> RawChunk | None:
+        """Drain the connection into one chunk of about 64 KiB at most; nothing where nothing has come."""
+        data = self._transport.receive(CHUNK_BYTES, self._clock.now_ns())
+        if not data:
+            return None
+        return RawChunk(self.number, self._clock.now_ns(), data)
+
+    def write(self, data: bytes) -> bool:
+        """Send one frame, or count it as unsent."""
+        done = self._transport.send(data)
+        self.unsent += not done
+        return done
+
+    def close(self) -> None:
+        """Release the connection."""
+        self._transport.close()
+
+
+def open_link(spelling: str, clock: Clock, number: int = 0, signing: Signing | None = None) -> Link:
+    """Open a link; with ``signing`` only signed frames come in, and all that go out are signed.
+
+    Raises
+    ------
+    LinkError
+        The spelling is wrong, or the connection cannot be opened; the message says what to do.
+    """
+    address = parse_link(spelling)
+    transport = _open_transport(address)
+    if signing is not None:
+        transport = SignedTransport(transport, signing, number)
+    return Link(number, str(address), transport, clock, knocks=address.kind is LinkKind.UDP_CALL)
+
+
+def _open_transport(address: LinkAddress) -> Transport:
+    match address.kind:
+        case LinkKind.UDP_LISTEN:
+            return UdpIn(address.host, address.port)
+        case LinkKind.UDP_CALL:
+            return UdpOut(address.host, address.port)
+        case LinkKind.TCP_CALL:
+            return TcpClient(address.host, address.port)
+        case LinkKind.TCP_LISTEN:
+            return TcpServer(address.host, address.port)
+        case LinkKind.SERIAL:
+            return SerialTransport(address.host, address.port)

@@ -1,0 +1,206 @@
+"""Finds MAVLink frames in bulk: header scan, CRC of every known message id, one byte forward on failure.
+
+The scan exists twice: :mod:`companion.adapters.mavlink.decode.bulk` is compiled, and the one here runs where that
+cannot be.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from fastcrc.crc16 import mcrf4xx
+
+from companion.adapters.mavlink.decode.bulk import (
+    COMPILED,
+    Bulk,
+    Run,
+    seek,
+)
+from companion.adapters.mavlink.link.dialect import CRC_EXTRA, payload_size
+
+_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
+_HEADER_1, _HEADER_2 = 6, 10
+_SIGNED = 0x01
+_SIGNATURE_BYTES = 13
+_SHORTEST_2 = _HEADER_2 + 2
+# where a frame may begin; the last bytes of a chunk may begin one whose header is not there yet
+_CANDIDATE = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.{0,8}\Z)", re.DOTALL)
+_LAST_BYTE: tuple[int, ...] = tuple(mcrf4xx(bytes([byte]), 0) for byte in range(256))
+_EXTRA_OF = {identity.to_bytes(3, "little"): extra for identity, extra in CRC_EXTRA.items()}
+# of MAVLink 1, which has no extensions: what is longer is no frame, and its checksum is not worth the time; -1: unknown
+_LONGEST = tuple(payload_size(identity) if identity in CRC_EXTRA else -1 for identity in range(256))
+_LARGEST_1 = _HEADER_1 + 255 + 2
+INCOMPLETE, NO_FRAME, UNKNOWN, DAMAGED = -1, -2, -3, -4
+
+Frame = tuple[int, bytes]
+"""Sender and message id of a frame, see :func:`sender`, and its payload."""
+
+
+def sender(key: int) -> tuple[int, int, int]:
+    """System, component and message id of a frame's key."""
+    return key & 0xFF, key >> 8 & 0xFF, key >> 16
+
+
+@dataclass(slots=True)
+class ScanCounters:
+    """What one link's scanner has seen since it was made."""
+
+    frames: int = 0
+    crc_errors: int = 0
+    unknown: int = 0
+    skipped_bytes: int = 0
+
+
+@dataclass(slots=True)
+class Found:
+    """What some bytes held: frames in arrival order, and apart from them what was read in bulk."""
+
+    frames: list[Frame] = field(default_factory=list)
+    runs: list[Run] = field(default_factory=list)
+
+
+class Scanner:
+    """The scanner of one link. A partial frame at the end of a chunk (less than 280 bytes) waits for the next one.
+
+    A frame is a magic byte with a known message id, no incompatible flag but signing, and the right checksum. Where one
+    of these fails, the scan goes one byte forward, so a frame behind a damaged or unknown one is never lost; an unknown
+    id cannot be checked and is stepped over the same way. Signatures are skipped, not verified.
+
+    Parameters
+    ----------
+    bulk
+        The compiled scan, where there is one.
+    """
+
+    def __init__(self, bulk: Bulk | None = None) -> None:
+        self.counters = ScanCounters()
+        self._bulk = bulk
+        self._tail = b""
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes of an unfinished frame that wait for the next chunk."""
+        return len(self._tail)
+
+    def forget(self) -> None:
+        """Drop the bytes of an unfinished frame."""
+        self._tail = b""
+
+    def scan(self, data: bytes, system: int | None = None) -> Found:
+        """Find the frames of the next bytes of this link; ``system`` is the one whose samples are read in bulk."""
+        buffer = self._tail + data if self._tail else data
+        found = Found()
+        if self._bulk is None:
+            position = self._walk(buffer, found.frames)
+        else:
+            position, counted, found.runs = self._bulk.scan(buffer, system, found.frames)
+            own = self.counters
+            own.frames += counted[0]
+            own.crc_errors += counted[1]
+            own.unknown += counted[2]
+            own.skipped_bytes += counted[3]
+        self._tail = buffer[position:]
+        return found
+
+    def _walk(self, buffer: bytes, frames: list[Frame]) -> int:
+        """Append the frames; give the position of the first byte that has to wait."""
+        extra_of, crc, last_byte, keep = _EXTRA_OF.get, mcrf4xx, _LAST_BYTE, frames.append
+        number = int.from_bytes
+        position, end, before = 0, len(buffer), len(frames)
+        last_start = end - _SHORTEST_2
+        while position < end:
+            if position <= last_start and buffer[position] == _MAGIC_2 and not buffer[position + 2]:
+                extra = extra_of(buffer[position + 7 : position + 10])
+                stop = position + _HEADER_2 + buffer[position + 1]
+                if extra is not None and stop + 2 <= end:
+                    state = crc(buffer[position + 1 : stop])
+                    if (state >> 8) ^ last_byte[(state & 255) ^ extra] == buffer[stop] | buffer[stop + 1] << 8:
+                        keep((number(buffer[position + 5 : position + 10], "little"), buffer[position + 10 : stop]))
+                        position = stop + 2
+                        continue
+            position, waits = self._careful(buffer, position, end, frames)
+            if waits:
+                break
+        self.counters.frames += len(frames) - before
+        return position
+
+    def _careful(self, buffer: bytes, start: int, end: int, frames: list[Frame]) -> tuple[int, bool]:
+        """Give the place behind the next frame, or the first byte that has to wait and True."""
+        own, search, longest_of, at = self.counters, _CANDIDATE.search, _LONGEST, start
+        while at < end:
+            if buffer[at] == _MAGIC_1 and at + _LARGEST_1 <= end:  # a flood of these is the dearest
+                longest = longest_of[buffer[at + 5]]
+                if buffer[at + 1] > longest:
+                    own.unknown += longest < 0
+                    own.crc_errors += longest >= 0
+                    at += 1
+                    if buffer[at] != _MAGIC_1:
+                        candidate = search(buffer, at)
+                        at = candidate.start() if candidate else end
+                    continue
+            after = whole_frame(buffer, at)
+            if after > 0 or after == INCOMPLETE:
+                break
+            own.unknown += after == UNKNOWN
+            own.crc_errors += after == DAMAGED
+            candidate = search(buffer, at + 1)
+            at = candidate.start() if candidate else end
+        own.skipped_bytes += at - start
+        if at == end:
+            return end, False
+        if after == INCOMPLETE:
+            return at, True
+        first, key = (at + _HEADER_2, at + 5) if buffer[at] == _MAGIC_2 else (at + _HEADER_1, at + 3)
+        frames.append((int.from_bytes(buffer[key:first], "little"), buffer[first : first + buffer[at + 1]]))
+        return after, False
+
+
+def next_frame(buffer: bytes, start: int) -> int:
+    """The next place from ``start`` on with a whole frame, or one that is not complete; the end where there is none."""
+    if COMPILED:
+        return seek(buffer, start)
+    at, end = next_candidate(buffer, start), len(buffer)
+    while at < end and whole_frame(buffer, at) < INCOMPLETE:
+        at = next_candidate(buffer, at + 1)
+    return at
+
+
+def next_candidate(buffer: bytes, start: int) -> int:
+    """The next place from ``start`` on where a frame may begin; the buffer's end where there is none."""
+    candidate = _CANDIDATE.search(buffer, start)
+    return candidate.start() if candidate else len(buffer)
+
+
+def whole_frame(buffer: bytes, start: int) -> int:
+    """Where the frame that begins at ``start`` ends, or why none does: one of the four negative words."""
+    end, magic, longest = len(buffer), buffer[start], 0
+    if magic == _MAGIC_2:
+        first = start + _HEADER_2
+        if first > end:
+            return INCOMPLETE
+        flags = buffer[start + 2]
+        if flags & ~_SIGNED:
+            return NO_FRAME
+        extra = _EXTRA_OF.get(buffer[start + 7 : first])
+        if extra is None:
+            return UNKNOWN
+    elif magic == _MAGIC_1:
+        first, flags = start + _HEADER_1, 0
+        if first > end:
+            return INCOMPLETE
+        longest = _LONGEST[buffer[start + 5]]
+        if longest < 0:
+            return UNKNOWN
+        extra = CRC_EXTRA[buffer[start + 5]]
+    else:
+        return NO_FRAME
+    stop = first + buffer[start + 1]
+    after = stop + 2 + (_SIGNATURE_BYTES if flags else 0)
+    if after > end:
+        return INCOMPLETE
+    if magic == _MAGIC_1 and buffer[start + 1] > longest:
+        return DAMAGED
+    state = mcrf4xx(buffer[start + 1 : stop])
+    whole = (state >> 8) ^ _LAST_BYTE[(state & 255) ^ extra] == buffer[stop] | buffer[stop + 1] << 8
+    return after if whole else DAMAGED

@@ -1,0 +1,108 @@
+"""A serial device, opened again when it was unplugged and came back."""
+
+from __future__ import annotations
+
+import errno
+import os
+import termios
+from typing import Any
+
+import serial
+
+from companion.adapters.mavlink.link.reconnect import Backoff
+from companion.errors import LinkError
+
+_MOST_UNSENT_BYTES = 16384
+
+
+class SerialTransport:
+    """Reads and writes a serial device without blocking."""
+
+    def __init__(self, path: str, baud: int) -> None:
+        self._path = path
+        self._baud = baud
+        self._backoff = Backoff()
+        self._unsent = bytearray()
+        try:
+            self._port: Any = self._open()
+        except (OSError, ValueError, termios.error) as error:
+            raise LinkError(_advice(path, baud, error)) from error
+
+    def fileno(self) -> int:
+        """Descriptor of the device, or -1 while it is away."""
+        return -1 if self._port is None else int(self._port.fileno())
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        """Read what has arrived, or look for the device again."""
+        if self._port is None:
+            self._return(now_host_ns)
+        if self._port is None:
+            return b""
+        self._flush()
+        try:
+            data = os.read(self._port.fileno(), limit)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            self._lose()
+            return b""
+        if not data:  # end of file: the device has gone
+            self._lose()
+        return data
+
+    def send(self, data: bytes) -> bool:
+        """Send or keep for later; refuse whole frames when too much waits."""
+        if self._port is None or len(self._unsent) + len(data) > _MOST_UNSENT_BYTES:
+            return False
+        self._unsent += data
+        self._flush()
+        return True
+
+    def close(self) -> None:
+        """Release the device."""
+        self._lose()
+
+    def _open(self) -> Any:
+        port = serial.Serial(self._path, self._baud, timeout=0, write_timeout=0)
+        os.set_blocking(port.fileno(), False)
+        # pyserial lets a read without data return nothing, which is what a device that was unplugged does too
+        attributes = termios.tcgetattr(port.fileno())
+        attributes[6][termios.VMIN] = 1
+        termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
+        return port
+
+    def _return(self, now_host_ns: int) -> None:
+        if self._backoff.due(now_host_ns):
+            try:
+                self._port = self._open()
+                self._backoff.succeeded()
+            except (OSError, ValueError, termios.error):
+                self._port = None
+
+    def _lose(self) -> None:
+        self._unsent.clear()
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _flush(self) -> None:
+        if self._unsent:
+            try:
+                del self._unsent[: os.write(self._port.fileno(), self._unsent)]
+            except BlockingIOError:
+                return
+            except OSError:
+                self._lose()
+
+
+def _advice(path: str, baud: int, error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        return f"{path}: no such device; check the cable and 'ls /dev/serial/by-id'"
+    if number == errno.EACCES:
+        return f"{path}: permission denied; add yourself to the group 'dialout' and log in again"
+    if number == errno.EBUSY:
+        return f"{path}: the device is in use; stop the other program (ModemManager, MAVProxy?)"
+    if isinstance(error, ValueError):
+        return f"{path}: baud rate {baud} is not supported by this device"
+    return f"{path}: {error}"

@@ -1,0 +1,308 @@
+"""MAVLink 2 signing: only frames with our key, fresh and never seen before, get in; everything that we send is signed.
+
+The check sits at the transport, before the recorder and the decoder: a recording holds what was accepted, and replays
+without the key. Refused frames are counted by reason.
+
+A signature's timestamp counts 10 us since 2015. It must increase within a stream (link id, system, component), and a
+new stream may be a minute behind our own time at most (MAVLink 2 signing, "Timestamp handling"). Our time runs with the
+monotonic clock, never behind anything accepted. A companion may have no clock of the day: our time and each stream's
+newest timestamp are kept in a file twice a second, so that a power cut lets in again no more than came since. A stream
+that is not in the file must be newer than our time in it. Without the file nothing comes in that is older than the key.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import hashlib
+import hmac
+import threading
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from fastcrc.crc16 import mcrf4xx
+
+from companion.adapters.mavlink.link.dialect import CRC_EXTRA
+from companion.adapters.mavlink.link.scan import INCOMPLETE, next_frame, whole_frame
+from companion.adapters.mavlink.link.udp import UdpIn
+from companion.adapters.mavlink.vehicle.senders import Senders
+from companion.errors import ConfigError
+from companion.params.persist import write_whole
+from companion.ports import Clock
+from companion.records import Notice
+
+_MAGIC_2 = 0xFD
+_SIGNED = 0x01
+_SIGNATURE_BYTES = 13
+_KEY_BYTES = 32
+_UNIT_NS = 10_000
+_MINUTE = 60 * 100_000
+_SECOND = 100_000
+_RESTART = _SECOND
+_SAVE_PERIOD_NS = 500_000_000
+_EPOCH_S = 1_420_070_400  # 2015-01-01
+_LARGEST = (1 << 48) - 1
+_MOST_STREAMS = 1024
+_SAY_PERIOD_NS = 10_000_000_000
+_WARNING = 4
+
+
+class Refusal(enum.StrEnum):
+    """Why a frame did not get in."""
+
+    UNSIGNED = "unsigned"
+    WRONG_KEY = "wrong key"
+    REPLAYED = "replayed"
+    STALE = "stale"
+
+
+Stream = tuple[int, int, int]
+"""Link id, system and component."""
+
+
+@dataclass(frozen=True, slots=True)
+class SigningTime:
+    """What must outlive a power cycle: our signing time, and the newest timestamp of each stream."""
+
+    own: int = 0
+    streams: Mapping[Stream, int] = field(default_factory=dict)
+
+
+class Signing:
+    """Key, time and known streams, shared by all links of the service.
+
+    Parameters
+    ----------
+    secret
+        32 bytes.
+    timestamp
+        Where our signing time begins, in 10 us.
+    save
+        Called twice a second with what is to be kept over a restart; must not block.
+    kept
+        What was kept: streams go on behind it, and new ones begin behind its own time.
+    """
+
+    def __init__(
+        self,
+        secret: bytes,
+        clock: Clock,
+        timestamp: int = 0,
+        save: Callable[[SigningTime], None] | None = None,
+        kept: SigningTime | None = None,
+    ) -> None:
+        if len(secret) != _KEY_BYTES:
+            raise ConfigError(f"a signing key has {_KEY_BYTES} bytes, not {len(secret)}")
+        self.refused: Counter[Refusal] = Counter()
+        self.accepted = 0
+        self._secret = secret
+        self._clock = clock
+        self._save = save
+        self._base = timestamp
+        self._base_host_ns = clock.now_ns()
+        self._saved_host_ns: int | None = None
+        self._last_sent = 0
+        self._streams: dict[Stream, int] = {} if kept is None else dict(kept.streams)
+        self._floor = 0 if kept is None else kept.own
+        self._said_host_ns: int | None = None
+        self._told: Counter[Refusal] = Counter()
+
+    def now(self) -> int:
+        """Our signing time in 10 us."""
+        return min(self._base + (self._clock.now_ns() - self._base_host_ns) // _UNIT_NS, _LARGEST)
+
+    def sign(self, frame: bytes, link: int) -> bytes:
+        """Sign one unsigned MAVLink 2 frame; its checksum is made anew, for it covers the flag."""
+        self._last_sent = max(self.now(), self._last_sent + 1)
+        self._keep()
+        head = frame[:2] + bytes((frame[2] | _SIGNED,)) + frame[3:-2]
+        extra = CRC_EXTRA[int.from_bytes(frame[7:10], "little")]
+        crc = mcrf4xx(head[1:] + bytes((extra,)))
+        body = head + crc.to_bytes(2, "little") + bytes((link & 0xFF,)) + self._last_sent.to_bytes(6, "little")
+        return body + self._digest(body)
+
+    def judge(self, frame: bytes) -> Refusal | None:
+        """Say why a whole frame, whose checksum is right, may not come in; nothing if it may."""
+        refusal = self._refusal(frame)
+        if refusal is None:
+            self.accepted += 1
+            self._keep()
+        else:
+            self.refused[refusal] += 1
+        return refusal
+
+    def _refusal(self, frame: bytes) -> Refusal | None:
+        if frame[0] != _MAGIC_2 or not frame[2] & _SIGNED:
+            return Refusal.UNSIGNED
+        if not hmac.compare_digest(self._digest(frame[:-6]), frame[-6:]):
+            return Refusal.WRONG_KEY
+        stream = (frame[-13], frame[5], frame[6])
+        timestamp = int.from_bytes(frame[-12:-6], "little")
+        newest = self._streams.get(stream)
+        if newest is not None and timestamp <= newest:
+            return Refusal.REPLAYED
+        oldest = max(self.now() - _MINUTE, self._floor + 1)
+        if newest is None and (timestamp < oldest or len(self._streams) >= _MOST_STREAMS):
+            return Refusal.STALE
+        self._streams[stream] = timestamp
+        if timestamp > self.now():
+            self._base, self._base_host_ns = timestamp, self._clock.now_ns()
+        return None
+
+    def _digest(self, signed: bytes) -> bytes:
+        return hashlib.sha256(self._secret + signed).digest()[:6]
+
+    def _keep(self) -> None:
+        now_ns = self._clock.now_ns()
+        if self._save is None or (self._saved_host_ns is not None and now_ns - self._saved_host_ns < _SAVE_PERIOD_NS):
+            return
+        self._saved_host_ns = now_ns
+        self._save(SigningTime(max(self.now(), self._last_sent), dict(self._streams)))
+
+    def notices(self, now_host_ns: int) -> list[Notice]:
+        """A sentence about what was refused since the last one, at most every 10 s."""
+        fresh = self.refused - self._told
+        if not fresh or (self._said_host_ns is not None and now_host_ns - self._said_host_ns < _SAY_PERIOD_NS):
+            return []
+        self._said_host_ns, self._told = now_host_ns, Counter(self.refused)
+        parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
+        return [Notice(_WARNING, f"signing refused {parts}", now_host_ns)]
+
+
+class Carrier(Protocol):
+    """A transport, as :class:`companion.adapters.mavlink.link.link.Transport` describes it."""
+
+    def fileno(self) -> int: ...  # noqa: D102
+    def receive(self, limit: int, now_host_ns: int) -> bytes: ...  # noqa: D102
+    def send(self, data: bytes) -> bool: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
+
+
+class SignedTransport:
+    """A transport whose bytes are checked on the way in and signed on the way out."""
+
+    def __init__(self, inner: Carrier, signing: Signing, link: int) -> None:
+        self._inner = inner
+        self._signing = signing
+        self._link = link
+        self._tail = b""
+        self._judged_inside = isinstance(inner, UdpIn)  # it learns its peers from what is accepted
+        if isinstance(inner, UdpIn):
+            inner.judge = lambda frame: signing.judge(frame) is None
+
+    @property
+    def senders(self) -> Senders | None:
+        """Of the inner transport, where it has many."""
+        return getattr(self._inner, "senders", None)
+
+    def fileno(self) -> int:
+        """Descriptor to wait on, or -1 while there is none."""
+        return self._inner.fileno()
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        """Give the accepted frames of what has arrived."""
+        data = self._inner.receive(limit, now_host_ns)
+        return self._admit(data) if data and not self._judged_inside else data
+
+    def send(self, data: bytes) -> bool:
+        """Sign one frame and send it."""
+        return self._inner.send(self._signing.sign(data, self._link))
+
+    def close(self) -> None:
+        """Release the device or socket."""
+        self._inner.close()
+
+    def _admit(self, data: bytes) -> bytes:
+        buffer = self._tail + data
+        frames, end = _frames(buffer)
+        self._tail = buffer[end:]
+        accepted = [frame for frame in frames if self._signing.judge(frame) is None]
+        return b"".join(accepted)
+
+
+def _frames(buffer: bytes) -> tuple[list[bytes], int]:
+    """Every frame with a right checksum, and the place behind the last byte that need not wait for more."""
+    frames: list[bytes] = []
+    at, end = 0, len(buffer)
+    while at < end:
+        after = whole_frame(buffer, at)
+        if after == INCOMPLETE:
+            return frames, at
+        if after > 0:
+            frames.append(buffer[at:after])
+            at = after
+        else:
+            at = next_frame(buffer, at + 1)
+    return frames, at
+
+
+# ------------------------------------------------------------------------------------------------ the key file
+
+
+def load_signing(path: Path, clock: Clock) -> Signing:
+    """Read a key file: 64 hexadecimal digits, or ``passphrase: ...`` as ground stations take it (hashed).
+
+    Beside it, ``<name>.stamp`` keeps the signing time.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, is no key, or others than its owner may read it.
+    """
+    try:
+        text = path.read_text(encoding="utf-8").strip()
+        mode = path.stat().st_mode
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot read the signing key {path}: {error}") from error
+    if mode & 0o077:
+        raise ConfigError(f"signing key {path} can be read by others: chmod 600 {path}")
+    stamp = path.with_name(path.name + ".stamp")
+    kept = _kept(stamp) or SigningTime(max(0, int(path.stat().st_mtime) - _EPOCH_S) * _SECOND)
+    return Signing(_secret(text, path), clock, min(kept.own + _RESTART, _LARGEST), _Keeper(stamp).keep, kept)
+
+
+def _secret(text: str, path: Path) -> bytes:
+    label, colon, phrase = text.partition(":")
+    if colon and label.strip() == "passphrase" and phrase.strip():
+        return hashlib.sha256(phrase.strip().encode()).digest()
+    try:
+        secret = bytes.fromhex(text)
+    except ValueError:
+        secret = b""
+    if len(secret) != _KEY_BYTES:
+        raise ConfigError(f"signing key {path}: give 64 hexadecimal digits, or 'passphrase: ...'")
+    return secret
+
+
+def _kept(path: Path) -> SigningTime | None:
+    """What was kept: our time in the first line, then a stream in each; None where there is nothing to go by."""
+    try:
+        first, *lines = path.read_text(encoding="ascii").splitlines()
+        own = int(first)
+        rows = [[int(word) for word in line.split()] for line in lines[:_MOST_STREAMS]]
+        streams = {(link, system, component): timestamp for link, system, component, timestamp in rows}
+    except (OSError, ValueError):
+        return None
+    return SigningTime(own, streams) if 0 <= own <= _LARGEST // 2 else None
+
+
+class _Keeper:
+    """Writes the newest state, one write at a time; what comes during a write waits for the next occasion."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._writing: threading.Thread | None = None
+
+    def keep(self, state: SigningTime) -> None:
+        """Have it on the disk soon, so that a power cut leaves it or the one before."""
+        if self._writing is None or not self._writing.is_alive():
+            self._writing = threading.Thread(target=self._write, args=(state,), name="signing-stamp", daemon=True)
+            self._writing.start()
+
+    def _write(self, state: SigningTime) -> None:
+        rows = "".join(f"{' '.join(map(str, stream))} {newest}\n" for stream, newest in state.streams.items())
+        with contextlib.suppress(OSError):  # what is on the disk then is older, and nothing else can be done
+            write_whole(self._path, f"{state.own}\n{rows}")

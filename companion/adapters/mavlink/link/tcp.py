@@ -1,0 +1,166 @@
+"""TCP, calling (``tcp``, opened again when lost) or listening (``tcpin``, one client at a time)."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import select
+import socket
+
+from companion.adapters.mavlink.link.reconnect import Backoff
+from companion.errors import LinkError
+
+_FIRST_CONNECT_S = 3.0
+_MOST_UNSENT_BYTES = 65536
+
+
+class _Stream:
+    """A connected stream socket with a bounded buffer for what the kernel cannot take at once."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        with contextlib.suppress(OSError):
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.socket = connection
+        self._unsent = bytearray()
+
+    def receive(self, limit: int) -> bytes | None:
+        """Give what has arrived; None where the other side has gone."""
+        self.flush()
+        try:
+            data = self.socket.recv(limit)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            return None
+        return data or None
+
+    def send(self, data: bytes) -> bool:
+        """Send or keep for later; refuse whole frames when too much waits."""
+        if len(self._unsent) + len(data) > _MOST_UNSENT_BYTES:
+            return False
+        self._unsent += data
+        self.flush()
+        return True
+
+    def flush(self) -> None:
+        """Hand the kernel what it takes."""
+        if self._unsent:
+            with contextlib.suppress(OSError):
+                del self._unsent[: self.socket.send(self._unsent)]
+
+    def close(self) -> None:
+        self.socket.close()
+
+
+class TcpClient:
+    """Calls an address; after a loss it calls again with growing pauses, without blocking."""
+
+    def __init__(self, host: str, port: int) -> None:
+        where = f"tcp:{host}:{port}"
+        try:
+            self._address = (socket.gethostbyname(host), port)
+            connection = socket.create_connection(self._address, timeout=_FIRST_CONNECT_S)
+        except ConnectionRefusedError as error:
+            raise LinkError(f"{where}: nothing listens there; start the autopilot or router first") from error
+        except OSError as error:
+            raise LinkError(f"{where}: cannot be reached ({error}); check address and network") from error
+        self._stream: _Stream | None = _Stream(connection)
+        self._calling: socket.socket | None = None
+        self._backoff = Backoff()
+
+    def fileno(self) -> int:
+        """Descriptor of the connection, or -1."""
+        return self._stream.socket.fileno() if self._stream else -1
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        """Read, or go on with connecting again."""
+        if self._stream is None:
+            self._call(now_host_ns)
+        if self._stream is None:
+            return b""
+        data = self._stream.receive(limit)
+        if data is None:
+            self._stream.close()
+            self._stream = None
+            return b""
+        return data
+
+    def send(self, data: bytes) -> bool:
+        """Send where connected."""
+        return self._stream is not None and self._stream.send(data)
+
+    def close(self) -> None:
+        """Release the sockets."""
+        for held in (self._stream, self._calling):
+            if held is not None:
+                held.close()
+
+    def _call(self, now_host_ns: int) -> None:
+        if self._calling is None:
+            if not self._backoff.due(now_host_ns):
+                return
+            self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            self._calling.setblocking(False)
+            self._calling.connect_ex(self._address)
+        calling = self._calling
+        _, writable, _ = select.select([], [calling], [], 0)
+        if not writable:
+            return
+        self._calling = None
+        if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            calling.close()
+            return
+        self._stream = _Stream(calling)
+        self._backoff.succeeded()
+
+
+class TcpServer:
+    """Waits for one client; when it leaves, waits for the next."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._listener.bind((host, port))
+        except OSError as error:
+            self._listener.close()
+            taken = "the port is taken; stop the other program" if error.errno == errno.EADDRINUSE else error.strerror
+            raise LinkError(f"tcpin:{host}:{port}: {taken}") from error
+        self._listener.listen(1)
+        self._listener.setblocking(False)
+        self._stream: _Stream | None = None
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on."""
+        return int(self._listener.getsockname()[1])
+
+    def fileno(self) -> int:
+        """Descriptor of the client, or of the listener while there is none."""
+        return self._stream.socket.fileno() if self._stream else self._listener.fileno()
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:  # noqa: ARG002 (part of the protocol)
+        """Read from the client, or take a new one."""
+        if self._stream is None:
+            with contextlib.suppress(OSError):
+                connection, _ = self._listener.accept()
+                self._stream = _Stream(connection)
+        if self._stream is None:
+            return b""
+        data = self._stream.receive(limit)
+        if data is None:
+            self._stream.close()
+            self._stream = None
+            return b""
+        return data
+
+    def send(self, data: bytes) -> bool:
+        """Send to the client, if there is one."""
+        return self._stream is not None and self._stream.send(data)
+
+    def close(self) -> None:
+        """Release the sockets."""
+        if self._stream is not None:
+            self._stream.close()
+        self._listener.close()

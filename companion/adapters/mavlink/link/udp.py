@@ -1,0 +1,241 @@
+"""UDP, listening (``udpin``) or calling (``udpout``)."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from companion.adapters.mavlink.link.dialect import mavlink
+from companion.adapters.mavlink.link.scan import INCOMPLETE, next_frame, whole_frame
+from companion.adapters.mavlink.vehicle.senders import Senders
+from companion.errors import LinkError
+
+_RECEIVE_BUFFER_BYTES = 1 << 20
+_LARGEST_DATAGRAM = 65536
+_MOST_PEERS = 16
+_MOST_DATAGRAMS = 4096
+_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
+_SHORTEST = 8
+
+
+class _Udp:
+    """A non-blocking datagram socket whose datagrams are drained into one buffer."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        self._socket.setblocking(False)
+        self._buffer = memoryview(bytearray(2 * _LARGEST_DATAGRAM))
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _send_to(self, data: bytes, address: tuple[str, int]) -> bool:
+        try:
+            return self._socket.sendto(data, address) == len(data)
+        except OSError:  # full buffer, unreachable network, peer gone: a datagram is never waited for
+            return False
+
+
+@dataclass(slots=True)
+class _Peer:
+    """A sender: its system (0 for a ground station), when it was heard, and the bytes of a frame that is not whole."""
+
+    system: int
+    heard_host_ns: int
+    tail: bytes = b""
+
+
+class UdpIn(_Udp):
+    """Listens on a port and learns its peers from what they send; what is written goes to all of them.
+
+    Autopilot and wing nodes may come from different ports. A peer is who sent a whole frame of the vehicle's system,
+    with a right checksum and, where ``judge`` is set, accepted by it; or a ground station's heartbeat. At most 16 peers
+    are kept; the one silent longest leaves first, but none that has a guarded id. Frames are put together for each
+    sender apart, and a guarded id is one sender's (:class:`Senders`).
+
+    Attributes
+    ----------
+    judge : callable, optional
+        Whether a frame may come in; with it all else stays out.
+    senders : Senders
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        self.judge: Callable[[bytes], bool] | None = None
+        self.senders = Senders()
+        self._peers: dict[tuple[str, int], _Peer] = {}
+        self._strangers: dict[tuple[str, int], bytes] = {}
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            self.close()
+            raise LinkError(_bind_advice(host, port, error)) from error
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on (chosen by the system where 0 was asked)."""
+        return int(self._socket.getsockname()[1])
+
+    @property
+    def peers(self) -> list[tuple[str, int]]:
+        """Known peers, the one heard last at the end."""
+        return sorted(self._peers, key=lambda address: self._peers[address].heard_host_ns)
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:
+        """Drain the socket."""
+        buffer, filled, receive = self._buffer, 0, self._socket.recvfrom_into
+        came: list[bytes] = []
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_MOST_DATAGRAMS):
+                try:
+                    count, address = receive(buffer)
+                except ConnectionError:  # an earlier datagram of ours was refused; says nothing of this one
+                    continue
+                filled += count
+                came.append(self._sifted(address, bytes(buffer[:count]), now_host_ns))
+                if filled >= limit:
+                    break
+        return b"".join(came)
+
+    def send(self, data: bytes) -> bool:
+        """Send to every known peer; true where one took it."""
+        taken = [self._send_to(data, address) for address, peer in self._peers.items() if self._counts(peer.system)]
+        return any(taken)
+
+    def _counts(self, system: int) -> bool:
+        """Whether a sender of this system is one to be told anything."""
+        return system == 0 or self.senders.system in (None, system)
+
+    def _sifted(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> bytes:
+        """What may come in of a datagram."""
+        peer = self._peers.get(address)
+        usual = peer is not None and not peer.tail and self._counts(peer.system) and self.judge is None
+        if peer is not None and usual and self._is_plain(address, data, now_host_ns):
+            peer.heard_host_ns = now_host_ns
+            return data
+        tail = self._strangers.pop(address, b"") if peer is None else peer.tail
+        came, tail = self._frame_by_frame(address, tail + data, now_host_ns)
+        peer = self._peers.get(address)
+        if peer is not None:
+            peer.tail = tail
+        elif tail:
+            self._strangers[address] = tail
+            while len(self._strangers) > _MOST_PEERS:
+                del self._strangers[next(iter(self._strangers))]
+        return came
+
+    def _is_plain(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> bool:
+        """Whether a datagram has the form of whole frames, and no guarded id but the sender's: the usual."""
+        at, end, senders = 0, len(data), self.senders
+        while at + _SHORTEST <= end:
+            start = at
+            if data[at] == _MAGIC_2:
+                key = (data[at + 5], data[at + 6])
+                at += 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
+            elif data[at] == _MAGIC_1:
+                key = (data[at + 3], data[at + 4])
+                at += 8 + data[at + 1]
+            else:
+                return False
+            if senders.guards(key) and not senders.has(address, key, data[start:at], now_host_ns):
+                return False
+        return at == end
+
+    def _frame_by_frame(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> tuple[bytes, bytes]:
+        """What may come in of some bytes, and what has to wait for more."""
+        at, end = 0, len(data)
+        came: list[bytes] = []
+        while at < end:
+            after = whole_frame(data, at)
+            if after == INCOMPLETE:
+                break
+            if after > 0:
+                if self._admits(address, data[at:after], now_host_ns):
+                    came.append(data[at:after])
+            else:
+                after = next_frame(data, at + 1)
+                if self.judge is None:  # damage is counted where frames are read
+                    came.append(data[at:after])
+            at = after
+        return b"".join(came), data[at:]
+
+    def _admits(self, address: tuple[str, int], frame: bytes, now_host_ns: int) -> bool:
+        if self.judge is not None and not self.judge(frame):
+            return False
+        key = (frame[5], frame[6]) if frame[0] == _MAGIC_2 else (frame[3], frame[4])
+        if self.senders.guards(key) and not self.senders.admit(address, key, frame, now_host_ns):
+            return False
+        system = 0 if _is_station(frame) else key[0]
+        peer = self._peers.get(address)
+        if peer is not None:
+            peer.heard_host_ns = now_host_ns
+            peer.system = peer.system if self._counts(peer.system) else system
+        elif self._counts(system):
+            self._learn(address, _Peer(system, now_host_ns))
+        return True
+
+    def _learn(self, address: tuple[str, int], newcomer: _Peer) -> None:
+        if len(self._peers) >= _MOST_PEERS:
+            free = [peer for peer in self._peers if not self.senders.holds_any(peer)]
+            if not free:
+                return
+            del self._peers[min(free, key=lambda peer: self._peers[peer].heard_host_ns)]
+        self._peers[address] = newcomer
+
+
+def _is_station(frame: bytes) -> bool:
+    """Whether a frame is a ground station's heartbeat; zeros at a payload's end are not sent."""
+    newer = frame[0] == _MAGIC_2
+    number = frame[7:10] if newer else frame[5:6] + b"\0\0"
+    kind = 14 if newer else 10  # after custom_mode, 4 bytes
+    return number == b"\0\0\0" and frame[1] > 4 and frame[kind] == mavlink.MAV_TYPE_GCS
+
+
+class UdpOut(_Udp):
+    """Calls one address; answers from anywhere are read, for routers answer from other ports."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        try:
+            self._address = (socket.gethostbyname(host), port)
+        except OSError as error:
+            self.close()
+            raise LinkError(
+                f"udpout:{host}:{port}: host '{host}' is not known; check the name or use its IP"
+            ) from error
+
+    def receive(self, limit: int, now_host_ns: int) -> bytes:  # noqa: ARG002 (part of the protocol)
+        """Drain the socket."""
+        buffer, filled, receive = self._buffer, 0, self._socket.recv_into
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(_MOST_DATAGRAMS):
+                try:
+                    filled += receive(buffer[filled:])
+                except ConnectionError:  # nobody listens there yet
+                    continue
+                if filled >= limit:
+                    break
+        return bytes(buffer[:filled])
+
+    def send(self, data: bytes) -> bool:
+        """Send to the address."""
+        return self._send_to(data, self._address)
+
+
+def _bind_advice(host: str, port: int, error: OSError) -> str:
+    where = f"udpin:{host}:{port}"
+    if error.errno == errno.EADDRINUSE:
+        return f"{where}: the port is taken; stop the other program (MAVProxy, mavlink-router, a second spanwise?)"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"{where}: this computer has no address {host}; use 0.0.0.0 to listen on all"
+    if error.errno == errno.EACCES:
+        return f"{where}: ports below 1024 need privileges; use 14550"
+    return f"{where}: {error.strerror or error}"

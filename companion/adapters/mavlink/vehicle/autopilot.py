@@ -1,0 +1,400 @@
+"""The vehicle over MAVLink: a :class:`companion.ports.Autopilot`."""
+
+from __future__ import annotations
+
+import dataclasses
+import select
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from companion.adapters.mavlink.component import encode
+from companion.adapters.mavlink.component.component import OwnComponent
+from companion.adapters.mavlink.component.parameter_server import ParameterServer
+from companion.adapters.mavlink.component.range_publisher import RangeOutputs
+from companion.adapters.mavlink.decode.decoder import OUTGOING, Decoded, Decoder
+from companion.adapters.mavlink.decode.message_records import WHOLE_TYPES, Heard, parameter_encoding
+from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
+from companion.adapters.mavlink.link.dialect import ID_OF, mavlink
+from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.vehicle.absence import Absence
+from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
+from companion.adapters.mavlink.vehicle.rates import RateKeeper
+from companion.adapters.mavlink.vehicle.senders import TwoClocks
+from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.params.vehicle import implausible
+from companion.ports import Clock
+from companion.records import (
+    AutopilotParameter,
+    ClockName,
+    ClockRestart,
+    ClockState,
+    CorrectedRange,
+    Health,
+    ModeState,
+    NoRange,
+    Notice,
+    ObstacleSectors,
+    ParameterChange,
+    RawChunk,
+    Record,
+    Reject,
+    Rejected,
+    ServiceStatus,
+    Shot,
+    TimesyncReply,
+    Validity,
+)
+
+_SECOND_NS = 1_000_000_000
+_STATE_RATE_HZ = 20.0
+_KNOCK_SYSTEM = 1
+_MOST_ANSWERS = 16
+_MOST_HELD = 16
+_MOST_OTHERS = 8
+_WARNING = 4
+
+
+class MavlinkAutopilot:
+    """Reads, keeps time with, asks and tells the vehicle, over one link or several.
+
+    Everything is done inside :meth:`poll`, which the loop that can see the service's health calls: when it stalls, our
+    heartbeat stops. Times are of the given clock alone.
+
+    Parameters
+    ----------
+    links
+        Open links; their numbers must be below 128 and differ.
+    gather_s
+        Bytes are gathered for so long before they are read, so that decoding works on batches; not while an answer
+        to TIMESYNC is awaited, whose arrival time matters.
+    listener
+        Called with every rare message (COMMAND_LONG, CAMERA_FEEDBACK ...), for who wants to see them.
+    component
+        Our own component: parameters, commands, files; by default one that keeps nothing over a restart.
+    needed
+        Names of the autopilot's parameters to read.
+    """
+
+    def __init__(
+        self,
+        links: Sequence[Link],
+        airframe: Airframe,
+        settings: Settings,
+        clock: Clock,
+        *,
+        gather_s: float = 0.004,
+        listener: Callable[[Heard], None] | None = None,
+        component: OwnComponent | None = None,
+        needed: tuple[str, ...] = NEEDED_PARAMETERS,
+        firing: LinkFiring = CAMERAS,
+    ) -> None:
+        self.decoder = Decoder(airframe, settings.component_id, settings.system_id)
+        self.health = Health.BOOT
+        self.refused = 0
+        self.requests_answered = 0
+        self._firing = firing
+        self._fired: int | None = None
+        self._unfired: list[Rejected] = []
+        self._two_clocks = TwoClocks()
+        self._said: list[Notice] = []
+        self._links = list(links)
+        self._settings = settings
+        self._clock = clock
+        for link in self._links:
+            if link.senders is not None:
+                link.senders.guarded = frozenset(self.decoder.mapping.clocks)
+        self._gather_ns = round(gather_s * _SECOND_NS)
+        self._listener = listener
+        self.component = OwnComponent(ParameterServer(settings)) if component is None else component
+        self._packer = mavlink.MAVLink(None, _KNOCK_SYSTEM, settings.component_id)
+        self._timesync = TimesyncTimer()
+        self._parameters = ParameterReader(needed)
+        self._whole: set[str] = set()
+        self.rates = RateKeeper(self._wanted_rates(settings), self.decoder.mapping.messages)
+        modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
+        self.rates.mode(max(mode.frequency_hz.value for mode in modes))
+        self._heartbeat_host_ns: int | None = None
+        self._verified_host_ns = 0
+        self._read_host_ns = 0
+        self._boot_offset_ns = 0
+        self._ranges = RangeOutputs(settings, airframe.orientation)
+        self._texts = 0
+        self._absence = Absence()
+        self._others: set[int | None] = set()  # further autopilots of which the operator knows
+        self._held: deque[Notice] = deque(maxlen=_MOST_HELD)  # until somebody is there to read them
+        self._graphed_host_ns: dict[type, int] = {}
+
+    def _wanted_rates(self, settings: Settings) -> dict[int, float]:
+        wanted = {ID_OF["ATTITUDE"]: _STATE_RATE_HZ, ID_OF["VFR_HUD"]: _STATE_RATE_HZ}
+        for source in self.decoder.mapping.sources:
+            if source.component == AUTOPILOT_COMPONENT:
+                wanted[source.message] = settings.imu_rate_hz
+        return wanted
+
+    # -------------------------------------------------------------------------------------------- reading
+
+    def poll(self, timeout_s: float) -> Iterator[Record]:
+        """Yield what has arrived within the timeout, raw bytes first, then what they decode to.
+
+        Also sends what is due: heartbeat, TIMESYNC, rate and parameter requests. Chunks of our own TIMESYNC requests
+        are yielded like received ones; from recorded chunks :meth:`Decoder.decode_chunk` makes the same records.
+        """
+        yield from self._upkeep(self._clock.now_ns())
+        if self._wait(timeout_s):
+            for link in self._links:
+                chunk = link.read()
+                if chunk is not None:
+                    yield chunk
+                    served = self.decoder.system_id
+                    decoded = self.decoder.decode(chunk)
+                    self._attend(decoded, chunk.received_host_ns)
+                    yield from self._choices(served, chunk.received_host_ns)
+                    yield from decoded.records
+            self._read_host_ns = self._clock.now_ns()
+        yield from self._unfired
+        yield from self._said
+        self._unfired.clear()
+        self._said.clear()
+        if self.decoder.system_id is None:
+            yield from self._complain()
+        yield from self._refusals()
+        yield from self.rates.notices()
+        for event in self.component.events():
+            if isinstance(event, ParameterChange):
+                self.adopt(self.component.parameters.settings)
+            yield event
+
+    def _choices(self, served: int | None, now_host_ns: int) -> Iterator[Notice]:
+        """Say that another autopilot is there too, once for each, and that the served one has changed."""
+        now_served = self.decoder.system_id
+        if served not in (None, now_served):
+            yield Notice(_WARNING, f"autopilot {served}/1 is silent: serving {now_served}/1 now", now_host_ns)
+            self._others |= {served}
+        for system in sorted(self.decoder.other_systems - self._others)[:_MOST_OTHERS]:
+            self._others |= {system}
+            if now_served is not None and len(self._others) <= _MOST_OTHERS:
+                text = f"autopilot {system}/1 is heard too: serving {now_served}/1 (SW_SYSID chooses)"
+                yield Notice(_WARNING, text, now_host_ns)
+
+    def _refusals(self) -> Iterator[Record]:
+        for link in self._links:
+            if link.senders is not None:
+                link.senders.system = self.decoder.system_id
+                yield from link.senders.refusals(self._clock.now_ns())
+
+    def _complain(self) -> Iterator[Notice]:
+        junk = any(self.decoder.counters(link.number).skipped_bytes for link in self._links)
+        notice = self._absence.due(self._clock.now_ns(), junk=junk)
+        if notice is not None:
+            yield notice
+
+    def _wait(self, timeout_s: float) -> bool:
+        """Wait for bytes; whether it is time to read them."""
+        now = self._clock.now_ns()
+        deadline = now + max(0, round(timeout_s * _SECOND_NS))
+        if self.decoder.system_id is not None:
+            deadline = min(deadline, max(self._timesync.next_host_ns, now))
+        if not self._timesync.awaiting(now):
+            gathered = self._read_host_ns + self._gather_ns
+            self._clock.sleep_until(min(gathered, deadline))
+            if gathered > deadline:
+                return False
+        left_ms = max(0, deadline - self._clock.now_ns()) / 1e6
+        waiter = select.poll()
+        for link in self._links:
+            if link.fileno() >= 0:
+                waiter.register(link.fileno(), select.POLLIN)
+        waiter.poll(left_ms)
+        return True
+
+    def _attend(self, decoded: Decoded, now_host_ns: int) -> None:
+        """Answer and take note of what concerns the adapter itself."""
+        answers = 0
+        for echo in decoded.echoed:
+            self.component.echoed(echo)
+        for heard in decoded.heard:
+            if heard.name == "TIMESYNC" and heard.message.tc1 == 0 and answers < _MOST_ANSWERS:
+                answers += 1
+                self._send(mavlink.MAVLink_timesync_message(self._clock.now_ns(), heard.message.ts1), heard.link)
+                self.requests_answered += 1
+            elif heard.name == "COMMAND_ACK" and self._is_ours(heard):
+                self.rates.acknowledged(heard.message.result, now_host_ns)
+            elif heard.name == "COMMAND_ACK" and heard.message.command == self._fired:
+                self._acknowledge_shot(heard, now_host_ns)
+            elif heard.name == "PARAM_VALUE" and heard.component == AUTOPILOT_COMPONENT:
+                self._parameters.arrived(heard.message.param_id)
+                if heard.message.param_type in WHOLE_TYPES:
+                    self._whole.add(heard.message.param_id)
+            elif heard.name == "HEARTBEAT":
+                self._absence.beat(heard.system, heard.component)
+            if self.decoder.system_id is not None:
+                self.component.hear(heard, self.decoder.system_id)
+            if self._listener is not None:
+                self._listener(heard)
+        for record in decoded.records:
+            doubt = self._two_clocks.hear(record)
+            if doubt is not None:
+                self._said.append(doubt)
+            if isinstance(record, AutopilotParameter) and implausible(record.name, record.value) is None:
+                if record.name == "SCHED_LOOP_RATE":
+                    self.rates.loop_rate(record.value)
+                elif record.name == "IMU_INTEG_RATE":
+                    self.rates.integration_rate(record.value)
+            elif isinstance(record, TimesyncReply):
+                self._timesync.answered(record.clock)
+            elif isinstance(record, ClockRestart):
+                self._timesync.hurry(now_host_ns)
+                if record.clock == ClockName.BOOT:
+                    self.rates.restart(now_host_ns)
+                    self._parameters.restart()
+
+    def _acknowledge_shot(self, heard: Heard, now_host_ns: int) -> None:
+        """A shot that the autopilot refuses is a device that failed: counted and told, not mistaken for a late one."""
+        from_autopilot = (heard.system, heard.component) == (self.decoder.system_id, AUTOPILOT_COMPONENT)
+        result = heard.message.result
+        if from_autopilot and result not in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS):
+            what = f"autopilot refused to fire (command {heard.message.command}, result {result})"
+            self._unfired.append(Rejected(Reject.DEVICE_FAILED, what, now_host_ns))
+
+    def _is_ours(self, heard: Heard) -> bool:
+        message = heard.message
+        from_autopilot = (heard.system, heard.component) == (self.decoder.system_id, AUTOPILOT_COMPONENT)
+        to_us = message.target_component in (0, self._settings.component_id)
+        return from_autopilot and to_us and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+
+    # -------------------------------------------------------------------------------------------- what is due
+
+    def _upkeep(self, now_host_ns: int) -> Iterator[Record]:
+        system = self.decoder.system_id
+        if system is not None:
+            self._packer.srcSystem = system
+            while self._held:
+                self._tell(dataclasses.replace(self._held.popleft(), at_host_ns=now_host_ns))
+        if self._heartbeat_host_ns is None or now_host_ns - self._heartbeat_host_ns >= _SECOND_NS:
+            self._heartbeat_host_ns = now_host_ns
+            for link in self._links:
+                if system is not None or link.knocks:
+                    self._send(encode.heartbeat(self.health), link.number)
+        if system is None:
+            return
+        for message in self.component.due(now_host_ns):
+            self._send(message)
+        if self._timesync.due(now_host_ns):
+            yield from self._ask_time()
+        request = self.rates.due(now_host_ns)
+        if request is not None:
+            self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, request.message, request.interval_us)
+        name = self._parameters.due(now_host_ns)
+        if name is not None:
+            self._send(mavlink.MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode(), -1))
+        if now_host_ns - self._verified_host_ns >= _SECOND_NS:
+            self._verified_host_ns = now_host_ns
+            delivered = self.decoder.delivered
+            counts = {message: n for (message, component), n in delivered.items() if component == AUTOPILOT_COMPONENT}
+            self.rates.verify(counts, now_host_ns)
+
+    def _ask_time(self) -> Iterator[Record]:
+        """Send one TIMESYNC request on all links; it is answered by everyone who keeps a clock."""
+        sent_host_ns = self._clock.now_ns()
+        frame = self._pack(mavlink.MAVLink_timesync_message(0, sent_host_ns))
+        for link in self._links:
+            link.write(frame)
+        chunk = RawChunk(OUTGOING + self._links[0].number, sent_host_ns, frame)
+        yield chunk
+        yield from self.decoder.decode_chunk(chunk)
+
+    # -------------------------------------------------------------------------------------------- telling
+
+    def publish(self, record: Record) -> None:
+        """Send a record in the form that the autopilot understands; others are not sent.
+
+        A :class:`Shot` becomes the command that fires the autopilot's cameras: publish shots only where those are used.
+        """
+        if isinstance(record, CorrectedRange | NoRange | ObstacleSectors):
+            for message in self._ranges.messages(record, self._boot_offset_ns, self._clock.now_ns()):
+                self._send(message)
+        elif isinstance(record, Shot):
+            request = self._firing.command(record, px4=self.decoder.px4)
+            self._fired = request.command
+            self.command(request.command, *request.parameters)
+        elif isinstance(record, Notice):
+            if self.decoder.system_id is None:
+                if not self._absence.is_mine(record):
+                    self._held.append(record)
+            else:
+                self._tell(record)
+        elif isinstance(record, ServiceStatus):
+            self.health = record.health
+        elif isinstance(record, ClockState) and record.clock == ClockName.BOOT and record.synced:
+            self._boot_offset_ns = record.offset_ns
+        if isinstance(record, ModeState) and record.validity is Validity.TRACKING:
+            self.rates.mode(max(record.symmetric.frequency_hz, record.antisymmetric.frequency_hz))
+        if isinstance(record, ModeState | CorrectedRange):
+            self._graph(record)
+
+    def _tell(self, notice: Notice) -> None:
+        text = self.component.texts.admit(notice)
+        if text is not None:
+            self._texts += 1
+            for piece in encode.status_text(notice.severity, text, self._texts):
+                self._send(piece)
+
+    def adopt(self, settings: Settings) -> None:
+        """Use changed live settings from now on."""
+        self._settings = settings
+        self._ranges.adopt(settings)
+
+    def _graph(self, record: ModeState | CorrectedRange) -> None:
+        rate_hz, last = self._settings.debug_rate_hz, self._graphed_host_ns.get(type(record))
+        if rate_hz <= 0 or (last is not None and record.t_host_ns - last < _SECOND_NS / rate_hz):
+            return
+        self._graphed_host_ns[type(record)] = record.t_host_ns
+        for name, value in encode.graph_values(record):
+            self.publish_value(name, value, record.t_host_ns)
+
+    def publish_value(self, name: str, value: float, t_host_ns: int) -> None:
+        """Send a number for graphs; one that is not finite is counted as refused and not sent."""
+        message = encode.named_value(name, value, self._boot_ms(t_host_ns))
+        if message is None:
+            self.refused += 1
+        else:
+            self._send(message)
+
+    def command(self, command: int, *parameters: float) -> None:
+        """Send a COMMAND_LONG to the autopilot; parameters that are left out are 0."""
+        filled = [float(value) for value in parameters] + [0.0] * (7 - len(parameters))
+        system = self._packer.srcSystem
+        self._send(mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, command, 0, *filled))
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Ask the autopilot to set one of its parameters; its PARAM_VALUE in answer tells what is in force."""
+        system = self._packer.srcSystem
+        value, kind = parameter_encoding(value, whole=self.decoder.px4 and name in self._whole)
+        self._send(mavlink.MAVLink_param_set_message(system, AUTOPILOT_COMPONENT, name.encode(), value, kind))
+
+    def close(self) -> None:
+        """Release the links, and store what waits to be stored."""
+        self.component.close()
+        for link in self._links:
+            link.close()
+
+    def _boot_ms(self, t_host_ns: int) -> int:
+        return (t_host_ns + self._boot_offset_ns) // 1_000_000
+
+    def _send(self, message: Any, number: int | None = None) -> None:
+        if not encode.sendable(message):
+            self.refused += 1
+            return
+        frame = self._pack(message)
+        for link in self._links:
+            if number is None or link.number == number:
+                link.write(frame)
+
+    def _pack(self, message: Any) -> bytes:
+        frame = bytes(message.pack(self._packer))
+        self._packer.seq = (self._packer.seq + 1) % 256
+        self.component.identity.sent(message.get_msgId(), bytes(message.get_payload()))
+        return frame

@@ -1,0 +1,1 @@
+"""Logs of autopilots and ground stations: ArduPilot .BIN, PX4 ULog, tlog."""

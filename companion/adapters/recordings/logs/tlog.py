@@ -1,0 +1,167 @@
+"""Telemetry logs of ground stations: repeated [8-byte big-endian receive time, us UTC][one MAVLink frame].
+
+A tlog is replayed in the autopilot's boot clock: every ``_host_ns`` is the newest inertial stamp that had arrived,
+because the ground station's clock drifts against the autopilot's and may step. If the autopilot restarts inside the
+log, the stamps after it are shifted so that time goes on, by as much as passed on the ground.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.mavlink.link.dialect import NAME_OF
+from companion.adapters.mavlink.link.scan import next_frame, whole_frame
+from companion.adapters.recordings.mcap.channels import CHANNELS
+from companion.adapters.recordings.recording import LoggedRecording
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe
+from companion.records import ClockName, ClockRestart, ImuBatch, Ints, RawChunk, Record, Station, VehicleState
+
+_STAMP = 8
+_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
+_CHUNK_US = 20_000
+_CHUNK_FRAMES = 128
+_PLAUSIBLE_US = 3_600_000_000
+_EARLIEST_US = 946_684_800_000_000
+
+
+class TlogRecording(LoggedRecording):
+    """A tlog, decoded by the same decoder as a live link; see :class:`LoggedRecording` for its attributes.
+
+    Raises
+    ------
+    RecordingError
+        No frame in the file, or the airframe's sources are not all on the autopilot's clock.
+    """
+
+    def __init__(self, path: Path, airframe: Airframe) -> None:
+        super().__init__(path, airframe, ClockName.BOOT)
+        self._data = path.read_bytes()
+        foreign = [s.name.lower() for s in Station if airframe.sensor(s).source.clock is not ClockName.BOOT]
+        if foreign:
+            raise RecordingError(
+                f"{path}: a tlog is replayed in the autopilot's clock, but airframe '{airframe.name}' has "
+                f"{' and '.join(foreign)} on a clock of its own; record with Spanwise, or use sitl-plane"
+            )
+        if next(self.chunks(), None) is None:
+            raise RecordingError(f"{path}: no MAVLink frame with a receive time in it: not a tlog, or empty")
+
+    def chunks(self) -> Iterator[RawChunk]:
+        """The frames without their stamps, about 20 ms in one chunk; ``received_host_ns`` is the UTC receive time."""
+        start_us = last_us = 0
+        frames: list[bytes] = []
+        for stamp_us, frame in self.frames():
+            if frames and (stamp_us - start_us >= _CHUNK_US or len(frames) >= _CHUNK_FRAMES):
+                yield RawChunk(0, last_us * 1000, b"".join(frames))
+                frames = []
+            if not frames:
+                start_us = stamp_us
+            frames.append(frame)
+            last_us = stamp_us
+        if frames:
+            yield RawChunk(0, last_us * 1000, b"".join(frames))
+
+    def frames(self) -> Iterator[tuple[int, bytes]]:
+        """Every frame with its UTC receive time in us; damage is stepped over and named in the notices."""
+        data, end, at, skipped_from, last_us = self._data, len(self._data), 0, -1, 0
+        while at < end:
+            if skipped_from >= 0 and at + _STAMP < end and whole_frame(data, at + _STAMP) < 0:
+                at = max(next_frame(data, at + _STAMP + 1) - _STAMP, at + 1)
+                continue
+            size = _frame_bytes(data, at + _STAMP)
+            after = at + _STAMP + size
+            stamp_us = int.from_bytes(data[at : at + _STAMP], "big")
+            good = size and after <= end and _plausible(stamp_us, last_us)
+            if good:
+                if skipped_from >= 0:
+                    self.notes.add(
+                        f"{self.path}: {at - skipped_from} bytes at byte {skipped_from} are no frames, skipped"
+                    )
+                    skipped_from = -1
+                yield stamp_us, data[at + _STAMP : after]
+                last_us, at = stamp_us, after
+            else:
+                skipped_from = at if skipped_from < 0 else skipped_from
+                at += 1
+        if skipped_from >= 0:
+            self.notes.add(
+                f"{self.path.name}: truncated: the last {end - skipped_from} bytes are no whole frame, left out"
+            )
+
+    def records(self) -> Iterator[Record]:
+        """What the frames say, in arrival order, in the autopilot's clock."""
+        decoder = Decoder(self.airframe, component_id=0)
+        timeline = _Timeline()
+        stamps: dict[Station, list[Ints]] = {station: [] for station in Station}
+        for chunk in self.chunks():
+            for record in timeline.place(decoder.decode_chunk(chunk), chunk.received_host_ns):
+                if isinstance(record, ImuBatch):
+                    stamps[record.station].append(record.t_ns)
+                yield record
+        for t_ns in timeline.restarts_ns:
+            self.notes.add(f"{self.path.name}: the autopilot restarted; its clock goes on at {t_ns / 1e9:.1f} s", t_ns)
+        self._report_streams(stamps, decoder)
+
+    def _report_streams(self, stamps: dict[Station, list[Ints]], decoder: Decoder) -> None:
+        for station, parts in stamps.items():
+            source = self.airframe.sensor(station).source
+            name = f"{self.path.name}: {station.name.lower()} ({source.message} of component {source.component})"
+            if parts:
+                self.notes.gaps(name, np.concatenate(parts))
+            else:
+                there = {f"{NAME_OF[message]} of {component}" for message, component in decoder.delivered}
+                inertial = sorted(entry for entry in there if "IMU" in entry) or ["none"]
+                self.notes.add(f"{name}: no samples; inertial messages in this log: {', '.join(inertial)}")
+
+
+class _Timeline:
+    """Puts decoded records into the autopilot's clock, going on where that clock restarts."""
+
+    def __init__(self) -> None:
+        self.restarts_ns: list[int] = []
+        self._shift_ns = 0
+        self._newest_ns = 0
+        self._sampled_utc_ns = 0
+
+    def place(self, records: list[Record], received_utc_ns: int) -> Iterator[Record]:
+        """Give the records with stamps in the continued clock, arrived at the newest inertial stamp so far."""
+        restarted = False
+        for record in records:
+            if isinstance(record, ClockRestart):
+                restarted = True
+                continue
+            if isinstance(record, ImuBatch):
+                if restarted:
+                    self._go_on(int(record.t_ns[0]), received_utc_ns)
+                    restarted = False
+                record = dataclasses.replace(record, t_ns=record.t_ns + self._shift_ns)
+                self._newest_ns = max(self._newest_ns, int(record.t_ns.max()))
+                self._sampled_utc_ns = received_utc_ns
+            elif isinstance(record, VehicleState):
+                record = dataclasses.replace(record, t_boot_ns=record.t_boot_ns + self._shift_ns)
+            changes: dict[str, Any] = {CHANNELS[type(record)].time: self._newest_ns}
+            yield dataclasses.replace(record, **changes)
+
+    def _go_on(self, first_ns: int, received_utc_ns: int) -> None:
+        passed_ns = max(received_utc_ns - self._sampled_utc_ns, 0)
+        self._shift_ns = self._newest_ns + passed_ns - first_ns
+        self.restarts_ns.append(self._newest_ns + passed_ns)
+
+
+def _frame_bytes(data: bytes, at: int) -> int:
+    """Length of the frame that begins here by its header, 0 where none does."""
+    if at + 3 > len(data):
+        return 0
+    if data[at] == _MAGIC_2:
+        return 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
+    return 8 + data[at + 1] if data[at] == _MAGIC_1 else 0
+
+
+def _plausible(stamp_us: int, last_us: int) -> bool:
+    return abs(stamp_us - last_us) < _PLAUSIBLE_US if last_us else _EARLIEST_US < stamp_us < 4 * _EARLIEST_US

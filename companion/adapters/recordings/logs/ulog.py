@@ -1,0 +1,235 @@
+"""PX4 ULog files as recordings: sensor_accel and sensor_gyro, vehicle_imu, or sensor_combined.
+
+Everything is in the autopilot's boot clock. These topics come before PX4's cutoff filters, so the airframe's low-pass
+is taken out. Samples of vehicle_imu and sensor_combined are means over the integration time that ends at their stamp:
+they are stamped in its middle, and IMU_INTEG_RATE, by which the same is done to MAVLink messages, is not passed on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
+from companion.adapters.mavlink.decode.source_map import Mapped, build_mapping
+from companion.adapters.recordings.logs.bin import as_floats, imu_of, in_body
+from companion.adapters.recordings.logs.ulog_messages import UlogMessages
+from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, rate_of, timed
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe, Sensor
+from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
+
+_LEAST_RATE_HZ = 50.0
+_NO_TIME = 0x7FFFFFFF
+_ARMED = 2
+_OF_MESSAGES = "IMU_INTEG_RATE"
+_TOPICS = [
+    "sensor_accel",
+    "sensor_gyro",
+    "sensor_combined",
+    "vehicle_imu",
+    "vehicle_attitude",
+    "vehicle_local_position",
+    "vehicle_status",
+    "airspeed",
+    "airspeed_validated",
+]
+
+_Part = tuple[Axis, Ints, Floats]
+
+
+class UlogRecording(LoggedRecording):
+    """A PX4 log; see :class:`LoggedRecording` for the shared attributes.
+
+    Instance 0 of a sensor topic is the first IMU, as in :class:`~companion.adapters.recordings.logs.bin.BinRecording`;
+    sensor_combined stands for the first IMU where that was not logged fast enough.
+
+    Raises
+    ------
+    RecordingError
+        No ULog, or no inertial samples of any station at 50 Hz or more.
+    """
+
+    def __init__(self, path: Path, airframe: Airframe) -> None:
+        super().__init__(path, airframe, ClockName.BOOT)
+        self._log = UlogMessages(path, _TOPICS)
+        self.streams: list[Stream] = []
+        sensors: dict[str, Any] = {}
+        for source in build_mapping(airframe).sources:
+            sensor = airframe.sensor(source.station)
+            stream = self._station(source, sensor)
+            if stream is not None:
+                self.streams.append(stream)
+                sensor = _as_logged(sensor, stream)
+            sensors[source.station.name.lower()] = sensor
+        self.airframe = dataclasses.replace(airframe, **sensors)
+        self._say_what_is_wrong()
+        if not self.streams:
+            there = ", ".join(f"{name}[{instance}]" for name, instance in self._log.logged) or "nothing"
+            raise RecordingError(f"{path}: no inertial samples at {_LEAST_RATE_HZ:.0f} Hz or more; it has {there}")
+
+    def records(self) -> Iterator[Record]:
+        """Parameters, flight state and samples, in order of time."""
+        sources: list[Iterator[tuple[int, Record]]] = [self._parameters(), self._states()]
+        sources += map(timed, self.streams)
+        yield from merge(*sources)
+
+    def _station(self, source: Mapped, sensor: Sensor) -> Stream | None:
+        imu = imu_of(sensor)
+        name = f"{self.path.name}: {source.station.name.lower()}"
+        if imu is None:
+            self.notes.add(f"{name}: {sensor.source.message} of component {source.component} is not in an onboard log")
+            return None
+        parts = self._parts(imu)
+        wanted = [
+            Stream(source.station, ClockName.BOOT, axes & source.sends, t_ns, in_body(values, source, axes))
+            for axes, t_ns, values in parts
+            if axes & source.sends
+        ]
+        if not wanted:
+            self.notes.add(f"{name}: no samples of IMU {imu + 1} at {_LEAST_RATE_HZ:.0f} Hz or more in this log")
+            return None
+        stream = join(wanted)
+        self.notes.gaps(f"{name} (IMU {imu + 1})", stream.t_ns)
+        return stream
+
+    def _parts(self, imu: int) -> list[_Part]:
+        choices = [self._sensor_topics(imu), self._vehicle_imu(imu), self._combined() if imu == 0 else []]
+        return next((parts for parts in choices if parts and all(_fast(t_ns) for _, t_ns, _ in parts)), [])
+
+    def _sensor_topics(self, imu: int) -> list[_Part]:
+        names = ("x", "y", "z")
+        accel, gyro = (self._log.take(topic, imu, "timestamp", *names) for topic in ("sensor_accel", "sensor_gyro"))
+        parts = []
+        if accel:
+            parts.append(_part(Axis.ACCEL, _sample_time(accel), [accel[name] for name in names]))
+        if gyro:
+            parts.append(_part(Axis.GYRO, _sample_time(gyro), [gyro[name] for name in names]))
+        return parts
+
+    def _vehicle_imu(self, imu: int) -> list[_Part]:
+        kinds = ((Axis.ACCEL, "delta_velocity", "delta_velocity_dt"), (Axis.GYRO, "delta_angle", "delta_angle_dt"))
+        needed = [name for _, field, period in kinds for name in (*(f"{field}[{i}]" for i in range(3)), period)]
+        table = self._log.take("vehicle_imu", imu, "timestamp", *needed)
+        if not table:
+            return []
+        parts = []
+        for axes, field, period in kinds:
+            seconds = table[period] * 1e-6
+            good = seconds > 0
+            columns = [table[f"{field}[{i}]"][good] / seconds[good] for i in range(3)]
+            parts.append(_part(axes, _sample_time(table)[good] - _half_us(table, period), columns))
+        return parts
+
+    def _combined(self) -> list[_Part]:
+        vectors = [f"{name}[{i}]" for name in ("accelerometer_m_s2", "gyro_rad") for i in range(3)]
+        table = self._log.take("sensor_combined", 0, "timestamp", "accelerometer_timestamp_relative", *vectors)
+        if not table:
+            return []
+        t_us = table["timestamp"].astype(np.int64)
+        relative = table["accelerometer_timestamp_relative"].astype(np.int64)
+        valid = relative != _NO_TIME
+        accel = [table[f"accelerometer_m_s2[{i}]"][valid] for i in range(3)]
+        gyro = [table[f"gyro_rad[{i}]"] for i in range(3)]
+        accel_us = t_us + relative - _half_us(table, "accelerometer_integral_dt")
+        gyro_us = t_us - _half_us(table, "gyro_integral_dt")
+        return [_part(Axis.ACCEL, accel_us[valid], accel), _part(Axis.GYRO, gyro_us, gyro)]
+
+    def _say_what_is_wrong(self) -> None:
+        dropouts = self._log.dropouts_ms
+        if dropouts:
+            lost_ms = sum(dropouts)
+            many = f"{len(dropouts)} dropout{'s' if len(dropouts) > 1 else ''}"
+            self.notes.add(f"{self.path.name}: the logger reports {many} of {lost_ms} ms in all")
+        if self._log.damaged_bytes:
+            self.notes.add(f"{self.path.name}: {self._log.damaged_bytes} bytes are damaged and were left out")
+        if self._log.cut_bytes:
+            text = f"{self.path.name}: truncated: the last {self._log.cut_bytes} bytes are no whole message, left out"
+            self.notes.add(text, severity=INFO)
+
+    def _parameters(self) -> Iterator[tuple[int, AutopilotParameter]]:
+        for t_us, name, value in self._log.parameters:
+            if name.startswith(PARAMETER_PREFIXES) and name != _OF_MESSAGES and math.isfinite(value):
+                yield t_us * 1000, AutopilotParameter(name, value, t_us * 1000)
+
+    def _states(self) -> Iterator[tuple[int, VehicleState]]:
+        attitude = self._log.take("vehicle_attitude", 0, "timestamp", *(f"q[{i}]" for i in range(4)))
+        if not attitude:
+            return
+        t_us = attitude["timestamp"].astype(np.int64)
+        angles = _euler(*(attitude[f"q[{i}]"].astype(np.float64) for i in range(4)))
+        airspeed = self._latest("airspeed_validated", "true_airspeed_m_s", t_us)
+        if not airspeed.any():
+            airspeed = self._latest("airspeed", "true_airspeed_m_s", t_us)
+        climb = -self._latest("vehicle_local_position", "vz", t_us)
+        armed = self._latest("vehicle_status", "arming_state", t_us) == _ARMED
+        for i, t_ns in enumerate((t_us * 1000).tolist()):
+            yield (
+                t_ns,
+                VehicleState(
+                    t_boot_ns=t_ns,
+                    received_host_ns=t_ns,
+                    roll_rad=float(angles[i, 0]),
+                    pitch_rad=float(angles[i, 1]),
+                    yaw_rad=float(angles[i, 2]),
+                    airspeed_mps=float(airspeed[i]),
+                    climb_mps=float(climb[i]),
+                    throttle=0.0,
+                    armed=bool(armed[i]),
+                ),
+            )
+
+    def _latest(self, topic: str, field: str, t_us: Ints) -> Floats:
+        table = self._log.take(topic, 0, "timestamp", field)
+        if not table:
+            return np.zeros(t_us.size)
+        values = np.concatenate([[0.0], np.nan_to_num(table[field].astype(np.float64), posinf=0.0, neginf=0.0)])
+        return values[np.searchsorted(table["timestamp"].astype(np.int64), t_us, side="right")]
+
+
+def _part(axes: Axis, t_us: Ints, columns: list[Any]) -> _Part:
+    values = np.zeros((t_us.size, 6))
+    first = 0 if axes & Axis.ACCEL else 3
+    values[:, first : first + 3] = as_floats(columns)
+    order = np.argsort(t_us, kind="stable")
+    return axes, (t_us * 1000)[order], values[order]
+
+
+def _sample_time(table: dict[str, Any]) -> Ints:
+    stamps: Ints = table.get("timestamp_sample", table["timestamp"]).astype(np.int64)
+    return stamps if stamps.all() else table["timestamp"].astype(np.int64)
+
+
+def _half_us(table: dict[str, Any], period: str) -> int:
+    """Half the usual integration time; old logs have it in seconds, some not at all."""
+    if period not in table or not table[period].size:
+        return 0
+    unit_us = 1.0 if table[period].dtype.kind in "iu" else 1e6
+    return round(0.5 * unit_us * float(np.nanmedian(table[period])))
+
+
+def _fast(t_ns: Ints) -> bool:
+    return t_ns.size > 2 and bool(np.median(np.diff(t_ns)) <= 1e9 / _LEAST_RATE_HZ)
+
+
+def _as_logged(sensor: Sensor, stream: Stream) -> Sensor:
+    return dataclasses.replace(
+        sensor,
+        rate_hz=rate_of(stream.t_ns, sensor.rate_hz),
+        lowpass_accel_hz=0.0,
+        lowpass_gyro_hz=0.0,
+        source=dataclasses.replace(sensor.source, stamp_offset_s=0.0),
+    )
+
+
+def _euler(w: Floats, x: Floats, y: Floats, z: Floats) -> Floats:
+    """Roll, pitch, yaw (n, 3) of the quaternion that takes body FRD to NED (PX4's vehicle_attitude)."""
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return np.column_stack([roll, pitch, yaw])

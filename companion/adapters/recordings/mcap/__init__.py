@@ -1,0 +1,1 @@
+"""Our own recordings: MCAP files written by a process of their own and read back equal."""

@@ -1,0 +1,196 @@
+"""Writes our own recordings: MCAP files whose messages stand in arrival order.
+
+The file begins with what a replay needs (metadata ``spanwise``, attachments ``airframe.toml`` and ``settings.toml``); a
+chunk is closed after a second of recorded time, so that a crash costs no more; metadata ``spanwise.end`` tells an
+orderly end. The message's sequence number counts all records of the file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import Writer
+
+from companion.adapters.recordings.mcap import images
+from companion.adapters.recordings.mcap import ros1_codec as packed
+from companion.adapters.recordings.mcap.channels import (
+    CAMERA_TOPICS,
+    CHANNELS,
+    IMAGE_SCHEMA,
+    Channel,
+    Recordable,
+    topic_of,
+)
+from companion.adapters.recordings.mcap.codec import codec_of, dumps
+from companion.adapters.recordings.mcap.images import ImageFormat
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe
+from companion.params.files import dump_airframe
+from companion.params.settings import Settings, tunables
+from companion.records import ClockName, Frame, FramePair
+
+FORMAT_VERSION = 1
+_CHUNK_NS = 1_000_000_000
+_CHUNK_BYTES = 4 * 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a recording is of: everything besides the records that a replay needs."""
+
+    airframe_text: str
+    settings_text: str
+    hub: ClockName = ClockName.HOST
+    image_format: ImageFormat = ImageFormat.PNG
+
+    @classmethod
+    def of(
+        cls,
+        airframe: Airframe,
+        settings: Settings,
+        hub: ClockName = ClockName.HOST,
+        image_format: ImageFormat = ImageFormat.PNG,
+    ) -> About:
+        """Describe a recording by the values in force when it starts."""
+        return cls(dump_airframe(airframe), dump_settings(settings), hub, image_format)
+
+
+def dump_settings(settings: Settings) -> str:
+    """Write settings as TOML lines ``NAME = value``, by MAVLink name."""
+    return "".join(f"{row.name} = {getattr(settings, row.attribute)!r}\n" for row in tunables())
+
+
+class McapWriter:
+    """A recorder in this process and thread; :mod:`companion.adapters.recordings.mcap.recorder` puts it into one of
+    its own.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be created, or a record has no place in a recording.
+    """
+
+    def __init__(self, path: Path, about: About) -> None:
+        try:
+            self._file = path.open("wb")
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+        self._path = path
+        self._format = about.image_format
+        self._flushed = 0
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
+        self._channels: dict[str, int] = {}
+        self._sequence = 0
+        self._latest_ns = 0
+        self._chunk_start_ns: int | None = None
+        self._dropped = 0
+        try:
+            self._begin(about)
+        except OSError as error:
+            self.abandon()
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+
+    def _begin(self, about: About) -> None:
+        self._writer.start(profile="spanwise", library=f"spanwise {software_version()}")
+        facts = {
+            "format": str(FORMAT_VERSION),
+            "software": software_version(),
+            "hub": str(about.hub),
+            "images": str(about.image_format),
+        }
+        self._writer.add_metadata("spanwise", facts)
+        for name, text in (("airframe.toml", about.airframe_text), ("settings.toml", about.settings_text)):
+            self._writer.add_attachment(0, 0, name, "application/toml", text.encode())
+        self._writer.flush()
+
+    def write(self, record: Recordable) -> None:
+        """Append one record; raise RecordingError for something that is not a record."""
+        if isinstance(record, FramePair):
+            for frame in (record.left, record.right):
+                self._write_frame(frame, record.pair_id)
+        elif isinstance(record, Frame):
+            self._write_frame(record, None)
+        else:
+            self._write_plain(record)
+        self._sequence += 1
+
+    def note_drops(self, count: int) -> None:
+        """Mark the recording as not replayable: ``count`` further records are missing somewhere from here on."""
+        self._dropped += count
+        self.flush()
+        self._writer.add_metadata("spanwise.drops", {"dropped": str(self._dropped), "after": str(self._sequence)})
+
+    def flush(self) -> None:
+        """Close the chunk in progress and hand it to the operating system."""
+        self._writer.flush()
+        self._chunk_start_ns = None
+        self._flushed = self._sequence
+
+    def abandon(self) -> None:
+        """Let go of a file that cannot be written any further; one without any record in it is removed."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+        if not self._flushed and self._path.is_file():  # a device is not ours to remove
+            self._path.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Finish the file; further calls do nothing."""
+        if self._file.closed:
+            return
+        self._writer.flush()
+        self._writer.add_metadata("spanwise.end", {"records": str(self._sequence), "dropped": str(self._dropped)})
+        self._writer.finish()
+        self._file.close()
+
+    def _write_plain(self, record: Any) -> None:
+        listed = CHANNELS.get(type(record))
+        if listed is None:
+            raise RecordingError(f"{type(record).__name__} has no place in a recording")
+        topic = topic_of(record)
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._register(topic, listed)
+        if listed.packed:
+            data = packed.pack(record)
+        else:
+            data = dumps(listed.kind, record)
+        self._add(channel, getattr(record, listed.time), data)
+
+    def _write_frame(self, frame: Frame, pair_id: int | None) -> None:
+        topic = CAMERA_TOPICS[frame.side]
+        channel = self._channels.get(topic)
+        if channel is None:
+            schema = self._writer.register_schema(IMAGE_SCHEMA, "jsonschema", json.dumps(images.SCHEMA).encode())
+            channel = self._channels[topic] = self._writer.register_channel(topic, "json", schema)
+        plain = images.frame_to_plain(frame, pair_id, self._format)
+        self._add(channel, self._latest_ns, json.dumps(plain).encode())
+
+    def _register(self, topic: str, listed: Channel) -> int:
+        if listed.packed:
+            schema = self._writer.register_schema(listed.schema_name, "ros1msg", packed.SCHEMAS[listed.kind].encode())
+            encoding = "ros1"
+        else:
+            text = json.dumps({"title": listed.schema_name, **codec_of(listed.kind).schema})
+            schema = self._writer.register_schema(listed.schema_name, "jsonschema", text.encode())
+            encoding = "json"
+        channel = self._channels[topic] = self._writer.register_channel(topic, encoding, schema)
+        return int(channel)
+
+    def _add(self, channel: int, host_ns: int, data: bytes) -> None:
+        host_ns = max(int(host_ns), 0)
+        self._latest_ns = max(self._latest_ns, host_ns)
+        self._writer.add_message(channel, host_ns, data, host_ns, self._sequence)
+        if self._chunk_start_ns is None:
+            self._chunk_start_ns = self._latest_ns
+        elif self._latest_ns - self._chunk_start_ns >= _CHUNK_NS:
+            self.flush()
+
+
+def software_version() -> str:
+    """Version of the installed distribution."""
+    return metadata.version("spanwise")

@@ -1,0 +1,58 @@
+"""Opens a recording of any known format, told by its content."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from companion.adapters.recordings.logs.bin import BinRecording
+from companion.adapters.recordings.logs.dataflash import MAGIC as BIN_MAGIC
+from companion.adapters.recordings.logs.tlog import TlogRecording
+from companion.adapters.recordings.logs.ulog import UlogRecording
+from companion.adapters.recordings.logs.ulog_messages import MAGIC as ULOG_MAGIC
+from companion.adapters.recordings.mcap.reader import MAGIC as MCAP_MAGIC
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.tables.csv import CsvRecording
+from companion.errors import RecordingError
+from companion.params.airframe import Airframe
+
+_KNOWN = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and a folder with accel.csv"
+
+
+def open_recording(path: Path | str, airframe: Airframe | None = None) -> Recording:
+    """Open a recording, chosen by its content.
+
+    Parameters
+    ----------
+    path : Path or str
+        An MCAP file of ours, a tlog, a .BIN or .ulg log, or a folder with accel.csv.
+    airframe : Airframe, optional
+        Maps the messages of a foreign log to stations. Only our own recordings bring one with them.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, of no known kind, empty, or needs an airframe.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or folder")
+    if path.is_dir():
+        return CsvRecording(path, _needed(airframe, path))
+    with path.open("rb") as file:
+        head = file.read(16)
+    if head.startswith(MCAP_MAGIC):
+        return McapRecording(path, airframe)
+    if head.startswith(BIN_MAGIC):
+        return BinRecording(path, _needed(airframe, path))
+    if head.startswith(ULOG_MAGIC):
+        return UlogRecording(path, _needed(airframe, path))
+    if head[8:9] in (b"\xfd", b"\xfe") or path.suffix.lower() == ".tlog":
+        return TlogRecording(path, _needed(airframe, path))
+    raise RecordingError(f"{path}: not a recording that can be read; {_KNOWN}")
+
+
+def _needed(airframe: Airframe | None, path: Path) -> Airframe:
+    if airframe is None:
+        raise RecordingError(f"{path}: does not say of which aircraft it is; give its airframe (--airframe NAME)")
+    return airframe

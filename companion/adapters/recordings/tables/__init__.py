@@ -1,0 +1,1 @@
+"""Laboratory tables: CSV folders, and foreign tables read through a mapping."""

@@ -1,0 +1,89 @@
+"""The channels of a MATLAB v5 file, by the names of a mapping."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.recordings.tables.mapping import Column, MatlabLayout, TableMapping
+from companion.adapters.recordings.tables.matlab_file import read_matlab
+from companion.errors import RecordingError, TableError
+from companion.records import Floats
+
+
+def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> dict[str, Floats]:
+    """Channels by the mapping's names: columns of ``array``, or variables; an optional one may be missing.
+
+    Raises
+    ------
+    RecordingError
+        No MATLAB v5 file, or not the variables that the mapping names.
+    TableError
+        A channel is missing, is not numbers, or is of another length; row and channel are named.
+    """
+    variables = read_matlab(path)
+    array = _array(path, variables, layout)
+    names = _names(path, variables, layout)
+    found: dict[str, Floats] = {}
+    for column in mapping.columns:
+        values = _channel(path, column, variables, array, names)
+        if values is None and not column.optional:
+            there = [*names, *sorted(name for name in variables if not name.startswith("__"))]
+            raise RecordingError(
+                f"{path}: no channel '{column.name}' ({column.channel}, unit {column.unit or 'none'}) of "
+                f"{mapping.origin}; it has {', '.join(there)}"
+            )
+        if values is not None:
+            found[column.name] = _checked(path, column, values)
+    lengths = {len(values) for values in found.values()}
+    if len(lengths) > 1:
+        told = ", ".join(f"'{name}' {len(values)}" for name, values in found.items())
+        raise RecordingError(f"{path}: channels of different length: {told}")
+    return found
+
+
+def _array(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> Any:
+    if not layout.array:
+        return None
+    if layout.array not in variables:
+        there = ", ".join(sorted(name for name in variables if not name.startswith("__")))
+        raise RecordingError(f"{path}: no variable '{layout.array}'; it has {there}")
+    array = variables[layout.array]
+    if array.ndim != 2 or array.dtype.kind not in "iuf":
+        raise RecordingError(f"{path}: variable '{layout.array}' is no table of numbers")
+    return array
+
+
+def _names(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> list[str]:
+    if not layout.names:
+        return []
+    if layout.names not in variables:
+        raise RecordingError(f"{path}: no variable '{layout.names}' with the channels' names")
+    entries = [np.asarray(entry).reshape(-1) for entry in variables[layout.names].reshape(-1)]
+    return [str(entry[0]).strip() if entry.size else "" for entry in entries]
+
+
+def _channel(path: Path, column: Column, variables: dict[str, Any], array: Any, names: list[str]) -> Any:
+    number = column.name[1:]
+    if column.name.startswith("#") and number.isdigit():
+        if array is None or not 0 < int(number) <= array.shape[1]:
+            has = "no array" if array is None else f"{array.shape[1]} channels"
+            raise RecordingError(f"{path}: column '{column.name}' ({column.channel}) is asked for, but there are {has}")
+        return array[:, int(number) - 1]
+    if array is not None and column.name in names[: array.shape[1]]:
+        return array[:, names.index(column.name)]
+    return variables.get(column.name)
+
+
+def _checked(path: Path, column: Column, values: Any) -> Floats:
+    try:
+        numbers: Floats = np.asarray(values, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        raise RecordingError(f"{path}: channel '{column.name}' ({column.channel}) is not numbers") from None
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if bad.size:
+        what = f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'})"
+        raise TableError(path, int(bad[0]) + 1, f"{what}: {numbers[bad[0]]} is not a finite number")
+    return numbers

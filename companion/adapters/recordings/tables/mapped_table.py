@@ -1,0 +1,105 @@
+"""Reads a laboratory's own table through its mapping: every channel in SI under the name that the mapping gives it."""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from companion.adapters.recordings.tables.mapped_matlab import matlab_columns
+from companion.adapters.recordings.tables.mapped_text import text_columns
+from companion.adapters.recordings.tables.mapping import Column, MatlabLayout, TableMapping
+from companion.errors import RecordingError, TableError
+from companion.records import Floats
+
+MAY_BE_MISSING = frozenset({"range_m", "reference_m", "disparity_px", "t_command_s"})
+"""Channels whose cells may be empty where the pair made no range."""
+
+
+@dataclass(frozen=True, slots=True)
+class MappedTable:
+    """A table as read.
+
+    Attributes
+    ----------
+    t_s : (n,)
+        Increasing.
+    channels : dict of str to (n,)
+        By the mapping's names, scaled; NaN only in the channels of :data:`MAY_BE_MISSING`.
+    constants : dict of str to float
+        What the mapping says of this file.
+    notes : tuple of str
+    """
+
+    path: Path
+    t_s: Floats
+    channels: dict[str, Floats]
+    constants: dict[str, float]
+    notes: tuple[str, ...] = ()
+
+
+def files_of(path: Path, mapping: TableMapping) -> list[Path]:
+    """The files of a recording: itself, or all of a folder that fit the mapping's pattern, numbers in their order.
+
+    Raises
+    ------
+    RecordingError
+        Nothing there, or nothing that fits.
+    """
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise RecordingError(f"{path}: no such file or folder")
+    fitting = [file for file in path.iterdir() if file.is_file() and fnmatch.fnmatch(file.name, mapping.files)]
+    if not fitting:
+        raise RecordingError(f"{path}: no file '{mapping.files}', which {mapping.origin} asks for")
+    return sorted(fitting, key=lambda file: [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", file.name)])
+
+
+def read_mapped(path: Path, mapping: TableMapping) -> MappedTable:
+    """Read one file.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing or no such table.
+    TableError
+        A column is missing, a cell is no number, or time does not increase; file, line and column are named.
+    """
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file")
+    layout = mapping.layout
+    if isinstance(layout, MatlabLayout):
+        raw = matlab_columns(path, mapping, layout)
+    else:
+        raw = text_columns(path, mapping, layout, MAY_BE_MISSING)
+    channels = {column.channel: _scaled(raw[column.name], column) for column in mapping.columns if column.name in raw}
+    t_s = channels.pop("t_s", None)
+    if t_s is None:
+        t_s = np.arange(len(next(iter(channels.values())))) / mapping.rate_hz
+    _check_increasing(path, mapping, t_s)
+    missing = [column for column in mapping.columns if column.name not in raw]
+    notes = tuple(f"{path.name}: no column '{column.name}' ({column.channel})" for column in missing)
+    return MappedTable(path, t_s, channels, _constants(path, mapping.constants), notes)
+
+
+def _scaled(values: Floats, column: Column) -> Floats:
+    return values * column.scale + column.offset
+
+
+def _constants(path: Path, known: Mapping[str, dict[str, float]]) -> dict[str, float]:
+    return dict(known.get(path.name, {}))
+
+
+def _check_increasing(path: Path, mapping: TableMapping, t_s: Floats) -> None:
+    back = np.flatnonzero(np.diff(t_s) <= 0)
+    if not back.size:
+        return
+    row = int(back[0]) + 1
+    layout = mapping.layout
+    line = row + 1 if isinstance(layout, MatlabLayout) else layout.first_line + row
+    raise TableError(path, line, f"time must increase, but t_s = {t_s[row]:.9g} follows {t_s[row - 1]:.9g}")

@@ -1,0 +1,132 @@
+"""The columns of a text table in any layout, by the names of a mapping."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from companion.adapters.recordings.tables.mapping import Column, TableMapping, TextLayout
+from companion.errors import RecordingError, TableError
+from companion.records import Floats
+
+
+def text_columns(
+    path: Path, mapping: TableMapping, layout: TextLayout, may_be_missing: frozenset[str]
+) -> dict[str, Floats]:
+    """Columns by the mapping's names; an optional one that the file has not is left out.
+
+    Raises
+    ------
+    RecordingError
+        The file is no text.
+    TableError
+        A column is missing or a cell is wrong.
+    """
+    places = _places(path, mapping, layout)
+    wanted = list(places.items())
+    lines = sum(1 for _ in _rows(path, layout))
+    if not lines:
+        raise TableError(path, layout.first_line, "no row of numbers is there")
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            values = np.loadtxt(
+                path,
+                delimiter=layout.delimiter,
+                skiprows=layout.first_line - 1,
+                comments=None,
+                usecols=[index for _, index in wanted],
+                ndmin=2,
+                encoding="utf-8-sig",
+            )
+    except (ValueError, IndexError, UnicodeDecodeError):
+        values = _cell_by_cell(path, mapping, layout, places, may_be_missing)
+    if not np.isfinite(values).all():
+        values = _cell_by_cell(path, mapping, layout, places, may_be_missing)
+    return {name: np.ascontiguousarray(values[:, i]) for i, (name, _) in enumerate(wanted)}
+
+
+def _places(path: Path, mapping: TableMapping, layout: TextLayout) -> dict[str, int]:
+    """Index of each column of the mapping that is there."""
+    header = _header(path, layout)
+    found: dict[str, int] = {}
+    for column in mapping.columns:
+        index = _numbered(column.name)
+        if index is None and column.name in header:
+            index = header.index(column.name)
+        if index is not None:
+            found[column.name] = index
+        elif not column.optional:
+            there = ", ".join(f"'{name}'" for name in header) or "without names: write '#1', '#2' in the mapping"
+            raise TableError(
+                path,
+                layout.header_line or layout.first_line,
+                f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'}) of {mapping.origin} "
+                f"is missing; the columns are {there}",
+            )
+    return found
+
+
+def _numbered(name: str) -> int | None:
+    return int(name[1:]) - 1 if name.startswith("#") and name[1:].isdigit() and int(name[1:]) > 0 else None
+
+
+def _header(path: Path, layout: TextLayout) -> list[str]:
+    if not layout.header_line:
+        return []
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            lines = [line for _, line in zip(range(layout.header_line), file, strict=False)]
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: is not a text file") from error
+    if len(lines) < layout.header_line:
+        raise TableError(path, len(lines) + 1, f"ends before the header of line {layout.header_line}")
+    return [name.strip().strip('"') for name in _cells(lines[-1], layout)]
+
+
+def _cells(line: str, layout: TextLayout) -> list[str]:
+    return line.rstrip("\r\n").split(layout.delimiter)
+
+
+def _rows(path: Path, layout: TextLayout) -> Iterator[tuple[int, str]]:
+    """Numbered lines that hold something."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(file, start=1):
+            if number >= layout.first_line and line.strip():
+                yield number, line
+
+
+def _cell_by_cell(
+    path: Path, mapping: TableMapping, layout: TextLayout, places: dict[str, int], may_be_missing: frozenset[str]
+) -> Floats:
+    """Slow, for tables with cells that may be empty, or to find the one that is wrong."""
+    columns = {column.name: column for column in mapping.columns}
+    rows = []
+    for number, line in _rows(path, layout):
+        cells = _cells(line, layout)
+        row = []
+        for name, index in places.items():
+            if index >= len(cells):
+                raise TableError(path, number, f"{len(cells)} cells, but column '{name}' is number {index + 1}")
+            row.append(_number(path, number, columns[name], cells[index].strip(), may_be_missing))
+        rows.append(row)
+    return np.array(rows)
+
+
+def _number(path: Path, line: int, column: Column, cell: str, may_be_missing: frozenset[str]) -> float:
+    lenient = column.channel in may_be_missing
+    what = f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'})"
+    if not cell:
+        if lenient:
+            return math.nan
+        raise TableError(path, line, f"{what} is empty; leave the whole row out where a sample is missing")
+    try:
+        value = float(cell)
+    except ValueError:
+        raise TableError(path, line, f"{what}: '{cell[:40]}' is not a number") from None
+    if not lenient and not math.isfinite(value):
+        raise TableError(path, line, f"{what}: '{cell}' is not a finite number; leave the whole row out")
+    return value

@@ -1,0 +1,298 @@
+"""Mapping files: what the columns of a laboratory's own table are (config/README.md), read and checked.
+
+A mapping names each column's channel as ``accel.csv`` would name it, the unit that the table is in, and the scale
+between the two where it is not plain.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from companion.adapters.recordings.tables.units import conversion, unit_of
+from companion.errors import ConfigError
+from companion.params.airframe import Uncertain
+from companion.params.shipped import shipped
+from companion.params.toml import parse_toml, read_text
+
+_LARGEST = 1e300
+_MOST_LINES = 1_000_000
+_DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
+
+
+class TestKind(enum.StrEnum):
+    """What was done to the wing."""
+
+    __test__ = False  # no test of pytest's
+
+    FLIGHT = "flight"
+    RINGING = "ringing"
+    VIBRATION = "vibration"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its name in the table (or ``#3``), the channel it is, and value = scale * cell + offset."""
+
+    name: str
+    channel: str
+    unit: str
+    scale: float
+    offset: float
+    optional: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class TextLayout:
+    """A text table: ``header_line`` and ``first_line`` count from 1; without a header (0) columns go by number."""
+
+    delimiter: str | None = ","
+    header_line: int = 1
+    first_line: int = 2
+
+
+@dataclass(frozen=True, slots=True)
+class MatlabLayout:
+    """A MATLAB v5 file: ``array`` holds the channels side by side, named by ``names``; or each is a variable."""
+
+    array: str = ""
+    names: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TableMapping:
+    """A whole mapping file.
+
+    Attributes
+    ----------
+    origin : str
+        Its name, for messages.
+    rate_hz : float
+        Of the rows, where no column is the time; else 0.
+    files : str
+        Pattern of the files that belong to a folder.
+    constants : dict
+        By file name: what was set once for that recording (sensor position, run order).
+    band_hz : tuple or None
+        Where the modes of interest are.
+    belief : dict
+        Believed quantities of a structure that has no airframe file: ``frequency_hz``, ``damping``.
+    """
+
+    origin: str
+    description: str
+    test: TestKind
+    files: str
+    rate_hz: float
+    layout: TextLayout | MatlabLayout
+    columns: tuple[Column, ...]
+    constants: dict[str, dict[str, float]]
+    band_hz: tuple[float, float] | None = None
+    belief: dict[str, Uncertain] = field(default_factory=dict)
+
+
+def known_mappings() -> list[str]:
+    """Names of the mappings that travel with Spanwise."""
+    folder = shipped("mappings")
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_mapping(name_or_path: str) -> TableMapping:
+    """Read a mapping by name, or from the path of a ``.toml`` file.
+
+    Raises
+    ------
+    ConfigError
+        No such mapping, no TOML, or a key that is missing, unknown or of a wrong type; file and key are named.
+    """
+    if not name_or_path.endswith(".toml"):
+        if name_or_path not in known_mappings():
+            raise ConfigError(
+                f"no mapping '{name_or_path}'; known: {', '.join(known_mappings())} (or give the path of a .toml file)"
+            )
+        entry = shipped("mappings") / f"{name_or_path}.toml"
+        return parse_mapping(entry.read_text(encoding="utf-8"), f"{name_or_path}.toml")
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise ConfigError(f"{path}: no such mapping file; known by name: {', '.join(known_mappings())}")
+    return parse_mapping(read_text(path), str(path))
+
+
+def parse_mapping(text: str, origin: str) -> TableMapping:
+    """Parse the text of a mapping file; ``origin`` is named in errors."""
+    keys = _Keys(parse_toml(text, origin), origin, "")
+    table, matlab = keys.part("table"), keys.part("matlab")
+    if table is not None and matlab is not None:
+        raise ConfigError(f"{origin}: [table] is for text, [matlab] for .mat files: give one of them")
+    found = TableMapping(
+        origin,
+        keys.text("description", ""),
+        _kind(keys),
+        keys.text("files", "*"),
+        keys.number("rate_hz", 0.0),
+        _matlab(matlab) if matlab is not None else _text(table or _Keys({}, origin, "table")),
+        _columns(keys),
+        _constants(keys),
+        _band(keys),
+        _belief(keys),
+    )
+    keys.done()
+    _check_time(found)
+    return found
+
+
+class _Keys:
+    """A TOML table whose keys are taken one by one; what is left at the end is unknown."""
+
+    def __init__(self, table: Mapping[str, Any], origin: str, where: str) -> None:
+        self._left, self.origin, self.where = dict(table), origin, where
+
+    def take(self, key: str, kind: type | tuple[type, ...], expected: str, default: Any = None) -> Any:
+        value = self._left.pop(key, default)
+        if value is not default and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
+            raise self.error(key, f"must be {expected}, not {value!r:.80}")
+        return value
+
+    def text(self, key: str, default: str | None = None) -> str:
+        value = self.take(key, str, "a text in quotes", default)
+        if value is None:
+            raise self.error(key, "is missing")
+        return str(value)
+
+    def number(self, key: str, default: float | None = None) -> float:
+        value = self.take(key, (int, float), "a number", default)
+        if value is None:
+            raise self.error(key, "is missing")
+        if not abs(value) <= _LARGEST:
+            raise self.error(key, f"must be a finite number, not {value!r:.80}")
+        return float(value)
+
+    def count(self, key: str, default: int) -> int:
+        """A line's number; 0 is none."""
+        value = int(self.take(key, int, "a whole number", default))
+        if not 0 <= value <= _MOST_LINES:
+            raise self.error(key, f"must be 0 to {_MOST_LINES}, not {value!r:.80}")
+        return value
+
+    def part(self, key: str) -> _Keys | None:
+        value = self.take(key, dict, "a table")
+        return None if value is None else _Keys(value, self.origin, f"{self.where}{key}.")
+
+    def error(self, key: str, problem: str) -> ConfigError:
+        return ConfigError(f"{self.origin}: '{self.where}{key}' {problem}")
+
+    def done(self) -> None:
+        for key in self._left:
+            raise self.error(key, "is no key of a mapping file")
+
+    def names(self) -> list[str]:
+        return list(self._left)
+
+    def items(self) -> list[tuple[str, Any]]:
+        left, self._left = list(self._left.items()), {}
+        return left
+
+
+def _kind(keys: _Keys) -> TestKind:
+    name = keys.text("test", "flight")
+    if name not in [*TestKind]:
+        raise keys.error("test", f"must be one of {', '.join(TestKind)}, not {name!r}")
+    return TestKind(name)
+
+
+def _text(keys: _Keys) -> TextLayout:
+    name = keys.text("delimiter", "comma")
+    if name not in _DELIMITERS:
+        raise keys.error("delimiter", f"must be one of {', '.join(_DELIMITERS)}, not {name!r}")
+    header = keys.count("header_line", 1)
+    layout = TextLayout(_DELIMITERS[name], header, keys.count("first_line", header + 1))
+    if layout.first_line <= header:
+        raise keys.error("first_line", "must come after the header line")
+    keys.done()
+    return layout
+
+
+def _matlab(keys: _Keys) -> MatlabLayout:
+    layout = MatlabLayout(keys.text("array", ""), keys.text("names", ""))
+    keys.done()
+    return layout
+
+
+def _columns(keys: _Keys) -> tuple[Column, ...]:
+    part = keys.part("columns")
+    if part is None:
+        raise keys.error("columns", "is missing: it says which column is which channel")
+    found: list[Column] = []
+    for name, entry in part.items():
+        if not isinstance(entry, dict):
+            raise part.error(name, "must be a table such as { channel = 'left_z_mps2', unit = 'g' }")
+        column = _column(name, _Keys(entry, keys.origin, f"columns.{name}."))
+        if column.channel in [other.channel for other in found]:
+            raise part.error(name, f"is the second column of channel '{column.channel}'")
+        found.append(column)
+    return tuple(found)
+
+
+def _column(name: str, keys: _Keys) -> Column:
+    channel = keys.text("channel")
+    unit = keys.text("unit", unit_of(channel))
+    factor = conversion(unit, unit_of(channel))
+    if factor is None and "scale" not in keys.names():
+        raise keys.error(
+            "scale", f"is missing: nothing is known that makes '{unit_of(channel) or channel}' of unit '{unit}'"
+        )
+    scale = keys.number("scale", factor)
+    if scale == 0.0:
+        raise keys.error("scale", "must not be 0")
+    optional = bool(keys.take("optional", bool, "true or false", False))
+    column = Column(name, channel, unit, scale, keys.number("offset", 0.0), optional)
+    keys.done()
+    return column
+
+
+def _constants(keys: _Keys) -> dict[str, dict[str, float]]:
+    found: dict[str, dict[str, float]] = {}
+    entries = keys.take("recordings", list, "a list of tables", [])
+    for entry in entries:
+        if not isinstance(entry, dict):
+            raise keys.error("recordings", "must be tables: [[recordings]]")
+        one = _Keys(entry, keys.origin, "recordings.")
+        file, values = one.text("file"), one.part("values")
+        found[file] = {name: values.number(name) for name in values.names()} if values is not None else {}
+        one.done()
+    return found
+
+
+def _band(keys: _Keys) -> tuple[float, float] | None:
+    band = keys.take("band_hz", list, "two frequencies, [low, high]")
+    if band is None:
+        return None
+    numbers = [edge for edge in band if isinstance(edge, int | float)]
+    if len(band) != 2 or len(numbers) != 2 or not 0 < numbers[0] < numbers[1] <= _LARGEST:
+        raise keys.error("band_hz", f"must be two frequencies, [low, high], not {band!r:.80}")
+    return float(band[0]), float(band[1])
+
+
+def _belief(keys: _Keys) -> dict[str, Uncertain]:
+    part = keys.part("belief")
+    if part is None:
+        return {}
+    found: dict[str, Uncertain] = {}
+    for name in ("frequency_hz", "damping"):
+        entry = part.part(name)
+        if entry is not None:
+            found[name] = Uncertain(entry.number("value"), entry.number("sigma"))
+            entry.done()
+    part.done()
+    return found
+
+
+def _check_time(found: TableMapping) -> None:
+    timed = any(column.channel == "t_s" for column in found.columns)
+    if timed == bool(found.rate_hz):
+        raise ConfigError(
+            f"{found.origin}: give either a column with channel = 't_s' or rate_hz, not both and not none"
+        )

@@ -1,0 +1,117 @@
+"""The demo in real time: the live service's processes, a simulated vehicle beside them, sockets in between.
+
+What comes out depends on how fast the machine is, and differs from run to run as any live service's does.
+"""
+
+from __future__ import annotations
+
+import functools
+import multiprocessing
+import socket
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from companion.cli.steps.flying import fly
+from companion.cli.steps.view import View
+from companion.evaluation.rendered_shots import scene_of
+from companion.service.config import ServiceConfig
+from companion.service.wiring import Service
+from companion.sim.flight.flight import Flight
+from companion.sim.vehicle.world import WorldOptions, serve_new
+from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
+from companion.sim.vision.cameras import SimCameraPair, SimTriggerLine
+from companion.sim.vision.scene import Scene
+
+_SETTLE_S = 1.5
+_START_S = 300.0  # the first start of all compiles the estimator
+
+
+@dataclass(slots=True)
+class SimulatedVehicle:
+    """The simulated side: the flight, its processes, and what they report."""
+
+    flight: Flight
+    scene: Scene
+    control: Connection
+    folder: Path
+    start_host_ns: int = 0
+    report: dict[str, Any] = field(default_factory=dict)
+    cameras: BaseProcess | None = None
+    over_s: float | None = None
+
+    def ended(self) -> bool:
+        """Tend the processes; True a little after the flight, so that the last shots get through the smoother's lag."""
+        while self.control.poll(0):
+            kind, content = self.control.recv()
+            if kind == "started":
+                self.start_host_ns = content
+                self._open_eyes()
+            else:
+                self.report, self.over_s = content, time.monotonic()
+        return self.over_s is not None and time.monotonic() - self.over_s > _SETTLE_S
+
+    def _open_eyes(self) -> None:
+        """The cameras need to know when the flight began."""
+        self.cameras = start_camera_server(
+            CameraServerConfig(
+                airframe=self.flight.real.actual,
+                truth=self.flight.truth,
+                scene=self.scene,
+                seed=self.flight.seed,
+                start_host_ns=self.start_host_ns,
+                line_path=self.folder / "line",
+                frames_path=self.folder / "frames",
+            )
+        )
+
+
+def fly_in_real_time(config: ServiceConfig, flight: Flight, view: View, *, live: bool) -> tuple[int, dict[str, Any]]:
+    """Fly with the live service; give the host time of boot time 0, and what the vehicle reports."""
+    port = _free_port()
+    with (
+        tempfile.TemporaryDirectory(prefix="spanwise-") as folder,
+        _vehicle(flight, port, Path(folder)) as vehicle,
+    ):
+        config = replace(
+            config,
+            connections=(f"udpin:127.0.0.1:{port}",),
+            cameras=functools.partial(SimCameraPair, Path(folder) / "frames"),
+            trigger=functools.partial(SimTriggerLine, Path(folder) / "line"),
+        )
+        fly(Service(config), view, vehicle.ended, live=live)
+    return vehicle.start_host_ns, vehicle.report
+
+
+@contextmanager
+def _vehicle(flight: Flight, port: int, folder: Path) -> Iterator[SimulatedVehicle]:
+    """Start autopilot and wing nodes; they wait for the service before they fly."""
+    spawn = multiprocessing.get_context("spawn")
+    ours, theirs = spawn.Pipe()
+    waiting = WorldOptions(connection=f"udpout:127.0.0.1:{port}", wait_s=_START_S)
+    world = spawn.Process(
+        target=serve_new, args=(flight.airframe, flight.seed, flight.duration_s, waiting, theirs), name="sim-world"
+    )
+    world.start()
+    vehicle = SimulatedVehicle(flight, scene_of(flight), ours, folder)
+    try:
+        yield vehicle
+    finally:
+        for process in (vehicle.cameras, world):
+            if process is not None:
+                process.terminate()
+                process.join()
+
+
+def _free_port() -> int:
+    """A UDP port that nobody listens on now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

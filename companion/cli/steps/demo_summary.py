@@ -1,0 +1,135 @@
+"""The demo's summary as tables for a person."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.table import Table
+
+from companion.cli.steps.view import console
+
+_NAMES = {
+    "rigid": "rigid stereo (ground calibration)",
+    "rigid_in_trim": "rigid stereo, calibrated in trim",
+    "tilt_only": "corrected, matches unused",
+    "corrected": "corrected by Spanwise",
+    "oracle": "true extrinsics (oracle)",
+    "vertical_only": "corrected, vertical axes alone",
+    "random_instants": "corrected, random instants",
+}
+
+
+def print_summary(summary: dict[str, Any]) -> None:
+    """Print the tables and sentences."""
+    out = console()
+    if not summary["shots"]["judged"]:
+        shots = summary["shots"]
+        out.print(
+            f"no shot to judge: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected; "
+            "what is judged begins after ten seconds, when the tracker has learned the wing"
+        )
+        out.print(f"plans: {_joined(shots['fates']) or 'none'}")
+        return
+    against = summary["against_corrected"]
+    elsewhere = {name for name, pair in against.items() if not pair["same"]}
+    out.print(_toe_table(summary["toe_error_mrad"], elsewhere))
+    out.print(_range_table(summary["range_error_m"], elsewhere))
+    if elsewhere:
+        out.print(
+            "* judges other shots than the rows above, so many of them: not to be compared with those shot by shot"
+        )
+    for name, pair in against.items():
+        if pair["n"]:
+            out.print(_paired(name, pair))
+    for line in _sentences(summary):
+        out.print(line)
+
+
+def _paired(name: str, pair: dict[str, Any]) -> str:
+    rms = pair["rms_mrad"]
+    return (
+        f"{_NAMES[name]} against all axes, on the same {pair['n']} shots: {rms['other']:.2f} against "
+        f"{rms['corrected']:.2f} mrad rms, nearer the truth in {100 * pair['nearer']:.0f} % of them"
+    )
+
+
+def _row_name(name: str, elsewhere: set[str]) -> str:
+    return f"{_NAMES[name]} *" if name in elsewhere else _NAMES[name]
+
+
+def _toe_table(errors: dict[str, Any], elsewhere: set[str]) -> Table:
+    table = Table(title="relative toe error, mrad (4.5 mrad makes 60 m read 52.8 m)", title_justify="left")
+    for column in ("", "shots", "rms", "median", "p95", "rms above 0.5 Hz"):
+        table.add_column(column, justify="left" if not column else "right")
+    for name, entry in errors.items():
+        cells = [_number(entry.get(key), 2) for key in ("rms", "median", "p95")]
+        table.add_row(_row_name(name, elsewhere), str(entry["n"]), *cells, _number(entry["fast"].get("rms"), 3))
+    return table
+
+
+def _range_table(errors: dict[str, Any], elsewhere: set[str]) -> Table:
+    distances = list(errors["oracle"])
+    table = Table(title="range error, m: median / 95th percentile (of so many shots)", title_justify="left")
+    table.add_column("")
+    for distance in distances:
+        table.add_column(f"at {distance} m ({errors['corrected'][distance]['n']})", justify="right")
+    for name, entry in errors.items():
+        cells = (_metres(entry[d], differs=entry[d]["n"] != errors["corrected"][d]["n"]) for d in distances)
+        table.add_row(_row_name(name, elsewhere), *cells)
+    return table
+
+
+def _metres(entry: dict[str, Any], *, differs: bool) -> str:
+    if not entry["n"]:
+        return "no shots"
+    count = f" of {entry['n']}" if differs else ""
+    return f"{_number(entry['median'], 2)} / {_number(entry['p95'], 2)}{count}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "∞" if value is None else f"{value:.{digits}f}"
+
+
+def _sentences(summary: dict[str, Any]) -> list[str]:
+    target, trigger, shots = summary["targets"], summary["trigger"], summary["shots"]
+    errors, blur, removed = trigger["errors_ms"], trigger["blur_px"], target["share_of_error_removed"]
+    excess, oracle = target["fast_excess_mrad2"], target["oracle_median_at_60_m"]
+    lines = [
+        f"error removed: {100 * removed['of_rigid']:.1f} % of rigid stereo's, "
+        f"{100 * removed['of_rigid_calibrated_in_trim']:.1f} % of rigid stereo calibrated in trim (the paper: 55.6 %)",
+        f"above 0.5 Hz: corrected² - oracle² = {excess['value']:.4f} mrad², limit {excess['limit']:.4f}: "
+        f"{_met(excess['met'])}; oracle at 60 m {_number(oracle['value'], 3)} m, "
+        f"limit {oracle['limit']} m: {_met(oracle['met'])}",
+        f"slow part over its own sigma: {summary['sigma']['slow_error_over_sigma_rms']:.2f} rms (one draw a flight); "
+        f"published ranges beyond 5 sigma: {summary['sigma']['published_beyond_5_sigma']}",
+    ]
+    if errors["n"]:
+        lines.append(
+            f"trigger: {errors['n']} peak shots, {errors['median']:.1f} ms median from the true peak "
+            f"({trigger['errors_deg']['median']:.0f}° of phase), p95 {errors['p95']:.1f} ms"
+        )
+    lines.append(
+        "blur by the wing: "
+        + ", ".join(
+            f"{values['median']:.3f} px median {name.replace('_', ' ')}" for name, values in blur.items() if values["n"]
+        )
+    )
+    lines.append(
+        f"shots: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected, {shots['trusted']} "
+        f"trusted and published; planned {_joined(shots['planned'])}"
+    )
+    lines.append(f"plans: {_joined(shots['fates'])}")
+    lines.append(f"not trusted: {_joined(shots['not_trusted']) or 'none'}")
+    if shots["no_range"]:
+        lines.append(f"shots without a range: {_joined(shots['no_range'])} (a slow machine renders and matches late)")
+    received = summary["published"]["received"] or {}
+    lines.append(f"received by the autopilot: {_joined(received)}")
+    return lines
+
+
+def _joined(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in counts.items())
+
+
+def _met(met: bool) -> str:
+    return "met" if met else "MISSED"

@@ -1,0 +1,182 @@
+"""What a flight's recording must have to be diagnosed; where it has not, that is the verdict, with what to record."""
+
+from __future__ import annotations
+
+import argparse
+import html
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.tables.mapped_recording import MappedRecording
+from companion.adapters.recordings.tables.mapped_table import files_of
+from companion.adapters.recordings.tables.mapping import TableMapping
+from companion.evaluation.station_tones import StationAnalysis
+from companion.params.airframe import Airframe
+from companion.records import Axis, Floats, ImuBatch, Ints, Station
+from companion.reporting import page
+
+_SHORTEST_S = 8.0
+_GAP_RATIO = 2.5
+_NOTHING = 3  # exit code: done, but there was nothing to estimate
+_FEWEST = 10  # samples: of fewer there is no usual step
+_NEEDED = "an accelerometer at each wing tip (left_z, right_z) for at least 8 s without a gap"
+
+
+@dataclass(frozen=True, slots=True)
+class StreamTiming:
+    """How evenly one station's samples came; steps in milliseconds, gaps are longer than 2.5 usual steps."""
+
+    station: str
+    samples: int
+    rate_hz: float
+    step_p1_ms: float
+    step_p50_ms: float
+    step_p99_ms: float
+    gaps: int
+    longest_gap_ms: float
+    longest_stretch_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """One recording: its streams, whether a wing tip is among them, what its reader noticed, and the steady tones."""
+
+    path: Path
+    streams: tuple[StreamTiming, ...]
+    has_tip: bool
+    notes: tuple[str, ...]
+    tones: tuple[str, ...] = ()
+
+    @property
+    def can_be_judged(self) -> bool:
+        """Whether a wing tip was recorded long enough."""
+        return self.has_tip and not self.problem
+
+    @property
+    def problem(self) -> str:
+        """What is missing, "" for nothing."""
+        if not self.has_tip:
+            return "no accelerometer on a wing: what the wing does cannot be told from the fuselage alone"
+        longest = min((one.longest_stretch_s for one in self.streams), default=0.0)
+        if longest < _SHORTEST_S:
+            return f"the longest stretch without a gap is {longest:.1f} s"
+        return ""
+
+
+def paths_of(recordings: Sequence[str], mapping: TableMapping | None) -> list[Path]:
+    """The recordings, with a mapping every file of each that it is for."""
+    if mapping is None:
+        return [Path(path) for path in recordings]
+    return [file for path in recordings for file in files_of(Path(path), mapping)]
+
+
+def timing(path: Path, airframe: Airframe, mapping: TableMapping | None = None) -> Timing:
+    """Read a recording's stamps."""
+    recording = MappedRecording(path, mapping, airframe) if mapping else open_recording(path, airframe)
+    stamps: dict[Station, list[Ints]] = {}
+    has_tip = False
+    stations = StationAnalysis(recording.airframe)
+    for record in recording.records():
+        if isinstance(record, ImuBatch):
+            stations.add(record)
+            stamps.setdefault(record.station, []).append(record.t_ns)
+            has_tip |= record.station is not Station.ROOT and bool(record.axes & Axis.Z)
+    streams = tuple(_evenness(station, np.concatenate(parts)) for station, parts in sorted(stamps.items()))
+    return Timing(path, streams, has_tip, tuple(notice.text for notice in recording.notices), tuple(stations.told()))
+
+
+def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
+    if len(np.unique(t_ns)) < _FEWEST:
+        return StreamTiming(station.name.lower(), len(t_ns), 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
+    steps_ms: Floats = np.diff(np.unique(t_ns)).astype(np.float64) * 1e-6
+    usual = float(np.median(steps_ms))
+    wide = np.flatnonzero(steps_ms > _GAP_RATIO * usual)
+    ends_s = np.concatenate([[0.0], np.cumsum(steps_ms)]) * 1e-3
+    # short gaps are bridged by interpolation; only what is longer than 20 ms ends a stretch
+    long = np.flatnonzero(steps_ms > max(20.0, 2.0 * _GAP_RATIO * usual))
+    edges = [0, *(long + 1).tolist(), len(steps_ms) + 1]
+    stretches = [float(ends_s[stop - 1] - ends_s[start]) for start, stop in itertools.pairwise(edges)]
+    low, high = np.percentile(np.delete(steps_ms, wide), (1, 99))
+    return StreamTiming(
+        station.name.lower(),
+        len(t_ns),
+        1e3 / usual,
+        float(low),
+        usual,
+        float(high),
+        len(wide),
+        float(steps_ms[wide].max()) if len(wide) else 0.0,
+        max(stretches),
+    )
+
+
+def not_identifiable(timings: Sequence[Timing], options: argparse.Namespace, airframe: str) -> int:
+    """Say what these recordings lack and how evenly they were sampled; invent nothing."""
+    plain = _plain(timings, airframe)
+    if options.json == "-":
+        print(json.dumps(plain, indent=2, allow_nan=False))
+    else:
+        _tell(plain)
+        if options.json:
+            Path(options.json).write_text(json.dumps(plain, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    if options.html:
+        Path(options.html).write_text(_page(plain), encoding="utf-8")
+    return _NOTHING
+
+
+def _plain(timings: Sequence[Timing], airframe: str) -> dict[str, Any]:
+    problems = "; ".join(f"{one.path.name}: {one.problem}" for one in timings if one.problem)
+    streams = [{"recording": one.path.name, **asdict(stream)} for one in timings for stream in one.streams]
+    return {
+        "format": 1,
+        "recordings": [str(one.path) for one in timings],
+        "airframe": airframe,
+        "verdict": "not-identifiable",
+        "reason": problems,
+        "causes": [],
+        "nearest": None,
+        "gain": None,
+        "adequacy": {"before": [], "after": []},
+        "residual": None,
+        "timing": streams,
+        "advice": [f"record {_NEEDED}"],
+        "notes": [note for one in timings for note in one.notes],
+    }
+
+
+def _rows(plain: dict[str, Any]) -> list[list[str]]:
+    return [
+        [entry["recording"], entry["station"], f"{entry['rate_hz']:.0f} Hz",
+         f"{entry['step_p1_ms']:.2f} to {entry['step_p99_ms']:.2f} ms", f"{entry['gaps']}",
+         f"{entry['longest_gap_ms']:.1f} ms", f"{entry['longest_stretch_s']:.1f} s"]
+        for entry in plain["timing"]
+    ]  # fmt: skip
+
+
+def _tell(plain: dict[str, Any]) -> None:
+    print(f"verdict: not identifiable from this recording: {plain['reason']}")
+    for name, station, rate, steps, gaps, longest, stretch in _rows(plain):
+        count = f"{gaps} gap" if gaps == "1" else f"{gaps} gaps"
+        print(f"  {name}, {station}: {rate}, steps {steps}, {count}, the longest {longest}; unbroken {stretch}")
+    for line in plain["advice"]:
+        print(f"  record: {line.removeprefix('record ')}")
+    for note in plain["notes"]:
+        print(f"  note: {note}")
+
+
+def _page(plain: dict[str, Any]) -> str:
+    heads = ["recording", "station", "rate", "steps (1 to 99 %)", "gaps", "longest", "unbroken"]
+    body = [
+        *[page.advice(f"{line[:1].upper()}{line[1:]}.") for line in plain["advice"]],
+        page.heading("How evenly it was sampled"),
+        page.table(heads, _rows(plain)),
+        *[f"<p>{html.escape(note)}</p>" for note in plain["notes"]],
+    ]
+    return page.page("not-identifiable", f"not identifiable from this recording: {plain['reason']}", "", body)

@@ -1,0 +1,105 @@
+"""Run the service in the foreground: start its processes, show what they say, end them cleanly."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from rich.live import Live
+
+from companion.cli.steps.view import View, console
+from companion.errors import DeviceError
+from companion.records import Record
+
+_DRAW_S = 0.25
+_LINE_S = 5.0
+
+
+class RunningService(Protocol):
+    """A service that runs: the live one's processes, or the one in lock-step with its vehicle."""
+
+    def shown(self) -> list[Record]:
+        """What is to be seen, since the last call."""
+        ...
+
+    def tend(self) -> list[str]:
+        """Look after what runs; sentences of what had to be done."""
+        ...
+
+    def failed(self) -> list[str]:
+        """What cannot be mended."""
+        ...
+
+    def __enter__(self) -> object:
+        """Start it."""
+        ...
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        ...
+
+
+def fly(
+    service: RunningService,
+    view: View,
+    ended: Callable[[], bool],
+    *,
+    live: bool,
+    each: Callable[[Record], None] | None = None,
+    wait: Callable[[float], None] = time.sleep,
+) -> None:
+    """Run until ``ended`` says so; show a live view, or a line every few seconds where there is no terminal.
+
+    ``wait`` lets some seconds pass between two looks.
+
+    Raises
+    ------
+    DeviceError
+        A process of the service died again and again.
+    """
+    began = time.monotonic()
+    with (
+        service,
+        Live(console=console(), refresh_per_second=1 / _DRAW_S, transient=True) if live else _Lines() as screen,
+    ):
+        next_line_s = 0.0
+        while not ended():
+            for record in service.shown():
+                view.take(record)
+                if each is not None:
+                    each(record)
+            for sentence in service.tend():
+                view.say(sentence, here=True)
+            elapsed_s = time.monotonic() - began
+            if not live:
+                _print(view.sentences(), elapsed_s)
+            if service.failed():
+                raise DeviceError(f"process {', '.join(service.failed())} keeps dying; its messages are above")
+            if live:
+                screen.update(view.render(elapsed_s))
+            elif elapsed_s >= next_line_s:
+                next_line_s = elapsed_s + _LINE_S
+                refused = view.refusals()
+                _print([] if refused is None else [refused], elapsed_s)
+                print(view.line(elapsed_s), file=sys.stderr, flush=True)
+            wait(_DRAW_S)
+
+
+def _print(sentences: list[str], elapsed_s: float) -> None:
+    for sentence in sentences:
+        print(f"{elapsed_s:6.1f} s  {sentence}", file=sys.stderr, flush=True)
+
+
+class _Lines:
+    """Stands in for the live screen where output goes to a file or a pipe."""
+
+    def __enter__(self) -> _Lines:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def update(self, _: object) -> None:
+        """Nothing: lines are printed by the loop."""

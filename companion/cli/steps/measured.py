@@ -1,0 +1,161 @@
+"""``spanwise diagnose --mapping`` for what is no flight: a structure that rings, or a vibration test."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.recordings.tables.mapped_table import (
+    MappedTable,
+    files_of,
+    read_mapped,
+)
+from companion.adapters.recordings.tables.mapping import TableMapping, TestKind
+from companion.diagnosis.free_decay.json_report import as_json as ringing_json
+from companion.diagnosis.free_decay.record import RawFreeDecay, prepare
+from companion.diagnosis.free_decay.search import search
+from companion.diagnosis.modal_tests.run_comparison import as_json as comparison_json
+from companion.diagnosis.modal_tests.run_comparison import compare
+from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
+from companion.errors import ConfigError, RecordingError
+from companion.evaluation.pages.measured_pages import ringing_page, vibration_page
+from companion.params.airframe import Uncertain
+from companion.params.files import load_airframe
+from companion.records import Floats
+
+Progress = Callable[[str, float], None]
+_TIPS = ("left_z_mps2", "right_z_mps2")
+_RESPONSE = "response_"
+_FORCE = "input_n"
+_NOTHING = 3
+
+
+def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
+    """Every file of every path, read through the mapping."""
+    return [read_mapped(file, mapping) for path in paths for file in files_of(Path(path), mapping)]
+
+
+def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progress) -> int:
+    """Diagnose recordings of one structure jointly; exit codes as those of a flight."""
+    tables = tables_of(options.recordings, mapping)
+    diagnosed = _ringing if mapping.test is TestKind.RINGING else _vibration
+    plain, make_page = diagnosed(tables, mapping, options, progress)
+    if options.json == "-":
+        print(json.dumps(plain, indent=2, allow_nan=False))
+    else:
+        _tell(plain)
+        if options.json:
+            Path(options.json).write_text(json.dumps(plain, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    if options.html:
+        Path(options.html).write_text(make_page(), encoding="utf-8")
+    if options.apply is not None:
+        print("--apply: what was found here is of a structure on the bench; no airframe was written", file=sys.stderr)
+    return _NOTHING if plain["verdict"] == "not-identifiable" else 0
+
+
+_Diagnosed = tuple[dict[str, Any], Callable[[], str]]
+
+
+def _ringing(
+    tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
+) -> _Diagnosed:
+    band_hz = _band(mapping)
+    recordings, scales = prepare([_raw_ringing(table) for table in tables], band_hz)
+    frequency_hz, damping = _believed(mapping, options.airframe)
+    found = search(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
+    plain = ringing_json(found, scales, options.airframe)
+    plain["notes"] += [note for table in tables for note in table.notes]
+    return plain, lambda: ringing_page(found, scales, plain, mapping.description)
+
+
+def _raw_ringing(table: MappedTable) -> RawFreeDecay:
+    tips = [table.channels[name] for name in _TIPS if name in table.channels]
+    if not tips:
+        raise RecordingError(f"{table.path}: the mapping gives no {' or '.join(_TIPS)}: nothing to follow")
+    others = {name: values for name, values in table.channels.items() if name not in _TIPS}
+    return RawFreeDecay(_name(table), table.t_s, -np.mean(tips, axis=0), others)
+
+
+def _vibration(
+    tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
+) -> _Diagnosed:
+    band_hz = _band(mapping)
+    runs = []
+    for i, table in enumerate(tables):
+        progress("transform the runs", i / len(tables))
+        runs.append(_run(table, band_hz))
+    if len({run.frequency_hz.size for run in runs}) > 1:
+        raise RecordingError("the runs are of different length or rate: compare runs of one kind")
+    progress("fit the modes of every run", 0.0)
+    found = compare(modes_of_runs(runs), [run.constants for run in runs])
+    plain = comparison_json(found, [str(table.path) for table in tables], options.airframe)
+    plain["notes"] += [note for table in tables for note in table.notes]
+    return plain, lambda: vibration_page(found, runs, plain, mapping.description)
+
+
+def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:
+    names = [name for name in table.channels if name.startswith(_RESPONSE)]
+    if _FORCE not in table.channels or not names:
+        raise RecordingError(f"{table.path}: a vibration test needs {_FORCE} and {_RESPONSE}<point>_mps2")
+    answers: Floats = np.stack([table.channels[name] for name in names], axis=1)
+    rate_hz = (len(table.t_s) - 1) / float(table.t_s[-1] - table.t_s[0])
+    f_hz, shown = responses(table.channels[_FORCE], answers, rate_hz, band_hz)
+    order = table.constants.get("run_order")
+    return VibrationRun(f"{order:g}" if order is not None else table.path.stem, f_hz, shown, table.constants)
+
+
+def _believed(mapping: TableMapping, airframe: str | None) -> tuple[Uncertain, Uncertain]:
+    if airframe is not None:
+        mode = load_airframe(airframe).wing.symmetric
+        return mode.frequency_hz, mode.damping
+    if "frequency_hz" not in mapping.belief or "damping" not in mapping.belief:
+        raise ConfigError(f"{mapping.origin}: [belief] needs frequency_hz and damping, or give --airframe NAME")
+    return mapping.belief["frequency_hz"], mapping.belief["damping"]
+
+
+def _band(mapping: TableMapping) -> tuple[float, float]:
+    if mapping.band_hz is None:
+        raise ConfigError(f"{mapping.origin}: 'band_hz' is missing: where the modes of interest are")
+    return mapping.band_hz
+
+
+def _name(table: MappedTable) -> str:
+    return f"{table.path.parent.name}/{table.path.name}"
+
+
+def _tell(plain: dict[str, Any]) -> None:
+    print(f"verdict: {headline(plain)}")
+    for cause in plain["causes"]:
+        channel = f" ({cause['channel']})" if cause["channel"] else ""
+        print(f"  {cause['name']}{channel}: log Bayes factor {cause['log_bayes_factor']:.0f}, BIC {cause['bic']:+.0f}")
+        for name, entry in cause["parameters"].items():
+            print(f"    {name} = {entry['value']:.5g} ± {entry['sigma']:.2g} {entry['unit']} ({entry['meaning']})")
+        if cause["gain"]:
+            print(f"    {error_line(cause['gain'])}")
+    for line in plain.get("advice", []):
+        print(f"  record: {line}")
+    for note in plain["notes"]:
+        print(f"  note: {note}")
+
+
+def headline(plain: dict[str, Any]) -> str:
+    """The verdict in one sentence."""
+    verdict = plain["verdict"].replace("-", " ")
+    nearest = f" (nearest: {plain['nearest']})" if plain.get("nearest") else ""
+    return f"{verdict}{nearest}: {plain['reason']}"
+
+
+def error_line(gain: dict[str, Any]) -> str:
+    """What a law is worth on blocks of which it was not fitted."""
+    low, high = (100.0 * value for value in gain["interval"])
+    before, after = (100.0 * value for value in gain["share_of_signal"])
+    return (
+        f"held-out error of the {gain['what']}: {gain['before']:.4f} -> {gain['after']:.4f} {gain['unit']} "
+        f"({before:.0f} -> {after:.0f} % of the signal; {low:.0f} to {high:.0f} % of its square is gone)"
+    )

@@ -1,0 +1,65 @@
+"""How far a long command has come, on standard error: one line that is rewritten, or a line every few seconds."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.recording import Recording
+
+_LIVE_S = 0.25
+_LINE_S = 5.0
+
+
+class Progress:
+    """Feed :meth:`at` as the recording goes by.
+
+    Parameters
+    ----------
+    what : str
+        What is being done.
+    length_ns : int, optional
+        Of the whole recording; without it seconds are shown and no percentage.
+    plain : bool
+        A line every five seconds, wherever standard error goes; otherwise nothing is shown but on a terminal.
+    """
+
+    def __init__(self, what: str, length_ns: int | None, *, plain: bool) -> None:
+        self._what, self._length_ns, self._plain = what, length_ns, plain
+        self._shown = plain or sys.stderr.isatty()
+        self._every_s = _LINE_S if plain else _LIVE_S
+        self._began_s = self._last_s = time.monotonic()
+        self._first_ns: int | None = None
+
+    def at(self, now_ns: int) -> None:
+        """Say where the recording stands, if it is time to."""
+        if self._first_ns is None:
+            self._first_ns = now_ns
+        if not self._shown or time.monotonic() - self._last_s < self._every_s:
+            return
+        self._last_s = time.monotonic()
+        line = self._line((now_ns - self._first_ns) * 1e-9, self._last_s - self._began_s)
+        print(
+            line if self._plain else f"\r\033[K{line}", end="\n" if self._plain else "\r", file=sys.stderr, flush=True
+        )
+
+    def close(self) -> None:
+        """Wipe the rewritten line."""
+        if self._shown and not self._plain:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+    def _line(self, done_s: float, took_s: float) -> str:
+        share = f"{min(100.0, 1e11 * done_s / self._length_ns):3.0f} %, " if self._length_ns else ""
+        return f"{self._what} {share}{done_s:.0f} s of flight in {took_s:.0f} s"
+
+
+def length_ns(recording: Recording) -> int | None:
+    """How much time a recording covers, where its reader knows before it is read."""
+    if isinstance(recording, McapRecording):
+        first_ns, last_ns = recording.span_ns()
+        return last_ns - first_ns or None
+    streams = [stream for stream in getattr(recording, "streams", ()) if stream.t_ns.size]
+    if not streams:
+        return None
+    return int(max(stream.t_ns[-1] for stream in streams) - min(stream.t_ns[0] for stream in streams))

@@ -1,0 +1,138 @@
+"""The live view in the terminal: what the service knows, four times a second."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from companion.evaluation.plan_outcomes import Fates
+from companion.records import (
+    CorrectedRange,
+    Health,
+    ModeEstimate,
+    ModeState,
+    NoRange,
+    Notice,
+    Record,
+    Reject,
+    ServiceStatus,
+)
+
+_RECENT = 4
+
+
+@dataclass(slots=True)
+class View:
+    """Collects records; :meth:`render` draws them. Plain lines are used where there is no terminal.
+
+    ``progress`` stands in the place of the seconds that have passed, where those mean nothing.
+    ``began`` says that the service ever got further than waiting for the vehicle.
+    """
+
+    title: str
+    mode: ModeState | None = None
+    range: CorrectedRange | None = None
+    no_range: NoRange | None = None
+    status: ServiceStatus | None = None
+    fates: Fates = field(default_factory=Fates)
+    ranges: Counter[str] = field(default_factory=Counter)
+    recent: list[str] = field(default_factory=list)
+    progress: str = ""
+    unprinted: list[str] = field(default_factory=list)
+    began: bool = False
+    _said_here: list[str] = field(default_factory=list)
+    _refused: dict[str, int] = field(default_factory=dict)
+
+    def take(self, record: Record) -> None:
+        """Remember what the next drawing needs."""
+        self.fates.take(record)
+        if isinstance(record, ModeState):
+            self.mode = record
+        elif isinstance(record, CorrectedRange):
+            self.range = record
+            self.ranges["trusted" if record.trusted else str(record.reject)] += 1
+        elif isinstance(record, NoRange):
+            self.no_range = record
+        elif isinstance(record, ServiceStatus):
+            self.status = record
+            self.began |= record.health is not Health.BOOT
+        elif isinstance(record, Notice) and record.text not in self._said_here:
+            self.say(record.text)
+
+    def say(self, sentence: str, *, here: bool = False) -> None:
+        """Show a sentence among the recent ones; one said ``here`` may come back as the ground heard it."""
+        if here:
+            self._said_here = [*self._said_here[-_RECENT + 1 :], sentence]
+        self.recent = [*self.recent[-_RECENT + 1 :], sentence]
+        self.unprinted.append(sentence)
+
+    def sentences(self) -> list[str]:
+        """What was said since the last call, for who prints lines."""
+        taken, self.unprinted = self.unprinted, []
+        return taken
+
+    def refusals(self) -> str | None:
+        """One sentence of what was refused since the last call; None where nothing was."""
+        counters = {} if self.status is None else self.status.counters
+        now = {str(reason): counters[reason] for reason in Reject if counters.get(reason)}
+        fresh = {reason: count - self._refused.get(reason, 0) for reason, count in now.items()}
+        self._refused = now
+        parts = [f"{count} {reason}" for reason, count in sorted(fresh.items()) if count > 0]
+        return f"refused: {', '.join(parts)}" if parts else None
+
+    def render(self, elapsed_s: float) -> Group:
+        """The whole picture."""
+        table = Table.grid(padding=(0, 2))
+        table.add_column(style="bold", width=10)
+        table.add_column()
+        for name, text in self._rows():
+            table.add_row(name, text)
+        head = Text(f"{self.title}   {self.progress or f'{elapsed_s:5.1f} s'}", style="bold cyan")
+        return Group(head, table, *(Text(f"  {line}", style="yellow") for line in self.recent))
+
+    def line(self, elapsed_s: float) -> str:
+        """One line for a log or a pipe."""
+        return f"{self.progress or f'{elapsed_s:6.1f} s'}  " + " | ".join(
+            f"{name} {text}" for name, text in self._rows()
+        )
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [("state", f"{self.status.health.value}: {self.status.reason}" if self.status else "starting")]
+        if self.mode is not None:
+            rows.append(("bending", _mode(self.mode.symmetric)))
+            rows.append(("antisym.", _mode(self.mode.antisymmetric)))
+        if fates := self.fates.counts():
+            rows.append(("shots", ", ".join(f"{count} {fate}" for fate, count in fates.items())))
+        if self.range is not None:
+            rows.append(("range", _range(self.range)))
+            rows.append(("published", ", ".join(f"{count} {kind}" for kind, count in self.ranges.items())))
+        elif self.no_range is not None:
+            rows.append(("range", f"none: {self.no_range.reject}"))
+        return rows
+
+
+def _mode(mode: ModeEstimate) -> str:
+    return (
+        f"{mode.frequency_hz:5.2f} ±{mode.frequency_sigma_hz:4.2f} Hz  damping {100 * mode.damping:4.1f} %  "
+        f"amplitude {1e3 * mode.amplitude_m:5.2f} ±{1e3 * mode.amplitude_sigma_m:4.2f} mm  "
+        f"phase {math.degrees(mode.phase_rad) % 360:5.1f}°"
+    )
+
+
+def _range(measured: CorrectedRange) -> str:
+    rigid = f"{measured.rigid_range_m:.1f} m" if measured.rigid_range_m > 0 else "beyond infinity"
+    trust = "" if measured.trusted else f"  not published: {measured.reject}"
+    return (
+        f"{measured.range_m:6.2f} ±{measured.sigma_m:4.2f} m corrected by {1e3 * measured.toe_rad:+6.2f} mrad "
+        f"(rigid stereo: {rigid}){trust}"
+    )
+
+
+def console() -> Console:
+    """Where the view goes."""
+    return Console(highlight=False)

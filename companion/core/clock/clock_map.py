@@ -1,0 +1,108 @@
+"""The stamps' way to host time: piecewise linear, continuous, monotone, and the same whenever it is asked.
+
+A better estimate never makes stamps jump: each exchange adds a knot, and the line from there on steers towards the
+estimate at no more than :data:`MOST_SLEW`, so sample spacing is torn by 0.1 % at worst. What is still to be steered is
+part of the bound. Earlier knots are kept, so a stamp that is asked for again (smoother, cameras) gets the same answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.kernels.compiled import compiled, plain
+from companion.records import Floats, Ints
+
+MOST_SLEW = 1e-3
+_STEER_NS = 2.5e9  # half of the time after which a silent clock is lost: an error can only swing to its opposite
+_KNOTS = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Knot:
+    """From ``remote_ns`` on, ``host = host_ns + (1 - shrink) (remote - remote_ns)``, wrong by at most the bound."""
+
+    remote_ns: int
+    host_ns: int
+    shrink: float
+    bound_ns: float
+    bound_rate: float
+
+    def to_host(self, remote_ns: int) -> int:
+        """Map one stamp."""
+        elapsed = remote_ns - self.remote_ns
+        return self.host_ns + elapsed - int(self.shrink * elapsed)
+
+    def bound_at_ns(self, host_ns: int) -> int:
+        """Bound the error of a stamp of this segment."""
+        return int(self.bound_ns + self.bound_rate * abs(host_ns - self.host_ns)) + 1
+
+
+class Mapping:
+    """Knots from an estimate's history."""
+
+    def __init__(self) -> None:
+        self._newest: Knot | None = None
+        self._count = 0
+        self._stamps = np.zeros((_KNOTS, 2), np.int64)  # of each knot: remote, host
+        self._slopes = np.zeros((_KNOTS, 3))  # shrink, bound, rate of the bound
+
+    def __bool__(self) -> bool:
+        return self._newest is not None
+
+    def steer(
+        self, host_ns: int, offset_ns: float, base_ns: int, skew: float, bound_ns: float, skew_bound: float
+    ) -> None:
+        """From ``host_ns`` on, approach the line ``remote = host + base + offset + skew (t - host)``."""
+        last = self._newest
+        if last is not None and host_ns <= last.host_ns:
+            return
+        if last is None:
+            remote_ns, error_ns = host_ns + base_ns + round(offset_ns), 0.0
+        else:
+            remote_ns = last.remote_ns + round((host_ns - last.host_ns) / (1 - last.shrink))
+            host_ns = last.to_host(remote_ns)
+            error_ns = offset_ns + base_ns - (remote_ns - host_ns)
+        slope = skew + min(max(error_ns / _STEER_NS, -MOST_SLEW), MOST_SLEW)
+        self._add(Knot(remote_ns, host_ns, slope / (1 + slope), bound_ns + abs(error_ns), skew_bound))
+
+    def _add(self, knot: Knot) -> None:
+        self._newest = knot
+        if self._count == _KNOTS:
+            self._stamps[:-1], self._slopes[:-1] = self._stamps[1:], self._slopes[1:]
+            self._count -= 1
+        self._stamps[self._count] = knot.remote_ns, knot.host_ns
+        self._slopes[self._count] = knot.shrink, knot.bound_ns, knot.bound_rate
+        self._count += 1
+
+    def to_host(self, t_ns: Ints) -> tuple[Ints, int, int, int]:
+        """Map stamps, (n,) int64 with n > 0, exactly in integers but for the skew's share.
+
+        Also give the oldest and the newest host stamp, and the largest bound [ns].
+        """
+        return _mapped(plain(t_ns), self._stamps[: self._count], self._slopes[: self._count])
+
+    def newest(self) -> Knot:
+        """Give the segment in force."""
+        assert self._newest is not None
+        return self._newest
+
+
+@compiled
+def _mapped(t_ns: Ints, stamps: Ints, slopes: Floats) -> tuple[Ints, int, int, int]:
+    """See :meth:`Mapping.to_host`."""
+    at = np.maximum(np.searchsorted(stamps[:, 0], t_ns, side="right") - 1, 0)
+    elapsed = t_ns - stamps[:, 0][at]
+    host = stamps[:, 1][at] + elapsed - (slopes[:, 0][at] * elapsed).astype(np.int64)
+    low, high, first, last = host[t_ns.argmin()], host[t_ns.argmax()], at.min(), at.max()
+    most = max(_bound_at_ns(slopes[first], stamps[first, 1], low), _bound_at_ns(slopes[last], stamps[last, 1], high))
+    for k in range(first, last):
+        most = max(most, _bound_at_ns(slopes[k], stamps[k, 1], stamps[k + 1, 1]))
+    return host, low, high, most
+
+
+@compiled
+def _bound_at_ns(slope: Floats, from_ns: int, host_ns: int) -> int:
+    """See :meth:`Knot.bound_at_ns`."""
+    return int(slope[1] + slope[2] * abs(host_ns - from_ns)) + 1

@@ -1,0 +1,182 @@
+"""One remote clock: exchanges in, host stamps and an honest bound out, or an explicit "not synced"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.clock.clock_map import Knot, Mapping
+from companion.core.clock.sync_window import (
+    ANY_SKEW,
+    LONGEST_LAG_NS,
+    ClockFit,
+    ExchangeWindow,
+    agree,
+)
+from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
+
+STALE_NS = 5_000_000_000
+"""Silence of the exchanges after which the clock counts as lost."""
+MOST_BOUND_NS = 10_000_000
+"""A clock known less well than this is not synced."""
+MOST_ROUND_TRIP_NS = 1_000_000_000
+MOST_DELAY_NS = 500_000_000
+"""A sample that claims to be older than this on arrival belongs to another life of its clock."""
+_FEWEST_EXCHANGES = 3
+_SETTLED_EXCHANGES = 8
+_SETTLED_SPAN_NS = 1_500_000_000
+_GOOD_BOUND_NS = 2_000_000
+_BEFORE_FIRST_NS = 2_000_000_000
+_MOST_LAG_NS = 50_000_000
+_WARMING_SKEW = 20e-6
+"""By how much a restart may have changed a crystal: half a minute's cooling of a cheap one."""
+_AS_GOOD = 3.0
+_LEAST_GOAL_NS = 50e3
+
+
+@dataclass(frozen=True, slots=True)
+class _Before:
+    """What was known of the clock before it restarted: the limits of its skew, and how good a bound is as good."""
+
+    skews: tuple[float, float] = ANY_SKEW
+    goal_ns: float = _GOOD_BOUND_NS
+
+
+class RemoteClock:
+    """Estimator of one clock.
+
+    An exchange that contradicts all others suspends the clock at once. The next one decides: if it agrees with the old
+    ones the odd one was wrong, if it agrees with the odd one the clock has restarted and everything older is void.
+    A restart goes seconds back; what is behind by some milliseconds is a simulated autopilot whose machine is busy, and
+    it catches up: that must last a second to count, and nothing is converted meanwhile.
+    Only the crystal is still the same: a restarted clock keeps about the skew it had. And it is taken back when it is
+    known about as well as before, or after 1.5 s: whoever has learned something of its stamps' error meets no slow
+    drift, which the steering of a hasty first guess would be.
+    """
+
+    def __init__(self, clock: ClockName) -> None:
+        self.clock = clock
+        self.discarded = 0
+        self.restarts = 0
+        self._window: ExchangeWindow | None = None
+        self._mapping = Mapping()
+        self._suspect: TimesyncReply | None = None
+        self._suspected_ns = 0
+        self._skew = 0.0
+        self._last_host_ns = 0
+        self._before = _Before()
+
+    def restart(self, seen_host_ns: int) -> ClockState:
+        """Forget everything: the clock's owner has restarted."""
+        self._forget()
+        self.restarts += 1
+        self._last_host_ns = max(self._last_host_ns, seen_host_ns)
+        return self.state()
+
+    def exchange(self, reply: TimesyncReply) -> ClockState:
+        """Take one exchange."""
+        if not 0 <= reply.received_host_ns - reply.sent_host_ns <= MOST_ROUND_TRIP_NS:
+            self.discarded += 1
+            return self.state()
+        self._last_host_ns = max(self._last_host_ns, reply.received_host_ns)
+        if self._window is None:
+            self._window = ExchangeWindow(reply, self._before.skews)
+            return self.state()
+        fit = self._window.add(reply)
+        if fit is None:
+            self._contradicted(reply)
+        else:
+            self.discarded += self._suspect is not None
+            self._suspect = None
+            self._steer(self._window, fit, reply.received_host_ns)
+        return self.state()
+
+    def to_host(self, t_ns: Ints, received_host_ns: int | None) -> tuple[Ints, int] | Reject:
+        """See :meth:`companion.core.clock.bank.ClockBank.to_host`."""
+        if self._window is None or not self._mapping or self._suspect is not None:
+            return Reject.CLOCK_UNSYNCED
+        if t_ns.size == 0:
+            return t_ns.astype(np.int64), self._bound_at_ns(self._last_host_ns)
+        host, oldest, newest, bound = self._mapping.to_host(t_ns)
+        if newest > self._last_host_ns + STALE_NS or bound > MOST_BOUND_NS:
+            return Reject.CLOCK_UNSYNCED
+        if oldest < self._window.first_host_ns - _BEFORE_FIRST_NS:
+            return Reject.TIME_BACKWARDS
+        if received_host_ns is not None and newest > received_host_ns + bound:
+            return Reject.CLOCK_UNSYNCED
+        if received_host_ns is not None and newest < received_host_ns - MOST_DELAY_NS:
+            return Reject.TIME_BACKWARDS
+        return host, bound
+
+    def state(self, now_host_ns: int | None = None) -> ClockState:
+        """Give what is known, at ``now_host_ns`` or at the last exchange."""
+        now = self._last_host_ns if now_host_ns is None else now_host_ns
+        if not self._mapping:
+            base_ns = 0 if self._window is None else self._window.base_ns
+            return ClockState(self.clock, now, base_ns, 0.0, MOST_ROUND_TRIP_NS, False)
+        knot = self._mapping.newest()
+        skew = knot.shrink / (1 - knot.shrink)
+        offset = knot.remote_ns - knot.host_ns + round(skew * (now - knot.host_ns))
+        bound = self._bound_at_ns(now)
+        synced = now <= self._last_host_ns + STALE_NS and self._known(bound)
+        return ClockState(self.clock, now, offset, self._skew * 1e6, bound, synced)
+
+    def synced(self) -> bool:
+        """Whether the clock was known at the last exchange."""
+        return bool(self._mapping) and self._known(self._bound_at_ns(self._last_host_ns))
+
+    def _known(self, bound_ns: int) -> bool:
+        return self._suspect is None and bound_ns <= MOST_BOUND_NS
+
+    def _bound_at_ns(self, host_ns: int) -> int:
+        return self._mapping.newest().bound_at_ns(host_ns)
+
+    def _forget(self) -> None:
+        if self._mapping:
+            self._before = _remembered(self._skew, self._mapping.newest())
+        self._window = None
+        self._mapping = Mapping()
+        self._suspect = None
+        self._skew = 0.0
+
+    def _contradicted(self, reply: TimesyncReply) -> None:
+        suspect = self._suspect
+        self._suspect = reply
+        if suspect is None or not agree(suspect, reply):
+            self.discarded += suspect is not None
+            self._suspected_ns = reply.received_host_ns
+            return
+        if self._lags(reply) and reply.received_host_ns - self._suspected_ns < LONGEST_LAG_NS:
+            self.discarded += 1
+            return
+        self._forget()
+        self.restarts += 1
+        for kept in (suspect, reply):
+            self.exchange(kept)
+
+    def _lags(self, reply: TimesyncReply) -> bool:
+        """Whether an exchange is so little off that the clock may only be behind."""
+        if not self._mapping:
+            return False
+        middle_ns = (reply.sent_host_ns + reply.received_host_ns) // 2
+        return abs(reply.remote_ns - middle_ns - self.state(middle_ns).offset_ns) < _MOST_LAG_NS
+
+    def _steer(self, window: ExchangeWindow, fit: ClockFit, now_host_ns: int) -> None:
+        self._skew = fit.skew
+        if self._mapping or _good_enough(window, fit, now_host_ns, self._before.goal_ns):
+            self._mapping.steer(now_host_ns, fit.offset_ns, window.base_ns, fit.skew, fit.bound_ns, fit.skew_bound)
+
+
+def _remembered(skew: float, knot: Knot) -> _Before:
+    margin = knot.bound_rate + _WARMING_SKEW
+    goal_ns = min(max(_AS_GOOD * knot.bound_ns, _LEAST_GOAL_NS), _GOOD_BOUND_NS)
+    return _Before((skew - margin, skew + margin), goal_ns)
+
+
+def _good_enough(window: ExchangeWindow, fit: ClockFit, now_host_ns: int, goal_ns: float) -> bool:
+    if window.count < _FEWEST_EXCHANGES or fit.bound_ns > MOST_BOUND_NS:
+        return False
+    settled = now_host_ns - window.first_host_ns >= _SETTLED_SPAN_NS
+    known_before = goal_ns < _GOOD_BOUND_NS
+    return settled or fit.bound_ns <= goal_ns or (window.count >= _SETTLED_EXCHANGES and not known_before)

@@ -1,0 +1,55 @@
+"""Nodes that answer no TIMESYNC: each is aligned by the motion that it shares with the autopilot's IMU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from companion.core.clock.motion_alignment import Alignment
+from companion.params.airframe import Sensor
+from companion.records import ClockName, Floats, ImuBatch, Ints, TimesyncReply
+
+_PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered
+_NODES = (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)
+
+
+class SilentNodes:
+    """Who has not answered for some seconds, and one :class:`Alignment` for each of them."""
+
+    def __init__(self) -> None:
+        self._unanswered_ns: dict[ClockName, int] = {}
+        self._alignments: dict[ClockName, Alignment] = {}
+
+    @property
+    def clocks(self) -> frozenset[ClockName]:
+        """Those that are being aligned."""
+        return frozenset(self._alignments)
+
+    def answered(self, clock: ClockName, received_host_ns: int) -> None:
+        """Take note of an answer: its owner is silent no more."""
+        self._alignments.pop(clock, None)
+        self._unanswered_ns[clock] = received_host_ns
+
+    def restarted(self, clock: ClockName) -> None:
+        """Forget the motion that was stamped by a clock's last life."""
+        self._alignments.pop(clock, None)
+
+    def note(self, batch: ImuBatch, own: Sensor, root: Sensor) -> None:
+        """Take samples of any station, stamped by its own clock: those of silent nodes are kept."""
+        clock = batch.clock
+        if clock not in _NODES:
+            return
+        since_ns = self._unanswered_ns.setdefault(clock, batch.received_host_ns)
+        if batch.received_host_ns - since_ns >= _PATIENCE_NS and Alignment.possible(batch.axes):
+            alignment = self._alignments.setdefault(clock, Alignment(clock))
+            alignment.add_node(batch)
+            alignment.sensors(own, root)
+
+    def note_root(self, t_host_ns: Ints, values: Floats) -> None:
+        """Take samples of the autopilot's IMU, (n,) and (n, 6), in host time."""
+        for alignment in self._alignments.values():
+            alignment.add_root(t_host_ns, values)
+
+    def exchanges(self, now_host_ns: int) -> Iterator[TimesyncReply]:
+        """What the motion tells of their clocks by now, as exchanges."""
+        for alignment in self._alignments.values():
+            yield from alignment.exchanges(now_host_ns)

@@ -1,0 +1,1 @@
+"""The compiled inner loops, their array types, and their readable twins."""

@@ -1,0 +1,177 @@
+"""What uncertain extrinsics, lenses and clocks do to a range: gradients through the geometry, times covariances."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.exposure import Exposure, TipMotion, tip_signs
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.rotation import skew
+from companion.core.stereo.triangulation import Rays
+from companion.params.airframe import Airframe, Camera
+from companion.records import Deflection, Floats, Side
+
+_STEP_RAD = 1e-6
+_STEP_M = 1e-5
+_STEP_RELATIVE = 1e-6
+# modal coordinates and the antisymmetric slope, of [q symmetric, q antisymmetric, slope left, slope right]
+_KEPT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.5]])
+_TOGETHER = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])
+_PARTS = ("left_m", "left", "right_m", "right")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gradient:
+    """Change of one result per small change of each camera, body axes; rows are left and right.
+
+    Attributes
+    ----------
+    turn_prad : (2, 3) float64
+        Per radian of rotation of the camera.
+    shift_pm : (2, 3) float64
+        Per metre of displacement of the camera.
+    focal : (2,) float64
+        Per relative change of the focal length.
+    """
+
+    turn_prad: Floats
+    shift_pm: Floats
+    focal: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """One-sigma of a result by cause."""
+
+    modal: float
+    calibration: float
+    timing: float
+
+    @property
+    def total(self) -> float:
+        """Root of the sum of squares; the causes are independent."""
+        return float(np.sqrt(self.modal**2 + self.calibration**2 + self.timing**2))
+
+
+def gradient_of(
+    inverse_depths: Callable[[Rays], Floats], influence: Floats, rays: Rays, exposures: tuple[Exposure, Exposure]
+) -> Gradient:
+    """Differentiate ``influence @ inverse_depths(rays)`` numerically, all cameras and axes in one evaluation.
+
+    Parameters
+    ----------
+    inverse_depths : callable
+        Gives (m,) for m matched rays, each for itself.
+    influence : (n,) float64
+        Weights of the result.
+    rays : Rays
+        n matched rays.
+    exposures : tuple
+        Left and right exposure, for the optical axes.
+    """
+    changed = [rays]
+    for side in Side:
+        origin, direction = (rays.left_m, rays.left) if side is Side.LEFT else (rays.right_m, rays.right)
+        look = exposures[side].pose.camera_from_body[2]
+        changed += [_with(rays, side, origin, direction @ (np.eye(3) + _STEP_RAD * skew(e)).T) for e in np.eye(3)]
+        changed += [_with(rays, side, origin + _STEP_M * e, direction) for e in np.eye(3)]
+        # a longer focal length makes every ray flatter: its part across the optical axis shrinks
+        flat = direction - (direction @ look)[:, np.newaxis] * look
+        changed.append(_with(rays, side, origin, direction - _STEP_RELATIVE * flat))
+    stacked = Rays(*(np.concatenate([getattr(each, name) for each in changed]) for name in _PARTS))
+    results = np.nan_to_num(inverse_depths(stacked)).reshape(len(changed), -1) @ influence
+    steps = (results[1:] - results[0]).reshape(2, 7)
+    return Gradient(steps[:, :3] / _STEP_RAD, steps[:, 3:6] / _STEP_M, steps[:, 6] / _STEP_RELATIVE)
+
+
+def toe_gradient(epipolar_y: Floats) -> Gradient:
+    """Gradient of the relative toe: the angle by which the optical axes diverge in the epipolar plane.
+
+    A camera turned by ``r`` moves its axis toward the right wing by ``r . y``, with y the third axis of the frame whose
+    x is the baseline and z the viewing direction.
+    """
+    return Gradient(np.stack([-epipolar_y, epipolar_y]), np.zeros((2, 3)), np.zeros(2))
+
+
+def budget(
+    gradient: Gradient,
+    rig: Rig,
+    airframe: Airframe,
+    bend: Deflection,
+    exposures: tuple[Exposure, Exposure],
+    timing_sigma_s: float,
+    apart_rad2: Floats | None = None,
+) -> Budget:
+    """Sigma of a result by cause.
+
+    The two exposures are so near each other that one error of the modal state holds for both: modal errors are
+    propagated jointly, calibration and stamping errors of the two cameras are independent.
+
+    ``apart_rad2`` (3, 3), body axes, is the covariance of the cameras' relative rotation where matches have told it
+    (:class:`companion.core.stereo.extrinsics_drift.SlowRotation`); then only what turns both cameras alike is left of
+    the rest.
+    """
+    if apart_rad2 is not None:
+        return _told(gradient, rig, airframe, bend, exposures, timing_sigma_s, apart_rad2)
+    modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe))
+    block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
+    variance = float(modal @ bend.covariance[block] @ modal)
+    calibration = timing = 0.0
+    for side in Side:
+        camera = _camera(airframe, side)
+        relative_focal = camera.focal_px.sigma / camera.focal_px.value
+        calibration += camera.rotation_sigma_rad**2 * float(gradient.turn_prad[side] @ gradient.turn_prad[side])
+        calibration += (relative_focal * float(gradient.focal[side])) ** 2
+        moving = exposures[side]
+        rate = gradient.turn_prad[side] @ moving.rate_radps + gradient.shift_pm[side] @ moving.velocity_mps
+        timing += (timing_sigma_s * float(rate)) ** 2
+    return Budget(float(np.sqrt(max(variance, 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
+
+
+def _told(
+    gradient: Gradient,
+    rig: Rig,
+    airframe: Airframe,
+    bend: Deflection,
+    exposures: tuple[Exposure, Exposure],
+    timing_sigma_s: float,
+    apart_rad2: Floats,
+) -> Budget:
+    modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe)) @ _TOGETHER.T
+    block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
+    apart = 0.5 * (gradient.turn_prad[Side.RIGHT] - gradient.turn_prad[Side.LEFT])
+    alike = gradient.turn_prad[Side.RIGHT] + gradient.turn_prad[Side.LEFT]
+    variance = modal @ (_KEPT @ bend.covariance[block] @ _KEPT.T) @ modal + apart @ apart_rad2 @ apart
+    calibration = timing = 0.0
+    for side in Side:
+        camera = _camera(airframe, side)
+        calibration += (0.5 * camera.rotation_sigma_rad) ** 2 * float(alike @ alike)
+        calibration += (camera.focal_px.sigma / camera.focal_px.value * float(gradient.focal[side])) ** 2
+        timing += (timing_sigma_s * float(gradient.shift_pm[side] @ exposures[side].velocity_mps)) ** 2
+    return Budget(float(np.sqrt(max(float(variance), 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
+
+
+def modal_gradient(gradient: Gradient, rig: Rig, tips: TipMotion) -> Floats:
+    """Change (4,) of the result per symmetric and antisymmetric coordinate, and per left and right slope."""
+    change = np.zeros(4)
+    for side in Side:
+        camera, signs = rig.camera(side), tip_signs(side)
+        change[2 + side] = gradient.turn_prad[side] @ camera.turn_rad(1.0)
+        per_metre = gradient.turn_prad[side] @ camera.turn_rad(0.0, 1.0) * signs * tips.twist_radpm
+        change[:2] += per_metre - gradient.shift_pm[side, 2] * camera.lift_gain * signs
+    return change
+
+
+def _with(rays: Rays, side: Side, origin: Floats, direction: Floats) -> Rays:
+    if side is Side.LEFT:
+        return Rays(origin, direction, rays.right_m, rays.right)
+    return Rays(rays.left_m, rays.left, origin, direction)
+
+
+def _camera(airframe: Airframe, side: Side) -> Camera:
+    camera = airframe.left_camera if side is Side.LEFT else airframe.right_camera
+    assert camera is not None, "a rig exists only for an airframe with two cameras"
+    return camera

@@ -1,0 +1,1 @@
+"""Effects on the load that drives the wing."""

@@ -1,0 +1,1 @@
+"""Effects that add or couple modes."""

@@ -1,0 +1,1 @@
+"""Effects on the stiffness: frequencies, and the bend under load."""

@@ -1,0 +1,142 @@
+"""What was seen of a vehicle, and what a check makes of it."""
+
+from __future__ import annotations
+
+import enum
+from collections import Counter
+from dataclasses import dataclass, field
+
+from companion.adapters.mavlink.link.dialect import mavlink
+from companion.evaluation.plan_outcomes import Fates
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.params.vehicle import implausible
+from companion.records import Axis, ClockName, ClockState, Station
+
+
+class Level(enum.StrEnum):
+    """How bad a finding is."""
+
+    OK = "ok"
+    NOTE = "note"
+    FIX = "FIX"
+    UNKNOWN = "?"
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """An autopilot parameter and the value that it should have."""
+
+    name: str
+    value: float
+    reboot: bool = False
+
+    def __str__(self) -> str:
+        return f"set {self.name} {self.value:g}" + (", reboot" if self.reboot else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the doctor's report; ``fixes`` can be applied to the autopilot."""
+
+    subject: str
+    level: Level
+    text: str
+    fixes: tuple[Fix, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """A component that was heard to beat."""
+
+    kind: int
+    autopilot: int
+    count: int
+
+
+@dataclass(slots=True)
+class Evidence:
+    """Everything seen, of a live vehicle or in a log.
+
+    Attributes
+    ----------
+    live : bool
+        False for a log, where what cannot be seen is unknown rather than wrong.
+    beats : mapping of (system, component)
+    parameters : mapping
+        The autopilot's, as far as they were told.
+    rate_hz, axes : mappings of Station
+        Samples per second as delivered, and the axes that really come.
+    range_senders : mapping of (system, component), orientation
+        DISTANCE_SENSOR messages that others sent.
+    serial_baud : mapping
+        Baud rate by link, for the links that have one.
+    feedback : mapping of camera number
+        The numbers of the pictures that CAMERA_FEEDBACK told of; with two cameras ArduPilot tells each more than once.
+    shots, pairs, unpaired, lost : int
+        In a recording of ours: shots fired, image pairs matched, images without a partner, images that never came.
+    fates : Fates
+        In a recording of ours: what became of the shots that were planned.
+    node_losses : mapping of component, name
+        Counters that wing nodes tell (NAMED_VALUE_INT).
+    realtime : bool or None
+        Whether this user may take a real-time priority; None where that is not known.
+    """
+
+    airframe: Airframe
+    settings: Settings
+    live: bool
+    seconds: float = 0.0
+    system: int | None = None
+    beats: dict[tuple[int, int], Beat] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    rate_hz: dict[Station, float] = field(default_factory=dict)
+    axes: dict[Station, Axis] = field(default_factory=dict)
+    foreign_imu: Counter[str] = field(default_factory=Counter)
+    clocks: dict[ClockName, ClockState] = field(default_factory=dict)
+    range_senders: Counter[tuple[int, int, int]] = field(default_factory=Counter)
+    feedback: dict[int, set[int]] = field(default_factory=dict)
+    shots: int = 0
+    pairs: int = 0
+    unpaired: int = 0
+    lost: int = 0
+    fates: Fates = field(default_factory=Fates)
+    acknowledged: int = 0
+    twice: int = 0
+    frames: int = 0
+    crc_errors: int = 0
+    skipped_bytes: int = 0
+    serial_baud: dict[str, int] = field(default_factory=dict)
+    node_losses: dict[tuple[int, str], int] = field(default_factory=dict)
+    realtime: bool | None = None
+
+    @property
+    def pilot(self) -> Beat | None:
+        """The autopilot's heartbeat."""
+        return None if self.system is None else self.beats.get((self.system, 1))
+
+    @property
+    def px4(self) -> bool:
+        """Whether the autopilot says that it is PX4, or its log has PX4's parameters."""
+        if self.pilot is None:
+            return "IMU_ACCEL_CUTOFF" in self.parameters
+        return self.pilot.autopilot == int(mavlink.MAV_AUTOPILOT_PX4)
+
+    @property
+    def highest_hz(self) -> float:
+        """The higher of the two first bending modes, as the airframe believes."""
+        wing = self.airframe.wing
+        return max(wing.symmetric.frequency_hz.value, wing.antisymmetric.frequency_hz.value)
+
+    def parameter(self, *names: str) -> tuple[str, float] | None:
+        """The first of these names that the vehicle has with a value that can be; versions differ in names."""
+        told = ((name, self.parameters[name]) for name in names if name in self.parameters)
+        return next((entry for entry in told if implausible(*entry) is None), None)
+
+    def missing(self, subject: str, what: str) -> Finding:
+        """A finding about something that was not told, or not so that it can be believed."""
+        if what in self.parameters:
+            return Finding(subject, Level.UNKNOWN, f"{what}: not known, for {self.parameters[what]:g} cannot be")
+        return Finding(
+            subject, Level.UNKNOWN, f"{what}: not " + ("answered by the autopilot" if self.live else "logged")
+        )

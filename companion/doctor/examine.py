@@ -1,0 +1,209 @@
+"""Gathers evidence: listens to a live vehicle as the service would, or reads a log."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.mavlink.decode.message_records import Heard, parameter_value
+from companion.adapters.mavlink.link.dialect import mavlink
+from companion.adapters.mavlink.link.link import Link
+from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
+from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS
+from companion.adapters.recordings.logs.tlog import TlogRecording
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.core.clock.bank import ClockBank
+from companion.doctor.evidence import Beat, Evidence
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.ports import Clock
+from companion.records import (
+    AutopilotParameter,
+    ClockName,
+    ClockRestart,
+    ImuBatch,
+    MatchSet,
+    RawChunk,
+    Record,
+    Reject,
+    Rejected,
+    Shot,
+    Station,
+    TimesyncReply,
+)
+
+SETTLE_SHARE = 0.4
+WANTED = (
+    *NEEDED_PARAMETERS,
+    "RNGFND1_MAX_CM", "RNGFND1_MIN_CM", "PRX1_TYPE", "PRX_TYPE",
+    "RNGFND2_TYPE", "RNGFND2_ORIENT", "RNGFND3_TYPE", "RNGFND3_ORIENT",
+    "IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF", "CAM1_DURATION", "CAM2_DURATION",
+)  # fmt: skip
+
+
+class Examination:
+    """A live vehicle, listened to for a while. ``turn`` does one pass, so that tests can turn it by hand.
+
+    Rates are taken over the last 60 % of the time: the first part is spent on asking for them.
+    """
+
+    def __init__(
+        self, links: Sequence[Link], airframe: Airframe, settings: Settings, clock: Clock, seconds: float
+    ) -> None:
+        self.pilot = MavlinkAutopilot(links, airframe, settings, clock, listener=self._hear, needed=WANTED)
+        self._evidence = Evidence(airframe, settings, live=True, seconds=seconds)
+        self._links = list(links)
+        self._clock = clock
+        self._clocks = ClockBank()
+        self._began_host_ns = clock.now_ns()
+        self._counting_host_ns = self._began_host_ns + round(seconds * SETTLE_SHARE * 1e9)
+        self._ends_host_ns = self._began_host_ns + round(seconds * 1e9)
+        self._counts: dict[Station, int] = dict.fromkeys(Station, 0)
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is up."""
+        return self._clock.now_ns() >= self._ends_host_ns
+
+    def turn(self, timeout_s: float = 0.002) -> None:
+        """Take in what has arrived, and let the adapter ask what it asks."""
+        for record in self.pilot.poll(timeout_s):
+            self._take(record)
+
+    def evidence(self) -> Evidence:
+        """What was seen until now."""
+        seen, decoder = self._evidence, self.pilot.decoder
+        now = self._clock.now_ns()
+        seen.seconds = (now - self._began_host_ns) / 1e9
+        counted_s = (now - self._counting_host_ns) / 1e9
+        seen.system = decoder.system_id
+        seen.realtime = _may_be_realtime()
+        seen.twice = self.pilot.component.identity.foreign
+        if counted_s > 0:
+            seen.rate_hz = {station: count / counted_s for station, count in self._counts.items() if count}
+        for clock in {seen.airframe.sensor(station).source.clock for station in Station} - {ClockName.HOST}:
+            state = self._clocks.state(clock, now)
+            if state.synced or clock in seen.clocks:
+                seen.clocks[clock] = state
+        counters = [decoder.counters(link.number) for link in self._links]
+        seen.frames = sum(entry.frames for entry in counters)
+        seen.crc_errors = sum(entry.crc_errors for entry in counters)
+        seen.skipped_bytes = sum(entry.skipped_bytes for entry in counters)
+        for link in self._links:
+            _, comma, baud = link.spelling.partition(",")
+            if comma:
+                seen.serial_baud[link.spelling] = int(baud)
+        return seen
+
+    def _take(self, record: Record) -> None:
+        seen = self._evidence
+        if isinstance(record, ImuBatch):
+            seen.axes[record.station] = seen.axes.get(record.station, record.axes) | record.axes
+            if self._clock.now_ns() >= self._counting_host_ns:
+                self._counts[record.station] += len(record.t_ns)
+        elif isinstance(record, TimesyncReply):
+            seen.clocks[record.clock] = self._clocks.exchange(record)
+        elif isinstance(record, ClockRestart):
+            self._clocks.restart(record)
+        elif isinstance(record, Rejected) and record.reason is Reject.FOREIGN_SOURCE:
+            seen.foreign_imu[record.what] += record.count
+
+    def _hear(self, heard: Heard) -> None:
+        if heard.name == "COMMAND_ACK" and heard.message.target_component == self._evidence.settings.component_id:
+            self._evidence.acknowledged += 1
+        note(self._evidence, heard, self.pilot.decoder.system_id)
+
+
+def _may_be_realtime() -> bool:
+    """Whether the trigger process would be granted SCHED_FIFO."""
+    import resource  # not everywhere
+
+    limit: int = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    return os.geteuid() == 0 or limit > 0 or limit == resource.RLIM_INFINITY
+
+
+def note(seen: Evidence, heard: Heard, system: int | None) -> None:
+    """Keep what one rare message tells."""
+    message, sender = heard.message, (heard.system, heard.component)
+    if heard.name == "HEARTBEAT":
+        count = seen.beats[sender].count if sender in seen.beats else 0
+        seen.beats[sender] = Beat(message.type, message.autopilot, count + 1)
+    elif heard.system != system:
+        return
+    elif heard.name == "NAMED_VALUE_INT":
+        seen.node_losses[heard.component, message.name] = message.value
+    elif heard.name == "DISTANCE_SENSOR":
+        seen.range_senders[(*sender, message.orientation)] += 1
+    elif heard.component != mavlink.MAV_COMP_ID_AUTOPILOT1:
+        return
+    elif heard.name == "PARAM_VALUE":
+        pilot = seen.beats.get(sender)
+        bytewise = pilot is not None and pilot.autopilot == mavlink.MAV_AUTOPILOT_PX4
+        seen.parameters[message.param_id] = parameter_value(message, bytewise=bytewise)
+    elif heard.name == "CAMERA_FEEDBACK":
+        seen.feedback.setdefault(message.cam_idx, set()).add(message.img_idx)
+
+
+def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
+    """The evidence of a recording: ours, a tlog, a .BIN or a ULog.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read.
+    """
+    recording = open_recording(path, airframe)
+    seen = Evidence(airframe, settings, live=False)
+    decoder = Decoder(airframe, settings.component_id, settings.system_id)
+    spans: dict[Station, list[int]] = {}
+    raw = isinstance(recording, TlogRecording)
+    records = recording.chunks() if isinstance(recording, TlogRecording) else recording.records()
+    first_ns = last_ns = None
+    clocks = ClockBank()
+    for record in records:
+        found: list[Record] = [record]
+        if isinstance(record, RawChunk):
+            first_ns, last_ns = first_ns or record.received_host_ns, record.received_host_ns
+            decoded = decoder.decode(record)
+            for heard in decoded.heard:
+                note(seen, heard, decoder.system_id)
+            raw, found = True, list(decoded.records)
+        elif raw and isinstance(record, ImuBatch | TimesyncReply | ClockRestart):
+            continue  # decoded from the chunks already
+        for entry in found:
+            _count(seen, spans, entry)
+            _follow_time(seen, clocks, entry)
+    seen.system = decoder.system_id
+    seen.seconds = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
+    for station, (count, start_ns, end_ns) in spans.items():
+        if end_ns > start_ns:
+            seen.rate_hz[station] = (count - 1) * 1e9 / (end_ns - start_ns)
+    return seen
+
+
+def _count(seen: Evidence, spans: dict[Station, list[int]], record: Record) -> None:
+    seen.fates.take(record)
+    if isinstance(record, ImuBatch) and len(record.t_ns):
+        seen.axes[record.station] = seen.axes.get(record.station, record.axes) | record.axes
+        span = spans.setdefault(record.station, [0, int(record.t_ns[0]), 0])
+        span[0] += len(record.t_ns)
+        span[2] = int(record.t_ns[-1])
+    elif isinstance(record, AutopilotParameter):
+        seen.parameters[record.name] = record.value
+    elif isinstance(record, Shot):
+        seen.shots += 1
+    elif isinstance(record, MatchSet):
+        seen.pairs += 1
+    elif isinstance(record, Rejected) and record.reason is Reject.UNPAIRED:
+        seen.unpaired += record.count
+    elif isinstance(record, Rejected) and record.reason is Reject.FRAME_LOST:
+        seen.lost += record.count
+
+
+def _follow_time(seen: Evidence, clocks: ClockBank, record: Record) -> None:
+    if isinstance(record, TimesyncReply):
+        seen.clocks[record.clock] = clocks.exchange(record)
+    elif isinstance(record, ClockRestart):
+        clocks.restart(record)

@@ -1,0 +1,94 @@
+"""Heartbeat, damage on the wire, routing, ids."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.vehicle.absence import absence_text
+from companion.doctor.evidence import Evidence, Finding, Level
+
+_SUBJECT = "link"
+_LEAST_BEATS_HZ = 0.7
+_DAMAGE = 0.01
+
+
+def check_link(seen: Evidence) -> Iterator[Finding]:
+    """Whether an autopilot is there, heard whole, answers us, and whether our id is ours alone."""
+    pilot = seen.pilot
+    if pilot is None and not seen.live:
+        yield Finding(_SUBJECT, Level.UNKNOWN, "no MAVLink heartbeat is in this log (an autopilot's own log has none)")
+        return
+    if pilot is None:
+        text = absence_text(seen.beats, junk=bool(seen.skipped_bytes))
+        yield Finding(_SUBJECT, Level.FIX, text)
+        return
+    rate_hz = pilot.count / seen.seconds if seen.seconds else 0.0
+    name = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}.get(pilot.autopilot, "")
+    slow = seen.live and rate_hz < _LEAST_BEATS_HZ
+    text = f"autopilot {seen.system}/1 {name} beats at {rate_hz:.1f} Hz" + (
+        ": frames are lost on the way" if slow else ""
+    )
+    yield Finding("heartbeat", Level.FIX if slow else Level.OK, text)
+    yield from _wire(seen)
+    if seen.live:
+        yield from _routing(seen)
+        yield from _ids(seen)
+
+
+def _wire(seen: Evidence) -> Iterator[Finding]:
+    damaged = seen.crc_errors / max(seen.frames + seen.crc_errors, 1)
+    if damaged > _DAMAGE:
+        text = f"{damaged:.1%} of the frames have a wrong checksum: lower the baud rate, or mend the cable"
+        yield Finding("wire", Level.FIX, text)
+    elif seen.frames:
+        yield Finding("wire", Level.OK, f"{seen.frames} frames, {damaged:.2%} damaged")
+
+
+def _routing(seen: Evidence) -> Iterator[Finding]:
+    if seen.acknowledged or seen.parameters:
+        yield Finding("routing", Level.OK, f"the autopilot answers component {seen.settings.component_id}")
+    else:
+        text = (
+            f"the autopilot answers nothing that {seen.system}/{seen.settings.component_id} asks: "
+            "is the link one-way, or signed (--sign-key)?"
+        )
+        yield Finding("routing", Level.FIX, text)
+    stations = [key for key, beat in seen.beats.items() if beat.kind == mavlink.MAV_TYPE_GCS]
+    text = "no ground station is heard on this link: its parameter requests would not arrive"
+    if seen.px4:
+        text += "; PX4 passes them on where MAV_n_FORWARD is 1"
+    if stations:
+        text = "ground station " + ", ".join(f"{system}/{component}" for system, component in stations) + " is heard"
+    yield Finding("routing", Level.OK if stations else Level.NOTE, text)
+
+
+def check_computer(seen: Evidence) -> Iterator[Finding]:
+    """Whether this computer lets the trigger be punctual."""
+    if seen.realtime is None or seen.airframe.left_camera is None:
+        return
+    if seen.realtime:
+        yield Finding("computer", Level.OK, "the trigger may take a real-time priority")
+    else:
+        text = (
+            "no real-time priority for this user: shots may be late by milliseconds; LimitRTPRIO=60 in the service unit"
+        )
+        yield Finding("computer", Level.NOTE, text)
+
+
+def _ids(seen: Evidence) -> Iterator[Finding]:
+    ours = seen.settings.component_id
+    if seen.twice:
+        text = f"another component speaks as {seen.system}/{ours}: stop it (a second spanwise?), or set SW_COMPID"
+        yield Finding("ids", Level.FIX, text)
+    else:
+        yield Finding("ids", Level.OK, f"{seen.system}/{ours} is ours alone")
+    pilots = [
+        f"{system}/{component}"
+        for (system, component), beat in sorted(seen.beats.items())
+        if component == 1 and beat.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+    ]
+    if len(pilots) > 1:
+        text = f"several autopilots on this link ({', '.join(pilots)}): {pilots[0]} may not be the one meant"
+        yield Finding("ids", Level.NOTE, text)

@@ -1,0 +1,16 @@
+"""Whether what the vehicle says of itself can be so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from companion.doctor.evidence import Evidence, Finding, Level
+from companion.params.vehicle import VEHICLE_PARAMETERS, implausible
+
+
+def check_parameters(seen: Evidence) -> Iterator[Finding]:
+    """Every parameter whose value is outside the range in which the service believes it."""
+    for name in sorted(VEHICLE_PARAMETERS.keys() & seen.parameters.keys()):
+        why = implausible(name, seen.parameters[name])
+        if why is not None:
+            yield Finding("parameter", Level.FIX, f"{why}; correct it on the vehicle")

@@ -1,0 +1,184 @@
+"""Wing nodes and cameras: what arrives, whether the link can carry it, and what accuracy those axes allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
+from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
+from companion.doctor.evidence import (
+    Evidence,
+    Finding,
+    Fix,
+    Level,
+)
+from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE
+from companion.params.airframe import Sensor
+from companion.records import Axis, Station
+
+_NONE = "no wingtip is measured: there is nothing to correct ranges with; only 'alive, no range' goes out"
+_LOSSES = {
+    "loop_lost": "readings lost because its loop came too late: its firmware is too slow for this rate",
+    "line_lost": "readings lost because its line is too slow: raise the baud rate or lower the rate",
+    "line_bad": "damaged TIMESYNC requests: mend the cable",
+}
+_ENOUGH = 0.75
+_UNPAIRED = 0.05
+_LOST = 0.05
+_OVERHEAD_BYTES = 12
+_BITS_PER_BYTE = 10
+_LETTERS = "xyzpqr"
+# smoothed relative slope of a 5 Hz, 5 mm wing with drifting biases (FACTS section 3), mrad
+_SLOPE_MRAD = {
+    (False, False): 0.47,
+    (True, False): 0.26,
+    (False, True): 0.33,
+    (True, True): 0.24,
+}
+
+
+def check_nodes(seen: Evidence) -> Iterator[Finding]:
+    """Both wingtips: alive, fast enough, all axes, enough bandwidth."""
+    alive = [side for side in (Station.LEFT, Station.RIGHT) if seen.rate_hz.get(side)]
+    for side in (Station.LEFT, Station.RIGHT):
+        yield from _node(seen, side)
+    if len(alive) == 2:
+        yield Finding("wing", Level.OK, _accuracy(seen))
+    elif alive:
+        text = (
+            f"only the {alive[0].name.lower()} tip is measured: antisymmetric bending cannot be told from symmetric; "
+            "ranges go out with the larger sigma that this leaves, and are trusted where it is small enough"
+        )
+        yield Finding("wing", Level.FIX, text)
+    else:
+        yield Finding("wing", Level.FIX, _NONE)
+    yield from _lines(seen)
+    yield from _losses(seen)
+
+
+def _node(seen: Evidence, side: Station) -> Iterator[Finding]:
+    sensor = seen.airframe.sensor(side)
+    source, rate_hz, name = sensor.source, seen.rate_hz.get(side, 0.0), side.name.lower()
+    wired = source.component == AUTOPILOT_COMPONENT
+    if not rate_hz:
+        if not wired:
+            beats = (seen.system, source.component) in seen.beats
+            text = f"{name}: component {source.component} " + (
+                f"beats but sends no {source.message}" if beats else "is silent"
+            )
+            others = [what for what in seen.foreign_imu if what.startswith(source.message)]
+            text += f"; {', '.join(others)} is not mapped: see [{name}].source in the airframe" if others else ""
+            yield Finding("wing", Level.FIX, text)
+        return
+    missing = "".join(
+        letter for bit, letter in enumerate(_LETTERS) if letter in sensor.sends and not seen.axes[side] >> bit & 1
+    )
+    if missing:
+        text = f"{name}: axes {missing} never come, though the airframe says they do: correct 'sends', or the node"
+        yield Finding("wing", Level.FIX, text)
+    if not wired:
+        slow = rate_hz < _ENOUGH * sensor.rate_hz
+        text = f"{name} {source.message} of {source.component} at {rate_hz:.0f} Hz" + (
+            f", not {sensor.rate_hz:.0f}" if slow else ""
+        )
+        yield Finding("wing", Level.FIX if slow else Level.OK, text + (_bandwidth(seen, side) if slow else ""))
+
+
+def _lines(seen: Evidence) -> Iterator[Finding]:
+    """Serial lines against what one node's stream needs."""
+    streams = [seen.airframe.sensor(side) for side in (Station.LEFT, Station.RIGHT)]
+    needed = max(
+        (_needed_baud(sensor) for sensor in streams if sensor.source.component != AUTOPILOT_COMPONENT), default=0
+    )
+    for link, baud in seen.serial_baud.items() if needed else ():
+        text = f"{link}: a node's stream needs {needed:.0f} baud of {baud}"
+        if baud < needed:
+            yield Finding("wing", Level.FIX, text + ": raise the baud rate, or lower the node's rate")
+        else:
+            yield Finding("wing", Level.OK, text)
+
+
+def _losses(seen: Evidence) -> Iterator[Finding]:
+    """What the nodes themselves say that they lost (tools/wing_node)."""
+    for (component, name), count in sorted(seen.node_losses.items()):
+        if count and name in _LOSSES:
+            yield Finding("wing", Level.FIX, f"node {component}: {count} {_LOSSES[name]}")
+
+
+def _needed_baud(sensor: Sensor) -> float:
+    frame_bytes = payload_size(ID_OF[sensor.source.message]) + _OVERHEAD_BYTES
+    return sensor.rate_hz * frame_bytes * _BITS_PER_BYTE
+
+
+def _bandwidth(seen: Evidence, side: Station) -> str:
+    """What the stream needs of a serial line (1 kHz of HIGHRES_IMU is 750 kbaud), where one is in use."""
+    sensor = seen.airframe.sensor(side)
+    needed = _needed_baud(sensor)
+    small = {link: baud for link, baud in seen.serial_baud.items() if baud < needed}
+    if not small:
+        return ""
+    link, baud = next(iter(small.items()))
+    return f": {link} has {baud} baud and this stream alone needs {needed:.0f}"
+
+
+def _accuracy(seen: Evidence) -> str:
+    axes = seen.axes[Station.LEFT] & seen.axes[Station.RIGHT]
+    lateral, gyro = bool(axes & Axis.Y), bool(axes & Axis.P)
+    names = "".join(letter for bit, letter in enumerate(_LETTERS) if axes >> bit & 1)
+    text = f"both tips send {names}: relative slope to about {_SLOPE_MRAD[lateral, gyro]:.2f} mrad (5 Hz, 5 mm wing)"
+    return text if lateral and gyro else text + "; with lateral axis and gyro 0.24"
+
+
+def check_cameras(seen: Evidence) -> Iterator[Finding]:
+    """Whether pictures come in pairs: of the autopilot's cameras, where they are used, and of a recording's shots."""
+    if seen.airframe.left_camera is None:
+        return
+    if seen.feedback:
+        yield from _feedback(seen)
+    if seen.shots or seen.pairs or seen.unpaired:
+        yield _pairing(seen)
+    if counts := seen.fates.counts():
+        yield _planned(counts)
+
+
+def _feedback(seen: Evidence) -> Iterator[Finding]:
+    # ArduPilot numbers its cameras from 0 here, and from 1 in commands and parameters
+    counts = [len(seen.feedback[number]) for number in sorted(seen.feedback)]
+    if len(counts) == 1:
+        text = f"CAMERA_FEEDBACK comes of one camera only ({counts[0]} pictures): set CAM2_TYPE like CAM1_TYPE"
+        yield Finding("camera", Level.FIX, text)
+    elif abs(counts[0] - counts[1]) > 1:
+        yield Finding("camera", Level.FIX, f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
+    else:
+        yield Finding("camera", Level.OK, f"CAMERA_FEEDBACK pairs: {counts[0]} and {counts[1]}")
+    shots_hz = seen.settings.trigger_rate_hz
+    for name in ("CAM1_DURATION", "CAM2_DURATION"):
+        told = seen.parameter(name)
+        if told is not None and told[1] * shots_hz >= 1.0:
+            text = f"{name} {told[1]:g} s refuses shots that come faster, and TRG_RATE is {shots_hz:g} Hz"
+            yield Finding("camera", Level.FIX, text, (Fix(name, round(0.5 / shots_hz, 3)),))
+
+
+def _planned(counts: dict[str, int]) -> Finding:
+    """Of a recording: what became of the plans to fire, and what to do where too many came to nothing."""
+    text = f"{sum(counts.values())} plans: " + ", ".join(f"{count} {fate}" for fate, count in counts.items())
+    tried = sum(counts.get(fate, 0) for fate in (FIRED, LATE, FAILED))
+    if counts.get(FAILED, 0) > _LOST * tried:
+        return Finding("shots", Level.FIX, text + ": is a camera set up on that line, and free at TRG_RATE?")
+    if counts.get(LATE, 0) > _LOST * tried:
+        return Finding("shots", Level.FIX, text + ": the computer is too busy, or has no real-time priority")
+    return Finding("shots", Level.OK, text)
+
+
+def _pairing(seen: Evidence) -> Finding:
+    """Of a recording: what became of the shots."""
+    text = f"{seen.shots} shots, {seen.pairs} matched pairs, {seen.unpaired} images without a partner"
+    text += f", {seen.lost} that never came" if seen.lost else ""
+    if seen.shots and not seen.pairs:
+        return Finding("camera", Level.FIX, text + ": check the trigger line, and that both cameras obey it")
+    if seen.lost > _UNPAIRED * 2 * max(seen.pairs, 1):
+        why = "the cameras, their link or this computer are too slow for so many shots"
+        return Finding("camera", Level.FIX, f"{text}: {why}; lower TRG_RATE")
+    if seen.unpaired > _UNPAIRED * 2 * max(seen.pairs, 1):
+        return Finding("camera", Level.FIX, text + ": one camera misses shots, or the exposures are too far apart")
+    return Finding("camera", Level.OK, text)

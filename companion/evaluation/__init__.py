@@ -1,0 +1,1 @@
+"""A flight judged by its truth: replay, geometry, metrics, plan outcomes, targets."""

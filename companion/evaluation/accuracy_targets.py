@@ -1,0 +1,136 @@
+"""What the scores of a flight mean: targets met or missed, honest sigmas, trigger errors, blur."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from companion.evaluation.metrics import (
+    FAST_HZ,
+    Scored,
+    near,
+    slow_part,
+    spread,
+)
+from companion.evaluation.true_geometry import Judge
+from companion.records import Firing, Floats, MatchSet, Side
+
+if TYPE_CHECKING:
+    from companion.evaluation.flight_evaluation import Flown, Shots
+
+TARGET_FAST_MRAD = 0.15
+TARGET_SHARE = 0.01
+TARGET_ORACLE_60_M = 0.15
+PAPER_SHARE = 0.556
+_SAME_SHOT_NS = 20_000_000
+_PEAK_SEARCH_S = 0.3
+
+
+def targets(ways: Mapping[str, Scored]) -> dict[str, Any]:
+    """The accuracy targets of the demo, each with its figure and whether it is met."""
+    rms = {name: _rms(ways[name].fast_toe_error_rad()) * 1e3 for name in ("rigid", "corrected", "oracle")}
+    excess = rms["corrected"] ** 2 - rms["oracle"] ** 2
+    allowed = TARGET_FAST_MRAD**2 + (TARGET_SHARE * rms["rigid"]) ** 2
+    oracle = ways["oracle"]
+    at_60 = np.abs(oracle.range_m - oracle.z_true_m)[near(oracle.z_true_m, 60.0)]
+    median_60 = float(np.median(at_60)) if len(at_60) else None
+    return {
+        "fast_rms_mrad": rms,
+        "fast_excess_mrad2": {"value": excess, "limit": allowed, "met": bool(excess <= allowed)},
+        "oracle_median_at_60_m": {
+            "value": median_60,
+            "limit": TARGET_ORACLE_60_M,
+            "met": median_60 is not None and median_60 <= TARGET_ORACLE_60_M,
+        },
+        "share_of_error_removed": {
+            "of_rigid": _removed(ways["rigid"], ways["corrected"]),
+            "of_rigid_calibrated_in_trim": _removed(ways["rigid_in_trim"], ways["corrected"]),
+            "paper": PAPER_SHARE,
+        },
+    }
+
+
+def honesty(shots: Shots, flown: Flown) -> dict[str, Any]:
+    """Errors over their own sigmas: of the slow part, of all shots, and the worst that was published.
+
+    The error is a range's, scored as toe, so its sigma is the range's too: near obstacles it is the focal lengths' more
+    than the toe's. Mounting and lenses are drawn once a flight: one flight's ratio is little more than one draw.
+    """
+    corrected = shots.ways["corrected"]
+    ranges = [flown.ranges[pair_id] for pair_id in shots.ids]
+    toe_sigma = np.array([entry.toe_sigma_rad for entry in ranges])
+    trusted = np.array([entry.trusted for entry in ranges], dtype=bool)
+    sigma_m = np.array([entry.sigma_m for entry in ranges])
+    range_m = np.array([entry.range_m for entry in ranges])
+    told = sigma_m < range_m  # what is less certain says nothing, and its sigma may be cut off
+    slow = slow_part(corrected.t_s[told], corrected.toe_error_rad[told], FAST_HZ)
+    as_toe = corrected.baseline_m * sigma_m[told] / range_m[told] ** 2
+    over = np.abs(corrected.range_m - corrected.z_true_m) / np.maximum(sigma_m, 1e-9)
+    return {
+        "toe_sigma_mrad": spread(toe_sigma, 1e3),
+        "slow_error_mrad": spread(slow, 1e3),
+        "slow_error_over_sigma_rms": _rms(slow / as_toe),
+        "published_error_over_sigma": spread(over[trusted]),
+        "published_beyond_5_sigma": int(np.sum(over[trusted] > 5.0)),
+    }
+
+
+def trigger_summary(judge: Judge, flown: Flown, shots: Shots, blur: Mapping[str, Floats]) -> dict[str, Any]:
+    """How far from the true deflection peaks the peak shots were exposed, and the blur that the wing caused."""
+    errors_s = peak_errors_s(judge, flown, [flown.matches[pair_id] for pair_id in shots.ids])
+    frequency_hz = judge.flight.real.actual.wing.symmetric.frequency_hz.value
+    late = [shot.fired_host_ns - shot.planned_host_ns for shot in flown.shots.values()]
+    return {
+        "errors_ms": spread(errors_s, 1e3),
+        "errors_deg": spread(errors_s, 360.0 * frequency_hz),
+        "fire_late_us": spread(np.array(late, dtype=np.float64), 1e-3),
+        "blur_px": {name: spread(values) for name, values in blur.items()},
+    }
+
+
+def peak_errors_s(judge: Judge, flown: Flown, matches: Iterable[MatchSet]) -> Floats:
+    """Mid-exposure minus the nearest true deflection peak, for the shots that were planned at one, (n,)."""
+    peaks = [plan.exposure_host_ns for plan in flown.plans.values() if plan.firing is Firing.PEAK]
+    planned = np.sort(np.array(peaks, dtype=np.int64))
+    errors = []
+    for entry in matches:
+        t_ns = int(entry.mid_exposure_ns.mean())
+        if len(planned) and np.min(np.abs(planned - t_ns)) < _SAME_SHOT_NS:
+            errors.append(nearest_peak_s(judge, t_ns))
+    return np.array([error for error in errors if error is not None])
+
+
+def nearest_peak_s(judge: Judge, t_host_ns: int) -> float | None:
+    """Signed time from the nearest instant at which the true relative toe stands still; None without one nearby."""
+    offsets = np.arange(-_PEAK_SEARCH_S, _PEAK_SEARCH_S, 1e-3)
+    stamps = t_host_ns - judge.start_host_ns + np.rint(offsets * 1e9).astype(np.int64)
+    truth = judge.flight.truth
+    if stamps[0] < truth.t_boot_ns[0] or stamps[-1] > truth.t_boot_ns[-1]:
+        return None
+    rate = truth.series(stamps).slope_rate_radps.sum(axis=1)
+    turns = np.flatnonzero(rate[:-1] * rate[1:] < 0)
+    if not len(turns):
+        return None
+    instants = offsets[turns] + 1e-3 * rate[turns] / (rate[turns] - rate[turns + 1])
+    return float(-instants[np.argmin(np.abs(instants))])
+
+
+def wing_blur_px(judge: Judge, matches: Iterable[MatchSet]) -> Floats:
+    """Image motion over the exposure that the wing's bending alone causes, the worse of both cameras, (n,)."""
+    focal = judge.renderer.rig.left.lens.focal_px
+    found = []
+    for entry in matches:
+        stamps = entry.mid_exposure_ns - judge.start_host_ns
+        rates = [judge.flight.truth.at(int(stamps[side])).slope_rate_radps[side] for side in Side]
+        found.append(focal * entry.exposure_ns * 1e-9 * max(abs(rate) for rate in rates))
+    return np.array(found)
+
+
+def _removed(before: Scored, after: Scored) -> float:
+    return 1.0 - _rms(after.toe_error_rad) / _rms(before.toe_error_rad)
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

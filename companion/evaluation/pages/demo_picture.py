@@ -1,0 +1,142 @@
+"""The demo's picture: what bent, what was corrected, what was left, and what triggering at peaks is worth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.evaluation.flight_evaluation import Debrief
+from companion.evaluation.metrics import DISTANCES_M, near
+from companion.reporting.plotting import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    VERMILLION,
+    dots,
+    headline,
+    with_gaps,
+)
+
+_COLOURS = {"rigid": VERMILLION, "rigid_in_trim": ORANGE, "corrected": BLUE, "oracle": GREY}
+_FAR = "60"
+_BESIDE_TITLE = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "ncols": 2, "fontsize": 8, "frameon": False}
+_LABELS = {
+    "rigid": "rigid (ground calibration)",
+    "rigid_in_trim": "rigid, calibrated in trim",
+    "corrected": "corrected",
+    "oracle": "true extrinsics",
+}
+
+
+def draw(debrief: Debrief, path: Path) -> None:
+    """Draw ``summary.png``."""
+    from matplotlib.figure import Figure  # takes most of a second to import
+
+    figure = Figure(figsize=(13, 8.8), layout="constrained")
+    plain = debrief.plain
+    truth = plain["truth"]
+    what = (
+        f"{plain['airframe']}, seed {plain['seed']}: a {truth['frequency_hz']:.2f} Hz wing that gusts bend by "
+        f"{truth['gust_rms_mm']:.1f} mm rms, seen by two cameras at its tips"
+    )
+    headline(figure, _figure_that_counts(plain), what)
+    rows = [["range", "toe"], ["range", "off"], ["errors", "blur"]]
+    axes: dict[str, Any] = figure.subplot_mosaic(rows, height_ratios=(1.2, 0.8, 2.0))
+    _ranges(axes["range"], debrief)
+    _toe(axes["toe"], axes["off"], debrief)
+    _errors(axes["errors"], debrief)
+    _blur(axes["blur"], debrief)
+    figure.savefig(path, dpi=110)
+
+
+def _figure_that_counts(plain: dict[str, Any]) -> str:
+    """What the correction makes of the range error, in one line."""
+    removed, errors = plain["targets"]["share_of_error_removed"]["of_rigid"], plain["range_error_m"]
+    far = [errors[way].get(_FAR, {}).get("median") for way in ("rigid", "corrected")]
+    shots = plain["shots"]
+    trusted = f"{shots['trusted']} of {shots['corrected']} ranges trusted and published"
+    if removed is None or None in far:
+        return trusted[:1].upper() + trusted[1:]
+    change = f"at {_FAR} m {far[0]:.2f} m become {far[1]:.2f} m (median)"
+    return f"{100.0 * removed:.1f} % of the error removed: {change}; {trusted}"
+
+
+def _ranges(axis: Any, debrief: Debrief) -> None:
+    series = debrief.series
+    for name in ("rigid", "rigid_in_trim", "corrected"):
+        t_s, range_m = series[f"{name}.t_s"], series[f"{name}.range_m"]
+        inside = np.isfinite(range_m) & (range_m < 250)
+        if name == "corrected":
+            sigma_m = series["corrected.sigma_m"][inside]
+            dots(axis, t_s[inside], range_m[inside], sigma_m, _COLOURS[name], f"{_LABELS[name]}, ±1 sigma")
+        else:
+            axis.plot(t_s[inside], range_m[inside], ".", ms=4, color=_COLOURS[name], label=_LABELS[name])
+    axis.plot(
+        *with_gaps(series["oracle.t_s"], series["oracle.z_true_m"]), color=INK, lw=1, zorder=5, label="true range"
+    )
+    axis.set(title="Range", xlabel="time, s", ylabel="range, m", ylim=(0, 160))
+    axis.legend(fontsize=8)
+
+
+def _toe(axis: Any, below: Any, debrief: Debrief) -> None:
+    """A few seconds, so that single oscillations can be seen; what is wrong with the estimate below it."""
+    series = debrief.series
+    start = series["t_s"][len(series["t_s"]) // 2] if len(series["t_s"]) else 0.0
+    window = (series["t_s"] >= start) & (series["t_s"] <= start + 6)
+    t_s, sigma = series["t_s"][window], 2e3 * series["toe_sigma_rad"][window]
+    true, told = 1e3 * series["true_toe_rad"][window], 1e3 * series["toe_rad"][window]
+    axis.plot(t_s, true, "o", ms=7, mfc="none", color=INK, label="true")
+    dots(axis, t_s, told, 0.5 * sigma, _COLOURS["corrected"], "estimated, ±1 sigma")
+    axis.set_title("Relative toe at the shots (six seconds)", loc="left")
+    axis.set_ylabel("toe, mrad")
+    axis.legend(**_BESIDE_TITLE)
+    below.axhline(0.0, color=INK, lw=0.8)
+    error = 1e3 * series["corrected.toe_error_rad"][window]
+    below.errorbar(t_s, error, sigma, fmt=".", color=_COLOURS["corrected"], label="error, ±2 sigma")
+    below.set(xlabel="time, s", ylabel="error, mrad", xlim=axis.get_xlim())
+    below.legend(**_BESIDE_TITLE)
+
+
+def _errors(axis: Any, debrief: Debrief) -> None:
+    names = ("rigid", "rigid_in_trim", "corrected", "oracle")
+    width = 0.8 / len(names)
+    for k, name in enumerate(names):
+        z_true = debrief.series[f"{name}.z_true_m"]
+        named = False
+        error = np.abs(debrief.series[f"{name}.range_m"] - z_true)
+        for i, distance_m in enumerate(DISTANCES_M):
+            some = error[near(z_true, distance_m)]
+            if not len(some):
+                continue
+            median, p95 = (float(np.percentile(some, share, method="lower")) for share in (50, 95))
+            x = i + (k - 1.5) * width
+            axis.bar(x, median, width * 0.9, color=_COLOURS[name], label=None if named else _LABELS[name])
+            named = True
+            if np.isfinite(p95):
+                axis.plot([x, x], [median, p95], color=_COLOURS[name], lw=1.5)
+            else:  # the rigid range passes infinity
+                axis.annotate("∞", (x, median), (0, 12), "data", "offset points", ha="center", color=_COLOURS[name],
+                              arrowprops={"arrowstyle": "<-", "color": _COLOURS[name]})  # fmt: skip
+    axis.set_yscale("log")
+    axis.set_xticks(range(len(DISTANCES_M)), [f"{d:g} m" for d in DISTANCES_M])
+    axis.set(title="Range error: median (bar) to 95th percentile (line)", xlabel="true range", ylabel="range error, m")
+    axis.set_xlim(-0.6, len(DISTANCES_M) - 0.4)
+    axis.legend(fontsize=8)
+
+
+def _blur(axis: Any, debrief: Debrief) -> None:
+    found = {
+        name: debrief.series[f"blur.{name}"] for name in ("at_plan", "at_random") if f"blur.{name}" in debrief.series
+    }
+    labels = {"at_plan": "triggered at peaks", "at_random": "triggered at random"}
+    for name, values in found.items():
+        share = np.arange(1, len(values) + 1) / max(len(values), 1)
+        axis.plot(np.sort(values), 100 * share, lw=2, label=labels[name],
+                  color=_COLOURS["corrected" if name == "at_plan" else "rigid_in_trim"])  # fmt: skip
+    axis.set(title="Blur that the bending wing causes", xlabel="px over the exposure", ylabel="% of the shots below")
+    axis.set(xlim=(0, None), ylim=(0, 100))
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8, loc="lower right")

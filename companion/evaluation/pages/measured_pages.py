@@ -1,0 +1,286 @@
+"""The pages of a diagnosis on the bench: what the data show without a model, then evidence, gain and advice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from companion.diagnosis.free_decay.adequacy import autocorrelation, whitened
+from companion.diagnosis.free_decay.fit import FreeDecayFit
+from companion.diagnosis.free_decay.record import Scale
+from companion.diagnosis.free_decay.search import FreeDecayDiagnosis
+from companion.diagnosis.free_decay.views import backbone, restoring_force
+from companion.diagnosis.modal_tests.run_comparison import Comparison
+from companion.diagnosis.modal_tests.vibration import VibrationRun
+from companion.reporting import page
+
+_TWO_PI = 2.0 * np.pi
+
+
+def ringing_page(found: FreeDecayDiagnosis, scales: Mapping[str, Scale], plain: dict[str, Any], what: str) -> str:
+    """The page of recordings in which a structure rang."""
+    body = [
+        *_causes(plain),
+        page.heading("What was recorded, and where the model has its modes"),
+        page.picture(_tracks(found), "spectrogram of each recording with the fitted frequencies"),
+        *[
+            page.picture(_against_channel(found, name, scale), f"frequency and damping against {name}")
+            for name, scale in scales.items()
+        ],
+        page.picture(_backbones(found), "frequency and damping against amplitude"),
+        page.heading("What each law is worth alone"),
+        page.paragraph("Evidence and usefulness are two things: a law can win on likelihood and foretell nothing."),
+        _alone(plain),
+        page.heading("What is left"),
+        page.picture(_innovations(found), "autocorrelation of the innovations"),
+        page.picture(_forces(found), "what spring and damper leave, over deflection and speed"),
+        *_left(plain),
+    ]
+    seconds = sum(float(one.t_s[-1]) for one in found.null.model.recordings)
+    return page.page(plain["verdict"], _headline(plain), f"{what}: recordings: {len(plain['recordings'])}, "
+                     f"{seconds:.0f} s, fitted jointly", body)  # fmt: skip
+
+
+def vibration_page(found: Comparison, runs: Sequence[VibrationRun], plain: dict[str, Any], what: str) -> str:
+    """The page of a vibration test."""
+    body = [
+        *[page.advice(f"Record: {line}.") for line in plain["advice"]],
+        page.heading("Frequency by run"),
+        page.picture(_by_run(found), "frequency of each mode by run"),
+        *([page.picture(_by_constant(found, runs), "frequency against what was set per run")] if found.changed else []),
+        page.heading("Responses"),
+        page.picture(_responses(runs), "acceleration over force of every run"),
+        page.heading("Modes"),
+        _modes(plain),
+        *[page.paragraph(note) for note in plain["notes"]],
+    ]
+    return page.page(plain["verdict"], _headline(plain), f"{what}: {len(runs)} runs, fitted jointly", body)
+
+
+def _headline(plain: dict[str, Any]) -> str:
+    nearest = f" (nearest: {plain['nearest']})" if plain.get("nearest") else ""
+    return f"{plain['verdict'].replace('-', ' ')}{nearest}: {plain['reason']}"
+
+
+def _causes(plain: dict[str, Any]) -> list[str]:
+    if not plain["causes"]:
+        return []
+    rows = []
+    for cause in plain["causes"]:
+        name = cause["name"] + (f" ({cause['channel']})" if cause["channel"] else "")
+        values = "; ".join(
+            f"{key} {entry['value']:.4g}" + (f" ± {entry['sigma']:.2g}" if entry["sigma"] else "") + f" {entry['unit']}"
+            for key, entry in cause["parameters"].items()
+        )
+        gain = cause["gain"]
+        worth = f"{100 * gain['share_of_signal'][0]:.1f} → {100 * gain['share_of_signal'][1]:.1f} %" if gain else "–"
+        rows.append([name, values, f"{cause['log_bayes_factor']:.0f}", f"{cause['bic']:+.0f}", worth])
+    heads = ["cause", "parameters", "log Bayes factor", "BIC", "held-out error, share of the signal"]
+    return [page.heading("Causes, strongest first"), page.table(heads, rows)]
+
+
+def _alone(plain: dict[str, Any]) -> str:
+    rows = []
+    for entry in plain["screening"]:
+        gain = entry["gain"]
+        shares = [100.0 * value for value in gain["share_of_signal"]] if gain else []
+        worth = f"{shares[0]:.0f} → {shares[1]:.0f} %" if gain else "–"
+        gone = f"{100 * gain['interval'][0]:.0f} to {100 * gain['interval'][1]:.0f} %" if gain else "–"
+        rows.append([entry["says"], f"{entry['log_odds']:.0f}", worth, gone])
+    return page.table(["law", "log Bayes factor", "held-out error", "of its square gone (95 %)"], rows)
+
+
+def _left(plain: dict[str, Any]) -> list[str]:
+    before = {_kind(entry): entry["z"] for entry in plain["adequacy"]["before"]}
+    rows = [
+        [entry["test"], f"{before[_kind(entry)]:+.1f}", f"{entry['z']:+.1f}",
+         "passed" if entry["passed"] else "failed"]
+        for entry in plain["adequacy"]["after"]
+    ]  # fmt: skip
+    residual = plain["residual"]
+    told = [page.advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
+    heads = ["test (worst recording)", "constant frequency", "extended", ""]
+    return [*told, page.table(heads, rows), *[page.paragraph(note) for note in plain["notes"]]]
+
+
+def _kind(entry: dict[str, Any]) -> str:
+    """A test's name without its recording."""
+    return str(entry["test"]).partition(" (")[0]
+
+
+def _figure(width: float, height: float) -> Any:
+    from matplotlib.figure import Figure  # takes most of a second to import
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _tracks(found: FreeDecayDiagnosis) -> Any:
+    recordings = found.final.model.recordings
+    columns = min(len(recordings), 3)
+    rows = -(-len(recordings) // columns)
+    figure = _figure(11, 2.7 * rows)
+    axes = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).ravel()
+    for k, (axis, one) in enumerate(zip(axes, recordings, strict=False)):
+        axis.specgram(one.up_mps2 + 1e-9, NFFT=64, noverlap=56, pad_to=512, Fs=one.rate_hz, cmap="Greys",
+                      vmin=-90, vmax=10)  # fmt: skip
+        modes = found.final.model.modes(found.final.values[None, :], k).omega_radps[0] / _TWO_PI
+        for mode, colour in zip(modes.T, (page.AFTER, page.BEFORE), strict=False):
+            axis.plot(one.t_s, mode, color=colour, lw=1.0)
+        axis.set(title=one.name, xlabel="time, s", ylabel="frequency, Hz" if k % columns == 0 else "")
+    for axis in axes[len(recordings) :]:
+        axis.set_visible(False)
+    return figure
+
+
+def _against_channel(found: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
+    figure = _figure(11, 3.6)
+    frequency, damping = figure.subplots(1, 2)
+    model = found.final.model
+    for k, one in enumerate(model.recordings):
+        track = backbone(one)
+        at = scale.mean + scale.rms * track.channels[name]
+        frequency.plot(at, track.frequency_hz, ".", ms=4, color=page.DATA, label="windows of 0.3 s" if k == 0 else None)
+        damping.semilogy(at, np.maximum(track.damping, 1e-4), ".", ms=4, color=page.DATA)
+        modes = model.modes(found.final.values[None, :], k)
+        order = np.argsort(one.channels[name])
+        channel = scale.mean + scale.rms * one.channels[name][order]
+        for j, colour in zip(range(modes.zeta.shape[2]), (page.AFTER, page.BEFORE), strict=False):
+            label = ("first mode", "second mode")[j] if k == 0 else None
+            frequency.plot(channel, modes.omega_radps[0, order, j] / _TWO_PI, color=colour, lw=1.2, label=label)
+            damping.semilogy(channel, modes.zeta[0, order, j], color=colour, lw=1.2)
+    frequency.set(xlabel=_named(name), ylabel="frequency, Hz")
+    damping.set(xlabel=_named(name), ylabel="damping ratio")
+    frequency.legend(fontsize=8)
+    for axis in (frequency, damping):
+        axis.grid(alpha=0.3)
+    return figure
+
+
+def _backbones(found: FreeDecayDiagnosis) -> Any:
+    figure = _figure(11, 3.2)
+    frequency, damping = figure.subplots(1, 2)
+    for one in found.final.model.recordings:
+        track = backbone(one)
+        frequency.semilogx(track.amplitude_mps2, track.frequency_hz, ".", ms=4, label=one.name)
+        damping.loglog(track.amplitude_mps2, np.maximum(track.damping, 1e-4), ".", ms=4)
+    for axis in (frequency, damping):
+        axis.minorticks_off()
+        axis.grid(alpha=0.3)
+    frequency.set(xlabel="amplitude, m/s²", ylabel="frequency, Hz", title="Backbone")
+    damping.set(xlabel="amplitude, m/s²", ylabel="damping ratio")
+    frequency.legend(fontsize=7)
+    return figure
+
+
+def _innovations(found: FreeDecayDiagnosis) -> Any:
+    figure = _figure(11, 3.0)
+    whole, lags = figure.subplots(1, 2, width_ratios=(1.6, 1))
+    recordings = found.final.model.recordings
+    stages: list[tuple[FreeDecayFit, str, str]] = [(found.null, page.BEFORE, "constant frequency")]
+    stages += [(found.final, page.AFTER, "extended")] if found.accepted else []
+    for fitted, colour, label in stages:
+        white = whitened(fitted)
+        whole.plot(recordings[0].t_s, white[0].values, color=colour, lw=0.5, label=label)
+        mean = np.mean([autocorrelation(one.values, one.quiet) for one in white], axis=0)
+        lags.plot(range(1, len(mean) + 1), mean, ".-", color=colour)
+    bound = 2.0 / np.sqrt(sum(len(one.t_s) for one in recordings))
+    lags.axhspan(-bound, bound, color="#00000022", lw=0)
+    whole.set(title=f"Innovations of {recordings[0].name}, in their sigma", xlabel="time, s", ylim=(-12, 12))
+    lags.set(title="Autocorrelation between knocks", xlabel="lag, samples")
+    whole.legend(fontsize=8, loc="upper right")
+    return figure
+
+
+def _forces(found: FreeDecayDiagnosis) -> Any:
+    figure = _figure(11, 3.8)
+    axes = figure.subplots(1, 2)
+    image = None
+    for axis, fitted, title in zip(axes, (found.null, found.final), ("constant frequency", "extended"), strict=True):
+        q, v, left = restoring_force(fitted.model, fitted.values, 0)
+        image = axis.pcolormesh(q, v, left.T, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+        axis.set(title=f"Left by spring and damper: {title}", xlabel="deflection, rms", ylabel="speed, rms")
+    figure.colorbar(image, ax=axes, label="of the acceleration's rms")
+    return figure
+
+
+def _by_run(found: Comparison) -> Any:
+    shown = [one.mode for one in found.changed] or list(found.modes)
+    figure = _figure(11, 3.2)
+    axes = np.atleast_1d(figure.subplots(1, min(len(shown), 4)))
+    for axis, mode in zip(axes, shown, strict=False):
+        axis.errorbar(mode.runs, mode.frequency_hz, 2.0 * mode.sigma_hz, fmt="o-", ms=4, color=page.AFTER, lw=0.8)
+        axis.set(title=f"near {np.median(mode.frequency_hz):.2f} Hz", xlabel="run")
+        axis.title.set_fontsize(10)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("frequency, Hz (± 2 sigma)")
+    return figure
+
+
+def _by_constant(found: Comparison, runs: Sequence[VibrationRun]) -> Any:
+    leading = found.changed[0]
+    names = [one.name for one in leading.channels] or ["run_order"]
+    figure = _figure(11, 3.2)
+    axes = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
+    for axis, name in zip(axes, names, strict=True):
+        at = [run.constants.get(name, k + 1.0) for k, run in enumerate(runs)]
+        axis.errorbar(at, leading.mode.frequency_hz, 2.0 * leading.mode.sigma_hz, fmt="o", ms=4, color=page.AFTER)
+        for x, y, run in zip(at, leading.mode.frequency_hz, runs, strict=True):
+            axis.annotate(run.name, (x, y), fontsize=8, xytext=(4, 4), textcoords="offset points")
+        axis.set(xlabel=f"{_named(name)} (numbers: runs)")
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("frequency, Hz (± 2 sigma)")
+    return figure
+
+
+def _responses(runs: Sequence[VibrationRun]) -> Any:
+    from matplotlib import colormaps
+
+    figure = _figure(11, 3.6)
+    axis = figure.subplots()
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(runs)))
+    for run, colour in zip(runs, colours, strict=True):
+        level = np.sqrt(np.mean(np.abs(run.response) ** 2, axis=0))
+        axis.semilogy(run.frequency_hz, level, color=colour, lw=0.8, label=run.name)
+    axis.set(xlabel="frequency, Hz", ylabel="m/s² per N, rms of the points")
+    axis.legend(fontsize=7, ncols=2, title="run")
+    axis.grid(alpha=0.3)
+    return figure
+
+
+def _modes(plain: dict[str, Any]) -> str:
+    if not plain["modes"]:
+        return page.paragraph("No mode stands out.")
+    changes = sorted(plain["modes"], key=lambda mode: -abs(_change(mode)))
+    rows = [
+        [f"near {mode['near_hz']:.2f} Hz", f"{min(mode['frequency_hz']):.3f} to {max(mode['frequency_hz']):.3f} Hz",
+         f"{100.0 * _change(mode):+.1f} %", f"{_in_sigmas(mode):.0f}"]
+        for mode in changes
+    ]  # fmt: skip
+    moved = page.table(["mode", "lowest to highest", "change", "in its sigmas"], rows, 0)
+    heads = ["run", *[f"near {mode['near_hz']:.2f} Hz" for mode in plain["modes"]]]
+    rows = []
+    for k, run in enumerate(plain["modes"][0]["runs"]):
+        rows.append([run, *[f"{m['frequency_hz'][k]:.3f} ± {m['sigma_hz'][k]:.4f}" for m in plain["modes"]]])
+    by_run = page.table(heads, rows)
+    return moved + page.heading("Every run") + by_run
+
+
+def _change(mode: dict[str, Any]) -> float:
+    """From the first run of the lowest and the highest frequency to the later one, as a share."""
+    low, high = int(np.argmin(mode["frequency_hz"])), int(np.argmax(mode["frequency_hz"]))
+    ratio = float(mode["frequency_hz"][high] / mode["frequency_hz"][low])
+    return (ratio - 1.0) * (1.0 if low < high else -1.0)
+
+
+def _in_sigmas(mode: dict[str, Any]) -> float:
+    low, high = int(np.argmin(mode["frequency_hz"])), int(np.argmax(mode["frequency_hz"]))
+    apart = mode["frequency_hz"][high] - mode["frequency_hz"][low]
+    return float(apart / np.hypot(mode["sigma_hz"][low], mode["sigma_hz"][high]))
+
+
+def _named(channel: str) -> str:
+    """A channel as an axis is labelled: its unit apart."""
+    name, _, unit = channel.rpartition("_")
+    return f"{name.replace('_', ' ')}, {unit}" if name and len(unit) <= 4 else channel.replace("_", " ")

@@ -1,0 +1,175 @@
+"""Shots of a simulated flight, rendered and matched as cameras and vision process would, in processes of their own.
+
+What comes of a shot depends on the flight's seed and on the shot alone: never on which process made it, nor when.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing
+import signal
+from collections.abc import Iterable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+
+import cv2
+
+from companion.core.pipeline import VisionState, vision_step
+from companion.core.stereo.pairing import FramePairer
+from companion.errors import DeviceError
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, MatchSet, Rejected
+from companion.sim.flight.flight import Flight
+from companion.sim.flight.truth import FlightTruth
+from companion.sim.vision.cameras import Shutters, render_pair
+from companion.sim.vision.renderer import Renderer
+from companion.sim.vision.scene import Scene, ground_scene, obstacle_scene
+
+Seen = list[MatchSet | Rejected]
+_DOWN = 25
+_ENDED = "a process that renders the cameras' images has ended; its messages are above"
+_WORKERS = 2  # shots overlap by one at most: a third would wait
+
+
+def scene_of(flight: Flight) -> Scene:
+    """The ground for a pair that looks down, obstacles for one that looks ahead."""
+    down = flight.airframe.orientation == _DOWN
+    return ground_scene(flight.seed) if down else obstacle_scene(flight.truth, flight.seed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stage:
+    """What is filmed; picklable. ``belief`` is the airframe that matching goes by, ``actual`` the one that flies."""
+
+    belief: Airframe
+    actual: Airframe
+    truth: FlightTruth
+    scene: Scene
+    seed: int
+    settings: Settings
+    start_host_ns: int
+
+    @classmethod
+    def of(cls, flight: Flight, settings: Settings, start_host_ns: int) -> Stage:
+        """The stage of a flight."""
+        actual, scene = flight.real.actual, scene_of(flight)
+        return cls(flight.airframe, actual, flight.truth, scene, flight.seed, settings, start_host_ns)
+
+    def renderer(self) -> Renderer:
+        """The cameras of the aircraft that flies."""
+        return Renderer(self.actual, self.truth, self.scene, self.seed)
+
+
+@dataclass(frozen=True, slots=True)
+class Pull:
+    """One pull of the line: number of the shot, instant of the edge, and when its matches are ready (host ns)."""
+
+    shot: int
+    edge_host_ns: int
+    matched_host_ns: int
+
+
+class Studio:
+    """Makes shots, one by one."""
+
+    def __init__(self, stage: Stage) -> None:
+        cv2.setNumThreads(1)
+        self._stage = stage
+        self._renderer = stage.renderer()
+        self._shutters = Shutters(stage.actual, stage.seed)
+        self._vision = VisionState.create(stage.belief, stage.settings)
+
+    def shoot(self, pull: Pull) -> Seen:
+        """What vision says of one shot; nothing before take-off and after the end, where there is nothing to see."""
+        start_ns = self._stage.start_host_ns
+        try:
+            pair = render_pair(self._renderer, self._shutters, pull.edge_host_ns - start_ns, pull.shot)
+        except ValueError:
+            return []
+        vision = dataclasses.replace(self._vision, pairer=FramePairer(next_id=pull.shot), numbers={})
+        said: Seen = []
+        for frame in (pair.left, pair.right):
+            seen = dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + start_ns)
+            said += vision_step(vision, seen, pull.matched_host_ns)
+        return said
+
+
+class Studios:
+    """Processes that make shots. Use as a context manager.
+
+    Raises
+    ------
+    DeviceError
+        A process has died.
+    """
+
+    def __init__(self, stage: Stage, workers: int = _WORKERS) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._ends: list[Connection] = []
+        self._processes: list[BaseProcess] = []
+        for number in range(workers):
+            ours, theirs = spawn.Pipe()
+            process = spawn.Process(target=_serve, args=(theirs,), name=f"sim-studio-{number}", daemon=True)
+            process.start()
+            theirs.close()
+            _give(ours, stage)
+            self._ends.append(ours)
+            self._processes.append(process)
+        self._given: dict[int, int] = {}
+        self._made: dict[int, Seen] = {}
+
+    def begin(self, pull: Pull) -> None:
+        """Let the process with the least to do begin a shot."""
+        busy = list(self._given.values())
+        worker = min(range(len(self._ends)), key=busy.count)
+        self._given[pull.shot] = worker
+        _give(self._ends[worker], pull)
+
+    def result(self, shot: int) -> Seen:
+        """What came of a shot that was begun; waits for it."""
+        while shot not in self._made:
+            try:
+                made, seen = self._ends[self._given[shot]].recv()
+            except (EOFError, OSError) as error:
+                raise DeviceError(_ENDED) from error
+            self._made[made] = seen
+            del self._given[made]
+        return self._made.pop(shot)
+
+    def all(self, pulls: Iterable[Pull]) -> list[Seen]:
+        """Make many shots; what came of each, in their order."""
+        listed = list(pulls)
+        for pull in listed:
+            self.begin(pull)
+        return [self.result(pull.shot) for pull in listed]
+
+    def __enter__(self) -> Studios:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for end in self._ends:
+            end.close()
+        for process in self._processes:
+            process.terminate()
+            process.join()
+
+
+def _give(end: Connection, thing: Stage | Pull) -> None:
+    try:
+        end.send(thing)
+    except OSError as error:
+        raise DeviceError(_ENDED) from error
+
+
+def _serve(end: Connection) -> None:
+    """Be one of the processes, until the other end is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends us
+    try:
+        studio = Studio(end.recv())
+        while True:
+            pull = end.recv()
+            end.send((pull.shot, studio.shoot(pull)))
+    except (EOFError, OSError):
+        return

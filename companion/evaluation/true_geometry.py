@@ -1,0 +1,125 @@
+"""Judges shots of a simulated flight by its truth: what rigid, corrected and perfectly known extrinsics make of them.
+
+Every way of ranging reads the same matches with the same robust product; the true inverse range is what that product
+gives for the true depths of the very same features, so that nothing but the extrinsics and the matching is scored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.epipolar import epipolar_frame
+from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.inverse_depth import Product, read
+from companion.core.stereo.ranging import range_axis
+from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
+from companion.sim.flight.flight import Flight
+from companion.sim.vision.renderer import Renderer
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One way's inverse range of a shot (1/m), and the truth for the same features."""
+
+    inverse_pm: float
+    true_inverse_pm: float
+
+
+class Judge:
+    """Knows the flight's truth; ``start_host_ns`` is the host time of boot time 0."""
+
+    def __init__(self, flight: Flight, renderer: Renderer, settings: Settings, start_host_ns: int) -> None:
+        self.flight = flight
+        self.renderer = renderer
+        self.start_host_ns = start_host_ns
+        self.settings = settings
+        self._belief = Rig.from_airframe(flight.airframe)
+        self._tips = TipMotion.from_airframe(flight.airframe)
+        self._true_tips = TipMotion.from_airframe(flight.real.actual)
+        self._axis = range_axis(flight.airframe.orientation)
+
+    @property
+    def baseline_m(self) -> float:
+        """Believed distance of the cameras."""
+        return self._belief.baseline_m
+
+    def rigid(self, matches: MatchSet) -> Reading | None:
+        """The ground calibration, unmodified."""
+        return self._read(matches, self._belief, rest_exposures(self._belief))
+
+    def rigid_in_trim(self, matches: MatchSet) -> Reading | None:
+        """Rigid stereo that was calibrated in level flight: the believed trim bend, and nothing that moves."""
+        wing = self.flight.airframe.wing
+        still = _deflection(int(matches.mid_exposure_ns[0]), wing.trim_bend_m.value, self.flight.airframe)
+        return self._read(matches, self._belief, exposures(self._belief, self._tips, still, still))
+
+    def corrected(
+        self, matches: MatchSet, left: Deflection, right: Deflection, turned: RelativeRotation | None = None
+    ) -> Reading | None:
+        """The estimate's own extrinsics: the tracked bend, and what the matches told of the rotation beyond it."""
+        moving = exposures(self._belief, self._tips, left, right)
+        if turned is not None:
+            moving = turned_apart(moving, epipolar_frame(self._belief).T @ turned.rotation_rad)
+        return self._read(matches, self._belief, moving)
+
+    def oracle(self, matches: MatchSet) -> Reading | None:
+        """The true extrinsics and lenses."""
+        left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
+        rig = self.renderer.rig
+        return self._read(matches, rig, exposures(rig, self._true_tips, left, right))
+
+    def true_deflection(self, t_host_ns: int) -> Deflection:
+        """The wing as it really was, as an estimate without error."""
+        sample = self.flight.truth.at(t_host_ns - self.start_host_ns)
+        return Deflection(
+            t_host_ns=t_host_ns,
+            q_m=sample.q_m[:2] + sample.q_m[2:],
+            qdot_mps=sample.qdot_mps[:2] + sample.qdot_mps[2:],
+            slope_rad=sample.slope_rad,
+            covariance=np.zeros((6, 6)),
+            body_rate_radps=sample.body_rate_radps,
+            lag_ns=0,
+            slow_slope_sigma_rad=0.0,
+        )
+
+    def _read(self, matches: MatchSet, rig: Rig, moving: tuple[Exposure, Exposure]) -> Reading | None:
+        sight = sight_along(self._belief, self._axis)
+        depths = triangulate(match_rays(rig, moving, matches), sight, matches.sigma_px / rig.left.lens.focal_px)
+        reading = read(depths, Product(self.settings.product), self.settings.min_matches)
+        if reading is None:
+            return None
+        true_inverse = self._true_inverse(matches)
+        counted = np.isfinite(true_inverse) & (reading.influence != 0)
+        if not np.array_equal(counted, reading.influence != 0):
+            return None
+        return Reading(reading.inverse_pm, float(reading.influence[counted] @ true_inverse[counted]))
+
+    def _true_inverse(self, matches: MatchSet) -> Floats:
+        """Inverse depth along the range axis of what each left pixel really showed, (n,)."""
+        left_ns, right_ns = (int(t_ns) - self.start_host_ns for t_ns in matches.mid_exposure_ns)
+        points = self.renderer.view(Side.LEFT, left_ns).points_ned_m(self.renderer.scene, matches.left_px)
+        body = self.flight.truth.at((left_ns + right_ns) // 2)
+        sight = sight_along(self._belief, self._axis)
+        depth = ((points - body.position_ned_m) @ body.body_from_ned.T - sight.origin_m) @ sight.axis
+        inverse: Floats = 1.0 / np.where(depth > 0, depth, np.nan)
+        return inverse
+
+
+def _deflection(t_host_ns: int, q_m: float, airframe: Airframe) -> Deflection:
+    slope = airframe.wing.symmetric.slope_factor_radpm.value * q_m
+    return Deflection(
+        t_host_ns=t_host_ns,
+        q_m=np.array([q_m, 0.0]),
+        qdot_mps=np.zeros(2),
+        slope_rad=np.array([slope, slope]),
+        covariance=np.zeros((6, 6)),
+        body_rate_radps=np.zeros(3),
+        lag_ns=0,
+        slow_slope_sigma_rad=0.0,
+    )

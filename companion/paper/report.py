@@ -1,0 +1,118 @@
+"""All sections in order, and the three files of the report."""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from companion.paper import (
+    beam_tables,
+    digest,
+    equations,
+    fig_4,
+    misprints,
+    own_experiments,
+    random_drive,
+    range_tables,
+    setups,
+    triggering,
+    untried,
+    wing_shapes,
+)
+from companion.paper.experiments import Outcome, run
+from companion.paper.findings import Section
+from companion.paper.report_html import html
+from companion.paper.report_markdown import markdown
+from companion.paper.scores import Results, summary
+from companion.paper.trials import (
+    REPEATED,
+    Pace,
+    Trial,
+    trials,
+)
+
+
+def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seeds: Sequence[int]) -> list[Section]:
+    """Run the whole audit, the experiments in ``jobs`` processes meanwhile; ``told`` hears what is done.
+
+    Everything is run with the first of ``seeds``, what is to be repeated with the others too.
+    """
+    seed, *others = seeds
+    # spawned, for a fork would copy the threads' locks of whatever was imported
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        running = [pool.submit(run, trial, pace, seed) for trial in trials()]
+        again = {
+            (trial.key, other): pool.submit(at_peaks, trial, pace, other)
+            for other in others
+            for trial in trials()
+            if trial.key in REPEATED
+        }
+        random = random_drive.section()
+        closed = [
+            beam_tables.section(),
+            range_tables.section(),
+            equations.section(),
+            fig_4.section(),
+            wing_shapes.section(),
+            random,
+        ]
+        told("tables, equations and figures")
+        outcomes: list[Outcome] = []
+        for future in running:
+            outcomes.append(future.result())
+            told(f"experiment {len(outcomes)} of {len(running)}: {outcomes[-1].trial.title}")
+        draws: dict[str, dict[int, dict[str, Any]]] = {}
+        for (key, other), found in again.items():
+            draws.setdefault(key, {})[other] = found.result()
+            told(f"again with seed {other}: {key}")
+    results = Results.of(outcomes, seed, draws)
+    return [
+        digest.section(results, random.data),
+        misprints.section(),
+        *closed,
+        setups.section(results),
+        own_experiments.section(results),
+        triggering.section(results),
+        untried.section(results),
+    ]
+
+
+def at_peaks(trial: Trial, pace: Pace, seed: int) -> dict[str, Any]:
+    """Run an experiment with another seed; give its scores at peaks alone."""
+    return summary(run(trial, pace, seed), True)
+
+
+def plain(sections: Sequence[Section]) -> dict[str, Any]:
+    """Every number by section, for JSON; what is not finite becomes null."""
+    return {
+        section.key: {"title": section.title, "findings": list(section.findings), **_finite(section.data)}
+        for section in sections
+    }
+
+
+def write(sections: Sequence[Section], folder: Path) -> list[Path]:
+    """Write ``report.html``, ``report.md`` and ``numbers.json``; give their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {
+        "report.html": html(sections),
+        "report.md": markdown(sections),
+        "numbers.json": json.dumps(plain(sections), indent=1) + "\n",
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

@@ -1,0 +1,1 @@
+"""What every page shares: style sheet, tables, embedded figures, plot style."""

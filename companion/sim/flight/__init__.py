@@ -1,0 +1,1 @@
+"""The true flight: aircraft, gust, wing, inertial sensors."""

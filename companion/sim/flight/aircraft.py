@@ -1,0 +1,249 @@
+"""The rigid flight: a smooth prescribed path from which attitude, rates and specific force all follow exactly.
+
+Altitude, roll and the wobbles are analytic with their derivatives; the heading follows from a coordinated turn
+``chi' = g tan(roll) / V`` and the pitch from the flight-path angle, so gyro, accelerometer and attitude agree.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.records import Floats
+from companion.sim.flight.truth import (
+    COLUMNS,
+    EULER,
+    GRAVITY_MPS2,
+    POSITION,
+    RATE,
+    STEP_NS,
+    VELOCITY,
+)
+
+# smoothstep 35u^4 - 84u^5 + 70u^6 - 20u^7: three continuous derivatives at both ends
+_STEP = np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
+_TABLE = (_STEP.integ(), _STEP, _STEP.deriv(), _STEP.deriv(2), _STEP.deriv(3))
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Altitude above the ground that is reached at ``from_s`` and held until the next level's climb begins."""
+
+    from_s: float
+    altitude_m: float
+    climb_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Roll:
+    """Bank to ``angle_rad`` within ``rise_s``, hold, and back."""
+
+    from_s: float
+    angle_rad: float
+    rise_s: float = 2.5
+    hold_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class PullUp:
+    """Gain ``climb_mps`` within ``pull_s``, lose it within ``ease_s``, then sink back as gently."""
+
+    from_s: float
+    climb_mps: float = 2.2
+    pull_s: float = 1.2
+    ease_s: float = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Jolt:
+    """A blow to the fuselage from below: half a sine of upward acceleration; the vertical speed that it gains stays.
+
+    It moves the root, not the attitude, and adds no lift: the wing's mass stays behind and bends the tips down.
+    """
+
+    from_s: float
+    peak_mps2: float
+    length_s: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class FlightPlan:
+    """What is flown. ``wobble`` values are rms of a turbulence made of sines from 0.2 to 1.5 Hz."""
+
+    duration_s: float
+    airspeed_mps: float = 22.0
+    angle_of_attack_rad: float = 0.05
+    levels: tuple[Level, ...] = (Level(0.0, 60.0),)
+    rolls: tuple[Roll, ...] = ()
+    pull_ups: tuple[PullUp, ...] = ()
+    heave_wobble_mps2: float = 0.4
+    roll_wobble_rad: float = 0.015
+    pitch_wobble_rad: float = 0.008
+    yaw_wobble_rad: float = 0.008
+    jolts: tuple[Jolt, ...] = ()
+
+
+def demo_plan(duration_s: float = 60.0) -> FlightPlan:
+    """Fly 100, 60 and 20 m above the ground with banks and pull-ups; times are a minute's and stretch with the flight.
+
+    Below 40 s there is no room for the descents: the flight stays at 60 m.
+    """
+    k = duration_s / 60.0
+    if duration_s < 40.0:
+        return FlightPlan(
+            duration_s,
+            rolls=(Roll(0.2 * duration_s, 0.35), Roll(0.6 * duration_s, -0.35)),
+            pull_ups=(PullUp(0.4 * duration_s),),
+        )
+    return FlightPlan(
+        duration_s,
+        levels=(Level(0.0, 100.0), Level(29.0 * k, 60.0, 13.0 * k), Level(51.0 * k, 20.0, 13.0 * k)),
+        rolls=(
+            Roll(4.0 * k, 0.5),
+            Roll(20.0 * k, -0.35),
+            Roll(30.0 * k, 0.5, hold_s=1.0),
+            Roll(53.0 * k, -0.3, hold_s=1.0),
+        ),
+        pull_ups=(PullUp(3.0 * k), PullUp(27.5 * k, 1.5)),
+    )
+
+
+def still_plan(duration_s: float, altitude_m: float = 60.0) -> FlightPlan:
+    """Straight and level without any wobble, for closed forms."""
+    return FlightPlan(duration_s, 22.0, 0.0, (Level(0.0, altitude_m),), (), (), 0.0, 0.0, 0.0, 0.0)
+
+
+def fly(plan: FlightPlan, rng: np.random.Generator, knots: int) -> tuple[Floats, Floats]:
+    """Compute the rigid columns of the truth's knots and their derivatives; the modal columns stay zero.
+
+    Returns
+    -------
+    knots, derivatives : (n, 16) float64
+        As :class:`companion.sim.flight.truth.FlightTruth` takes them.
+    """
+    t = np.arange(knots, dtype=np.float64) * (STEP_NS * 1e-9)
+    speed = plan.airspeed_mps
+    height = _altitude(plan, t) + _wobble(rng, t, plan.heave_wobble_mps2, acceleration=True)
+    roll = _roll(plan, t) + _wobble(rng, t, plan.roll_wobble_rad)[:3]
+    turn = _turn(roll, speed)
+    yaw = turn + _wobble(rng, t, plan.yaw_wobble_rad)[:3]
+    pitch = _climb_angle(height, speed) + _wobble(rng, t, plan.pitch_wobble_rad)[:3]
+    pitch[0] += plan.angle_of_attack_rad
+    height = height + jolted(plan, t)
+    velocity, acceleration = _track(turn, height, speed)
+    value, rate = np.zeros((knots, COLUMNS)), np.zeros((knots, COLUMNS))
+    value[:, VELOCITY], rate[:, VELOCITY] = velocity, acceleration
+    rate[:, POSITION] = velocity
+    for axis in (0, 1):
+        value[:, axis] = _integral(velocity[:, axis], acceleration[:, axis])
+    value[:, 2] = -height[0]
+    value[:, EULER], rate[:, EULER] = np.stack([roll[0], pitch[0], yaw[0]], 1), np.stack([roll[1], pitch[1], yaw[1]], 1)
+    value[:, RATE], rate[:, RATE] = _body_rates(roll, pitch, yaw)
+    return value, rate
+
+
+def _smooth_step(t: Floats, start_s: float, length_s: float) -> Floats:
+    """Rise from 0 to 1: integral, value and three derivatives, (5, n)."""
+    u = np.clip((t - start_s) / length_s, 0.0, 1.0)
+    rows = np.array([poly(u) * length_s ** (1 - order) for order, poly in enumerate(_TABLE)])
+    rows[0] += np.maximum(t - start_s - length_s, 0.0)
+    return rows
+
+
+def _altitude(plan: FlightPlan, t: Floats) -> Floats:
+    """Height above the ground and three derivatives, (4, n)."""
+    rows = np.zeros((4, len(t)))
+    rows[0] = plan.levels[0].altitude_m
+    for before, level in zip(plan.levels, plan.levels[1:], strict=False):
+        step = _smooth_step(t, level.from_s - level.climb_s, level.climb_s)
+        rows += (level.altitude_m - before.altitude_m) * step[1:]
+    for pull in plan.pull_ups:
+        eased = pull.from_s + pull.pull_s
+        up, down = _smooth_step(t, pull.from_s, pull.pull_s), _smooth_step(t, eased, pull.ease_s)
+        rows += pull.climb_mps * (up - down)[:4]
+        gained = pull.climb_mps * (pull.pull_s + pull.ease_s) / 2
+        rows -= gained * _smooth_step(t, eased + pull.ease_s, 1.5 * pull.ease_s)[1:]
+    return rows
+
+
+def _roll(plan: FlightPlan, t: Floats) -> Floats:
+    """Bank angle and two derivatives, (3, n)."""
+    rows = np.zeros((3, len(t)))
+    for roll in plan.rolls:
+        back = _smooth_step(t, roll.from_s + roll.rise_s + roll.hold_s, roll.rise_s)
+        rows += roll.angle_rad * (_smooth_step(t, roll.from_s, roll.rise_s) - back)[1:4]
+    return rows
+
+
+def jolted(plan: FlightPlan, t: Floats) -> Floats:
+    """Height that the jolts give and its three derivatives, (4, n)."""
+    rows = np.zeros((4, len(t)))
+    for jolt in plan.jolts:
+        omega = math.pi / jolt.length_s
+        phase = omega * np.clip(t - jolt.from_s, 0.0, jolt.length_s)
+        after_s = np.maximum(t - jolt.from_s - jolt.length_s, 0.0)
+        speed = jolt.peak_mps2 / omega
+        rows[0] += speed * ((phase - np.sin(phase)) / omega + 2.0 * after_s)
+        rows[1] += speed * (1.0 - np.cos(phase))
+        rows[2] += jolt.peak_mps2 * np.sin(phase)
+        rows[3] += np.where((phase > 0.0) & (phase < math.pi), jolt.peak_mps2 * omega * np.cos(phase), 0.0)
+    return rows
+
+
+def _wobble(rng: np.random.Generator, t: Floats, rms: float, *, acceleration: bool = False) -> Floats:
+    """Seven sines of equal amplitude and random phase: value and three derivatives, (4, n).
+
+    ``rms`` is that of the value, or of its second derivative.
+    """
+    base = np.geomspace(0.2, 1.5, 7) * rng.uniform(0.95, 1.05, 7)
+    phases = rng.uniform(0.0, 2 * math.pi, 7)
+    rows = np.zeros((4, len(t)))
+    for omega, phase in zip((2 * math.pi * base).tolist(), phases.tolist(), strict=True):
+        amplitude = rms * math.sqrt(2 / 7) / (omega**2 if acceleration else 1.0)
+        for order in range(4):
+            rows[order] += amplitude * omega**order * np.sin(omega * t + phase + order * math.pi / 2)
+    return rows
+
+
+def _turn(roll: Floats, speed: float) -> Floats:
+    """Course of a coordinated turn and its two derivatives, (3, n)."""
+    rate = GRAVITY_MPS2 / speed * np.tan(roll[0])
+    change = GRAVITY_MPS2 / speed * roll[1] / np.cos(roll[0]) ** 2
+    return np.stack([_integral(rate, change), rate, change])
+
+
+def _climb_angle(height: Floats, speed: float) -> Floats:
+    """Flight-path angle atan(h'/V) and its two derivatives, (3, n)."""
+    x, dx, ddx = height[1:] / speed
+    square = 1 + x**2
+    return np.stack([np.arctan(x), dx / square, ddx / square - 2 * x * dx**2 / square**2])
+
+
+def _track(turn: Floats, height: Floats, speed: float) -> tuple[Floats, Floats]:
+    """Velocity and acceleration in NED, (n, 3) each."""
+    cos, sin = np.cos(turn[0]), np.sin(turn[0])
+    velocity = np.stack([speed * cos, speed * sin, -height[1]], 1)
+    acceleration = np.stack([-speed * turn[1] * sin, speed * turn[1] * cos, -height[2]], 1)
+    return velocity, acceleration
+
+
+def _body_rates(roll: Floats, pitch: Floats, yaw: Floats) -> tuple[Floats, Floats]:
+    """Body rates of the 3-2-1 sequence and their derivatives, (n, 3) each."""
+    (_, dr, ddr), (_, dp, ddp), (_, dy, ddy) = roll, pitch, yaw
+    cr, sr, cp, sp = np.cos(roll[0]), np.sin(roll[0]), np.cos(pitch[0]), np.sin(pitch[0])
+    rate = np.stack([dr - dy * sp, dp * cr + dy * cp * sr, -dp * sr + dy * cp * cr], 1)
+    # the derivative of yaw rate seen along the tilted axes, less what roll turns
+    level, slant = ddy * cp - dy * dp * sp, ddy * sp + dy * dp * cp
+    change = np.stack(
+        [ddr - slant, ddp * cr + level * sr + dr * rate[:, 2], -ddp * sr + level * cr - dr * rate[:, 1]], 1
+    )
+    return rate, change
+
+
+def _integral(value: Floats, change: Floats) -> Floats:
+    """Integral from 0 over the knots, by the Hermite rule that uses the derivatives at both ends (fifth order)."""
+    step = STEP_NS * 1e-9
+    pieces = step / 2 * (value[:-1] + value[1:]) + step**2 / 12 * (change[:-1] - change[1:])
+    return np.concatenate([[0.0], np.cumsum(pieces)])

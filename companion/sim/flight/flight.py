@@ -1,0 +1,218 @@
+"""A simulated flight from a seed: the truth of aircraft and wing, and everything that its inertial sensors will say."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.wing.model import WingModel
+from companion.params.airframe import Airframe, NamedEffect
+from companion.records import ClockName, Floats, Station
+from companion.sim.flight.aircraft import (
+    FlightPlan,
+    demo_plan,
+    fly,
+    jolted,
+)
+from companion.sim.flight.gust import (
+    DrydenScales,
+    LoadSpectrum,
+    dryden_roll,
+    dryden_vertical,
+    modal_rms,
+    pole_spectrum,
+    white_spectrum,
+)
+from companion.sim.flight.perturb import TruthAirframe, draw_truth, exact_truth
+from companion.sim.flight.sensors import (
+    BackendImu,
+    RealSensor,
+    SensorStream,
+    autopilot_stream,
+    backend_imu,
+    node_stream,
+)
+from companion.sim.flight.truth import (
+    GRAVITY_MPS2,
+    MODAL,
+    FlightTruth,
+    TipShape,
+)
+from companion.sim.flight.wing import SUBSTEP_S, integrate
+
+LOOP_HZ = 400.0
+_TAIL_S = 2.0
+_BURN_IN_S = 12.0
+_DRYDEN_WIND_MPS = 10.0
+_DRYDEN_ALTITUDE_M = 60.0
+_PARTICIPATION = {0: 1.566, 2: -0.868}  # of a uniform cantilever's bending modes in a shaken root, by slot
+
+
+class GustKind(enum.StrEnum):
+    """Spectrum of the load on the modes; every kind is scaled to the deflection rms that was drawn."""
+
+    AIRFRAME = "airframe"
+    WHITE = "white"
+    DRYDEN = "dryden"
+    CALM = "calm"
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One flight, deterministic from its seed.
+
+    Attributes
+    ----------
+    airframe : Airframe
+        The belief that the service is given.
+    real : TruthAirframe
+        The aircraft that flies.
+    model : WingModel
+        The true wing, hidden effects included.
+    truth : FlightTruth
+        Some two seconds longer than the flight.
+    backends : mapping
+        IMUs inside the autopilot, for stations whose source is component 1.
+    nodes : mapping
+        Streams of the wing nodes.
+    """
+
+    airframe: Airframe
+    real: TruthAirframe
+    model: WingModel
+    truth: FlightTruth
+    plan: FlightPlan
+    seed: int
+    backends: Mapping[Station, BackendImu]
+    nodes: Mapping[Station, SensorStream]
+
+    @property
+    def duration_s(self) -> float:
+        """Length that was asked for."""
+        return self.plan.duration_s
+
+    def generator(self, purpose: str) -> np.random.Generator:
+        """A generator of its own for each purpose, so that one more draw in one place changes nothing elsewhere."""
+        return np.random.default_rng([self.seed, *purpose.encode()])
+
+    def streams(self) -> dict[Station, SensorStream]:
+        """What every sensor sends when the rates that the airframe states are granted."""
+        found = dict(self.nodes)
+        for station, imu in self.backends.items():
+            sensor = imu.sensor
+            interval_ms = max(int(1000.0 / sensor.rate_hz), 1)
+            filters = (sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz)
+            rng = self.generator(f"sends {station}")
+            found[station] = autopilot_stream(imu, interval_ms, LOOP_HZ, filters, self.duration_s, rng)
+        return dict(sorted(found.items()))
+
+
+def build_flight(
+    airframe: Airframe,
+    seed: int,
+    duration_s: float = 60.0,
+    *,
+    plan: FlightPlan | None = None,
+    effects: tuple[NamedEffect, ...] = (),
+    gust: GustKind = GustKind.AIRFRAME,
+    perturbed: bool = True,
+) -> Flight:
+    """Fly an airframe.
+
+    Parameters
+    ----------
+    airframe : Airframe
+        The belief; the truth is drawn from its priors.
+    seed : int
+        Determines everything.
+    duration_s : float
+        Length of the demo's flight, where no plan is given.
+    plan : FlightPlan, optional
+        What is flown instead.
+    effects : tuple of NamedEffect
+        Hidden in the truth, unknown to the belief.
+    gust : GustKind
+        Spectrum of the load.
+    perturbed : bool
+        False takes the belief as truth (noise and bias stay): for tests that need it.
+    """
+    plan = plan or demo_plan(duration_s)
+    rng = np.random.default_rng(seed)
+    real = draw_truth(airframe, rng, effects) if perturbed else exact_truth(airframe, effects)
+    model = WingModel.from_airframe(real.actual)
+    knots, derivatives = fly(plan, rng, round((plan.duration_s + _TAIL_S) * 1000) + 1)
+    shape = TipShape.from_model(model)
+    rigid = FlightTruth(knots, derivatives, shape)
+    load_factor = rigid.series(rigid.t_boot_ns).load_factor
+    q, qdot = _bend(real, model, plan, gust, load_factor, rng)
+    knots[:, MODAL], derivatives[:, MODAL] = model.all_slots(q), model.all_slots(qdot)
+    truth = FlightTruth(knots, derivatives, shape)
+    backends: dict[Station, BackendImu] = {}
+    nodes: dict[Station, SensorStream] = {}
+    for station in Station:
+        sensor = RealSensor(truth, model, station, real.actual.sensor(station), real.errors[station])
+        draws = np.random.default_rng([seed, 1, station])
+        clock = sensor.sensor.source.clock
+        if clock is ClockName.BOOT:
+            backends[station] = backend_imu(sensor, draws)
+        else:
+            nodes[station] = node_stream(sensor, real.clocks[clock], plan.duration_s, draws)
+    return Flight(airframe, real, model, truth, plan, seed, backends, nodes)
+
+
+def _bend(
+    real: TruthAirframe,
+    model: WingModel,
+    plan: FlightPlan,
+    kind: GustKind,
+    load_factor: Floats,
+    rng: np.random.Generator,
+) -> tuple[Floats, Floats]:
+    """Modal coordinates and rates at the knots, after a burn-in that makes the start stationary."""
+    burn = round(_BURN_IN_S / SUBSTEP_S)
+    steps = burn + 2 * (len(load_factor) - 1)
+    load = np.zeros((steps, model.count))
+    if kind is not GustKind.CALM:
+        load = _gust_load(real, model, plan, kind, steps, rng)
+    t_s = (np.arange(steps) - burn) * np.float64(SUBSTEP_S)
+    for effect in model.effects:
+        load = effect.forcing(t_s, load, rng)
+    blow_mps2 = jolted(plan, t_s[burn:] + 0.5 * SUBSTEP_S)[2]
+    for column, slot in enumerate(model.structure.slots):
+        load[burn:, column] -= _PARTICIPATION.get(slot, 0.0) * blow_mps2
+    middles = np.arange(steps - burn) / 2 + 0.25
+    flown = np.interp(middles, np.arange(len(load_factor)), load_factor) - blow_mps2 / GRAVITY_MPS2  # lift alone bends
+    factor = np.concatenate([np.full(burn, flown[0]), flown])
+    q, qdot = integrate(model, load, factor, -_BURN_IN_S)
+    return q[burn::2], qdot[burn::2]
+
+
+def _gust_load(
+    real: TruthAirframe, model: WingModel, plan: FlightPlan, kind: GustKind, steps: int, rng: np.random.Generator
+) -> Floats:
+    """Load (m, n) in m/s^2: one gust for all symmetric modes and one for all antisymmetric ones, as in nature."""
+    wing = real.actual.wing
+    load = np.zeros((steps, model.count))
+    for parity, (mode, rms) in enumerate(
+        ((wing.symmetric, wing.gust.deflection_rms_m.value), (wing.antisymmetric, real.antisymmetric_rms_m))
+    ):
+        spectrum = _spectrum(real, plan, kind, parity)
+        scale = rms / modal_rms(spectrum, mode.frequency_hz.value, mode.damping.value)
+        path = scale * spectrum.draw(rng, steps, SUBSTEP_S)
+        for column, slot in enumerate(model.structure.slots):
+            if slot % 2 == parity:
+                load[:, column] = path
+    return load
+
+
+def _spectrum(real: TruthAirframe, plan: FlightPlan, kind: GustKind, parity: int) -> LoadSpectrum:
+    if kind is GustKind.WHITE:
+        return white_spectrum()
+    if kind is GustKind.DRYDEN:
+        scales = DrydenScales.low_altitude(_DRYDEN_ALTITUDE_M, _DRYDEN_WIND_MPS)
+        span_m = 2 * real.actual.wing.semispan_m
+        return dryden_roll(scales, plan.airspeed_mps, span_m) if parity else dryden_vertical(scales, plan.airspeed_mps)
+    return pole_spectrum(real.actual.wing.gust.corners_hz)

@@ -1,0 +1,105 @@
+"""A flight as a laboratory would record it: ``accel.csv`` and ``range.csv`` (config/README.md).
+
+One recorder samples everything at one rate, so there is one clock, ``t_s``, which is boot time; sensor errors, noise
+and low-pass are those of the flight.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.rotation import log_rotation, relative_rotation
+from companion.core.wing.effect import viewed
+from companion.records import Floats, Ints, Side, Station
+from companion.sim.flight.flight import Flight
+from companion.sim.flight.sensors import BACKEND_HZ, RealSensor
+from companion.sim.flight.truth import TruthSeries
+
+_LETTERS = "xyzpqr"
+_UNITS = ("mps2", "mps2", "mps2", "radps", "radps", "radps")
+_MATCH_SIGMA_PX = 0.3
+_RANGE_RATE_HZ = 10.0
+_TARGET_AHEAD_M = 30.0
+_DOWN = 25
+
+
+def write_csv(flight: Flight, folder: Path) -> list[Path]:
+    """Write the tables and give their paths; the folder is made. Ranges are written where the aircraft has cameras."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [_write_accel(flight, folder / "accel.csv")]
+    if flight.airframe.left_camera is not None:
+        written.append(_write_ranges(flight, folder / "range.csv"))
+    return written
+
+
+def toe_rad(belief: Rig, real: Rig, truth: TruthSeries, row: int) -> float:
+    """Relative rotation of the real, bent pair against the calibrated one, about the image's vertical; > 0 diverges."""
+    poses = [
+        real.pose(side, truth.slope_rad[row, side], truth.lift_m[row, side], truth.twist_rad[row, side])
+        for side in Side
+    ]
+    bent = relative_rotation(poses[1].camera_from_body, poses[0].camera_from_body)
+    rest = relative_rotation(belief.right.rest.camera_from_body, belief.left.rest.camera_from_body)
+    # a right camera turned by +phi about its y (down) looks further right, and its coordinates turn by -phi
+    return float(-log_rotation(bent @ rest.T)[1])
+
+
+def _write_accel(flight: Flight, path: Path) -> Path:
+    period_ns = round(1e9 / BACKEND_HZ)
+    times = period_ns * np.arange(2, int(flight.duration_s * BACKEND_HZ) - 2, dtype=np.int64)
+    names, blocks = ["t_s"], []
+    for station in Station:
+        sensor = flight.real.actual.sensor(station)
+        real = RealSensor(flight.truth, flight.model, station, sensor, flight.real.errors[station])
+        raw = real.sample(times, period_ns, flight.generator(f"table {station}"))
+        keep = [column for column, letter in enumerate(_LETTERS) if letter in sensor.sends]
+        names += [f"{station.name.lower()}_{_LETTERS[column]}_{_UNITS[column]}" for column in keep]
+        blocks.append(real.finish(raw, BACKEND_HZ)[:, keep])
+    return _write(path, names, times, np.hstack(blocks), "%.6f")
+
+
+def _write_ranges(flight: Flight, path: Path) -> Path:
+    """Give ranges as the rigid extrinsics make them of a disparity with matching noise."""
+    step = round(1e9 / _RANGE_RATE_HZ)
+    rng = flight.generator("ranges")
+    times = np.arange(step, int(flight.duration_s * 1e9), step, dtype=np.int64) + rng.integers(0, step // 2)
+    times = times[times < flight.duration_s * 1e9]
+    left, believed = flight.real.actual.left_camera, flight.airframe.left_camera
+    assert left is not None
+    assert believed is not None
+    real, belief = Rig.from_airframe(flight.real.actual), Rig.from_airframe(flight.airframe)
+    truth = flight.truth.series(times)
+    reference = reference_m(truth, flight.airframe.orientation)
+    toe = np.array([toe_rad(belief, real, truth, row) for row in range(len(times))])
+    toe += [_mount_toe(flight, t_ns * 1e-9) for t_ns in times.tolist()]
+    disparity = left.focal_px.value * (real.baseline_m / reference + toe)
+    disparity += _MATCH_SIGMA_PX * rng.standard_normal(len(times))
+    rigid = believed.focal_px.value * belief.baseline_m / disparity
+    table = np.stack([rigid, reference, disparity], 1)
+    return _write(path, ["t_s", "range_m", "reference_m", "disparity_px"], times, table, "%.5f")
+
+
+def _mount_toe(flight: Flight, t_s: float) -> float:
+    """What effects on the cameras add to the toe."""
+    left, right = (viewed(flight.model.effects, side, t_s) for side in Side)
+    return float(right.rotation_rad[1] - left.rotation_rad[1])
+
+
+def reference_m(truth: TruthSeries, orientation: int) -> Floats:
+    """True distance along the cameras' axis: to the ground for a pair that looks down, else to a wall ahead."""
+    if orientation != _DOWN:
+        return np.full(len(truth.t_boot_ns), _TARGET_AHEAD_M)
+    # body z against NED down is the last entry of the rotation
+    return np.asarray(-truth.position_ned_m[:, 2] / truth.body_from_ned[:, 2, 2])
+
+
+def _write(path: Path, names: list[str], times: Ints, values: Floats, form: str) -> Path:
+    with path.open("w", encoding="utf-8") as file:
+        file.write(",".join(names) + "\n")
+        row = "%.6f," + ",".join([form] * values.shape[1]) + "\n"
+        for t_s, entry in zip((times * 1e-9).tolist(), values.tolist(), strict=True):
+            file.write(row % (t_s, *entry))
+    return path

@@ -1,0 +1,1 @@
+"""The simulated vehicle on which missions are rehearsed."""

@@ -1,0 +1,108 @@
+"""The simulated vehicle for rehearsing missions: it takes orders, has several links, and runs as fast as is asked."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from companion.sim.flight.flight import Flight
+from companion.sim.vehicle.command_protocol import Orders
+from companion.sim.vehicle.companion_stub import RangeStandIn
+from companion.sim.vehicle.faults import Faults
+from companion.sim.vehicle.routing import Port, Router
+from companion.sim.vehicle.scripted_pilot import Pilot
+from companion.sim.vehicle.world import Link, World, WorldOptions
+
+_WAKE_S = 0.002
+_LONGEST_STEP_S = 0.02
+_FORWARD = 0
+_FIELD_OF_VIEW_RAD = 0.37
+
+
+class Rehearsal:
+    """One vehicle; :meth:`run` keeps it alive until told to stop.
+
+    Parameters
+    ----------
+    connections : sequence of str
+        Links in the vehicle's spelling (:class:`WorldOptions`); what one says is passed on to the others.
+    height_m : float
+        Above home at the start; 0 is on the ground, disarmed.
+    speed : float
+        Flight seconds per real second.
+    ranges : bool
+        Put a stand-in for the companion on the wire (:class:`RangeStandIn`).
+    obstacle_m : tuple, optional
+        North and east of home of a pole that a forward-looking airframe sees.
+    """
+
+    def __init__(
+        self,
+        flight: Flight,
+        connections: Sequence[str],
+        *,
+        height_m: float = 60.0,
+        speed: float = 1.0,
+        ranges: bool = False,
+        obstacle_m: tuple[float, float] | None = None,
+        faults: Faults | None = None,
+        parameters: Mapping[str, float] | None = None,
+    ) -> None:
+        self.speed = speed
+        self.boot_ns = 0
+        self._obstacle_m = obstacle_m
+        orientation = flight.airframe.orientation
+        self.standin = RangeStandIn(
+            self._ahead_m if orientation == _FORWARD else self._below_m,
+            lambda: self.orders.flown_ns,  # the instant that the distance is of
+            orientation=orientation,
+        )
+        ports: list[Port] = [Link(connection) for connection in connections]
+        self._router = Router([*ports, self.standin] if ranges else ports)
+        options = WorldOptions(
+            speed=speed, faults=faults or Faults(), parameters=parameters or {}, pilot_height_m=height_m
+        )
+        self.world = World(flight, options, self._router)
+
+    @property
+    def orders(self) -> Orders:
+        """What the vehicle was told, and who flies it."""
+        assert self.world.autopilot.orders is not None
+        return self.world.autopilot.orders
+
+    @property
+    def pilot(self) -> Pilot:
+        """The aeroplane."""
+        return self.orders.pilot
+
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Fly in (multiplied) real time until ``ended`` says so, then close the links.
+
+        Faster than real, a machine that stalls makes the flight slower instead of making it jump.
+        """
+        most_s = math.inf if self.speed == 1.0 else _LONGEST_STEP_S
+        before_s = time.monotonic()
+        try:
+            while not ended():
+                now_s = time.monotonic()
+                self.boot_ns += round(min(now_s - before_s, most_s) * self.speed * 1e9)
+                before_s = now_s
+                self.world.turn(self.boot_ns, time.monotonic_ns())
+                time.sleep(_WAKE_S)
+        finally:
+            self._router.close()
+
+    def _below_m(self) -> float | None:
+        """Along the downward axis to level ground at home's height."""
+        p = self.pilot
+        return p.height_m / (math.cos(p.roll_rad) * math.cos(p.pitch_rad)) if p.airborne else None
+
+    def _ahead_m(self) -> float | None:
+        """To the pole, while it is in view."""
+        if self._obstacle_m is None:
+            return None
+        p = self.pilot
+        north, east = self._obstacle_m[0] - p.north_m, self._obstacle_m[1] - p.east_m
+        off = (math.atan2(east, north) - p.course_rad + math.pi) % math.tau - math.pi
+        return math.hypot(north, east) * math.cos(off) if abs(off) < _FIELD_OF_VIEW_RAD else None

@@ -1,0 +1,1 @@
+"""Simulated autopilots and wing nodes that speak real MAVLink."""

@@ -1,0 +1,1 @@
+"""Simulated cameras: scene, renderer, shutter, calibration boards."""

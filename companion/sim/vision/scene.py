@@ -1,0 +1,211 @@
+"""The world to look at: textured planes in NED, and the ranges that a perfect eye would read."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.geometry import MountedCamera, Pose
+from companion.records import Floats
+from companion.sim.flight.truth import FlightTruth
+
+_DOWN = np.array([0.0, 0.0, 1.0])
+
+
+class Product(enum.StrEnum):
+    """Which range stands for a view (settings: RNG_PRODUCT)."""
+
+    MEDIAN = "median"
+    NEAREST = "nearest"
+    CENTRE = "centre"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """A flat textured surface.
+
+    Attributes
+    ----------
+    centre_m, across, along : (3,)
+        NED; two orthonormal directions in the plane.
+    half_size_m : (across, along) or None
+        None has no end.
+    surface : int
+        Chooses its texture; equal numbers carry equal texture.
+    brightness : float
+        Mean grey level.
+    """
+
+    centre_m: Floats
+    across: Floats
+    along: Floats
+    half_size_m: tuple[float, float] | None
+    surface: int
+    brightness: float = 118.0
+
+    @property
+    def normal(self) -> Floats:
+        """Unit normal, (3,)."""
+        return np.cross(self.across, self.along)
+
+    def corners_m(self) -> Floats:
+        """The four corners in NED, (4, 3); only for a plane that has an end."""
+        assert self.half_size_m is not None
+        u, v = self.half_size_m
+        signs = np.array([[-u, -v], [u, -v], [u, v], [-u, v]])
+        return np.asarray(self.centre_m + signs[:, :1] * self.across + signs[:, 1:] * self.along)
+
+    def hit(self, origin_m: Floats, directions: Floats) -> Floats:
+        """How many ``directions`` (n, 3) lead from ``origin_m`` to the plane, (n,); infinite where they miss."""
+        reach = self.normal @ (self.centre_m - origin_m)
+        closing = directions @ self.normal
+        away = closing * np.sign(reach) <= 1e-12
+        stretch = np.where(away, np.inf, reach / np.where(away, 1.0, closing))
+        if self.half_size_m is None:
+            return np.asarray(stretch)
+        local = origin_m + np.where(away, 0.0, stretch)[:, None] * directions - self.centre_m
+        inside = (np.abs(local @ self.across) <= self.half_size_m[0]) & (
+            np.abs(local @ self.along) <= self.half_size_m[1]
+        )
+        return np.where(inside, stretch, np.inf)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Surfaces with one texture seed; where none is hit there is plain sky.
+
+    What has an end and lies farther than ``sight_m`` from the eye is lost in the haze, for images and ranges alike.
+    """
+
+    planes: tuple[Plane, ...]
+    seed: int
+    sky: float = 200.0
+    sight_m: float = 250.0
+
+    def hit(self, origin_m: Floats, directions: Floats) -> Floats:
+        """Nearest surface along each direction, in multiples of it, (n,); infinite for the sky."""
+        nearest = np.full(len(directions), np.inf)
+        for plane in self.visible(origin_m):
+            nearest = np.minimum(nearest, plane.hit(origin_m, directions))
+        return nearest
+
+    def visible(self, eye_m: Floats) -> list[Plane]:
+        """Surfaces in sight, in the order of painting: what has no end first, then from far to near."""
+        distances = [float(np.linalg.norm(plane.centre_m - eye_m)) for plane in self.planes]
+        endless = [plane for plane in self.planes if plane.half_size_m is None]
+        near = [
+            (distance, number)
+            for number, (distance, plane) in enumerate(zip(distances, self.planes, strict=True))
+            if plane.half_size_m is not None and distance <= self.sight_m
+        ]
+        return endless + [self.planes[number] for _, number in sorted(near, reverse=True)]
+
+
+def ground(height_m: float = 0.0, surface: int = 0) -> Plane:
+    """Endless level ground, ``height_m`` above NED zero."""
+    return Plane(np.array([0.0, 0.0, -height_m]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), None, surface)
+
+
+def terrace(north_m: float, east_m: float, size_m: tuple[float, float], height_m: float, surface: int) -> Plane:
+    """A level platform of ``size_m`` (north, east) above the ground."""
+    centre = np.array([north_m, east_m, -height_m])
+    return Plane(
+        centre, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), (size_m[0] / 2, size_m[1] / 2), surface, 126.0
+    )
+
+
+def board(centre_m: Floats, heading_rad: float, size_m: tuple[float, float], surface: int) -> Plane:
+    """An upright board of ``size_m`` (width, height) that faces whoever comes along ``heading_rad``."""
+    across = np.array([-np.sin(heading_rad), np.cos(heading_rad), 0.0])
+    return Plane(np.asarray(centre_m, float), across, _DOWN, (size_m[0] / 2, size_m[1] / 2), surface, 110.0)
+
+
+def ground_scene(seed: int) -> Scene:
+    """What a downward-looking pair flies over."""
+    return Scene((ground(),), seed)
+
+
+def obstacle_scene(
+    truth: FlightTruth, seed: int, spacing_m: float = 110.0, size_m: tuple[float, float] = (30.0, 20.0)
+) -> Scene:
+    """Ground and upright boards across the path, so that a forward-looking pair closes in on one after another.
+
+    Boards have no thickness and stop nobody: the aircraft passes through each.
+    """
+    t_ns = truth.t_boot_ns[::20]
+    path = truth.series(t_ns)
+    flown = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.position_ned_m, axis=0), axis=1))])
+    planes = [ground()]
+    for number, distance in enumerate(np.arange(spacing_m, flown[-1] + spacing_m, spacing_m), start=1):
+        i = min(int(np.searchsorted(flown, distance)), len(flown) - 1)
+        velocity = path.velocity_ned_mps[i]
+        heading = float(np.arctan2(velocity[1], velocity[0]))
+        beyond = (distance - flown[i]) * np.array([np.cos(heading), np.sin(heading), 0.0])
+        planes.append(board(path.position_ned_m[i] + beyond, heading, size_m, number))
+    return Scene(tuple(planes), seed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """One camera in the world: its lens, and its pose in NED."""
+
+    camera: MountedCamera
+    camera_from_ned: Floats
+    centre_ned_m: Floats
+
+    @classmethod
+    def from_body(cls, camera: MountedCamera, pose: Pose, body_from_ned: Floats, position_ned_m: Floats) -> View:
+        """Carry a body pose into the world."""
+        centre = position_ned_m + body_from_ned.T @ pose.position_body_m
+        return cls(camera, pose.camera_from_body @ body_from_ned, centre)
+
+    def depth_m(self, scene: Scene, pixels: Floats) -> Floats:
+        """True depth along the optical axis at distorted pixels (n, 2), (n,); infinite for the sky."""
+        rays = self.camera.lens.unproject(pixels)
+        return scene.hit(self.centre_ned_m, rays @ self.camera_from_ned)
+
+    def points_ned_m(self, scene: Scene, pixels: Floats) -> Floats:
+        """What is seen at distorted pixels (n, 2): points (n, 3) in NED, NaN for the sky."""
+        directions = self.camera.lens.unproject(pixels) @ self.camera_from_ned
+        stretch = scene.hit(self.centre_ned_m, directions)
+        return np.asarray(self.centre_ned_m + np.where(np.isfinite(stretch), stretch, np.nan)[:, None] * directions)
+
+    def project(self, points_ned_m: Floats) -> Floats:
+        """Distorted pixels (n, 2) of points (n, 3); NaN behind the camera."""
+        return self.camera.lens.project((points_ned_m - self.centre_ned_m) @ self.camera_from_ned.T)
+
+
+def overlap_depths_m(scene: Scene, left: View, right: View, grid: tuple[int, int] = (32, 24)) -> Floats:
+    """True depths of what both cameras see, along the mean optical axis from between the cameras, (n,).
+
+    A ``grid`` of left pixels is followed to the scene; what falls outside the right image is left out, what hides
+    behind a nearer surface there is not.
+    """
+    width, height = left.camera.lens.size_px
+    columns = (np.arange(grid[0]) + 0.5) * width / grid[0] - 0.5
+    rows = (np.arange(grid[1]) + 0.5) * height / grid[1] - 0.5
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    points = left.points_ned_m(scene, pixels)
+    points = points[np.isfinite(points[:, 0])]
+    seen = right.project(points)
+    limits = np.array(right.camera.lens.size_px) - 0.5
+    both = np.all((seen > -0.5) & (seen < limits), axis=1)
+    axis = left.camera_from_ned[2] + right.camera_from_ned[2]
+    middle = 0.5 * (left.centre_ned_m + right.centre_ned_m)
+    return np.asarray((points[both] - middle) @ (axis / np.linalg.norm(axis)))
+
+
+def true_range_m(scene: Scene, left: View, right: View, product: Product = Product.MEDIAN) -> float:
+    """The range that the named product should read, along the mean optical axis; infinite where nothing is seen."""
+    depths = overlap_depths_m(scene, left, right)
+    if not len(depths):
+        return float("inf")
+    if product is Product.NEAREST:
+        return float(np.min(depths))
+    if product is Product.MEDIAN:
+        return float(np.median(depths))
+    axis = left.camera_from_ned[2] + right.camera_from_ned[2]
+    middle = 0.5 * (left.centre_ned_m + right.centre_ned_m)
+    return float(scene.hit(middle, (axis / np.linalg.norm(axis))[None])[0])

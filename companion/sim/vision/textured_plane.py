@@ -1,0 +1,306 @@
+"""One textured plane in one image: its homography through the exposure, its octaves, its outline."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from companion.records import Bools, Floats
+from companion.sim.vision.scene import Plane, View
+from companion.sim.vision.shutter import (
+    PixelGrid,
+    Track,
+    Window,
+    at_time,
+    margin_of,
+)
+from companion.sim.vision.texture import (
+    LEVELS_PER_RMS,
+    ZERO_LEVEL,
+    Image16,
+    Image32,
+    NoiseTile,
+    Octave,
+    octaves_of,
+    visible_cycles_per_px,
+    weight,
+    within_tile,
+)
+
+CONTRAST = 11.0
+_LEAST_WEIGHT = 0.01
+_HORIZON_M = 1e4  # a pixel that spans this much shows nothing
+_POSES_PER_CYCLE = 7.0  # of blur: the average then follows the true blur of a wave to 3 % of its amplitude
+_MOST_POSES = 16
+_OUTLINE_POSES = 8
+_COARSE = ((4, 0.03), (2, 0.06))  # reduced resolution for octaves below so many cycles per pixel
+_EDGE_ON_M = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """A plane as one camera sees it during one exposure.
+
+    Attributes
+    ----------
+    polynomial : (k, 3, 3)
+        Through time: from rays (x, y, 1) to (u w, v w, w), plane coordinates in metres about ``origin_m``; w > 0 is
+        in front.
+    footprint_m : NODES
+        Longest extent of a pixel on the plane; infinite where the plane is not seen.
+    motion_px : float
+        Largest travel of a point of the plane in the image during the exposure.
+    """
+
+    plane: Plane
+    grid: PixelGrid
+    track: Track
+    origin_m: Floats
+    polynomial: Floats
+    footprint_m: Floats
+    motion_px: float
+
+
+class SurfacePainter:
+    """Paints planes of one scene."""
+
+    def __init__(self, tile: NoiseTile, seed: int) -> None:
+        self._tile = tile
+        self._octaves = functools.lru_cache(maxsize=64)(functools.partial(octaves_of, seed))
+
+    def paint(self, image: Image32, planes: Sequence[Plane], views: list[View], grid: PixelGrid, track: Track) -> None:
+        """Draw over ``image`` (rows, columns) what planes cover of it, from far to near; hidden ones are left out.
+
+        ``views`` are at the track's poses.
+        """
+        seen: list[tuple[Sight, Window]] = []
+        for plane in reversed(planes):
+            window = _window(plane, views, grid)
+            if window is None or any(_fills(nearer, window) for nearer, _ in seen):
+                continue
+            sight = _sight(plane, views, grid, track)
+            if sight is not None:
+                seen.append((sight, window))
+        for sight, window in reversed(seen):
+            self._paint(image, sight, window)
+
+    def _paint(self, image: Image32, sight: Sight, window: Window) -> None:
+        coverage = _coverage(sight, window)
+        if coverage is not None and not coverage.any():
+            return
+        rows = min(window.height, sight.grid.size_px[1] - window.row)
+        columns = min(window.width, sight.grid.size_px[0] - window.column)
+        painted = self._texture(sight, window)[:rows, :columns]
+        target = image[window.row : window.row + rows, window.column : window.column + columns]
+        if coverage is None:
+            target[:] = painted
+        else:
+            target += coverage[:rows, :columns] * (painted - target)
+
+    def _texture(self, sight: Sight, window: Window) -> Image32:
+        layers: dict[int, Image32] = {}
+        width = sight.grid.size_px[0]
+        nodes = sight.grid.nodes_in(window)
+        footprint_m = np.minimum(sight.footprint_m[nodes], _HORIZON_M)
+        least, most = visible_cycles_per_px(width) / np.array([footprint_m.max(), footprint_m.min()])
+        for octave in self._octaves(sight.plane.surface):
+            if not least < octave.cycles_per_m < most:
+                continue
+            cycles = octave.cycles_per_m * footprint_m
+            gain = weight(cycles, width)
+            seen = gain > _LEAST_WEIGHT
+            part = sight.grid.window_of_nodes(seen, nodes, window)
+            if part is None:
+                continue
+            finest = float(cycles[seen].max())
+            factor = next((factor for factor, limit in _COARSE if finest <= limit), 1)
+            layer = layers.setdefault(factor, np.zeros(sight.grid.cell_shape(window, factor), np.float32))
+            wave = self._blurred(sight, part, octave, factor, finest)
+            y, x = (part.row - window.row) // factor, (part.column - window.column) // factor
+            target = layer[y : y + wave.shape[0], x : x + wave.shape[1]]
+            target += wave * sight.grid.spread_nodes(gain, nodes, part, factor)
+        total: Image32 = np.full((window.height, window.width), sight.plane.brightness, np.float32)
+        for factor, layer in layers.items():
+            cv2.scaleAdd(_enlarged(layer, factor), CONTRAST, total, dst=total)
+        return total
+
+    def _blurred(self, sight: Sight, window: Window, octave: Octave, factor: int, cycles_per_px: float) -> Image32:
+        """Noise of rms 1, averaged over the exposure."""
+        poses = min(max(math.ceil(_POSES_PER_CYCLE * cycles_per_px * sight.motion_px), 1), _MOST_POSES)
+        texel = np.vstack([octave.texel_from_plane(sight.origin_m), [0.0, 0.0, 1.0]])
+        total: Image32 = np.zeros(sight.grid.cell_shape(window, factor), np.float32)
+        for t_s in sight.track.instants_s(poses):
+            cv2.accumulate(self._sample(sight, window, texel, factor, float(t_s)), total)
+        total *= np.float32(1.0 / (poses * LEVELS_PER_RMS))
+        total -= np.float32(ZERO_LEVEL / LEVELS_PER_RMS)
+        return total
+
+    def _sample(self, sight: Sight, window: Window, texel: Floats, factor: int, t_s: float) -> Image16:
+        grid, track = sight.grid, sight.track
+        if track.row_time_ns:
+            return self._rolled(sight, window, texel, factor, t_s)
+        rows, columns = grid.cell_shape(window, factor)
+        texel_from_ray = texel @ at_time(sight.polynomial, np.array([t_s]))[0]
+        ray_from_cell = grid.ray_from_pixel @ grid.pixel_from_cell(window, factor)
+        texel_from_cell = within_tile(texel_from_ray @ ray_from_cell, columns, rows)
+        tile, texel_from_cell = self._tile.along_rows(texel_from_cell)
+        if grid.distorted:
+            rays = grid.cell_rays(window, factor)
+            where = cv2.perspectiveTransform(rays, texel_from_cell @ np.linalg.inv(ray_from_cell))
+            return np.asarray(cv2.remap(tile, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return np.asarray(
+            cv2.warpPerspective(tile, texel_from_cell, (columns, rows), flags=flags, borderMode=cv2.BORDER_WRAP)
+        )
+
+    def _rolled(self, sight: Sight, window: Window, texel: Floats, factor: int, t_s: float) -> Image16:
+        """Every row at its own pose."""
+        times = t_s + sight.track.row_delay_s(sight.grid.cell_rows(window, factor))
+        matrices = (texel @ at_time(sight.polynomial, times)).astype(np.float32)
+        rays = sight.grid.cell_rays(window, factor)
+        full = rays @ matrices[:, :, :2].transpose(0, 2, 1) + matrices[:, None, :, 2]
+        where = np.ascontiguousarray(full[..., :2] / full[..., 2:])
+        return np.asarray(cv2.remap(self._tile.upright, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
+
+
+def _enlarged(layer: Image32, factor: int) -> Image32:
+    if factor == 1:
+        return layer
+    rows, columns = layer.shape
+    large = cv2.resize(layer, (columns * factor, rows * factor), interpolation=cv2.INTER_CUBIC)
+    edge = margin_of(factor) * factor
+    return np.ascontiguousarray(large[edge:-edge, edge:-edge])
+
+
+def _window(plane: Plane, views: list[View], grid: PixelGrid) -> Window | None:
+    """Pixels that the plane may touch; None when it is out of sight."""
+    if plane.half_size_m is None:
+        return grid.full()
+    corners = np.concatenate([view.project(plane.corners_m()) for view in views])
+    behind = np.isnan(corners[:, 0])
+    if behind.all():
+        return None
+    if behind.any() or grid.distorted:
+        return grid.full()
+    return Window.around(corners.min(axis=0) - 2.0, corners.max(axis=0) + 2.0, grid.size_px)
+
+
+def _sight(plane: Plane, views: list[View], grid: PixelGrid, track: Track) -> Sight | None:
+    """Set the homography up; None when the plane is seen edge-on or lies behind."""
+    middle = views[0]
+    if abs(plane.normal @ (plane.centre_m - middle.centre_ned_m)) < _EDGE_ON_M:
+        return None
+    origin = _origin(plane, middle)
+    matrices = np.stack([_plane_from_ray(plane, view, origin) for view in views])
+    footprint = _footprint(matrices[0], grid)
+    if not np.isfinite(footprint).any():
+        return None
+    polynomial = track.polynomial(matrices)
+    return Sight(plane, grid, track, origin, polynomial, footprint, _motion_px(polynomial, grid, track))
+
+
+def _origin(plane: Plane, view: View) -> Floats:
+    """Plane coordinates near what is seen, so that single precision suffices from there on."""
+    axis = view.camera_from_ned[2]
+    stretch = plane.hit(view.centre_ned_m, axis[None])[0] if abs(plane.normal @ axis) > 0.05 else np.inf
+    spot = view.centre_ned_m + (stretch if np.isfinite(stretch) else 0.0) * axis - plane.centre_m
+    return np.array([spot @ plane.across, spot @ plane.along])
+
+
+def _plane_from_ray(plane: Plane, view: View, origin_m: Floats) -> Floats:
+    """From a ray in camera axes to (u w, v w, w): u = across.(C + s d - P) with s = n.(P - C) / n.d, w = n.d."""
+    offset = view.centre_ned_m - plane.centre_m
+    reach = -float(plane.normal @ offset)
+    normal = math.copysign(1.0, reach) * plane.normal
+    rows = np.vstack(
+        [
+            (plane.across @ offset - origin_m[0]) * normal + abs(reach) * plane.across,
+            (plane.along @ offset - origin_m[1]) * normal + abs(reach) * plane.along,
+            normal,
+        ]
+    )
+    return np.asarray(rows @ view.camera_from_ned.T)
+
+
+def _footprint(matrix: Floats, grid: PixelGrid) -> Floats:
+    """Largest singular value of d(u, v)/d(pixel) at the nodes."""
+    uvw = grid.node_rays @ matrix.T
+    w = uvw[..., 2]
+    seen = w > 1e-4
+    safe = np.where(seen, w, 1.0)
+    uv = uvw[..., :2] / safe[..., None]
+    jacobian = (matrix[:2, :2] - uv[..., None] * matrix[2, :2]) / (safe[..., None, None] * grid.focal_px)
+    square = np.sum(jacobian**2, axis=(-2, -1))
+    area = np.abs(jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0])
+    largest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * area**2, 0.0))))
+    return np.where(seen, largest, np.inf)
+
+
+def _motion_px(polynomial: Floats, grid: PixelGrid, track: Track) -> float:
+    """Longest way of a plane point between the exposure's ends, at a coarse choice of nodes."""
+    half_s = 0.5e-9 * track.exposure_ns
+    start, end = at_time(polynomial, np.array([-half_s, half_s]))
+    rays = grid.node_rays[::6, ::6].reshape(-1, 3)
+    uvw = rays @ start.T
+    later = uvw @ np.linalg.inv(end).T
+    seen = (uvw[:, 2] > 1e-2) & (later[:, 2] > 1e-3)
+    if not seen.any():
+        return 0.0
+    moved = later[seen, :2] / later[seen, 2:] - rays[seen, :2]
+    return float(np.max(np.hypot(moved[:, 0], moved[:, 1]))) * grid.focal_px
+
+
+def _coverage(sight: Sight, window: Window) -> Image32 | None:
+    """Share of each pixel that the plane covers, averaged over the exposure; None where that is all of it."""
+    if _fills(sight, sight.grid.full()):
+        return None
+    poses = min(max(math.ceil(sight.motion_px), 1), _OUTLINE_POSES)
+    rays = sight.grid.cell_rays(window, 1)
+    delay_s = sight.track.row_delay_s(sight.grid.cell_rows(window, 1))
+    total: Image32 = np.zeros(rays.shape[:2], np.float32)
+    for t_s in sight.track.instants_s(poses):
+        times = t_s + delay_s if sight.track.row_time_ns else np.array([t_s])
+        total += _outline(sight, rays, at_time(sight.polynomial, times).astype(np.float32))
+    return total / np.float32(poses)
+
+
+def _fills(sight: Sight, window: Window) -> bool:
+    """Whether the plane covers all of a window, throughout the exposure and with room to spare."""
+    polynomial = at_time(sight.polynomial, np.zeros(1))[0]
+    return bool(np.all(_inside(sight, sight.grid.corner_rays(window) @ polynomial.T)))
+
+
+def _inside(sight: Sight, uvw: Floats) -> Bools:
+    """Whether points lie well within the plane, in front of the camera."""
+    seen = uvw[:, 2] > 0.05
+    half = sight.plane.half_size_m
+    if half is None:
+        return seen
+    uv = np.abs(uvw[:, :2] / np.where(seen, uvw[:, 2], 1.0)[:, None] + sight.origin_m)
+    return np.asarray(seen & np.all(uv < 0.98 * np.array(half), axis=1))
+
+
+def _outline(sight: Sight, rays: Image32, matrices: Image32) -> Image32:
+    """Coverage at one pose (or one per row): distance to each edge in pixels, clipped to a pixel's width."""
+    m = matrices[:, None]
+    u_w, v_w, w = (rays[..., 0] * m[..., i, 0] + rays[..., 1] * m[..., i, 1] + m[..., i, 2] for i in range(3))
+    front = w > 1e-6
+    safe = np.where(front, w, np.float32(1.0))
+    focal = np.float32(sight.grid.focal_px)
+    half = sight.plane.half_size_m
+    if half is None:
+        steep = np.hypot(m[..., 2, 0], m[..., 2, 1]) / focal
+        return np.asarray(np.clip(w / steep + np.float32(0.5), 0.0, 1.0), dtype=np.float32)
+    share = front.astype(np.float32)
+    for row, (value, limit) in enumerate(zip((u_w / safe, v_w / safe), half, strict=True)):
+        gradient = np.hypot(m[..., row, 0] - value * m[..., 2, 0], m[..., row, 1] - value * m[..., 2, 1]) / (
+            safe * focal
+        )
+        edge = (np.float32(limit) - np.abs(value + np.float32(sight.origin_m[row]))) / gradient
+        share *= np.clip(edge + np.float32(0.5), 0.0, 1.0)
+    return np.asarray(share, dtype=np.float32)

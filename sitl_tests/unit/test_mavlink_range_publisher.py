@@ -1,0 +1,109 @@
+"""Rates of what leaves, obstacles as points, and that a change of trust never waits."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.adapters.mavlink.component import encode
+from companion.adapters.mavlink.component.range_publisher import RangeOutputs
+from companion.params.settings import Settings
+from companion.records import CorrectedRange, NoRange, ObstacleSectors, Reject
+
+MS = 1_000_000
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def measured(t_ns: int, trusted: bool = True) -> CorrectedRange:
+    return CorrectedRange(1, 1, t_ns, 25, 42.0, 0.1, 0.0, 1e-4, 0.0, 50, trusted, None)
+
+
+def none(t_ns: int, orientation: int = 25) -> NoRange:
+    return NoRange(t_ns, orientation, Reject.STALE)
+
+
+def seen(t_ns: int, distances: dict[int, float], max_m: float = 100.0) -> ObstacleSectors:
+    known, distance = np.zeros(72, dtype=bool), np.zeros(72)
+    for sector, metres in distances.items():
+        known[sector], distance[sector] = True, metres
+    return ObstacleSectors(t_ns, distance, np.full(72, 0.1), known, np.zeros(72, dtype=bool), 4.0, max_m)
+
+
+def sent(message: Any) -> Any:
+    (received,) = mavlink.MAVLink(None).parse_buffer(message.pack(mavlink.MAVLink(None, 1, 191)))
+    return received
+
+
+@pytest.mark.parametrize(("shots_hz", "rate_hz"), [(30, 10), (10, 10), (7, 10), (50, 2)])
+def test_ranges_leave_at_their_rate_at_most(shots_hz: int, rate_hz: int) -> None:
+    outputs = RangeOutputs(Settings(publish_rate_hz=rate_hz), 25)
+    times = [k * 1000 * MS // shots_hz for k in range(10 * shots_hz)]
+    count = sum(len(outputs.messages(measured(t), 0, t)) for t in times)
+    assert count <= 10 * rate_hz / 0.7 + 1
+    assert count >= 0.9 * 10 * min(shots_hz, rate_hz)
+
+
+def test_a_change_of_trust_goes_out_at_once() -> None:
+    outputs = RangeOutputs(Settings(), 25)
+    kinds = []
+    for k, record in enumerate([measured(0), measured(1), none(2), none(3), measured(4), measured(5, trusted=False)]):
+        kinds += [message.signal_quality == 1 for message in outputs.messages(record, 0, k * MS)]
+    assert kinds == [False, True, False, True]
+
+
+@pytest.mark.slow
+@given(
+    rows=st.lists(st.tuples(ANY, st.booleans()), min_size=72, max_size=72),
+    min_m=ANY,
+    max_m=ANY,
+    time_ms=st.integers(-(2**62), 2**62),
+)
+def test_no_point_lies(rows: list[tuple[float, bool]], min_m: float, max_m: float, time_ms: int) -> None:
+    distance, known = (np.array(column) for column in zip(*rows, strict=True))
+    record = ObstacleSectors(0, distance, np.zeros(72), known, np.zeros(72, dtype=bool), min_m, max_m)
+    points = [sent(message) for message in encode.obstacle_points(record, time_ms)]
+    assert 1 <= len(points) <= 72
+    assert len({point.time_boot_ms for point in points}) == 1
+    for point in points:
+        numbers = (point.x, point.y, point.z, point.min_distance, point.max_distance)
+        assert all(math.isfinite(number) for number in numbers)
+        assert point.frame == 12
+        assert point.obstacle_id == 65535
+        assert np.hypot(point.x, point.y) >= point.min_distance * (1 - 1e-6)
+
+
+def test_points_lie_where_the_sectors_are() -> None:
+    ahead, right, behind_left = (
+        sent(message) for message in encode.obstacle_points(seen(0, {0: 10.0, 18: 20.0, 45: 30.0}), 7)
+    )
+    assert (ahead.x, ahead.y) == pytest.approx((10.0, 0.0))
+    assert (right.x, right.y) == pytest.approx((0.0, 20.0), abs=1e-5)  # clockwise, y to the right
+    assert (behind_left.x, behind_left.y) == pytest.approx((-30 * math.sqrt(0.5), -30 * math.sqrt(0.5)))
+
+
+def test_stamps_of_points_advance_and_follow_a_restart() -> None:
+    outputs = RangeOutputs(Settings(obstacles=2), 0)
+    stamps = []
+    for k, t_ms in enumerate([5000, 5000, 4990, 5200, 30, 130]):
+        (message,) = outputs.messages(seen(t_ms * MS, {}), 0, k * 1000 * MS)
+        assert math.hypot(message.x, message.y) > message.max_distance, "a look without obstacles still ends the last"
+        stamps.append(message.time_boot_ms)
+    assert stamps == [5000, 5001, 5002, 5200, 30, 130]
+
+
+def test_obstacles_take_the_form_that_is_set_and_alive_without_range_is_all_unknown() -> None:
+    for form, expected in ((0, []), (1, ["OBSTACLE_DISTANCE"]), (2, ["OBSTACLE_DISTANCE_3D"])):
+        outputs = RangeOutputs(Settings(obstacles=form), 0)
+        assert [m.get_type() for m in outputs.messages(seen(0, {3: 9.0}), 0, 0)] == expected
+        kinds = [m.get_type() for m in outputs.messages(none(0, 0), 0, 1000 * MS)]
+        assert kinds == ["DISTANCE_SENSOR", *expected]
+    outputs = RangeOutputs(Settings(), 0)
+    circle = sent(outputs.messages(none(0, 0), 0, 0)[1])
+    assert set(circle.distances) == {65535}
+    assert [m.get_type() for m in RangeOutputs(Settings(), 25).messages(none(0), 0, 0)] == ["DISTANCE_SENSOR"]

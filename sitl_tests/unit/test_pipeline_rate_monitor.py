@@ -1,0 +1,59 @@
+"""The tracker follows the rate that streams really have, and is not misled by loss or by a short silence."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from companion.core.rate_monitor import Delivery
+from companion.params.files import load_airframe
+from companion.records import Axis, ClockName, ImuBatch, ModeState, Notice, Station, Validity
+from sitl_tests.unit.pipeline_flight import S, inputs, run
+
+AIRFRAME = load_airframe("nadir-2m")
+WRONG = dataclasses.replace(AIRFRAME, left=dataclasses.replace(AIRFRAME.left, rate_hz=100.0))
+
+
+def settled_on(t_s: np.ndarray, rng: np.random.Generator | None = None, loss: float = 0.0) -> list[float]:
+    """Rates that a left node's samples at these instants would have the tracker adopt."""
+    delivery, found = Delivery(), []
+    for part in np.array_split(t_s, max(len(t_s) // 20, 1)):
+        kept = part if rng is None else part[rng.random(len(part)) >= loss]
+        if len(kept):
+            t_ns = np.round(kept * S).astype(np.int64)
+            values = np.zeros((len(t_ns), 6))
+            delivery.note(ImuBatch(Station.LEFT, ClockName.NODE_LEFT, t_ns, values, Axis.ALL, int(t_ns[-1])))
+        found += [rate for _, rate in delivery.changed(AIRFRAME)]
+    return found
+
+
+@pytest.mark.parametrize("rate_hz", [40.0, 250.0, 2000.0])
+def test_another_rate_is_adopted_once_it_has_settled(rate_hz: float) -> None:
+    found = settled_on(np.arange(0.0, 9.0, 1.0 / rate_hz))
+    assert found
+    assert found[0] == pytest.approx(rate_hz, rel=0.02)
+
+
+def test_the_believed_rate_stays_under_loss_jitter_and_silence() -> None:
+    t_s, rng = np.arange(0.0, 20.0, 0.001), np.random.default_rng(1)
+    assert AIRFRAME.left.rate_hz == 1000.0
+    assert settled_on(t_s) == []
+    assert settled_on(t_s, rng, loss=0.4) == []
+    assert settled_on(np.sort(t_s + rng.uniform(0, 0.004, len(t_s)))) == []
+    assert settled_on(t_s[(t_s < 5.0) | (t_s > 6.5)]) == []
+    assert settled_on(np.concatenate([t_s[:4000], np.arange(4.0, 5.0, 0.01), t_s[5000:]])) == [], "for a second only"
+
+
+def test_a_restarted_clock_is_no_other_rate() -> None:
+    assert settled_on(np.concatenate([np.arange(90.0, 93.0, 0.001), np.arange(0.0, 7.0, 0.001)])) == []
+
+
+@pytest.mark.slow
+def test_a_wrongly_believed_rate_is_told_and_tracked_with() -> None:
+    driven = run(inputs(), airframe=WRONG)
+    (notice,) = [record for record in driven.of(Notice) if "comes at" in record.text]
+    assert notice.text == "left comes at 1000 Hz, not 100: tracker restarted"
+    assert driven.state.airframe.left.rate_hz == pytest.approx(1000.0, rel=0.01)
+    assert driven.of(ModeState)[-1].validity in (Validity.TRACKING, Validity.SETTLING)

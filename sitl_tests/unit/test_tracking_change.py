@@ -1,0 +1,133 @@
+"""What a filter knows when its wing's parameters change under way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from companion.core.tracking.filter import Kalman
+from companion.core.tracking.model import Parameters, build_model
+from companion.core.tracking.parameters import prior_parameters
+from companion.core.tracking.rigid_body import Cells
+from companion.core.tracking.states import ROWS, make_layout, make_noise
+from companion.params.files import load_airframe
+
+AIRFRAME = load_airframe("nadir-2m")
+STEP_S = 0.004
+LAYOUT = make_layout(AIRFRAME)
+NOISE = make_noise(AIRFRAME, LAYOUT, STEP_S)
+OLD: Parameters = (
+    prior_parameters(LAYOUT.symmetric, AIRFRAME.wing.gust),
+    prior_parameters(LAYOUT.antisymmetric, AIRFRAME.wing.gust),
+)
+NEW: Parameters = (
+    replace(OLD[0], frequency_hz=1.12 * OLD[0].frequency_hz, damping=1.6 * OLD[0].damping),
+    replace(OLD[1], frequency_hz=0.9 * OLD[1].frequency_hz, frequency_2_hz=1.1 * OLD[1].frequency_2_hz),
+)
+
+
+def _filter() -> Kalman:
+    wing, rng = AIRFRAME.wing, np.random.default_rng(2)
+    model = build_model(LAYOUT, NOISE, OLD, (-0.99, 0.99), STEP_S)
+    kalman = Kalman(LAYOUT, NOISE, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, 8)
+    kalman.columns[:, 0] = rng.normal(size=LAYOUT.size + 1)
+    root = rng.normal(size=(LAYOUT.size, LAYOUT.size))
+    kalman.covariance[:] = root @ root.T
+    return kalman
+
+
+def _acceleration_rows(parameters: Parameters) -> np.ndarray:
+    """Acceleration of every mode: load less damper less spring, which is at rest at the static bend; (4, n + 1)."""
+    rows = np.zeros((4, LAYOUT.size + 1))
+    for k, (family, p) in enumerate(zip(LAYOUT.families, parameters, strict=True)):
+        for turn, (q, hz, zeta) in enumerate(
+            ((family.q, p.frequency_hz, p.damping), (family.q2, p.frequency_2_hz, p.damping_2))
+        ):
+            omega, row = 2.0 * math.pi * hz, rows[2 * k + turn]
+            row[q], row[q + 1], row[q + 3] = -(omega**2), -2.0 * zeta * omega, 1.0
+    rows[0, LAYOUT.size] = -rows[0, LAYOUT.symmetric.q]
+    return rows
+
+
+def test_other_springs_and_dampers_change_neither_motion_nor_acceleration_nor_how_well_they_are_known() -> None:
+    kalman = _filter()
+    before, after, n = _acceleration_rows(OLD), _acceleration_rows(NEW), LAYOUT.size
+    columns, covariance = kalman.columns.copy(), kalman.covariance.copy()
+    kalman.use(build_model(LAYOUT, NOISE, NEW, (-0.99, 0.99), STEP_S))
+    np.testing.assert_allclose(after @ kalman.columns, before @ columns, rtol=1e-9, atol=1e-6)
+    known, was = (
+        rows[:, :n] @ spread @ rows[:, :n].T for rows, spread in ((after, kalman.covariance), (before, covariance))
+    )
+    np.testing.assert_allclose(known, was, rtol=1e-7, atol=1e-6 * np.abs(was).max())
+    loads = [q + 2 + k for family in LAYOUT.families for q in (family.q, family.q2) for k in (0, 1)]
+    rest = np.delete(np.arange(n), loads)
+    np.testing.assert_array_equal(kalman.columns[rest], columns[rest])
+    np.testing.assert_array_equal(kalman.covariance[np.ix_(rest, rest)], covariance[np.ix_(rest, rest)])
+
+
+def test_the_same_wing_again_changes_nothing() -> None:
+    kalman = _filter()
+    columns, covariance = kalman.columns.copy(), kalman.covariance.copy()
+    kalman.use(build_model(LAYOUT, NOISE, OLD, (-0.99, 0.99), STEP_S))
+    np.testing.assert_array_equal(kalman.columns, columns)
+    np.testing.assert_allclose(kalman.covariance, covariance, rtol=1e-12)
+
+
+def test_what_was_learned_of_a_wandering_bias_ages_and_what_cannot_move_stays_learned() -> None:
+    wing, restless = AIRFRAME.wing, replace(NOISE, bias_time_s=1.0)
+    model = build_model(LAYOUT, restless, OLD, (-0.99, 0.99), STEP_S)
+    kalman = Kalman(LAYOUT, restless, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, 8)
+    sigma = LAYOUT.constant_sigma
+    kalman._memory.information[1:, 1:] = np.diag(100.0 / sigma**2)
+    kalman._memory.information[0, 1:] = kalman._memory.information[1:, 0] = -100.0 / sigma  # each is one sigma
+    ages = np.array([name in ("root.bp", "root.br") for name in LAYOUT.constants])
+    stays = ~np.array([name.startswith("root.") for name in LAYOUT.constants])  # those of the root are not learned
+    assert ages.sum() == 2
+    blind = _nothing_measured(500)
+    for first, last in ((0, 25), (25, 50), (50, 75), (75, 325), (325, 500)):
+        kalman.run(blind.span(first, last))
+        age_s = (last - 25) * STEP_S  # since what was learned was first used
+        estimate, spread = kalman.constants / sigma, np.diag(kalman.constants_covariance) / sigma**2
+        np.testing.assert_allclose(estimate[stays], 100.0 / 101.0, rtol=1e-9)
+        np.testing.assert_allclose(spread[stays], 1.0 / 101.0, rtol=1e-9)
+        # a stationary Ornstein-Uhlenbeck process that was seen once
+        np.testing.assert_allclose(estimate[ages], 100.0 / 101.0 * math.exp(-age_s), rtol=1e-9)
+        np.testing.assert_allclose(spread[ages], 1.0 - 100.0 / 101.0 * math.exp(-2.0 * age_s), rtol=1e-9)
+
+
+def test_a_state_that_hangs_on_a_bias_is_neither_moved_nor_made_surer_when_the_bias_ages() -> None:
+    kalman = _filter()
+    column = LAYOUT.constants.index("root.bp") + 1
+    sigma = LAYOUT.constant_sigma[column - 1]
+    kalman.columns[:, 1:] = 0.0
+    kalman.columns[3, column] = 2.0 / sigma
+    kalman._memory.information[column, column] = 100.0 / sigma**2
+    kalman._memory.information[0, column] = kalman._memory.information[column, 0] = -100.0 / sigma
+    kalman._solve()
+    state, variance = kalman.state[3], kalman.total_covariance[3, 3]
+    for _ in range(50):
+        kalman._age()
+    kalman._solve()
+    assert kalman.state[3] == pytest.approx(state, rel=1e-9)
+    assert kalman.total_covariance[3, 3] == pytest.approx(variance, rel=1e-9)
+
+
+def _nothing_measured(count: int) -> Cells:
+    per_row, per_side = np.zeros((count, ROWS)), np.zeros((count, 2))
+    return Cells(
+        start_ns=np.arange(count, dtype=np.int64) * 4_000_000,
+        rows=per_row,
+        present=np.zeros((count, ROWS), dtype=np.bool_),
+        vertical=per_side,
+        lateral=per_side,
+        tilted=per_side,
+        lateral_gain=per_side,
+        load=np.zeros(count),
+        rate=np.zeros((count, 3)),
+        sensitivity=np.zeros((count, ROWS, len(LAYOUT.constants))),
+        cut=per_side,
+        shaken=np.zeros((count, 3)),
+    )

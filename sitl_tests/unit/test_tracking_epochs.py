@@ -1,0 +1,121 @@
+"""Averaging cells: when a tip's first moment tells something of its bending."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from companion.core.tracking.model import build_model
+from companion.core.tracking.parameters import prior_parameters
+from companion.core.tracking.rigid_body import FrontEnd
+from companion.core.tracking.states import (
+    M_LEFT,
+    M_RIGHT,
+    Y_LEFT,
+    Y_RIGHT,
+    Z_LEFT,
+    Z_RIGHT,
+    Layout,
+    make_layout,
+    make_noise,
+)
+from companion.core.tracking.streams import Stream
+from companion.params.airframe import Airframe
+from companion.records import Axis, Station
+from sitl_tests.unit.tracking_samples import (
+    EPOCH_NS,
+    MS,
+    batch,
+    plain_airframe,
+    swinging,
+)
+
+STEP_NS = 4 * MS
+
+
+def _front_end(airframe: Airframe, layout: Layout, streams: tuple[Stream, ...]) -> FrontEnd:
+    return FrontEnd(layout, make_noise(airframe, layout, STEP_NS * 1e-9), (streams[0], streams[1], streams[2]))
+
+
+@pytest.mark.parametrize(("shaken_hz", "share"), [(0.0, 1.0), (2.0, 1.0), (90.0, 0.2)])
+def test_moments_count_where_the_root_moves_as_its_means_say(shaken_hz: float, share: float) -> None:
+    """A support that shakes faster than cells resolve moves the wing inside a cell; a slow or quiet one does not."""
+    airframe = plain_airframe()
+    t, values = swinging(1.2, 0.005)
+    streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+    for station, v in values.items():
+        v[:, 2] += 3.0 * np.sin(2 * np.pi * shaken_hz * (t - EPOCH_NS) * 1e-9)
+        streams[station].add(batch(station, t, v), 0)
+    layout = make_layout(airframe)
+    cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 250)
+    assert cells.present[:, [Z_LEFT, Z_RIGHT]].all()
+    heard = cells.present[:, [M_LEFT, M_RIGHT]].mean()
+    assert heard == 1.0 if share == 1.0 else heard < share
+
+
+def test_an_axis_that_is_not_sent_leaks_as_the_rigid_wings() -> None:
+    """The vertical axis of a tip that sends no other one leans over all the same: in a side force and in a roll."""
+    airframe = plain_airframe()
+    layout = make_layout(airframe)
+    t, values = swinging(0.6, 0.0)
+    streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+    side_mps2, roll_radps = 2.0, 0.8
+    for station, v in values.items():
+        v[:, 1], v[:, 3] = side_mps2, roll_radps
+        sent = batch(station, t, v)
+        if station is Station.LEFT:
+            hidden = v * np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+            sent = dataclasses.replace(sent, axes=Axis.Z, values=hidden)
+        streams[station].add(sent, 0)
+    cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
+    column = layout.constants.index("left.mx")
+    lever_m = airframe.left.position_m[1] - airframe.root.position_m[1]
+    leaking = side_mps2 - lever_m * roll_radps**2
+    np.testing.assert_allclose(cells.sensitivity[:, Z_LEFT, column], -leaking, rtol=0.02)
+
+
+@pytest.mark.parametrize(("axis", "name"), [(3, "root.bp"), (5, "root.br")])
+def test_a_bias_of_the_root_s_rates_shows_as_the_tips_centripetal_force(axis: int, name: str) -> None:
+    """Against the force itself, reckoned from rates with and without the bias, on a wing that is swept and bent up."""
+    airframe = plain_airframe()
+    swept = {
+        place: dataclasses.replace(sensor, position_m=(0.2, sensor.position_m[1], -0.1))
+        for place, sensor in (("left", airframe.left), ("right", airframe.right))
+    }
+    airframe = dataclasses.replace(airframe, **swept)
+    layout, bias_radps = make_layout(airframe), 1e-4
+
+    def seen(bias_radps: float) -> tuple[np.ndarray, np.ndarray]:
+        t, values = swinging(0.6, 0.0)
+        streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+        for station, v in values.items():
+            v[:, 3:] = 0.8, -0.3, 0.5
+            v[:, axis] += bias_radps if station is Station.ROOT else 0.0
+            streams[station].add(batch(station, t, v), 0)
+        cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
+        return cells.rows[:, [Z_LEFT, Z_RIGHT, Y_LEFT, Y_RIGHT]], cells.sensitivity[:, [0, 1, 4, 5]]
+
+    (with_bias, _), (without, sensitivity) = seen(bias_radps), seen(0.0)
+    found = (with_bias - without) / bias_radps
+    np.testing.assert_allclose(sensitivity[:, :, layout.constants.index(name)], found, rtol=0.02, atol=1e-3)
+    assert np.abs(found).max(axis=0).min() > 0.01
+
+
+def test_what_is_lost_between_samples_is_each_tips_own() -> None:
+    """Nodes sample at instants of their own: under a load that moves both tips alike their moments still differ."""
+    airframe = plain_airframe()
+    layout, gust = make_layout(airframe), airframe.wing.gust
+    loud, still = (prior_parameters(family, gust) for family in layout.families)
+    still = dataclasses.replace(still, load=1e-9 * still.load, load_2=1e-9 * still.load_2)
+    noise = make_noise(airframe, layout, 0.004)
+    whole = dataclasses.replace(noise, sample_s=0.0)
+    rows = slice(M_LEFT, Y_LEFT)
+    with_loss, without = (
+        build_model(layout, kind, (loud, still), (-1.0, 1.0), 0.004).measured[rows, rows] for kind in (noise, whole)
+    )
+    lost = with_loss - without
+    alike, apart = (0.5 * np.array([1.0, sign]) @ lost @ np.array([1.0, sign]) for sign in (1.0, -1.0))
+    assert apart == pytest.approx(alike, rel=1e-6)
+    assert apart > 0.0

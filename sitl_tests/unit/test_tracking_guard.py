@@ -1,0 +1,170 @@
+"""What keeps a wrong model from being believed: surprise, trial of parameters, stamps of held-up sends, warming up."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.core.kernels.compiled import COMPILED
+from companion.core.pipeline import start, step
+from companion.core.tracking.filter import Kalman
+from companion.core.tracking.streams import respaced
+from companion.core.tracking.tracker import WingTracker
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ImuBatch, Reject, Station, Tick, Validity
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
+
+PERIOD_NS = 3_000_000
+BROKEN_S, MENDED_S, END_S = 12.0, 14.0, 32.0
+
+
+@given(st.integers(2, 37), st.integers(0, 60_000))
+def test_a_sample_that_was_held_up_goes_back_to_its_place(late: int, early_ns: int) -> None:
+    regular = np.arange(40, dtype=np.int64) * PERIOD_NS
+    stamped = regular.copy()
+    stamped[late] = regular[late + 1] - early_ns  # sent in one go with the next
+    assert np.abs(respaced(stamped, PERIOD_NS) - regular).max() <= 1
+
+
+@given(st.lists(st.integers(1_700_000, 4_300_000), min_size=5, max_size=40))
+def test_what_is_only_uneven_stays_where_it_is(gaps_ns: list[int]) -> None:
+    stamps = np.cumsum(np.array(gaps_ns, dtype=np.int64))
+    np.testing.assert_array_equal(respaced(stamps, PERIOD_NS), stamps)
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return build_flight(load_airframe("nadir-2m"), 21, END_S)
+
+
+def _flown(flight: Flight, spoil: bool) -> list[tuple[float, Validity, Reject | None, float]]:
+    """Time, validity, distrust and surprise; with ``spoil`` the left tip's lateral axis shows the vertical one's."""
+    state = start(flight.airframe, Settings())
+    state.scheduling = state.correction = None
+    seen, now_ns = [], HOST_EPOCH_NS
+    for record in flight_records(flight):
+        while now_ns <= getattr(record, "received_host_ns", 0):
+            state, _ = step(state, Tick(now_ns))
+            now_ns += 20_000_000
+            if state.validity is not None:
+                tracker = state.tracker
+                t_s = (now_ns - HOST_EPOCH_NS) * 1e-9
+                seen.append((t_s, state.validity, tracker.distrust, tracker.surprise))
+        if isinstance(record, ImuBatch) and record.station is Station.LEFT and spoil:
+            t_s = (record.received_host_ns - HOST_EPOCH_NS) * 1e-9
+            if BROKEN_S <= t_s < MENDED_S:
+                record.values[:, 1] = 0.2 * record.values[:, 2]
+        state, _ = step(state, record)
+    return seen
+
+
+@pytest.mark.slow
+def test_the_right_model_is_not_surprised_and_is_trusted_once_it_has_learned(flight: Flight) -> None:
+    seen = _flown(flight, spoil=False)
+    late = [entry for entry in seen if entry[0] > 12.0]
+    assert all(distrust is None for _, _, distrust, _ in late)
+    # the rigid roll may have 3 rad/s^2 and has little here: two of nine rows lie inside a tenth of their variance
+    assert 0.6 < float(np.median([surprise for *_, surprise in late])) < 1.4
+    early = [entry for entry in seen if entry[0] < 9.0]
+    assert {distrust for _, _, distrust, _ in early} == {Reject.NOT_SETTLED}
+
+
+@pytest.mark.slow
+def test_sensors_that_contradict_the_model_cost_the_trust_and_give_it_back(flight: Flight) -> None:
+    seen = _flown(flight, spoil=True)
+    during = [entry for entry in seen if BROKEN_S + 0.3 < entry[0] < MENDED_S]
+    assert all(distrust is Reject.CONTRADICTED for _, _, distrust, _ in during)
+    assert all(validity is Validity.INCONSISTENT for _, validity, _, _ in during)
+    assert seen[-1][2] is None
+    assert all(np.isfinite(surprise) for *_, surprise in seen)
+
+
+_COLD = """
+import sys
+from companion.core.pipeline import smoothed, start, step
+from companion.core.warming import warm_up
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, Tick, TimesyncReply
+from companion.sim.flight import build_flight
+from companion.sim.offline import HOST_EPOCH_NS, flight_records
+
+def compiled():
+    owned = [vars(module) for name, module in sys.modules.items() if name.startswith("companion.core")]
+    found = [each for names in owned for each in names.values() if hasattr(each, "signatures")]
+    return {(each.__name__, str(signature)) for each in found for signature in each.signatures}
+
+for name in sys.argv[1:]:
+    airframe = load_airframe(name)
+    warm_up(airframe, Settings())
+    warm, state, now_ns = compiled(), start(airframe, Settings()), HOST_EPOCH_NS
+    for record in flight_records(build_flight(airframe, 3, 12.5)):
+        while now_ns <= record.received_host_ns:
+            state, _ = step(state, TimesyncReply(ClockName.BOOT, now_ns - 900_000, now_ns - 3_000_000_000, now_ns))
+            state, _ = step(state, Tick(now_ns))
+            now_ns += 20_000_000
+        state, _ = step(state, record)
+    smoothed(state, now_ns - 500_000_000)
+    print(name, len(warm), *sorted(compiled() - warm))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not COMPILED, reason="nothing is compiled without numba")
+def test_nothing_is_left_to_the_compiler_after_warming_up() -> None:
+    """In a process of its own, where no other test has compiled anything."""
+    names = ["nadir-2m", "sitl-plane"]  # nodes of their own; all sensors on the autopilot's link
+    run = subprocess.run([sys.executable, "-c", _COLD, *names], capture_output=True, text=True, check=True)
+    for name, line in zip(names, run.stdout.splitlines(), strict=True):
+        told, count, *late = line.split(maxsplit=2)
+        assert told == name
+        assert int(count) > 10
+        assert not late
+
+
+def _known(kalman: Kalman, keep: list[int]) -> tuple[np.ndarray, ...]:
+    """State, its covariance, and of the constants to keep their means and covariance."""
+    return (
+        kalman.state,
+        kalman.total_covariance,
+        kalman.constants[keep],
+        kalman.constants_covariance[np.ix_(keep, keep)],
+    )
+
+
+@pytest.mark.slow
+def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight: Flight) -> None:
+    state = start(flight.airframe, Settings())
+    state.scheduling = state.correction = None
+    now_ns = HOST_EPOCH_NS
+    for record in flight_records(flight):
+        while now_ns <= getattr(record, "received_host_ns", 0):
+            state, _ = step(state, Tick(now_ns))
+            now_ns += 20_000_000
+        if now_ns > HOST_EPOCH_NS + 3_000_000_000:
+            break
+        state, _ = step(state, record)
+    kalman = state.tracker._kalman
+    kalman.reopen([])  # solves, so that all that was gathered is in the answer
+    names = kalman.layout.constants
+    at = names.index("left.tau")
+    keep = [k for k in range(len(names)) if k != at]
+    before, sigma = _known(kalman, keep), kalman.layout.constant_sigma[at]
+    assert kalman.constants_covariance[at, at] < 0.9 * sigma**2  # something had been learned
+    kalman.reopen(["left.tau"])
+    for old, new in zip(before, _known(kalman, keep), strict=True):
+        np.testing.assert_allclose(new, old, rtol=1e-6, atol=1e-9 * np.abs(old).max())
+    assert kalman.constants[at] == 0.0
+    np.testing.assert_allclose(kalman.constants_covariance[at, keep], 0.0, atol=1e-12 * sigma)
+    assert kalman.constants_covariance[at, at] == pytest.approx(sigma**2)
+
+
+def test_a_tracker_that_has_seen_nothing_is_not_trusted() -> None:
+    assert WingTracker(load_airframe("nadir-2m"), Settings()).distrust is Reject.NOT_SETTLED

@@ -1,0 +1,79 @@
+"""A steady tone: found with honest sigma through the source's low-pass, and not found where there is none."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from companion.core.tracking.tone import Tone, ToneTracker
+from companion.params.files import load_airframe
+from companion.records import Axis, ClockName, ImuBatch, Reject, Station
+
+SENSOR = load_airframe("sitl-plane").left
+EPOCH_NS = 3_000_000_000
+
+
+def _listen(z: np.ndarray, t: np.ndarray, lowpass_hz: float = 20.0) -> ToneTracker:
+    tracker = ToneTracker(Station.LEFT, dataclasses.replace(SENSOR, lowpass_accel_hz=lowpass_hz), (5.8, 8.8))
+    values = np.zeros((len(t), 6))
+    values[:, 2] = z
+    stamps = EPOCH_NS + np.round(t * 1e9).astype(np.int64)
+    tracker.add(ImuBatch(Station.LEFT, ClockName.HOST, stamps, values, Axis.Z, int(stamps[-1])))
+    return tracker
+
+
+def _noise(n: int, seed: int, sigma: float) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0.0, sigma, n)
+
+
+@pytest.mark.parametrize("lowpass_hz", [0.0, 20.0, 100.0])
+def test_frequency_amplitude_and_phase_ahead_of_the_low_pass(lowpass_hz: float) -> None:
+    t = np.cumsum(np.random.default_rng(4).uniform(0.001, 0.005, 1500))
+    frequency, amplitude, phase = 7.306, 4.0, 0.7
+    s = 1j * frequency / lowpass_hz if lowpass_hz else 0.0
+    response = 1 / (1 + np.sqrt(2) * s + s * s)
+    z = -9.8 + amplitude * np.real(response * np.exp(1j * (2 * np.pi * frequency * t + phase)))
+    tracker = _listen(z + _noise(len(t), 1, 0.3), t, lowpass_hz)
+    for at_s in (2.0, 3.1, float(t[-1])):
+        found = tracker.estimate(EPOCH_NS + round(at_s * 1e9))
+        assert isinstance(found, Tone)
+        assert found.frequency_hz == pytest.approx(frequency, abs=4 * found.frequency_sigma_hz)
+        assert found.frequency_sigma_hz < 0.01
+        assert found.amplitude_mps2 == pytest.approx(amplitude, abs=4 * found.amplitude_sigma_mps2)
+        error = np.angle(np.exp(1j * (found.phase_rad - (2 * np.pi * frequency * at_s + phase))))
+        assert abs(error) < 4 * found.phase_sigma_rad
+        assert found.phase_sigma_rad < np.radians(1.5)
+
+
+def test_the_sigma_is_that_of_the_errors() -> None:
+    t = np.arange(1400) / 333.0
+    pulls = []
+    for seed in range(60):
+        found = _listen(np.cos(2 * np.pi * 7.3 * t) + _noise(len(t), seed, 0.4), t, 0.0).estimate(
+            EPOCH_NS + 2_100_000_000
+        )
+        assert isinstance(found, Tone)
+        error = np.angle(np.exp(1j * (found.phase_rad - 2 * np.pi * 7.3 * 2.1)))
+        pulls.append(error / found.phase_sigma_rad)
+    assert (
+        0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+    )  # 60 draws: 1 +- 0.09 each way, with room for the noise estimate
+
+
+def test_noise_turbulence_and_silence_hold_no_tone() -> None:
+    t = np.arange(1400) / 333.0
+    rough = np.zeros(len(t))
+    for k, kick in enumerate(_noise(len(t), 3, 1.0)[1:], 1):  # gusts through a pole at 3 Hz
+        rough[k] = rough[k - 1] * np.exp(-2 * np.pi * 3 / 333.0) + kick
+    for z in (_noise(len(t), 2, 0.05), rough, np.zeros(len(t))):
+        assert _listen(z - 9.8, t).estimate(EPOCH_NS + 2_100_000_000) is Reject.NO_MODE
+
+
+def test_a_short_or_a_far_window_is_refused() -> None:
+    t = np.arange(1400) / 333.0
+    z = np.cos(2 * np.pi * 7.3 * t)
+    assert _listen(z[:400], t[:400]).estimate(EPOCH_NS + 500_000_000) is Reject.NOT_SETTLED
+    assert _listen(z, t).estimate(EPOCH_NS + 30_000_000_000) is Reject.OUT_OF_WINDOW
+    assert ToneTracker(Station.LEFT, SENSOR, (5.8, 8.8)).estimate(EPOCH_NS) is Reject.NOT_SETTLED

@@ -1,0 +1,144 @@
+"""The tracker as its callers see it: order of arrival, spacing of calls, refusals, validity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.tracking.tracker import WingTracker
+from companion.params.settings import Settings
+from companion.records import Axis, ClockName, Deflection, ImuBatch, ModeState, Reject, Station, Validity
+from sitl_tests.unit.tracking_samples import (
+    EPOCH_NS,
+    MS,
+    batch,
+    plain_airframe,
+    swinging,
+)
+
+
+def _run(
+    t: np.ndarray,
+    values: dict[Station, np.ndarray],
+    every_ms: int = 40,
+    until_ms: dict[Station, int] | None = None,
+    adapt: int = 1,
+) -> tuple[WingTracker, list[ModeState]]:
+    tracker, states = WingTracker(plain_airframe(), Settings(adapt=adapt)), []
+    for first in range(0, len(t), every_ms):
+        for station, v in values.items():
+            part = slice(first, min(first + every_ms, (until_ms or {}).get(station, len(t))))
+            if part.stop > part.start:
+                tracker.add(batch(station, t[part], v[part]))
+        state = tracker.advance(EPOCH_NS + (first + every_ms) * MS)
+        if state is not None:
+            states.append(state)
+    return tracker, states
+
+
+@pytest.fixture(scope="module")
+def moving() -> tuple[np.ndarray, dict[Station, np.ndarray]]:
+    return swinging(4.0, 0.005)
+
+
+def test_there_is_no_state_before_root_and_a_tip_are_heard() -> None:
+    t, values = swinging(0.4, 0.005)
+    for missing in (Station.ROOT, None):
+        tracker = WingTracker(plain_airframe(), Settings())
+        for station in (Station.LEFT, Station.RIGHT) if missing is Station.ROOT else (Station.ROOT,):
+            tracker.add(batch(station, t, values[station]))
+        assert tracker.advance(int(t[-1])) is None
+        assert tracker.smooth(int(t[200])) is Reject.NOT_SETTLED
+        assert tracker.forecast(100 * MS, MS) is Reject.NOT_SETTLED
+
+
+def test_how_calls_are_spaced_does_not_change_the_answer(
+    moving: tuple[np.ndarray, dict[Station, np.ndarray]],
+) -> None:
+    t, values = moving
+    answers = [_run(t, values, every, adapt=0)[0].smooth(EPOCH_NS + 3300 * MS) for every in (20, 400)]
+    first, second = answers
+    assert isinstance(first, Deflection)
+    assert isinstance(second, Deflection)
+    sigma = np.sqrt(np.diag(first.covariance))
+    assert (np.abs(first.q_m - second.q_m) < 1e-6 * sigma[:2]).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(second.covariance)), sigma, rtol=1e-6)
+
+
+def test_late_samples_inside_the_window_are_as_good_as_punctual_ones(
+    moving: tuple[np.ndarray, dict[Station, np.ndarray]],
+) -> None:
+    t, values = (moving[0][:2000], {s: v[:2000] for s, v in moving[1].items()})
+    _, punctual = _run(t, values)
+    tracker, states = WingTracker(plain_airframe(), Settings()), []
+    for first in range(0, 2000, 40):
+        for station, v in values.items():
+            parts = [slice(first, first + 20), slice(first + 20, first + 40)]
+            for part in parts[::-1]:
+                assert tracker.add(batch(station, t[part], v[part])) == []
+        states.append(tracker.advance(EPOCH_NS + (first + 40) * MS))
+    assert states[-1] is not None
+    np.testing.assert_array_equal(states[-1].q_m, punctual[-1].q_m)
+
+
+def test_a_sample_older_than_the_window_is_refused_and_told(
+    moving: tuple[np.ndarray, dict[Station, np.ndarray]],
+) -> None:
+    t, values = (moving[0][:1000], {s: v[:1000] for s, v in moving[1].items()})
+    tracker, _ = _run(t, values)
+    (refused,) = tracker.add(batch(Station.LEFT, t[100:110], values[Station.LEFT][100:110]))
+    assert (refused.reason, refused.count) == (Reject.TOO_LATE, 10)
+
+
+def test_smoothing_and_its_window(moving: tuple[np.ndarray, dict[Station, np.ndarray]]) -> None:
+    tracker, states = _run(*moving)
+    newest = states[-1].t_host_ns
+    assert tracker.smooth(newest + MS) is Reject.OUT_OF_WINDOW
+    assert tracker.smooth(newest - 1001 * MS) is Reject.OUT_OF_WINDOW
+    causal, lagged = tracker.smooth(newest), tracker.smooth(newest - 500 * MS)
+    assert isinstance(causal, Deflection)
+    assert isinstance(lagged, Deflection)
+    np.testing.assert_allclose(causal.q_m, states[-1].q_m, rtol=1e-9)
+    np.testing.assert_allclose(np.sqrt(np.diag(causal.covariance)[:2]), states[-1].q_sigma_m, rtol=1e-6)
+    assert (np.diag(lagged.covariance) < np.diag(causal.covariance)).all()
+    assert lagged.lag_ns == 500 * MS
+    assert np.linalg.eigvalsh(lagged.covariance / np.sqrt(np.outer(*[np.diag(lagged.covariance)] * 2))).min() > -1e-9
+
+
+def test_a_quiet_wing_is_calm() -> None:
+    _, states = _run(*swinging(4.0, 0.0))
+    assert states[-1].validity is Validity.CALM
+    assert states[10].validity is Validity.SETTLING
+
+
+def test_a_root_that_stops_makes_everything_stale(moving: tuple[np.ndarray, dict[Station, np.ndarray]]) -> None:
+    tracker, states = _run(*moving, until_ms={Station.ROOT: 3000})
+    assert states[70].validity is Validity.TRACKING
+    assert states[-1].validity is Validity.STALE
+    assert Station.ROOT not in states[-1].stations
+    assert tracker.forecast(100 * MS, MS) is Reject.STALE
+
+
+def test_a_tip_that_stops_is_missed_in_the_sigma_only(moving: tuple[np.ndarray, dict[Station, np.ndarray]]) -> None:
+    _, whole = _run(*moving, adapt=0)
+    _, half = _run(*moving, until_ms={Station.RIGHT: 2500}, adapt=0)
+    assert half[-1].validity is Validity.TRACKING
+    assert half[-1].stations == (Station.ROOT, Station.LEFT)
+    assert (half[-1].q_sigma_m > 1.05 * whole[-1].q_sigma_m).all()
+    assert (np.abs(half[-1].q_m - whole[-1].q_m) < 4 * half[-1].q_sigma_m).all()
+
+
+def test_a_saturated_sensor_is_told_and_forgotten(moving: tuple[np.ndarray, dict[Station, np.ndarray]]) -> None:
+    t, values = moving
+    values = values | {Station.LEFT: values[Station.LEFT].copy()}
+    values[Station.LEFT][2500:2504, 2] = 157.0
+    _, states = _run(t, values)
+    told = {(s.t_host_ns - EPOCH_NS) // MS: s.validity for s in states}
+    assert any(v is Validity.SATURATED for ms, v in told.items() if 2500 <= ms < 2700)
+    assert states[-1].validity is Validity.TRACKING
+
+
+def test_a_batch_of_the_wrong_shape_is_a_defect_of_the_caller() -> None:
+    tracker = WingTracker(plain_airframe(), Settings())
+    with pytest.raises(ValueError, match="ImuBatch"):
+        tracker.add(ImuBatch(Station.LEFT, ClockName.HOST, np.arange(3), np.zeros((3, 3)), Axis.ALL, 0))

@@ -1,0 +1,157 @@
+"""Exposures stamped by the autopilot's hot-shoe pin: where that is the best stamp, and of the right picture."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from companion.core.clock.bank import ClockBank
+from companion.core.pipeline import start, step
+from companion.core.trigger.exposure_feedback import WRAP_NS, Feedback
+from companion.params.airframe import Airframe
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import (
+    CameraFeedback,
+    ClockName,
+    ClockRestart,
+    MatchSet,
+    Notice,
+    Record,
+    Reject,
+    Rejected,
+    Shot,
+    TimesyncReply,
+)
+from sitl_tests.unit.test_mavlink_decode import MS, S, Stream, packed, pilot_heartbeat
+
+START_NS = 9_000 * S
+BOOT_NS = WRAP_NS - 5 * S  # the 32 bits begin again five seconds from the start
+EXPOSURE_NS = 2 * MS
+ROUND_TRIP_NS = 600_000
+
+
+def airframe(stamp_sigma_s: float) -> Airframe:
+    whole = load_airframe("nadir-2m")
+    assert whole.left_camera is not None
+    assert whole.right_camera is not None
+    left, right = (
+        dataclasses.replace(camera, stamp_sigma_s=stamp_sigma_s) for camera in (whole.left_camera, whole.right_camera)
+    )
+    return dataclasses.replace(whole, left_camera=left, right_camera=right)
+
+
+def exchanges(seconds: float) -> list[TimesyncReply]:
+    sent = range(START_NS, START_NS + round(seconds * S), 100 * MS)
+    return [
+        TimesyncReply(ClockName.BOOT, at, BOOT_NS + at + ROUND_TRIP_NS // 2 - START_NS, at + ROUND_TRIP_NS)
+        for at in sent
+    ]
+
+
+def known(seconds: float = 20.0) -> ClockBank:
+    bank = ClockBank()
+    for exchange in exchanges(seconds):
+        bank.exchange(exchange)
+    return bank
+
+
+def edge(camera: int, at_host_ns: int, image: int = 1) -> CameraFeedback:
+    t_ns = (BOOT_NS + at_host_ns - START_NS) % WRAP_NS // 1000 * 1000
+    return CameraFeedback(camera, image, t_ns, at_host_ns + 12 * MS)
+
+
+def pair(plan_id: int, left_ns: int, right_ns: int, clock: ClockName = ClockName.HOST) -> MatchSet:
+    empty = np.zeros((0, 2))
+    stamps = np.array([left_ns, right_ns], dtype=np.int64)
+    return MatchSet(1, plan_id, (clock, clock), stamps, EXPOSURE_NS, 0, empty, empty, np.zeros(0), right_ns + 60 * MS)
+
+
+def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> Feedback:
+    feedback = Feedback(airframe(stamp_sigma_s), known())
+    feedback.shot(Shot(7, at_ns, at_ns))
+    assert feedback.edge(edge(0, at_ns + 9 * MS))
+    assert feedback.edge(edge(1, at_ns + 10 * MS))
+    return feedback
+
+
+@pytest.mark.parametrize("after_s", [3.0, 19.0])  # before and after the 32 bits begin again
+def test_a_worse_stamp_is_replaced_by_the_edge_plus_half_the_exposure(after_s: float) -> None:
+    at_ns = START_NS + round(after_s * S)
+    own = pair(7, at_ns + 30 * MS, at_ns + 31 * MS)
+    stamped, used = fired(0.003, at_ns).stamped(own)
+    assert used == 2
+    true = np.array([at_ns + 9 * MS, at_ns + 10 * MS]) + EXPOSURE_NS // 2
+    assert np.abs(stamped.mid_exposure_ns - true).max() <= ROUND_TRIP_NS
+    assert stamped.clocks == (ClockName.HOST, ClockName.HOST)
+
+
+def test_a_better_stamp_is_kept() -> None:
+    own = pair(7, START_NS + 19 * S + 10 * MS, START_NS + 19 * S + 11 * MS)
+    assert fired(0.00002).stamped(own) == (own, 0)
+
+
+def test_frames_on_a_clock_that_nobody_knows_become_usable() -> None:
+    stamped, used = fired(0.0).stamped(pair(7, 5, 6, ClockName.CAM_LEFT))
+    assert used == 2
+    assert stamped.clocks == (ClockName.HOST, ClockName.HOST)
+
+
+def test_each_picture_gets_its_own_edge() -> None:
+    """The next shot's edges are not taken for one that told none; a pair of no plan takes the nearest."""
+    at_ns = START_NS + 19 * S
+    feedback = fired(0.003, at_ns)
+    feedback.shot(Shot(8, at_ns + 300 * MS, at_ns + 300 * MS))
+    feedback.shot(Shot(9, at_ns + 600 * MS, at_ns + 600 * MS))
+    assert feedback.edge(edge(0, at_ns + 609 * MS, image=3))
+    assert feedback.stamped(pair(8, at_ns + 310 * MS, at_ns + 310 * MS))[1] == 0
+    assert feedback.stamped(pair(9, at_ns + 610 * MS, at_ns + 610 * MS))[1] == 1
+    assert feedback.stamped(pair(-1, at_ns + 12 * MS, at_ns + 13 * MS))[1] == 2
+    assert feedback.stamped(pair(-1, at_ns + 150 * MS, at_ns + 150 * MS))[1] == 0
+
+
+def test_an_edge_without_a_known_clock_or_of_long_ago_is_refused() -> None:
+    at_ns = START_NS + 19 * S
+    assert not Feedback(airframe(0.003), ClockBank()).edge(edge(0, at_ns))
+    late = dataclasses.replace(edge(0, at_ns - 3 * S), received_host_ns=at_ns)
+    assert not Feedback(airframe(0.003), known()).edge(late)
+
+
+def test_in_the_pipeline_latency_and_correction_see_the_autopilots_stamp_and_it_is_said_once() -> None:
+    state, at_ns = start(airframe(0.003), Settings()), START_NS + 19 * S
+    said = []
+    inputs: list[Record] = [*exchanges(20.0), Shot(7, at_ns, at_ns), edge(0, at_ns + 9 * MS), edge(1, at_ns + 9 * MS)]
+    for record in [*inputs, pair(7, at_ns + 40 * MS, at_ns + 40 * MS)]:
+        state, outputs = step(state, record)
+        said += outputs
+    assert state.counters["exposures stamped by the autopilot"] == 2
+    assert sum("hot-shoe" in entry.text for entry in said if isinstance(entry, Notice)) == 1
+    assert state.correction is not None
+    assert np.abs(state.correction.pending[-1].matches.mid_exposure_ns - (at_ns + 10 * MS)).max() <= ROUND_TRIP_NS
+    state, _ = step(state, ClockRestart(ClockName.BOOT, at_ns + S))
+    _, outputs = step(state, edge(0, at_ns + S))
+    assert [entry.reason for entry in outputs if isinstance(entry, Rejected)] == [Reject.CLOCK_UNSYNCED]
+
+
+def told(time_us: int, camera: int, image: int) -> bytes:
+    message = mavlink.MAVLink_camera_feedback_message(time_us, 0, camera, image, 0, 0, 0, 0, 0, 0, 0, 0, 0, image)
+    return packed(message)
+
+
+def test_the_decoder_gives_edges_of_the_pin_once_and_no_gps_time() -> None:
+    stream = Stream()
+    stream(packed(pilot_heartbeat()))
+    records = stream(
+        told(5_000_000, 0, 1),
+        told(5_000_200, 1, 1),
+        told(5_000_000, 0, 1),  # ArduPilot repeats the other camera's
+        told(1_700_000_000_000_000, 0, 2),  # no pin: GPS time of the command
+        told(0, 1, 2),  # nor GPS
+    )
+    assert records == [
+        CameraFeedback(0, 1, 5_000_000_000, stream.now),
+        CameraFeedback(1, 1, 5_000_200_000, stream.now),
+    ]
