@@ -21,6 +21,7 @@ from companion.diagnosis.json_report import as_json, sentence
 from companion.diagnosis.selection.search import diagnose
 from companion.diagnosis.selection.verdict import Diagnosis, Verdict
 from companion.diagnosis.summary import summary_sentences
+from companion.evaluation.pages.diagnosis_page import write_report
 from companion.params.files import dump_airframe
 
 _NOTHING = 3

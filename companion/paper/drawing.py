@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable
 from typing import Any
 
-from companion.cli.audit.findings import Picture
+from companion.paper.findings import Picture
 from companion.reporting.plotting import (
     BLUE,
     GREEN,

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from companion.cli.audit.drawing import BLUE, GREEN, GREY, RED, draw
-from companion.cli.audit.experiments import Outcome
-from companion.cli.audit.findings import Picture, Section, Table, number, percent
-from companion.cli.audit.scores import Results
-from companion.cli.audit.shots import Scored
 from companion.paper import printed
+from companion.paper.drawing import BLUE, GREEN, GREY, RED, draw
+from companion.paper.experiments import Outcome
+from companion.paper.findings import Picture, Section, Table, number, percent
+from companion.paper.scores import Results
+from companion.paper.shots import Scored
 from companion.records import Floats, Side
 from companion.reporting.plotting import INK, dots
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from companion.cli.audit.drawing import BLUE, ORANGE, draw
-from companion.cli.audit.findings import Picture, Section, Table, number, percent
-from companion.cli.audit.scores import Results, toe_error_mrad
+from companion.paper.drawing import BLUE, ORANGE, draw
+from companion.paper.findings import Picture, Section, Table, number, percent
+from companion.paper.scores import Results, toe_error_mrad
 
 _WAYS = ("rigid", "corrected", "oracle")
 

@@ -6,47 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from companion.cli.audit.drawing import BLUE, GREY, ORANGE, RED, draw
-from companion.cli.audit.edge_fits import CAMERA_M, WHOLE_DEGREE, Fitted, clamped_factor, fit_edges
-from companion.cli.audit.findings import Picture, Section, Table, deviation, number, percent
-from companion.cli.audit.modal_peaks import GVT_TIP_CHORD_M, gvt_folder, measured_points
-from companion.cli.audit.range_tables import toe_rad, wide_factor
-from companion.cli.audit.vibration_test import GAIN_SIGMA, STATIONS_M, TESTS, simulated_points, survey, true_shapes
 from companion.core.wing.beam import BeamMode
 from companion.core.wing.shapes import WingShape
 from companion.paper import printed
-from companion.paper.drawing import (
-    BLUE,
-    GREY,
-    ORANGE,
-    RED,
-    draw,
-)
-from companion.paper.edge_fits import (
-    CAMERA_M,
-    WHOLE_DEGREE,
-    Fitted,
-    clamped_factor,
-    fit_edges,
-)
-from companion.paper.findings import (
-    Picture,
-    Section,
-    Table,
-    deviation,
-    number,
-    percent,
-)
+from companion.paper.drawing import BLUE, GREY, ORANGE, RED, draw
+from companion.paper.edge_fits import CAMERA_M, WHOLE_DEGREE, Fitted, clamped_factor, fit_edges
+from companion.paper.findings import Picture, Section, Table, deviation, number, percent
 from companion.paper.modal_peaks import GVT_TIP_CHORD_M, gvt_folder, measured_points
 from companion.paper.range_tables import toe_rad, wide_factor
-from companion.paper.vibration_test import (
-    GAIN_SIGMA,
-    STATIONS_M,
-    TESTS,
-    simulated_points,
-    survey,
-    true_shapes,
-)
+from companion.paper.vibration_test import GAIN_SIGMA, STATIONS_M, TESTS, simulated_points, survey, true_shapes
 from companion.params.files import load_airframe
 from companion.reporting.plotting import INK, dots
 

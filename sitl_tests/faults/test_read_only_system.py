@@ -24,8 +24,8 @@ _SMALL = """
 import os
 import numpy as np
 import companion
-from companion.core.compiled import compiled
-from companion.core.mode.stream import respaced
+from companion.core.kernels.compiled import compiled
+from companion.core.tracking.streams import respaced
 print(respaced(np.arange(4, dtype=np.int64), 1))
 print(os.environ.get("NUMBA_CACHE_DIR", ""))
 """

@@ -157,9 +157,9 @@ def test_a_process_of_its_own_writes_it_all(tmp_path: Path) -> None:
 _PRODUCER = """
 import sys, time
 from pathlib import Path
-from companion.adapters.recordings.recorder import run_recorder
-from companion.adapters.recordings.inlet import Inlet, recorder_channel
-from companion.adapters.recordings.writer import About
+from companion.adapters.recordings.mcap.recorder import run_recorder
+from companion.adapters.recordings.mcap.recorder_client import Inlet, recorder_channel
+from companion.adapters.recordings.mcap.writer import About
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Tick

@@ -89,12 +89,12 @@ def test_sensors_that_contradict_the_model_cost_the_trust_and_give_it_back(fligh
 _COLD = """
 import sys
 from companion.core.pipeline import smoothed, start, step
-from companion.core.warming import warm_up
+from companion.core.warmup import warm_up
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Tick, TimesyncReply
-from companion.sim.flight import build_flight
-from companion.sim.offline import HOST_EPOCH_NS, flight_records
+from companion.sim.flight.flight import build_flight
+from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
 
 def compiled():
     owned = [vars(module) for name, module in sys.modules.items() if name.startswith("companion.core")]

@@ -19,7 +19,7 @@ _NEEDED = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
 _LOOK = """
 import companion
 from companion.params.files import known_airframes, load_airframe
-from companion.adapters.recordings.mapping import known_mappings, load_mapping
+from companion.adapters.recordings.tables.mapping import known_mappings, load_mapping
 print(companion.__file__)
 print(*(load_airframe(name).name for name in known_airframes()))
 print(len([load_mapping(name) for name in known_mappings()]))
