@@ -217,9 +217,9 @@ def fly(airframe: str, fault: CameraFault, seed: int, view: View | None = None) 
     )
 
 
-def flights(fault: CameraFault, count: int) -> Iterator[FlightOutcome]:
-    """So many flights of one fault, both airframes in turn."""
-    for number in range(count):
+def flights(fault: CameraFault, count: int, first: int = 0) -> Iterator[FlightOutcome]:
+    """So many flights of one fault, both airframes in turn, from number ``first`` on."""
+    for number in range(first, first + count):
         yield fly(AIRFRAMES[number % len(AIRFRAMES)], fault, 1 + number)
 
 
@@ -243,18 +243,19 @@ def main(arguments: list[str] | None = None) -> int:
     """Fly and print; 1 where a trusted range was wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=100, help="of each fault")
+    parser.add_argument("--first", type=int, default=0, help="number of the first one: a campaign in parts")
     parser.add_argument("--fault", default="", help="only those whose name contains this")
     options = parser.parse_args(arguments)
     print(HEAD, flush=True)
     wrong = 0
     for fault in FAULTS:
         if options.fault in fault.name:
-            outcomes = list(flights(fault, options.flights))
+            outcomes = []
+            for outcome in flights(fault, options.flights, options.first):
+                outcomes.append(outcome)
+                print(f"  {outcome}", file=sys.stderr, flush=True)
             wrong += sum(entry.wrong for entry in outcomes)
             print(row(fault, outcomes), flush=True)
-            for entry in outcomes:
-                if entry.wrong:
-                    print(f"  {entry}", file=sys.stderr, flush=True)
     return int(wrong > 0)
 
 

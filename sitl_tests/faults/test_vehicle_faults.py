@@ -13,7 +13,7 @@ from companion.sim.flight.flight import Flight
 from sitl_tests.faults import link_faults
 from sitl_tests.faults.link_faults import LinkOutcome
 from sitl_tests.faults.lying_samples import ROOT, lie
-from sitl_tests.faults.vehicle_faults import FAULTS, Fault, Outcome, build, strike, table, write
+from sitl_tests.faults.vehicle_faults import FAULTS, Fault, Outcome, build, line, main, strike, table, write
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
 HARMLESS = ("none", "flood at 20 x the rate", "foreign TIMESYNC answers")
@@ -64,6 +64,20 @@ def test_the_table_is_put_between_its_marks_and_replaced(tmp_path: Path) -> None
     assert table([second]) in text
     write([second], page, [LinkOutcome("cable", "again", 1.25, 3, 0)])
     assert "| cable | again | 1.25 s | 3 | 0 |" in page.read_text()
+
+
+def test_one_flight_is_told_in_a_line() -> None:
+    usual = Outcome("none", 0.0, 0.2, 100, 0, {}, 0, 90, (Health.ACTIVE,))
+    worst = Outcome("cut", 1.0, 1.5, 100, 3, {}, 2, 50, (Health.ACTIVE, Health.CRITICAL))
+    told = line(7, [usual, worst])
+    assert told == "seed 7: 2 faults, 140 ranges trusted, 2 wrong; longest time without a range 1.50 s (cut)"
+
+
+def test_asking_for_help_strikes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["--help"])
+    assert stopped.value.code == 0
+    assert "--seeds" in capsys.readouterr().out
 
 
 @pytest.mark.realtime
