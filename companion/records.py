@@ -287,11 +287,7 @@ class MatchSet:
             return self
         kept = slice(0, len(self.sigma_px) - self.filled)
         return replace(
-            self,
-            left_px=self.left_px[kept],
-            right_px=self.right_px[kept],
-            sigma_px=self.sigma_px[kept],
-            filled=0,
+            self, left_px=self.left_px[kept], right_px=self.right_px[kept], sigma_px=self.sigma_px[kept], filled=0
         )
 
 

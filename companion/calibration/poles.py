@@ -39,10 +39,7 @@ class Pole:
 
 
 def stable_poles(
-    frequency_hz: Floats,
-    response: Complex,
-    orders: range = range(24, 61, 2),
-    most_damping: float = 0.15,
+    frequency_hz: Floats, response: Complex, orders: range = range(24, 61, 2), most_damping: float = 0.15
 ) -> list[Pole]:
     """Poles that come back over the orders, by frequency; each the median of its returns.
 

@@ -19,20 +19,10 @@ from companion.calibration.mounting import airframe_with_mounting, disagreement_
 from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate_rig, find_views
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
-from companion.cli.steps.numbers import (
-    number,
-    seconds,
-    seed,
-    whole,
-)
+from companion.cli.steps.numbers import number, seconds, seed, whole
 from companion.cli.steps.options import make_folder
 from companion.errors import ConfigError
-from companion.evaluation.pages.calibration_page import (
-    Pairs,
-    report,
-    rows,
-    verdict,
-)
+from companion.evaluation.pages.calibration_page import Pairs, report, rows, verdict
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import dump_airframe, load_airframe
 from companion.ports import CameraPair

@@ -17,12 +17,7 @@ from companion.adapters.mavlink.link.link import open_link
 from companion.adapters.mavlink.link.signing import load_signing
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings
-from companion.doctor.evidence import (
-    Evidence,
-    Finding,
-    Fix,
-    Level,
-)
+from companion.doctor.evidence import Evidence, Finding, Fix, Level
 from companion.doctor.examine import Examination, read_log
 from companion.doctor.link import check_computer, check_link
 from companion.doctor.parameters import check_parameters

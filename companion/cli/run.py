@@ -15,12 +15,7 @@ from companion.adapters.triggers.oak import soft_line
 from companion.cli.steps.flying import fly
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings, state_file
-from companion.cli.steps.simulated_devices import (
-    SPELLING,
-    opens_at_take_off,
-    simulated_cameras,
-    simulated_trigger,
-)
+from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
 from companion.cli.steps.view import View
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
@@ -59,9 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sign-key", type=Path, metavar="FILE", help="sign what is sent, accept only what is signed")
     parser.add_argument("--for", type=seconds, metavar="SECONDS", dest="seconds", help="stop after so long")
     parser.add_argument(
-        "--no-standby",
-        action="store_true",
-        help="no second inertial process that waits to take over (saves 180 MB)",
+        "--no-standby", action="store_true", help="no second inertial process that waits to take over (saves 180 MB)"
     )
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
     add_settings(parser)

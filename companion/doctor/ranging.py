@@ -6,12 +6,7 @@ from collections.abc import Iterator
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.doctor.evidence import (
-    Evidence,
-    Finding,
-    Fix,
-    Level,
-)
+from companion.doctor.evidence import Evidence, Finding, Fix, Level
 
 _MAVLINK_RANGEFINDER, _MAVLINK_PROXIMITY = 10, 2
 _DOWN, _FORWARD = 25, 0

@@ -7,12 +7,7 @@ from collections.abc import Iterator
 
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.vehicle.rates import SAMPLES_PER_PERIOD, needed_integration_rate_hz, needed_loop_rate_hz
-from companion.doctor.evidence import (
-    Evidence,
-    Finding,
-    Fix,
-    Level,
-)
+from companion.doctor.evidence import Evidence, Finding, Fix, Level
 from companion.records import Axis, ClockName, Station
 
 _FILTER_RATIO = 2.5

@@ -6,12 +6,7 @@ from collections.abc import Iterator
 
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
-from companion.doctor.evidence import (
-    Evidence,
-    Finding,
-    Fix,
-    Level,
-)
+from companion.doctor.evidence import Evidence, Finding, Fix, Level
 from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE
 from companion.params.airframe import Sensor
 from companion.records import Axis, Station
@@ -29,12 +24,7 @@ _OVERHEAD_BYTES = 12
 _BITS_PER_BYTE = 10
 _LETTERS = "xyzpqr"
 # smoothed relative slope of a 5 Hz, 5 mm wing with drifting biases (FACTS section 3), mrad
-_SLOPE_MRAD = {
-    (False, False): 0.47,
-    (True, False): 0.26,
-    (False, True): 0.33,
-    (True, True): 0.24,
-}
+_SLOPE_MRAD = {(False, False): 0.47, (True, False): 0.26, (False, True): 0.33, (True, True): 0.24}
 
 
 def check_nodes(seen: Evidence) -> Iterator[Finding]:

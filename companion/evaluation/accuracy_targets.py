@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from companion.evaluation.metrics import (
-    FAST_HZ,
-    Scored,
-    near,
-    slow_part,
-    spread,
-)
+from companion.evaluation.metrics import FAST_HZ, Scored, near, slow_part, spread
 from companion.evaluation.true_geometry import Judge
 from companion.records import Firing, Floats, MatchSet, Side
 

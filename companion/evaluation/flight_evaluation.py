@@ -17,21 +17,10 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
-from companion.evaluation.accuracy_targets import (
-    honesty,
-    peak_errors_s,
-    targets,
-    trigger_summary,
-    wing_blur_px,
-)
+from companion.evaluation.accuracy_targets import honesty, peak_errors_s, targets, trigger_summary, wing_blur_px
 from companion.evaluation.metrics import Scored, range_summary, toe_summary
 from companion.evaluation.plan_outcomes import Fates
-from companion.evaluation.rendered_shots import (
-    Pull,
-    Seen,
-    Stage,
-    Studios,
-)
+from companion.evaluation.rendered_shots import Pull, Seen, Stage, Studios
 from companion.evaluation.replay import drive, own_inputs
 from companion.evaluation.true_geometry import Judge, Reading
 from companion.params.airframe import Airframe
@@ -86,13 +75,7 @@ class Debrief:
 
 
 def debrief(
-    flight: Flight,
-    stage: Stage,
-    recording: Path,
-    report: dict[str, Any],
-    *,
-    compare: bool,
-    say: Callable[[str], None],
+    flight: Flight, stage: Stage, recording: Path, report: dict[str, Any], *, compare: bool, say: Callable[[str], None]
 ) -> Debrief:
     """Judge one recorded flight.
 

@@ -13,13 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from companion.core.wing.beam import Beam, characteristic_roots
 from companion.paper import printed
-from companion.paper.findings import (
-    Section,
-    Table,
-    deviation,
-    number,
-    percent,
-)
+from companion.paper.findings import Section, Table, deviation, number, percent
 from companion.records import Floats
 
 STRIP_WIDTH_M = 0.0507

@@ -7,14 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from companion.paper.findings import Picture
-from companion.reporting.plotting import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    VERMILLION,
-    headline,
-)
+from companion.reporting.plotting import BLUE, GREEN, GREY, ORANGE, VERMILLION, headline
 
 __all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "draw"]
 

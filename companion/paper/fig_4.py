@@ -9,12 +9,7 @@ import numpy as np
 from companion.core.wing.beam import BeamMode
 from companion.paper.beam_tables import corrected_beam
 from companion.paper.drawing import BLUE, RED, draw
-from companion.paper.findings import (
-    Picture,
-    Section,
-    number,
-    percent,
-)
+from companion.paper.findings import Picture, Section, number, percent
 from companion.records import Floats
 
 

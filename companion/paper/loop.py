@@ -13,13 +13,7 @@ from companion.core.pipeline import PipelineState, start, step
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.vision import VisionState
 from companion.evaluation.true_geometry import Judge
-from companion.paper.shots import (
-    Answer,
-    Flown,
-    Scored,
-    Usual,
-    score,
-)
+from companion.paper.shots import Answer, Flown, Scored, Usual, score
 from companion.params.settings import Settings
 from companion.records import (
     ClockName,

@@ -6,13 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 
 from companion.paper import beam_tables, equations, printed, range_tables
-from companion.paper.findings import (
-    Section,
-    Table,
-    deviation,
-    number,
-    percent,
-)
+from companion.paper.findings import Section, Table, deviation, number, percent
 
 
 @dataclass(frozen=True, slots=True)

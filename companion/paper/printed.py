@@ -33,11 +33,7 @@ TIP_MASS = 0.035  # ".035 g"
 LENGTH_M = 0.1115
 
 # Table 2
-MODES = (
-    PrintedMode(1.047, 126.305, 20.1028),
-    PrintedMode(3.974, 1865.8, 296.955),
-    PrintedMode(7.098, 5952.3, 947.34),
-)
+MODES = (PrintedMode(1.047, 126.305, 20.1028), PrintedMode(3.974, 1865.8, 296.955), PrintedMode(7.098, 5952.3, 947.34))
 
 # Tables 3 and 4
 BASELINE_M = 1.98

@@ -7,27 +7,9 @@ from typing import Any
 import numpy as np
 
 from companion.paper import printed
-from companion.paper.drawing import (
-    BLUE,
-    GREY,
-    RED,
-    draw,
-)
-from companion.paper.findings import (
-    Picture,
-    Section,
-    Table,
-    number,
-    percent,
-)
-from companion.paper.shaken_boom import (
-    WINDOW_S,
-    Response,
-    Shaken,
-    respond,
-    shake,
-    white_share,
-)
+from companion.paper.drawing import BLUE, GREY, RED, draw
+from companion.paper.findings import Picture, Section, Table, number, percent
+from companion.paper.shaken_boom import WINDOW_S, Response, Shaken, respond, shake, white_share
 from companion.params.files import load_airframe
 from companion.records import Floats
 

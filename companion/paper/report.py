@@ -29,12 +29,7 @@ from companion.paper.findings import Section
 from companion.paper.report_html import html
 from companion.paper.report_markdown import markdown
 from companion.paper.scores import Results, summary
-from companion.paper.trials import (
-    REPEATED,
-    Pace,
-    Trial,
-    trials,
-)
+from companion.paper.trials import REPEATED, Pace, Trial, trials
 
 
 def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seeds: Sequence[int]) -> list[Section]:

@@ -20,12 +20,7 @@ from companion.core.stereo.matching import match_pair
 from companion.core.stereo.ranging import range_axis
 from companion.core.stereo.search import trim_search
 from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
-from companion.paper.bench import (
-    Setup,
-    hang,
-    rested,
-    target,
-)
+from companion.paper.bench import Setup, hang, rested, target
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.settings import Settings
 from companion.records import Floats, MatchSet

@@ -30,10 +30,7 @@ class Results:
 
     @classmethod
     def of(
-        cls,
-        outcomes: Sequence[Outcome],
-        seed: int,
-        draws: Mapping[str, Mapping[int, dict[str, Any]]] | None = None,
+        cls, outcomes: Sequence[Outcome], seed: int, draws: Mapping[str, Mapping[int, dict[str, Any]]] | None = None
     ) -> Results:
         """Score everything."""
         return cls(

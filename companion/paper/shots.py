@@ -138,8 +138,5 @@ def _upper_third(matches: MatchSet, rows: int) -> MatchSet:
     """The matches that lie in the upper third of the left image."""
     inside = matches.left_px[:, 1] < rows / 3
     return dataclasses.replace(
-        matches,
-        left_px=matches.left_px[inside],
-        right_px=matches.right_px[inside],
-        sigma_px=matches.sigma_px[inside],
+        matches, left_px=matches.left_px[inside], right_px=matches.right_px[inside], sigma_px=matches.sigma_px[inside]
     )

@@ -11,12 +11,7 @@ from companion.paper import printed
 from companion.paper.bench import Drive
 from companion.paper.range_tables import toe_rad, wide_factor
 from companion.params.files import load_airframe
-from companion.sim.flight.aircraft import (
-    FlightPlan,
-    Level,
-    PullUp,
-    Roll,
-)
+from companion.sim.flight.aircraft import FlightPlan, Level, PullUp, Roll
 
 SEEDS = (5, 6, 7)
 SETTLE_S = 15.0

@@ -8,12 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
-from companion.paper.findings import (
-    Section,
-    Table,
-    number,
-    percent,
-)
+from companion.paper.findings import Section, Table, number, percent
 from companion.paper.scores import Results, one_tip_toe_error_mrad, toe_error_mrad
 from companion.params.files import load_airframe
 from companion.records import Side

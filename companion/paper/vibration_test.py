@@ -7,20 +7,8 @@ from scipy.optimize import brentq
 
 from companion.core.wing.beam import Beam, BeamMode
 from companion.core.wing.model import WingModel
-from companion.paper.edge_fits import (
-    CAMERA_M,
-    CLAMPED_DEGREE,
-    TIP_M,
-    WHOLE_DEGREE,
-    clamped_factor,
-    fit_edges,
-)
-from companion.paper.modal_peaks import (
-    RATE_HZ,
-    ModalPoints,
-    modal_points,
-    quadrature_peak,
-)
+from companion.paper.edge_fits import CAMERA_M, CLAMPED_DEGREE, TIP_M, WHOLE_DEGREE, clamped_factor, fit_edges
+from companion.paper.modal_peaks import RATE_HZ, ModalPoints, modal_points, quadrature_peak
 from companion.params.airframe import Airframe
 from companion.records import Floats
 from companion.sim.flight.perturb import draw_truth

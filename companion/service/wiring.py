@@ -176,12 +176,7 @@ def _inertial_process(
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(config.connections)]
     firing = link_firing(config.trigger)
     autopilot = MavlinkAutopilot(
-        links,
-        config.airframe,
-        config.settings,
-        clock,
-        component=_component(config, signing),
-        firing=firing or CAMERAS,
+        links, config.airframe, config.settings, clock, component=_component(config, signing), firing=firing or CAMERAS
     )
     loop = inertial.InertialLoop(
         state=start(config.airframe, config.settings),

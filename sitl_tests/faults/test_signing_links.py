@@ -13,12 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.decode.decoder import Decoder
-from companion.adapters.mavlink.link.signing import (
-    Refusal,
-    SignedTransport,
-    Signing,
-    load_signing,
-)
+from companion.adapters.mavlink.link.signing import Refusal, SignedTransport, Signing, load_signing
 from companion.errors import ConfigError
 from companion.params.files import load_airframe
 from companion.records import Notice, ParameterChange, RawChunk

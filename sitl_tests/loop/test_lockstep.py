@@ -14,13 +14,7 @@ import pytest
 from companion.cli.main import main
 from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras
 from companion.errors import DeviceError
-from companion.evaluation.rendered_shots import (
-    Pull,
-    Seen,
-    Stage,
-    Studio,
-    Studios,
-)
+from companion.evaluation.rendered_shots import Pull, Seen, Stage, Studio, Studios
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Firing, MatchSet, Reject, Rejected, Shot, TriggerPlan

@@ -21,13 +21,7 @@ from companion.params.files import load_airframe
 from companion.records import ClockName, Station
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.faults import Faults
-from companion.sim.vehicle.world import (
-    Link,
-    World,
-    WorldOptions,
-    serve,
-    serve_new,
-)
+from companion.sim.vehicle.world import Link, World, WorldOptions, serve, serve_new
 
 COMPANION = 191
 MS = 1_000_000

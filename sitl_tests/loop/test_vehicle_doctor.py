@@ -16,13 +16,7 @@ from companion.adapters.mavlink.decode.message_records import Heard
 from companion.adapters.mavlink.link.link import Link
 from companion.cli import doctor
 from companion.cli.doctor import apply, diagnose
-from companion.doctor.evidence import (
-    Beat,
-    Evidence,
-    Finding,
-    Fix,
-    Level,
-)
+from companion.doctor.evidence import Beat, Evidence, Finding, Fix, Level
 from companion.doctor.examine import Examination, note, read_log
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -233,8 +227,7 @@ def test_limits_of_older_versions_are_in_centimetres(name: str, value: float, fi
 
 
 @pytest.mark.parametrize(
-    ("axes", "expected_mrad"),
-    [(Axis.Z, 0.47), (Axis.Z | Axis.Y, 0.26), (Axis.Z | Axis.P, 0.33), (Axis.ALL, 0.24)],
+    ("axes", "expected_mrad"), [(Axis.Z, 0.47), (Axis.Z | Axis.Y, 0.26), (Axis.Z | Axis.P, 0.33), (Axis.ALL, 0.24)]
 )
 def test_the_axes_that_arrive_say_what_accuracy_they_allow(axes: Axis, expected_mrad: float) -> None:
     both = {Station.LEFT: axes, Station.RIGHT: Axis.ALL}

@@ -17,12 +17,7 @@ from companion.errors import DeviceError
 from companion.params.files import load_airframe
 from companion.records import Side
 from companion.sim.vision.board_server import uncalibrated
-from companion.sim.vision.boards import (
-    BoardRenderer,
-    Held,
-    ShownBoard,
-    shown,
-)
+from companion.sim.vision.boards import BoardRenderer, Held, ShownBoard, shown
 
 SIZES = {"chessboard": ((10, 7), 0.2), "charuco": ((7, 5), 0.3)}
 

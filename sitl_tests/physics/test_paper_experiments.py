@@ -13,12 +13,7 @@ from companion.core.stereo.matching import match_pair
 from companion.core.stereo.search import trim_search
 from companion.evaluation.true_geometry import Judge
 from companion.paper import experiments, scores, trials
-from companion.paper.bench import (
-    Drive,
-    Setup,
-    hang,
-    target,
-)
+from companion.paper.bench import Drive, Setup, hang, target
 from companion.paper.rest_calibration import calibrate, settings_for
 from companion.paper.untried import forward_errors_px
 from companion.params.files import load_airframe
@@ -28,10 +23,7 @@ from companion.sim.vision.renderer import Renderer
 
 
 def test_the_driven_wing_swings_as_wide_as_it_should() -> None:
-    for name, drive, wanted in (
-        ("paper-flying-wing", Drive.SINE, 0.0018),
-        ("paper-beam", Drive.SHAKER_SINE, 0.00056),
-    ):
+    for name, drive, wanted in (("paper-flying-wing", Drive.SINE, 0.0018), ("paper-beam", Drive.SHAKER_SINE, 0.00056)):
         flight = hang(Setup(load_airframe(name), drive, wanted, 2.0, seed=1, duration_s=3.0))
         q = flight.truth.knots[:, 12]
         assert 0.5 * (q.max() - q.min()) == pytest.approx(wanted, rel=0.02)

@@ -7,14 +7,7 @@ import pytest
 
 from sitl_tests.reference.discretise import averages, riccati, stacked, steady_errors
 from sitl_tests.reference.load import chain, intensity
-from sitl_tests.reference.single_tip import (
-    ACCEL_DENSITY,
-    GYRO_DENSITY,
-    SLOPE_RADPM,
-    averaged,
-    gust_density,
-    held,
-)
+from sitl_tests.reference.single_tip import ACCEL_DENSITY, GYRO_DENSITY, SLOPE_RADPM, averaged, gust_density, held
 from sitl_tests.reference.spec import DRYDEN, FIVE_TWENTY, GRAVITY_MPS2, WHITE, ModeSpec
 
 # FACTS.md section 3: (f, zeta, rms) -> axes -> percent causal / smoothed, then the relative slope in mrad

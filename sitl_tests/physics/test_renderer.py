@@ -40,9 +40,7 @@ def _with_cameras(airframe: Airframe, **changes: object) -> Airframe:
     assert isinstance(left, Camera)
     assert isinstance(right, Camera)
     return dataclasses.replace(
-        airframe,
-        left_camera=dataclasses.replace(left, **changes),
-        right_camera=dataclasses.replace(right, **changes),
+        airframe, left_camera=dataclasses.replace(left, **changes), right_camera=dataclasses.replace(right, **changes)
     )
 
 

@@ -11,15 +11,7 @@ import pytest
 from companion.params.airframe import Airframe, Sensor, Uncertain
 from companion.params.files import load_airframe
 from companion.records import Station
-from companion.sim.flight.aircraft import (
-    FlightPlan,
-    Jolt,
-    Level,
-    PullUp,
-    Roll,
-    demo_plan,
-    still_plan,
-)
+from companion.sim.flight.aircraft import FlightPlan, Jolt, Level, PullUp, Roll, demo_plan, still_plan
 from companion.sim.flight.flight import Flight, GustKind, build_flight
 from companion.sim.flight.sensors import station_readings
 

@@ -8,14 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sitl_tests.reference.kalman import Filtered, filtered, smoothed
-from sitl_tests.reference.observer import (
-    REFERENCE_STEP_S,
-    Dynamics,
-    Layout,
-    dynamics,
-    initial_covariance,
-    layout_of,
-)
+from sitl_tests.reference.observer import REFERENCE_STEP_S, Dynamics, Layout, dynamics, initial_covariance, layout_of
 from sitl_tests.reference.priors import Sensitivity, constants_of
 from sitl_tests.reference.spec import TruthSpec
 from sitl_tests.reference.truth import SEGMENT_S

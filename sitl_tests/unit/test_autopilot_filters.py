@@ -18,16 +18,7 @@ from companion.core.pipeline import PipelineState, start, step
 from companion.core.tracking.streams import Stream
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import (
-    AutopilotParameter,
-    Axis,
-    ClockName,
-    Floats,
-    ImuBatch,
-    Notice,
-    RawChunk,
-    Station,
-)
+from companion.records import AutopilotParameter, Axis, ClockName, Floats, ImuBatch, Notice, RawChunk, Station
 
 RATE_HZ, BACKEND_HZ = 1000.0 / 3.0, 2000.0
 CELL_NS = 4_000_000

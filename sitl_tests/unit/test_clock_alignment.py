@@ -22,16 +22,7 @@ from companion.core.clock.motion_alignment import (
 )
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
-from companion.records import (
-    ClockName,
-    ClockState,
-    Floats,
-    ImuBatch,
-    Notice,
-    Rejected,
-    Station,
-    TimesyncReply,
-)
+from companion.records import ClockName, ClockState, Floats, ImuBatch, Notice, Rejected, Station, TimesyncReply
 from companion.sim.flight.aircraft import still_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records

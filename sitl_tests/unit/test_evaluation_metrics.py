@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.evaluation.metrics import (
-    Scored,
-    range_summary,
-    slow_part,
-    toe_summary,
-)
+from companion.evaluation.metrics import Scored, range_summary, slow_part, toe_summary
 
 
 def test_toe_error_is_the_divergence_that_shortened_the_range() -> None:

@@ -10,14 +10,7 @@ from hypothesis import strategies as st
 
 from companion.doctor.evidence import Evidence, Level
 from companion.doctor.wing import check_cameras
-from companion.evaluation.plan_outcomes import (
-    FAILED,
-    FIRED,
-    LATE,
-    REPLACED,
-    WITHDRAWN,
-    Fates,
-)
+from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE, REPLACED, WITHDRAWN, Fates
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan

@@ -19,16 +19,7 @@ from companion.adapters.mavlink.decode.layouts import TUNNEL_IMU_TYPE
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Source
 from companion.params.files import load_airframe
-from companion.records import (
-    Axis,
-    ClockName,
-    ImuBatch,
-    RawChunk,
-    Record,
-    Reject,
-    Rejected,
-    Station,
-)
+from companion.records import Axis, ClockName, ImuBatch, RawChunk, Record, Reject, Rejected, Station
 
 G = 9.80665
 MS, S = 1_000_000, 1_000_000_000

@@ -110,10 +110,7 @@ def test_a_timesync_answer_shows_a_reboot_at_once() -> None:
     for k, remote_ns in enumerate((90 * S, 2 * S)):
         stream(request(k), link=OUTGOING)
         records = stream(answer(k, remote_ns))
-    assert records == [
-        ClockRestart(ClockName.BOOT, stream.now),
-        TimesyncReply(ClockName.BOOT, 1, 2 * S, stream.now),
-    ]
+    assert records == [ClockRestart(ClockName.BOOT, stream.now), TimesyncReply(ClockName.BOOT, 1, 2 * S, stream.now)]
 
 
 def test_a_silent_source_joins_the_new_epoch_within_a_second() -> None:

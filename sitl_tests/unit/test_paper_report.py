@@ -18,16 +18,7 @@ from companion.paper import beam_tables, equations, fig_4, misprints, printed, r
 from companion.paper.findings import Section, number, percent
 from companion.paper.scores import errors, rms
 from companion.paper.shots import Usual
-from companion.paper.trials import (
-    FULL,
-    QUICK,
-    REPEATED,
-    SEEDS,
-    SETTLE_S,
-    Pace,
-    flight_plan,
-    trials,
-)
+from companion.paper.trials import FULL, QUICK, REPEATED, SEEDS, SETTLE_S, Pace, flight_plan, trials
 from companion.params.files import load_airframe
 
 

@@ -98,8 +98,7 @@ def test_axes_of_a_place_in_two_files_are_put_on_the_stamps_of_the_longer(tmp_pa
 
 def test_covariates_keep_their_unit_and_inputs_become_si(tmp_path: Path) -> None:
     recording = read(
-        tmp_path,
-        accel="t_s,left_z_mps2,airspeed_kmh,rpm,input_g,roller\n0,1,36,5000,2,0.5\n1,1,36,5000,2,0.5\n",
+        tmp_path, accel="t_s,left_z_mps2,airspeed_kmh,rpm,input_g,roller\n0,1,36,5000,2,0.5\n1,1,36,5000,2,0.5\n"
     )
     assert recording.covariates["airspeed_kmh"].values[0] == 36
     assert recording.covariates["rpm"].values[0] == 5000

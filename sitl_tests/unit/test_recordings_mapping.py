@@ -12,12 +12,7 @@ from scipy.io import savemat
 
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapped_table import files_of, read_mapped
-from companion.adapters.recordings.tables.mapping import (
-    TestKind,
-    known_mappings,
-    load_mapping,
-    parse_mapping,
-)
+from companion.adapters.recordings.tables.mapping import TestKind, known_mappings, load_mapping, parse_mapping
 from companion.adapters.recordings.tables.units import conversion
 from companion.errors import ConfigError, RecordingError, TableError
 from companion.params.files import load_airframe

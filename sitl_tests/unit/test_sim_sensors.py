@@ -22,21 +22,9 @@ from companion.sim.flight.aircraft import still_plan
 from companion.sim.flight.flight import Flight, GustKind, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
 from companion.sim.flight.perturb import RemoteClock, SensorErrors, draw_truth
-from companion.sim.flight.sensors import (
-    corrupted,
-    drifting,
-    limited,
-    lowpassed,
-    on_wire,
-    send_times,
-)
+from companion.sim.flight.sensors import corrupted, drifting, limited, lowpassed, on_wire, send_times
 from companion.sim.flight.tables import write_csv
-from companion.sim.vehicle.wire import (
-    Sender,
-    inertial_format,
-    payloads,
-    stamped,
-)
+from companion.sim.vehicle.wire import Sender, inertial_format, payloads, stamped
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,7 @@ from hypothesis import strategies as st
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.vision import FrameChoice, VisionState, vision_step
 from companion.params.settings import Settings
-from companion.records import (
-    ClockName,
-    Firing,
-    Frame,
-    FramePair,
-    MatchSet,
-    ParameterChange,
-    Reject,
-    Side,
-    TriggerPlan,
-)
+from companion.records import ClockName, Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Side, TriggerPlan
 from sitl_tests.unit.stereo_cases import nadir
 from sitl_tests.unit.stereo_scene import TexturedPlane, photograph
 

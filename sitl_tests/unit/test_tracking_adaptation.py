@@ -11,13 +11,7 @@ import pytest
 from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.parameters import prior_parameters
 from companion.core.tracking.rigid_body import Cells
-from companion.core.tracking.states import (
-    ROWS,
-    Z_LEFT,
-    Z_RIGHT,
-    make_layout,
-    make_noise,
-)
+from companion.core.tracking.states import ROWS, Z_LEFT, Z_RIGHT, make_layout, make_noise
 from sitl_tests.unit.tracking_samples import plain_airframe
 
 STEP_S = 0.004

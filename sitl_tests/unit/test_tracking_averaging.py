@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.tracking.resampling import (
-    bridged,
-    bridged_shares,
-    cell_means,
-    cell_means_unfiltered,
-    cut_shares,
-)
+from companion.core.tracking.resampling import bridged, bridged_shares, cell_means, cell_means_unfiltered, cut_shares
 
 H = 0.004
 

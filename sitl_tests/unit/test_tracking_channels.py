@@ -8,19 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from companion.core.tracking.adaptation.channels import (
-    COLUMNS,
-    ROLL,
-    STATIC,
-    Channels,
-)
+from companion.core.tracking.adaptation.channels import COLUMNS, ROLL, STATIC, Channels
 from companion.core.tracking.parameters import prior_parameters
-from companion.core.tracking.states import (
-    P_ROOT,
-    Z_LEFT,
-    make_layout,
-    make_noise,
-)
+from companion.core.tracking.states import P_ROOT, Z_LEFT, make_layout, make_noise
 from sitl_tests.unit.tracking_samples import plain_airframe
 
 GRAVITY = 9.80665

@@ -5,21 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.tracking.adaptation.frequency_drift import (
-    at_end,
-    evened,
-    likeliest,
-    when_evened,
-)
+from companion.core.tracking.adaptation.frequency_drift import at_end, evened, likeliest, when_evened
 from companion.core.tracking.adaptation.periodogram import make_stretch, make_stretches
 from companion.core.tracking.adaptation.whittle import Prior, fit
-from companion.core.tracking.parameters import (
-    FREQUENCY,
-    FREQUENCY_2,
-    LIMITS,
-    PARAMETERS,
-    prior_parameters,
-)
+from companion.core.tracking.parameters import FREQUENCY, FREQUENCY_2, LIMITS, PARAMETERS, prior_parameters
 from companion.core.tracking.states import make_layout
 from companion.records import Floats
 from sitl_tests.unit.tracking_samples import plain_airframe

@@ -24,13 +24,7 @@ from companion.core.tracking.states import (
 from companion.core.tracking.streams import Stream
 from companion.params.airframe import Airframe
 from companion.records import Axis, Station
-from sitl_tests.unit.tracking_samples import (
-    EPOCH_NS,
-    MS,
-    batch,
-    plain_airframe,
-    swinging,
-)
+from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 STEP_NS = 4 * MS
 

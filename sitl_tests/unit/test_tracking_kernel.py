@@ -9,30 +9,17 @@ import pytest
 
 from companion.core.kernels import filter_loops as kernel_loops
 from companion.core.kernels import filter_numpy as kernel_numpy
-from companion.core.kernels.arrays import (
-    Data,
-    Fixed,
-    History,
-    Memory,
-    Step,
-)
+from companion.core.kernels.arrays import Data, Fixed, History, Memory, Step
 from companion.core.tracking.filter import Kalman
 from companion.core.tracking.model import build_model
 from companion.core.tracking.parameters import prior_parameters
-from companion.core.tracking.states import (
-    ROWS,
-    Y_LEFT,
-    make_layout,
-    make_noise,
-)
+from companion.core.tracking.states import ROWS, Y_LEFT, make_layout, make_noise
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 
 AIRFRAME = load_airframe("nadir-2m")
 EXACT_SCALES = replace(
-    AIRFRAME,
-    left=replace(AIRFRAME.left, accel_scale_sigma=0.0),
-    right=replace(AIRFRAME.right, accel_scale_sigma=0.0),
+    AIRFRAME, left=replace(AIRFRAME.left, accel_scale_sigma=0.0), right=replace(AIRFRAME.right, accel_scale_sigma=0.0)
 )
 STEP_S = 0.004
 STEPS = 60

@@ -8,13 +8,7 @@ import pytest
 from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Deflection, ImuBatch, ModeState, Reject, Station, Validity
-from sitl_tests.unit.tracking_samples import (
-    EPOCH_NS,
-    MS,
-    batch,
-    plain_airframe,
-    swinging,
-)
+from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 
 def _run(
@@ -52,9 +46,7 @@ def test_there_is_no_state_before_root_and_a_tip_are_heard() -> None:
         assert tracker.forecast(100 * MS, MS) is Reject.NOT_SETTLED
 
 
-def test_how_calls_are_spaced_does_not_change_the_answer(
-    moving: tuple[np.ndarray, dict[Station, np.ndarray]],
-) -> None:
+def test_how_calls_are_spaced_does_not_change_the_answer(moving: tuple[np.ndarray, dict[Station, np.ndarray]]) -> None:
     t, values = moving
     answers = [_run(t, values, every, adapt=0)[0].smooth(EPOCH_NS + 3300 * MS) for every in (20, 400)]
     first, second = answers

@@ -16,13 +16,7 @@ from companion.core.tracking.rigid_body import join
 from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
 from companion.records import Deflection, Reject, Station, Validity
-from sitl_tests.unit.tracking_samples import (
-    EPOCH_NS,
-    MS,
-    batch,
-    plain_airframe,
-    swinging,
-)
+from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 EVERY_MS = 100
 LOST = np.arange(EVERY_MS) < 20  # of each 100 ms both tips lose the first 20: more than the fiftieth that a fit allows

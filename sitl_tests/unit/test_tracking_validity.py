@@ -14,13 +14,7 @@ from companion.core.tracking.tracker import WingTracker
 from companion.core.tracking.validity import judge
 from companion.params.settings import Settings
 from companion.records import Axis, Station, Validity
-from sitl_tests.unit.tracking_samples import (
-    EPOCH_NS,
-    MS,
-    batch,
-    plain_airframe,
-    swinging,
-)
+from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
 
 GOOD = {
     "stale": False,

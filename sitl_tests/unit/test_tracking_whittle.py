@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 from companion.core.tracking.adaptation.frequency_drift import evened, likeliest
 from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_slopes, make_grid
 from companion.core.tracking.adaptation.periodogram import Stretch, make_stretch, make_stretches
-from companion.core.tracking.adaptation.whittle import (
-    Prior,
-    expected_power,
-    fit,
-    seek_peak,
-)
+from companion.core.tracking.adaptation.whittle import Prior, expected_power, fit, seek_peak
 from companion.core.tracking.discretise import stationary_covariance, van_loan
 
 STEP_S = 0.004

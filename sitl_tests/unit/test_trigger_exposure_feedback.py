@@ -151,7 +151,4 @@ def test_the_decoder_gives_edges_of_the_pin_once_and_no_gps_time() -> None:
         told(1_700_000_000_000_000, 0, 2),  # no pin: GPS time of the command
         told(0, 1, 2),  # nor GPS
     )
-    assert records == [
-        CameraFeedback(0, 1, 5_000_000_000, stream.now),
-        CameraFeedback(1, 1, 5_000_200_000, stream.now),
-    ]
+    assert records == [CameraFeedback(0, 1, 5_000_000_000, stream.now), CameraFeedback(1, 1, 5_000_200_000, stream.now)]

@@ -44,11 +44,7 @@ def wing(
     angles = [2 * np.pi * f * t * 1e-9 + p for f, p in ((hz, phase_rad), (anti_hz, 0.3))]
     q = np.stack([amplitude_m * np.cos(angles[0]), anti_m * np.cos(angles[1])], 1)
     v = np.stack(
-        [
-            -amplitude_m * 2 * np.pi * hz * np.sin(angles[0]),
-            -anti_m * 2 * np.pi * anti_hz * np.sin(angles[1]),
-        ],
-        1,
+        [-amplitude_m * 2 * np.pi * hz * np.sin(angles[0]), -anti_m * 2 * np.pi * anti_hz * np.sin(angles[1])], 1
     )
     rate = FACTOR_RADPM * np.stack([v[:, 0] - v[:, 1], v[:, 0] + v[:, 1]], 1)
     n = len(t)

@@ -10,14 +10,7 @@ from hypothesis import strategies as st
 
 from companion.adapters.clocks import ManualClock, MonotonicClock
 from companion.adapters.triggers.mavlink import MavlinkTrigger, capture_command
-from companion.adapters.triggers.wire import (
-    LARGEST,
-    Realtime,
-    pack_plan,
-    pack_report,
-    unpack_plan,
-    unpack_report,
-)
+from companion.adapters.triggers.wire import LARGEST, Realtime, pack_plan, pack_report, unpack_plan, unpack_report
 from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
 
 int64 = st.integers(-(2**63), 2**63 - 1)

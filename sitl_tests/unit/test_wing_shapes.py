@@ -110,10 +110,7 @@ def test_a_node_cannot_be_the_reference() -> None:
 
 @pytest.mark.parametrize(
     ("span", "deflection", "message"),
-    [
-        (np.zeros(3), np.zeros(4), "equal length"),
-        (np.array([0.0, np.nan]), np.zeros(2), "not finite"),
-    ],
+    [(np.zeros(3), np.zeros(4), "equal length"), (np.array([0.0, np.nan]), np.zeros(2), "not finite")],
 )
 def test_points_that_make_no_sense_are_refused(span: np.ndarray, deflection: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):

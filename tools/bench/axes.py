@@ -17,19 +17,8 @@ import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.lockstep import LockStepService
-from companion.evaluation.flight_evaluation import (
-    Shots,
-    collect,
-    judged,
-    replayed,
-    vertical_only,
-)
-from companion.evaluation.metrics import (
-    DISTANCES_M,
-    FAST_HZ,
-    near,
-    slow_part,
-)
+from companion.evaluation.flight_evaluation import Shots, collect, judged, replayed, vertical_only
+from companion.evaluation.metrics import DISTANCES_M, FAST_HZ, near, slow_part
 from companion.evaluation.rendered_shots import Stage
 from companion.evaluation.replay import own_inputs
 from companion.evaluation.true_geometry import Judge

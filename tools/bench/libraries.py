@@ -83,10 +83,7 @@ def foretold(folder: Path) -> list[dict[str, object]]:
         {"by": "ours, constant frequency", "share": _ours(learned, judged, belief, [])},
         {"by": "ours, following the roller", "share": _ours(learned, judged, belief, [follow])},
         {"by": "ours, following it on a bent line", "share": _ours(learned, judged, belief, [follow, bend])},
-        {
-            "by": "ours, as diagnosed",
-            "share": _ours(learned, judged, belief, [follow, bend, SecondMode(), fade]),
-        },
+        {"by": "ours, as diagnosed", "share": _ours(learned, judged, belief, [follow, bend, SecondMode(), fade])},
     ]
     if importlib.util.find_spec("sysidentpy") is not None:
         rows.append({"by": "sysidentpy, AR", "share": _narx(learned, judged, roller=False, degree=1)})

@@ -21,13 +21,7 @@ from companion.core.pipeline import start, step
 from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import divergence
-from companion.evaluation.flight_evaluation import (
-    SETTLED_S,
-    collect,
-    judged,
-    matches_of,
-    pulls,
-)
+from companion.evaluation.flight_evaluation import SETTLED_S, collect, judged, matches_of, pulls
 from companion.evaluation.rendered_shots import Stage, Studio
 from companion.evaluation.true_geometry import Judge
 from companion.params.airframe import Airframe

@@ -71,11 +71,7 @@ class RigTracker:
     """Follow resonances through one accelerometer; the first is the one that is asked for."""
 
     def __init__(
-        self,
-        resonances: tuple[Resonance, ...],
-        rate_hz: float,
-        noise_mps2: float,
-        sensor_lag_s: float = 0.0,
+        self, resonances: tuple[Resonance, ...], rate_hz: float, noise_mps2: float, sensor_lag_s: float = 0.0
     ) -> None:
         """Start at rest.
 

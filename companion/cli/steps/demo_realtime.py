@@ -75,10 +75,7 @@ class SimulatedVehicle:
 def fly_in_real_time(config: ServiceConfig, flight: Flight, view: View, *, live: bool) -> tuple[int, dict[str, Any]]:
     """Fly with the live service; give the host time of boot time 0, and what the vehicle reports."""
     port = _free_port()
-    with (
-        tempfile.TemporaryDirectory(prefix="spanwise-") as folder,
-        _vehicle(flight, port, Path(folder)) as vehicle,
-    ):
+    with tempfile.TemporaryDirectory(prefix="spanwise-") as folder, _vehicle(flight, port, Path(folder)) as vehicle:
         config = replace(
             config,
             connections=(f"udpin:127.0.0.1:{port}",),

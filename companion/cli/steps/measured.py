@@ -11,11 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.tables.mapped_table import (
-    MappedTable,
-    files_of,
-    read_mapped,
-)
+from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import TableMapping, TestKind
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
 from companion.diagnosis.free_decay.record import RawFreeDecay, prepare

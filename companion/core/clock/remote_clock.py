@@ -7,13 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.clock.clock_map import Knot, Mapping
-from companion.core.clock.sync_window import (
-    ANY_SKEW,
-    LONGEST_LAG_NS,
-    ClockFit,
-    ExchangeWindow,
-    agree,
-)
+from companion.core.clock.sync_window import ANY_SKEW, LONGEST_LAG_NS, ClockFit, ExchangeWindow, agree
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
 STALE_NS = 5_000_000_000

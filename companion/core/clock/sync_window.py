@@ -226,10 +226,7 @@ def _relative(bound: _Bound, now_ns: int) -> _Relative:
 
 
 def _intersected(
-    uppers: list[_Relative],
-    lowers: list[_Relative],
-    tolerance_ns: float,
-    skews: tuple[float, float],
+    uppers: list[_Relative], lowers: list[_Relative], tolerance_ns: float, skews: tuple[float, float]
 ) -> FeasibleLines | None:
     far = MOST_SKEW * max(-at for at, _, _ in uppers + lowers)
     least, most = max(low for _, low, _ in lowers) - 2 * far, min(high for _, high, _ in uppers) + 2 * far

@@ -23,14 +23,7 @@ from companion.core.kernels.arrays import (
     Step,
 )
 from companion.core.kernels.compiled import compiled_loops
-from companion.core.tracking.states import (
-    M_LEFT,
-    P_LEFT,
-    P_ROOT,
-    ROWS,
-    Y_LEFT,
-    Z_LEFT,
-)
+from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
 from companion.records import Bools, Floats, Ints
 
 _VERTICAL, _MOMENT, _LATERAL, _ROLL, _ROOT = Z_LEFT, M_LEFT, Y_LEFT, P_LEFT, P_ROOT

@@ -17,14 +17,7 @@ from companion.core.kernels.arrays import (
     Memory,
     Step,
 )
-from companion.core.tracking.states import (
-    M_LEFT,
-    P_LEFT,
-    P_ROOT,
-    ROWS,
-    Y_LEFT,
-    Z_LEFT,
-)
+from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
 from companion.records import Bools, Floats, Ints
 
 

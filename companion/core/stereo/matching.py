@@ -13,12 +13,7 @@ import cv2
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.rectification import (
-    Rectification,
-    halved,
-    rectification,
-    rectify_pair,
-)
+from companion.core.stereo.rectification import Rectification, halved, rectification, rectify_pair
 from companion.core.stereo.refine import HALF_WINDOW, Refined, refine
 from companion.core.stereo.search import Band, Search, bands, seek
 from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side

@@ -10,27 +10,13 @@ from companion.core.stereo.epipolar import epipolar_frame
 from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
 from companion.core.stereo.geometry import Rig, axes_from_body
 from companion.core.stereo.inverse_depth import Product, Reading, read
-from companion.core.stereo.range_sigma import (
-    Budget,
-    Gradient,
-    budget,
-    gradient_of,
-    toe_gradient,
-)
+from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient_of, toe_gradient
 from companion.core.stereo.sectors import matched_sectors
 from companion.core.stereo.triangulation import Depths, Rays, Sight, match_rays, sight_along, triangulate
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import (
-    CorrectedRange,
-    Deflection,
-    Floats,
-    MatchSet,
-    ObstacleSectors,
-    Reject,
-    RelativeRotation,
-)
+from companion.records import CorrectedRange, Deflection, Floats, MatchSet, ObstacleSectors, Reject, RelativeRotation
 
 # What all matches of a pair may share: blur that differs between the cameras, imperfect interpolation.
 _COMMON_MATCH_PX = 0.02

@@ -58,9 +58,7 @@ class Rectification:
 
     def to_raw(self, camera: MountedCamera, pose: Pose, rectified_px: Floats) -> Floats:
         """Raw pixels (n, 2) of rectified pixels (n, 2)."""
-        rays = np.column_stack(
-            [(rectified_px - self.matrix[:2, 2]) / self.focal_px, np.ones(rectified_px.shape[0])],
-        )
+        rays = np.column_stack([(rectified_px - self.matrix[:2, 2]) / self.focal_px, np.ones(rectified_px.shape[0])])
         return camera.lens.project(rays @ self.rectified_from_camera(pose))
 
     def along_rows(self, camera: MountedCamera, pose: Pose, rectified_px: Floats) -> Floats:

@@ -70,11 +70,7 @@ def trim_search(rig: Rig, airframe: Airframe, settings: Settings) -> Search:
 
 
 def expected_search(
-    rig: Rig,
-    settings: Settings,
-    slope_rad: tuple[float, float],
-    lift_m: tuple[float, float],
-    bend_tolerance_rad: float,
+    rig: Rig, settings: Settings, slope_rad: tuple[float, float], lift_m: tuple[float, float], bend_tolerance_rad: float
 ) -> Search:
     """Search around predicted slopes and deflections of the left and right tip."""
     left = rig.pose(Side.LEFT, slope_rad[0], lift_m[0])

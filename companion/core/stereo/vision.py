@@ -12,17 +12,7 @@ from companion.core.stereo.pairing import FramePairer
 from companion.core.stereo.search import Search, trim_search
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import (
-    Firing,
-    Frame,
-    FramePair,
-    MatchSet,
-    ParameterChange,
-    Reject,
-    Rejected,
-    Side,
-    TriggerPlan,
-)
+from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Rejected, Side, TriggerPlan
 
 _PLANS_KEPT = 32
 _FORWARD = 0

@@ -16,16 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.compiled import compiled
-from companion.core.tracking.states import (
-    P_LEFT,
-    P_ROOT,
-    ROOT_ERRORS,
-    ROWS,
-    SENSOR_ERRORS,
-    Y_LEFT,
-    Z_LEFT,
-    Layout,
-)
+from companion.core.tracking.states import P_LEFT, P_ROOT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT, Layout
 from companion.records import Bools, Floats, Ints
 
 _PLACES = ("root", "left", "right")

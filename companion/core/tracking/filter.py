@@ -16,27 +16,12 @@ import numpy as np
 
 from companion.core.kernels import filter_loops as kernel_loops
 from companion.core.kernels import filter_numpy as kernel_numpy
-from companion.core.kernels.arrays import (
-    Data,
-    Fixed,
-    Memory,
-    Step,
-    make_history,
-)
+from companion.core.kernels.arrays import Data, Fixed, Memory, Step, make_history
 from companion.core.kernels.compiled import COMPILED, compiled
 from companion.core.tracking.error_jacobians import own_scales
 from companion.core.tracking.model import Parameters, StepModel, stationary
 from companion.core.tracking.rigid_body import Cells
-from companion.core.tracking.states import (
-    P_LEFT,
-    ROOT_ERRORS,
-    ROWS,
-    SENSOR_ERRORS,
-    Y_LEFT,
-    Z_LEFT,
-    Layout,
-    Noise,
-)
+from companion.core.tracking.states import P_LEFT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT, Layout, Noise
 from companion.records import Floats, Ints
 
 kernel = kernel_loops if COMPILED else kernel_numpy

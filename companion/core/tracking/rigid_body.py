@@ -14,30 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.compiled import compiled
-from companion.core.tracking.error_jacobians import (
-    Motion,
-    columns_of,
-    rate_of_change,
-    sensitivities,
-)
+from companion.core.tracking.error_jacobians import Motion, columns_of, rate_of_change, sensitivities
 from companion.core.tracking.resampling import VERTICAL
-from companion.core.tracking.states import (
-    M_LEFT,
-    P_LEFT,
-    P_ROOT,
-    ROWS,
-    Y_LEFT,
-    Z_LEFT,
-    Layout,
-    Noise,
-)
-from companion.core.tracking.streams import (
-    CHANNELS,
-    Averages,
-    Samples,
-    Stream,
-    averages,
-)
+from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout, Noise
+from companion.core.tracking.streams import CHANNELS, Averages, Samples, Stream, averages
 from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.records import Axis, Bools, Floats, Ints
 

@@ -9,13 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.compiled import compiled, plain
-from companion.core.tracking.resampling import (
-    bridged,
-    bridged_shares,
-    cell_means,
-    cell_means_unfiltered,
-    cut_shares,
-)
+from companion.core.tracking.resampling import bridged, bridged_shares, cell_means, cell_means_unfiltered, cut_shares
 from companion.core.tracking.sample_outliers import BESIDE, lapses
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected

@@ -13,20 +13,8 @@ import numpy as np
 from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.estimates import mode_estimate, tip_rows, tips
 from companion.core.tracking.filter import Kalman
-from companion.core.tracking.model import (
-    Parameters,
-    StepModel,
-    build_model,
-    slope_rows,
-)
-from companion.core.tracking.parameters import (
-    COHERENCE,
-    DAMPING_2,
-    FREQUENCY_2,
-    LOAD,
-    LOAD_2,
-    prior_parameters,
-)
+from companion.core.tracking.model import Parameters, StepModel, build_model, slope_rows
+from companion.core.tracking.parameters import COHERENCE, DAMPING_2, FREQUENCY_2, LOAD, LOAD_2, prior_parameters
 from companion.core.tracking.prediction import Forecast, Forecaster
 from companion.core.tracking.rigid_body import Cells, FrontEnd, join
 from companion.core.tracking.smoother import smooth_between
@@ -35,16 +23,7 @@ from companion.core.tracking.streams import Stream
 from companion.core.tracking.validity import SURPRISED, Level, judge
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import (
-    Deflection,
-    Floats,
-    ImuBatch,
-    ModeState,
-    Reject,
-    Rejected,
-    Station,
-    Validity,
-)
+from companion.records import Deflection, Floats, ImuBatch, ModeState, Reject, Rejected, Station, Validity
 
 _WINDOW_S = 1.0
 _MOST_CELLS = 250  # averaged at once

@@ -99,8 +99,7 @@ def _focal(airframe: Airframe, values: Values) -> Airframe:
 def _asymmetry(airframe: Airframe, values: Values) -> Airframe:
     ratio = values.get("ratio", 0.0)
     return _each_camera(
-        airframe,
-        lambda camera, sign: dataclasses.replace(camera, slope_gain=camera.slope_gain * (1.0 + sign * ratio)),
+        airframe, lambda camera, sign: dataclasses.replace(camera, slope_gain=camera.slope_gain * (1.0 + sign * ratio))
     )
 
 
@@ -120,9 +119,7 @@ def _earlier(sensor: Sensor, late_s: float) -> Sensor:
 def _each_camera(airframe: Airframe, change: Callable[[Camera, float], Camera]) -> Airframe:
     left, right = airframe.left_camera, airframe.right_camera
     return dataclasses.replace(
-        airframe,
-        left_camera=left and change(left, -1.0),
-        right_camera=right and change(right, 1.0),
+        airframe, left_camera=left and change(left, -1.0), right_camera=right and change(right, 1.0)
     )
 
 

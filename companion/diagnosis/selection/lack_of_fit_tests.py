@@ -65,11 +65,7 @@ class _Family:
 
 def lack_of_fit_tests(models: Sequence[FlightModel], fitted: Fit) -> dict[str, float]:
     """Standard deviations of every direction, and of each family as a whole."""
-    families = [
-        _spectral(models),
-        _anywhere(models, fitted.expectations),
-        *_laws(models, fitted),
-    ]
+    families = [_spectral(models), _anywhere(models, fitted.expectations), *_laws(models, fitted)]
     families = [family for family in families if family.names]
     columns = [
         [*fitted_columns, *itertools.chain.from_iterable(family.columns[k] for family in families)]

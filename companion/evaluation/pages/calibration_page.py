@@ -14,12 +14,7 @@ import numpy as np
 from companion.calibration.boards import Board, Corners, find_corners
 from companion.calibration.stereo_rig import CELLS, RigFit, View, cells, toe_sigma_rad
 from companion.records import Bytes, Floats, Side
-from companion.reporting.plotting import (
-    BLUE,
-    GREY,
-    VERMILLION,
-    headline,
-)
+from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline
 
 Pairs = list[tuple[str, Bytes, Bytes]]
 _NAMES = ("fx, px", "fy, px", "cx, px", "cy, px", "k1", "k2", "p1", "p2", "k3")

@@ -9,16 +9,7 @@ import numpy as np
 
 from companion.evaluation.flight_evaluation import Debrief
 from companion.evaluation.metrics import DISTANCES_M, near
-from companion.reporting.plotting import (
-    BLUE,
-    GREY,
-    INK,
-    ORANGE,
-    VERMILLION,
-    dots,
-    headline,
-    with_gaps,
-)
+from companion.reporting.plotting import BLUE, GREY, INK, ORANGE, VERMILLION, dots, headline, with_gaps
 
 _COLOURS = {"rigid": VERMILLION, "rigid_in_trim": ORANGE, "corrected": BLUE, "oracle": GREY}
 _FAR = "60"

@@ -11,15 +11,7 @@ from companion.diagnosis.json_report import sentence
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.verdict import Diagnosis, Verdict
 from companion.evaluation.pages import diagnosis_figures as figures
-from companion.reporting.page import (
-    advice,
-    heading,
-    page,
-    paragraph,
-    picture,
-    table,
-    told,
-)
+from companion.reporting.page import advice, heading, page, paragraph, picture, table, told
 
 _CHECKS = 12
 _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}

@@ -12,16 +12,7 @@ from companion.calibration.flight_modes import WingMotion
 from companion.calibration.modes import IdentifiedMode, assurance
 from companion.calibration.vibration import VibrationTest
 from companion.calibration.wing_modes import BendingMode, relative_to_root
-from companion.reporting.plotting import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    headline,
-)
+from companion.reporting.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, headline
 
 _LEADING, _TRAILING = BLUE, VERMILLION
 

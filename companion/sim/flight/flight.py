@@ -11,12 +11,7 @@ import numpy as np
 from companion.core.wing.model import WingModel
 from companion.params.airframe import Airframe, NamedEffect
 from companion.records import ClockName, Floats, Station
-from companion.sim.flight.aircraft import (
-    FlightPlan,
-    demo_plan,
-    fly,
-    jolted,
-)
+from companion.sim.flight.aircraft import FlightPlan, demo_plan, fly, jolted
 from companion.sim.flight.gust import (
     DrydenScales,
     LoadSpectrum,
@@ -35,12 +30,7 @@ from companion.sim.flight.sensors import (
     backend_imu,
     node_stream,
 )
-from companion.sim.flight.truth import (
-    GRAVITY_MPS2,
-    MODAL,
-    FlightTruth,
-    TipShape,
-)
+from companion.sim.flight.truth import GRAVITY_MPS2, MODAL, FlightTruth, TipShape
 from companion.sim.flight.wing import SUBSTEP_S, integrate
 
 LOOP_HZ = 400.0

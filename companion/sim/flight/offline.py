@@ -8,14 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from companion.params.airframe import Sensor
-from companion.records import (
-    AutopilotParameter,
-    Axis,
-    ClockName,
-    ImuBatch,
-    TimesyncReply,
-    VehicleState,
-)
+from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, TimesyncReply, VehicleState
 from companion.sim.flight.flight import LOOP_HZ, Flight
 from companion.sim.flight.sensors import SensorStream
 

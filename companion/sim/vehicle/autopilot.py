@@ -25,13 +25,7 @@ from companion.sim.vehicle.faults import Faults, boot_origin_ns
 from companion.sim.vehicle.proximity import Proximity
 from companion.sim.vehicle.received import Received
 from companion.sim.vehicle.vehicle_parameters import VehicleParameters, addressed_to_autopilot, default_parameters
-from companion.sim.vehicle.wire import (
-    AUTOPILOT_ID,
-    Sender,
-    inertial_format,
-    payloads,
-    stamped,
-)
+from companion.sim.vehicle.wire import AUTOPILOT_ID, Sender, inertial_format, payloads, stamped
 
 _NS = 1_000_000_000
 _TIMESYNC_NS = 10 * _NS

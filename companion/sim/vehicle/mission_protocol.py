@@ -7,12 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.sim.vehicle.scripted_pilot import (
-    HOME_AMSL_M,
-    Item,
-    Order,
-    Pilot,
-)
+from companion.sim.vehicle.scripted_pilot import HOME_AMSL_M, Item, Order, Pilot
 
 HOME_LATITUDE_DEG, HOME_LONGITUDE_DEG = 47.0, 8.0
 DEGREE_M = math.pi * 6378137.0 / 180.0

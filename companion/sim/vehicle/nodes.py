@@ -14,13 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.sim.flight.perturb import RemoteClock
 from companion.sim.flight.sensors import SensorStream
 from companion.sim.vehicle.faults import Faults, boot_origin_ns
-from companion.sim.vehicle.wire import (
-    SYSTEM_ID,
-    Sender,
-    inertial_format,
-    payloads,
-    stamped,
-)
+from companion.sim.vehicle.wire import SYSTEM_ID, Sender, inertial_format, payloads, stamped
 
 _HEARTBEAT_NS = 1_000_000_000
 _NAN_Z = struct.pack("<f", math.nan)

@@ -27,12 +27,7 @@ from companion.params.airframe import Airframe
 from companion.records import Side
 from companion.sim.flight.truth import FlightTruth
 from companion.sim.vehicle.starting import opened
-from companion.sim.vision.cameras import (
-    HEADER,
-    MAGIC,
-    PULSE,
-    Shutters,
-)
+from companion.sim.vision.cameras import HEADER, MAGIC, PULSE, Shutters
 from companion.sim.vision.renderer import Exposure, Renderer
 from companion.sim.vision.scene import Scene
 

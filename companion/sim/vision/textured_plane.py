@@ -12,13 +12,7 @@ import numpy as np
 
 from companion.records import Bools, Floats
 from companion.sim.vision.scene import Plane, View
-from companion.sim.vision.shutter import (
-    PixelGrid,
-    Track,
-    Window,
-    at_time,
-    margin_of,
-)
+from companion.sim.vision.shutter import PixelGrid, Track, Window, at_time, margin_of
 from companion.sim.vision.texture import (
     LEVELS_PER_RMS,
     ZERO_LEVEL,

@@ -22,12 +22,7 @@ from companion.adapters.mavlink.decode.layouts import LAYOUTS, TUNNEL_IMU_TYPE
 from companion.adapters.mavlink.decode.message_records import Echo, Heard, Translator
 from companion.adapters.mavlink.decode.source_map import build_mapping
 from companion.adapters.mavlink.link.dialect import ID_OF, NAME_OF, build_message
-from companion.adapters.mavlink.link.scan import (
-    Frame,
-    ScanCounters,
-    Scanner,
-    sender,
-)
+from companion.adapters.mavlink.link.scan import Frame, ScanCounters, Scanner, sender
 from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockWatch
 from companion.errors import described
 from companion.params.airframe import Airframe

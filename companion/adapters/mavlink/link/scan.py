@@ -11,12 +11,7 @@ from dataclasses import dataclass, field
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.adapters.mavlink.decode.bulk import (
-    COMPILED,
-    Bulk,
-    Run,
-    seek,
-)
+from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk, Run, seek
 from companion.adapters.mavlink.link.dialect import CRC_EXTRA, payload_size
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD

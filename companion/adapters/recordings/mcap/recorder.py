@@ -12,12 +12,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from companion.adapters.recordings.mcap.channels import Recordable
-from companion.adapters.recordings.mcap.recorder_client import (
-    Batch,
-    Inlet,
-    Outlet,
-    recorder_channel,
-)
+from companion.adapters.recordings.mcap.recorder_client import Batch, Inlet, Outlet, recorder_channel
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
 

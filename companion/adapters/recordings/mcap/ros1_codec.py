@@ -175,11 +175,7 @@ def _unpack_matches(cursor: _Cursor) -> MatchSet:
     )
 
 
-_PACK: dict[type, Callable[[Any], bytes]] = {
-    RawChunk: _pack_chunk,
-    ImuBatch: _pack_imu,
-    MatchSet: _pack_matches,
-}
+_PACK: dict[type, Callable[[Any], bytes]] = {RawChunk: _pack_chunk, ImuBatch: _pack_imu, MatchSet: _pack_matches}
 _UNPACK: dict[type, Callable[[_Cursor], Any]] = {
     RawChunk: _unpack_chunk,
     ImuBatch: _unpack_imu,

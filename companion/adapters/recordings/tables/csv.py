@@ -17,12 +17,7 @@ import numpy as np
 from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, rate_of, timed
 from companion.adapters.recordings.tables.number_table import read_table
 from companion.adapters.recordings.tables.stamps import without_rounding
-from companion.adapters.recordings.tables.units import (
-    ACCELERATION,
-    ANGULAR_RATE,
-    has_known_unit,
-    input_in_si,
-)
+from companion.adapters.recordings.tables.units import ACCELERATION, ANGULAR_RATE, has_known_unit, input_in_si
 from companion.errors import RecordingError, TableError
 from companion.params.airframe import Airframe, Sensor
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Station

@@ -13,29 +13,11 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from companion.core.tracking.adaptation.channels import (
-    COLUMNS,
-    ROLL,
-    STATIC,
-    Channels,
-)
-from companion.core.tracking.adaptation.frequency_drift import (
-    at_end,
-    evened,
-    growing,
-    likeliest,
-    when_evened,
-)
+from companion.core.tracking.adaptation.channels import COLUMNS, ROLL, STATIC, Channels
+from companion.core.tracking.adaptation.frequency_drift import at_end, evened, growing, likeliest, when_evened
 from companion.core.tracking.adaptation.noise_psd import Floor
 from companion.core.tracking.adaptation.periodogram import Stretch, make_stretch, make_stretches
-from companion.core.tracking.adaptation.whittle import (
-    Fit,
-    Prior,
-    fit,
-    misfit,
-    scan,
-    seek_peak,
-)
+from companion.core.tracking.adaptation.whittle import Fit, Prior, fit, misfit, scan, seek_peak
 from companion.core.tracking.model import Parameters
 from companion.core.tracking.parameters import (
     CORNER_1,
@@ -294,13 +276,7 @@ def _join(families: list[ModeParameters]) -> Prior:
     own = slice(FREQUENCY, None, PARAMETERS)
     lowest[own] = np.minimum(lowest[own], mean[own] - _FARTHEST)
     highest[own] = np.maximum(highest[own], mean[own] + _FARTHEST)
-    return Prior(
-        mean,
-        sigma,
-        lowest,
-        highest,
-        np.array([family.reference_hz for family in families]),
-    )
+    return Prior(mean, sigma, lowest, highest, np.array([family.reference_hz for family in families]))
 
 
 def _recoloured(start: Floats, corners_hz: tuple[float, float]) -> Floats:

@@ -5,21 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.tracking.adaptation.model_spectrum import load_density
-from companion.core.tracking.adaptation.noise_psd import (
-    DERIVATIVE,
-    EDGE,
-    Bend,
-    Floor,
-)
+from companion.core.tracking.adaptation.noise_psd import DERIVATIVE, EDGE, Bend, Floor
 from companion.core.tracking.model import Parameters
-from companion.core.tracking.states import (
-    M_LEFT,
-    P_ROOT,
-    Z_LEFT,
-    Z_RIGHT,
-    Layout,
-    Noise,
-)
+from companion.core.tracking.states import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
 from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.records import Floats
 

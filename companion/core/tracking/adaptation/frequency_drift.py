@@ -12,12 +12,7 @@ import numpy as np
 
 from companion.core.tracking.adaptation.periodogram import Stretch
 from companion.core.tracking.adaptation.whittle import Prior, slopes
-from companion.core.tracking.parameters import (
-    DAMPING,
-    FREQUENCY,
-    FREQUENCY_2,
-    PARAMETERS,
-)
+from companion.core.tracking.parameters import DAMPING, FREQUENCY, FREQUENCY_2, PARAMETERS
 from companion.records import Floats
 
 _SIGMA_PER_S = 0.01  # of a wing that drifts
