@@ -28,7 +28,7 @@ from companion.core.tracking.tracker import WingTracker
 from companion.core.trigger.blur import Motion
 from companion.core.trigger.exposure_feedback import Feedback
 from companion.core.trigger.scheduling import Scheduling
-from companion.core.wing.folding import folded
+from companion.core.wing.effects import apply_to_airframe
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.params.vehicle import implausible
@@ -99,7 +99,7 @@ def start(
 
     ``hub`` names the only clock of a log that has just one; ``clocks`` is what is known of them from before.
     """
-    airframe = folded(airframe)
+    airframe = apply_to_airframe(airframe)
     if clocks is None:
         clocks = ClockBank()
         if hub is not None:

@@ -9,8 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from companion.core.stereo.geometry import Rig
-from companion.core.wing.effects import catalogue, make_effect
-from companion.core.wing.folding import folded
+from companion.core.wing.effects import apply_to_airframe, catalogue, make_effect
 from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import RawRecording, RawStream, observe
 from companion.diagnosis.model.belief import believe
@@ -28,20 +27,20 @@ def with_effect(name: str, **values: float) -> Airframe:
 
 
 @pytest.mark.parametrize("name", ["frequency-shift", "damping-shift", "load-dependent-bend"])
-def test_a_folded_effect_makes_the_same_wing(name: str) -> None:
+def test_an_applied_effect_makes_the_same_wing(name: str) -> None:
     extended = with_effect(name, ratio=0.13)
-    simulated, tracked = WingModel.from_airframe(extended), WingModel.from_airframe(folded(extended))
-    assert folded(extended).effects == ()
+    simulated, tracked = WingModel.from_airframe(extended), WingModel.from_airframe(apply_to_airframe(extended))
+    assert apply_to_airframe(extended).effects == ()
     for field in ("stiffness_radps2", "damping_radps", "static_trim_m", "static_per_g_m"):
         there, here = getattr(simulated.structure, field), getattr(tracked.structure, field)
         # a damping ratio that grows with a frequency leaves 2 zeta omega in proportion to both
         assert here == pytest.approx(there), field
 
 
-def test_a_folded_baseline_and_toe_are_the_rigs() -> None:
-    wider = Rig.from_airframe(folded(with_effect("baseline-error", error_m=0.02)))
+def test_an_applied_baseline_and_toe_are_the_rigs() -> None:
+    wider = Rig.from_airframe(apply_to_airframe(with_effect("baseline-error", error_m=0.02)))
     assert wider.baseline_m == pytest.approx(Rig.from_airframe(AIRFRAME).baseline_m + 0.02)
-    turned = folded(with_effect("convergence-offset", toe_rad=0.004))
+    turned = apply_to_airframe(with_effect("convergence-offset", toe_rad=0.004))
     assert turned.left_camera is not None
     assert turned.right_camera is not None
     apart = turned.right_camera.rotation_rad[1] - turned.left_camera.rotation_rad[1]
@@ -49,7 +48,7 @@ def test_a_folded_baseline_and_toe_are_the_rigs() -> None:
 
 
 def test_a_late_stream_is_stamped_earlier() -> None:
-    later = folded(with_effect("stream-delay", delay_s=0.003))
+    later = apply_to_airframe(with_effect("stream-delay", delay_s=0.003))
     moved = later.sensor(Station.RIGHT).source.stamp_offset_s - AIRFRAME.right.source.stamp_offset_s
     assert moved == pytest.approx(-0.003)
     assert later.left == AIRFRAME.left
@@ -57,7 +56,7 @@ def test_a_late_stream_is_stamped_earlier() -> None:
 
 def test_what_is_no_airframe_value_stays_an_effect() -> None:
     rubbing = with_effect("coulomb-friction", friction_mps2=0.4)
-    assert folded(rubbing) == rubbing
+    assert apply_to_airframe(rubbing) == rubbing
 
 
 def test_an_extended_airframe_survives_its_file() -> None:
@@ -77,7 +76,7 @@ def named(name: str) -> NamedEffect:
 
 @pytest.mark.parametrize("name", sorted(catalogue()))
 def test_every_effect_survives_its_file_and_is_in_force_for_all(name: str) -> None:
-    """Simulator (as it is), tracker and replay (folded into values, or kept), and the next diagnosis."""
+    """Simulator (as it is), tracker and replay (applied as values, or kept), and the next diagnosis."""
     entry = named(name)
     extended = dataclasses.replace(AIRFRAME, effects=(entry,))
     again = parse_airframe(dump_airframe(extended), "again.toml")
@@ -85,7 +84,7 @@ def test_every_effect_survives_its_file_and_is_in_force_for_all(name: str) -> No
     assert WingModel.from_airframe(again).effects == (make_effect(entry),)
     believed = believe(again, (Side.LEFT, Side.RIGHT), False, False)
     assert believed.terms == (EffectTerm(make_effect(entry), entry.channel),)
-    value = folded(again)
+    value = apply_to_airframe(again)
     assert value.effects == again.effects or (not value.effects and value != AIRFRAME)
 
 

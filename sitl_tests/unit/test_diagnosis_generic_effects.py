@@ -21,7 +21,7 @@ from companion.diagnosis.selection.lack_of_fit_tests import (
     normal_score_of_student,
 )
 from companion.diagnosis.selection.prior_tension import prior_tension
-from companion.diagnosis.selection.proposals import mount_resonance_proposal
+from companion.diagnosis.selection.proposals import best_trial
 from companion.diagnosis.selection.search import diagnose
 from companion.diagnosis.selection.verdict import Verdict
 from companion.params.files import parse_airframe
@@ -252,7 +252,7 @@ def test_a_mount_that_rings_is_found_where_it_rings() -> None:
     """At 17.8 Hz: seen from a stiff mount the likelihood rises no further than to the next of many small hills."""
     model = flown(**{"mount-resonance": 8e-5})
     null, kind = fit([model], ()), catalogue()["mount-resonance"]
-    led = mount_resonance_proposal([model], null, EffectTerm(kind()))
+    led = best_trial([model], null, EffectTerm(kind()))
     assert led is not None
     assert led.log_trials > 0.0
     found = fit([model], (led,), null.values)

@@ -17,6 +17,9 @@ axis for time) and three more, for what is linear and steady and can be said exa
 ``response``   the sensor's complex gain beyond the calibrated one; with it ``sample_time`` and ``sense`` are not asked
 ``load_gain``  what the load passes through, beyond the believed gust
 ``bias``       what the sensor shows at rest
+
+And what only its own class can know of an effect: ``sample_defect`` and ``clipped`` find it in recorded samples,
+``starts_at`` and ``trial_values`` say where a fit of it begins, ``apply_to_airframe`` turns it into airframe values.
 """
 
 from __future__ import annotations
@@ -31,8 +34,10 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from companion.core.wing.samples import SampleDefect
 from companion.core.wing.structure import Structure
 from companion.errors import ConfigError
+from companion.params.airframe import Airframe, Sensor
 from companion.records import Floats, Side, Station
 
 Complexes = npt.NDArray[np.complex128]
@@ -47,6 +52,17 @@ class Group(enum.StrEnum):
     SENSING = "sensing"
     CAMERA = "camera"
     FORCING = "forcing"
+
+
+class ResidualPeak(enum.StrEnum):
+    """Peaks of a fitted model's residual at which a fit of an effect can begin."""
+
+    LINE = "line"
+    """Highest line of the accelerations' periodogram, Hz."""
+    STIFFNESS_LINE = "stiffness line"
+    """Highest line of the periodogram of residual force times spring force, Hz."""
+    IMPULSES = "impulses"
+    """Strongest instants of the residual force, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +153,16 @@ class Effect:
     """Whether nature has it with a positive first parameter only (friction is never negative)."""
     hinged: ClassVar[bool] = False
     """Whether below 0 it is another thing than above (the other stream late), so that it is screened on either side."""
+    in_samples: ClassVar[bool] = False
+    """Whether recorded samples show it by themselves (:meth:`sample_defect`): then nothing is fitted to it."""
+    discretises: ClassVar[bool] = False
+    """Whether it makes a staircase of readings, from which no smooth law of the sensors can be told."""
+    transient: ClassVar[bool] = False
+    """Whether it acts at instants of its own: then no block of a recording foretells another."""
+    only_toe_variance: ClassVar[bool] = False
+    """Whether it changes the variance of the measured toe and not its mean."""
+    starts_at: ClassVar[ResidualPeak | None] = None
+    """Peak of the residual at which a fit begins, for what has a frequency or instants of its own."""
 
     @classmethod
     def parameters(cls) -> tuple[EffectParameter, ...]:
@@ -210,6 +236,33 @@ class Effect:
     def load_gain(self, f_hz: Floats, count: int) -> Complexes | None:
         """Matrix (m, n, n) that the modal loads pass through, or None for unity."""
         del f_hz, count
+        return None
+
+    @classmethod
+    def sample_defect(cls, t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> SampleDefect | None:
+        """The effect as one stream's stamps (n,) and values (n,) show it; asked where ``in_samples``."""
+        del t_s, force_z_mps2, sensor
+        return None
+
+    @classmethod
+    def clipped(cls, force_z_mps2: Floats) -> Floats:
+        """1 where it cut a sample from above (the truth is at least that), -1 where from below, else 0, (n,)."""
+        return np.zeros(len(force_z_mps2))
+
+    @classmethod
+    def at_peaks(cls, peaks: tuple[float, ...]) -> Effect:
+        """The effect at nothing, at the peaks of ``starts_at``, strongest first."""
+        return cls.from_values({"frequency_hz": peaks[0]})
+
+    @classmethod
+    def trial_values(cls, first_hz: float) -> tuple[dict[str, float], ...]:
+        """Values to try one by one before a refit, where the likelihood has many hills; the first mode is given."""
+        del first_hz
+        return ()
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe | None:
+        """The airframe with the effect as other values of its own; None if it is more than that."""
+        del airframe
         return None
 
     @classmethod

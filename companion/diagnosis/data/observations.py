@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from companion.core.wing.samples import SampleDefect
 from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.diagnosis.data.declipping import impute_clipped
 from companion.diagnosis.data.rigid_motion import lateral_force, rotation_forces, tip_axes_corrected, undo_lowpass
 from companion.diagnosis.data.sample_defects import (
-    SampleDefect,
     clipped_sides,
     find_sample_defects,
     interpolate_clipped,

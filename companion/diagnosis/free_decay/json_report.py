@@ -8,6 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
+from companion.core.wing.effects.modes.close_mode import CloseMode
+from companion.core.wing.effects.modes.second_mode import SecondMode
+from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
+from companion.core.wing.effects.stiffness.frequency_drift import FrequencyDrift
 from companion.diagnosis.free_decay.adequacy import Check, checks
 from companion.diagnosis.free_decay.cross_validation import PredictionError
 from companion.diagnosis.free_decay.laws import Extension, Law
@@ -18,12 +24,12 @@ from companion.diagnosis.free_decay.search import FreeDecayDiagnosis, Tried
 _CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close
 _SIGMAS_95 = 1.959964
 _ADVICE = {
-    "covariate-frequency": "vary the channel independently of time and of the other channels",
-    "frequency-drift": "a drift in time has a cause that can be measured: record temperature and settings",
-    "close-mode": "two close modes beat in free decays: excite each alone, or add a sensor where only one moves",
-    "second-mode": "a sensor where only one of the two modes moves tells them apart",
-    "cubic-stiffness": "record decays from several amplitudes",
-    "quadratic-damping": "record decays from several amplitudes",
+    CovariateFrequency.name: "vary the channel independently of time and of the other channels",
+    FrequencyDrift.name: "a drift in time has a cause that can be measured: record temperature and settings",
+    CloseMode.name: "two close modes beat in free decays: excite each alone, or add a sensor where only one moves",
+    SecondMode.name: "a sensor where only one of the two modes moves tells them apart",
+    CubicStiffness.name: "record decays from several amplitudes",
+    QuadraticDamping.name: "record decays from several amplitudes",
 }
 
 
@@ -58,7 +64,7 @@ def name_of(entry: Tried, diagnosis: FreeDecayDiagnosis) -> str:
     if isinstance(entry.extension, Law):
         return entry.extension.name
     apart = min(abs(pair["second_hz"] / pair["first_hz"] - 1.0) for pair in _pairs(diagnosis))
-    return "close-mode" if apart < _CLOSE else "second-mode"
+    return CloseMode.name if apart < _CLOSE else SecondMode.name
 
 
 def _useful(diagnosis: FreeDecayDiagnosis, index: int) -> bool:
@@ -193,7 +199,7 @@ def _screened(diagnosis: FreeDecayDiagnosis, entry: Tried) -> dict[str, Any]:
     """One law against the null alone: its evidence, and what it foretells, are two things."""
     law = entry.extension
     row: dict[str, Any] = {
-        "name": law.name or None if isinstance(law, Law) else "close-mode",
+        "name": law.name or None if isinstance(law, Law) else CloseMode.name,
         "says": law.text,
         "channel": law.channel or None if isinstance(law, Law) else None,
         "log_odds": entry.log_bayes_factor,

@@ -11,6 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
+from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
+from companion.core.wing.effects.stiffness.frequency_drift import FrequencyDrift
 from companion.diagnosis.free_decay.record import FreeDecay
 from companion.records import Floats
 
@@ -78,7 +82,7 @@ def laws_for(channels: Sequence[str]) -> list[Extension]:
 
 def _covariate(channel: str) -> Law:
     return Law(
-        "covariate-frequency",
+        CovariateFrequency.name,
         f"frequency follows {channel}",
         channel,
         Follows.FREQUENCY,
@@ -123,7 +127,7 @@ def _damping(channel: str) -> Law:
 
 def _drift() -> Law:
     return Law(
-        "frequency-drift",
+        FrequencyDrift.name,
         "frequency drifts in time",
         "",
         Follows.FREQUENCY,
@@ -138,7 +142,7 @@ def _drift() -> Law:
 
 def _cubic() -> Law:
     return Law(
-        "cubic-stiffness",
+        CubicStiffness.name,
         "frequency follows the amplitude's square",
         "",
         Follows.FREQUENCY,
@@ -153,7 +157,7 @@ def _cubic() -> Law:
 
 def _quadratic() -> Law:
     return Law(
-        "quadratic-damping",
+        QuadraticDamping.name,
         "damping follows the amplitude",
         "",
         Follows.DAMPING,

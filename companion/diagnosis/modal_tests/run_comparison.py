@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, norm
 
+from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
 from companion.diagnosis.modal_tests.vibration import ModeOverRuns
 from companion.diagnosis.selection.verdict import Verdict
 from companion.records import Floats
@@ -263,9 +264,9 @@ def _causes(comparison: Comparison) -> list[dict[str, Any]]:
     factor = 0.5 * (leading.z**2 - (causes[0].agree_z or 0.0) ** 2)
     return [
         {
-            "name": "covariate-frequency",
+            "name": CovariateFrequency.name,
             "channel": causes[0].name,
-            "group": [f"covariate-frequency ({name})" for name in same],
+            "group": [f"{CovariateFrequency.name} ({name})" for name in same],
             "log_bayes_factor": factor,
             "bic": -2.0 * factor,
             "z": leading.z,
@@ -279,7 +280,7 @@ def _causes(comparison: Comparison) -> list[dict[str, Any]]:
                 }
             },
             "gain": None,
-            "advice": "vary the channel independently of time and of the other channels",
+            "advice": CovariateFrequency.advice,
         }
     ]
 

@@ -1,4 +1,4 @@
-"""The parts of a model: named effects at some values."""
+"""Terms of a model: named effects at some values."""
 
 from __future__ import annotations
 
@@ -13,12 +13,17 @@ from companion.core.wing.effect import Effect
 class EffectTerm:
     """One named effect in a model, with the recorded channel that it follows, if any.
 
-    ``log_trials`` is the logarithm of how many places were looked at before it was begun where it was.
+    ``log_trials`` is the logarithm of how many places were tried before it was begun where it was (look-elsewhere).
     """
 
     effect: Effect
     channel: str = ""
     log_trials: float = 0.0
+
+    @property
+    def values(self) -> list[float]:
+        """Parameters of the effect, in the order in which it declares them."""
+        return [float(getattr(self.effect, entry.name)) for entry in self.effect.parameters()]
 
     def with_values(self, values: Mapping[str, float]) -> EffectTerm:
         """The same effect with other values."""

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from companion.core.wing.effect import Effect, Group, ModalMotion, on_halves, parameter
+from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, on_halves, parameter
 from companion.diagnosis.data.observations import ToeData
 from companion.records import Floats, Station
 
@@ -130,6 +130,7 @@ class GenericToeVariance(Effect):
     name: ClassVar[str] = "latent-spread"
     group: ClassVar[Group] = Group.CAMERA
     one_way: ClassVar[bool] = True
+    only_toe_variance: ClassVar[bool] = True
     grows_with: ClassVar[str]
 
     share: float = parameter("", 2.0, "of the variance that is there anyway")
@@ -207,6 +208,7 @@ class GenericLine(Effect):
 
     name: ClassVar[str] = "latent-line"
     group: ClassVar[Group] = Group.SENSING
+    starts_at: ClassVar = ResidualPeak.LINE
     against: ClassVar[bool] = False
 
     cosine_mps2: float = parameter("m/s^2", 0.5, "in phase with the start")

@@ -15,7 +15,6 @@ from companion.diagnosis.model.belief import Belief
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.generic_effects import GenericToeVariance
 from companion.diagnosis.selection.scores import Column, column, scores
 from companion.records import Floats
 
@@ -81,7 +80,7 @@ def fit(
     belief = models[0].belief
     centres, sigmas = priors(belief, terms)
     sigmas[len(belief.nuisances) :] *= wider
-    values = np.concatenate([np.zeros(len(belief.nuisances)), *[_values(term) for term in terms]])
+    values = np.concatenate([np.zeros(len(belief.nuisances)), *[term.values for term in terms]])
     if start is not None:
         count = min(len(start), len(belief.nuisances))
         values[:count] = start[:count]
@@ -202,9 +201,7 @@ def derivatives(
     for i in range(len(values)) if only is None else only:
         owner = owners[i]
         # how well the accelerations tell the toe is taken as it is; what adds to its noise is not
-        alone = (i < len(keys) and keys[i].startswith("match")) or (
-            owner is not None and (owner.name == "exposure-jitter" or isinstance(owner, GenericToeVariance))
-        )
+        alone = keys[i].startswith("match") if owner is None else owner.only_toe_variance
         for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
             if i < len(keys) and not belief.concerns(i, model.recording):
                 recording_columns.append(Column())
@@ -262,7 +259,3 @@ def _climb(
             return candidate, reached, softer if softer >= _UNDAMPED else 0.0
         damping = max(_HARDER * damping, _DAMPING)
     return None
-
-
-def _values(term: EffectTerm) -> list[float]:
-    return [float(getattr(term.effect, entry.name)) for entry in term.effect.parameters()]

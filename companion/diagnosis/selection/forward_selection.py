@@ -13,7 +13,7 @@ from companion.core.wing.effect import Effect
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import Fit, fit
-from companion.diagnosis.selection.proposals import find_proposals, mount_resonance_proposal
+from companion.diagnosis.selection.proposals import best_trial, find_proposals
 from companion.diagnosis.selection.screen import Candidate, Screening, candidates_of, screen
 from companion.diagnosis.selection.verdict import Cause
 
@@ -120,9 +120,9 @@ class Extension:
         started: list[tuple[Candidate, Fit]] = []
         for i, candidate in enumerate(leading):
             self._progress(f"refit {candidate.name}", i / len(leading))
-            led = mount_resonance_proposal(self._models, path.fitted, candidate.term)
-            offered = candidate if led is None else dataclasses.replace(candidate, term=led)
-            fitted = self._fitted(path, offered, () if led is None else (led,))
+            trial = best_trial(self._models, path.fitted, candidate.term)
+            offered = candidate if trial is None else dataclasses.replace(candidate, term=trial)
+            fitted = self._fitted(path, offered, () if trial is None else (trial,))
             if fitted is not None:
                 started.append((offered, fitted))
         tried = []
@@ -138,9 +138,9 @@ class Extension:
             tried.append(_Tried(candidate, fitted, factor, self._bic(path.fitted, fitted), worth))
         return sorted(tried, key=lambda entry: -entry.log_bayes_factor)
 
-    def _fitted(self, path: Path, candidate: Candidate, led: tuple[EffectTerm, ...] = ()) -> Fit | None:
+    def _fitted(self, path: Path, candidate: Candidate, trials: tuple[EffectTerm, ...] = ()) -> Fit | None:
         """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
-        for term in (*led, *(perturbed_start(candidate, step) for step in _FIRST_STEPS)):
+        for term in (*trials, *(perturbed_start(candidate, step) for step in _FIRST_STEPS)):
             try:
                 return fit(self._models, (*path.fitted.terms, term), path.fitted.values, _AT_FIRST)
             except (ValueError, FloatingPointError, np.linalg.LinAlgError):

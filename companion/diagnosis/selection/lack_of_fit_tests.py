@@ -18,6 +18,7 @@ import numpy as np
 from scipy.stats import chi2, gamma, t
 
 from companion.core.wing.effect import Effect
+from companion.core.wing.effects import catalogue
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
@@ -173,7 +174,9 @@ def _laws(models: Sequence[FlightModel], fitted: Fit) -> list[_Family]:
     """Forces, sensors and ranges by law."""
     kinds = generic_effects()
     forces = [kind for kind in kinds if issubclass(kind, GenericForce)]
-    stepped = any(entry.name == "quantisation" for model in models for entry in model.observations.sample_defects)
+    stepped = any(
+        catalogue()[entry.name].discretises for model in models for entry in model.observations.sample_defects
+    )
     # a smooth law is not told from a staircase, which has no slope to speak of
     sensors = [kind for kind in kinds if issubclass(kind, GenericSensorLaw) and not stepped]
     timing = [kind for kind in kinds if issubclass(kind, (GenericRollOff, GenericClockDrift))]

@@ -1,8 +1,8 @@
-"""Where to begin with what has a frequency or an instant of its own: the data lead to it.
+"""Initial values for effects with a frequency or instants of their own: peaks of the fitted model's residual.
 
-From the fitted model's residual come the score of every tone (its periodogram), of every swing of the stiffness (the
-periodogram of residual force times spring force) and of every kick (the residual force itself). Each lead says how many
-places were looked at, which its strength has to pay for.
+The residual gives the score of every tone (its periodogram), of every parametric excitation of the stiffness (the
+periodogram of residual force times spring force) and of every impulse (the residual force itself). Each proposal says
+how many places were tried, which its strength has to pay for.
 """
 
 from __future__ import annotations
@@ -14,89 +14,80 @@ from types import MappingProxyType
 
 import numpy as np
 
+from companion.core.wing.effect import Effect, ResidualPeak
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import Fit, expect, log_likelihood
 from companion.diagnosis.spectral_matrices import adjoint, apply
 
-LED = frozenset({"tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"})
-EVENTS = frozenset({"impulsive-forcing"})
-"""Effects of instants of their own: of them no block tells what another one shows."""
-_MARGIN = 1.0  # nats above what the strongest of so many looks reaches by chance
+_MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance
 _APART_S = 0.15
 _IMPULSES = 3
 _SLOWEST_CYCLES = 6.0
 _FEWEST_BINS = 32
 _NEIGHBOURS = 40
-_MOUNT_HZ = (8.0, 80.0)
-_MOUNT_APART = 0.01  # a quarter of the width of a peak with 2 % damping
-_MOUNT_ABOVE = 1.5  # times the first mode: below, it would ring with the wing
-_FASTEST = 2.3  # of the first mode, for swings of the stiffness
+_FASTEST = 2.3  # of the first mode, for parametric excitation
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """Values at which an effect should begin, and the logarithm of how many places were looked at."""
+    """Peaks at which an effect should begin (Hz or s), strongest first, and the logarithm of how many were tried."""
 
-    values: dict[str, float]
+    peaks: tuple[float, ...]
     log_trials: float
 
 
-Proposals = Mapping[str, tuple[Proposal, ...]]
+Proposals = Mapping[ResidualPeak, Proposal]
 NO_PROPOSALS: Proposals = MappingProxyType({})
 
 
 def find_proposals(models: Sequence[FlightModel], fitted: Fit) -> Proposals:
-    """What the residuals of one recording lead to; several recordings share no phase, and give none."""
+    """Peaks of one recording's residual; several recordings share no phase, and give none."""
     if len({model.recording for model in models}) > 1:
         return NO_PROPOSALS
     model, expectation = models[0], fitted.expectations[0]
-    tones, swings = (
-        _proposed(strongest_line(model, expectation)),
-        _proposed(strongest_parametric_excitation(model, expectation)),
-    )
-    kicks = _impulses(models, fitted)
-    return {"tone": tones, "periodic-forcing": tones, "parametric-stiffness": swings, "impulsive-forcing": kicks}
+    proposals = {
+        ResidualPeak.LINE: _proposed(strongest_line(model, expectation)),
+        ResidualPeak.STIFFNESS_LINE: _proposed(strongest_parametric_excitation(model, expectation)),
+        ResidualPeak.IMPULSES: _impulses(models, fitted),
+    }
+    return {peak: proposal for peak, proposal in proposals.items() if proposal is not None}
 
 
-def _proposed(line: Line | None) -> tuple[Proposal, ...]:
+def proposed_terms(kind: type[Effect], proposals: Proposals) -> list[EffectTerm]:
+    """The effect at the peaks where it is to begin; nothing where no such peak stands out."""
+    proposal = proposals.get(kind.starts_at) if kind.starts_at is not None else None
+    return [] if proposal is None else [EffectTerm(kind.at_peaks(proposal.peaks), log_trials=proposal.log_trials)]
+
+
+def _proposed(line: Line | None) -> Proposal | None:
     if line is None or line.log_tail > -_MARGIN:
-        return ()
-    return (Proposal({"frequency_hz": line.frequency_hz}, line.log_trials),)
-
-
-def mount_resonance_proposal(models: Sequence[FlightModel], fitted: Fit, term: EffectTerm) -> EffectTerm | None:
-    """Where a camera's mount rings, if it follows its station as an oscillator; None where no place beats none.
-
-    A little softness is a gain that grows; a resonance in the band is found only by going to where it is.
-    """
-    if term.effect.name != "mount-resonance":
         return None
-    places_hz = np.exp(np.arange(math.log(_MOUNT_HZ[0]), math.log(_MOUNT_HZ[1]), _MOUNT_APART))
-    first_hz = models[0].belief.airframe.wing.symmetric.frequency_hz.value
-    softness = [(2.0 * math.pi * place) ** -2 for place in places_hz.tolist() if place > _MOUNT_ABOVE * first_hz]
-    likelihoods = [
-        log_likelihood(
-            models,
-            expect(
-                models,
-                np.append(fitted.values, value),
-                (*fitted.terms, term.with_values({"softness_s2": value})),
-                fitted.expectations,
-            ),
-        )
-        for value in softness
-    ]
-    best, log_trials = int(np.argmax(likelihoods)), math.log(len(softness))
+    return Proposal((line.frequency_hz,), line.log_trials)
+
+
+def best_trial(models: Sequence[FlightModel], fitted: Fit, term: EffectTerm) -> EffectTerm | None:
+    """The likeliest of the values that the effect wants tried (a mount's resonance); None where none beats none."""
+    trials = type(term.effect).trial_values(models[0].belief.airframe.wing.symmetric.frequency_hz.value)
+    if not trials:
+        return None
+    terms = [term.with_values(values) for values in trials]
+    likelihoods = [_likelihood_with(models, fitted, trial) for trial in terms]
+    best, log_trials = int(np.argmax(likelihoods)), math.log(len(trials))
     if likelihoods[best] - log_trials < fitted.log_likelihood:
         return None
-    return replace(term.with_values({"softness_s2": softness[best]}), log_trials=log_trials)
+    return replace(terms[best], log_trials=log_trials)
+
+
+def _likelihood_with(models: Sequence[FlightModel], fitted: Fit, term: EffectTerm) -> float:
+    values = np.append(fitted.values, term.values)
+    return log_likelihood(models, expect(models, values, (*fitted.terms, term), fitted.expectations))
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A single frequency that stands out: where, the logarithm of its chance (paid for looking), and of the looks."""
+    """A single frequency that stands out: where, the logarithm of its chance with all trials paid for, and of these."""
 
     frequency_hz: float
     log_tail: float
@@ -138,8 +129,8 @@ def strongest_parametric_excitation(model: FlightModel, expectation: Expectation
     return Line(float(fine[np.argmax(np.abs(turn @ product))]), -float(ratio[best]) + log_trials, log_trials)
 
 
-def _impulses(models: Sequence[FlightModel], fitted: Fit) -> tuple[Proposal, ...]:
-    """The strongest instants of the residual force; three are taken, so three pay for the looking."""
+def _impulses(models: Sequence[FlightModel], fitted: Fit) -> Proposal | None:
+    """The strongest instants of the residual force; three are taken, so three pay for the trials."""
     t_s, strength = [], []
     for model, expectation in zip(models, fitted.expectations, strict=True):
         force = model.force_score(expectation)[:2]
@@ -150,7 +141,7 @@ def _impulses(models: Sequence[FlightModel], fitted: Fit) -> tuple[Proposal, ...
     at_s, power = np.concatenate(t_s), np.concatenate(strength)
     places = len(power) / 4.0
     if power.max() < 2.0 * (math.log(places) + 2.0 * _MARGIN):
-        return ()
+        return None
     chosen: list[float] = []
     for index in np.argsort(-power).tolist():
         if all(abs(at_s[index] - other) > _APART_S for other in chosen):
@@ -158,4 +149,4 @@ def _impulses(models: Sequence[FlightModel], fitted: Fit) -> tuple[Proposal, ...
         if len(chosen) == _IMPULSES:
             break
     log_trials = len(chosen) * math.log(places) - math.lgamma(len(chosen) + 1)
-    return (Proposal({f"at{k + 1}_s": at for k, at in enumerate(chosen)}, log_trials),)
+    return Proposal(tuple(chosen), log_trials)

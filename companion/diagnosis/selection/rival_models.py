@@ -23,7 +23,7 @@ from companion.diagnosis.selection.forward_selection import (
     penalised_log_likelihood,
     perturbed_start,
 )
-from companion.diagnosis.selection.proposals import find_proposals
+from companion.diagnosis.selection.proposals import find_proposals, proposed_terms
 from companion.diagnosis.selection.screen import Candidate, screen
 
 BETTER = 2.0
@@ -83,9 +83,8 @@ def _offered(models: Sequence[FlightModel], null: Fit, before: Sequence[Check]) 
     terms = [
         EffectTerm(kind()) for kind in (*tested[:_REFITTED], *(kind for kind in kinds if kind.name not in strength))
     ]
-    for lead in find_proposals(models, null).get("tone", ()):
-        terms += [EffectTerm(kind.from_values(lead.values), log_trials=lead.log_trials) for kind in lines()]
-    return terms
+    proposals = find_proposals(models, null)
+    return terms + [term for kind in lines() for term in proposed_terms(kind, proposals)]
 
 
 def _refitted(models: Sequence[FlightModel], base: Fit, candidate: Candidate) -> Fit | None:

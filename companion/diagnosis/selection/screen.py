@@ -16,11 +16,10 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from companion.core.wing.effect import Effect
-from companion.diagnosis.data.sample_defects import SEEN_IN_SAMPLES
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.fit import Fit, derivatives, joint_scores
-from companion.diagnosis.selection.proposals import LED, NO_PROPOSALS, Proposals
+from companion.diagnosis.selection.proposals import NO_PROPOSALS, Proposals, proposed_terms
 from companion.diagnosis.selection.scores import Column
 from companion.diagnosis.selection.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.records import Floats
@@ -80,22 +79,19 @@ class _Tested:
 
 
 def candidates_of(
-    kinds: Iterable[type[Effect]], channels: Sequence[str], leads: Proposals = NO_PROPOSALS
+    kinds: Iterable[type[Effect]], channels: Sequence[str], proposals: Proposals = NO_PROPOSALS
 ) -> list[EffectTerm]:
     """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow.
 
-    Effects that the data themselves must lead to (a tone's frequency) begin where ``leads`` say, or not at all;
+    Effects that the data themselves must lead to (a tone's frequency) begin where ``proposals`` say, or not at all;
     effects that show in the samples themselves are not screened.
     """
     terms = []
     for kind in kinds:
-        if kind.name in SEEN_IN_SAMPLES:
+        if kind.in_samples:
             continue
-        if kind.name in LED:
-            proposals_of_kind = leads.get(kind.name, ())
-            terms += [
-                EffectTerm(kind.from_values(entry.values), log_trials=entry.log_trials) for entry in proposals_of_kind
-            ]
+        if kind.starts_at is not None:
+            terms += proposed_terms(kind, proposals)
             continue
         follows = [channel for channel in channels if kind.may_follow(channel)] if kind.follows_channel else [""]
         names, grids = list(kind.scan), [kind.scan[name] for name in kind.scan]

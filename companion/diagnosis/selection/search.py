@@ -9,7 +9,8 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.data.sample_defects import SampleDefect, worst_defects
+from companion.core.wing.samples import SampleDefect
+from companion.diagnosis.data.sample_defects import worst_defects
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.adequacy import Check, check
@@ -17,7 +18,6 @@ from companion.diagnosis.selection.cross_validation import CrossValidation, cros
 from companion.diagnosis.selection.fit import Fit, fit
 from companion.diagnosis.selection.forward_selection import Extension, Path, Progress
 from companion.diagnosis.selection.initial_values import starts
-from companion.diagnosis.selection.proposals import EVENTS
 from companion.diagnosis.selection.rival_models import RivalModel, strongest_rival_model
 from companion.diagnosis.selection.screen import Screening
 from companion.diagnosis.selection.verdict import Cause, Diagnosis, Verdict
@@ -56,7 +56,7 @@ def diagnose(
         gain = cross_validate(
             models, null, path.fitted, lambda fraction: progress("measure the gain on held-out blocks", fraction)
         )
-    named = tuple(_seen(entry) for entry in shown if entry.name in offered)
+    named = tuple(_sample_cause(entry) for entry in shown if entry.name in offered)
     return _conclude(null, path, named, first, before, after, gain, rival)
 
 
@@ -69,7 +69,7 @@ def _excited(models: Sequence[FlightModel], null: Fit) -> bool:
     return not models
 
 
-def _seen(defect: SampleDefect) -> Cause:
+def _sample_cause(defect: SampleDefect) -> Cause:
     """A cause that the samples themselves show."""
     kind = catalogue()[defect.name]
     names = [entry.name for entry in kind.parameters()]
@@ -112,7 +112,7 @@ def _conclude(
     if rival is not None and rival.explains_more:
         reason = f"a law without a name explains it better: {rival.title} (by {rival.ahead:.1f} nat)"
         return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
-    foretold = any(term.effect.name not in EVENTS for term in path.fitted.terms)
+    foretold = any(not term.effect.transient for term in path.fitted.terms)
     if gain is not None and foretold and not gain.improves:
         reason = "no extension predicts held-out blocks better"
         return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)

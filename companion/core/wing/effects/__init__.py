@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib
 import pkgutil
@@ -10,7 +11,7 @@ from types import MappingProxyType
 
 from companion.core.wing.effect import Effect
 from companion.errors import ConfigError
-from companion.params.airframe import NamedEffect
+from companion.params.airframe import Airframe, NamedEffect
 
 
 @functools.cache
@@ -37,6 +38,23 @@ def make_effect(named: NamedEffect) -> Effect:
     if named.name not in known:
         raise ConfigError(f"no effect '{named.name}'; known: {', '.join(known)}")
     return known[named.name].from_values(named.parameters)
+
+
+def apply_to_airframe(airframe: Airframe) -> Airframe:
+    """The airframe with as many of its named effects as possible turned into values.
+
+    The simulator takes effects as they are. Tracker, trigger and ranging know the airframe alone: for them an effect
+    becomes airframe values where it can; what cannot (friction, a nonlinear sensor) stays in the list. Errors as
+    :func:`make_effects`.
+    """
+    remaining: list[NamedEffect] = []
+    for named in airframe.effects:
+        changed = make_effect(named).apply_to_airframe(airframe)
+        if changed is None:
+            remaining.append(named)
+        else:
+            airframe = changed
+    return dataclasses.replace(airframe, effects=tuple(remaining))
 
 
 def _effects_in(module_name: str) -> list[type[Effect]]:

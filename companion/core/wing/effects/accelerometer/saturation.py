@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.samples import SampleDefect, lattice_step
+from companion.params.airframe import Sensor
 from companion.records import Floats, Station
+
+_FEWEST = 8  # samples at the limit
+_PILE = 4.0  # times what a smooth tail has there
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +23,7 @@ class Saturation(Effect):
 
     name: ClassVar[str] = "saturation"
     group: ClassVar[Group] = Group.SENSING
+    in_samples: ClassVar[bool] = True
     advice: ClassVar[str] = (
         "choose a larger range of the accelerometer; cut samples were drawn anew as the others make them likely"
     )
@@ -31,3 +38,38 @@ class Saturation(Effect):
         cut = values.copy()
         cut[:, 2] = np.clip(values[:, 2], -1.0 / self.inverse_s2pm, 1.0 / self.inverse_s2pm)
         return cut
+
+    @classmethod
+    def sample_defect(cls, t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> SampleDefect | None:
+        """Samples that pile up at the largest or smallest value, more than the values next to it."""
+        del t_s, sensor
+        piles = [(sign, pile) for sign in (1.0, -1.0) if (pile := _pile(sign * force_z_mps2)) is not None]
+        if not piles:
+            return None
+        sign, (top, piled, expected, width) = max(piles, key=lambda entry: abs(entry[1][0]))
+        factor = piled * math.log(piled / expected) - (piled - expected)
+        text = f"{piled} samples of {len(force_z_mps2)} at exactly {sign * top:.3f} m/s^2"
+        inverse = {"inverse_s2pm": 1.0 / abs(top)}
+        return SampleDefect(cls.name, inverse, {"inverse_s2pm": width / top**2}, text, factor)
+
+    @classmethod
+    def clipped(cls, force_z_mps2: Floats) -> Floats:
+        """A range may cut on one side only, and need not lie evenly about 0."""
+        sides = np.zeros(len(force_z_mps2))
+        for sign in (-1.0, 1.0):
+            values = sign * force_z_mps2
+            if _pile(values):
+                sides[values > values.max() - 1e-6 * abs(values.max())] = sign
+        return sides
+
+
+def _pile(values: Floats) -> tuple[float, int, float, float] | None:
+    """The largest value, how many samples are at it, how many a smooth tail would have there, and within what width."""
+    top, spread = float(values.max()), 0.02 * float(values.std())
+    width = max(lattice_step(values), 1e-6 * max(abs(top), 1.0))
+    piled = int(np.sum(values > top - 0.5 * width))
+    beside = int(np.sum((values > top - 1.5 * width) & (values <= top - 0.5 * width)))
+    # a finer look needs more neighbours
+    near = float(np.sum(values > top - spread)) - piled
+    expected = max(beside, near * min(width / max(spread, 1e-300), 1.0), 1.0)
+    return (top, piled, expected, width) if piled >= max(_FEWEST, _PILE * expected) else None

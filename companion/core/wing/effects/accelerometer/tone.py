@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, parameter
+from companion.core.wing.effect import Effect, Group, ResidualPeak, parameter
 from companion.records import Floats, Station
 
 
@@ -17,6 +17,7 @@ class Tone(Effect):
 
     name: ClassVar[str] = "tone"
     group: ClassVar[Group] = Group.SENSING
+    starts_at: ClassVar = ResidualPeak.LINE
     advice: ClassVar[str] = "stop the propeller, or run it on the ground; a supply's tone stays when nothing turns"
 
     left_cosine_mps2: float = parameter("m/s^2", 0.5, "left, in phase with the start")

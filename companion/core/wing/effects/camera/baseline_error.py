@@ -8,7 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from companion.core.wing.airframe_changes import change_cameras
 from companion.core.wing.effect import CameraView, Effect, Group, parameter
+from companion.params.airframe import Airframe, Camera
 from companion.records import Side
 
 
@@ -27,3 +29,12 @@ class BaselineError(Effect):
         del t_s
         half = 0.5 * self.error_m * (1.0 if side is Side.RIGHT else -1.0)
         return dataclasses.replace(view, shift_m=view.shift_m + np.array([0.0, half, 0.0]))
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe:
+        """Move each camera outwards by half."""
+
+        def moved(camera: Camera, sign: float) -> Camera:
+            x, y, z = camera.position_m
+            return dataclasses.replace(camera, position_m=(x, y + 0.5 * sign * self.error_m, z))
+
+        return change_cameras(airframe, moved)

@@ -6,7 +6,9 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
+from companion.core.wing.airframe_changes import change_cameras
 from companion.core.wing.effect import CameraView, Effect, Group, parameter
+from companion.params.airframe import Airframe
 from companion.records import Side
 
 
@@ -25,3 +27,10 @@ class CameraAsymmetry(Effect):
         del t_s
         factor = 1.0 + (self.ratio if side is Side.RIGHT else -self.ratio)
         return dataclasses.replace(view, slope_gain=view.slope_gain * factor)
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe:
+        """Scale the slope gain of each camera."""
+        return change_cameras(
+            airframe,
+            lambda camera, sign: dataclasses.replace(camera, slope_gain=camera.slope_gain * (1.0 + sign * self.ratio)),
+        )

@@ -6,7 +6,9 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
+from companion.core.wing.airframe_changes import change_cameras, scaled
 from companion.core.wing.effect import CameraView, Effect, Group, parameter
+from companion.params.airframe import Airframe
 from companion.records import Side
 
 
@@ -24,3 +26,10 @@ class FocalError(Effect):
         """Scale the image."""
         del side, t_s
         return dataclasses.replace(view, focal_ratio=view.focal_ratio * (1.0 + self.ratio))
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe:
+        """Scale both focal lengths."""
+        factor = 1.0 + self.ratio
+        return change_cameras(
+            airframe, lambda camera, _sign: dataclasses.replace(camera, focal_px=scaled(camera.focal_px, factor))
+        )

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from companion.core.wing.effect import CameraView, Effect, Group, parameter
 from companion.records import Side
+
+_LOWEST_HZ, _HIGHEST_HZ = 8.0, 80.0
+_APART = 0.01  # of a frequency: a quarter of the width of a peak with 2 % damping
+_ABOVE = 1.5  # times the first mode: below, it would ring with the wing
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,3 +32,9 @@ class MountResonance(Effect):
         """Follow as an oscillator."""
         del side, t_s
         return dataclasses.replace(view, softness_s2=view.softness_s2 + self.softness_s2)
+
+    @classmethod
+    def trial_values(cls, first_hz: float) -> tuple[dict[str, float], ...]:
+        """Resonances above the first mode; a little softness is a gain that grows, and leads to none of them."""
+        places_hz = np.exp(np.arange(math.log(_LOWEST_HZ), math.log(_HIGHEST_HZ), _APART)).tolist()
+        return tuple({"softness_s2": (2.0 * math.pi * hz) ** -2} for hz in places_hz if hz > _ABOVE * first_hz)

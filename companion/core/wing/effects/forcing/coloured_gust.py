@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
+from companion.core.wing.airframe_changes import with_wing
 from companion.core.wing.effect import Complexes, Effect, Group, parameter
+from companion.params.airframe import Airframe
 from companion.records import Floats
 
 
@@ -32,3 +36,12 @@ class ColouredGust(Effect):
         f_hz: Floats = np.asarray(np.fft.rfftfreq(len(t_s), float(t_s[1] - t_s[0])), dtype=np.float64)
         gain = self.load_gain(f_hz, 1)[:, 0]
         return np.asarray(np.fft.irfft(np.fft.rfft(load_mps2, axis=0) * gain, len(t_s), axis=0))
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe | None:
+        """Set a free corner of the gust, where there is one."""
+        first, second = airframe.wing.gust.corners_hz
+        if self.lag2_s2 <= 0.0 or (first and second):
+            return None
+        corner = 1.0 / (2.0 * math.pi * math.sqrt(self.lag2_s2))
+        corners = (first, corner) if first else (corner, second)
+        return with_wing(airframe, gust=dataclasses.replace(airframe.wing.gust, corners_hz=corners))

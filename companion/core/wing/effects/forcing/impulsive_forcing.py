@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, ModalMotion, parameter
+from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, parameter
 from companion.records import Floats
 
 WIDTH_S = 0.005
@@ -19,6 +19,8 @@ class ImpulsiveForcing(Effect):
 
     name: ClassVar[str] = "impulsive-forcing"
     group: ClassVar[Group] = Group.FORCING
+    starts_at: ClassVar = ResidualPeak.IMPULSES
+    transient: ClassVar[bool] = True
     advice: ClassVar[str] = "look at the video of these instants"
 
     symmetric1_mps: float = parameter("m/s", 0.1, "speed that the first kick gives the symmetric mode")
@@ -45,3 +47,8 @@ class ImpulsiveForcing(Effect):
             if len(added) > 1:
                 added[1] += antisymmetric * pulse
         return added
+
+    @classmethod
+    def at_peaks(cls, peaks: tuple[float, ...]) -> Effect:
+        """The impulses at the instants that stand out."""
+        return cls.from_values({f"at{k + 1}_s": at_s for k, at_s in enumerate(peaks)})

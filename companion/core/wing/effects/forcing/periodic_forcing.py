@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, ModalMotion, parameter
+from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, parameter
 from companion.records import Floats
 
 
@@ -17,6 +17,7 @@ class PeriodicForcing(Effect):
 
     name: ClassVar[str] = "periodic-forcing"
     group: ClassVar[Group] = Group.FORCING
+    starts_at: ClassVar = ResidualPeak.LINE
     advice: ClassVar[str] = "record the propeller's rpm; a tone in the sensors alone moves no camera"
 
     cosine_mps2: float = parameter("m/s^2", 0.5, "modal load in phase with the start")

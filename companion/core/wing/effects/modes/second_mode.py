@@ -6,8 +6,12 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar
 
+from companion.core.wing.airframe_changes import scaled, with_wing
 from companion.core.wing.effect import Effect, Group, parameter
 from companion.core.wing.structure import Structure, with_mode
+from companion.params.airframe import Airframe, Mode, Uncertain
+
+_SLOPE_RATIO = 3.4  # tip slope per tip deflection, a uniform cantilever's second mode against its first
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,5 +33,13 @@ class SecondMode(Effect):
 
     def structure(self, structure: Structure) -> Structure:
         """Append the mode."""
-        slope_radpm = 3.4 * float(structure.slope_radpm[1, 0])  # a uniform cantilever's second mode against its first
+        slope_radpm = _SLOPE_RATIO * float(structure.slope_radpm[1, 0])
         return with_mode(structure, 2, self.frequency_hz, self.damping, self.participation, slope_radpm)
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe | None:
+        """Add it as the second symmetric mode, where there is none."""
+        if airframe.wing.second_symmetric is not None:
+            return None
+        slope = scaled(airframe.wing.symmetric.slope_factor_radpm, _SLOPE_RATIO)
+        mode = Mode(Uncertain(self.frequency_hz), Uncertain(self.damping), slope)
+        return with_wing(airframe, second_symmetric=mode)

@@ -6,8 +6,10 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
+from companion.core.wing.airframe_changes import scale_modes
 from companion.core.wing.effect import Effect, Group, parameter
 from companion.core.wing.structure import Structure
+from companion.params.airframe import Airframe
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,3 +29,7 @@ class FrequencyShift(Effect):
             stiffness_radps2=structure.stiffness_radps2 * factor**2,
             damping_radps=structure.damping_radps * factor,
         )
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe:
+        """Scale every frequency."""
+        return scale_modes(airframe, "frequency_hz", 1.0 + self.ratio)

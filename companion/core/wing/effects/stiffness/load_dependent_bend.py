@@ -6,8 +6,10 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
+from companion.core.wing.airframe_changes import scaled, with_wing
 from companion.core.wing.effect import Effect, Group, parameter
 from companion.core.wing.structure import Structure
+from companion.params.airframe import Airframe
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,3 +25,7 @@ class LoadDependentBend(Effect):
     def structure(self, structure: Structure) -> Structure:
         """Scale the static bend per g."""
         return dataclasses.replace(structure, static_per_g_m=structure.static_per_g_m * (1.0 + self.ratio))
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe:
+        """Scale the bend per g."""
+        return with_wing(airframe, bend_per_g_m=scaled(airframe.wing.bend_per_g_m, 1.0 + self.ratio))

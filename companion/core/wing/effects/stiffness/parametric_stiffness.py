@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from companion.core.wing.effect import Effect, Group, ModalMotion, parameter
+from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, parameter
 from companion.records import Floats
 
 
@@ -17,6 +17,7 @@ class ParametricStiffness(Effect):
 
     name: ClassVar[str] = "parametric-stiffness"
     group: ClassVar[Group] = Group.STRUCTURE
+    starts_at: ClassVar = ResidualPeak.STIFFNESS_LINE
     advice: ClassVar[str] = "record what turns or pulses at that frequency (rpm, tank, control surface)"
 
     cosine: float = parameter("", 0.1, "relative swing of the stiffness, part in phase with the start")

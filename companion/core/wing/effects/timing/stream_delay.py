@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from companion.core.wing.effect import Complexes, Effect, Group, parameter
+from companion.params.airframe import Airframe, Sensor
 from companion.records import Floats, Station
 
 
@@ -33,3 +35,14 @@ class StreamDelay(Effect):
     def _late_s(self, station: Station) -> float:
         late = {Station.LEFT: -self.delay_s, Station.RIGHT: self.delay_s}
         return max(late.get(station, 0.0), 0.0)
+
+    def apply_to_airframe(self, airframe: Airframe) -> Airframe:
+        """Stamp the late stream earlier."""
+        if self.delay_s >= 0.0:
+            return dataclasses.replace(airframe, right=_earlier(airframe.right, self.delay_s))
+        return dataclasses.replace(airframe, left=_earlier(airframe.left, -self.delay_s))
+
+
+def _earlier(sensor: Sensor, late_s: float) -> Sensor:
+    source = dataclasses.replace(sensor.source, stamp_offset_s=sensor.source.stamp_offset_s - late_s)
+    return dataclasses.replace(sensor, source=source)

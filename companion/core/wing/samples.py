@@ -1,0 +1,38 @@
+"""Defects that recorded samples show by themselves, before any model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.records import Floats
+
+CERTAIN = 1000.0
+"""Log Bayes factor of a defect that leaves no doubt (a lattice, missing stamps)."""
+_OFF_LATTICE = 0.1  # of a step: a value further from the lattice does not lie on it
+
+
+@dataclass(frozen=True, slots=True)
+class SampleDefect:
+    """One effect seen in samples: its name and values with sigmas, the evidence in words, and how certain that is."""
+
+    name: str
+    values: dict[str, float]
+    sigmas: dict[str, float]
+    evidence: str
+    log_bayes_factor: float
+
+
+def lattice_step(values: Floats) -> float:
+    """Step of the lattice that all values lie on, in their unit; 0 where there is none."""
+    distinct = np.unique(values)
+    if len(distinct) < 2:
+        return 0.0
+    apart = np.diff(distinct)
+    step = float(np.median(apart[apart < 1.5 * apart.min()]))
+    span = float(distinct[-1] - distinct[0])
+    step = span / max(round(span / step), 1)
+    places = (distinct - distinct[0]) / step
+    on_it = np.abs(places - np.round(places)) < _OFF_LATTICE
+    return step if bool(np.mean(on_it) > 0.99) and len(distinct) < 0.5 * len(values) else 0.0
