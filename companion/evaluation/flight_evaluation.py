@@ -324,13 +324,9 @@ def _series(
     judge: Judge, flown: Flown, shots: Shots, ways: dict[str, Scored], blur: dict[str, Floats]
 ) -> dict[str, Floats]:
     """What the picture shows."""
-    true_toe = [
-        float(judge.true_deflection(int(flown.matches[pair_id].mid_exposure_ns[0])).slope_rad.sum())
-        for pair_id in shots.ids
-    ]
     series: dict[str, Floats] = {
         "t_s": shots.t_s,
-        "true_toe_rad": np.array(true_toe),
+        "true_toe_rad": np.array([judge.true_toe_rad(flown.matches[pair_id]) for pair_id in shots.ids]),
         "toe_rad": np.array([flown.ranges[pair_id].toe_rad for pair_id in shots.ids]),
         "toe_sigma_rad": np.array([flown.ranges[pair_id].toe_sigma_rad for pair_id in shots.ids]),
         "peak_error_s": peak_errors_s(judge, flown, [flown.matches[pair_id] for pair_id in shots.ids]),

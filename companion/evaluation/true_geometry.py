@@ -14,7 +14,7 @@ from companion.core.stereo.epipolar import epipolar_frame
 from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.inverse_depth import Product, read
-from companion.core.stereo.ranging import range_axis
+from companion.core.stereo.ranging import divergence, range_axis
 from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -73,6 +73,15 @@ class Judge:
         left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         rig = self.renderer.rig
         return self._read(matches, rig, exposures(rig, self._true_tips, left, right))
+
+    def true_toe_rad(self, matches: MatchSet) -> float:
+        """Divergence of the true optical axes at the exposures beyond that of the believed ground calibration.
+
+        Counterpart of :attr:`CorrectedRange.toe_rad`: the yaw of a pair that looks ahead, whose wing bends in roll.
+        """
+        left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
+        moving = exposures(self.renderer.rig, self._true_tips, left, right)
+        return divergence(moving) - divergence(rest_exposures(self._belief))
 
     def true_deflection(self, t_host_ns: int) -> Deflection:
         """The wing as it really was, as an estimate without error."""

@@ -73,6 +73,19 @@ def test_no_line_is_drawn_across_missing_data(figure: Any) -> None:
             assert not np.any(steps[np.isfinite(steps)] > 1.0)
 
 
+def test_no_line_joins_one_obstacle_to_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from matplotlib.figure import Figure
+
+    drawn: list[Any] = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    ahead = debrief()
+    ahead.series["oracle.z_true_m"] = 80.0 - 15.0 * (ahead.series["t_s"] % 5.0)
+    picture.draw(ahead, tmp_path / "summary.png")
+    line = next(line for line in drawn[0].axes[0].lines if line.get_label() == "true range")
+    steps_m = np.diff(np.asarray(line.get_ydata(), dtype=float))
+    assert np.nanmax(np.abs(steps_m)) < 3.0
+
+
 def test_corrected_ranges_carry_their_sigma_and_every_axis_its_unit(figure: Any) -> None:
     by_title = {axis.get_title(): axis for axis in figure.axes}
     (bars,) = by_title["Range"].containers

@@ -9,10 +9,12 @@ import numpy as np
 
 from companion.evaluation.flight_evaluation import Debrief
 from companion.evaluation.metrics import DISTANCES_M, near
+from companion.records import Floats
 from companion.reporting.plotting import BLUE, GREY, INK, ORANGE, VERMILLION, dots, headline, with_gaps
 
 _COLOURS = {"rigid": VERMILLION, "rigid_in_trim": ORANGE, "corrected": BLUE, "oracle": GREY}
 _FAR = "60"
+_OTHER_SURFACE = 0.5  # of the range, from one shot to the next: nothing approaches that fast
 _BESIDE_TITLE = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "ncols": 2, "fontsize": 8, "frameon": False}
 _LABELS = {
     "rigid": "rigid (ground calibration)",
@@ -65,11 +67,16 @@ def _ranges(axis: Any, debrief: Debrief) -> None:
             dots(axis, t_s[inside], range_m[inside], sigma_m, _COLOURS[name], f"{_LABELS[name]}, ±1 sigma")
         else:
             axis.plot(t_s[inside], range_m[inside], ".", ms=4, color=_COLOURS[name], label=_LABELS[name])
-    axis.plot(
-        *with_gaps(series["oracle.t_s"], series["oracle.z_true_m"]), color=INK, lw=1, zorder=5, label="true range"
-    )
+    true = _by_surface(*with_gaps(series["oracle.t_s"], series["oracle.z_true_m"]))
+    axis.plot(*true, color=INK, lw=1, zorder=5, label="true range")
     axis.set(title="Range", xlabel="time, s", ylabel="range, m", ylim=(0, 160))
     axis.legend(fontsize=8)
+
+
+def _by_surface(t_s: Floats, range_m: Floats) -> tuple[Floats, Floats]:
+    """Points of a line (n,) with a break where one obstacle gives way to another."""
+    jumps = np.flatnonzero(np.abs(np.diff(range_m)) > _OTHER_SURFACE * np.minimum(range_m[1:], range_m[:-1])) + 1
+    return np.insert(t_s, jumps, np.nan), np.insert(range_m, jumps, np.nan)
 
 
 def _toe(axis: Any, below: Any, debrief: Debrief) -> None:

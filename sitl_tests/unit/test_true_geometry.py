@@ -1,0 +1,44 @@
+"""The true relative toe of a simulated shot: yaw between the optical axes, not the slope of the tips."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.evaluation.true_geometry import Judge
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import ClockName, MatchSet
+from companion.sim.flight.flight import build_flight
+from companion.sim.vision.renderer import Renderer
+from companion.sim.vision.scene import ground_scene
+
+EXPOSED_S = np.linspace(1.0, 2.5, 16)
+MOUNTED_RAD = 0.005  # what drawn mountings, a tip's twist and rotation between both exposures may add
+
+
+def _exposed(t_s: float) -> MatchSet:
+    return MatchSet(
+        pair_id=0,
+        plan_id=0,
+        clocks=(ClockName.HOST, ClockName.HOST),
+        mid_exposure_ns=np.full(2, round(1e9 * t_s)),
+        exposure_ns=1_000_000,
+        row_time_ns=0,
+        left_px=np.zeros((0, 2)),
+        right_px=np.zeros((0, 2)),
+        sigma_px=np.zeros(0),
+        matched_host_ns=0,
+    )
+
+
+@pytest.mark.parametrize(("name", "toe_per_slope"), [("nadir-2m", 1.0), ("forward-2m", 0.0)])
+def test_bending_is_toe_of_a_pair_that_looks_down_and_roll_of_one_that_looks_ahead(
+    name: str, toe_per_slope: float
+) -> None:
+    flight = build_flight(load_airframe(name), 1, 3.0)
+    judge = Judge(flight, Renderer(flight.real.actual, flight.truth, ground_scene(1), 1), Settings(), 0)
+    slope_rad = np.array([judge.true_deflection(round(1e9 * t_s)).slope_rad.sum() for t_s in EXPOSED_S])
+    toe_rad = np.array([judge.true_toe_rad(_exposed(t_s)) for t_s in EXPOSED_S])
+    assert np.ptp(slope_rad) > 4.0 * MOUNTED_RAD
+    np.testing.assert_allclose(toe_rad, toe_per_slope * slope_rad, atol=MOUNTED_RAD)
