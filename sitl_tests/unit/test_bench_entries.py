@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import inspect
+from pathlib import Path
 
 import pytest
 
+from tools.bench import publish_results
 from tools.bench.__main__ import main, names
 
 
@@ -19,3 +21,29 @@ def test_every_bench_takes_options(name: str) -> None:
 def test_an_unknown_bench_is_refused_by_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["nonsense"]) == 2
     assert "nonsense" in capsys.readouterr().err
+
+
+def test_the_results_page_is_what_the_print_outs_give() -> None:
+    assert publish_results.PAGE.read_text(encoding="utf-8") == publish_results.page(), (
+        "python -m tools.bench --publish writes it"
+    )
+
+
+def test_a_published_bench_leaves_its_print_out_with_its_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(publish_results, "FOLDER", tmp_path / "results")
+    monkeypatch.setattr(publish_results, "PAGE", tmp_path / "RESULTS.md")
+
+    def bench(options: list[str]) -> int:
+        print("speed", *options)
+        return 1
+
+    printout, code = publish_results.capture("some", ["--quick"], bench)
+    publish_results.write([printout])
+    assert code == 1
+    assert capsys.readouterr().out == "speed --quick\n", "the print-out is shown as it comes"
+    text = (tmp_path / "RESULTS.md").read_text()
+    assert "python -m tools.bench some --quick" in text
+    assert "```\nspeed --quick\n```" in text
+    assert "a target is missed" in text

@@ -1,4 +1,6 @@
-"""Run the benches: ``python -m tools.bench [name ...]``; without a name, all of them, in order.
+"""Run the benches: ``python -m tools.bench [--publish] [name ...]``; without a name, all of them, in order.
+
+``--publish`` also writes each print-out to ``results/`` and RESULTS.md anew from all of them.
 
 A bench is a module of this package with ``main(arguments) -> int``; it prints its table and returns 1 where a target is
 missed. Modules whose name has an underscore help others and are not benches.
@@ -11,6 +13,7 @@ import pkgutil
 import sys
 
 import tools.bench
+from tools.bench import publish_results
 
 
 def names() -> list[str]:
@@ -21,17 +24,21 @@ def names() -> list[str]:
 
 def main(arguments: list[str]) -> int:
     """Run the named benches; an argument that begins with a dash, and all after it, go to every one of them."""
+    publishing = "--publish" in arguments[:1]
+    arguments = arguments[1:] if publishing else arguments
     options_at = next((i for i, word in enumerate(arguments) if word.startswith("-")), len(arguments))
     wanted, options = arguments[:options_at], arguments[options_at:]
-    known = names()
-    unknown = [name for name in wanted if name not in known]
+    unknown = sorted(set(wanted) - set(names()))
     if unknown:
-        print(f"no bench {', '.join(unknown)}; there are: {', '.join(known)}", file=sys.stderr)
+        print(f"no bench {', '.join(unknown)}; there are: {', '.join(names())}", file=sys.stderr)
         return 2
     missed = 0
-    for name in wanted or known:
+    for name in wanted or names():
         print(f"\n== {name}", flush=True)
-        missed |= importlib.import_module(f"tools.bench.{name}").main(options)
+        printout, code = publish_results.capture(name, options, importlib.import_module(f"tools.bench.{name}").main)
+        missed |= code
+        if publishing:
+            publish_results.write([printout])
     return missed
 
 
