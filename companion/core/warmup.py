@@ -14,10 +14,10 @@ from companion.core.kernels.compiled import COMPILED, watched
 from companion.core.pipeline import smoothed, start, step
 from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
-from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick, TimesyncReply, Validity
+from companion.units import GRAVITY_MPS2
 
 _EPOCH_NS = 1_000_000_000_000
 _LENGTH_S = 11.2  # the first fit comes after 1.5 s, the first rate of a drift after 10 s

@@ -20,9 +20,10 @@ from companion.sim.flight.flight import Flight
 from companion.sim.flight.gust import modal_rms, white_spectrum
 from companion.sim.flight.perturb import RemoteClock, TruthAirframe, draw_truth
 from companion.sim.flight.sensors import RealSensor, SensorStream, node_stream
-from companion.sim.flight.truth import COLUMNS, GRAVITY_MPS2, MODAL, POSITION, VELOCITY, FlightTruth, TipShape
+from companion.sim.flight.truth import COLUMNS, MODAL, POSITION, VELOCITY, FlightTruth, TipShape
 from companion.sim.flight.wing import SUBSTEP_S, integrate
 from companion.sim.vision.scene import Plane, Scene, board, ground
+from companion.units import GRAVITY_MPS2
 
 _BURN_IN_S = 8.0
 _TAIL_S = 2.0

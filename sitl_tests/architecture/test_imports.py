@@ -10,6 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ANY = frozenset({"*"})
+EVERYWHERE = frozenset({"units"})  # importable by every room
 
 # what judges a flight or a paper: everything below it, and the reporting room
 _JUDGES = frozenset(
@@ -20,6 +21,7 @@ _JUDGES = frozenset(
 TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.records": (frozenset(), frozenset({"numpy"})),
     "companion.errors": (frozenset(), frozenset({"numpy"})),
+    "companion.units": (frozenset(), frozenset()),
     "companion.params": (frozenset({"params", "errors", "records"}), frozenset()),
     "companion.lifetime": (frozenset(), frozenset()),
     "companion.ports": (frozenset({"records", "errors"}), frozenset()),
@@ -131,7 +133,7 @@ def _allowed(name: str, ours: frozenset[str], third: frozenset[str]) -> bool:
     top = name.split(".")[0]
     if top in ("companion", "mission_scripts"):
         inner = name.removeprefix("companion.")
-        return ours == ANY or any(inner == room or inner.startswith(room + ".") for room in ours)
+        return ours == ANY or any(inner == room or inner.startswith(room + ".") for room in ours | EVERYWHERE)
     if top in sys.stdlib_module_names or top == "__future__":
         return True
     return third == ANY or top in third

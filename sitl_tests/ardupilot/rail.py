@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.records import Floats
-from companion.sim.flight.truth import GRAVITY_MPS2, FlightTruth, body_from_ned_matrix
+from companion.sim.flight.truth import FlightTruth, body_from_ned_matrix
+from companion.units import GRAVITY_MPS2
 
 RATE_HZ = 1200
 LAUNCH_S = 6.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.core.wing.sensing import GRAVITY_MPS2
+from companion.units import GRAVITY_MPS2
 
 SLOPE_FACTOR = 1.38
 """Tip slope of a cantilever's first mode times its length over its tip deflection (uniform beam: 1.3765)."""

@@ -18,8 +18,8 @@ from companion.core.tracking.error_jacobians import Motion, columns_of, rate_of_
 from companion.core.tracking.resampling import VERTICAL
 from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, Layout, Noise
 from companion.core.tracking.streams import CHANNELS, Averages, Samples, Stream, averages
-from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.records import Axis, Bools, Floats, Ints
+from companion.units import GRAVITY_MPS2
 
 _LEAST_FORCE_MPS2 = 1.0  # in free fall the lateral axis does not see the slope
 _SHAKEN = 5.0  # sigmas of the root's own first moment

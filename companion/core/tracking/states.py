@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.params.airframe import Airframe, Mode, Sensor, Uncertain
 from companion.records import Floats
+from companion.units import GRAVITY_MPS2
 
 ROWS = 9
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)

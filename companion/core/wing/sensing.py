@@ -19,7 +19,6 @@ import numpy as np
 from companion.core.wing.model import WingModel
 from companion.records import Floats, Side
 
-GRAVITY_MPS2 = 9.80665
 _SLOPE_SIGN = (1.0, -1.0)
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from companion.core.wing.samples import SampleDefect
-from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.diagnosis.data.declipping import impute_clipped
 from companion.diagnosis.data.rigid_motion import lateral_force, rotation_forces, tip_axes_corrected, undo_lowpass
 from companion.diagnosis.data.sample_defects import (
@@ -27,6 +26,7 @@ from companion.diagnosis.data.transforms import TAPER, fast_length
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.records import Bools, Floats, Side
+from companion.units import GRAVITY_MPS2
 
 _SHORTEST_S = 8.0
 _LONGEST_GAP_S = 0.02

@@ -22,10 +22,11 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.linear_spectra import STATIONS, Spectra, spectrum_of
 from companion.diagnosis.model.motion import Grid, Motion
-from companion.diagnosis.model.nonlinear_correction import GRAVITY_MPS2, SensorLineariser
+from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.diagnosis.model.toe import ToeModel
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, log_determinant, quadratic_form
 from companion.records import Floats
+from companion.units import GRAVITY_MPS2
 
 _LOW = 0.15
 _NYQUIST_SHARE = 0.45

@@ -22,8 +22,8 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import STATIONS
 from companion.diagnosis.spectral_matrices import Complexes, apply
 from companion.records import Floats, Side, Station
+from companion.units import GRAVITY_MPS2
 
-GRAVITY_MPS2 = 9.80665
 _BANDS = 60
 _BUMP = 1e-3
 _BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.records import Floats
-from companion.sim.flight.truth import COLUMNS, EULER, GRAVITY_MPS2, POSITION, RATE, STEP_NS, VELOCITY
+from companion.sim.flight.truth import COLUMNS, EULER, POSITION, RATE, STEP_NS, VELOCITY
+from companion.units import GRAVITY_MPS2
 
 # smoothstep 35u^4 - 84u^5 + 70u^6 - 20u^7: three continuous derivatives at both ends
 _STEP = np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])

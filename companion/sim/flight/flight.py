@@ -30,8 +30,9 @@ from companion.sim.flight.sensors import (
     backend_imu,
     node_stream,
 )
-from companion.sim.flight.truth import GRAVITY_MPS2, MODAL, FlightTruth, TipShape
+from companion.sim.flight.truth import MODAL, FlightTruth, TipShape
 from companion.sim.flight.wing import SUBSTEP_S, integrate
+from companion.units import GRAVITY_MPS2
 
 LOOP_HZ = 400.0
 _TAIL_S = 2.0

@@ -22,9 +22,10 @@ from companion.params.airframe import Sensor
 from companion.records import ClockName, Floats, Ints, Side, Station
 from companion.sim.flight.perturb import RemoteClock, SensorErrors
 from companion.sim.flight.truth import FlightTruth, TruthSeries
+from companion.units import GRAVITY_MPS2
 
 BACKEND_HZ = 1000.0
-MILLI_G_MPS2 = 9.80665e-3
+MILLI_G_MPS2 = GRAVITY_MPS2 / 1000.0
 MILLI_RADPS = 1e-3
 _WORD = 32768
 _BIAS_STEP_S = 0.5

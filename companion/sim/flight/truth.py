@@ -13,8 +13,8 @@ import numpy as np
 
 from companion.core.wing.model import WingModel
 from companion.records import Floats, Ints
+from companion.units import GRAVITY_MPS2
 
-GRAVITY_MPS2 = 9.80665
 STEP_NS = 1_000_000
 
 # columns of a knot: position (NED), velocity (NED), roll pitch yaw, body rate, modal coordinates

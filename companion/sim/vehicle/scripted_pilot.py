@@ -13,7 +13,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from companion.sim.flight.truth import GRAVITY_MPS2
+from companion.units import GRAVITY_MPS2
 
 HOME_AMSL_M = 440.0
 """Differs from zero so that a script that mixes up heights above sea and above home is found out."""

@@ -22,15 +22,15 @@ import numpy as np
 
 from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
 from companion.records import Axis, Floats, Ints
+from companion.units import GRAVITY_MPS2
 
-STANDARD_GRAVITY_MPS2 = 9.80665
 TUNNEL_IMU_TYPE = 0xA1C0
 BATCH_SAMPLES = 9
 _IMPLAUSIBLE_SEVENTH = 0x20
 IMPLAUSIBLE_STAMP_US = _IMPLAUSIBLE_SEVENTH << 48
 _COMPLETE = frozenset(byte for byte in range(256) if byte & Axis.ALL == Axis.ALL)
 _Stamps = np.ndarray[tuple[int], np.dtype[np.uint64]]
-_MG = STANDARD_GRAVITY_MPS2 / 1000.0
+_MG = GRAVITY_MPS2 / 1000.0
 INTEGER_SCALE = np.array([_MG, _MG, _MG, 1e-3, 1e-3, 1e-3])
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-STANDARD_GRAVITY_MPS2 = 9.80665
+from companion.units import GRAVITY_MPS2
 
-ACCELERATION = {"mps2": 1.0, "g": STANDARD_GRAVITY_MPS2, "mg": STANDARD_GRAVITY_MPS2 / 1000.0}
+ACCELERATION = {"mps2": 1.0, "g": GRAVITY_MPS2, "mg": GRAVITY_MPS2 / 1000.0}
 ANGULAR_RATE = {"radps": 1.0, "degps": math.radians(1.0), "mradps": 0.001}
 _FORCE = {"n": 1.0, "mn": 0.001, "kn": 1000.0}
 

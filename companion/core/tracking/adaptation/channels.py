@@ -8,8 +8,8 @@ from companion.core.tracking.adaptation.model_spectrum import load_density
 from companion.core.tracking.adaptation.noise_psd import DERIVATIVE, EDGE, Bend, Floor
 from companion.core.tracking.model import Parameters
 from companion.core.tracking.states import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
-from companion.core.wing.sensing import GRAVITY_MPS2
 from companion.records import Floats
+from companion.units import GRAVITY_MPS2
 
 COLUMNS, ROLL, STATIC = 4, 2, 3  # of the rows: both vertical ones, root roll rate, bend by the load factor
 

@@ -7,8 +7,7 @@ from typing import ClassVar
 
 from companion.core.wing.effect import Effect, Group, parameter
 from companion.records import Floats, Station
-
-GRAVITY_MPS2 = 9.80665
+from companion.units import GRAVITY_MPS2
 
 
 @dataclass(frozen=True, slots=True)

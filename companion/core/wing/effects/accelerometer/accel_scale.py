@@ -9,8 +9,7 @@ import numpy as np
 
 from companion.core.wing.effect import Complexes, Effect, Group, parameter
 from companion.records import Floats, Station
-
-GRAVITY_MPS2 = 9.80665
+from companion.units import GRAVITY_MPS2
 
 
 @dataclass(frozen=True, slots=True)

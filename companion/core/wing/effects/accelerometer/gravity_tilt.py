@@ -9,8 +9,8 @@ import numpy as np
 
 from companion.core.wing.effect import Complexes, Effect, Group, parameter
 from companion.records import Floats, Station
+from companion.units import GRAVITY_MPS2
 
-GRAVITY_MPS2 = 9.80665
 _SLOWEST_RADPS = 1.5  # below, the leak is a bias
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from companion.core.wing.effect import Effect, Group, parameter
 from companion.records import Floats, Station
+from companion.units import GRAVITY_MPS2
 
-GRAVITY_MPS2 = 9.80665
 _ROLL = 3
 
 
