@@ -1,0 +1,84 @@
+"""Recipes of CONTRIBUTING.md, walked in a copy of the tree: as many files as the recipe says, and the thing works."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+_EFFECT = '''"""A wing whose damping grows with the square of its speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from companion.core.wing.effect import Effect, Group, ModalMotion, on_halves, parameter
+from companion.records import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class CubicDamping(Effect):
+    """Each wing half is slowed by -beta |v|^2 v, v its tip speed in the first modes."""
+
+    name: ClassVar[str] = "cubic-damping"
+    group: ClassVar[Group] = Group.STRUCTURE
+    one_way: ClassVar[bool] = True
+
+    beta_spm2: float = parameter("s/m^2", 10.0, "damping acceleration per cubed speed")
+
+    def force(self, motion: ModalMotion) -> Floats:
+        """Modal acceleration of the drag, m/s^2."""
+        return on_halves(motion, lambda _w, v: -self.beta_spm2 * np.abs(v) ** 2 * v)
+'''
+
+
+_FLY_WITH_AND_WITHOUT = """
+from companion.cli.main import main
+for out, beta in (("free", 0), ("slowed", 400)):
+    flown = main(["simulate", "--exact", "--duration", "8", "--out", out, "--effect", f"cubic-damping={beta}"])
+    assert flown == 0, "found by being in its folder"
+"""
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A copy of what is installed: the package and its configuration."""
+    for folder in ("companion", "config"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def _run(tree: Path, *words: str) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    environment.setdefault("NUMBA_CACHE_DIR", str(tree / "machine-code"))
+    ran = subprocess.run(
+        [sys.executable, *words], cwd=tree, env=environment, capture_output=True, text=True, timeout=240, check=False
+    )
+    assert ran.returncode == 0, ran.stdout[-2000:] + ran.stderr[-2000:]
+    return ran.stdout
+
+
+@pytest.mark.slow
+def test_an_effect_is_one_class_in_one_file(tree: Path) -> None:
+    (tree / "companion/core/wing/effects/damping/cubic_damping.py").write_text(_EFFECT)
+    _run(tree, "-c", _FLY_WITH_AND_WITHOUT)
+    assert _swing_mps2(tree / "slowed") < 0.9 * _swing_mps2(tree / "free"), "drag takes energy from the swing"
+
+
+def _swing_mps2(folder: Path) -> float:
+    """Standard deviation of the left tip's vertical acceleration against the root's, m/s^2."""
+    with (folder / "accel.csv").open(encoding="utf-8") as lines:
+        names = next(csv.reader(lines))
+        table = np.loadtxt(lines, delimiter=",", usecols=[names.index(name) for name in ("left_z_mps2", "root_z_mps2")])
+    return float(np.std(table[:, 0] - table[:, 1]))
