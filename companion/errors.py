@@ -29,8 +29,8 @@ class ConfigError(SpanwiseError):
 class UnknownAirframe(ConfigError):
     """No airframe of that name; the message lists the known ones."""
 
-    def __init__(self, name: str, known: Iterable[str]) -> None:
-        super().__init__(f"no airframe '{name}'; known: {', '.join(sorted(known))} (or give the path of a .toml file)")
+    def __init__(self, name: str, names: Iterable[str]) -> None:
+        super().__init__(f"no airframe '{name}'; known: {', '.join(sorted(names))} (or give the path of a .toml file)")
 
 
 class RecordingError(SpanwiseError):

@@ -285,9 +285,13 @@ class MatchSet:
         """The same without what fills the picture: ranges and rotations are taken from features alone."""
         if not self.filled:
             return self
-        kept = slice(0, len(self.sigma_px) - self.filled)
+        triangulated = slice(0, len(self.sigma_px) - self.filled)
         return replace(
-            self, left_px=self.left_px[kept], right_px=self.right_px[kept], sigma_px=self.sigma_px[kept], filled=0
+            self,
+            left_px=self.left_px[triangulated],
+            right_px=self.right_px[triangulated],
+            sigma_px=self.sigma_px[triangulated],
+            filled=0,
         )
 
 

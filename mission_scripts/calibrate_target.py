@@ -33,7 +33,7 @@ _LEAST = 10
 _SLOW_RAD = 0.0003
 _LINE_UP_M = 150.0
 
-Known = Callable[[Range], tuple[float, float]]
+Reference = Callable[[Range], tuple[float, float]]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -113,15 +113,15 @@ def _ground(flight: Flight) -> list[Group]:
         each=lambda item: spans.setdefault(item, []).append(time.monotonic()),
     )  # fmt: skip
     flight.leave()
-    found = []
+    groups = []
     for leg in legs:
         began, ended = spans.get(leg.item, [0.0])[0], spans.get(leg.item, [0.0])[-1]
         on_leg = [entry for entry in watch.ranges_since(began) if entry.at_s <= ended
                   and abs(entry.height_m - leg.height_m) < _HEIGHT_OFF_M]  # fmt: skip
-        found.append(
+        groups.append(
             _grouped(on_leg, lambda r: ((r.height_m - options.ground) / math.cos(r.tilt_rad), options.known_sigma))
         )
-    return [entry for entry in found if entry is not None]
+    return [entry for entry in groups if entry is not None]
 
 
 def _still(flight: Flight) -> list[Group]:
@@ -133,8 +133,8 @@ def _still(flight: Flight) -> list[Group]:
         "gathering", lambda: time.monotonic() - began_s >= options.seconds, options.seconds + 5.0,
         tell=lambda: f"{len(flight.watch.ranges_since(began_s))} ranges",
     )  # fmt: skip
-    found = _grouped(flight.watch.ranges_since(began_s), lambda _: (options.still, options.known_sigma), level=False)
-    return [found] if found is not None else []
+    measured = _grouped(flight.watch.ranges_since(began_s), lambda _: (options.still, options.known_sigma), level=False)
+    return [measured] if measured is not None else []
 
 
 def _mark(flight: Flight) -> list[Group]:
@@ -160,19 +160,19 @@ def _mark(flight: Flight) -> list[Group]:
         each=lambda item: spans.append(time.monotonic()) if item == approach else None,
     )  # fmt: skip
     flight.leave()
-    seen = [entry for entry in watch.ranges_since(spans[0] if spans else math.inf) if entry.at_s <= spans[-1]]
-    good = sorted((entry for entry in seen if _usable(entry)), key=lambda entry: entry.place.distance_m(mark))
-    parts = [good[at : at + _LEAST] for at in range(0, len(good) - _LEAST + 1, _LEAST)]
-    found = [_grouped(part, lambda r: (r.place.distance_m(mark), options.known_sigma)) for part in parts]
-    return [entry for entry in found if entry is not None]
+    on_run = [entry for entry in watch.ranges_since(spans[0] if spans else math.inf) if entry.at_s <= spans[-1]]
+    good = sorted((entry for entry in on_run if _usable(entry)), key=lambda entry: entry.place.distance_m(mark))
+    batches = [good[at : at + _LEAST] for at in range(0, len(good) - _LEAST + 1, _LEAST)]
+    groups = [_grouped(ranges, lambda r: (r.place.distance_m(mark), options.known_sigma)) for ranges in batches]
+    return [entry for entry in groups if entry is not None]
 
 
-def _grouped(ranges: Sequence[Range], known: Known, *, level: bool = True) -> Group | None:
+def _grouped(ranges: Sequence[Range], reference: Reference, *, level: bool = True) -> Group | None:
     """What is usable of some ranges, if that is enough."""
     good = [entry for entry in ranges if _usable(entry, level=level)]
     if len(good) < _LEAST:
         return None
-    return group([known(entry) for entry in good], [entry.distance_m for entry in good])
+    return group([reference(entry) for entry in good], [entry.distance_m for entry in good])
 
 
 def _usable(entry: Range, *, level: bool = True) -> bool:

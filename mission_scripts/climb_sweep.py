@@ -57,23 +57,23 @@ def sweep(flight: Flight) -> Exit:
     flight.leave()
     if options.no_ranges:
         return Exit.DONE
-    told = [_tell(flight, leg, spans.get(leg.item, [])) for leg in legs]
-    return Exit.DONE if any(told) else Exit.NOTHING
+    trusted_counts = [_tell(flight, leg, spans.get(leg.item, [])) for leg in legs]
+    return Exit.DONE if any(trusted_counts) else Exit.NOTHING
 
 
 def _tell(flight: Flight, leg: Leg, span: list[float]) -> int:
     """One row of the table; gives the number of trusted ranges."""
     began, ended = (span[0], span[-1]) if span else (math.inf, -math.inf)
-    seen = [entry for entry in flight.watch.ranges_since(began) if entry.at_s <= ended and _level(entry, leg)]
-    good = [entry for entry in seen if entry.trusted]
+    on_leg = [entry for entry in flight.watch.ranges_since(began) if entry.at_s <= ended and _level(entry, leg)]
+    good = [entry for entry in on_leg if entry.trusted]
     if not good:
-        flight.say(f"{leg.height_m:6.0f} m: {len(seen)} ranges, none trusted")
+        flight.say(f"{leg.height_m:6.0f} m: {len(on_leg)} ranges, none trusted")
         return 0
     errors = [r.distance_m - (r.height_m - flight.options.ground) / math.cos(r.tilt_rad) for r in good]
     sigmas = [r.sigma_m for r in good if math.isfinite(r.sigma_m)]
     sigma = f"{statistics.median(sigmas):.2f} m" if sigmas else "not told"
     flight.say(
-        f"{leg.height_m:6.0f} m: {len(good)} of {len(seen)} ranges trusted, range - height "
+        f"{leg.height_m:6.0f} m: {len(good)} of {len(on_leg)} ranges trusted, range - height "
         f"{statistics.median(errors):+.2f} m (spread {statistics.pstdev(errors):.2f} m), own sigma {sigma}"
     )
     return len(good)

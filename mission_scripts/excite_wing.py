@@ -68,7 +68,7 @@ def excite(flight: Flight) -> Exit:
         _doublets(flight, wing, place)
     flight.vehicle.airspeed(_USUAL)
     flight.leave()
-    flight.say(f"{wing.flown} doublets flown at {len(options.airspeeds)} airspeeds; {wing.told()}")
+    flight.say(f"{wing.flown} doublets flown at {len(options.airspeeds)} airspeeds; {wing.summary()}")
     return Exit.DONE
 
 
@@ -125,9 +125,9 @@ class Level:
 
     def __init__(self, flight: Flight, airspeed_mps: float) -> None:
         self._flight, self._airspeed_mps = flight, airspeed_mps
-        seen: list[float] = []
-        self._send(_TRIM_S, lambda: flight.vehicle.attitude(0.0, None), lambda: seen.append(flight.watch.pitch_rad))
-        self._trim_rad = statistics.fmean(seen[len(seen) // 2 :])
+        bends: list[float] = []
+        self._send(_TRIM_S, lambda: flight.vehicle.attitude(0.0, None), lambda: bends.append(flight.watch.pitch_rad))
+        self._trim_rad = statistics.fmean(bends[len(bends) // 2 :])
 
     def fly(self, seconds: float, roll_rad: float = 0.0, kick_rad: float = 0.0) -> None:
         """Hold for so long, under guard."""
@@ -153,18 +153,18 @@ class Wing:
     def __init__(self, flight: Flight) -> None:
         self._watch = flight.watch
         self._limit_mm: float = flight.options.bend_limit
-        self._seen: list[tuple[float, float]] = []
+        self._bends: list[tuple[float, float]] = []
         self._most_mm = self._calm_mm = 0.0
         self._last_s = 0.0
         self.flown = 0
 
     def begin(self) -> None:
         """What comes from here on is looked at together."""
-        self._seen.clear()
+        self._bends.clear()
 
     def calm(self) -> None:
         """Keep how far gusts alone swing the wing, from level flight since :meth:`begin`."""
-        self._calm_mm = _swing(self._seen)
+        self._calm_mm = _swing(self._bends)
 
     def check(self) -> None:
         """Gather, and hold the tips to their limit (called by the guard)."""
@@ -175,7 +175,7 @@ class Wing:
         self._last_s = at_s
         bend_mm = abs(both[0]) + abs(both[1])  # of the tip that is bent more
         self._most_mm = max(self._most_mm, bend_mm)
-        self._seen.append((at_s, bend_mm))
+        self._bends.append((at_s, bend_mm))
         if bend_mm > self._limit_mm:
             raise Aborted(f"a wing tip bends by {bend_mm:.0f} mm, limit {self._limit_mm:g} mm")
 
@@ -184,10 +184,10 @@ class Wing:
 
         Gusts swing the wing all the time: only what is well beyond them, at the end of the rest, counts as growth.
         """
-        half = len(self._seen) // 2
+        half = len(self._bends) // 2
         if half < _FEW:
             return "recorded"
-        early, late = (_swing(part) for part in (self._seen[:half], self._seen[half:]))
+        early, late = (_swing(half_bends) for half_bends in (self._bends[:half], self._bends[half:]))
         if late > early and late > max(_GROWN * self._calm_mm, _LEAST_MM):
             raise Aborted(
                 f"at {airspeed_mps:g} m/s the wing's motion grows from {early:.0f} to {late:.0f} mm, "
@@ -195,15 +195,15 @@ class Wing:
             )
         return f"swings {early:.1f} mm, then {late:.1f} mm (gusts alone {self._calm_mm:.1f} mm)"
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """The greatest bend, in words."""
         if not self._last_s:
             return "the service told nothing of the bend on this link (it was not watched)"
         return f"greatest bend {self._most_mm:.0f} mm"
 
 
-def _swing(seen: list[tuple[float, float]]) -> float:
-    values = [value for _, value in seen]
+def _swing(bends: list[tuple[float, float]]) -> float:
+    values = [value for _, value in bends]
     return max(values, default=0.0) - min(values, default=0.0)
 
 

@@ -145,8 +145,8 @@ class Lander:
         # a waypoint counts as reached some way before it: a low pass may turn up before it is quite down
         if above_m <= options.decision + 1.0 or item == self._out:
             self._decided = True
-            told = trouble or f"range good, {self._monitor.apart_m[-1]:+.2f} m from what is expected"
-            self._flight.say(f"decision height ({above_m:.0f} m): {told}")
+            verdict = trouble or f"range good, {self._monitor.apart_m[-1]:+.2f} m from what is expected"
+            self._flight.say(f"decision height ({above_m:.0f} m): {verdict}")
 
     def go_around(self, why: str) -> None:
         """Order the climb-out and watch the aircraft climb; Aborted with RTL if it does not."""

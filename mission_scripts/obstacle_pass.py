@@ -25,7 +25,7 @@ _FORWARD = 0
 _FRESH_S = 0.5
 _IN_VIEW_DEG = 18.0
 _LINE_UP_M = 150.0
-_SAME_M, _SAME_SHARE = 5.0, 0.1
+_SAME_M, _SAME_FRACTION = 5.0, 0.1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -100,7 +100,7 @@ class Ahead:
     def _take(self, entry: Range, obstacle: Place) -> None:
         self._nearest_m = min(self._nearest_m, entry.distance_m)
         ahead_m = _depth(entry, obstacle, self._flight.options.bearing)
-        if ahead_m is None or abs(entry.distance_m - ahead_m) > _SAME_M + _SAME_SHARE * ahead_m:
+        if ahead_m is None or abs(entry.distance_m - ahead_m) > _SAME_M + _SAME_FRACTION * ahead_m:
             return  # something else than our obstacle
         self._first_m = self._first_m or ahead_m
         self._off_m.append(entry.distance_m - ahead_m)

@@ -13,7 +13,7 @@ import threading
 
 from companion.params.files import load_airframe
 from companion.sim.flight.flight import build_flight
-from companion.sim.rehearsal.vehicle import Rehearsal
+from companion.sim.rehearsal.vehicle import RehearsalVehicle
 
 
 def main() -> int:
@@ -35,7 +35,7 @@ def main() -> int:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    vehicle = Rehearsal(
+    vehicle = RehearsalVehicle(
         flight,
         options.link or ["udpout:127.0.0.1:14540"],
         height_m=options.height,

@@ -17,7 +17,7 @@ from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.routing import Port, Router
-from companion.sim.vehicle.world import Link, WorldOptions, serve
+from companion.sim.vehicle.world import VehicleLink, WorldOptions, serve
 from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
 from companion.sim.vision.scene import ground_scene, obstacle_scene
 
@@ -125,7 +125,7 @@ def _opened(spellings: list[str]) -> list[Port]:
     links: list[Port] = []
     try:
         for spelling in spellings:
-            links.append(Link(spelling))
+            links.append(VehicleLink(spelling))
     except BaseException:
         for link in links:
             link.close()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.stereo.epipolar import epipolar_frame
-from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
+from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.inverse_depth import Product, read
 from companion.core.stereo.ranging import divergence, range_axis
@@ -65,7 +65,7 @@ class Judge:
         """The estimate's own extrinsics: the tracked bend, and what the matches told of the rotation beyond it."""
         moving = exposures(self._belief, self._tips, left, right)
         if turned is not None:
-            moving = turned_apart(moving, epipolar_frame(self._belief).T @ turned.rotation_rad)
+            moving = with_relative_rotation(moving, epipolar_frame(self._belief).T @ turned.rotation_rad)
         return self._read(matches, self._belief, moving)
 
     def oracle(self, matches: MatchSet) -> Reading | None:

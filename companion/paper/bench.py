@@ -18,7 +18,7 @@ from companion.records import Floats, Station
 from companion.sim.flight.aircraft import FlightPlan
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.gust import modal_rms, white_spectrum
-from companion.sim.flight.perturb import RemoteClock, TruthAirframe, draw_truth
+from companion.sim.flight.perturb import TrueClock, TruthAirframe, draw_truth
 from companion.sim.flight.sensors import RealSensor, SensorStream, node_stream
 from companion.sim.flight.truth import COLUMNS, MODAL, POSITION, VELOCITY, FlightTruth, TipShape
 from companion.sim.flight.wing import SUBSTEP_S, integrate
@@ -189,7 +189,7 @@ def _stream(truth: FlightTruth, model: WingModel, real: TruthAirframe, setup: Se
     (An autopilot sends its newest sample at each turn of its loop; a shaker's 200 Hz would fold into the mode.)
     """
     sensor = RealSensor(truth, model, station, real.actual.sensor(station), real.errors[station])
-    clock = real.clocks.get(sensor.sensor.source.clock, RemoteClock(0, 0.0))
+    clock = real.clocks.get(sensor.sensor.source.clock, TrueClock(0, 0.0))
     return node_stream(sensor, clock, setup.duration_s, np.random.default_rng([setup.seed, 1, station]))
 
 

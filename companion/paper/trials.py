@@ -11,7 +11,7 @@ from companion.paper import printed
 from companion.paper.bench import Drive
 from companion.paper.range_tables import toe_rad, wide_factor
 from companion.params.files import load_airframe
-from companion.sim.flight.aircraft import FlightPlan, Level, PullUp, Roll
+from companion.sim.flight.aircraft import AltitudeStep, FlightPlan, PullUp, Roll
 
 SEEDS = (5, 6, 7)
 SETTLE_S = 15.0
@@ -63,7 +63,7 @@ class Trial:
 
 def flight_plan(trial: Trial, pace: Pace) -> FlightPlan:
     """Level flight in turbulence; with manoeuvres a bank and a pull-up while shots are taken."""
-    level = (Level(0.0, _FLOWN_FROM_M),)
+    level = (AltitudeStep(0.0, _FLOWN_FROM_M),)
     if not trial.manoeuvres:
         return FlightPlan(pace.duration_s, levels=level)
     bank = Roll(pace.from_s - 1.0, 0.35, 1.5, 1.0)

@@ -19,7 +19,7 @@ from companion.params.toml import parse_toml, read_text
 _LARGEST = 1e300
 
 
-def known_airframes() -> list[str]:
+def shipped_airframes() -> list[str]:
     """Names of the airframes that travel with Spanwise."""
     folder = shipped("airframes")
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
@@ -38,10 +38,10 @@ def load_airframe(name_or_path: str) -> Airframe:
     if name_or_path.endswith(".toml"):
         path = Path(name_or_path)
         if not path.is_file():
-            raise UnknownAirframe(name_or_path, known_airframes())
+            raise UnknownAirframe(name_or_path, shipped_airframes())
         return parse_airframe(read_text(path), str(path))
-    if name_or_path not in known_airframes():
-        raise UnknownAirframe(name_or_path, known_airframes())
+    if name_or_path not in shipped_airframes():
+        raise UnknownAirframe(name_or_path, shipped_airframes())
     entry = shipped("airframes") / f"{name_or_path}.toml"
     return parse_airframe(entry.read_text(encoding="utf-8"), f"{name_or_path}.toml")
 
@@ -88,11 +88,11 @@ def _build(kind: Any, value: Any, origin: str, where: str) -> Any:
 def _record(kind: Any, value: Any, origin: str, where: str) -> Any:
     _expect(isinstance(value, Mapping), origin, where, "a table", value)
     hints = typing.get_type_hints(kind)
-    known = {entry.name: entry for entry in dataclasses.fields(kind)}
+    fields = {entry.name: entry for entry in dataclasses.fields(kind)}
     for key in value:
-        if key not in known:
-            raise ConfigError(f"{origin}: unknown key '{_join(where, key)}'; known here: {', '.join(known)}")
-    for key, entry in known.items():
+        if key not in fields:
+            raise ConfigError(f"{origin}: unknown key '{_join(where, key)}'; known here: {', '.join(fields)}")
+    for key, entry in fields.items():
         required = entry.default is dataclasses.MISSING and entry.default_factory is dataclasses.MISSING
         if required and key not in value:
             raise ConfigError(f"{origin}: key '{_join(where, key)}' is missing")

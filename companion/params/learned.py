@@ -15,7 +15,7 @@ from typing import Any
 
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Uncertain
-from companion.params.persist import write_whole
+from companion.params.persist import write_atomically
 from companion.records import TriggerLatency
 
 _LEAST_SHOTS = 10
@@ -24,7 +24,7 @@ _SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
-class KeptLatency:
+class LearnedLatency:
     """Latency of one path, left and right camera.
 
     Attributes
@@ -55,33 +55,33 @@ def keep_latency(file: Path, path: str, learned: TriggerLatency) -> bool:
         lines.append(f"{side}_s = {{ value = {value!r}, sigma = {sigma!r} }}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, "\n".join(lines) + "\n")
+        write_atomically(file, "\n".join(lines) + "\n")
     except OSError as error:
         raise ConfigError(f"cannot keep the trigger's latency in {file}: {error.strerror}") from error
     return True
 
 
-def load_latency(file: Path) -> KeptLatency | None:
+def load_latency(file: Path) -> LearnedLatency | None:
     """Read what was kept; None where nothing can be read. Raises :class:`ConfigError` for a file that is damaged."""
     try:
         table = tomllib.loads(file.read_text(encoding="utf-8"))
         left, right = (_uncertain(table[f"{side}_s"]) for side in _SIDES)
-        return KeptLatency(str(table["path"]), (left, right), int(table["shots"]))
+        return LearnedLatency(str(table["path"]), (left, right), int(table["shots"]))
     except OSError:
         return None
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise ConfigError(f"{file}: not a latency that was kept here ({error}); delete it") from error
 
 
-def with_latency(airframe: Airframe, kept: KeptLatency | None, path: str) -> Airframe:
+def with_latency(airframe: Airframe, learned: LearnedLatency | None, path: str) -> Airframe:
     """The airframe with the latency that this path had in the last flight; unchanged where that is not known."""
     left, right = airframe.left_camera, airframe.right_camera
-    if kept is None or kept.path != path or left is None or right is None:
+    if learned is None or learned.path != path or left is None or right is None:
         return airframe
     return dataclasses.replace(
         airframe,
-        left_camera=dataclasses.replace(left, latency_s=kept.latency_s[0]),
-        right_camera=dataclasses.replace(right, latency_s=kept.latency_s[1]),
+        left_camera=dataclasses.replace(left, latency_s=learned.latency_s[0]),
+        right_camera=dataclasses.replace(right, latency_s=learned.latency_s[1]),
     )
 
 

@@ -68,8 +68,8 @@ def store(path: Path, values: Mapping[str, float]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if _is_good(path):
-            write_whole(last_good(path), path.read_text(encoding="utf-8"))
-        write_whole(path, text)
+            write_atomically(last_good(path), path.read_text(encoding="utf-8"))
+        write_atomically(path, text)
     except OSError as error:
         raise ConfigError(f"cannot keep parameters in {path}: {error.strerror}") from error
 
@@ -79,7 +79,7 @@ def last_good(path: Path) -> Path:
     return path.with_name(path.name + ".last")
 
 
-def write_whole(path: Path, text: str) -> None:
+def write_atomically(path: Path, text: str) -> None:
     """Write a file in one step: after a power cut there is the old one or the new one; OSError where it cannot be."""
     fresh = path.with_name(path.name + ".new")
     with fresh.open("w", encoding="utf-8") as file:
@@ -118,15 +118,15 @@ def _parse(path: Path) -> dict[str, float]:
 
 def _checked(values: Mapping[str, float], path: Path, problems: list[str]) -> Stored:
     rows = {row.name: row for row in tunables()}
-    kept: dict[str, float] = {}
+    accepted: dict[str, float] = {}
     for name, value in values.items():
         row = rows.get(name)
         problem = f"no parameter '{name}'" if row is None else row.check(value)
         if problem is None:
-            kept[name] = value
+            accepted[name] = value
         else:
             problems.append(f"{path}: {problem}; not used")
-    return Stored(kept, tuple(problems))
+    return Stored(accepted, tuple(problems))
 
 
 class Keeper:

@@ -30,7 +30,7 @@ from companion.records import (
     TriggerLatency,
     TriggerPlan,
 )
-from companion.service.pace import Strain, TickPace
+from companion.service.pace import Overload, TickPace
 
 TICK_NS = 10_000_000
 _POLL_S = 0.002
@@ -41,7 +41,7 @@ _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange
 _UNFIRED = (Reject.PLAN_EXPIRED, Reject.DEVICE_FAILED)
 
 
-class Shots(Protocol):
+class ShotPort(Protocol):
     """The inertial side of the trigger process."""
 
     def send(self, plan: TriggerPlan) -> None:
@@ -68,8 +68,8 @@ class InertialLoop:
     state: PipelineState
     autopilot: Autopilot
     clock: Clock
-    shots: Shots
-    inbox: Callable[[], Sequence[Record | Strain]]
+    shots: ShotPort
+    inbox: Callable[[], Sequence[Record | Overload]]
     show: Callable[[Record], object]
     recorder: Recorder
     fires_by_link: bool = False
@@ -80,7 +80,7 @@ class InertialLoop:
     pace: TickPace = field(default_factory=TickPace)
     strains: dict[str, str] = field(default_factory=dict)
 
-    def turn(self) -> None:
+    def run_once(self) -> None:
         """Handle what has arrived, then the tick if it is due."""
         for record in self.autopilot.poll(_POLL_S):
             self._handle(record)
@@ -89,7 +89,7 @@ class InertialLoop:
                 self.autopilot.publish(shot)
             self._handle(shot)
         for said in self.inbox():
-            if isinstance(said, Strain):
+            if isinstance(said, Overload):
                 self._strained(said)
             else:
                 self._handle(said)
@@ -102,7 +102,7 @@ class InertialLoop:
             if (strain := self.pace.ticked(now_ns)) is not None:
                 self._strained(strain)
 
-    def _strained(self, strain: Strain) -> None:
+    def _strained(self, strain: Overload) -> None:
         """Say who cannot keep up, or does again, and let the state's reason say it as long as that lasts."""
         self.strains.pop(strain.who, None)
         if strain.text:
@@ -154,7 +154,7 @@ def run(loop: InertialLoop, stop: Event) -> None:
     gc.freeze()
     try:
         while not stop.is_set():
-            loop.turn()
+            loop.run_once()
     finally:
         loop.autopilot.close()
         loop.recorder.close()

@@ -19,7 +19,7 @@ _WINDOWS = 2  # in a row, before it is said: starting up is no verdict
 
 
 @dataclass(frozen=True, slots=True)
-class Strain:
+class Overload:
     """Who cannot keep up, in words; no words when it does again."""
 
     who: str
@@ -39,14 +39,14 @@ class _Verdict:
     behind: bool = False
     bad: int = 0
 
-    def judge(self, is_late: bool, is_clear: bool, text: str) -> Strain | None:
+    def judge(self, is_late: bool, is_clear: bool, text: str) -> Overload | None:
         self.bad = self.bad + 1 if is_late else 0
         if not self.behind and self.bad >= _WINDOWS:
             self.behind = True
-            return Strain(self.who, text)
+            return Overload(self.who, text)
         if self.behind and is_clear:
             self.behind = False
-            return Strain(self.who, "")
+            return Overload(self.who, "")
         return None
 
 
@@ -58,7 +58,7 @@ class TickPace:
         self._since_ns: int | None = None
         self._ticks = 0
 
-    def ticked(self, now_host_ns: int) -> Strain | None:
+    def ticked(self, now_host_ns: int) -> Overload | None:
         """Take a tick; a strain where that begins or ends."""
         if self._since_ns is None:
             self._since_ns = now_host_ns
@@ -93,20 +93,20 @@ class VisionPace:
         self._lost += 0.5 * lost_frames  # both cameras lose one
         self._waited_ns = max(self._waited_ns, waited_ns)
 
-    def looked(self, now_host_ns: int) -> Strain | None:
+    def looked(self, now_host_ns: int) -> Overload | None:
         """Judge, when a window is over; a strain where that begins or ends."""
         if self._since_ns is None:
             self._since_ns = now_host_ns
         passed_ns = now_host_ns - self._since_ns
         if passed_ns < WINDOW_NS:
             return None
-        share = self._spent_ns / passed_ns
+        load = self._spent_ns / passed_ns
         shots = self._pairs + round(self._lost)
-        needed = share * shots / max(self._pairs, 1)
+        needed = load * shots / max(self._pairs, 1)
         text = f"vision needs {needed:.1f} s a second, images wait {1e-9 * self._waited_ns:.1f} s"
         if shots > self._pairs:
             text += f", {shots - self._pairs} of {shots} shots skipped"
         self._since_ns = now_host_ns
         self._spent_ns = self._waited_ns = self._pairs = 0
         self._lost = 0.0
-        return self._verdict.judge(share >= _FULL, share < _SPARE, text)
+        return self._verdict.judge(load >= _FULL, load < _SPARE, text)

@@ -40,13 +40,13 @@ SPAWN = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class StandbyGate:
     """Where a process of a worker with a spare waits until it is needed. Survives the death of either side."""
 
     end: socket.socket
     spare: bool = False
 
-    def come(self, stop: Event) -> bool:
+    def wait_for_turn(self, stop: Event) -> bool:
         """Say that all is prepared, and wait; False where the service ends before."""
         self.end.send(b"ready")
         while not select.select([self.end], [], [], _LOOK_S)[0]:
@@ -68,7 +68,7 @@ class Worker:
     """One process: how to start it, and how often it had to be started again since it last ran for a minute.
 
     ``optional`` is one that the others can do without, ``last`` one that ends after the others, whose records it takes.
-    With ``standby`` the target gets a :class:`Turn` before the stop flag.
+    With ``standby`` the target gets a :class:`StandbyGate` before the stop flag.
     """
 
     name: str
@@ -112,14 +112,14 @@ class Worker:
 
     def processes(self) -> list[SpawnProcess]:
         """All that were started and not replaced."""
-        found = [self.process, None if self.spare is None else self.spare.process]
-        return [process for process in found if process is not None]
+        processes = [self.process, None if self.spare is None else self.spare.process]
+        return [process for process in processes if process is not None]
 
     def _waiting(self, *, spare: bool) -> _Waiting:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         *arguments, stop = self.arguments
-        process = self._spawned(*arguments, Turn(theirs, spare), stop)
+        process = self._spawned(*arguments, StandbyGate(theirs, spare), stop)
         theirs.close()
         return _Waiting(process, ours)
 
@@ -135,7 +135,7 @@ class Worker:
         return self.process is not None and self.process.is_alive()
 
     @property
-    def given_up(self) -> bool:
+    def abandoned(self) -> bool:
         """Whether it is not tried again."""
         return not self.proven and self.restarts >= _MOST_RESTARTS
 
@@ -187,7 +187,7 @@ class Supervisor:
                 if now_ns - worker.started_ns >= _STEADY_NS:
                     worker.proven, worker.restarts = True, 0
                 worker.prepare(now_ns)
-            elif not worker.given_up:
+            elif not worker.abandoned:
                 sentences += _revived(worker, now_ns)
         return sentences
 
@@ -198,7 +198,7 @@ class Supervisor:
     def failed(self) -> list[str]:
         """Workers that died for good and without whom there is no service."""
         return [
-            worker.name for worker in self._workers if worker.given_up and not worker.alive() and not worker.optional
+            worker.name for worker in self._workers if worker.abandoned and not worker.alive() and not worker.optional
         ]
 
     def stop(self) -> None:

@@ -9,7 +9,7 @@ from companion.core.pipeline import VisionState, vision_step
 from companion.errors import DeviceError
 from companion.ports import CameraPair, Clock, Recorder
 from companion.records import ClockName, Frame, MatchSet, ParameterChange, Record, Reject, Rejected, TriggerPlan
-from companion.service.pace import Strain, VisionPace
+from companion.service.pace import Overload, VisionPace
 
 _POLL_S = 0.05
 
@@ -18,16 +18,16 @@ def run(
     state: VisionState,
     cameras: CameraPair,
     clock: Clock,
-    send: Callable[[Record | Strain], object],
+    send: Callable[[Record | Overload], object],
     recorder: Recorder | None,
     stop: Event,
-    told: Callable[[], Iterable[ParameterChange | TriggerPlan]] = tuple,
+    updates: Callable[[], Iterable[ParameterChange | TriggerPlan]] = tuple,
 ) -> None:
     """Match every pair as it comes until told to stop.
 
-    ``recorder`` keeps the images where that is asked for; ``told`` gives what the inertial process has said since the
-    last call: changed settings, and plans for cameras that run free. Where the machine cannot keep up, a
-    :class:`Strain` is sent.
+    ``recorder`` keeps the images where that is asked for; ``updates`` gives the messages of the inertial process since
+    the last call: changed settings, and plans for cameras that run free. Where the machine cannot keep up, a
+    :class:`Overload` is sent.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def run(
             if (strain := pace.looked(clock.now_ns())) is not None:
                 send(strain)
             frames = cameras.poll(_POLL_S)
-            for word in told():
+            for word in updates():
                 vision_step(state, word, clock.now_ns())
             for frame in frames:
                 _check_size(frame, state)

@@ -12,13 +12,13 @@ from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.compiler_cache import outlive_full_disk
-from companion.adapters.mavlink.component.component import OwnComponent
+from companion.adapters.mavlink.component.component import OnboardComponent
 from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.link.link import open_link
 from companion.adapters.mavlink.link.signing import Signing, load_signing
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.adapters.recordings.mcap.recorder import keep_recording
-from companion.adapters.recordings.mcap.recorder_client import Inlet, recorder_channel
+from companion.adapters.recordings.mcap.recorder_client import RecorderClient, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
 from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
@@ -32,7 +32,7 @@ from companion.records import Health, Notice, Record, Rejected, ServiceStatus, S
 from companion.service import inertial, vision
 from companion.service.channel import Receiver, Sender, channel
 from companion.service.config import ServiceConfig
-from companion.service.supervisor import Supervisor, Turn
+from companion.service.supervisor import StandbyGate, Supervisor
 
 _WARNING = 4
 
@@ -63,17 +63,17 @@ class Service(Supervisor):
             if config.record_images and config.cameras is not None:
                 vision_tape, end = recorder_channel()
                 ends.append(end)
-        shots = told_in = None
+        shots = updates_in = None
         if config.trigger is not None:
             shots, line = line_pair()
             self.add("trigger", _trigger_process, config, line)
         if config.cameras is not None:
-            told_in, told = channel()
-            self.add("vision", _vision_process, config, _stored(config), told, matches_in, vision_tape)
-        ends_of_inertial = (shots, matches, told_in, shown_in, inertial_tape)
-        turn = () if config.standby else (None,)
+            updates_in, updates = channel()
+            self.add("vision", _vision_process, config, _stored(config), updates, matches_in, vision_tape)
+        ends_of_inertial = (shots, matches, updates_in, shown_in, inertial_tape)
+        gate = () if config.standby else (None,)
         stored = _stored(config)
-        self.add("inertial", _inertial_process, config, stored, *ends_of_inertial, *turn, standby=config.standby)
+        self.add("inertial", _inertial_process, config, stored, *ends_of_inertial, *gate, standby=config.standby)
         if ends:
             about = About.of(config.airframe, config.settings)
             self.add("recorder", _recorder_process, config.recording, about, ends, matches_in, optional=True, last=True)
@@ -131,7 +131,7 @@ def _try_links(config: ServiceConfig) -> None:
 
 
 def _recorder(tape: socket.socket | None) -> Recorder:
-    return _NoRecorder() if tape is None else Inlet(tape)
+    return _NoRecorder() if tape is None else RecorderClient(tape)
 
 
 def _ignore_interrupt() -> None:
@@ -161,15 +161,15 @@ def _inertial_process(
     vision_ear: Sender | None,
     shown: Sender,
     tape: socket.socket | None,
-    turn: Turn | None,
+    gate: StandbyGate | None,
     stop: Event,
 ) -> None:
     _ignore_interrupt()
     clock: Clock = MonotonicClock()
     outlive_full_disk()
-    tell = _unheard if turn is not None and turn.spare else shown.send
+    tell = _unheard if gate is not None and gate.spare else shown.send
     warm_up(config.airframe, config.settings, lambda begun: tell(compiling_status(begun, clock.now_ns())))
-    if turn is not None and not turn.come(stop):
+    if gate is not None and not gate.wait_for_turn(stop):
         return
     config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
     signing = None if config.signing_key is None else load_signing(config.signing_key, clock)
@@ -203,13 +203,13 @@ def _unheard(record: Record) -> None:
     del record
 
 
-def _component(config: ServiceConfig, signing: Signing | None) -> OwnComponent:
+def _component(config: ServiceConfig, signing: Signing | None) -> OnboardComponent:
     """Our own MAVLink component, which keeps its parameters where that is asked for."""
     reserved = _sensor_components(config)
     parameters = ParameterServer(config.settings, reserved=reserved)
     if config.parameters is not None:
         parameters = ParameterServer(config.settings, Keeper(config.parameters), _stored(config), reserved)
-    return OwnComponent(parameters, signing=signing)
+    return OnboardComponent(parameters, signing=signing)
 
 
 def _sensor_components(config: ServiceConfig) -> frozenset[int]:
@@ -239,7 +239,7 @@ def _recorder_process(path: Path, about: About, ends: list[socket.socket], say: 
 def _vision_process(
     config: ServiceConfig,
     stored_at_start: dict[str, float],
-    told: Receiver,
+    updates: Receiver,
     matches: Sender,
     tape: socket.socket | None,
     stop: Event,
@@ -247,7 +247,7 @@ def _vision_process(
     _ignore_interrupt()
     assert config.cameras is not None
     outlive_full_disk()
-    recorder = None if tape is None else Inlet(tape)
+    recorder = None if tape is None else RecorderClient(tape)
     try:
         cameras = config.cameras()
     except SpanwiseError as error:
@@ -258,7 +258,7 @@ def _vision_process(
     first_pair = clock.now_ns() // 1_000_000
     state = VisionState.create(config.airframe, settings, free_running=config.trigger is None, first_pair=first_pair)
     try:
-        vision.run(state, cameras, clock, matches.send, recorder, stop, told.receive)
+        vision.run(state, cameras, clock, matches.send, recorder, stop, updates.receive)
     except SpanwiseError as error:
         raise SystemExit(f"spanwise vision: {error}") from error
     finally:

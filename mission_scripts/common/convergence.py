@@ -50,13 +50,15 @@ class Offset:
         return abs(self.scale - 1.0) > 3.0 * self.scale_sigma
 
 
-def group(known: Sequence[tuple[float, float]], read_m: Sequence[float]) -> Group:
+def group(reference: Sequence[tuple[float, float]], read_m: Sequence[float]) -> Group:
     """Put the ranges of one leg or one place together; medians, so that a stray range counts for little."""
-    centre = statistics.median(distance for distance, _ in known)
-    ratio = [read / distance for read, (distance, _) in zip(read_m, known, strict=True)]
+    centre = statistics.median(distance for distance, _ in reference)
+    ratio = [read / distance for read, (distance, _) in zip(read_m, reference, strict=True)]
     middle = statistics.median(ratio)
     spread = 1.4826 * statistics.median(abs(entry - middle) for entry in ratio)
-    return Group(centre, statistics.fmean(sigma for _, sigma in known), middle * centre, spread * centre, len(ratio))
+    return Group(
+        centre, statistics.fmean(sigma for _, sigma in reference), middle * centre, spread * centre, len(ratio)
+    )
 
 
 def estimate(groups: Sequence[Group], baseline_m: float, slow_sigma_rad: float = 0.0) -> Offset:
@@ -81,9 +83,9 @@ def estimate(groups: Sequence[Group], baseline_m: float, slow_sigma_rad: float =
         raise ValueError("no group of ranges")
     rows = []
     for entry in groups:
-        own = (entry.scatter_m / math.sqrt(max(entry.count, 1)) / entry.read_m**2) ** 2
-        own += (entry.known_sigma_m / entry.known_m**2) ** 2 + (slow_sigma_rad / baseline_m) ** 2
-        rows.append((1.0 / entry.known_m, 1.0 / entry.read_m, 1.0 / max(own, 1e-18)))
+        variance = (entry.scatter_m / math.sqrt(max(entry.count, 1)) / entry.read_m**2) ** 2
+        variance += (entry.known_sigma_m / entry.known_m**2) ** 2 + (slow_sigma_rad / baseline_m) ** 2
+        rows.append((1.0 / entry.known_m, 1.0 / entry.read_m, 1.0 / max(variance, 1e-18)))
     distances = [entry.known_m for entry in groups]
     if max(distances) < _APART * min(distances):
         return _toe_alone(rows, baseline_m)

@@ -117,15 +117,15 @@ class Flight:
             It did not come about in time, or the guard says so.
         """
         began_s = time.monotonic()
-        told_s = began_s
+        reported_s = began_s
         while not until():
             self.hear()
             self.guard.check()
             now_s = time.monotonic()
             if now_s - began_s > timeout_s:
                 raise Aborted(f"{what}: not within {timeout_s:g} s")
-            if now_s - told_s >= _LINE_S:
-                told_s = now_s
+            if now_s - reported_s >= _LINE_S:
+                reported_s = now_s
                 self.say(f"{what}: {tell() if tell else self.where()}")
             time.sleep(look_s)
 
@@ -183,15 +183,15 @@ class Flight:
     def ask_inertial(self, tap: Tap | None) -> None:
         """Ask the autopilot for the inertial messages that the airframe names, as fast as it will send them."""
         airframe = self.airframe
-        own = {s.source.message: s.rate_hz for s in (airframe.root, airframe.left, airframe.right)
+        airframe_rates_hz = {s.source.message: s.rate_hz for s in (airframe.root, airframe.left, airframe.right)
                if s.source.component == 1 and s.source.message in _IDS}  # fmt: skip
-        if tap is None or not own:
+        if tap is None or not airframe_rates_hz:
             return
-        for name, rate_hz in own.items():
+        for name, rate_hz in airframe_rates_hz.items():
             granted = next((k for k in _SLOWER if self.vehicle.ask_rate(_IDS[name], k / rate_hz)), None)
-            told = f"{rate_hz / granted:.0f} Hz" if granted else "refused at every rate; what comes by itself"
+            outcome = f"{rate_hz / granted:.0f} Hz" if granted else "refused at every rate; what comes by itself"
             self.watch.texts.clear()  # the refusals of the faster rates
-            self.say(f"{name}: {told}")
+            self.say(f"{name}: {outcome}")
         if not tap_is_enough(airframe) and self.options.service is None:
             self.say(
                 f"note: airframe '{airframe.name}' has wing nodes on clocks of their own; the tap alone cannot be "
@@ -279,7 +279,7 @@ class Flight:
         """
         said, track = 0, Track(route, self.watch, self.guard.limits.off_track_m)
 
-        def there() -> bool:
+        def at_last_item() -> bool:
             nonlocal said
             item = self.watch.item
             if item != said:
@@ -292,7 +292,7 @@ class Flight:
 
         self.guard.off_track = track.off_m
         try:
-            self.wait("mission", there, timeout_s)
+            self.wait("mission", at_last_item, timeout_s)
         finally:
             self.guard.off_track = None
 

@@ -32,7 +32,7 @@ class Tolerance:
     blind_s: float = 1.5
     jump_m: float = 2.0
     apart_m: float = 3.0
-    apart_share: float = 0.05
+    apart_fraction: float = 0.05
 
 
 class RangeMonitor:
@@ -67,7 +67,7 @@ class RangeMonitor:
             self._jump, self._jumped_s = jump, entry.at_s
         apart_m = entry.distance_m - expected_m
         self.apart_m.append(apart_m)
-        allowed_m = self._tolerance.apart_m + self._tolerance.apart_share * expected_m
+        allowed_m = self._tolerance.apart_m + self._tolerance.apart_fraction * expected_m
         far = abs(apart_m) > allowed_m + _SIGMAS * _sigma(entry)
         self._apart = f"reads {entry.distance_m:.1f} m where {expected_m:.1f} m is expected" if far else ""
         self._last = (entry, expected_m)

@@ -176,14 +176,14 @@ class Vehicle:
 
     def _try(self, what: str, order: Callable[[], Any]) -> None:
         """Give an order; again if it timed out, for all of ours may be given twice."""
-        for left in reversed(range(_TRIES)):
+        for tries_remaining in reversed(range(_TRIES)):
             try:
                 order()
                 return
             except mavsdk.MavsdkError as error:
                 result = getattr(error, "result", None)
                 name = result.name.lower().replace("_", " ") if result else str(error)
-                if name != "timeout" or not left:
+                if name != "timeout" or not tries_remaining:
                     raise NotAccepted(f"{what}: {name}") from error
 
     def _acknowledged(self, what: str, kind: str, fields: dict[str, Any]) -> None:

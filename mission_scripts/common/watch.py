@@ -32,7 +32,7 @@ _READY = (3, 4)  # MAV_STATE standby and active
 _ARMED = 128
 _PREARM_CHECK = 1 << 28
 _UNKNOWN_COVARIANCE = 255
-_KEPT_RANGES = 20_000
+_MOST_RANGES = 20_000
 _LONGEST_CARRY_S = 2.0
 
 
@@ -66,7 +66,7 @@ class Watch:
 
     def __init__(self, companion: int, orientation: int) -> None:
         self.companion, self.orientation = companion, orientation
-        self.ranges: deque[Range] = deque(maxlen=_KEPT_RANGES)
+        self.ranges: deque[Range] = deque(maxlen=_MOST_RANGES)
         self.texts: deque[str] = deque(maxlen=200)
         self.reached: set[int] = set()
         self.named: dict[str, tuple[float, float]] = {}
@@ -102,9 +102,9 @@ class Watch:
         least, most, distance = (fields[key] * 0.01 for key in ("min_distance", "max_distance", "current_distance"))
         covariance = fields["covariance"]
         sigma = math.sqrt(covariance) * 0.01 if 0 < covariance < _UNKNOWN_COVARIANCE else math.nan
-        told_s, told = self.named.get("rng_sig_m", (-math.inf, math.nan))
-        if now_s - told_s < 1.0:  # the true one; a covariance of cm^2 in a byte ends at 16 cm
-            sigma = told
+        sigma_at_s, named_sigma_m = self.named.get("rng_sig_m", (-math.inf, math.nan))
+        if now_s - sigma_at_s < 1.0:  # the true one; a covariance of cm^2 in a byte ends at 16 cm
+            sigma = named_sigma_m
         attitude = self._fields("ATTITUDE")
         tilt = math.acos(math.cos(attitude.get("roll", 0.0)) * math.cos(attitude.get("pitch", 0.0)))
         trusted = least <= distance <= most and fields["signal_quality"] != _NO_RANGE_QUALITY
@@ -199,15 +199,15 @@ class Watch:
     @property
     def battery(self) -> float | None:
         """What is left of it, 0 to 1; None where the autopilot does not know."""
-        left = int(self._fields("SYS_STATUS").get("battery_remaining", -1))
-        return left * 0.01 if left >= 0 else None
+        remaining_percent = int(self._fields("SYS_STATUS").get("battery_remaining", -1))
+        return remaining_percent * 0.01 if remaining_percent >= 0 else None
 
     @property
     def may_arm(self) -> bool:
         """Whether the autopilot's pre-arm checks pass; True where it does not tell."""
         fields = self._fields("SYS_STATUS")
-        told = int(fields.get("onboard_control_sensors_present", 0)) & _PREARM_CHECK
-        return not told or bool(int(fields.get("onboard_control_sensors_health", 0)) & _PREARM_CHECK)
+        reports_prearm = int(fields.get("onboard_control_sensors_present", 0)) & _PREARM_CHECK
+        return not reports_prearm or bool(int(fields.get("onboard_control_sensors_health", 0)) & _PREARM_CHECK)
 
     @property
     def item(self) -> int:

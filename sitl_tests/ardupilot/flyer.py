@@ -17,7 +17,7 @@ from pathlib import Path
 from pymavlink import mavutil
 
 from companion.params.files import dump_airframe
-from companion.sim.vehicle.companion_stub import RangeFaults, RangeStandIn
+from companion.sim.vehicle.companion_stub import CompanionStub, RangeFaults
 from sitl_tests.loop.rehearsals import Script, airframe, free_port
 
 SPEED = 3.0
@@ -72,7 +72,7 @@ class Flyer:
         self.attitudes_rad: list[tuple[int, float, float]] = []
         self.mode, self.armed, self._boot_ms = -1, False, 0
         self._when: list[tuple[Callable[[], bool], Callable[[], None]]] = []
-        self._standin = RangeStandIn(lambda: self.heights_m[-1], lambda: self._boot_ms * 1_000_000)
+        self._stub = CompanionStub(lambda: self.heights_m[-1], lambda: self._boot_ms * 1_000_000)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._companion)
         self._thread.start()
@@ -90,7 +90,7 @@ class Flyer:
     @property
     def ranges(self) -> RangeFaults:
         """What is wrong with the ranges."""
-        return self._standin.faults
+        return self._stub.faults
 
     def when(self, condition: Callable[[], bool], action: Callable[[], None]) -> None:
         """Once, as soon as the condition holds."""
@@ -118,7 +118,7 @@ class Flyer:
             message = link.recv_match(blocking=True, timeout=0.02)
             if message is not None and message.get_srcComponent() == 1:
                 self._hear(message)
-                link.write(self._standin.drain())
+                link.write(self._stub.drain())
             if message is not None and time.monotonic() - asked_s > 5.0:
                 asked_s = time.monotonic()
                 for number, period_us in _NEEDED.items():

@@ -26,11 +26,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.errors import DeviceError
 from companion.params.airframe import Airframe
 from companion.sim.flight.flight import Flight, build_flight
-from companion.sim.flight.perturb import RemoteClock
+from companion.sim.flight.perturb import TrueClock
 from companion.sim.flight.sensors import SensorStream
 from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.nodes import WingNode
-from companion.sim.vehicle.world import Link
+from companion.sim.vehicle.world import VehicleLink
 from companion.sim.vision.cameras import PLAN_UNKNOWN, SimTriggerLine
 from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, flight_motion, launch_motion, lines
 
@@ -94,7 +94,7 @@ class Nodes:
         self._clocks = flight.real.clocks
         self._streams = [stream for _, stream in sorted(flight.nodes.items())]
         self._nodes = [WingNode(_silent(s), self._clocks[s.clock], Faults()) for s in self._streams]
-        self._link = Link(connection)
+        self._link = VehicleLink(connection)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         self._zero_ns = start_ns
@@ -105,7 +105,7 @@ class Nodes:
         old, self._nodes = self._nodes, []
         for before, stream in zip(old, self._streams, strict=True):
             clock = self._clocks[stream.clock]
-            begun = RemoteClock(clock.from_boot(flight_ns - self._zero_ns), clock.skew_ppm)
+            begun = TrueClock(clock.from_boot(flight_ns - self._zero_ns), clock.skew_ppm)
             stamps = stream.stamp_ns + (begun.epoch_ns - clock.epoch_ns)
             node = WingNode(dataclasses.replace(stream, stamp_ns=stamps), begun, Faults())
             node.sender = before.sender

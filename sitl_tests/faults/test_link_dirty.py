@@ -120,7 +120,7 @@ def test_a_foreign_flood_is_counted_and_takes_no_memory(loopback: Loopback) -> N
     after, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert after - before < 1_000_000
-    assert loopback.pilot.decoder.tally.totals()[Reject.FOREIGN_SOURCE] >= 1000
+    assert loopback.pilot.decoder.refusals.totals()[Reject.FOREIGN_SOURCE] >= 1000
     assert stamps == sorted(stamps)
     assert len(stamps) >= 30  # a full socket buffer may drop what comes behind a burst
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder
 from companion.adapters.mavlink.decode.source_map import build_mapping
 from companion.adapters.mavlink.link.scan import Scanner
 from companion.adapters.mavlink.link.signing import SignedTransport, Signing
@@ -49,7 +49,7 @@ def cost_s(begun_s: float) -> float:
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("kind", JUNK)
 def test_in_the_scanner(kind: str, way: str) -> None:
-    bulk = Bulk(build_mapping(load_airframe("nadir-2m")).sources) if way == "compiled" else None
+    bulk = BulkDecoder(build_mapping(load_airframe("nadir-2m")).sources) if way == "compiled" else None
     scanner, begun_s = Scanner(bulk), time.process_time()
     frames = [frame for at in range(0, MB, CHUNK) for frame in scanner.scan(JUNK[kind][at : at + CHUNK], 1).frames]
     assert cost_s(begun_s) < MOST_S

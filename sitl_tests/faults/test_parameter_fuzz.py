@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.component import encode
-from companion.adapters.mavlink.component.component import OwnComponent
+from companion.adapters.mavlink.component.component import OnboardComponent
 from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.decode.message_records import Heard
 from companion.adapters.mavlink.link.dialect import ID_OF, build_message
@@ -26,7 +26,7 @@ ROWS = list(tunables())
 @settings(deadline=None, max_examples=150)
 @given(st.lists(st.tuples(st.sampled_from(NAMES), st.binary(max_size=255), st.booleans()), max_size=40))
 def test_no_bytes_break_our_component(messages: list[tuple[str, bytes, bool]]) -> None:
-    component = OwnComponent(ParameterServer(Settings()))
+    component = OnboardComponent(ParameterServer(Settings()))
     packer = mavlink.MAVLink(None, SYSTEM, COMPANION)
     now, sent = 0, 0
     for name, payload, ours in messages:

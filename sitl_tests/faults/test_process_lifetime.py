@@ -21,7 +21,7 @@ from companion.adapters.mavlink.vehicle.absence import Absence
 from companion.adapters.recordings.mcap import recorder as recorder_room
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.recorder import keep_recording
-from companion.adapters.recordings.mcap.recorder_client import Inlet, recorder_channel
+from companion.adapters.recordings.mcap.recorder_client import RecorderClient, recorder_channel
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.steps.view import View
 from companion.errors import RecordingError
@@ -256,18 +256,18 @@ def record_on_a_full_disk(folder: Path, room: int = 0) -> tuple[int, float]:
         patch.setattr(recorder_room, "McapWriter", FullDisk)
         patch.setattr(FullDisk, "room", room)
         mine, theirs = recorder_channel()
-        inlet, said, longest_s = Inlet(mine), [], 0.0
+        client, said, longest_s = RecorderClient(mine), [], 0.0
         thread = threading.Thread(target=keep_recording, args=(folder / "a.mcap", ABOUT, [theirs], said.append))
         thread.start()
         for number in range(100):
             begun_s = time.monotonic()
-            inlet.write(Tick(number))
+            client.write(Tick(number))
             longest_s = max(longest_s, time.monotonic() - begun_s)
             time.sleep(0.01)
-        inlet.close()
+        client.close()
         thread.join(5.0)
         assert not thread.is_alive()
-        assert inlet.dropped == 0
+        assert client.dropped == 0
         assert "No space left" in said[0]
     return len(said), longest_s
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from companion.service import supervisor
-from companion.service.supervisor import Supervisor, Turn
+from companion.service.supervisor import StandbyGate, Supervisor
 from sitl_tests.loop.ground_stations import S, TurnedClock
 
 
@@ -20,7 +20,7 @@ class Process:
 
     def __init__(self, args: tuple[Any, ...] = (), **_: Any) -> None:
         self.exitcode: int | None = None
-        turns = [argument for argument in args if isinstance(argument, Turn)]
+        turns = [argument for argument in args if isinstance(argument, StandbyGate)]
         self.end = turns[0].end.dup() if turns else None  # as it is in another process
 
     def told(self) -> bool:
@@ -167,9 +167,9 @@ def test_a_process_that_waits_for_its_turn_ends_with_the_service() -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     stop: Any = threading.Event()
     threading.Timer(0.1, stop.set).start()
-    assert not Turn(theirs).come(stop)
+    assert not StandbyGate(theirs).wait_for_turn(stop)
     assert ours.recv(8) == b"ready"
     ours.send(b"go")
-    assert Turn(theirs).come(stop)
+    assert StandbyGate(theirs).wait_for_turn(stop)
     ours.close()
     theirs.close()

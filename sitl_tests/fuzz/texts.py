@@ -21,7 +21,7 @@ from companion.calibration.vibration import read_vibration_test
 from companion.cli.steps.options import read_settings
 from companion.core.pipeline import start
 from companion.errors import SpanwiseError
-from companion.params.files import dump_airframe, known_airframes, load_airframe, parse_airframe
+from companion.params.files import dump_airframe, load_airframe, parse_airframe, shipped_airframes
 from companion.params.learned import load_latency
 from companion.params.settings import Settings, tunables
 from companion.params.shipped import shipped
@@ -58,7 +58,7 @@ _SPELLINGS = (
 
 def _airframes() -> list[bytes]:
     folder = shipped("airframes")
-    return [(folder / f"{name}.toml").read_bytes() for name in known_airframes()]
+    return [(folder / f"{name}.toml").read_bytes() for name in shipped_airframes()]
 
 
 def _mappings() -> list[bytes]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.component.component import OwnComponent
+from companion.adapters.mavlink.component.component import OnboardComponent
 from companion.adapters.mavlink.component.parameter_server import ParameterServer, Store
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
@@ -222,7 +222,7 @@ class Air:
             load_airframe("nadir-2m"),
             chosen,
             self.clock,
-            component=OwnComponent(ParameterServer(chosen, store, kept)),
+            component=OnboardComponent(ParameterServer(chosen, store, kept)),
         )
         self.beats = mavlink.MAVLink(None, SYSTEM, 1)
         self.parser = mavlink.MAVLink(None)

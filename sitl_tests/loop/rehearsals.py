@@ -14,7 +14,7 @@ from pathlib import Path
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe, load_airframe
 from companion.sim.flight.flight import Flight, build_flight
-from companion.sim.rehearsal.vehicle import Rehearsal
+from companion.sim.rehearsal.vehicle import RehearsalVehicle
 from companion.sim.vehicle.faults import Faults
 
 Script = Callable[[Sequence[str]], int]
@@ -69,7 +69,7 @@ class Stage:
         self.flight = flight(orientation, seconds)
         self.airframe_path = folder / "airframe.toml"
         self.airframe_path.write_text(dump_airframe(airframe(orientation)), encoding="utf-8")
-        self.vehicle = Rehearsal(
+        self.vehicle = RehearsalVehicle(
             self.flight,
             [f"udpout:127.0.0.1:{port}" for port in ports],
             height_m=height_m,
@@ -89,7 +89,7 @@ class Stage:
 
     @property
     def ranges(self):  # type: ignore[no-untyped-def]
-        return self.vehicle.standin.faults
+        return self.vehicle.companion.faults
 
     def when(self, condition: Callable[[], bool], action: Callable[[], None]) -> None:
         """Once, as soon as the condition holds (looked at every turn of the vehicle)."""

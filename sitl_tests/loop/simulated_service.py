@@ -161,7 +161,7 @@ class SimulatedService:
     def fly(self, until_s: float) -> Tape:
         """Turn the loop until some second of the flight."""
         while self.flown_s < until_s:
-            self.loop.turn()
+            self.loop.run_once()
         return self.tape
 
     def close(self) -> None:

@@ -13,7 +13,7 @@ from companion.cli.main import main as spanwise
 from companion.params.files import load_airframe
 from companion.records import ImuBatch, Station
 from companion.sim.vehicle.faults import Faults
-from companion.sim.vehicle.scripted_pilot import Mode
+from companion.sim.vehicle.scripted_pilot import FlightMode
 from mission_scripts import calibrate_target, climb_sweep, excite_wing, landing_approach, obstacle_pass
 from mission_scripts.common.outcome import Exit
 from sitl_tests.loop.rehearsals import SPEED, Stage, interrupt
@@ -39,7 +39,7 @@ def samples(stage: Stage) -> Counter[Station]:
 def test_climb_sweep_flies_its_legs_and_leaves_a_recording_of_all_three_stations(tmp_path: Path) -> None:
     stage = Stage(tmp_path)
     assert stage.fly(climb_sweep.main, "--heights", "40", "70", "--length=250", "--bearing=90") == Exit.DONE
-    assert stage.pilot.mode is Mode.LOITER
+    assert stage.pilot.mode is FlightMode.LOITER
     assert stage.pilot.height_m == pytest.approx(70.0, abs=4.0)
     rows = [line for line in stage.log().splitlines() if "ranges trusted" in line]
     assert [row.split()[2] for row in rows] == ["40", "70"]
@@ -64,7 +64,7 @@ def test_excite_wing_flies_doublets_at_each_airspeed(tmp_path: Path) -> None:
     assert min(speeds) == pytest.approx(19.0, abs=1.0)
     assert max(pitches) - min(pitches) > 0.15
     assert min(rolls) < -0.15, "to the left too: the circles are flown to the right"
-    assert stage.pilot.mode is Mode.LOITER
+    assert stage.pilot.mode is FlightMode.LOITER
     assert min(samples(stage).values()) > 0
 
 
@@ -82,13 +82,13 @@ def test_calibration_finds_the_toe_that_was_put_in(tmp_path: Path) -> None:
 
 def test_a_still_target_is_calibrated_without_a_single_order(tmp_path: Path) -> None:
     stage = Stage(tmp_path, height_m=0.0)
-    stage.vehicle.standin._distance_m = lambda: 50.0
+    stage.vehicle.companion._distance_m = lambda: 50.0
     stage.ranges.toe_rad = -0.003
     assert stage.fly(calibrate_target.main, "--still=50", "--seconds=2", "--known-sigma=0.02") == Exit.DONE
     result = json.loads((tmp_path / "calibration.json").read_text())
     assert result["toe_mrad"] == pytest.approx(-3.0, abs=0.8)
     assert not stage.pilot.armed
-    assert stage.pilot.mode is Mode.MANUAL
+    assert stage.pilot.mode is FlightMode.MANUAL
 
 
 def test_calibration_against_a_mark_ahead_turns_the_cameras(tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_control_c_holds_and_closes_the_recording(tmp_path: Path) -> None:
     stage = Stage(tmp_path)
     stage.on_item(2, interrupt)
     assert stage.fly(climb_sweep.main, *SWEEP) == Exit.INTERRUPTED
-    assert stage.pilot.mode is Mode.LOITER
+    assert stage.pilot.mode is FlightMode.LOITER
     assert "confirms HOLD" in stage.log()
     assert min(samples(stage).values()) > 0
 
@@ -152,7 +152,7 @@ def test_control_c_may_mean_home(tmp_path: Path) -> None:
     stage = Stage(tmp_path)
     stage.on_item(2, interrupt)
     assert stage.fly(climb_sweep.main, *SWEEP, "--on-abort=rtl") == Exit.INTERRUPTED
-    assert stage.pilot.mode is Mode.RTL
+    assert stage.pilot.mode is FlightMode.RTL
 
 
 def test_a_lost_link_that_comes_back_is_used_to_go_home(tmp_path: Path) -> None:
@@ -161,22 +161,22 @@ def test_a_lost_link_that_comes_back_is_used_to_go_home(tmp_path: Path) -> None:
     code = stage.fly(climb_sweep.main, "--heights", "40", "60", "80", "--length=900", "--bearing=0", "--link-loss=1.5")
     assert "link lost" in stage.log()
     assert code == Exit.ABORTED
-    assert stage.pilot.mode is Mode.RTL
+    assert stage.pilot.mode is FlightMode.RTL
 
 
 def test_low_battery_goes_home(tmp_path: Path) -> None:
     stage = Stage(tmp_path)
     stage.on_item(2, lambda: setattr(stage.pilot, "battery", 0.2))
     assert stage.fly(climb_sweep.main, *SWEEP) == Exit.ABORTED
-    assert stage.pilot.mode is Mode.RTL
+    assert stage.pilot.mode is FlightMode.RTL
     assert "battery at 20%" in stage.log()
 
 
 def test_who_takes_the_aircraft_keeps_it(tmp_path: Path) -> None:
     stage = Stage(tmp_path)
-    stage.on_item(2, lambda: setattr(stage.pilot, "mode", Mode.FBWA))
+    stage.on_item(2, lambda: setattr(stage.pilot, "mode", FlightMode.FBWA))
     assert stage.fly(climb_sweep.main, *SWEEP) == Exit.HANDS_OFF
-    assert stage.pilot.mode is Mode.FBWA
+    assert stage.pilot.mode is FlightMode.FBWA
 
 
 def test_leaving_the_track_is_noticed(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_leaving_the_track_is_noticed(tmp_path: Path) -> None:
     code = stage.fly(climb_sweep.main, "--heights=40", "--length=1200", "--bearing=0", "--off-track=60")
     assert code == Exit.ABORTED
     assert "off the track" in stage.log()
-    assert stage.pilot.mode is Mode.LOITER
+    assert stage.pilot.mode is FlightMode.LOITER
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_an_approach_goes_around_when_the_range_fails(tmp_path: Path, wrong: dic
     assert why in stage.log()
     assert min(lowest) > 16.0
     assert stage.pilot.height_m > 50.0
-    assert stage.pilot.mode is Mode.LOITER
+    assert stage.pilot.mode is FlightMode.LOITER
 
 
 def test_on_the_ground_nothing_is_ordered_any_more(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_on_the_ground_nothing_is_ordered_any_more(tmp_path: Path) -> None:
     stage.on_item(3, interrupt, below_m=0.5)
     options = ("--bearing=0", "--slope=10", "--height=40", "--gate=30", "--decision=12", "--land")
     assert stage.fly(landing_approach.main, *options) == Exit.HANDS_OFF
-    assert stage.pilot.mode is Mode.AUTO
+    assert stage.pilot.mode is FlightMode.AUTO
     assert "GO AROUND" not in stage.log()
 
 
@@ -234,13 +234,13 @@ def test_an_obstacle_too_near_ahead_breaks_the_pass_off(tmp_path: Path) -> None:
     stage = Stage(tmp_path, orientation=0, height_m=40.0, obstacle_m=(400.0, -30.0))
     code = stage.fly(obstacle_pass.main, "--obstacle=47.0035932,8.0", "--bearing=0", "--length=200", "--least=60")
     assert code == Exit.ABORTED
-    assert stage.pilot.mode is Mode.RTL
+    assert stage.pilot.mode is FlightMode.RTL
     assert "least 60 m" in stage.log()
 
 
 def test_a_wing_that_swings_too_far_ends_the_excitation(tmp_path: Path) -> None:
     stage = Stage(tmp_path, speed=3.0)
-    stage.vehicle.standin.bend_mm = (70.0, 0.0)
+    stage.vehicle.companion.bend_mm = (70.0, 0.0)
     code = stage.fly(excite_wing.main, "--airspeeds=22", "--doublets=1", "--bend-limit=60", "--floor=15")
     assert code == Exit.ABORTED
     assert "bends by 70 mm" in stage.log()
@@ -261,7 +261,7 @@ def test_without_ranges_nothing_that_needs_them_begins(tmp_path: Path) -> None:
     stage = Stage(tmp_path)
     stage.ranges.silent = True
     assert stage.fly(landing_approach.main, "--bearing=0") == Exit.REFUSED
-    assert stage.pilot.mode is Mode.LOITER
+    assert stage.pilot.mode is FlightMode.LOITER
     assert "no DISTANCE_SENSOR" in stage.log()
 
 

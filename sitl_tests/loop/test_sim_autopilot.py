@@ -21,7 +21,7 @@ from companion.params.files import load_airframe
 from companion.records import ClockName, Station
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.faults import Faults
-from companion.sim.vehicle.world import Link, World, WorldOptions, serve, serve_new
+from companion.sim.vehicle.world import VehicleLink, World, WorldOptions, serve, serve_new
 
 COMPANION = 191
 MS = 1_000_000
@@ -67,7 +67,7 @@ class Peer:
         start = len(self.messages)
         for _ in range(round(seconds * 1000)):
             self.now_ns += MS
-            self.world.turn(self.now_ns, 10**12 + self.now_ns)
+            self.world.run_once(self.now_ns, 10**12 + self.now_ns)
             for message in self.parser.parse_buffer(self.link.outward) or []:
                 self.messages.append((self.now_ns, message))
             self.link.outward = b""
@@ -381,7 +381,7 @@ def test_a_stream_stops_and_a_nan_is_sent_where_asked(flight: Flight) -> None:
 @pytest.mark.parametrize("connection", ["tcp:127.0.0.1:5760", "udpout:127.0.0.1", "/dev/ttyUSB0"])
 def test_a_connection_that_cannot_be_served_is_named(connection: str) -> None:
     with pytest.raises(LinkError, match=connection) as refused:
-        Link(connection)
+        VehicleLink(connection)
     assert "udpin:" in str(refused.value), "it shows how one is written"
 
 

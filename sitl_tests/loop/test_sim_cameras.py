@@ -22,7 +22,7 @@ from companion.ports import CameraPair, Trigger
 from companion.records import ClockName, Firing, Frame, Side, TriggerPlan
 from companion.sim.vision.camera_server import CameraServer, CameraServerConfig, start_camera_server
 from companion.sim.vision.cameras import PLAN_UNKNOWN, Shutters, SimCameraPair, SimTriggerLine, render_pair
-from companion.sim.vision.renderer import Exposure, Renderer
+from companion.sim.vision.renderer import ExposureInterval, Renderer
 from companion.sim.vision.scene import ground_scene
 from sitl_tests.physics.camera_flight import Path as FlightPath
 from sitl_tests.physics.camera_flight import fly
@@ -111,7 +111,7 @@ def test_a_pair_without_sockets_is_the_same_pair() -> None:
     pair = render_pair(renderer, shutters, 1_000_000_000, 3)
     assert pair.left.clock is ClockName.BOOT
     assert pair.left.plan_id == PLAN_UNKNOWN
-    exposure = Exposure(pair.right.mid_exposure_ns, pair.right.exposure_ns)
+    exposure = ExposureInterval(pair.right.mid_exposure_ns, pair.right.exposure_ns)
     assert np.array_equal(pair.right.image, renderer.render(Side.RIGHT, exposure, 3))
     assert pair.right.mid_exposure_ns - pair.left.mid_exposure_ns == pytest.approx(2_000_000, abs=1_000_000)
 
@@ -224,7 +224,7 @@ class _Live:
     def offline(self, frame: Frame) -> np.ndarray:
         """The image that this exposure must have given."""
         renderer = Renderer(AIRFRAME, self.config.truth, self.config.scene, self.config.seed)
-        exposure = Exposure(frame.mid_exposure_ns - self.config.start_host_ns, frame.exposure_ns)
+        exposure = ExposureInterval(frame.mid_exposure_ns - self.config.start_host_ns, frame.exposure_ns)
         return renderer.render(frame.side, exposure, frame.sequence)
 
 

@@ -86,7 +86,7 @@ class Ward:
 
     def turn(self, timeout_s: float = 0.0) -> None:
         self.clock.now += 2 * MS
-        self.world.turn(self.clock.now - self.began, self.clock.now)
+        self.world.run_once(self.clock.now - self.began, self.clock.now)
         self._poll(self.examination, 0.0)
 
     def listen(self, extra: Any = None) -> list[Finding]:

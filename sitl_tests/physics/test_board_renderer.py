@@ -17,12 +17,12 @@ from companion.errors import DeviceError
 from companion.params.files import load_airframe
 from companion.records import Side
 from companion.sim.vision.board_server import uncalibrated
-from companion.sim.vision.boards import BoardRenderer, Held, ShownBoard, shown
+from companion.sim.vision.boards import BoardPose, BoardRenderer, ShownBoard, board_poses
 
 SIZES = {"chessboard": ((10, 7), 0.2), "charuco": ((7, 5), 0.3)}
 
 
-def _true_pixels(rig: Rig, side: Side, board: Board, held: Held) -> np.ndarray:
+def _true_pixels(rig: Rig, side: Side, board: Board, held: BoardPose) -> np.ndarray:
     """Corners by the rig's own projection: board to left camera to body to either camera."""
     in_left = board.points_m() @ exp_rotation(held.turn_rad).T + held.place_m
     body = in_left @ rig.left.rest.camera_from_body + rig.left.rest.position_body_m
@@ -38,7 +38,7 @@ def test_corners_are_where_the_true_rig_projects_them(kind: str) -> None:
     squares, square_m = SIZES[kind]
     renderer, board = BoardRenderer(rig, ShownBoard(kind, squares, square_m), 3), Board(kind, squares, square_m)
     off = []
-    for shot, held in enumerate(itertools.islice(shown(ShownBoard(kind, squares, square_m), rig, 3), 1, 24, 4)):
+    for shot, held in enumerate(itertools.islice(board_poses(ShownBoard(kind, squares, square_m), rig, 3), 1, 24, 4)):
         for side in Side:
             found = find_corners(renderer.render(side, held, shot), board)
             if found is not None:
@@ -54,7 +54,7 @@ def test_the_holder_keeps_still_and_moves_on_and_keeps_a_chessboard_in_both_imag
     rig = Rig.from_airframe(load_airframe("forward-2m"))
     squares, square_m = SIZES["chessboard"]
     board, path = Board("chessboard", squares, square_m), []
-    for held in itertools.islice(shown(ShownBoard("chessboard", squares, square_m), rig, 1), 80):
+    for held in itertools.islice(board_poses(ShownBoard("chessboard", squares, square_m), rig, 1), 80):
         path.append(held)
     seen = np.array([[_true_pixels(rig, side, board, held) for side in Side] for held in path])
     moved = np.abs(np.diff(seen, axis=0)).max(axis=(1, 2, 3))

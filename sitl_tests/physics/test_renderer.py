@@ -12,11 +12,11 @@ from scipy.ndimage import map_coordinates
 from companion.params.airframe import Airframe, Camera
 from companion.params.files import load_airframe
 from companion.records import Side
-from companion.sim.vision.renderer import Exposure, Renderer
+from companion.sim.vision.renderer import ExposureInterval, Renderer
 from companion.sim.vision.scene import (
-    Product,
+    CameraView,
     Scene,
-    View,
+    TrueRangeProduct,
     board,
     ground,
     ground_scene,
@@ -31,8 +31,8 @@ from companion.sim.vision.textured_plane import SurfacePainter
 from sitl_tests.physics.camera_flight import MIDDLE_NS, Path, fly
 
 NADIR = load_airframe("nadir-2m")
-EXPOSURE = Exposure(MIDDLE_NS, 2_000_000)
-INSTANT = Exposure(MIDDLE_NS, 0)
+EXPOSURE = ExposureInterval(MIDDLE_NS, 2_000_000)
+INSTANT = ExposureInterval(MIDDLE_NS, 0)
 
 
 def _with_cameras(airframe: Airframe, **changes: object) -> Airframe:
@@ -78,13 +78,15 @@ def _shifts(reference: np.ndarray, other: np.ndarray, where: np.ndarray, block: 
     return np.array(found)
 
 
-def _predicted(scene: Scene, view: View, other: View) -> np.ndarray:
+def _predicted(scene: Scene, view: CameraView, other: CameraView) -> np.ndarray:
     width, height = view.camera.lens.size_px
     points = view.points_ned_m(scene, _pixels((height, width)))
     return other.project(points).reshape(height, width, 2)
 
 
-def _pair_shifts(airframe: Airframe, path: Path, scene: Scene, seed: int, exposure: Exposure = EXPOSURE) -> np.ndarray:
+def _pair_shifts(
+    airframe: Airframe, path: Path, scene: Scene, seed: int, exposure: ExposureInterval = EXPOSURE
+) -> np.ndarray:
     renderer = Renderer(airframe, fly(airframe, path), scene, seed)
     left, right = (renderer.render(side, exposure, seed) for side in Side)
     views = [renderer.view(side, exposure.mid_boot_ns) for side in Side]
@@ -183,7 +185,7 @@ def test_lens_distortion_is_the_rigs() -> None:
 def _blurred_by_hand(renderer: Renderer, path_ns: int, count: int = 41) -> np.ndarray:
     """Mean of instantaneous images over the exposure."""
     offsets = ((np.arange(count) + 0.5) / count - 0.5) * path_ns
-    images = [renderer.render(Side.LEFT, Exposure(MIDDLE_NS + int(dt), 0), i) for i, dt in enumerate(offsets)]
+    images = [renderer.render(Side.LEFT, ExposureInterval(MIDDLE_NS + int(dt), 0), i) for i, dt in enumerate(offsets)]
     return np.mean(images, axis=0)
 
 
@@ -205,11 +207,11 @@ def test_blur_is_the_mean_over_the_exposure(path: Path) -> None:
 def test_blur_is_centred_on_mid_exposure(swing_m: float) -> None:
     path = Path(15.0, 22.0, roll_rate_radps=0.5, swing_m=swing_m)
     renderer = Renderer(NADIR, fly(NADIR, path), ground_scene(6), 1)
-    image = renderer.render(Side.LEFT, Exposure(MIDDLE_NS, 3_000_000), 0)
+    image = renderer.render(Side.LEFT, ExposureInterval(MIDDLE_NS, 3_000_000), 0)
     sharp = renderer.render(Side.LEFT, INSTANT, 1)
     still = _pixels(image.shape).reshape(*image.shape, 2)
     assert np.abs(_shifts(sharp, image, still).mean(axis=0)).max() < 0.01
-    later = renderer.render(Side.LEFT, Exposure(MIDDLE_NS + 50_000, 3_000_000), 2)
+    later = renderer.render(Side.LEFT, ExposureInterval(MIDDLE_NS + 50_000, 3_000_000), 2)
     moved = _shifts(sharp, later, still).mean(axis=0)
     assert np.hypot(*moved) > 0.03  # 50 us late would show
 
@@ -219,8 +221,8 @@ def test_a_rolling_shutter_sees_every_row_at_its_own_time() -> None:
     y' = y + v (y' - 239.5) row_time."""
     row_ns, speed, distance = 20_000, 22.0, 20.0
     renderer = Renderer(NADIR, fly(NADIR, Path(distance, speed)), ground_scene(8), 1)
-    rolling = renderer.render(Side.LEFT, Exposure(MIDDLE_NS, 500_000, row_ns), 0)
-    whole = renderer.render(Side.LEFT, Exposure(MIDDLE_NS, 500_000), 1)
+    rolling = renderer.render(Side.LEFT, ExposureInterval(MIDDLE_NS, 500_000, row_ns), 0)
+    whole = renderer.render(Side.LEFT, ExposureInterval(MIDDLE_NS, 500_000), 1)
     stretch = speed * row_ns * 1e-9 * 800.0 / distance
     where = _pixels(whole.shape).reshape(*whole.shape, 2)
     where[..., 1] = (where[..., 1] - 239.5 * stretch) / (1.0 - stretch)
@@ -336,13 +338,13 @@ def test_leaving_out_what_is_hidden_changes_no_pixel(near_m: float, east_m: floa
 # ------------------------------------------------------------------------------------------------ true ranges
 
 
-def _views(airframe: Airframe, path: Path) -> tuple[View, View]:
+def _views(airframe: Airframe, path: Path) -> tuple[CameraView, CameraView]:
     renderer = Renderer(airframe, fly(airframe, path), ground_scene(1), 1)
     return renderer.view(Side.LEFT, MIDDLE_NS), renderer.view(Side.RIGHT, MIDDLE_NS)
 
 
 def test_true_range_over_level_ground_is_the_cameras_height() -> None:
-    for product in Product:
+    for product in TrueRangeProduct:
         assert true_range_m(ground_scene(1), *_views(NADIR, Path(60.0)), product) == pytest.approx(60.0)
     # trim bend lifts both cameras by as much
     assert true_range_m(ground_scene(1), *_views(NADIR, Path(60.0, trim_m=0.0149))) == pytest.approx(60.0149, abs=1e-3)
@@ -350,15 +352,15 @@ def test_true_range_over_level_ground_is_the_cameras_height() -> None:
 
 def test_true_range_in_a_bank_is_longer_by_the_cosine_at_the_centre() -> None:
     views = _views(NADIR, Path(60.0, roll_rad=0.4))
-    assert true_range_m(ground_scene(1), *views, Product.CENTRE) == pytest.approx(60.0 / np.cos(0.4))
-    assert true_range_m(ground_scene(1), *views, Product.NEAREST) < 60.0 / np.cos(0.4)
+    assert true_range_m(ground_scene(1), *views, TrueRangeProduct.CENTRE) == pytest.approx(60.0 / np.cos(0.4))
+    assert true_range_m(ground_scene(1), *views, TrueRangeProduct.NEAREST) < 60.0 / np.cos(0.4)
 
 
 def test_a_terrace_is_nearest_but_not_the_median() -> None:
     scene = Scene((ground(), terrace(4.0, 0.0, (3.0, 20.0), 5.0, 1)), 1)
     views = _views(NADIR, Path(30.0))
-    assert true_range_m(scene, *views, Product.NEAREST) == pytest.approx(25.0)
-    assert true_range_m(scene, *views, Product.MEDIAN) == pytest.approx(30.0)
+    assert true_range_m(scene, *views, TrueRangeProduct.NEAREST) == pytest.approx(25.0)
+    assert true_range_m(scene, *views, TrueRangeProduct.MEDIAN) == pytest.approx(30.0)
 
 
 def test_only_what_both_cameras_see_counts() -> None:
@@ -390,4 +392,4 @@ def test_boards_stand_across_the_path_one_after_another() -> None:
     renderer = Renderer(FORWARD, truth, scene, 1)
     views = [renderer.view(side, 10_000_000) for side in Side]
     # the flight starts 100 m south of the origin; 1 m on, the first board is 49 m ahead
-    assert true_range_m(scene, *views, Product.CENTRE) == pytest.approx(49.0, abs=1.1)
+    assert true_range_m(scene, *views, TrueRangeProduct.CENTRE) == pytest.approx(49.0, abs=1.1)

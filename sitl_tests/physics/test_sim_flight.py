@@ -11,7 +11,7 @@ import pytest
 from companion.params.airframe import Airframe, Sensor, Uncertain
 from companion.params.files import load_airframe
 from companion.records import Station
-from companion.sim.flight.aircraft import FlightPlan, Jolt, Level, PullUp, Roll, demo_plan, still_plan
+from companion.sim.flight.aircraft import AltitudeStep, FlightPlan, Jolt, PullUp, Roll, demo_plan, still_plan
 from companion.sim.flight.flight import Flight, GustKind, build_flight
 from companion.sim.flight.sensors import station_readings
 
@@ -240,4 +240,4 @@ def test_the_plan_holds_its_level_outside_the_climbs() -> None:
     plan = demo_plan(60.0)
     assert [level.altitude_m for level in plan.levels] == [100.0, 60.0, 20.0]
     short = demo_plan(20.0)
-    assert short.levels == (Level(0.0, 60.0),)
+    assert short.levels == (AltitudeStep(0.0, 60.0),)

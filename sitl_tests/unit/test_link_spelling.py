@@ -12,7 +12,7 @@ from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import open_link
 from companion.errors import LinkError
 from companion.params.links import LinkAddress, LinkKind, parse_link
-from companion.sim.vehicle.world import Link as VehicleLink
+from companion.sim.vehicle.world import VehicleLink as VehicleLink
 from mission_scripts.common.options import parser_for
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.decode import decoder as decode
-from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.params.airframe import Airframe, Source
 from companion.records import ClockName, ImuBatch, RawChunk, Record
@@ -110,6 +110,6 @@ def test_plain_samples_of_a_known_vehicle_are_read_in_bulk() -> None:
 def test_a_scan_for_no_source_hands_every_frame_on() -> None:
     frames: list[tuple[int, bytes]] = []
     data = packed(highres(1000), 200) + packed(highres(2000), 201)
-    position, counted, runs = Bulk(()).scan(data, 1, frames)
+    position, counted, runs = BulkDecoder(()).scan(data, 1, frames)
     assert (position, counted, runs) == (len(data), [2, 0, 0, 0], [])
     assert [key >> 8 & 0xFF for key, _ in frames] == [200, 201]

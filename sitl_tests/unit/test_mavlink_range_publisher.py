@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.component import encode
-from companion.adapters.mavlink.component.range_publisher import RangeOutputs
+from companion.adapters.mavlink.component.range_publisher import RangePublisher
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, NoRange, ObstacleSectors, Reject
 
@@ -42,7 +42,7 @@ def sent(message: Any) -> Any:
 
 @pytest.mark.parametrize(("shots_hz", "rate_hz"), [(30, 10), (10, 10), (7, 10), (50, 2)])
 def test_ranges_leave_at_their_rate_at_most(shots_hz: int, rate_hz: int) -> None:
-    outputs = RangeOutputs(Settings(publish_rate_hz=rate_hz), 25)
+    outputs = RangePublisher(Settings(publish_rate_hz=rate_hz), 25)
     times = [k * 1000 * MS // shots_hz for k in range(10 * shots_hz)]
     count = sum(len(outputs.messages(measured(t), 0, t)) for t in times)
     assert count <= 10 * rate_hz / 0.7 + 1
@@ -50,7 +50,7 @@ def test_ranges_leave_at_their_rate_at_most(shots_hz: int, rate_hz: int) -> None
 
 
 def test_a_change_of_trust_goes_out_at_once() -> None:
-    outputs = RangeOutputs(Settings(), 25)
+    outputs = RangePublisher(Settings(), 25)
     kinds = []
     for k, record in enumerate([measured(0), measured(1), none(2), none(3), measured(4), measured(5, trusted=False)]):
         kinds += [message.signal_quality == 1 for message in outputs.messages(record, 0, k * MS)]
@@ -88,7 +88,7 @@ def test_points_lie_where_the_sectors_are() -> None:
 
 
 def test_stamps_of_points_advance_and_follow_a_restart() -> None:
-    outputs = RangeOutputs(Settings(obstacles=2), 0)
+    outputs = RangePublisher(Settings(obstacles=2), 0)
     stamps = []
     for k, t_ms in enumerate([5000, 5000, 4990, 5200, 30, 130]):
         (message,) = outputs.messages(seen(t_ms * MS, {}), 0, k * 1000 * MS)
@@ -99,11 +99,11 @@ def test_stamps_of_points_advance_and_follow_a_restart() -> None:
 
 def test_obstacles_take_the_form_that_is_set_and_alive_without_range_is_all_unknown() -> None:
     for form, expected in ((0, []), (1, ["OBSTACLE_DISTANCE"]), (2, ["OBSTACLE_DISTANCE_3D"])):
-        outputs = RangeOutputs(Settings(obstacles=form), 0)
+        outputs = RangePublisher(Settings(obstacles=form), 0)
         assert [m.get_type() for m in outputs.messages(seen(0, {3: 9.0}), 0, 0)] == expected
         kinds = [m.get_type() for m in outputs.messages(none(0, 0), 0, 1000 * MS)]
         assert kinds == ["DISTANCE_SENSOR", *expected]
-    outputs = RangeOutputs(Settings(), 0)
+    outputs = RangePublisher(Settings(), 0)
     circle = sent(outputs.messages(none(0, 0), 0, 0)[1])
     assert set(circle.distances) == {65535}
-    assert [m.get_type() for m in RangeOutputs(Settings(), 25).messages(none(0), 0, 0)] == ["DISTANCE_SENSOR"]
+    assert [m.get_type() for m in RangePublisher(Settings(), 25).messages(none(0), 0, 0)] == ["DISTANCE_SENSOR"]

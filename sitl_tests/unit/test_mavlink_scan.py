@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator.mavcrc import x25crc
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk
+from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder
 from companion.adapters.mavlink.link.dialect import build_message
 from companion.adapters.mavlink.link.scan import Scanner, sender
 
@@ -51,7 +51,7 @@ def random_frame(rng: random.Random) -> bytes:
 
 
 def scanner_of(way: str) -> Scanner:
-    return Scanner(Bulk(()) if way == "compiled" else None)
+    return Scanner(BulkDecoder(()) if way == "compiled" else None)
 
 
 def ours(pieces: list[bytes], way: str) -> list[str]:

@@ -10,7 +10,7 @@ import pytest
 from companion.errors import ConfigError
 from companion.params import airframe as schema
 from companion.params.airframe import Airframe, Uncertain
-from companion.params.files import known_airframes, load_airframe, parse_airframe
+from companion.params.files import load_airframe, parse_airframe, shipped_airframes
 from companion.params.plausible import RANGES, problems
 from companion.params.shipped import shipped
 
@@ -85,7 +85,7 @@ def test_one_camera_alone_is_refused() -> None:
         parse_airframe(NADIR[: NADIR.index("[right_camera]")], "my.toml")
 
 
-@pytest.mark.parametrize("name", known_airframes())
+@pytest.mark.parametrize("name", shipped_airframes())
 def test_what_travels_with_spanwise_is_plausible(name: str) -> None:
     assert not list(problems(load_airframe(name)))
 

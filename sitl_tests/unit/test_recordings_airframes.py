@@ -15,7 +15,7 @@ from companion.adapters.recordings.tables.csv import CsvRecording
 from companion.errors import TableError
 from companion.params import airframe as schema
 from companion.params.airframe import Airframe, Uncertain
-from companion.params.files import dump_airframe, known_airframes, load_airframe, parse_airframe
+from companion.params.files import dump_airframe, load_airframe, parse_airframe, shipped_airframes
 from companion.records import Station
 
 NAMES = ("forward-2m", "nadir-2m", "paper-beam", "paper-flying-wing", "sitl-plane")
@@ -29,7 +29,7 @@ def airframe(request: pytest.FixtureRequest) -> Airframe:
 
 
 def test_all_of_them_travel_with_the_package() -> None:
-    assert set(NAMES) <= set(known_airframes())
+    assert set(NAMES) <= set(shipped_airframes())
 
 
 def test_it_comes_back_from_toml_equal_and_can_be_mapped(airframe: Airframe) -> None:
@@ -118,7 +118,7 @@ def test_the_readme_tells_every_key() -> None:
     names = {entry.name for kind in kinds for entry in dataclasses.fields(kind)}
     missing = [name for name in sorted(names) if not re.search(rf"\b{name}\b", text)]
     assert not missing
-    assert not [name for name in known_airframes() if f"`{name}`" not in text]
+    assert not [name for name in shipped_airframes() if f"`{name}`" not in text]
 
 
 def test_the_readmes_csv_example_and_its_error_are_true(tmp_path: Path) -> None:

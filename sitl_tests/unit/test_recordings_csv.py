@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from companion.adapters.recordings.recording import Stream
+from companion.adapters.recordings.recording import InertialStream
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.adapters.recordings.tables.csv import Covariate, CsvRecording, RangeTable
 from companion.adapters.recordings.tables.csv_writer import streams_of, write_folder
@@ -30,7 +30,7 @@ def read(tmp_path: Path, **files: str) -> CsvRecording:
     return CsvRecording(folder(tmp_path, **files), AIRFRAME)
 
 
-def stream(recording: CsvRecording, station: Station) -> Stream:
+def stream(recording: CsvRecording, station: Station) -> InertialStream:
     (found,) = [entry for entry in recording.streams if entry.station is station]
     return found
 
@@ -203,7 +203,7 @@ def test_what_is_written_comes_back_bit_for_bit(data: st.DataObject, tmp_path: P
         values = np.zeros((n, 6))
         for i in [i for i in range(6) if axes >> i & 1]:
             values[:, i] = data.draw(st.lists(_NUMBERS, min_size=n, max_size=n))
-        streams.append(Stream(station, ClockName.HOST, axes, t_ns, values))
+        streams.append(InertialStream(station, ClockName.HOST, axes, t_ns, values))
     first = streams[0]
     count = first.t_ns.size
     covariate = Covariate("airspeed_mps", first.t_ns / 1e9, np.arange(count, dtype=float))

@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapped_table import files_of, read_mapped
-from companion.adapters.recordings.tables.mapping import TestKind, known_mappings, load_mapping, parse_mapping
+from companion.adapters.recordings.tables.mapping import TestKind, load_mapping, parse_mapping, shipped_mappings
 from companion.adapters.recordings.tables.units import conversion
 from companion.errors import ConfigError, RecordingError, TableError
 from companion.params.files import load_airframe
@@ -148,7 +148,7 @@ def test_an_unknown_mapping_lists_the_known_ones() -> None:
         load_mapping("nowhere")
 
 
-@pytest.mark.parametrize("name", known_mappings())
+@pytest.mark.parametrize("name", shipped_mappings())
 def test_the_mappings_that_travel_with_spanwise_are_whole(name: str) -> None:
     mapping = load_mapping(name)
     assert mapping.description

@@ -16,7 +16,7 @@ import pytest
 
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.recorder import ProcessRecorder, free_path, run_recorder
-from companion.adapters.recordings.mcap.recorder_client import Inlet, Outlet, recorder_channel
+from companion.adapters.recordings.mcap.recorder_client import RecorderClient, RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
@@ -29,7 +29,7 @@ ABOUT = About.of(load_airframe("nadir-2m"), Settings())
 
 def collect(end: socket.socket) -> list[object]:
     """What a recorder would write, until the producer ends."""
-    outlet, records = Outlet(end), []
+    outlet, records = RecorderReceiver(end), []
     while True:
         batch = outlet.receive()
         if batch is not None:
@@ -45,16 +45,16 @@ def frame(sequence: int) -> Frame:
 
 def test_everything_arrives_in_order_large_images_included() -> None:
     mine, theirs = recorder_channel()
-    inlet = Inlet(mine)
+    client = RecorderClient(mine)
     written = [frame(i) if i % 40 == 0 else Tick(i) for i in range(200)]
     got: list[object] = []
     reader = threading.Thread(target=lambda: got.extend(collect(theirs)))
     reader.start()
     for record in written:
-        inlet.write(record)
-    inlet.close()
+        client.write(record)
+    client.close()
     reader.join()
-    assert inlet.dropped == 0
+    assert client.dropped == 0
     assert len(got) == len(written)
     for before, after in zip(written, got, strict=True):
         assert_equal(before, after)
@@ -62,14 +62,14 @@ def test_everything_arrives_in_order_large_images_included() -> None:
 
 def test_a_recorder_that_takes_nothing_makes_nobody_wait_and_the_losses_are_counted() -> None:
     mine, theirs = recorder_channel()
-    inlet = Inlet(mine, capacity_bytes=1 << 20)
+    client = RecorderClient(mine, capacity_bytes=1 << 20)
     chunk = RawChunk(0, 1, bytes(10_000))
     start = time.perf_counter()
     for _ in range(1000):
-        inlet.write(chunk)
+        client.write(chunk)
     assert time.perf_counter() - start < 1.0, "writing waited for the recorder"
-    inlet.close()
-    outlet, kept, told = Outlet(theirs), 0, 0
+    client.close()
+    outlet, kept, told = RecorderReceiver(theirs), 0, 0
     theirs.setblocking(False)
     while True:
         try:
@@ -80,31 +80,31 @@ def test_a_recorder_that_takes_nothing_makes_nobody_wait_and_the_losses_are_coun
             kept, told = kept + len(batch.records), told + batch.dropped
             if batch.last:
                 break
-    assert inlet.dropped > 800
-    assert kept + inlet.dropped == 1000
-    assert told <= inlet.dropped
+    assert client.dropped > 800
+    assert kept + client.dropped == 1000
+    assert told <= client.dropped
 
 
 def test_a_dead_recorder_costs_the_records_and_nothing_else() -> None:
     mine, theirs = recorder_channel()
-    inlet = Inlet(mine)
+    client = RecorderClient(mine)
     theirs.close()
     for i in range(10):
-        inlet.write(Tick(i))
-    inlet.close()
-    assert inlet.dropped == 10
+        client.write(Tick(i))
+    client.close()
+    assert client.dropped == 10
 
 
 def test_a_recorder_started_again_goes_on_with_the_next_whole_batch() -> None:
     mine, theirs = recorder_channel()
-    inlet = Inlet(mine)
-    inlet.write(frame(1))
+    client = RecorderClient(mine)
+    client.write(frame(1))
     theirs.recv(1 << 20)  # the first packet of the first batch goes to a recorder that dies
-    inlet.write(Tick(7))
-    inlet_closing = threading.Thread(target=inlet.close)
-    inlet_closing.start()
+    client.write(Tick(7))
+    client_closing = threading.Thread(target=client.close)
+    client_closing.start()
     got = collect(theirs)
-    inlet_closing.join()
+    client_closing.join()
     assert Tick(7) in got
     assert not [record for record in got if isinstance(record, Frame)]
 
@@ -118,13 +118,13 @@ def test_an_existing_file_is_never_written_over(tmp_path: Path) -> None:
 
 def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) -> None:
     channels = [recorder_channel() for _ in range(2)]
-    inlets = [Inlet(mine) for mine, _ in channels]
+    clients = [RecorderClient(mine) for mine, _ in channels]
     for i in range(50):
-        inlets[0].write(Tick(i))
-        inlets[1].write(Notice(6, str(i), i))
-    inlets[1]._refused += 4  # as if four records had not fitted
-    for inlet in inlets:
-        inlet.close()
+        clients[0].write(Tick(i))
+        clients[1].write(Notice(6, str(i), i))
+    clients[1]._refused += 4  # as if four records had not fitted
+    for client in clients:
+        client.close()
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     run_recorder(tmp_path / "two.mcap", ABOUT, [theirs for _, theirs in channels])
     for number, handler in handlers.items():
@@ -158,7 +158,7 @@ _PRODUCER = """
 import sys, time
 from pathlib import Path
 from companion.adapters.recordings.mcap.recorder import run_recorder
-from companion.adapters.recordings.mcap.recorder_client import Inlet, recorder_channel
+from companion.adapters.recordings.mcap.recorder_client import RecorderClient, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -166,12 +166,12 @@ from companion.records import Tick
 import threading
 
 mine, theirs = recorder_channel()
-inlet = Inlet(mine)
+client = RecorderClient(mine)
 
 def produce():
     i = 0
     while True:
-        inlet.write(Tick(i * 10_000_000))
+        client.write(Tick(i * 10_000_000))
         i += 1
         if i == 500:
             print("five seconds of it written", flush=True)

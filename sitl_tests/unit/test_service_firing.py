@@ -61,7 +61,7 @@ def turn_once(*, fires_by_link: bool) -> list[tuple[str, Any]]:
     quiet = Quiet()
     state = start(load_airframe("nadir-2m"), Settings())
     loop = InertialLoop(state, quiet, quiet, OneShot(), list, bool, quiet, fires_by_link=fires_by_link)
-    loop.turn()
+    loop.run_once()
     return [entry for entry in quiet.happened if not isinstance(entry[1], Tick)]
 
 

@@ -16,14 +16,14 @@ from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Health, Notice, Record, ServiceStatus, Side, Tick
 from companion.service import vision
 from companion.service.inertial import InertialLoop
-from companion.service.pace import Strain, TickPace, VisionPace
+from companion.service.pace import Overload, TickPace, VisionPace
 from companion.service.wiring import compiling_status
 
 MS = 1_000_000
 SECOND = 1_000_000_000
 
 
-def ticked(pace: TickPace, apart_ms: int, from_ms: int, for_ms: int) -> list[tuple[int, Strain]]:
+def ticked(pace: TickPace, apart_ms: int, from_ms: int, for_ms: int) -> list[tuple[int, Overload]]:
     said = []
     for at_ms in range(from_ms, from_ms + for_ms, apart_ms):
         strain = pace.ticked(at_ms * MS)
@@ -51,7 +51,7 @@ def test_a_loop_that_turns_at_a_third_of_its_rate_is_told_once_and_told_again_wh
     assert "keeps up again: inertial" in again.sentence
 
 
-def seen(pace: VisionPace, spent_ms: int, apart_ms: int, lost: int, from_s: float, for_s: float) -> list[Strain]:
+def seen(pace: VisionPace, spent_ms: int, apart_ms: int, lost: int, from_s: float, for_s: float) -> list[Overload]:
     """Shots every ``apart_ms``, of each pair made ``lost`` pairs skipped before it."""
     said, now_ms = [], from_s * 1e3
     while now_ms < (from_s + for_s) * 1e3:
@@ -114,7 +114,7 @@ def test_the_vision_process_sends_the_strain_to_the_inertial_one(monkeypatch: py
     state = VisionState.create(load_airframe("nadir-2m"), Settings())
     vision.run(state, cameras, clock, sent.append, None, cameras)  # type: ignore[arg-type]
     (strain,) = sent
-    assert isinstance(strain, Strain)
+    assert isinstance(strain, Overload)
     assert strain.who == "vision"
 
 
@@ -176,18 +176,18 @@ def test_the_operator_and_the_state_hear_of_it_and_the_recording_stays_what_a_re
         before = len(shown)
         ends_ns = clock.now_ns() + seconds * SECOND
         while clock.now_ns() < ends_ns:
-            loop.turn()
+            loop.run_once()
         return [record.reason for record in shown[before:] if isinstance(record, ServiceStatus)]
 
     assert not any("keep up" in reason for reason in fly(4))
     vehicle.turn_ms = 40
     assert "cannot keep up: inertial turns every 40 ms" in fly(7)[-1]
-    inbox.append(Strain("vision", "vision needs 1.6 s a second"))
+    inbox.append(Overload("vision", "vision needs 1.6 s a second"))
     both = fly(2)[-1]
     assert "every 40 ms" in both
     assert "vision needs 1.6 s a second" in both
     vehicle.turn_ms = 10
-    inbox.append(Strain("vision", ""))
+    inbox.append(Overload("vision", ""))
     assert "keep up" not in fly(5)[-1]
     said = [record.text for record in vehicle.heard if isinstance(record, Notice) and "keep" in record.text]
     assert len(said) == 4, said

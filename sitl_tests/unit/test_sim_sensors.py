@@ -16,15 +16,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.core.wing.lowpass import Biquad
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, NamedEffect, Source
-from companion.params.files import known_airframes, load_airframe
+from companion.params.files import load_airframe, shipped_airframes
 from companion.records import AutopilotParameter, ClockName, ImuBatch, Station, TimesyncReply, VehicleState
 from companion.sim.flight.aircraft import still_plan
 from companion.sim.flight.flight import Flight, GustKind, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
-from companion.sim.flight.perturb import RemoteClock, SensorErrors, draw_truth
+from companion.sim.flight.perturb import SensorErrors, TrueClock, draw_truth
 from companion.sim.flight.sensors import corrupted, drifting, limited, lowpassed, on_wire, send_times
 from companion.sim.flight.tables import write_csv
-from companion.sim.vehicle.wire import Sender, inertial_format, payloads, stamped
+from companion.sim.vehicle.wire import FrameSender, inertial_format, payloads, stamped
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +186,7 @@ def test_node_stamps_lie_on_the_nodes_own_clock(flight: Flight) -> None:
 
 @given(st.integers(0, 10**14), st.floats(-100, 100))
 def test_a_clock_runs_at_its_skew(t_ns: int, skew_ppm: float) -> None:
-    clock = RemoteClock(123_456, skew_ppm)
+    clock = TrueClock(123_456, skew_ppm)
     gained = clock.from_boot(t_ns + 10**9) - clock.from_boot(t_ns)
     assert abs(gained - (10**9 + 1000 * skew_ppm)) <= 20
 
@@ -199,7 +199,7 @@ def test_a_clock_runs_at_its_skew(t_ns: int, skew_ppm: float) -> None:
 def test_pymavlink_reads_what_is_framed(message: str, axes: tuple[str, str, str]) -> None:
     values = np.array([[1.0, -2.0, -9.5, 0.25, -0.5, 0.125], [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
     source = Source(message, 200, ClockName.NODE_LEFT, axes=axes)
-    form, sender, parser = inertial_format(message), Sender(200), mavlink.MAVLink(None)
+    form, sender, parser = inertial_format(message), FrameSender(200), mavlink.MAVLink(None)
     stamps = [1_234_567_891_000_000, 0]
     frames = [
         sender.raw(form.kind, stamped(form, t, rest)) for t, rest in zip(stamps, payloads(values, source), strict=True)
@@ -274,7 +274,7 @@ def test_tables_hold_the_flight(airframe: Airframe, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", known_airframes())
+@pytest.mark.parametrize("name", shipped_airframes())
 def test_every_airframe_flies(name: str) -> None:
     flight = build_flight(load_airframe(name), 1, 3.0)
     for station, stream in flight.streams().items():

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.component.onboard_computer_status import ComputerStatus
+from companion.adapters.mavlink.component.onboard_computer_status import OnboardComputerStatus
 from companion.adapters.mavlink.component.statustext import TextLimiter
 from companion.records import Notice
 from sitl_tests.loop.ground_stations import COMPANION, SYSTEM, Air, S, Station
@@ -113,7 +113,7 @@ def machine(folder: Path, busy: int, idle: int) -> None:
 
 
 def test_load_memory_and_temperature_are_what_the_machine_says(tmp_path: Path) -> None:
-    status = ComputerStatus(tmp_path)
+    status = OnboardComputerStatus(tmp_path)
     machine(tmp_path, 100, 900)
     assert status.due(S) is not None
     assert status.due(S + S // 2) is None
@@ -129,7 +129,7 @@ def test_load_memory_and_temperature_are_what_the_machine_says(tmp_path: Path) -
 
 
 def test_a_machine_that_tells_nothing_gives_unknowns(tmp_path: Path) -> None:
-    message = ComputerStatus(tmp_path / "nothing").due(S)
+    message = OnboardComputerStatus(tmp_path / "nothing").due(S)
     assert message is not None
     assert set(message.cpu_cores) == {255}
     assert (message.ram_usage, message.ram_total) == (0xFFFFFFFF, 0xFFFFFFFF)

@@ -11,18 +11,18 @@ from pathlib import Path
 
 import pytest
 
-from companion.params.files import known_airframes
+from companion.params.files import shipped_airframes
 from companion.params.shipped import shipped
 
 ROOT = Path(__file__).resolve().parents[2]
 _NEEDED = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
 _LOOK = """
 import companion
-from companion.params.files import known_airframes, load_airframe
-from companion.adapters.recordings.tables.mapping import known_mappings, load_mapping
+from companion.params.files import shipped_airframes, load_airframe
+from companion.adapters.recordings.tables.mapping import shipped_mappings, load_mapping
 print(companion.__file__)
-print(*(load_airframe(name).name for name in known_airframes()))
-print(len([load_mapping(name) for name in known_mappings()]))
+print(*(load_airframe(name).name for name in shipped_airframes()))
+print(len([load_mapping(name) for name in shipped_mappings()]))
 """
 
 
@@ -62,7 +62,7 @@ def test_airframes_and_mappings_are_read_from_the_wheel_alone(wheel: Path, tmp_p
     )  # fmt: skip
     where, names, mappings = done.stdout.splitlines()
     assert Path(where).is_relative_to(tmp_path / "site")
-    assert names.split() == known_airframes()
+    assert names.split() == shipped_airframes()
     assert int(mappings) >= 3
 
 

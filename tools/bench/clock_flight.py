@@ -42,7 +42,7 @@ class FastTime(LockStepClock):
         self._now_ns = host_ns
         while self._turned_ns + 1_000_000 <= host_ns:
             self._turned_ns += 1_000_000
-            self.world.turn(self.boot_ns(self._turned_ns), self._turned_ns)
+            self.world.run_once(self.boot_ns(self._turned_ns), self._turned_ns)
 
 
 @dataclass

@@ -56,9 +56,9 @@ def camera_factory(
     if not colon or not where:
         raise ConfigError(_unknown(spelling))
     if kind == "oak":
-        one, other = (_oak_sensor(word) for word in _two(where, spelling))
+        sensor, other = (_oak_sensor(word) for word in _two(where, spelling))
         size_px = left.width_px, left.height_px
-        return functools.partial(OakPair, one, other, size_px, _oak_timing(left, triggered), soft)
+        return functools.partial(OakPair, sensor, other, size_px, _oak_timing(left, triggered), soft)
     if soft is not None:
         raise ConfigError(f"--trigger oak fires DepthAI cameras only, not --cameras {spelling}")
     if kind == "v4l2":

@@ -109,10 +109,10 @@ def list_images(camera: Path, side: Side) -> list[Stamped]:
     if not data.is_dir():
         raise DeviceError(f"{camera}: no such folder; the EuRoC layout has cam0/data (left) and cam1/data (right)")
     stamps = _table(camera / "data.csv")
-    found = [Stamped(_stamp(path, stamps), side, path) for path in data.iterdir() if path.suffix.lower() in _IMAGES]
-    if not found:
+    frames = [Stamped(_stamp(path, stamps), side, path) for path in data.iterdir() if path.suffix.lower() in _IMAGES]
+    if not frames:
         raise DeviceError(f"{data}: no images ({', '.join(_IMAGES)})")
-    return sorted(found, key=lambda entry: entry.t_ns)
+    return sorted(frames, key=lambda entry: entry.t_ns)
 
 
 def read_grey(path: Path) -> Bytes:

@@ -196,7 +196,7 @@ class OakReplayPair(QueuePair):
             if other is None:
                 self._waiting[frame.sequence] = frame
                 continue
-            left, right = sorted((frame, other), key=lambda one: one.side)
+            left, right = sorted((frame, other), key=lambda image: image.side)
             frames += [left, dataclasses.replace(right, mid_exposure_ns=left.mid_exposure_ns)]
         return frames
 

@@ -49,7 +49,7 @@ def cameras_from_handler(handler: Any, sockets: tuple[str, str], left: Camera, r
     DeviceError
         The device is not calibrated there, or its lens model has terms that ours has not.
     """
-    left, right = (_with_lens(handler, socket, one) for socket, one in zip(sockets, (left, right), strict=True))
+    left, right = (_with_lens(handler, socket, camera) for socket, camera in zip(sockets, (left, right), strict=True))
     try:
         pose = np.array(handler.getCameraExtrinsics(*(_place(socket) for socket in sockets)), dtype=np.float64)
     except RuntimeError as error:

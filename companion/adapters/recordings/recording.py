@@ -70,7 +70,7 @@ class Recording(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class InertialStream:
     """All samples of one sensor of a log that is read as a whole.
 
     Attributes
@@ -105,28 +105,28 @@ class Stream:
             )
 
 
-def join(parts: Sequence[Stream]) -> Stream:
+def join(axis_groups: Sequence[InertialStream]) -> InertialStream:
     """Join the axes of one sensor that were logged apart into one stream, on the stamps of the longest part.
 
     The other parts are interpolated linearly; where one of them has a gap, or has not begun or has ended, the sample is
     left out.
     """
-    base = max(parts, key=lambda part: part.t_ns.size)
+    base = max(axis_groups, key=lambda axis_group: axis_group.t_ns.size)
     values, axes = base.values.copy(), base.axes
-    kept = np.ones(base.t_ns.size, dtype=np.bool_)
-    for part in [part for part in parts if part is not base]:
-        after = np.searchsorted(part.t_ns, base.t_ns)
-        exact = np.isin(base.t_ns, part.t_ns)
-        inside = (after > 0) & (after < part.t_ns.size)
-        steps = np.diff(part.t_ns)
+    covered = np.ones(base.t_ns.size, dtype=np.bool_)
+    for axis_group in [axis_group for axis_group in axis_groups if axis_group is not base]:
+        after = np.searchsorted(axis_group.t_ns, base.t_ns)
+        exact = np.isin(base.t_ns, axis_group.t_ns)
+        inside = (after > 0) & (after < axis_group.t_ns.size)
+        steps = np.diff(axis_group.t_ns)
         if steps.size:
             around = steps[np.clip(after - 1, 0, steps.size - 1)]
             inside &= around <= _GAP_RATIO * float(np.median(steps))
-        kept &= exact | inside
-        for i in [i for i in range(6) if part.axes >> i & 1]:
-            values[:, i] = np.interp(base.t_ns, part.t_ns, part.values[:, i])
-        axes |= part.axes
-    return Stream(base.station, base.clock, axes, base.t_ns[kept], values[kept])
+        covered &= exact | inside
+        for i in [i for i in range(6) if axis_group.axes >> i & 1]:
+            values[:, i] = np.interp(base.t_ns, axis_group.t_ns, axis_group.values[:, i])
+        axes |= axis_group.axes
+    return InertialStream(base.station, base.clock, axes, base.t_ns[covered], values[covered])
 
 
 def rate_of(t_ns: Ints, otherwise_hz: float) -> float:
@@ -180,7 +180,7 @@ def merge(*sources: Iterable[tuple[int, _Kind]]) -> Iterator[_Kind]:
         yield record
 
 
-def timed(stream: Stream) -> Iterator[tuple[int, ImuBatch]]:
+def timed(stream: InertialStream) -> Iterator[tuple[int, ImuBatch]]:
     """A stream's batches with their arrival, for :func:`merge`."""
     for batch in stream.batches():
         yield batch.received_host_ns, batch

@@ -16,7 +16,7 @@ from companion.adapters.recordings.tables.csv import CsvRecording
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 
-_KNOWN = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and a folder with accel.csv"
+_FORMATS = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and a folder with accel.csv"
 
 
 def open_recording(path: Path | str, airframe: Airframe | None = None) -> Recording:
@@ -49,7 +49,7 @@ def open_recording(path: Path | str, airframe: Airframe | None = None) -> Record
         return UlogRecording(path, _needed(airframe, path))
     if head[8:9] in (b"\xfd", b"\xfe") or path.suffix.lower() == ".tlog":
         return TlogRecording(path, _needed(airframe, path))
-    raise RecordingError(f"{path}: not a recording that can be read; {_KNOWN}")
+    raise RecordingError(f"{path}: not a recording that can be read; {_FORMATS}")
 
 
 def _needed(airframe: Airframe | None, path: Path) -> Airframe:

@@ -20,7 +20,7 @@ LEAD_NS = 4_000_000
 _ANSWER_S = 0.05
 _WAKE_S = 3.0
 _FIRST_EXCHANGES = 24
-_KEPT = 32
+_EXCHANGES = 32
 _DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age
 _WIDTH_US = 1000
 
@@ -38,7 +38,7 @@ class BoardClock:
     """Offset of the board's clock from its best recent exchange: short ways count, old ones lose."""
 
     def __init__(self) -> None:
-        self._exchanges: deque[BoardExchange] = deque(maxlen=_KEPT)
+        self._exchanges: deque[BoardExchange] = deque(maxlen=_EXCHANGES)
 
     def add(self, asked_ns: int, received_us: int, sent_us: int, answered_ns: int) -> None:
         """Take the four stamps of one exchange."""

@@ -169,7 +169,7 @@ class LockStepService:
         if self._began_s is None:
             self._began_s = now_s
         while not self.over() and time.monotonic() < now_s + seconds:
-            self.loop.turn()
+            self.loop.run_once()
 
     def progress(self) -> str:
         """How far the flight has come, and how fast."""

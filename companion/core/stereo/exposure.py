@@ -80,7 +80,7 @@ def exposures(
     )
 
 
-def turned_apart(pair: tuple[Exposure, Exposure], rotation_rad: Floats) -> tuple[Exposure, Exposure]:
+def with_relative_rotation(pair: tuple[Exposure, Exposure], rotation_rad: Floats) -> tuple[Exposure, Exposure]:
     """Both exposures with the cameras turned against each other by a small rotation vector (3,), body axes.
 
     The right camera takes half of it and the left one the opposite half: bending of both wings does it so, and where

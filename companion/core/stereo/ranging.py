@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.stereo.epipolar import epipolar_frame
-from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, turned_apart
+from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig, axes_from_body
 from companion.core.stereo.inverse_depth import Product, Reading, read
 from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient_of, toe_gradient
@@ -155,7 +155,7 @@ class _Scene:
         apart_rad2 = None
         if turned is not None:
             body_from_epipolar = epipolar_frame(rig).T
-            moving = turned_apart(moving, body_from_epipolar @ turned.rotation_rad)
+            moving = with_relative_rotation(moving, body_from_epipolar @ turned.rotation_rad)
             apart_rad2 = body_from_epipolar @ turned.covariance @ body_from_epipolar.T
         t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
         sight = sight_along(rig, range_axis(airframe.orientation))

@@ -21,7 +21,7 @@ _TABLE = (_STEP.integ(), _STEP, _STEP.deriv(), _STEP.deriv(2), _STEP.deriv(3))
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class AltitudeStep:
     """Altitude above the ground that is reached at ``from_s`` and held until the next level's climb begins."""
 
     from_s: float
@@ -68,7 +68,7 @@ class FlightPlan:
     duration_s: float
     airspeed_mps: float = 22.0
     angle_of_attack_rad: float = 0.05
-    levels: tuple[Level, ...] = (Level(0.0, 60.0),)
+    levels: tuple[AltitudeStep, ...] = (AltitudeStep(0.0, 60.0),)
     rolls: tuple[Roll, ...] = ()
     pull_ups: tuple[PullUp, ...] = ()
     heave_wobble_mps2: float = 0.4
@@ -92,7 +92,11 @@ def demo_plan(duration_s: float = 60.0) -> FlightPlan:
         )
     return FlightPlan(
         duration_s,
-        levels=(Level(0.0, 100.0), Level(29.0 * k, 60.0, 13.0 * k), Level(51.0 * k, 20.0, 13.0 * k)),
+        levels=(
+            AltitudeStep(0.0, 100.0),
+            AltitudeStep(29.0 * k, 60.0, 13.0 * k),
+            AltitudeStep(51.0 * k, 20.0, 13.0 * k),
+        ),
         rolls=(
             Roll(4.0 * k, 0.5),
             Roll(20.0 * k, -0.35),
@@ -105,7 +109,7 @@ def demo_plan(duration_s: float = 60.0) -> FlightPlan:
 
 def still_plan(duration_s: float, altitude_m: float = 60.0) -> FlightPlan:
     """Straight and level without any wobble, for closed forms."""
-    return FlightPlan(duration_s, 22.0, 0.0, (Level(0.0, altitude_m),), (), (), 0.0, 0.0, 0.0, 0.0)
+    return FlightPlan(duration_s, 22.0, 0.0, (AltitudeStep(0.0, altitude_m),), (), (), 0.0, 0.0, 0.0, 0.0)
 
 
 def fly(plan: FlightPlan, rng: np.random.Generator, knots: int) -> tuple[Floats, Floats]:
@@ -120,7 +124,7 @@ def fly(plan: FlightPlan, rng: np.random.Generator, knots: int) -> tuple[Floats,
     speed = plan.airspeed_mps
     height = _altitude(plan, t) + _wobble(rng, t, plan.heave_wobble_mps2, acceleration=True)
     roll = _roll(plan, t) + _wobble(rng, t, plan.roll_wobble_rad)[:3]
-    turn = _turn(roll, speed)
+    turn = _coordinated_turn_radps(roll, speed)
     yaw = turn + _wobble(rng, t, plan.yaw_wobble_rad)[:3]
     pitch = _climb_angle(height, speed) + _wobble(rng, t, plan.pitch_wobble_rad)[:3]
     pitch[0] += plan.angle_of_attack_rad
@@ -200,7 +204,7 @@ def _wobble(rng: np.random.Generator, t: Floats, rms: float, *, acceleration: bo
     return rows
 
 
-def _turn(roll: Floats, speed: float) -> Floats:
+def _coordinated_turn_radps(roll: Floats, speed: float) -> Floats:
     """Course of a coordinated turn and its two derivatives, (3, n)."""
     rate = GRAVITY_MPS2 / speed * np.tan(roll[0])
     change = GRAVITY_MPS2 / speed * roll[1] / np.cos(roll[0]) ** 2

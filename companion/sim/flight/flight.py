@@ -91,14 +91,14 @@ class Flight:
 
     def streams(self) -> dict[Station, SensorStream]:
         """What every sensor sends when the rates that the airframe states are granted."""
-        found = dict(self.nodes)
+        sensors = dict(self.nodes)
         for station, imu in self.backends.items():
             sensor = imu.sensor
             interval_ms = max(int(1000.0 / sensor.rate_hz), 1)
             filters = (sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz)
             rng = self.generator(f"sends {station}")
-            found[station] = autopilot_stream(imu, interval_ms, LOOP_HZ, filters, self.duration_s, rng)
-        return dict(sorted(found.items()))
+            sensors[station] = autopilot_stream(imu, interval_ms, LOOP_HZ, filters, self.duration_s, rng)
+        return dict(sorted(sensors.items()))
 
 
 def build_flight(

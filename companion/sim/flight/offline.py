@@ -77,15 +77,15 @@ def _exchanges(flight: Flight) -> Iterator[TimesyncReply]:
         rng = flight.generator(f"timesync {clock}")
         for due in range(_TIMESYNC_NS, round(flight.duration_s * 1e9), _TIMESYNC_NS):
             sent = due + int(rng.integers(_TIMESYNC_NS // 5))  # as the adapter does: at every phase of that loop
-            there, back = (100_000 + rng.exponential(150_000.0, 2)).astype(np.int64).tolist()
-            handled = sent + there
+            outward_ns, inward_ns = (100_000 + rng.exponential(150_000.0, 2)).astype(np.int64).tolist()
+            handled = sent + outward_ns
             if clock is ClockName.BOOT:
                 # the autopilot's main loop looks at its link once a turn
                 handled = -(-handled // loop_ns) * loop_ns
                 remote = handled
             else:
                 remote = flight.real.clocks[clock].from_boot(handled)
-            yield TimesyncReply(clock, HOST_EPOCH_NS + sent, remote, HOST_EPOCH_NS + handled + back)
+            yield TimesyncReply(clock, HOST_EPOCH_NS + sent, remote, HOST_EPOCH_NS + handled + inward_ns)
 
 
 def _vehicle_states(flight: Flight) -> Iterator[VehicleState]:

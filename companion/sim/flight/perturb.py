@@ -18,7 +18,7 @@ _LOG_NORMAL = ("frequency_hz", "damping", "deflection_rms_m")
 _CORNER_SPREAD = 0.3
 _NODE_SKEW_PPM = 30.0
 _SHORTEST_LATENCY_S = 0.001
-_ANTISYMMETRIC_SHARE = 0.6
+_ANTISYMMETRIC_RATIO = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class SensorErrors:
 
 
 @dataclass(frozen=True, slots=True)
-class RemoteClock:
+class TrueClock:
     """A clock other than the autopilot's: ``remote = epoch + (1 + skew) boot``."""
 
     epoch_ns: int
@@ -63,7 +63,7 @@ class TruthAirframe:
 
     actual: Airframe
     errors: Mapping[Station, SensorErrors]
-    clocks: Mapping[ClockName, RemoteClock]
+    clocks: Mapping[ClockName, TrueClock]
     antisymmetric_rms_m: float
 
 
@@ -83,17 +83,17 @@ def draw_truth(airframe: Airframe, rng: np.random.Generator, effects: tuple[Name
     )
     errors = {station: _sensor_errors(airframe.sensor(station), rng) for station in Station}
     clocks = {name: _clock(rng) for name in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)}
-    share = _ANTISYMMETRIC_SHARE * math.exp(0.2 * rng.standard_normal())
-    return TruthAirframe(actual, errors, clocks, share * gust.deflection_rms_m.value)
+    ratio = _ANTISYMMETRIC_RATIO * math.exp(0.2 * rng.standard_normal())
+    return TruthAirframe(actual, errors, clocks, ratio * gust.deflection_rms_m.value)
 
 
 def exact_truth(airframe: Airframe, effects: tuple[NamedEffect, ...] = ()) -> TruthAirframe:
     """Take the belief itself as truth, without sensor errors or clock differences (noise and bias stay): for tests."""
     zero = np.zeros(3)
     errors = {station: SensorErrors(zero, zero, zero, 0.0) for station in Station}
-    clocks = {name: RemoteClock(0, 0.0) for name in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)}
+    clocks = {name: TrueClock(0, 0.0) for name in (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)}
     actual = dataclasses.replace(airframe, effects=(*airframe.effects, *effects))
-    return TruthAirframe(actual, errors, clocks, _ANTISYMMETRIC_SHARE * airframe.wing.gust.deflection_rms_m.value)
+    return TruthAirframe(actual, errors, clocks, _ANTISYMMETRIC_RATIO * airframe.wing.gust.deflection_rms_m.value)
 
 
 def _drawn(record: Any, rng: np.random.Generator) -> Any:
@@ -102,13 +102,13 @@ def _drawn(record: Any, rng: np.random.Generator) -> Any:
     for entry in dataclasses.fields(record):
         value = getattr(record, entry.name)
         if isinstance(value, Uncertain):
-            changes[entry.name] = _draw_one(entry.name, value, rng)
+            changes[entry.name] = _draw_parameter(entry.name, value, rng)
         elif dataclasses.is_dataclass(value):
             changes[entry.name] = _drawn(value, rng)
     return dataclasses.replace(record, **changes)
 
 
-def _draw_one(name: str, belief: Uncertain, rng: np.random.Generator) -> Uncertain:
+def _draw_parameter(name: str, belief: Uncertain, rng: np.random.Generator) -> Uncertain:
     normal = float(rng.standard_normal())
     if name in _LOG_NORMAL and belief.value > 0:
         return Uncertain(belief.value * math.exp(normal * belief.sigma / belief.value))
@@ -135,6 +135,6 @@ def _sensor_errors(sensor: Sensor, rng: np.random.Generator) -> SensorErrors:
     )
 
 
-def _clock(rng: np.random.Generator) -> RemoteClock:
+def _clock(rng: np.random.Generator) -> TrueClock:
     """A node has been up for up to an hour longer, and its crystal is tens of ppm off."""
-    return RemoteClock(int(rng.integers(10**9, 3600 * 10**9)), _NODE_SKEW_PPM * float(rng.standard_normal()))
+    return TrueClock(int(rng.integers(10**9, 3600 * 10**9)), _NODE_SKEW_PPM * float(rng.standard_normal()))

@@ -20,7 +20,7 @@ from companion.core.wing.model import WingModel
 from companion.core.wing.sensing import ModalPath, RigidMotion, lever_arm_mps2, sense_station
 from companion.params.airframe import Sensor
 from companion.records import ClockName, Floats, Ints, Side, Station
-from companion.sim.flight.perturb import RemoteClock, SensorErrors
+from companion.sim.flight.perturb import SensorErrors, TrueClock
 from companion.sim.flight.truth import FlightTruth, TruthSeries
 from companion.units import GRAVITY_MPS2
 
@@ -164,12 +164,12 @@ class RealSensor:
 
     def finish(self, raw: Floats, rate_hz: float) -> Floats:
         """Saturate and quantise, low-pass as the airframe says, and round as the message does."""
-        own = self.sensor
-        calm = lowpassed(limited(raw, own), own.lowpass_accel_hz, own.lowpass_gyro_hz, rate_hz)
-        return on_wire(calm, own)
+        mounted = self.sensor
+        calm = lowpassed(limited(raw, mounted), mounted.lowpass_accel_hz, mounted.lowpass_gyro_hz, rate_hz)
+        return on_wire(calm, mounted)
 
 
-def node_stream(real: RealSensor, clock: RemoteClock, duration_s: float, rng: np.random.Generator) -> SensorStream:
+def node_stream(real: RealSensor, clock: TrueClock, duration_s: float, rng: np.random.Generator) -> SensorStream:
     """Sample a wing node for the whole flight: own clock, own phase, own delay on the wire."""
     sensor = real.sensor
     period = round(1e9 / sensor.rate_hz)

@@ -61,14 +61,14 @@ class WingStepper:
     def _runge_kutta(self, load: Floats, factor: float) -> None:
         h, t, q, v = self.step_s, self.t_s, self.q_m, self.qdot_mps
         self._memories = self.model.remembered(t, q, v, factor, self._memories)
-        slope, known = self.model.acceleration, self._memories
-        a1 = slope(t, q, v, load, factor, known)
+        slope, memories = self.model.acceleration, self._memories
+        a1 = slope(t, q, v, load, factor, memories)
         v2 = v + h / 2 * a1
-        a2 = slope(t + h / 2, q + h / 2 * v, v2, load, factor, known)
+        a2 = slope(t + h / 2, q + h / 2 * v, v2, load, factor, memories)
         v3 = v + h / 2 * a2
-        a3 = slope(t + h / 2, q + h / 2 * v2, v3, load, factor, known)
+        a3 = slope(t + h / 2, q + h / 2 * v2, v3, load, factor, memories)
         v4 = v + h * a3
-        a4 = slope(t + h, q + h * v3, v4, load, factor, known)
+        a4 = slope(t + h, q + h * v3, v4, load, factor, memories)
         self.q_m = q + h / 6 * (v + 2 * v2 + 2 * v3 + v4)
         self.qdot_mps = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 

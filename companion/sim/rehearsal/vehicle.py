@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from companion.sim.flight.flight import Flight
-from companion.sim.vehicle.command_protocol import Orders
-from companion.sim.vehicle.companion_stub import RangeStandIn
+from companion.sim.vehicle.command_protocol import CommandProtocol
+from companion.sim.vehicle.companion_stub import CompanionStub
 from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.routing import Port, Router
-from companion.sim.vehicle.scripted_pilot import Pilot
-from companion.sim.vehicle.world import Link, World, WorldOptions
+from companion.sim.vehicle.scripted_pilot import ScriptedPilot
+from companion.sim.vehicle.world import VehicleLink, World, WorldOptions
 
 _WAKE_S = 0.002
 _LONGEST_STEP_S = 0.02
@@ -20,7 +20,7 @@ _FORWARD = 0
 _FIELD_OF_VIEW_RAD = 0.37
 
 
-class Rehearsal:
+class RehearsalVehicle:
     """One vehicle; :meth:`run` keeps it alive until told to stop.
 
     Parameters
@@ -32,7 +32,7 @@ class Rehearsal:
     speed : float
         Flight seconds per real second.
     ranges : bool
-        Put a stand-in for the companion on the wire (:class:`RangeStandIn`).
+        Put a :class:`CompanionStub` on the wire.
     obstacle_m : tuple, optional
         North and east of home of a pole that a forward-looking airframe sees.
     """
@@ -53,28 +53,28 @@ class Rehearsal:
         self.boot_ns = 0
         self._obstacle_m = obstacle_m
         orientation = flight.airframe.orientation
-        self.standin = RangeStandIn(
+        self.companion = CompanionStub(
             self._ahead_m if orientation == _FORWARD else self._below_m,
-            lambda: self.orders.flown_ns,  # the instant that the distance is of
+            lambda: self.protocol.flown_ns,  # the instant that the distance is of
             orientation=orientation,
         )
-        ports: list[Port] = [Link(connection) for connection in connections]
-        self._router = Router([*ports, self.standin] if ranges else ports)
+        ports: list[Port] = [VehicleLink(connection) for connection in connections]
+        self._router = Router([*ports, self.companion] if ranges else ports)
         options = WorldOptions(
             speed=speed, faults=faults or Faults(), parameters=parameters or {}, pilot_height_m=height_m
         )
         self.world = World(flight, options, self._router)
 
     @property
-    def orders(self) -> Orders:
+    def protocol(self) -> CommandProtocol:
         """What the vehicle was told, and who flies it."""
-        assert self.world.autopilot.orders is not None
-        return self.world.autopilot.orders
+        assert self.world.autopilot.protocol is not None
+        return self.world.autopilot.protocol
 
     @property
-    def pilot(self) -> Pilot:
+    def pilot(self) -> ScriptedPilot:
         """The aeroplane."""
-        return self.orders.pilot
+        return self.protocol.pilot
 
     def run(self, ended: Callable[[], bool]) -> None:
         """Fly in (multiplied) real time until ``ended`` says so, then close the links.
@@ -88,7 +88,7 @@ class Rehearsal:
                 now_s = time.monotonic()
                 self.boot_ns += round(min(now_s - before_s, most_s) * self.speed * 1e9)
                 before_s = now_s
-                self.world.turn(self.boot_ns, time.monotonic_ns())
+                self.world.run_once(self.boot_ns, time.monotonic_ns())
                 time.sleep(_WAKE_S)
         finally:
             self._router.close()

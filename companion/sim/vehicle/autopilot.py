@@ -20,12 +20,12 @@ from companion.params.airframe import Airframe
 from companion.records import Floats, Station
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.sensors import BackendImu
-from companion.sim.vehicle.command_protocol import PERIODS_MS, Orders
+from companion.sim.vehicle.command_protocol import PERIODS_MS, CommandProtocol
 from companion.sim.vehicle.faults import Faults, boot_origin_ns
 from companion.sim.vehicle.proximity import Proximity
 from companion.sim.vehicle.received import Received
 from companion.sim.vehicle.vehicle_parameters import VehicleParameters, addressed_to_autopilot, default_parameters
-from companion.sim.vehicle.wire import AUTOPILOT_ID, Sender, inertial_format, payloads, stamped
+from companion.sim.vehicle.wire import AUTOPILOT_ID, FrameSender, inertial_format, payloads, stamped
 
 _NS = 1_000_000_000
 _TIMESYNC_NS = 10 * _NS
@@ -58,17 +58,17 @@ class SimAutopilot:
         faults: Faults,
         parameters: Mapping[str, float] | None = None,
         on_trigger: Trigger | None = None,
-        orders: Orders | None = None,
+        protocol: CommandProtocol | None = None,
     ) -> None:
-        self.parameters = self._own_parameters(flight.real.actual, parameters or {})
+        self.parameters = self._default_parameters(flight.real.actual, parameters or {})
         self.received = self._receiver(flight.real.actual)
-        self.sender = Sender(AUTOPILOT_ID)
+        self.sender = FrameSender(AUTOPILOT_ID)
         self.granted: dict[str, int] = {}
         self.commands: list[tuple[int, int, int]] = []
         self._flight = flight
         self._faults = faults
         self.on_trigger = on_trigger
-        self.orders = orders
+        self.protocol = protocol
         self._rng = flight.generator("autopilot")
         self._inbox: deque[tuple[Any, int, int]] = deque()
         self._outbox: deque[tuple[int, bytes]] = deque()
@@ -76,13 +76,13 @@ class SimAutopilot:
         self._tick_ns = 0
         self._origin_ns = 0
         self._shots = 0
-        self._known: set[int] = {AUTOPILOT_ID, *(s.sensor.source.component for s in flight.nodes.values())}
+        self._components: set[int] = {AUTOPILOT_ID, *(s.sensor.source.component for s in flight.nodes.values())}
         self._imus = {self._message_of(imu): imu for imu in flight.backends.values()}
         self._packed: dict[str, list[bytes]] = {}
         self._streams: dict[str, Interval] = {}
         self._start()
 
-    def _own_parameters(self, airframe: Airframe, changed: Mapping[str, float]) -> VehicleParameters:
+    def _default_parameters(self, airframe: Airframe, changed: Mapping[str, float]) -> VehicleParameters:
         return VehicleParameters({**default_parameters(airframe), **changed})
 
     def _receiver(self, airframe: Airframe) -> Received:
@@ -127,7 +127,7 @@ class SimAutopilot:
             self.parameters.reboot()
             self._start()
         silent = self._faults.silent(AUTOPILOT_ID, t_s)
-        said = self.orders.advance(tick_ns) if self.orders else []
+        said = self.protocol.advance(tick_ns) if self.protocol else []
         while self._inbox and self._inbox[0][1] <= tick_ns:
             message, _, host_ns = self._inbox.popleft()
             if not silent:
@@ -143,7 +143,7 @@ class SimAutopilot:
         """Boot: default streams, filters from the parameters."""
         now = self._tick_ns
         self._streams = {name: Interval(period, now) for name, period in {**_DEFAULT_MS, **_ECHO_MS}.items()}
-        if self.orders:
+        if self.protocol:
             self._streams.update({name: Interval(period, now) for name, period in PERIODS_MS.items()})
         self._streams["HEARTBEAT"] = Interval(1000, now)
         self._streams["TIMESYNC"] = Interval(_TIMESYNC_NS // 1_000_000, now + _NS)
@@ -184,8 +184,8 @@ class SimAutopilot:
             return self.sender.message(mavlink.MAVLink_timesync_message(tc1=0, ts1=boot_ns))
         if name in _ECHO_MS:
             return self.sender.message(self._echo(name, boot_ns // 1_000_000))
-        if self.orders and self.orders.tells(name):
-            return self.sender.message(self.orders.telemetry(name, boot_ns // 1_000_000))
+        if self.protocol and self.protocol.tells(name):
+            return self.sender.message(self.protocol.telemetry(name, boot_ns // 1_000_000))
         return self.sender.message(self._motion(name, sent_ns, boot_ns // 1_000_000))
 
     def _inertial(self, name: str, tick_ns: int, sent_ns: int) -> bytes:
@@ -248,14 +248,14 @@ class SimAutopilot:
 
     def _handle(self, message: Any, tick_ns: int, host_ns: int) -> None:
         name = message.get_type()
-        self._known.add(message.get_srcComponent())
+        self._components.add(message.get_srcComponent())
         self.received.take(message, tick_ns, host_ns)
         if name == "TIMESYNC":
             if message.tc1 == 0:
                 sent_ns = self._instant(tick_ns + 50_000 + int(self._rng.exponential(100_000.0)))
                 answer = mavlink.MAVLink_timesync_message(tc1=tick_ns + 20_000 - self._origin_ns, ts1=message.ts1)
                 self._post(sent_ns, self.sender.message(answer))
-        elif not addressed_to_autopilot(message, tuple(self._known)):
+        elif not addressed_to_autopilot(message, tuple(self._components)):
             return
         elif name in _PARAMETER_MESSAGES:
             for answer in self.parameters.receive(message):
@@ -263,7 +263,7 @@ class SimAutopilot:
             if self.parameters.changed & {"INS_ACCEL_FILTER", "INS_GYRO_FILTER"}:
                 self._packed.clear()
             self.parameters.changed.clear()
-        elif self.orders and (answers := self.orders.receive(message, tick_ns)) is not None:
+        elif self.protocol and (answers := self.protocol.receive(message, tick_ns)) is not None:
             for answer in answers:
                 self._send(answer, tick_ns)
         elif name in ("COMMAND_LONG", "COMMAND_INT"):
@@ -292,8 +292,8 @@ class SimAutopilot:
         """Whole milliseconds, not faster than 0.8 of the loop rate: ArduPilot's GCS_MAVLINK::set_message_interval."""
         kind = mavlink.mavlink_map.get(number)
         name = kind.msgname if kind else ""
-        told = name in _DEFAULT_MS or (self.orders is not None and self.orders.tells(name))
-        if not told and name not in _IMU_STATIONS and name not in self._imus:
+        sends = name in _DEFAULT_MS or (self.protocol is not None and self.protocol.tells(name))
+        if not sends and name not in _IMU_STATIONS and name not in self._imus:
             return int(mavlink.MAV_RESULT_FAILED)
         if interval_us < 0:
             self._streams.pop(name, None)
@@ -335,8 +335,8 @@ class SimAutopilot:
         self._outbox.append((sent_ns, frame))
 
     def _heartbeat(self) -> Any:
-        if self.orders:
-            return self.orders.heartbeat()
+        if self.protocol:
+            return self.protocol.heartbeat()
         return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_FIXED_WING,
             self._kind,

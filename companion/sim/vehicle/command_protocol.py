@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.sim.vehicle.mission_protocol import MissionServer, from_wire, to_wire
-from companion.sim.vehicle.scripted_pilot import HOME_AMSL_M, Mode, Pilot
+from companion.sim.vehicle.scripted_pilot import HOME_AMSL_M, FlightMode, ScriptedPilot
 
 PERIODS_MS = {
     "SYS_STATUS": 500,
@@ -25,11 +25,11 @@ _CELL_MV, _CELLS = 3800, 4
 _ACCEPTED, _DENIED, _FAILED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED
 
 
-class Orders:
-    """The flying side of the autopilot: a :class:`Pilot`, its mission, and the messages of both."""
+class CommandProtocol:
+    """The flying side of the autopilot: a :class:`ScriptedPilot`, its mission, and the messages of both."""
 
     def __init__(self, height_m: float, speed: float = 1.0) -> None:
-        self.pilot = Pilot(height_m)
+        self.pilot = ScriptedPilot(height_m)
         self.missions = MissionServer(self.pilot, speed)
         self.commands: list[tuple[int, int]] = []
         self._stepped_ns = 0
@@ -72,17 +72,17 @@ class Orders:
 
     def _return(self, message: Any) -> list[Any]:
         del message
-        self.pilot.set_mode(Mode.RTL)
+        self.pilot.set_mode(FlightMode.RTL)
         return [_ACCEPTED]
 
     def _loiter(self, message: Any) -> list[Any]:
         del message
-        self.pilot.set_mode(Mode.LOITER)
+        self.pilot.set_mode(FlightMode.LOITER)
         return [_ACCEPTED]
 
     def _start(self, message: Any) -> list[Any]:
         del message
-        return [_ACCEPTED if len(self.pilot.items) > 1 and self.pilot.set_mode(Mode.AUTO) else _FAILED]
+        return [_ACCEPTED if len(self.pilot.items) > 1 and self.pilot.set_mode(FlightMode.AUTO) else _FAILED]
 
     def _select(self, message: Any) -> list[Any]:
         return [_ACCEPTED if self.pilot.select(int(message.param1)) else _FAILED, self.missions.current()]
@@ -95,8 +95,8 @@ class Orders:
         if message.get_type() != "COMMAND_INT":
             return [_DENIED]
         if int(message.param2) & 1:
-            self.pilot.set_mode(Mode.GUIDED)
-        if self.pilot.mode is not Mode.GUIDED:
+            self.pilot.set_mode(FlightMode.GUIDED)
+        if self.pilot.mode is not FlightMode.GUIDED:
             return [_DENIED]
         above_sea = message.frame in (mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT)
         self.pilot.set_goal(*from_wire(message.x, message.y), message.z - (HOME_AMSL_M if above_sea else 0.0))
@@ -190,14 +190,16 @@ class Orders:
 
     def _tell_sys_status(self, boot_ms: int) -> Any:
         del boot_ms
-        left = round(100 * self.pilot.battery)
-        return mavlink.MAVLink_sys_status_message(0, 0, 0, 300, _CELL_MV * _CELLS, 800, left, 0, 0, 0, 0, 0, 0)
+        remaining_percent = round(100 * self.pilot.battery)
+        return mavlink.MAVLink_sys_status_message(
+            0, 0, 0, 300, _CELL_MV * _CELLS, 800, remaining_percent, 0, 0, 0, 0, 0, 0
+        )
 
     def _tell_battery_status(self, boot_ms: int) -> Any:
         del boot_ms
         cells = [_CELL_MV] * _CELLS + [65535] * (10 - _CELLS)
-        left = round(100 * self.pilot.battery)
-        return mavlink.MAVLink_battery_status_message(0, 0, 0, 2500, cells, 800, 500, -1, left)
+        remaining_percent = round(100 * self.pilot.battery)
+        return mavlink.MAVLink_battery_status_message(0, 0, 0, 2500, cells, 800, 500, -1, remaining_percent)
 
     def _tell_extended_sys_state(self, boot_ms: int) -> Any:
         del boot_ms
@@ -217,15 +219,15 @@ class Orders:
 
 
 _HANDLERS = {
-    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: Orders._arm,
-    mavlink.MAV_CMD_DO_SET_MODE: Orders._mode,
-    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: Orders._return,
-    mavlink.MAV_CMD_NAV_LOITER_UNLIM: Orders._loiter,
-    mavlink.MAV_CMD_MISSION_START: Orders._start,
-    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: Orders._select,
-    mavlink.MAV_CMD_DO_CHANGE_SPEED: Orders._speed,
-    mavlink.MAV_CMD_DO_REPOSITION: Orders._reposition,
-    mavlink.MAV_CMD_REQUEST_MESSAGE: Orders._request,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: CommandProtocol._arm,
+    mavlink.MAV_CMD_DO_SET_MODE: CommandProtocol._mode,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: CommandProtocol._return,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: CommandProtocol._loiter,
+    mavlink.MAV_CMD_MISSION_START: CommandProtocol._start,
+    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: CommandProtocol._select,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: CommandProtocol._speed,
+    mavlink.MAV_CMD_DO_REPOSITION: CommandProtocol._reposition,
+    mavlink.MAV_CMD_REQUEST_MESSAGE: CommandProtocol._request,
 }
 
 

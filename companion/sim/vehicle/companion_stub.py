@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.sim.vehicle.wire import Sender
+from companion.sim.vehicle.wire import FrameSender
 
 COMPONENT = 191
 _RATE_NS = 100_000_000
@@ -45,7 +45,7 @@ class RangeFaults:
     silent: bool = False
 
 
-class RangeStandIn:
+class CompanionStub:
     """One port of a :class:`~companion.sim.vehicle.routing.Router`.
 
     Parameters
@@ -80,7 +80,7 @@ class RangeStandIn:
         self._orientation, self._baseline_m, self._limits_m = orientation, baseline_m, limits_m
         self._sigma_factor = sigma_at_60m / 60.0**2
         self._rng = np.random.default_rng(seed)
-        self._sender = Sender(COMPONENT)
+        self._sender = FrameSender(COMPONENT)
         self._next_ns = self._beat_ns = 0
 
     def send(self, frames: list[bytes]) -> None:

@@ -46,7 +46,7 @@ class LockStepClock:
         self._now_ns = host_ns
         while self._turned_ns + _TURN_NS <= min(host_ns, self._over_ns):
             self._turned_ns += _TURN_NS
-            self.world.turn(self._turned_ns - EPOCH_NS, self._turned_ns)
+            self.world.run_once(self._turned_ns - EPOCH_NS, self._turned_ns)
 
 
 class MemoryWire:

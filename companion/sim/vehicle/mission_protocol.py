@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.sim.vehicle.scripted_pilot import HOME_AMSL_M, Item, Order, Pilot
+from companion.sim.vehicle.scripted_pilot import HOME_AMSL_M, Item, Order, ScriptedPilot
 
 HOME_LATITUDE_DEG, HOME_LONGITUDE_DEG = 47.0, 8.0
 DEGREE_M = math.pi * 6378137.0 / 180.0
@@ -36,7 +36,7 @@ class MissionServer:
     ``speed`` is how many times faster than real the flight is: whoever uploads lives in real time, and is given that.
     """
 
-    def __init__(self, pilot: Pilot, speed: float = 1.0) -> None:
+    def __init__(self, pilot: ScriptedPilot, speed: float = 1.0) -> None:
         self._pilot = pilot
         self._ask_again_ns, self._give_up_ns = round(_ASK_AGAIN_NS * speed), round(_GIVE_UP_NS * speed)
         self._raw: list[Any] = []

@@ -11,10 +11,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.sim.flight.perturb import RemoteClock
+from companion.sim.flight.perturb import TrueClock
 from companion.sim.flight.sensors import SensorStream
 from companion.sim.vehicle.faults import Faults, boot_origin_ns
-from companion.sim.vehicle.wire import SYSTEM_ID, Sender, inertial_format, payloads, stamped
+from companion.sim.vehicle.wire import SYSTEM_ID, FrameSender, inertial_format, payloads, stamped
 
 _HEARTBEAT_NS = 1_000_000_000
 _NAN_Z = struct.pack("<f", math.nan)
@@ -23,9 +23,9 @@ _NAN_Z = struct.pack("<f", math.nan)
 class WingNode:
     """One node. A reboot starts its clock from zero."""
 
-    def __init__(self, stream: SensorStream, clock: RemoteClock, faults: Faults) -> None:
+    def __init__(self, stream: SensorStream, clock: TrueClock, faults: Faults) -> None:
         self.component = stream.sensor.source.component
-        self.sender = Sender(self.component)
+        self.sender = FrameSender(self.component)
         self._form = inertial_format(stream.sensor.source.message)
         self._rest = payloads(stream.values, stream.sensor.source)
         self._stamps: list[int] = stream.stamp_ns.tolist()

@@ -50,11 +50,11 @@ class Px4Parameters(VehicleParameters):
     reboot_required = frozenset({"IMU_INTEG_RATE", "MAV_SYS_ID"})
 
     def _set(self, message: Any) -> bool:
-        whole = message.param_id in _INTEGERS
-        if message.param_type != (mavlink.MAV_PARAM_TYPE_INT32 if whole else mavlink.MAV_PARAM_TYPE_REAL32):
+        integer = message.param_id in _INTEGERS
+        if message.param_type != (mavlink.MAV_PARAM_TYPE_INT32 if integer else mavlink.MAV_PARAM_TYPE_REAL32):
             return False
         value = message.param_value
-        self.change(message.param_id, float(struct.unpack("<i", struct.pack("<f", value))[0]) if whole else value)
+        self.change(message.param_id, float(struct.unpack("<i", struct.pack("<f", value))[0]) if integer else value)
         return True
 
     def _encoded(self, name: str, value: float) -> tuple[float, int]:
@@ -67,9 +67,9 @@ class SimPx4(SimAutopilot):
     """The vehicle's side of the link, as PX4."""
 
     _kind = mavlink.MAV_AUTOPILOT_PX4
-    _one_shot = False
+    _single_shot = False
 
-    def _own_parameters(self, airframe: Airframe, changed: Mapping[str, float]) -> VehicleParameters:
+    def _default_parameters(self, airframe: Airframe, changed: Mapping[str, float]) -> VehicleParameters:
         del airframe
         return Px4Parameters({**px4_parameters(), **changed})
 
@@ -99,8 +99,8 @@ class SimPx4(SimAutopilot):
 
     def _tick(self, tick_ns: int) -> None:
         super()._tick(tick_ns)
-        if self._one_shot and tick_ns % _TRIGGER_POLL_NS < _TICK_NS:
-            self._one_shot = False
+        if self._single_shot and tick_ns % _TRIGGER_POLL_NS < _TICK_NS:
+            self._single_shot = False
             if self.on_trigger is not None:
                 self.on_trigger(tick_ns)
 
@@ -142,7 +142,7 @@ class SimPx4(SimAutopilot):
             return
         self.commands.append((tick_ns, message.command, message.get_srcComponent()))
         if fires:
-            self._one_shot = message.param5 == 1.0
+            self._single_shot = message.param5 == 1.0
         result = mavlink.MAV_RESULT_ACCEPTED if fires else mavlink.MAV_RESULT_UNSUPPORTED
         self._acknowledge(message, result, tick_ns)
 

@@ -15,7 +15,7 @@ _CENTIMETRE_M = 0.01
 _SECTORS = 72
 _UNKNOWN = 65535
 _BODY_FRD = 12
-_KEPT_PROBLEMS = 50
+_MOST_PROBLEMS = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,5 +152,5 @@ class Received:
 
     def _problem(self, text: str) -> None:
         self.counts["problems"] += 1
-        if len(self.problems) < _KEPT_PROBLEMS:
+        if len(self.problems) < _MOST_PROBLEMS:
             self.problems.append(text)

@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class Port(Protocol):
-    """One end of a link, as :class:`companion.sim.vehicle.world.Link` is."""
+    """One end of a link, as :class:`companion.sim.vehicle.world.VehicleLink` is."""
 
     def send(self, frames: list[bytes], /) -> object:
         """Frames from the vehicle."""

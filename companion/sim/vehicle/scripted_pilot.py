@@ -31,7 +31,7 @@ _LANDED_M = 0.3
 _LINED_UP_RAD = 0.3
 
 
-class Mode(enum.IntEnum):
+class FlightMode(enum.IntEnum):
     """ArduPlane's mode numbers, as far as they are flown here."""
 
     MANUAL = 0
@@ -66,7 +66,7 @@ class Item:
     params: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
-class Pilot:
+class ScriptedPilot:
     """Flies; :meth:`step` is one control period.
 
     Parameters
@@ -95,7 +95,7 @@ class Pilot:
         self.airspeed_mps = self.cruise_mps if height_m > 0 else 0.0
         self.wanted_mps = self.cruise_mps
         self.armed = height_m > 0
-        self.mode = Mode.LOITER if height_m > 0 else Mode.MANUAL
+        self.mode = FlightMode.LOITER if height_m > 0 else FlightMode.MANUAL
         self.items: list[Item] = [Item(Order.WAYPOINT)]
         self.current = 0
         self.reached: deque[int] = deque()
@@ -122,12 +122,12 @@ class Pilot:
 
     def set_mode(self, number: int) -> bool:
         """Change the mode as ArduPlane does: GUIDED and LOITER circle where the aeroplane is. False if unknown."""
-        if number not in Mode._value2member_map_:
+        if number not in FlightMode._value2member_map_:
             return False
-        self.mode = Mode(number)
+        self.mode = FlightMode(number)
         self._goal = (self.north_m, self.east_m, self.height_m)
         self._roll = self._pitch = _FREE
-        if self.mode is Mode.AUTO:
+        if self.mode is FlightMode.AUTO:
             self.select(self.current if 0 < self.current < len(self.items) else 1)
         return True
 
@@ -137,7 +137,7 @@ class Pilot:
 
     def force(self, roll_rad: float | None, pitch_rad: float | None) -> None:
         """Hold roll, pitch or both for up to three seconds; taken in GUIDED alone (SET_ATTITUDE_TARGET)."""
-        if self.mode is not Mode.GUIDED:
+        if self.mode is not FlightMode.GUIDED:
             return
         until_s = self._t_s + _FORCED_FOR_S
         self._roll = self._roll if roll_rad is None else (roll_rad, until_s)
@@ -157,7 +157,7 @@ class Pilot:
         self._t_s += dt_s
         if not self.armed:
             return
-        if self.mode is Mode.AUTO:
+        if self.mode is FlightMode.AUTO:
             self._follow_mission()
         if not self.airborne and not self._taking_off():
             self.airspeed_mps = self.climb_mps = 0.0
@@ -168,18 +168,18 @@ class Pilot:
     # ------------------------------------------------------------------------------------------ guidance
 
     def _taking_off(self) -> bool:
-        return self.mode is Mode.AUTO and self._item().order is Order.TAKEOFF
+        return self.mode is FlightMode.AUTO and self._item().order is Order.TAKEOFF
 
     def _item(self) -> Item:
         return self.items[self.current] if self.current < len(self.items) else Item(Order.RETURN_TO_LAUNCH)
 
     def _follow_mission(self) -> None:
-        while self.mode is Mode.AUTO and self._done(self._item()):
+        while self.mode is FlightMode.AUTO and self._done(self._item()):
             self.reached.append(self.current)
             if self.current + 1 < len(self.items):
                 self.select(self.current + 1)
             else:
-                self.set_mode(Mode.RTL)
+                self.set_mode(FlightMode.RTL)
                 self.texts.append("Mission complete, changing mode to RTL")
 
     def _done(self, item: Item) -> bool:
@@ -188,7 +188,7 @@ class Pilot:
             self.change_speed(item.params[0], item.params[1])
             return True
         if item.order is Order.RETURN_TO_LAUNCH:
-            self.set_mode(Mode.RTL)
+            self.set_mode(FlightMode.RTL)
             return False
         if item.order is Order.TAKEOFF:
             return self.height_m >= item.height_m - 1.0
@@ -239,11 +239,11 @@ class Pilot:
 
     def _aim(self) -> tuple[float, float]:
         """Course and height that the mode wants."""
-        if self.mode is Mode.RTL:
+        if self.mode is FlightMode.RTL:
             return self._orbit(0.0, 0.0), max(self._goal[2], _RTL_HEIGHT_M)
-        if self.mode in (Mode.LOITER, Mode.GUIDED):
+        if self.mode in (FlightMode.LOITER, FlightMode.GUIDED):
             return self._orbit(*self._goal[:2]), self._goal[2]
-        if self.mode is not Mode.AUTO:
+        if self.mode is not FlightMode.AUTO:
             return self.course_rad, self.height_m
         item = self._item()
         if item.order is Order.TAKEOFF:

@@ -93,8 +93,8 @@ class VehicleParameters:
         return mavlink.MAVLink_param_value_message(names[index].encode(), value, kind, len(names), index)
 
 
-def addressed_to_autopilot(message: Any, known: tuple[int, ...]) -> bool:
+def addressed_to_autopilot(message: Any, components: tuple[int, ...]) -> bool:
     """Tell whether the autopilot answers: for itself, for all, and for components that it has never heard of."""
     system = getattr(message, "target_system", 0)
     component = getattr(message, "target_component", 0)
-    return system in (0, SYSTEM_ID) and (component in (0, AUTOPILOT_ID) or component not in known)
+    return system in (0, SYSTEM_ID) and (component in (0, AUTOPILOT_ID) or component not in components)

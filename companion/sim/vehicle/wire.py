@@ -22,7 +22,7 @@ _ALL_FIELDS = 0b111111
 _AXES = "xyz"
 
 
-class Sender:
+class FrameSender:
     """One component's frames: its ids and its sequence numbers."""
 
     def __init__(self, component: int) -> None:
@@ -119,7 +119,7 @@ def _pack_highres(values: Floats, instance: int) -> list[bytes]:
 
 def _pack_raw(values: Floats, instance: int) -> list[bytes]:
     rows = np.zeros(len(values), dtype=[("v", "<i2", 9), ("id", "u1"), ("temperature", "<i2")])
-    rows["v"][:, :6] = _whole(values)
+    rows["v"][:, :6] = _int16_counts(values)
     rows["id"] = instance
     return _split(rows.tobytes(), len(values))
 
@@ -127,11 +127,11 @@ def _pack_raw(values: Floats, instance: int) -> list[bytes]:
 def _pack_scaled(values: Floats, instance: int) -> list[bytes]:
     del instance
     rows = np.zeros(len(values), dtype=[("v", "<i2", 10)])
-    rows["v"][:, :6] = _whole(values)
+    rows["v"][:, :6] = _int16_counts(values)
     return _split(rows.tobytes(), len(values))
 
 
-def _whole(values: Floats) -> Floats:
+def _int16_counts(values: Floats) -> Floats:
     """Milli-g and mrad/s as an int16 holds them."""
     units = np.repeat([MILLI_G_MPS2, MILLI_RADPS], 3)
     return np.asarray(np.clip(np.round(values / units), -32768, 32767))

@@ -20,7 +20,7 @@ from companion.params.airframe import Airframe, NamedEffect
 from companion.params.links import LinkKind, parse_link
 from companion.sim.flight.flight import Flight, GustKind, build_flight
 from companion.sim.vehicle.autopilot import SimAutopilot, Trigger
-from companion.sim.vehicle.command_protocol import Orders
+from companion.sim.vehicle.command_protocol import CommandProtocol
 from companion.sim.vehicle.faults import Faults, Wire
 from companion.sim.vehicle.nodes import WingNode
 from companion.sim.vehicle.px4 import SimPx4
@@ -83,7 +83,7 @@ class WorldOptions:
     px4: bool = False
 
 
-class Link:
+class VehicleLink:
     """A UDP socket that remembers its peer."""
 
     def __init__(self, connection: str) -> None:
@@ -140,9 +140,9 @@ class World:
     def __init__(self, flight: Flight, options: WorldOptions, link: Port, on_trigger: Trigger | None = None) -> None:
         faults = options.faults
         self.flight = flight
-        orders = None if options.pilot_height_m is None else Orders(options.pilot_height_m, options.speed)
+        protocol = None if options.pilot_height_m is None else CommandProtocol(options.pilot_height_m, options.speed)
         autopilot = SimPx4 if options.px4 else SimAutopilot
-        self.autopilot = autopilot(flight, faults, options.parameters, on_trigger, orders)
+        self.autopilot = autopilot(flight, faults, options.parameters, on_trigger, protocol)
         self.nodes = [
             WingNode(stream, flight.real.clocks[stream.clock], faults) for _, stream in sorted(flight.nodes.items())
         ]
@@ -151,7 +151,7 @@ class World:
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
 
-    def turn(self, now_boot_ns: int, host_ns: int) -> None:
+    def run_once(self, now_boot_ns: int, host_ns: int) -> None:
         """Take in what arrived, and send what is due."""
         for message in self._arrived():
             self.autopilot.receive(message, now_boot_ns, host_ns)
@@ -213,7 +213,7 @@ def serve(
     dict
         :meth:`World.report`, with ``start_host_ns``, ``flown_s``, ``cpu_s`` and how late the loop woke (ms).
     """
-    link = link or Link(options.connection)
+    link = link or VehicleLink(options.connection)
     try:
         world = World(flight, options, link, on_trigger)
         _await_companion(world, options.wait_s)
@@ -275,7 +275,7 @@ def _play(world: World, speed: float, start_ns: int, control: Control | None) ->
             now = time.monotonic_ns()
         late.append(now - target)
         boot_ns = min(int((now - start_ns) * speed), end_ns)
-        world.turn(boot_ns, now)
+        world.run_once(boot_ns, now)
         # after a stall the beats that were missed are not made up for one by one
         target = max(target + _WAKE_NS, now - 10 * _WAKE_NS)
         if control is not None and len(late) % 64 == 0 and control.poll(0):

@@ -22,7 +22,7 @@ from companion.lifetime import die_with_parent
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Side
 from companion.sim.vehicle.starting import opened
-from companion.sim.vision.boards import BoardRenderer, ShownBoard, shown
+from companion.sim.vision.boards import BoardRenderer, ShownBoard, board_poses
 from companion.sim.vision.cameras import HEADER, MAGIC
 
 _PERIOD_NS = 200_000_000
@@ -81,7 +81,7 @@ def serve(config: BoardServerConfig) -> None:
     client, _ = door.accept()
     start_ns = time.monotonic_ns()
     with contextlib.suppress(OSError), client:  # they have seen enough
-        for shot, held in enumerate(shown(config.board, rig, config.seed)):
+        for shot, held in enumerate(board_poses(config.board, rig, config.seed)):
             exposed_ns = start_ns + shot * _PERIOD_NS
             time.sleep(max(exposed_ns - time.monotonic_ns(), 0) * 1e-9)
             if os.getppid() != parent:

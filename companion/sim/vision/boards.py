@@ -43,7 +43,7 @@ class ShownBoard:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Held:
+class BoardPose:
     """Where the board is: its own coordinates (x across, y down, from its first corner) go to the left camera's.
 
     ``X = exp(turn_rad) X_board + place_m``.
@@ -65,7 +65,7 @@ class BoardRenderer:
         self._right_from_left = right.camera_from_body @ left.camera_from_body.T
         self.right_in_left_m: Floats = left.camera_from_body @ (right.position_body_m - left.position_body_m)
 
-    def render(self, side: Side, held: Held, shot: int) -> Bytes:
+    def render(self, side: Side, held: BoardPose, shot: int) -> Bytes:
         """Image (rows, columns); ``shot`` chooses the noise."""
         rotation, place_m = exp_rotation(held.turn_rad), held.place_m
         if side is Side.RIGHT:
@@ -75,12 +75,12 @@ class BoardRenderer:
         width, height = self._cameras[side].lens.size_px
         texel = on_board_m / self._board.square_m * _TEXELS + (_TEXELS - 0.5)  # the margin is one square wide
         where = texel.astype(np.float32).reshape(height, width, 2)
-        seen = cv2.remap(self._print, where, None, cv2.INTER_LINEAR, borderValue=_WALL)
-        noise = np.random.default_rng([self._seed, side, shot, 0xB0A2]).standard_normal(seen.shape, dtype=np.float32)
-        return np.asarray(cv2.add(seen, _NOISE * noise, dtype=cv2.CV_8U))
+        image = cv2.remap(self._print, where, None, cv2.INTER_LINEAR, borderValue=_WALL)
+        noise = np.random.default_rng([self._seed, side, shot, 0xB0A2]).standard_normal(image.shape, dtype=np.float32)
+        return np.asarray(cv2.add(image, _NOISE * noise, dtype=cv2.CV_8U))
 
 
-def shown(board: ShownBoard, rig: Rig, seed: int) -> Iterator[Held]:
+def board_poses(board: ShownBoard, rig: Rig, seed: int) -> Iterator[BoardPose]:
     """Where somebody holds the board, exposure by exposure, without end: still for three, one on the way, and again.
 
     Places are spread over what both cameras see, tilts to both sides, distances over a factor of 1.6. A chessboard is
@@ -90,13 +90,13 @@ def shown(board: ShownBoard, rig: Rig, seed: int) -> Iterator[Held]:
     before = _hold(board, rig, rng)
     while True:
         held = _hold(board, rig, rng)
-        yield Held(0.5 * (before.turn_rad + held.turn_rad), 0.5 * (before.place_m + held.place_m))
+        yield BoardPose(0.5 * (before.turn_rad + held.turn_rad), 0.5 * (before.place_m + held.place_m))
         for _ in range(_STILL_FRAMES):
             yield held
         before = held
 
 
-def _hold(board: ShownBoard, rig: Rig, rng: np.random.Generator) -> Held:
+def _hold(board: ShownBoard, rig: Rig, rng: np.random.Generator) -> BoardPose:
     left, right = rig.left.rest, rig.right.rest
     apart_m = left.camera_from_body @ (right.position_body_m - left.position_body_m)
     field = np.array(rig.left.lens.size_px) / np.diag(rig.left.lens.matrix)[:2]  # image size over distance
@@ -107,7 +107,7 @@ def _hold(board: ShownBoard, rig: Rig, rng: np.random.Generator) -> Held:
     where = np.sign(rng.uniform(-1.0, 1.0, 2)) * rng.uniform(size=2) ** 0.5
     middle_m = np.append(0.5 * apart_m[:2] + 0.5 * where * free_m, depth_m)
     turn_rad = rng.uniform(-1.0, 1.0, 3) * np.array([_TILT_RAD, _TILT_RAD, _ROLL_RAD])
-    return Held(turn_rad, middle_m - exp_rotation(turn_rad) @ np.append(0.5 * board.size_m, 0.0))
+    return BoardPose(turn_rad, middle_m - exp_rotation(turn_rad) @ np.append(0.5 * board.size_m, 0.0))
 
 
 def _printed(board: ShownBoard) -> Image32:

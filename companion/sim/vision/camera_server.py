@@ -28,7 +28,7 @@ from companion.records import Side
 from companion.sim.flight.truth import FlightTruth
 from companion.sim.vehicle.starting import opened
 from companion.sim.vision.cameras import HEADER, MAGIC, PULSE, Shutters
-from companion.sim.vision.renderer import Exposure, Renderer
+from companion.sim.vision.renderer import ExposureInterval, Renderer
 from companion.sim.vision.scene import Scene
 
 QUEUE_SHOTS = 4  # at 5 a second the last of them is 0.8 s old: still inside the smoother's window
@@ -67,7 +67,7 @@ class _Job:
 
     side: Side
     shot: int
-    exposure: Exposure
+    exposure: ExposureInterval
 
     @property
     def ready_ns(self) -> int:
@@ -130,9 +130,9 @@ class CameraServer:
         jobs = [_Job(side, shot, self._shutters.exposure(side, edge_ns, shot)) for side in Side]
         self.counters["shots"] += 1
         self._busy_until_ns = max(job.ready_ns for job in jobs)
-        whole = [job.shot for job in self._jobs if job.side is Side.LEFT]  # of which neither image is rendered
-        if len(whole) >= self.config.queue_shots:
-            self._jobs = deque(job for job in self._jobs if job.shot != whole[0])
+        waiting = [job.shot for job in self._jobs if job.side is Side.LEFT]  # of which neither image is rendered
+        if len(waiting) >= self.config.queue_shots:
+            self._jobs = deque(job for job in self._jobs if job.shot != waiting[0])
             self.counters["dropped"] += 1
         self._jobs.extend(jobs)
 
@@ -160,12 +160,12 @@ class CameraServer:
         except BlockingIOError:
             return
         except OSError:
-            self._part()
+            self._drop_client()
             return
         if not self._outgoing:
             self.counters["sent"] += 1
 
-    def _part(self) -> None:
+    def _drop_client(self) -> None:
         if self._client is not None:
             self._client.close()
             self._client = None
@@ -177,7 +177,7 @@ class CameraServer:
         with contextlib.suppress(BlockingIOError):
             while True:  # of several that have knocked, the last is the living one
                 newcomer = self._door.accept()[0]
-                self._part()
+                self._drop_client()
                 self._client = newcomer
                 newcomer.setblocking(False)
 

@@ -19,7 +19,7 @@ import numpy as np
 from companion.errors import DeviceError
 from companion.params.airframe import Airframe, Camera
 from companion.records import ClockName, Frame, FramePair, Shot, Side, TriggerPlan
-from companion.sim.vision.renderer import Exposure, Renderer
+from companion.sim.vision.renderer import ExposureInterval, Renderer
 
 PULSE = struct.Struct("<qq")
 """plan id, instant of the edge (host ns)."""
@@ -48,7 +48,7 @@ class Shutters:
         self.cameras: tuple[Camera, Camera] = (airframe.left_camera, airframe.right_camera)
         self.seed = seed
 
-    def exposure(self, side: Side, edge_ns: int, shot: int) -> Exposure:
+    def exposure(self, side: Side, edge_ns: int, shot: int) -> ExposureInterval:
         """The exposure that an edge starts, on the clock of the edge (``mid_boot_ns`` included)."""
         camera = self.cameras[side]
         jitter_s = _LATENCY_JITTER_S * float(np.random.default_rng([self.seed, side, shot, 0x5407]).standard_normal())
@@ -56,7 +56,7 @@ class Shutters:
         exposure_ns, row_ns = round(camera.exposure_s * 1e9), round(camera.row_time_s * 1e9)
         start_ns = edge_ns + round(latency_s * 1e9)
         middle_row_ns = round(row_ns * 0.5 * (camera.height_px - 1))
-        return Exposure(start_ns + middle_row_ns + exposure_ns // 2, exposure_ns, row_ns)
+        return ExposureInterval(start_ns + middle_row_ns + exposure_ns // 2, exposure_ns, row_ns)
 
 
 def render_pair(renderer: Renderer, shutters: Shutters, edge_boot_ns: int, shot: int) -> FramePair:
@@ -113,7 +113,7 @@ class SimTriggerLine:
 
 
 @dataclass(slots=True)
-class _Stream:
+class _FrameStream:
     """Bytes of the frame stream that have not made a whole frame yet."""
 
     pending: bytearray
@@ -137,7 +137,7 @@ class SimCameraPair:
 
     def __init__(self, path: Path) -> None:
         self._socket = _connected(str(path))
-        self._stream = _Stream(bytearray())
+        self._stream = _FrameStream(bytearray())
 
     def poll(self, timeout_s: float) -> list[Frame]:
         """Frames that have arrived within the timeout.

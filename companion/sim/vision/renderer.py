@@ -20,7 +20,7 @@ from companion.core.wing.effects import make_effects
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Bytes, Floats, Ints, Side
 from companion.sim.flight.truth import FlightTruth
-from companion.sim.vision.scene import Scene, View
+from companion.sim.vision.scene import CameraView, Scene
 from companion.sim.vision.shutter import PixelGrid
 from companion.sim.vision.texture import Image32, NoiseTile
 from companion.sim.vision.textured_plane import SurfacePainter
@@ -31,7 +31,7 @@ _NOISE_SPARE = 512  # pixels by which the noise field is larger than an image, e
 
 
 @dataclass(frozen=True, slots=True)
-class Exposure:
+class ExposureInterval:
     """When a camera looked: middle of the middle row's exposure, its length, time between rows."""
 
     mid_boot_ns: int
@@ -64,20 +64,20 @@ class Renderer:
         bank = np.random.default_rng([seed, 0x5E25])
         self._noise: Image32 = bank.standard_normal((largest + _NOISE_SPARE)[::-1], dtype=np.float32)
 
-    def view(self, side: Side, t_boot_ns: int) -> View:
+    def view(self, side: Side, t_boot_ns: int) -> CameraView:
         """Where a camera is and looks at one instant, effects included."""
         return self.views(side, np.array([t_boot_ns], dtype=np.int64))[0]
 
-    def views(self, side: Side, t_boot_ns: Ints) -> list[View]:
+    def views(self, side: Side, t_boot_ns: Ints) -> list[CameraView]:
         """The same at many instants."""
         series = self.truth.series(t_boot_ns)
-        found = []
+        views = []
         for i, t_ns in enumerate(t_boot_ns):
             camera, pose = self._mounted(side, int(t_ns), series.slope_rad[i], series.lift_m[i], series.twist_rad[i])
-            found.append(View.from_body(camera, pose, series.body_from_ned[i], series.position_ned_m[i]))
-        return found
+            views.append(CameraView.from_body(camera, pose, series.body_from_ned[i], series.position_ned_m[i]))
+        return views
 
-    def render(self, side: Side, exposure: Exposure, shot: int) -> Bytes:
+    def render(self, side: Side, exposure: ExposureInterval, shot: int) -> Bytes:
         """One image (rows, columns); ``shot`` chooses the noise.
 
         Raises

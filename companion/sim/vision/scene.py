@@ -14,7 +14,7 @@ from companion.sim.flight.truth import FlightTruth
 _DOWN = np.array([0.0, 0.0, 1.0])
 
 
-class Product(enum.StrEnum):
+class TrueRangeProduct(enum.StrEnum):
     """Which range stands for a view (settings: RNG_PRODUCT)."""
 
     MEDIAN = "median"
@@ -148,7 +148,7 @@ def obstacle_scene(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class CameraView:
     """One camera in the world: its lens, and its pose in NED."""
 
     camera: MountedCamera
@@ -156,7 +156,7 @@ class View:
     centre_ned_m: Floats
 
     @classmethod
-    def from_body(cls, camera: MountedCamera, pose: Pose, body_from_ned: Floats, position_ned_m: Floats) -> View:
+    def from_body(cls, camera: MountedCamera, pose: Pose, body_from_ned: Floats, position_ned_m: Floats) -> CameraView:
         """Carry a body pose into the world."""
         centre = position_ned_m + body_from_ned.T @ pose.position_body_m
         return cls(camera, pose.camera_from_body @ body_from_ned, centre)
@@ -177,7 +177,7 @@ class View:
         return self.camera.lens.project((points_ned_m - self.centre_ned_m) @ self.camera_from_ned.T)
 
 
-def overlap_depths_m(scene: Scene, left: View, right: View, grid: tuple[int, int] = (32, 24)) -> Floats:
+def overlap_depths_m(scene: Scene, left: CameraView, right: CameraView, grid: tuple[int, int] = (32, 24)) -> Floats:
     """True depths of what both cameras see, along the mean optical axis from between the cameras, (n,).
 
     A ``grid`` of left pixels is followed to the scene; what falls outside the right image is left out, what hides
@@ -189,22 +189,24 @@ def overlap_depths_m(scene: Scene, left: View, right: View, grid: tuple[int, int
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     points = left.points_ned_m(scene, pixels)
     points = points[np.isfinite(points[:, 0])]
-    seen = right.project(points)
+    right_px = right.project(points)
     limits = np.array(right.camera.lens.size_px) - 0.5
-    both = np.all((seen > -0.5) & (seen < limits), axis=1)
+    both = np.all((right_px > -0.5) & (right_px < limits), axis=1)
     axis = left.camera_from_ned[2] + right.camera_from_ned[2]
     middle = 0.5 * (left.centre_ned_m + right.centre_ned_m)
     return np.asarray((points[both] - middle) @ (axis / np.linalg.norm(axis)))
 
 
-def true_range_m(scene: Scene, left: View, right: View, product: Product = Product.MEDIAN) -> float:
+def true_range_m(
+    scene: Scene, left: CameraView, right: CameraView, product: TrueRangeProduct = TrueRangeProduct.MEDIAN
+) -> float:
     """The range that the named product should read, along the mean optical axis; infinite where nothing is seen."""
     depths = overlap_depths_m(scene, left, right)
     if not len(depths):
         return float("inf")
-    if product is Product.NEAREST:
+    if product is TrueRangeProduct.NEAREST:
         return float(np.min(depths))
-    if product is Product.MEDIAN:
+    if product is TrueRangeProduct.MEDIAN:
         return float(np.median(depths))
     axis = left.camera_from_ned[2] + right.camera_from_ned[2]
     middle = 0.5 * (left.centre_ned_m + right.centre_ned_m)

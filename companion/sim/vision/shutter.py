@@ -147,17 +147,17 @@ class PixelGrid:
     def nodes_in(self, window: Window) -> tuple[slice, slice]:
         """Rows and columns of the nodes in and around a window."""
         spans = ((window.row, window.height, self._cell_px[1]), (window.column, window.width, self._cell_px[0]))
-        found = []
+        spans_nodes = []
         for (start, length, cell), count in zip(spans, NODES, strict=True):
             first, last = int(start / cell - 0.5), int((start + length) / cell - 0.5) + 1
-            found.append(slice(min(max(first, 0), count - 1), min(last, count - 1) + 1))
-        return found[0], found[1]
+            spans_nodes.append(slice(min(max(first, 0), count - 1), min(last, count - 1) + 1))
+        return spans_nodes[0], spans_nodes[1]
 
-    def window_of_nodes(self, seen: Bools, nodes: tuple[slice, slice], window: Window) -> Window | None:
-        """The part of a window around those of its ``nodes`` that are ``seen``; None where there is none."""
-        if seen.all():
+    def window_of_nodes(self, visible_nodes: Bools, nodes: tuple[slice, slice], window: Window) -> Window | None:
+        """The part of a window around those of its ``nodes`` that are ``visible_nodes``; None where there is none."""
+        if visible_nodes.all():
             return window
-        rows, columns = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
+        rows, columns = (np.flatnonzero(visible_nodes.any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             return None
         first = np.array([columns[0] + nodes[1].start, rows[0] + nodes[0].start])

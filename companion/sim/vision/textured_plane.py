@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from companion.records import Bools, Floats
-from companion.sim.vision.scene import Plane, View
+from companion.sim.vision.scene import CameraView, Plane
 from companion.sim.vision.shutter import PixelGrid, Track, Window, at_time, margin_of
 from companion.sim.vision.texture import (
     LEVELS_PER_RMS,
@@ -37,7 +37,7 @@ _EDGE_ON_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class PlaneView:
     """A plane as one camera sees it during one exposure.
 
     Attributes
@@ -67,23 +67,25 @@ class SurfacePainter:
         self._tile = tile
         self._octaves = functools.lru_cache(maxsize=64)(functools.partial(octaves_of, seed))
 
-    def paint(self, image: Image32, planes: Sequence[Plane], views: list[View], grid: PixelGrid, track: Track) -> None:
+    def paint(
+        self, image: Image32, planes: Sequence[Plane], views: list[CameraView], grid: PixelGrid, track: Track
+    ) -> None:
         """Draw over ``image`` (rows, columns) what planes cover of it, from far to near; hidden ones are left out.
 
         ``views`` are at the track's poses.
         """
-        seen: list[tuple[Sight, Window]] = []
+        visible: list[tuple[PlaneView, Window]] = []
         for plane in reversed(planes):
             window = _window(plane, views, grid)
-            if window is None or any(_fills(nearer, window) for nearer, _ in seen):
+            if window is None or any(_fills(nearer, window) for nearer, _ in visible):
                 continue
             sight = _sight(plane, views, grid, track)
             if sight is not None:
-                seen.append((sight, window))
-        for sight, window in reversed(seen):
+                visible.append((sight, window))
+        for sight, window in reversed(visible):
             self._paint(image, sight, window)
 
-    def _paint(self, image: Image32, sight: Sight, window: Window) -> None:
+    def _paint(self, image: Image32, sight: PlaneView, window: Window) -> None:
         coverage = _coverage(sight, window)
         if coverage is not None and not coverage.any():
             return
@@ -96,7 +98,7 @@ class SurfacePainter:
         else:
             target += coverage[:rows, :columns] * (painted - target)
 
-    def _texture(self, sight: Sight, window: Window) -> Image32:
+    def _texture(self, sight: PlaneView, window: Window) -> Image32:
         layers: dict[int, Image32] = {}
         width = sight.grid.size_px[0]
         nodes = sight.grid.nodes_in(window)
@@ -107,23 +109,23 @@ class SurfacePainter:
                 continue
             cycles = octave.cycles_per_m * footprint_m
             gain = weight(cycles, width)
-            seen = gain > _LEAST_WEIGHT
-            part = sight.grid.window_of_nodes(seen, nodes, window)
-            if part is None:
+            resolved = gain > _LEAST_WEIGHT
+            painted = sight.grid.window_of_nodes(resolved, nodes, window)
+            if painted is None:
                 continue
-            finest = float(cycles[seen].max())
+            finest = float(cycles[resolved].max())
             factor = next((factor for factor, limit in _COARSE if finest <= limit), 1)
             layer = layers.setdefault(factor, np.zeros(sight.grid.cell_shape(window, factor), np.float32))
-            wave = self._blurred(sight, part, octave, factor, finest)
-            y, x = (part.row - window.row) // factor, (part.column - window.column) // factor
+            wave = self._blurred(sight, painted, octave, factor, finest)
+            y, x = (painted.row - window.row) // factor, (painted.column - window.column) // factor
             target = layer[y : y + wave.shape[0], x : x + wave.shape[1]]
-            target += wave * sight.grid.spread_nodes(gain, nodes, part, factor)
+            target += wave * sight.grid.spread_nodes(gain, nodes, painted, factor)
         total: Image32 = np.full((window.height, window.width), sight.plane.brightness, np.float32)
         for factor, layer in layers.items():
             cv2.scaleAdd(_enlarged(layer, factor), CONTRAST, total, dst=total)
         return total
 
-    def _blurred(self, sight: Sight, window: Window, octave: Octave, factor: int, cycles_per_px: float) -> Image32:
+    def _blurred(self, sight: PlaneView, window: Window, octave: Octave, factor: int, cycles_per_px: float) -> Image32:
         """Noise of rms 1, averaged over the exposure."""
         poses = min(max(math.ceil(_POSES_PER_CYCLE * cycles_per_px * sight.motion_px), 1), _MOST_POSES)
         texel = np.vstack([octave.texel_from_plane(sight.origin_m), [0.0, 0.0, 1.0]])
@@ -134,7 +136,7 @@ class SurfacePainter:
         total -= np.float32(ZERO_LEVEL / LEVELS_PER_RMS)
         return total
 
-    def _sample(self, sight: Sight, window: Window, texel: Floats, factor: int, t_s: float) -> Image16:
+    def _sample(self, sight: PlaneView, window: Window, texel: Floats, factor: int, t_s: float) -> Image16:
         grid, track = sight.grid, sight.track
         if track.row_time_ns:
             return self._rolled(sight, window, texel, factor, t_s)
@@ -152,7 +154,7 @@ class SurfacePainter:
             cv2.warpPerspective(tile, texel_from_cell, (columns, rows), flags=flags, borderMode=cv2.BORDER_WRAP)
         )
 
-    def _rolled(self, sight: Sight, window: Window, texel: Floats, factor: int, t_s: float) -> Image16:
+    def _rolled(self, sight: PlaneView, window: Window, texel: Floats, factor: int, t_s: float) -> Image16:
         """Every row at its own pose."""
         times = t_s + sight.track.row_delay_s(sight.grid.cell_rows(window, factor))
         matrices = (texel @ at_time(sight.polynomial, times)).astype(np.float32)
@@ -171,7 +173,7 @@ def _enlarged(layer: Image32, factor: int) -> Image32:
     return np.ascontiguousarray(large[edge:-edge, edge:-edge])
 
 
-def _window(plane: Plane, views: list[View], grid: PixelGrid) -> Window | None:
+def _window(plane: Plane, views: list[CameraView], grid: PixelGrid) -> Window | None:
     """Pixels that the plane may touch; None when it is out of sight."""
     if plane.half_size_m is None:
         return grid.full()
@@ -184,7 +186,7 @@ def _window(plane: Plane, views: list[View], grid: PixelGrid) -> Window | None:
     return Window.around(corners.min(axis=0) - 2.0, corners.max(axis=0) + 2.0, grid.size_px)
 
 
-def _sight(plane: Plane, views: list[View], grid: PixelGrid, track: Track) -> Sight | None:
+def _sight(plane: Plane, views: list[CameraView], grid: PixelGrid, track: Track) -> PlaneView | None:
     """Set the homography up; None when the plane is seen edge-on or lies behind."""
     middle = views[0]
     if abs(plane.normal @ (plane.centre_m - middle.centre_ned_m)) < _EDGE_ON_M:
@@ -195,10 +197,10 @@ def _sight(plane: Plane, views: list[View], grid: PixelGrid, track: Track) -> Si
     if not np.isfinite(footprint).any():
         return None
     polynomial = track.polynomial(matrices)
-    return Sight(plane, grid, track, origin, polynomial, footprint, _motion_px(polynomial, grid, track))
+    return PlaneView(plane, grid, track, origin, polynomial, footprint, _motion_px(polynomial, grid, track))
 
 
-def _origin(plane: Plane, view: View) -> Floats:
+def _origin(plane: Plane, view: CameraView) -> Floats:
     """Plane coordinates near what is seen, so that single precision suffices from there on."""
     axis = view.camera_from_ned[2]
     stretch = plane.hit(view.centre_ned_m, axis[None])[0] if abs(plane.normal @ axis) > 0.05 else np.inf
@@ -206,7 +208,7 @@ def _origin(plane: Plane, view: View) -> Floats:
     return np.array([spot @ plane.across, spot @ plane.along])
 
 
-def _plane_from_ray(plane: Plane, view: View, origin_m: Floats) -> Floats:
+def _plane_from_ray(plane: Plane, view: CameraView, origin_m: Floats) -> Floats:
     """From a ray in camera axes to (u w, v w, w): u = across.(C + s d - P) with s = n.(P - C) / n.d, w = n.d."""
     offset = view.centre_ned_m - plane.centre_m
     reach = -float(plane.normal @ offset)
@@ -225,14 +227,14 @@ def _footprint(matrix: Floats, grid: PixelGrid) -> Floats:
     """Largest singular value of d(u, v)/d(pixel) at the nodes."""
     uvw = grid.node_rays @ matrix.T
     w = uvw[..., 2]
-    seen = w > 1e-4
-    safe = np.where(seen, w, 1.0)
+    in_front = w > 1e-4
+    safe = np.where(in_front, w, 1.0)
     uv = uvw[..., :2] / safe[..., None]
     jacobian = (matrix[:2, :2] - uv[..., None] * matrix[2, :2]) / (safe[..., None, None] * grid.focal_px)
     square = np.sum(jacobian**2, axis=(-2, -1))
     area = np.abs(jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0])
     largest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * area**2, 0.0))))
-    return np.where(seen, largest, np.inf)
+    return np.where(in_front, largest, np.inf)
 
 
 def _motion_px(polynomial: Floats, grid: PixelGrid, track: Track) -> float:
@@ -242,14 +244,14 @@ def _motion_px(polynomial: Floats, grid: PixelGrid, track: Track) -> float:
     rays = grid.node_rays[::6, ::6].reshape(-1, 3)
     uvw = rays @ start.T
     later = uvw @ np.linalg.inv(end).T
-    seen = (uvw[:, 2] > 1e-2) & (later[:, 2] > 1e-3)
-    if not seen.any():
+    in_front = (uvw[:, 2] > 1e-2) & (later[:, 2] > 1e-3)
+    if not in_front.any():
         return 0.0
-    moved = later[seen, :2] / later[seen, 2:] - rays[seen, :2]
+    moved = later[in_front, :2] / later[in_front, 2:] - rays[in_front, :2]
     return float(np.max(np.hypot(moved[:, 0], moved[:, 1]))) * grid.focal_px
 
 
-def _coverage(sight: Sight, window: Window) -> Image32 | None:
+def _coverage(sight: PlaneView, window: Window) -> Image32 | None:
     """Share of each pixel that the plane covers, averaged over the exposure; None where that is all of it."""
     if _fills(sight, sight.grid.full()):
         return None
@@ -263,23 +265,23 @@ def _coverage(sight: Sight, window: Window) -> Image32 | None:
     return total / np.float32(poses)
 
 
-def _fills(sight: Sight, window: Window) -> bool:
+def _fills(sight: PlaneView, window: Window) -> bool:
     """Whether the plane covers all of a window, throughout the exposure and with room to spare."""
     polynomial = at_time(sight.polynomial, np.zeros(1))[0]
     return bool(np.all(_inside(sight, sight.grid.corner_rays(window) @ polynomial.T)))
 
 
-def _inside(sight: Sight, uvw: Floats) -> Bools:
+def _inside(sight: PlaneView, uvw: Floats) -> Bools:
     """Whether points lie well within the plane, in front of the camera."""
-    seen = uvw[:, 2] > 0.05
+    in_front = uvw[:, 2] > 0.05
     half = sight.plane.half_size_m
     if half is None:
-        return seen
-    uv = np.abs(uvw[:, :2] / np.where(seen, uvw[:, 2], 1.0)[:, None] + sight.origin_m)
-    return np.asarray(seen & np.all(uv < 0.98 * np.array(half), axis=1))
+        return in_front
+    uv = np.abs(uvw[:, :2] / np.where(in_front, uvw[:, 2], 1.0)[:, None] + sight.origin_m)
+    return np.asarray(in_front & np.all(uv < 0.98 * np.array(half), axis=1))
 
 
-def _outline(sight: Sight, rays: Image32, matrices: Image32) -> Image32:
+def _outline(sight: PlaneView, rays: Image32, matrices: Image32) -> Image32:
     """Coverage at one pose (or one per row): distance to each edge in pixels, clipped to a pixel's width."""
     m = matrices[:, None]
     u_w, v_w, w = (rays[..., 0] * m[..., i, 0] + rays[..., 1] * m[..., i, 1] + m[..., i, 2] for i in range(3))
@@ -290,11 +292,11 @@ def _outline(sight: Sight, rays: Image32, matrices: Image32) -> Image32:
     if half is None:
         steep = np.hypot(m[..., 2, 0], m[..., 2, 1]) / focal
         return np.asarray(np.clip(w / steep + np.float32(0.5), 0.0, 1.0), dtype=np.float32)
-    share = front.astype(np.float32)
+    coverage = front.astype(np.float32)
     for row, (value, limit) in enumerate(zip((u_w / safe, v_w / safe), half, strict=True)):
         gradient = np.hypot(m[..., row, 0] - value * m[..., 2, 0], m[..., row, 1] - value * m[..., 2, 1]) / (
             safe * focal
         )
         edge = (np.float32(limit) - np.abs(value + np.float32(sight.origin_m[row]))) / gradient
-        share *= np.clip(edge + np.float32(0.5), 0.0, 1.0)
-    return np.asarray(share, dtype=np.float32)
+        coverage *= np.clip(edge + np.float32(0.5), 0.0, 1.0)
+    return np.asarray(coverage, dtype=np.float32)

@@ -8,33 +8,33 @@ from typing import Any
 
 from companion.adapters.mavlink.component.commands import CommandServer
 from companion.adapters.mavlink.component.ftp import FileServer
-from companion.adapters.mavlink.component.onboard_computer_status import ComputerStatus
+from companion.adapters.mavlink.component.onboard_computer_status import OnboardComputerStatus
 from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.component.statustext import TextLimiter
 from companion.adapters.mavlink.decode.message_records import Echo, Heard
 from companion.adapters.mavlink.link.signing import Signing
-from companion.adapters.mavlink.vehicle.id_conflict import IdentityWatch
+from companion.adapters.mavlink.vehicle.id_conflict import IdConflictDetector
 from companion.params.metadata import GENERAL_FILE, metadata_files
 from companion.records import Notice, ParameterChange
 
 _MOST_NOTICES = 16
 
 
-class OwnComponent:
+class OnboardComponent:
     """What a good component does beside its work. Told what was heard and sent, asked for what is due."""
 
     def __init__(
-        self, parameters: ParameterServer, computer: ComputerStatus | None = None, signing: Signing | None = None
+        self, parameters: ParameterServer, computer: OnboardComputerStatus | None = None, signing: Signing | None = None
     ) -> None:
         self.parameters = parameters
         self.signing = signing
-        self.identity = IdentityWatch()
+        self.identity = IdConflictDetector()
         self.texts = TextLimiter()
         component = parameters.settings.component_id
         files = metadata_files(component)
         self.files = FileServer(files, component)
         self.commands = CommandServer(component, files[GENERAL_FILE])
-        self._computer = ComputerStatus() if computer is None else computer
+        self._computer = OnboardComputerStatus() if computer is None else computer
         self._notices: deque[Notice] = deque(maxlen=_MOST_NOTICES)
 
     def hear(self, heard: Heard, system: int) -> None:

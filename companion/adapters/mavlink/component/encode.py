@@ -95,11 +95,11 @@ def obstacle_distance(record: ObstacleSectors, time_usec: int) -> Any:
     least, most = _limits_cm(record.min_m, record.max_m)
     finite = np.isfinite(record.distance_m) & (record.distance_m >= 0)
     distance = np.where(finite, np.minimum(record.distance_m, 2 * _LARGEST_CM / _CM), 0.0) * _CM
-    known = record.known & finite
+    measured = record.known & finite
     sectors = np.full(len(record.distance_m), _UNKNOWN_CM, dtype=np.int64)
     sectors[record.clear] = most + 1
     near = np.clip(np.rint(np.minimum(distance, most + 1)), max(least, 1), most + 1).astype(np.int64)
-    sectors[known & ~record.clear] = near[known & ~record.clear]
+    sectors[measured & ~record.clear] = near[measured & ~record.clear]
     circle = np.full(SECTORS, _UNKNOWN_CM, dtype=np.int64)
     circle[: len(sectors)] = sectors[:SECTORS]
     circle = np.roll(circle, _FIRST)

@@ -27,7 +27,7 @@ _BURST_PACKETS = 40
 _NONE, _TERMINATE, _RESET, _LIST, _OPEN, _READ, _CRC, _BURST = 0, 1, 2, 3, 4, 5, 14, 15
 _WRITES = frozenset(range(6, 14))
 _ACK, _NAK = 128, 129
-_FAIL, _NO_SESSION, _END_OF_FILE, _UNKNOWN_COMMAND, _PROTECTED, _NOT_FOUND = 1, 4, 6, 7, 9, 10
+_FAIL, _NO_SESSION, _END_OF_FILE, _UNKNOWN_COMMAND, _PROTECTED, _NO_SUCH_FILE = 1, 4, 6, 7, 9, 10
 
 
 @dataclass(slots=True)
@@ -48,7 +48,7 @@ class _Client:
     burst_at: int = -1
     burst_sequence: int = 0
     burst_session: int = 0
-    burst_left: int = 0
+    burst_packets: int = 0
     burst_size: int = _DATA_BYTES
 
 
@@ -82,11 +82,11 @@ class FileServer:
         """The next message to send, if it is time for one."""
         if now_host_ns - self._sent_host_ns < _PACE_NS:
             return None
-        found = self._waiting.popleft() if self._waiting else self._next_burst()
-        if found is None:
+        addressed = self._waiting.popleft() if self._waiting else self._next_burst()
+        if addressed is None:
             return None
         self._sent_host_ns = now_host_ns
-        (system, component), payload = found
+        (system, component), payload = addressed
         filled = list(payload.ljust(_PAYLOAD_BYTES, b"\0"))
         return mavlink.MAVLink_file_transfer_protocol_message(0, system, component, filled)
 
@@ -117,7 +117,7 @@ class FileServer:
 
     def _list(self, request: _Request) -> bytes:
         if _path(request) != "/":
-            return _nak(request, _NOT_FOUND)
+            return _nak(request, _NO_SUCH_FILE)
         entries = [f"F{path[1:]}\t{len(content)}".encode() + b"\0" for path, content in sorted(self._files.items())]
         if request.offset >= len(entries):
             return _nak(request, _END_OF_FILE)
@@ -132,7 +132,7 @@ class FileServer:
         path = _path(request)
         content = self._files.get(path)
         if content is None:
-            return _nak(request, _NOT_FOUND)
+            return _nak(request, _NO_SUCH_FILE)
         if request.opcode == _CRC:
             return _ack(request, struct.pack("<I", mavlink_crc32(content)))
         client.path = path
@@ -147,7 +147,7 @@ class FileServer:
         size = min(request.size or _DATA_BYTES, _DATA_BYTES)
         if request.opcode == _READ:
             return _ack(request, content[request.offset : request.offset + size], request.offset)
-        client.burst_at, client.burst_left, client.burst_size = request.offset, _BURST_PACKETS, size
+        client.burst_at, client.burst_packets, client.burst_size = request.offset, _BURST_PACKETS, size
         client.burst_sequence, client.burst_session = request.sequence, request.session
         return b""
 
@@ -159,8 +159,8 @@ class FileServer:
             data = content[client.burst_at : client.burst_at + client.burst_size]
             request = _Request(client.burst_sequence, client.burst_session, _BURST, 0, client.burst_at, b"")
             client.burst_sequence = (client.burst_sequence + 1) & 0xFFFF
-            client.burst_left -= 1
-            ended = client.burst_at + len(data) >= len(content) or client.burst_left == 0
+            client.burst_packets -= 1
+            ended = client.burst_at + len(data) >= len(content) or client.burst_packets == 0
             client.burst_at = -1 if ended else client.burst_at + len(data)
             return sender, _ack(request, data, request.offset, complete=ended)
         return None

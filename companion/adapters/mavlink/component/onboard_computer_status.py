@@ -14,7 +14,7 @@ _MIB = 1 << 20
 _CORES = 8
 
 
-class ComputerStatus:
+class OnboardComputerStatus:
     """Makes the message once a second. What this machine does not tell is sent as unknown.
 
     Parameters
@@ -76,8 +76,8 @@ class ComputerStatus:
             was_idle, was_total = self._times.get(name, (0, 0))
             self._times[name] = (idle, total)
             if total > was_total:
-                share = 100 * (1 - (idle - was_idle) / (total - was_total))
-                shares[name] = min(max(round(share), 0), 100)
+                busy_percent = 100 * (1 - (idle - was_idle) / (total - was_total))
+                shares[name] = min(max(round(busy_percent), 0), 100)
         return shares
 
     def _memory_mib(self) -> tuple[int, int]:

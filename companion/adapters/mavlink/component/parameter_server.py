@@ -66,7 +66,7 @@ class ParameterServer:
         The values in force at the start.
     store
         Told every value that was set (by name) after each change; None keeps nothing.
-    kept
+    stored
         Values that were stored before, so that they stay stored.
     reserved
         Component ids of others, which ours must not become.
@@ -76,7 +76,7 @@ class ParameterServer:
         self,
         settings: Settings,
         store: Store | None = None,
-        kept: Mapping[str, float] | None = None,
+        stored: Mapping[str, float] | None = None,
         reserved: Collection[int] = (),
     ) -> None:
         self.settings = settings
@@ -88,7 +88,7 @@ class ParameterServer:
         self._index = {row.name: index for index, row in enumerate(self._rows)}
         self._values = {row.name: float(getattr(settings, row.attribute)) for row in self._rows}
         self._store = store
-        self._kept = dict(kept or {})
+        self._stored = dict(stored or {})
         self._waiting: deque[int] = deque()
         self._answered: dict[int, int] = {}
         self._twice: set[int] = set()
@@ -109,7 +109,7 @@ class ParameterServer:
             message = heard.message
             if message.target_system not in (0, system) or message.target_component not in (0, self._component):
                 return
-            self._known(heard)
+            self._greeted(heard)
             if name == "PARAM_REQUEST_LIST":
                 self._append(range(len(self._rows)))
             elif name == "PARAM_REQUEST_READ":
@@ -132,7 +132,7 @@ class ParameterServer:
             self._append(range(len(self._rows)) if station.greeted == 0 else (0,))
             station.greeted += 1
 
-    def _known(self, heard: Heard) -> None:
+    def _greeted(self, heard: Heard) -> None:
         station = self._stations.get((heard.system, heard.component))
         if station is not None:
             station.greeted = _GREETINGS
@@ -175,7 +175,7 @@ class ParameterServer:
         self._first(index)
 
     def _accept(self, row: Tunable, value: float, now_host_ns: int) -> None:
-        self._values[row.name] = self._kept[row.name] = value
+        self._values[row.name] = self._stored[row.name] = value
         self._next = self._next.replace(row.name, value)
         if row.live:
             self.settings = self.settings.replace(row.name, value)
@@ -183,7 +183,7 @@ class ParameterServer:
         else:
             self._say(_INFO, f"{row.name} {value:g}: restart needed", now_host_ns)
         if self._store is not None:
-            self._store.keep(dict(self._kept))
+            self._store.keep(dict(self._stored))
 
     def _complain(self, heard: Heard, error: int) -> None:
         message = heard.message

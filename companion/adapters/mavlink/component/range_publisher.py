@@ -14,7 +14,7 @@ _RESTARTED_MS = 1000
 _EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be
 
 
-class RangeOutputs:
+class RangePublisher:
     """Makes the messages of one vehicle.
 
     A change between "here is a range" and "alive, no range" goes out at once; more of the same waits for its turn.
@@ -46,15 +46,15 @@ class RangeOutputs:
             message = encode.no_range(record.orientation, *limits_m, (at_ns + boot_offset_ns) // 1_000_000)
         trusted = message.signal_quality != encode.NO_RANGE_QUALITY
         changed, self._trusted = trusted != self._trusted, trusted
-        found = [message] if self._turn("range", now_host_ns) or changed else []
+        messages = [message] if self._due("range", now_host_ns) or changed else []
         if isinstance(record, NoRange) and self._forward:
             nothing = encode.unknown_sectors(record.at_host_ns, *limits_m)
-            found += self._obstacles(nothing, boot_offset_ns, now_host_ns)
-        return found
+            messages += self._obstacles(nothing, boot_offset_ns, now_host_ns)
+        return messages
 
     def _obstacles(self, record: ObstacleSectors, boot_offset_ns: int, now_host_ns: int) -> list[Any]:
         form, boot_ns = self._settings.obstacles, record.t_host_ns + boot_offset_ns
-        if form not in (_CIRCLE, _POINTS) or not self._turn("obstacles", now_host_ns):
+        if form not in (_CIRCLE, _POINTS) or not self._due("obstacles", now_host_ns):
             return []
         if form == _CIRCLE:
             return [encode.obstacle_distance(record, boot_ns // 1000)]
@@ -64,7 +64,7 @@ class RangeOutputs:
         self._points_ms = stamp_ms
         return encode.obstacle_points(record, stamp_ms)
 
-    def _turn(self, what: str, now_host_ns: int) -> bool:
+    def _due(self, what: str, now_host_ns: int) -> bool:
         last = self._sent_host_ns.get(what)
         if last is not None and now_host_ns - last < _EARLY * 1e9 / self._settings.publish_rate_hz:
             return False

@@ -16,7 +16,7 @@ import numpy as np
 from fastcrc.crc16 import mcrf4xx
 
 from companion.adapters.mavlink.decode.layouts import IMPLAUSIBLE_STAMP_US, INTEGER_SCALE
-from companion.adapters.mavlink.decode.source_map import Mapped
+from companion.adapters.mavlink.decode.source_map import MappedSource
 from companion.adapters.mavlink.link.dialect import CRC_EXTRA, ID_OF, payload_size
 from companion.records import Floats, Ints
 
@@ -50,13 +50,13 @@ def _compiled(function: Any) -> Any:
     return function if njit is None else njit(cache=True, error_model="numpy")(function)
 
 
-class Run(NamedTuple):
+class SampleRun(NamedTuple):
     """Samples of one source in a chunk, in arrival order, body axes, all of them plain.
 
     ``t_ns`` (n,) as sent, and its ends in time; ``values`` (n, 6) in SI, zero along axes that the source does not send.
     """
 
-    source: Mapped
+    source: MappedSource
     t_ns: Ints
     values: Floats
     oldest_ns: int
@@ -87,10 +87,10 @@ class _Plan(NamedTuple):
     factor: Floats
 
 
-class Bulk:
+class BulkDecoder:
     """Reads the plain sources of one vehicle."""
 
-    def __init__(self, sources: Sequence[Mapped]) -> None:
+    def __init__(self, sources: Sequence[MappedSource]) -> None:
         shared = [(source.message, source.component) for source in sources]
         self._sources = tuple(
             source
@@ -102,7 +102,7 @@ class Bulk:
 
     def scan(
         self, buffer: bytes, system: int | None, frames: list[tuple[int, bytes]]
-    ) -> tuple[int, list[int], list[Run]]:
+    ) -> tuple[int, list[int], list[SampleRun]]:
         """Read a buffer; frames that are not in the runs are appended to ``frames``.
 
         Returns
@@ -112,10 +112,10 @@ class Bulk:
         counted : [frames, crc_errors, unknown, skipped_bytes]
         runs : list of Run
         """
-        found, t_ns, values = _read(
+        counts, t_ns, values = _read(
             np.frombuffer(buffer, np.uint8), _NO_SYSTEM if system is None else system, self._plan
         )
-        numbers = found.tolist()
+        numbers = counts.tolist()
         at = _COUNTED + 3 * len(self._sources)
         for k in range(at, len(numbers), 3):
             frames.append((numbers[k], buffer[numbers[k + 1] : numbers[k + 2]]))
@@ -124,13 +124,13 @@ class Bulk:
             count, oldest_ns, newest_ns = numbers[_COUNTED + 3 * k : _COUNTED + 3 * k + 3]
             if count:
                 last = first + count
-                runs.append(Run(source, t_ns[first:last], values[first:last], oldest_ns, newest_ns))
+                runs.append(SampleRun(source, t_ns[first:last], values[first:last], oldest_ns, newest_ns))
                 first = last
         return numbers[0], numbers[1:_COUNTED], runs
 
 
 @functools.cache
-def _known() -> tuple[Ints, Ints]:
+def _checksum_tables() -> tuple[Ints, Ints]:
     """CRC extra of every message id, and the longest payload of MAVLink 1, as :class:`_Plan` has them."""
     extra = np.full(max(CRC_EXTRA) + 1, -1, np.int64)
     extra[list(CRC_EXTRA)] = list(CRC_EXTRA.values())
@@ -142,11 +142,11 @@ def seek(buffer: bytes, start: int) -> int:
     """The next place from ``start`` on with a whole frame, or one that is not complete; the end where there is none."""
     counted, spans = np.zeros(_COUNTED, np.int64), np.empty((1, 4), np.int64)
     rest = np.frombuffer(buffer, np.uint8)[start:]
-    position = _find(rest, *_known(), spans, counted)
+    position = _find(rest, *_checksum_tables(), spans, counted)
     return start + (int(spans[0, 3]) if counted[1] else position)
 
 
-def _plan(sources: Sequence[Mapped]) -> _Plan:
+def _plan(sources: Sequence[MappedSource]) -> _Plan:
     number, factor = np.empty((len(sources), 8), np.int64), np.empty((len(sources), 6))
     for at, source in enumerate(sources):
         form = _FORM_OF[source.message]
@@ -154,7 +154,7 @@ def _plan(sources: Sequence[Mapped]) -> _Plan:
         unit = np.ones(6) if form == _HIGHRES else INTEGER_SCALE
         sends = np.array([int(source.sends) >> axis & 1 for axis in range(6)])
         factor[at] = unit[source.order] * source.signs * sends
-    return _Plan(*_known(), IMPLAUSIBLE_STAMP_US, number, factor)
+    return _Plan(*_checksum_tables(), IMPLAUSIBLE_STAMP_US, number, factor)
 
 
 @_compiled
@@ -163,7 +163,7 @@ def _read(buffer: _Bytes, system: int, plan: _Plan) -> tuple[Ints, Ints, Floats]
 
     Returns
     -------
-    found : int64
+    counts : int64
         Position and counts; number, oldest and newest stamp of each source's samples; then key, start and end of every
         payload that is not among these.
     t_ns : (n,) int64
@@ -183,20 +183,20 @@ def _read(buffer: _Bytes, system: int, plan: _Plan) -> tuple[Ints, Ints, Floats]
                     rows[source] += 1
     t_ns, values, first = np.empty(rows.sum(), np.int64), np.empty((rows.sum(), 6)), 0
     at = _COUNTED + 3 * len(rows)
-    found = np.zeros(at + 3 * count, np.int64)
-    found[:_COUNTED] = counted
+    counts = np.zeros(at + 3 * count, np.int64)
+    counts[:_COUNTED] = counted
     for source in range(len(rows)):
         if rows[source] and _fill(buffer, spans, of, source, plan, t_ns[first:], values[first:]):
-            own, place = t_ns[first : first + rows[source]], _COUNTED + 3 * source
-            found[place], found[place + 1], found[place + 2] = rows[source], own.min(), own.max()
+            stamps_ns, place = t_ns[first : first + rows[source]], _COUNTED + 3 * source
+            counts[place], counts[place + 1], counts[place + 2] = rows[source], stamps_ns.min(), stamps_ns.max()
             first += rows[source]
         else:
             rows[source] = 0
     for k in range(count):
         if of[k] < 0 or not rows[of[k]]:
-            found[at : at + 3] = spans[k, :3]
+            counts[at : at + 3] = spans[k, :3]
             at += 3
-    return found[:at], t_ns, values
+    return counts[:at], t_ns, values
 
 
 @_compiled

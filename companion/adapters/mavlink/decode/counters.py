@@ -17,7 +17,7 @@ class _Count:
     reported_host_ns: int | None = None
 
 
-class Tally:
+class RefusalCounters:
     """Refusals by reason and subject; a flood of invented subjects shares one line."""
 
     def __init__(self) -> None:

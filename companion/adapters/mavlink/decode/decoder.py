@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk, Run
-from companion.adapters.mavlink.decode.counters import Tally
+from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder, SampleRun
+from companion.adapters.mavlink.decode.counters import RefusalCounters
 from companion.adapters.mavlink.decode.inertial import StationReader
 from companion.adapters.mavlink.decode.layouts import LAYOUTS, TUNNEL_IMU_TYPE
 from companion.adapters.mavlink.decode.message_records import Echo, Heard, Translator
 from companion.adapters.mavlink.decode.source_map import build_mapping
 from companion.adapters.mavlink.link.dialect import ID_OF, NAME_OF, build_message
 from companion.adapters.mavlink.link.scan import Frame, ScanCounters, Scanner, sender
-from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockWatch
+from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockResetDetector
 from companion.errors import described
 from companion.params.airframe import Airframe
 from companion.records import ClockRestart, ImuBatch, Notice, RawChunk, Record, Reject
@@ -84,19 +84,19 @@ class Decoder:
 
     def __init__(self, airframe: Airframe, component_id: int, system: int = 0) -> None:
         self.mapping = build_mapping(airframe)
-        self.tally = Tally()
+        self.refusals = RefusalCounters()
         self.delivered: dict[tuple[int, int], int] = {}
         self.echoes = 0
         self._component_id = component_id
-        self._watch = ClockWatch()
-        self._translator = Translator(self.mapping, self._watch, self.tally, system)
+        self._reset_detector = ClockResetDetector()
+        self._translator = Translator(self.mapping, self._reset_detector, self.refusals, system)
         self._scanners: dict[int, Scanner] = {}
         self._messages = self.mapping.messages
         self._readers: dict[tuple[int, int], list[StationReader]] = {}
         for source in self.mapping.sources:
-            reader = StationReader(source, self._watch, self.tally)
+            reader = StationReader(source, self._reset_detector, self.refusals)
             self._readers.setdefault((source.message, source.component), []).append(reader)
-        self._bulk = Bulk(self.mapping.sources) if COMPILED else None
+        self._bulk = BulkDecoder(self.mapping.sources) if COMPILED else None
 
     @property
     def system_id(self) -> int | None:
@@ -136,24 +136,24 @@ class Decoder:
             return self._decode(chunk)
         except Exception as error:
             self._scanner(chunk.link).forget()
-            self.tally.add(Reject.INTERNAL_ERROR, f"bytes of link {chunk.link}")
-            due = self.tally.due(chunk.received_host_ns)
+            self.refusals.add(Reject.INTERNAL_ERROR, f"bytes of link {chunk.link}")
+            due = self.refusals.due(chunk.received_host_ns)
             if any(refused.reason is Reject.INTERNAL_ERROR for refused in due):  # at most once a second
                 text = f"internal error: bytes of link {chunk.link} refused: {described(error)}"
                 return Decoded([*due, Notice(_ERROR, text, chunk.received_host_ns)])
             return Decoded([*due])
 
     def _decode(self, chunk: RawChunk) -> Decoded:
-        found = self._scanner(chunk.link).scan(chunk.data, self.system_id)
+        scan = self._scanner(chunk.link).scan(chunk.data, self.system_id)
         out = Decoded()
         many: dict[int, list[bytes]] = {}
-        for frame in found.frames:
+        for frame in scan.frames:
             if frame[0] >> 16 in RARE:
                 self._hear(chunk, frame, out)
             many.setdefault(frame[0], []).append(frame[1])
         if chunk.link < OUTGOING:
-            self._inertial(chunk, many, found.runs, out)
-        out.records += self.tally.due(chunk.received_host_ns)
+            self._inertial(chunk, many, scan.runs, out)
+        out.records += self.refusals.due(chunk.received_host_ns)
         return out
 
     def _scanner(self, link: int) -> Scanner:
@@ -174,15 +174,15 @@ class Decoder:
             out.heard.append(heard)
             out.records += self._translator.records(heard)
 
-    def _inertial(self, chunk: RawChunk, many: dict[int, list[bytes]], runs: list[Run], out: Decoded) -> None:
+    def _inertial(self, chunk: RawChunk, many: dict[int, list[bytes]], runs: list[SampleRun], out: Decoded) -> None:
         received_ns = chunk.received_host_ns
-        found: list[tuple[int, Callable[..., Iterable[Record]], tuple[Any, ...]]] = []
+        reads: list[tuple[int, Callable[..., Iterable[Record]], tuple[Any, ...]]] = []
         for run in runs:
             source = run.source
             key = (source.message, source.component)
             self._count(key, len(run.t_ns))
             (reader,) = self._readers[key]
-            found.append((source.station, reader.plain, (run, received_ns)))
+            reads.append((source.station, reader.plain, (run, received_ns)))
         for frame_key, payloads in many.items():
             system, component, message = sender(frame_key)
             ours = self.system_id in (None, system)
@@ -191,11 +191,11 @@ class Decoder:
             if message in self._messages:
                 readers = self._readers.get((message, component)) if ours else None
                 if readers:
-                    found.append((readers[0].source.station, self._read, (readers, payloads, received_ns)))
+                    reads.append((readers[0].source.station, self._read, (readers, payloads, received_ns)))
                 else:
                     self._foreign(frame_key, payloads)
-        found.sort(key=itemgetter(0))
-        for _, read, arguments in found:
+        reads.sort(key=itemgetter(0))
+        for _, read, arguments in reads:
             out.records += read(*arguments)
 
     def _count(self, key: tuple[int, int], frames: int) -> None:
@@ -207,7 +207,7 @@ class Decoder:
             payloads = [payload for payload in payloads if payload.startswith(_TUNNEL_KIND)]
         if payloads:
             what = f"{NAME_OF[message]} of {system}/{component}"
-            self.tally.add(Reject.FOREIGN_SOURCE, what, len(payloads))
+            self.refusals.add(Reject.FOREIGN_SOURCE, what, len(payloads))
 
     def _read(
         self, readers: list[StationReader], payloads: list[bytes], received_host_ns: int
@@ -215,7 +215,7 @@ class Decoder:
         with np.errstate(all="ignore"):  # not-a-number is looked for, and refused by name
             samples, damaged = LAYOUTS[readers[0].source.message].read(payloads)
             if damaged:
-                self.tally.add(Reject.INCONSISTENT, f"{readers[0].name}: batch of an unknown size", damaged)
+                self.refusals.add(Reject.INCONSISTENT, f"{readers[0].name}: batch of an unknown size", damaged)
             if len(samples.t_ns):
                 for reader in readers:
                     yield from reader.batches(samples, received_host_ns)

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from companion.adapters.mavlink.decode.bulk import Run
-from companion.adapters.mavlink.decode.counters import Tally
-from companion.adapters.mavlink.decode.layouts import LAYOUTS, Samples
-from companion.adapters.mavlink.decode.source_map import Mapped
+from companion.adapters.mavlink.decode.bulk import SampleRun
+from companion.adapters.mavlink.decode.counters import RefusalCounters
+from companion.adapters.mavlink.decode.layouts import LAYOUTS, MessageSamples
+from companion.adapters.mavlink.decode.source_map import MappedSource
 from companion.adapters.mavlink.link.dialect import NAME_OF
-from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockWatch
+from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockResetDetector
 from companion.records import Axis, Bools, ClockRestart, Floats, ImuBatch, Ints, Reject
 
 _COLUMNS = np.arange(6)
@@ -23,18 +23,18 @@ _BEYOND_NS = -1
 class StationReader:
     """Makes the batches of one station from the payloads of its source."""
 
-    def __init__(self, source: Mapped, watch: ClockWatch, tally: Tally) -> None:
+    def __init__(self, source: MappedSource, reset_detector: ClockResetDetector, refusals: RefusalCounters) -> None:
         self.source = source
         self.name = f"{NAME_OF[source.message]} of component {source.component}"
-        self._watch, self._followed = watch, watch.follow(source.clock)
-        self._tally = tally
+        self._reset_detector, self._followed = reset_detector, reset_detector.follow(source.clock)
+        self._refusals = refusals
         self._named = LAYOUTS[source.message].named
         self._order, self._signs = source.order, source.signs
         self._turned = source.body_from_sensor is not None
 
-    def batches(self, samples: Samples, received_host_ns: int) -> Iterator[ImuBatch | ClockRestart]:
+    def batches(self, samples: MessageSamples, received_host_ns: int) -> Iterator[ImuBatch | ClockRestart]:
         """Give this station's batches, and a restart of its clock where one shows."""
-        chosen = self._mine(samples)
+        chosen = self._of_instance(samples)
         if chosen is not None and not chosen.any():
             return
         t_ns, values, fields = samples.t_ns, samples.values, samples.fields
@@ -46,7 +46,7 @@ class StationReader:
         for rows, axes in self._runs(fields):
             yield from self._emit(t_ns[rows], values[rows], axes, received_host_ns)
 
-    def _mine(self, samples: Samples) -> Bools | None:
+    def _of_instance(self, samples: MessageSamples) -> Bools | None:
         """Select this station's instance; None where all samples are of it."""
         if samples.instances is None:
             return None if self.source.instance == "0" else np.zeros(len(samples.t_ns), dtype=np.bool_)
@@ -66,7 +66,7 @@ class StationReader:
             if axes:
                 yield slice(start, stop), axes
             else:
-                self._tally.add(Reject.STALE, f"{self.name}: fields_updated names no axis", stop - start)
+                self._refusals.add(Reject.STALE, f"{self.name}: fields_updated names no axis", stop - start)
 
     def _emit(self, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int) -> Iterator[ImuBatch | ClockRestart]:
         t_ns, values = self._plausible(t_ns, values, axes)
@@ -77,24 +77,24 @@ class StationReader:
         self, t_ns: Ints, values: Floats, axes: Axis, received_host_ns: int
     ) -> Iterator[ImuBatch | ClockRestart]:
         """Give the batches of samples in which nothing is odd but perhaps their time."""
-        verdict = self._watch.check(self._followed, t_ns, received_host_ns)
+        verdict = self._reset_detector.check(self._followed, t_ns, received_host_ns)
         if verdict.keep is None:
             yield self._batch(t_ns, values, axes, received_host_ns)
             return
         if verdict.dropped:
-            self._tally.add(Reject.TIME_BACKWARDS, self.name, verdict.dropped)
+            self._refusals.add(Reject.TIME_BACKWARDS, self.name, verdict.dropped)
         restart_at = verdict.restart_at
         cut = max(restart_at, 0)
-        for part in (slice(0, cut), slice(cut, None)):
-            if part.stop is None and restart_at >= 0:
+        for epoch in (slice(0, cut), slice(cut, None)):
+            if epoch.stop is None and restart_at >= 0:
                 yield ClockRestart(self.source.clock, received_host_ns)
-            keep = verdict.keep[part]
+            keep = verdict.keep[epoch]
             if keep.any():
-                yield self._batch(t_ns[part][keep], values[part][keep], axes, received_host_ns)
+                yield self._batch(t_ns[epoch][keep], values[epoch][keep], axes, received_host_ns)
 
-    def plain(self, run: Run, received_host_ns: int) -> Iterable[ImuBatch | ClockRestart]:
+    def plain(self, run: SampleRun, received_host_ns: int) -> Iterable[ImuBatch | ClockRestart]:
         """As :meth:`in_time`, of a run; where time goes on, as it nearly always does, there is but one batch."""
-        if self._watch.onward(self._followed, run.oldest_ns, run.newest_ns):
+        if self._reset_detector.onward(self._followed, run.oldest_ns, run.newest_ns):
             return (self._batch(run.t_ns, run.values, run.source.sends, received_host_ns),)
         return self.in_time(run.t_ns, run.values, run.source.sends, received_host_ns)
 
@@ -104,11 +104,11 @@ class StationReader:
             values = np.where(int(axes) >> _COLUMNS & 1, values, 0.0)
         if not math.isfinite(np.vdot(values, values)):  # a sum of squares is finite if and only if every number is
             good = np.isfinite(values).all(axis=1)
-            self._tally.add(Reject.NOT_FINITE, self.name, int((~good).sum()))
+            self._refusals.add(Reject.NOT_FINITE, self.name, int((~good).sum()))
             t_ns, values = t_ns[good], values[good]
         if len(t_ns) and min(t_ns.tolist()) == _BEYOND_NS:
             good = t_ns != _BEYOND_NS
-            self._tally.add(Reject.INCONSISTENT, f"{self.name}: stamp beyond any clock", int((~good).sum()))
+            self._refusals.add(Reject.INCONSISTENT, f"{self.name}: stamp beyond any clock", int((~good).sum()))
             t_ns, values = t_ns[good], values[good]
         return t_ns, values
 

@@ -35,7 +35,7 @@ INTEGER_SCALE = np.array([_MG, _MG, _MG, 1e-3, 1e-3, 1e-3])
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class MessageSamples:
     """Samples of equal payloads of one sender, sensor axes, SI.
 
     ``values`` is (n, 6): specific force in m/s^2, angular rate in rad/s. ``fields`` is None, or (n,) the axes that each
@@ -49,13 +49,13 @@ class Samples:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class MessageLayout:
     """One inertial message: its axes and its reader. ``named``: instances differ by name, else by number."""
 
     message: str
     axes: Axis
     named: bool
-    read: Callable[[list[bytes]], tuple[Samples, int]]
+    read: Callable[[list[bytes]], tuple[MessageSamples, int]]
 
 
 def _rows(payloads: list[bytes], size: int) -> bytes:
@@ -96,7 +96,7 @@ _TUNNEL = _dtype(
 )
 
 
-def _highres(payloads: list[bytes]) -> tuple[Samples, int]:
+def _highres(payloads: list[bytes]) -> tuple[MessageSamples, int]:
     # single columns are looked at as bytes, which for the few samples of a live chunk is far cheaper than numpy
     size = _HIGHRES.itemsize
     rows = _rows(payloads, size)
@@ -104,49 +104,49 @@ def _highres(payloads: list[bytes]) -> tuple[Samples, int]:
     complete = _COMPLETE.issuperset(rows[60::size])
     fields = None if complete else table["fields"].astype(np.int64) & int(Axis.ALL)
     stamps = _microseconds(table["t"], rows[6::size], rows[7::size])
-    return Samples(stamps, table["v"].astype(np.float64), fields, _numbers(rows[62::size])), 0
+    return MessageSamples(stamps, table["v"].astype(np.float64), fields, _numbers(rows[62::size])), 0
 
 
-def _raw(payloads: list[bytes]) -> tuple[Samples, int]:
+def _raw(payloads: list[bytes]) -> tuple[MessageSamples, int]:
     size = _RAW.itemsize
     rows = _rows(payloads, size)
     table = np.frombuffer(rows, _RAW)
     stamps = _microseconds(table["t"], rows[6::size], rows[7::size])
-    return Samples(stamps, table["v"] * INTEGER_SCALE, None, _numbers(rows[26::size])), 0
+    return MessageSamples(stamps, table["v"] * INTEGER_SCALE, None, _numbers(rows[26::size])), 0
 
 
-def _scaled(payloads: list[bytes]) -> tuple[Samples, int]:
+def _scaled(payloads: list[bytes]) -> tuple[MessageSamples, int]:
     table = _table(payloads, _SCALED)
-    return Samples(table["t"].astype(np.int64) * 1_000_000, table["v"] * INTEGER_SCALE), 0
+    return MessageSamples(table["t"].astype(np.int64) * 1_000_000, table["v"] * INTEGER_SCALE), 0
 
 
-def _vector(payloads: list[bytes]) -> tuple[Samples, int]:
+def _vector(payloads: list[bytes]) -> tuple[MessageSamples, int]:
     table = _table(payloads, _VECTOR)
     values = np.zeros((len(table), 6))
     values[:, :3] = table["v"]
-    return Samples(_any_microseconds(table["t"]), values, None, _names(table["name"])), 0
+    return MessageSamples(_any_microseconds(table["t"]), values, None, _names(table["name"])), 0
 
 
-def _array(payloads: list[bytes]) -> tuple[Samples, int]:
+def _array(payloads: list[bytes]) -> tuple[MessageSamples, int]:
     table = _table(payloads, _ARRAY)
     counts = np.nan_to_num(table["v"][:, 0], nan=0.0, posinf=0.0, neginf=0.0)
     good = (counts >= 1) & (counts <= BATCH_SAMPLES) & (counts == np.floor(counts))
-    kept = table[good]
-    values = kept["v"][:, 1 : 1 + 6 * BATCH_SAMPLES].astype(np.float64)
-    batch = _unroll(kept["t"], kept["period"], counts[good].astype(np.int64), values, _names(kept["name"]))
-    return batch, len(table) - len(kept)
+    valid = table[good]
+    values = valid["v"][:, 1 : 1 + 6 * BATCH_SAMPLES].astype(np.float64)
+    batch = _unroll(valid["t"], valid["period"], counts[good].astype(np.int64), values, _names(valid["name"]))
+    return batch, len(table) - len(valid)
 
 
-def _tunnel(payloads: list[bytes]) -> tuple[Samples, int]:
+def _tunnel(payloads: list[bytes]) -> tuple[MessageSamples, int]:
     table = _table(payloads, _TUNNEL)
     ours = table[table["kind"] == TUNNEL_IMU_TYPE]
-    kept = ours[(ours["count"] >= 1) & (ours["count"] <= BATCH_SAMPLES)]
-    scale = np.empty((len(kept), 1, 6))
-    scale[:, :, :3] = kept["accel_scale"][:, None, None]
-    scale[:, :, 3:] = kept["gyro_scale"][:, None, None]
-    values = kept["v"].reshape(-1, BATCH_SAMPLES, 6) * scale
-    names = [str(number) for number in kept["id"].tolist()]
-    return _unroll(kept["t"], kept["period"], kept["count"].astype(np.int64), values, names), len(ours) - len(kept)
+    valid = ours[(ours["count"] >= 1) & (ours["count"] <= BATCH_SAMPLES)]
+    scale = np.empty((len(valid), 1, 6))
+    scale[:, :, :3] = valid["accel_scale"][:, None, None]
+    scale[:, :, 3:] = valid["gyro_scale"][:, None, None]
+    values = valid["v"].reshape(-1, BATCH_SAMPLES, 6) * scale
+    names = [str(number) for number in valid["id"].tolist()]
+    return _unroll(valid["t"], valid["period"], valid["count"].astype(np.int64), values, names), len(ours) - len(valid)
 
 
 def _unroll(
@@ -155,14 +155,14 @@ def _unroll(
     counts: Ints,
     values: Floats,
     names: list[str],
-) -> Samples:
+) -> MessageSamples:
     """Lay batches of several samples out as single samples."""
     steps = np.arange(BATCH_SAMPLES)
     present = steps < counts[:, None]
     first = _any_microseconds(stamps)[:, None]
     t_ns = np.where(first < 0, first, first + periods.astype(np.int64)[:, None] * 1000 * steps)
     instances = [name for name, count in zip(names, counts.tolist(), strict=True) for _ in range(count)]
-    return Samples(t_ns[present], values.reshape(-1, BATCH_SAMPLES, 6)[present], None, instances)
+    return MessageSamples(t_ns[present], values.reshape(-1, BATCH_SAMPLES, 6)[present], None, instances)
 
 
 def _microseconds(stamps: _Stamps, seventh: bytes, eighth: bytes) -> Ints:
@@ -187,16 +187,16 @@ def _names(column: np.ndarray[tuple[int], np.dtype[np.bytes_]]) -> list[str]:
     return [name.split(b"\0", 1)[0].decode("ascii", errors="replace") for name in column.tolist()]
 
 
-LAYOUTS: dict[int, Layout] = {
+LAYOUTS: dict[int, MessageLayout] = {
     ID_OF[layout.message]: layout
     for layout in (
-        Layout("HIGHRES_IMU", Axis.ALL, False, _highres),
-        Layout("RAW_IMU", Axis.ALL, False, _raw),
-        Layout("SCALED_IMU", Axis.ALL, False, _scaled),
-        Layout("SCALED_IMU2", Axis.ALL, False, _scaled),
-        Layout("SCALED_IMU3", Axis.ALL, False, _scaled),
-        Layout("DEBUG_FLOAT_ARRAY", Axis.ALL, True, _array),
-        Layout("TUNNEL", Axis.ALL, False, _tunnel),
-        Layout("DEBUG_VECT", Axis.ACCEL, True, _vector),
+        MessageLayout("HIGHRES_IMU", Axis.ALL, False, _highres),
+        MessageLayout("RAW_IMU", Axis.ALL, False, _raw),
+        MessageLayout("SCALED_IMU", Axis.ALL, False, _scaled),
+        MessageLayout("SCALED_IMU2", Axis.ALL, False, _scaled),
+        MessageLayout("SCALED_IMU3", Axis.ALL, False, _scaled),
+        MessageLayout("DEBUG_FLOAT_ARRAY", Axis.ALL, True, _array),
+        MessageLayout("TUNNEL", Axis.ALL, False, _tunnel),
+        MessageLayout("DEBUG_VECT", Axis.ACCEL, True, _vector),
     )
 }

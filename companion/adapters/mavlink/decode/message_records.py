@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.mavlink.decode.counters import Tally
-from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT, Mapping
+from companion.adapters.mavlink.decode.counters import RefusalCounters
+from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT, SourceMap
 from companion.adapters.mavlink.link.dialect import mavlink
-from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockWatch, Followed
+from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockResetDetector, StampHistory
 from companion.adapters.mavlink.vehicle.vehicle_choice import VehicleChoice
 from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.records import (
@@ -31,7 +31,7 @@ PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32
 _STATE_PERIOD_MS = 20
 _PIN_TIMES_US = 1 << 32
-WHOLE_TYPES = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
+INTEGER_TYPES = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +64,14 @@ class Echo:
 def parameter_value(message: Any, *, bytewise: bool) -> float:
     """The value of a PARAM_VALUE. PX4 puts the bytes of its integers where ArduPilot puts the number as a float."""
     value = float(message.param_value)
-    if bytewise and message.param_type in WHOLE_TYPES:
+    if bytewise and message.param_type in INTEGER_TYPES:
         return float(struct.unpack("<i", struct.pack("<f", value))[0])
     return value
 
 
-def parameter_encoding(value: float, *, whole: bool) -> tuple[float, int]:
-    """The value and type of a PARAM_SET; ``whole`` is for PX4, which refuses another type than the parameter's."""
-    if not whole:
+def parameter_encoding(value: float, *, integer: bool) -> tuple[float, int]:
+    """The value and type of a PARAM_SET; ``integer`` is for PX4, which refuses another type than the parameter's."""
+    if not integer:
         return value, int(mavlink.MAV_PARAM_TYPE_REAL32)
     return struct.unpack("<f", struct.pack("<i", round(value)))[0], int(mavlink.MAV_PARAM_TYPE_INT32)
 
@@ -79,13 +79,15 @@ def parameter_encoding(value: float, *, whole: bool) -> tuple[float, int]:
 class Translator:
     """Keeps the little state that rare messages need; driven by chunks alone, so that a replay repeats it."""
 
-    def __init__(self, mapping: Mapping, watch: ClockWatch, tally: Tally, system: int = 0) -> None:
+    def __init__(
+        self, mapping: SourceMap, reset_detector: ClockResetDetector, refusals: RefusalCounters, system: int = 0
+    ) -> None:
         self.choice = VehicleChoice(system)
-        self._answers: dict[ClockName, Followed] = {}
+        self._answers: dict[ClockName, StampHistory] = {}
         self.armed = False
         self._mapping = mapping
-        self._watch = watch
-        self._tally = tally
+        self._reset_detector = reset_detector
+        self._refusals = refusals
         self._requests: dict[int, set[tuple[int, int]]] = {}
         self._air: Any = None
         self._last_state_ms: int | None = None
@@ -135,7 +137,7 @@ class Translator:
             return
         if self.choice.beat(heard.system, heard.received_host_ns):
             for clock in dict.fromkeys(self._mapping.clocks.values()):  # another vehicle, and other clocks
-                self._watch.restart(clock, heard.received_host_ns)
+                self._reset_detector.restart(clock, heard.received_host_ns)
                 yield ClockRestart(clock, heard.received_host_ns)
         if heard.system == self.system:
             self.px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
@@ -152,10 +154,10 @@ class Translator:
         answered.add(sender)
         stamp = np.array([message.tc1], dtype=np.int64)
         if clock not in self._answers:
-            self._answers[clock] = self._watch.follow(clock)
-        verdict = self._watch.check(self._answers[clock], stamp, heard.received_host_ns, confirmations=1)
+            self._answers[clock] = self._reset_detector.follow(clock)
+        verdict = self._reset_detector.check(self._answers[clock], stamp, heard.received_host_ns, confirmations=1)
         if verdict.dropped:
-            self._tally.add(Reject.TIME_BACKWARDS, f"TIMESYNC of component {heard.component}")
+            self._refusals.add(Reject.TIME_BACKWARDS, f"TIMESYNC of component {heard.component}")
             return
         if verdict.restart_at >= 0:
             yield ClockRestart(clock, heard.received_host_ns)
@@ -166,13 +168,13 @@ class Translator:
         if math.isfinite(message.airspeed) and math.isfinite(message.climb):
             self._air = message
         else:
-            self._tally.add(Reject.NOT_FINITE, "VFR_HUD")
+            self._refusals.add(Reject.NOT_FINITE, "VFR_HUD")
 
     def _attitude(self, heard: Heard) -> Iterator[Record]:
         message, air, last = heard.message, self._air, self._last_state_ms
         angles = (message.roll, message.pitch, message.yaw)
         if not all(math.isfinite(angle) for angle in angles):
-            self._tally.add(Reject.NOT_FINITE, "ATTITUDE")
+            self._refusals.add(Reject.NOT_FINITE, "ATTITUDE")
             return
         if air is None or (last is not None and 0 <= message.time_boot_ms - last < _STATE_PERIOD_MS):
             return
@@ -194,9 +196,9 @@ class Translator:
         with two cameras it tells each picture more than once.
         """
         message = heard.message
-        known = self._images.get(message.cam_idx) == message.img_idx
+        repeated = self._images.get(message.cam_idx) == message.img_idx
         self._images[message.cam_idx] = message.img_idx
-        if not known and 0 < message.time_usec < _PIN_TIMES_US:
+        if not repeated and 0 < message.time_usec < _PIN_TIMES_US:
             t_ns = message.time_usec * 1000
             yield CameraFeedback(message.cam_idx, message.img_idx, t_ns, heard.received_host_ns)
 
@@ -208,4 +210,4 @@ class Translator:
         if math.isfinite(value) or message.param_id in VEHICLE_PARAMETERS:  # the pipeline says what is wrong with it
             yield AutopilotParameter(message.param_id, value, heard.received_host_ns)
         else:
-            self._tally.add(Reject.NOT_FINITE, f"parameter {message.param_id}")
+            self._refusals.add(Reject.NOT_FINITE, f"parameter {message.param_id}")

@@ -19,7 +19,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Mapped:
+class MappedSource:
     """One station's source, ready for use.
 
     ``body_from_sensor`` is (3, 3), or None where the axes agree; ``sends`` the body axes that are really measured.
@@ -49,10 +49,10 @@ class Mapped:
 
 
 @dataclass(frozen=True, slots=True)
-class Mapping:
+class SourceMap:
     """All stations' sources, and the clock of every component that has one."""
 
-    sources: tuple[Mapped, ...]
+    sources: tuple[MappedSource, ...]
     clocks: dict[int, ClockName]
 
     @property
@@ -60,12 +60,12 @@ class Mapping:
         """Ids of the inertial messages that any station listens to."""
         return frozenset(source.message for source in self.sources)
 
-    def at(self, message: int, component: int) -> tuple[Mapped, ...]:
+    def at(self, message: int, component: int) -> tuple[MappedSource, ...]:
         """Sources with that message id and component; they differ by instance."""
         return tuple(entry for entry in self.sources if (entry.message, entry.component) == (message, component))
 
 
-def build_mapping(airframe: Airframe) -> Mapping:
+def build_mapping(airframe: Airframe) -> SourceMap:
     """Read the mapping from an airframe.
 
     Raises
@@ -75,27 +75,27 @@ def build_mapping(airframe: Airframe) -> Mapping:
         component with two clocks; the message names the airframe and the station.
     """
     sources = tuple(_mapped(airframe, station) for station in Station)
-    seen: dict[tuple[int, int, str], Station] = {}
+    stations: dict[tuple[int, int, str], Station] = {}
     clocks: dict[int, ClockName] = {AUTOPILOT_COMPONENT: ClockName.BOOT}
     for entry in sources:
         key = (entry.message, entry.component, entry.instance)
-        if key in seen:
-            _fail(airframe, entry.station, f"has the same source as {seen[key].name.lower()}: give each its own")
-        seen[key] = entry.station
+        if key in stations:
+            _fail(airframe, entry.station, f"has the same source as {stations[key].name.lower()}: give each its own")
+        stations[key] = entry.station
         if clocks.setdefault(entry.component, entry.clock) != entry.clock:
             problem = f"component {entry.component} has two clocks, {clocks[entry.component]} and {entry.clock}"
             _fail(airframe, entry.station, problem)
-    return Mapping(sources, clocks)
+    return SourceMap(sources, clocks)
 
 
-def _mapped(airframe: Airframe, station: Station) -> Mapped:
+def _mapped(airframe: Airframe, station: Station) -> MappedSource:
     sensor = airframe.sensor(station)
     source = sensor.source
     message = ID_OF.get(source.message, -1)
     layout = LAYOUTS.get(message)
     if layout is None:
-        known = ", ".join(sorted(entry.message for entry in LAYOUTS.values()))
-        _fail(airframe, station, f"message '{source.message}' is not an inertial message; known: {known}")
+        inertial = ", ".join(sorted(entry.message for entry in LAYOUTS.values()))
+        _fail(airframe, station, f"message '{source.message}' is not an inertial message; known: {inertial}")
     if layout.named and not source.instance:
         _fail(airframe, station, f"{source.message} needs 'instance', the name that the node gives it")
     sends = layout.axes & Axis(sum(1 << _LETTERS.index(letter) for letter in set(sensor.sends)))
@@ -103,7 +103,7 @@ def _mapped(airframe: Airframe, station: Station) -> Mapped:
     if sends & Axis.GYRO and np.linalg.det(matrix) < 0:
         _fail(airframe, station, f"axes {list(source.axes)} mirror the sensor; a gyro can only be turned")
     instance = source.instance or ("" if layout.named else "0")
-    return Mapped(
+    return MappedSource(
         station,
         message,
         source.component,

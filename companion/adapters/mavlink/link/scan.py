@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, Bulk, Run, seek
+from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder, SampleRun, seek
 from companion.adapters.mavlink.link.dialect import CRC_EXTRA, payload_size
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
@@ -48,11 +48,11 @@ class ScanCounters:
 
 
 @dataclass(slots=True)
-class Found:
+class ScanResult:
     """What some bytes held: frames in arrival order, and apart from them what was read in bulk."""
 
     frames: list[Frame] = field(default_factory=list)
-    runs: list[Run] = field(default_factory=list)
+    runs: list[SampleRun] = field(default_factory=list)
 
 
 class Scanner:
@@ -68,7 +68,7 @@ class Scanner:
         The compiled scan, where there is one.
     """
 
-    def __init__(self, bulk: Bulk | None = None) -> None:
+    def __init__(self, bulk: BulkDecoder | None = None) -> None:
         self.counters = ScanCounters()
         self._bulk = bulk
         self._tail = b""
@@ -82,21 +82,21 @@ class Scanner:
         """Drop the bytes of an unfinished frame."""
         self._tail = b""
 
-    def scan(self, data: bytes, system: int | None = None) -> Found:
+    def scan(self, data: bytes, system: int | None = None) -> ScanResult:
         """Find the frames of the next bytes of this link; ``system`` is the one whose samples are read in bulk."""
         buffer = self._tail + data if self._tail else data
-        found = Found()
+        result = ScanResult()
         if self._bulk is None:
-            position = self._walk(buffer, found.frames)
+            position = self._walk(buffer, result.frames)
         else:
-            position, counted, found.runs = self._bulk.scan(buffer, system, found.frames)
-            own = self.counters
-            own.frames += counted[0]
-            own.crc_errors += counted[1]
-            own.unknown += counted[2]
-            own.skipped_bytes += counted[3]
+            position, counted, result.runs = self._bulk.scan(buffer, system, result.frames)
+            counters = self.counters
+            counters.frames += counted[0]
+            counters.crc_errors += counted[1]
+            counters.unknown += counted[2]
+            counters.skipped_bytes += counted[3]
         self._tail = buffer[position:]
-        return found
+        return result
 
     def _walk(self, buffer: bytes, frames: list[Frame]) -> int:
         """Append the frames; give the position of the first byte that has to wait."""
@@ -122,26 +122,26 @@ class Scanner:
 
     def _careful(self, buffer: bytes, start: int, end: int, frames: list[Frame]) -> tuple[int, bool]:
         """Give the place behind the next frame, or the first byte that has to wait and True."""
-        own, search, longest_of, at = self.counters, _CANDIDATE.search, _LONGEST, start
+        counters, search, longest_of, at = self.counters, _CANDIDATE.search, _LONGEST, start
         while at < end:
             if buffer[at] == _MAGIC_1 and at + _LARGEST_1 <= end:  # a flood of these is the dearest
                 longest = longest_of[buffer[at + 5]]
                 if buffer[at + 1] > longest:
-                    own.unknown += longest < 0
-                    own.crc_errors += longest >= 0
+                    counters.unknown += longest < 0
+                    counters.crc_errors += longest >= 0
                     at += 1
                     if buffer[at] != _MAGIC_1:
                         candidate = search(buffer, at)
                         at = candidate.start() if candidate else end
                     continue
-            after = whole_frame(buffer, at)
+            after = frame_end(buffer, at)
             if after > 0 or after == INCOMPLETE:
                 break
-            own.unknown += after == UNKNOWN
-            own.crc_errors += after == DAMAGED
+            counters.unknown += after == UNKNOWN
+            counters.crc_errors += after == DAMAGED
             candidate = search(buffer, at + 1)
             at = candidate.start() if candidate else end
-        own.skipped_bytes += at - start
+        counters.skipped_bytes += at - start
         if at == end:
             return end, False
         if after == INCOMPLETE:
@@ -156,7 +156,7 @@ def next_frame(buffer: bytes, start: int) -> int:
     if COMPILED:
         return seek(buffer, start)
     at, end = next_candidate(buffer, start), len(buffer)
-    while at < end and whole_frame(buffer, at) < INCOMPLETE:
+    while at < end and frame_end(buffer, at) < INCOMPLETE:
         at = next_candidate(buffer, at + 1)
     return at
 
@@ -167,7 +167,7 @@ def next_candidate(buffer: bytes, start: int) -> int:
     return candidate.start() if candidate else len(buffer)
 
 
-def whole_frame(buffer: bytes, start: int) -> int:
+def frame_end(buffer: bytes, start: int) -> int:
     """Where the frame that begins at ``start`` ends, or why none does: one of the four negative words."""
     end, magic, longest = len(buffer), buffer[start], 0
     if magic == _MAGIC_2:
@@ -197,5 +197,5 @@ def whole_frame(buffer: bytes, start: int) -> int:
     if magic == _MAGIC_1 and buffer[start + 1] > longest:
         return DAMAGED
     state = mcrf4xx(buffer[start + 1 : stop])
-    whole = (state >> 8) ^ _LAST_BYTE[(state & 255) ^ extra] == buffer[stop] | buffer[stop + 1] << 8
-    return after if whole else DAMAGED
+    intact = (state >> 8) ^ _LAST_BYTE[(state & 255) ^ extra] == buffer[stop] | buffer[stop + 1] << 8
+    return after if intact else DAMAGED

@@ -26,11 +26,11 @@ from typing import Protocol
 from fastcrc.crc16 import mcrf4xx
 
 from companion.adapters.mavlink.link.dialect import CRC_EXTRA
-from companion.adapters.mavlink.link.scan import INCOMPLETE, next_frame, whole_frame
+from companion.adapters.mavlink.link.scan import INCOMPLETE, frame_end, next_frame
 from companion.adapters.mavlink.link.udp import UdpIn
 from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.errors import ConfigError
-from companion.params.persist import write_whole
+from companion.params.persist import write_atomically
 from companion.ports import Clock
 from companion.records import Notice
 
@@ -59,7 +59,7 @@ class Refusal(enum.StrEnum):
     STALE = "stale"
 
 
-Stream = tuple[int, int, int]
+StreamKey = tuple[int, int, int]
 """Link id, system and component."""
 
 
@@ -67,8 +67,8 @@ Stream = tuple[int, int, int]
 class SigningTime:
     """What must outlive a power cycle: our signing time, and the newest timestamp of each stream."""
 
-    own: int = 0
-    streams: Mapping[Stream, int] = field(default_factory=dict)
+    sent: int = 0
+    streams: Mapping[StreamKey, int] = field(default_factory=dict)
 
 
 class Signing:
@@ -82,7 +82,7 @@ class Signing:
         Where our signing time begins, in 10 us.
     save
         Called twice a second with what is to be kept over a restart; must not block.
-    kept
+    saved
         What was kept: streams go on behind it, and new ones begin behind its own time.
     """
 
@@ -92,7 +92,7 @@ class Signing:
         clock: Clock,
         timestamp: int = 0,
         save: Callable[[SigningTime], None] | None = None,
-        kept: SigningTime | None = None,
+        saved: SigningTime | None = None,
     ) -> None:
         if len(secret) != _KEY_BYTES:
             raise ConfigError(f"a signing key has {_KEY_BYTES} bytes, not {len(secret)}")
@@ -105,10 +105,10 @@ class Signing:
         self._base_host_ns = clock.now_ns()
         self._saved_host_ns: int | None = None
         self._last_sent = 0
-        self._streams: dict[Stream, int] = {} if kept is None else dict(kept.streams)
-        self._floor = 0 if kept is None else kept.own
+        self._streams: dict[StreamKey, int] = {} if saved is None else dict(saved.streams)
+        self._floor = 0 if saved is None else saved.sent
         self._said_host_ns: int | None = None
-        self._told: Counter[Refusal] = Counter()
+        self._reported: Counter[Refusal] = Counter()
 
     def now(self) -> int:
         """Our signing time in 10 us."""
@@ -164,10 +164,10 @@ class Signing:
 
     def notices(self, now_host_ns: int) -> list[Notice]:
         """A sentence about what was refused since the last one, at most every 10 s."""
-        fresh = self.refused - self._told
+        fresh = self.refused - self._reported
         if not fresh or (self._said_host_ns is not None and now_host_ns - self._said_host_ns < _SAY_PERIOD_NS):
             return []
-        self._said_host_ns, self._told = now_host_ns, Counter(self.refused)
+        self._said_host_ns, self._reported = now_host_ns, Counter(self.refused)
         parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
         return [Notice(_WARNING, f"signing refused {parts}", now_host_ns)]
 
@@ -228,7 +228,7 @@ def _frames(buffer: bytes) -> tuple[list[bytes], int]:
     frames: list[bytes] = []
     at, end = 0, len(buffer)
     while at < end:
-        after = whole_frame(buffer, at)
+        after = frame_end(buffer, at)
         if after == INCOMPLETE:
             return frames, at
         if after > 0:
@@ -260,8 +260,8 @@ def load_signing(path: Path, clock: Clock) -> Signing:
     if mode & 0o077:
         raise ConfigError(f"signing key {path} can be read by others: chmod 600 {path}")
     stamp = path.with_name(path.name + ".stamp")
-    kept = _kept(stamp) or SigningTime(max(0, int(path.stat().st_mtime) - _EPOCH_S) * _SECOND)
-    return Signing(_secret(text, path), clock, min(kept.own + _RESTART, _LARGEST), _Keeper(stamp).keep, kept)
+    saved = _read_stamp(stamp) or SigningTime(max(0, int(path.stat().st_mtime) - _EPOCH_S) * _SECOND)
+    return Signing(_secret(text, path), clock, min(saved.sent + _RESTART, _LARGEST), _Keeper(stamp).keep, saved)
 
 
 def _secret(text: str, path: Path) -> bytes:
@@ -277,16 +277,16 @@ def _secret(text: str, path: Path) -> bytes:
     return secret
 
 
-def _kept(path: Path) -> SigningTime | None:
+def _read_stamp(path: Path) -> SigningTime | None:
     """What was kept: our time in the first line, then a stream in each; None where there is nothing to go by."""
     try:
         first, *lines = path.read_text(encoding="ascii").splitlines()
-        own = int(first)
+        sent = int(first)
         rows = [[int(word) for word in line.split()] for line in lines[:_MOST_STREAMS]]
         streams = {(link, system, component): timestamp for link, system, component, timestamp in rows}
     except (OSError, ValueError):
         return None
-    return SigningTime(own, streams) if 0 <= own <= _LARGEST // 2 else None
+    return SigningTime(sent, streams) if 0 <= sent <= _LARGEST // 2 else None
 
 
 class _Keeper:
@@ -305,4 +305,4 @@ class _Keeper:
     def _write(self, state: SigningTime) -> None:
         rows = "".join(f"{' '.join(map(str, stream))} {newest}\n" for stream, newest in state.streams.items())
         with contextlib.suppress(OSError):  # what is on the disk then is older, and nothing else can be done
-            write_whole(self._path, f"{state.own}\n{rows}")
+            write_atomically(self._path, f"{state.sent}\n{rows}")

@@ -14,7 +14,7 @@ _FIRST_CONNECT_S = 3.0
 _MOST_UNSENT_BYTES = 65536
 
 
-class _Stream:
+class _BufferedSocket:
     """A connected stream socket with a bounded buffer for what the kernel cannot take at once."""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -65,7 +65,7 @@ class TcpClient:
             raise LinkError(f"{where}: nothing listens there; start the autopilot or router first") from error
         except OSError as error:
             raise LinkError(f"{where}: cannot be reached ({error}); check address and network") from error
-        self._stream: _Stream | None = _Stream(connection)
+        self._stream: _BufferedSocket | None = _BufferedSocket(connection)
         self._calling: socket.socket | None = None
         self._backoff = Backoff()
 
@@ -111,7 +111,7 @@ class TcpClient:
         if calling.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             calling.close()
             return
-        self._stream = _Stream(calling)
+        self._stream = _BufferedSocket(calling)
         self._backoff.succeeded()
 
 
@@ -129,7 +129,7 @@ class TcpServer:
             raise LinkError(f"tcpin:{host}:{port}: {taken}") from error
         self._listener.listen(1)
         self._listener.setblocking(False)
-        self._stream: _Stream | None = None
+        self._stream: _BufferedSocket | None = None
 
     @property
     def port(self) -> int:
@@ -145,7 +145,7 @@ class TcpServer:
         if self._stream is None:
             with contextlib.suppress(OSError):
                 connection, _ = self._listener.accept()
-                self._stream = _Stream(connection)
+                self._stream = _BufferedSocket(connection)
         if self._stream is None:
             return b""
         data = self._stream.receive(limit)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.adapters.mavlink.link.dialect import mavlink
-from companion.adapters.mavlink.link.scan import INCOMPLETE, next_frame, whole_frame
+from companion.adapters.mavlink.link.scan import INCOMPLETE, frame_end, next_frame
 from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.errors import LinkError
 
@@ -154,7 +154,7 @@ class UdpIn(_Udp):
         at, end = 0, len(data)
         came: list[bytes] = []
         while at < end:
-            after = whole_frame(data, at)
+            after = frame_end(data, at)
             if after == INCOMPLETE:
                 break
             if after > 0:

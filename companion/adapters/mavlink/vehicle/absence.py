@@ -48,6 +48,6 @@ class Absence:
         self._text, self._said_host_ns = text, now_host_ns
         return Notice(_WARNING, text, now_host_ns)
 
-    def is_mine(self, notice: Notice) -> bool:
+    def is_absence_notice(self, notice: Notice) -> bool:
         """Whether this is such a complaint: of no use to who hears it once the autopilot is there."""
         return notice.text == self._text

@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from companion.adapters.mavlink.component import encode
-from companion.adapters.mavlink.component.component import OwnComponent
+from companion.adapters.mavlink.component.component import OnboardComponent
 from companion.adapters.mavlink.component.parameter_server import ParameterServer
-from companion.adapters.mavlink.component.range_publisher import RangeOutputs
+from companion.adapters.mavlink.component.range_publisher import RangePublisher
 from companion.adapters.mavlink.decode.decoder import OUTGOING, Decoded, Decoder
-from companion.adapters.mavlink.decode.message_records import WHOLE_TYPES, Heard, parameter_encoding
+from companion.adapters.mavlink.decode.message_records import INTEGER_TYPES, Heard, parameter_encoding
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, mavlink
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.vehicle.absence import Absence
 from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.vehicle.rates import RateKeeper
-from companion.adapters.mavlink.vehicle.senders import TwoClocks
+from companion.adapters.mavlink.vehicle.senders import ClockConflictDetector
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -87,7 +87,7 @@ class MavlinkAutopilot:
         *,
         gather_s: float = 0.004,
         listener: Callable[[Heard], None] | None = None,
-        component: OwnComponent | None = None,
+        component: OnboardComponent | None = None,
         needed: tuple[str, ...] = NEEDED_PARAMETERS,
         firing: LinkFiring = CAMERAS,
     ) -> None:
@@ -98,7 +98,7 @@ class MavlinkAutopilot:
         self._firing = firing
         self._fired: int | None = None
         self._unfired: list[Rejected] = []
-        self._two_clocks = TwoClocks()
+        self._two_clocks = ClockConflictDetector()
         self._said: list[Notice] = []
         self._links = list(links)
         self._settings = settings
@@ -108,11 +108,11 @@ class MavlinkAutopilot:
                 link.senders.guarded = frozenset(self.decoder.mapping.clocks)
         self._gather_ns = round(gather_s * _SECOND_NS)
         self._listener = listener
-        self.component = OwnComponent(ParameterServer(settings)) if component is None else component
+        self.component = OnboardComponent(ParameterServer(settings)) if component is None else component
         self._packer = mavlink.MAVLink(None, _KNOCK_SYSTEM, settings.component_id)
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader(needed)
-        self._whole: set[str] = set()
+        self._integer_parameters: set[str] = set()
         self.rates = RateKeeper(self._wanted_rates(settings), self.decoder.mapping.messages)
         modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
         self.rates.mode(max(mode.frequency_hz.value for mode in modes))
@@ -120,7 +120,7 @@ class MavlinkAutopilot:
         self._verified_host_ns = 0
         self._read_host_ns = 0
         self._boot_offset_ns = 0
-        self._ranges = RangeOutputs(settings, airframe.orientation)
+        self._ranges = RangePublisher(settings, airframe.orientation)
         self._texts = 0
         self._absence = Absence()
         self._others: set[int | None] = set()  # further autopilots of which the operator knows
@@ -202,12 +202,12 @@ class MavlinkAutopilot:
             self._clock.sleep_until(min(gathered, deadline))
             if gathered > deadline:
                 return False
-        left_ms = max(0, deadline - self._clock.now_ns()) / 1e6
+        remaining_ms = max(0, deadline - self._clock.now_ns()) / 1e6
         waiter = select.poll()
         for link in self._links:
             if link.fileno() >= 0:
                 waiter.register(link.fileno(), select.POLLIN)
-        waiter.poll(left_ms)
+        waiter.poll(remaining_ms)
         return True
 
     def _attend(self, decoded: Decoded, now_host_ns: int) -> None:
@@ -226,8 +226,8 @@ class MavlinkAutopilot:
                 self._acknowledge_shot(heard, now_host_ns)
             elif heard.name == "PARAM_VALUE" and heard.component == AUTOPILOT_COMPONENT:
                 self._parameters.arrived(heard.message.param_id)
-                if heard.message.param_type in WHOLE_TYPES:
-                    self._whole.add(heard.message.param_id)
+                if heard.message.param_type in INTEGER_TYPES:
+                    self._integer_parameters.add(heard.message.param_id)
             elif heard.name == "HEARTBEAT":
                 self._absence.beat(heard.system, heard.component)
             if self.decoder.system_id is not None:
@@ -322,7 +322,7 @@ class MavlinkAutopilot:
             self.command(request.command, *request.parameters)
         elif isinstance(record, Notice):
             if self.decoder.system_id is None:
-                if not self._absence.is_mine(record):
+                if not self._absence.is_absence_notice(record):
                     self._held.append(record)
             else:
                 self._tell(record)
@@ -372,7 +372,7 @@ class MavlinkAutopilot:
     def set_parameter(self, name: str, value: float) -> None:
         """Ask the autopilot to set one of its parameters; its PARAM_VALUE in answer tells what is in force."""
         system = self._packer.srcSystem
-        value, kind = parameter_encoding(value, whole=self.decoder.px4 and name in self._whole)
+        value, kind = parameter_encoding(value, integer=self.decoder.px4 and name in self._integer_parameters)
         self._send(mavlink.MAVLink_param_set_message(system, AUTOPILOT_COMPONENT, name.encode(), value, kind))
 
     def close(self) -> None:

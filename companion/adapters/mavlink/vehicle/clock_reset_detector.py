@@ -20,7 +20,7 @@ class _Epoch:
 
 
 @dataclass(slots=True)
-class Followed:
+class StampHistory:
     """What is known of one source's stamps."""
 
     epoch: _Epoch
@@ -30,7 +30,7 @@ class Followed:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class StampVerdict:
     """What to do with the stamps of one batch.
 
     ``keep`` is None for all, else (n,); ``restart_at`` is the index of the first stamp after a restart, or -1.
@@ -45,10 +45,10 @@ class Verdict:
         return 0 if self.keep is None else int((~self.keep).sum())
 
 
-_ALL_GOOD = Verdict()
+_ALL_GOOD = StampVerdict()
 
 
-class ClockWatch:
+class ClockResetDetector:
     """Follows the stamps of every source of every remote clock.
 
     A stamp more than 1 s behind its source's newest is dropped; the third in a row (the first, for a matched TIMESYNC
@@ -59,23 +59,25 @@ class ClockWatch:
     def __init__(self) -> None:
         self._epochs: dict[ClockName, _Epoch] = {}
 
-    def follow(self, clock: ClockName) -> Followed:
+    def follow(self, clock: ClockName) -> StampHistory:
         """Begin to follow one more source of a clock."""
-        return Followed(self._epochs.setdefault(clock, _Epoch()))
+        return StampHistory(self._epochs.setdefault(clock, _Epoch()))
 
     def restart(self, clock: ClockName, received_host_ns: int) -> None:
         """Know from elsewhere that a clock begins anew."""
         epoch = self._epochs.setdefault(clock, _Epoch())
         epoch.number, epoch.since_host_ns = epoch.number + 1, received_host_ns
 
-    def check(self, source: Followed, t_ns: Ints, received_host_ns: int, confirmations: int = CONFIRMATIONS) -> Verdict:
+    def check(
+        self, source: StampHistory, t_ns: Ints, received_host_ns: int, confirmations: int = CONFIRMATIONS
+    ) -> StampVerdict:
         """Judge the stamps of one batch, in arrival order."""
         stamps = t_ns.tolist()
         if self.onward(source, min(stamps), max(stamps)):
             return _ALL_GOOD
-        return self._one_by_one(source, stamps, received_host_ns, confirmations)
+        return self._check_each(source, stamps, received_host_ns, confirmations)
 
-    def onward(self, source: Followed, oldest_ns: int, newest_ns: int) -> bool:
+    def onward(self, source: StampHistory, oldest_ns: int, newest_ns: int) -> bool:
         """Take a batch whose stamps lie between these, if nothing is wrong with any of them."""
         if source.newest_ns is not None and source.newest_ns > newest_ns:
             newest_ns = source.newest_ns
@@ -84,7 +86,9 @@ class ClockWatch:
         source.newest_ns, source.backward = newest_ns, 0
         return True
 
-    def _one_by_one(self, source: Followed, stamps: list[int], received_host_ns: int, confirmations: int) -> Verdict:
+    def _check_each(
+        self, source: StampHistory, stamps: list[int], received_host_ns: int, confirmations: int
+    ) -> StampVerdict:
         epoch = source.epoch
         keep = np.ones(len(stamps), dtype=np.bool_)
         restart_at = -1
@@ -105,4 +109,4 @@ class ClockWatch:
                     epoch.number, epoch.since_host_ns = epoch.number + 1, received_host_ns
                     source.number, source.newest_ns, source.backward = epoch.number, stamp, 0
                     restart_at = index
-        return Verdict(keep, restart_at)
+        return StampVerdict(keep, restart_at)

@@ -19,13 +19,13 @@ _REPEAT_NS = 30_000_000_000
 _ERROR = 3
 
 
-class IdentityWatch:
+class IdConflictDetector:
     """Remembers what we sent, and judges what came back under our name."""
 
     def __init__(self) -> None:
         self.foreign = 0
         self._sent: dict[tuple[int, bytes], None] = {}  # in order of sending; looked up at once, in a flood too
-        self._seen_host_ns: deque[int] = deque(maxlen=_CONFIRMATIONS)
+        self._foreign_host_ns: deque[int] = deque(maxlen=_CONFIRMATIONS)
         self._said_host_ns: int | None = None
 
     def sent(self, message: int, payload: bytes) -> None:
@@ -42,9 +42,9 @@ class IdentityWatch:
             return None
         self.foreign += 1
         now = echo.received_host_ns
-        self._seen_host_ns.append(now)
+        self._foreign_host_ns.append(now)
         # one strange frame may be our own from before a restart, still on its way through a router
-        if len(self._seen_host_ns) < _CONFIRMATIONS or now - self._seen_host_ns[0] > _WINDOW_NS:
+        if len(self._foreign_host_ns) < _CONFIRMATIONS or now - self._foreign_host_ns[0] > _WINDOW_NS:
             return None
         if self._said_host_ns is not None and now - self._said_host_ns < _REPEAT_NS:
             return None

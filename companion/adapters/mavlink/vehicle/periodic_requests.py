@@ -11,7 +11,7 @@ _DITHER = 0.4
 _GOLDEN = 0.6180339887498949
 _HURRY_NS = 5_000 * _MS_NS
 _AWAITED_NS = 15 * _MS_NS
-_GIVEN_UP = 5
+_MOST_UNANSWERED = 5
 _ASK_PERIOD_NS = 50 * _MS_NS
 _RETRY_NS = 1_000 * _MS_NS
 _TRIES = 5
@@ -66,7 +66,7 @@ class TimesyncTimer:
         self._last_host_ns = now_host_ns
         for clock in self._awaited:
             self._missed[clock] += 1
-        self._awaited = {clock for clock, missed in self._missed.items() if missed < _GIVEN_UP}
+        self._awaited = {clock for clock, missed in self._missed.items() if missed < _MOST_UNANSWERED}
         return True
 
     def answered(self, clock: ClockName) -> None:

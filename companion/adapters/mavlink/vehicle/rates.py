@@ -32,7 +32,7 @@ SAMPLES_PER_PERIOD = 10.0
 
 
 @dataclass(slots=True)
-class _Wanted:
+class _RequestedRate:
     message: int
     wanted_us: int
     granted_us: int
@@ -83,8 +83,8 @@ class RateKeeper:
     def __init__(self, wanted_hz: Mapping[int, float], inertial: Container[int] = ()) -> None:
         self._inertial = inertial
         self._mode_hz = 0.0
-        self._wanted = {key: _Wanted(key, *(2 * (round(1e6 / rate),))) for key, rate in wanted_hz.items()}
-        self._asked: _Wanted | None = None
+        self._wanted = {key: _RequestedRate(key, *(2 * (round(1e6 / rate),))) for key, rate in wanted_hz.items()}
+        self._asked: _RequestedRate | None = None
         self._asked_host_ns = 0
         self._loop_rate_hz: float | None = None
         self._integration_rate_hz: float | None = None
@@ -160,7 +160,7 @@ class RateKeeper:
         self._notices.clear()
         return taken
 
-    def _judge(self, entry: _Wanted, rate_hz: float, now_host_ns: int) -> None:
+    def _judge(self, entry: _RequestedRate, rate_hz: float, now_host_ns: int) -> None:
         granted_hz = 1e6 / entry.granted_us
         if self._integration_rate_hz and entry.message in self._inertial:
             granted_hz = min(granted_hz, self._integration_rate_hz)
@@ -176,7 +176,7 @@ class RateKeeper:
             text = f"{NAME_OF[entry.message]} comes at {rate_hz:.0f}, not {granted_hz:.0f} Hz: "
             self._say(_WARNING, text + (self._remedy(granted_hz) if entry.fallen > 1 else "asking again"), now_host_ns)
 
-    def _judge_mode(self, entry: _Wanted, rate_hz: float, now_host_ns: int) -> None:
+    def _judge_mode(self, entry: _RequestedRate, rate_hz: float, now_host_ns: int) -> None:
         """Say, and once a minute again, that what comes is too little for the mode, and what to change to what."""
         needed_hz = SAMPLES_PER_PERIOD * self._mode_hz
         entry.slow = entry.slow + 1 if 0 < rate_hz < needed_hz else 0  # silence is told elsewhere
@@ -189,7 +189,7 @@ class RateKeeper:
         text = f"{NAME_OF[entry.message]} {rate_hz:.0f} Hz, {self._mode_hz:.1f} Hz mode needs {needed_hz:.0f}: {remedy}"
         self._say(_WARNING, text, now_host_ns)
 
-    def _reduce(self, entry: _Wanted, now_host_ns: int) -> None:
+    def _reduce(self, entry: _RequestedRate, now_host_ns: int) -> None:
         slower_us = math.ceil(entry.granted_us * _SLOWER / 1000.0) * 1000
         if self._loop_rate_hz:
             slower_us = max(slower_us, int(1250.0 / self._loop_rate_hz) * 1000)

@@ -85,30 +85,30 @@ class Senders:
         if not self._refused or now_host_ns - self._reported_host_ns < _REPORT_NS:
             return []
         self._reported_host_ns = now_host_ns
-        told: list[Notice | Rejected] = []
+        notices: list[Notice | Rejected] = []
         for (key, address), count in self._refused.items():
             name, where = f"{key[0]}/{key[1]}", f"{address[0]}:{address[1]}"
-            told.append(Rejected(Reject.FOREIGN_SOURCE, f"second sender of {name}", now_host_ns, count))
+            notices.append(Rejected(Reject.FOREIGN_SOURCE, f"second sender of {name}", now_host_ns, count))
             said = self._said_host_ns.get(key)
             if self._foreign[key, address] >= _CONFIRMATIONS and (said is None or now_host_ns - said >= _REPEAT_NS):
                 self._said_host_ns[key] = now_host_ns
                 first = self._places[key].address
                 text = f"id {name} is used twice: {where} is refused, {first[0]}:{first[1]} came first"
-                told.append(Notice(_ERROR, text, now_host_ns))
+                notices.append(Notice(_ERROR, text, now_host_ns))
         self._refused.clear()
         if len(self._foreign) > _COPIES:
             self._foreign.clear()
-        return told
+        return notices
 
 
-class TwoClocks:
+class ClockConflictDetector:
     """Suspects two senders behind one address or wire: their stamps are of two clocks, and go back again and again.
 
     A clock that restarts does so once; what is late in a network is a sample or two.
     """
 
     def __init__(self) -> None:
-        self._seen_host_ns: dict[str, deque[int]] = {}
+        self._backward_host_ns: dict[str, deque[int]] = {}
         self._said_host_ns: dict[str, int] = {}
 
     def hear(self, record: Record) -> Notice | None:
@@ -119,11 +119,11 @@ class TwoClocks:
             what, now_host_ns = f"{record.clock} clock", record.seen_host_ns
         else:
             return None
-        seen = self._seen_host_ns.setdefault(what, deque(maxlen=_CONFIRMATIONS))
-        if not seen or now_host_ns - seen[-1] >= _REPORT_NS:
-            seen.append(now_host_ns)
+        backward_host_ns = self._backward_host_ns.setdefault(what, deque(maxlen=_CONFIRMATIONS))
+        if not backward_host_ns or now_host_ns - backward_host_ns[-1] >= _REPORT_NS:
+            backward_host_ns.append(now_host_ns)
         said = self._said_host_ns.get(what)
-        if len(seen) < _CONFIRMATIONS or now_host_ns - seen[0] > _WINDOW_NS:
+        if len(backward_host_ns) < _CONFIRMATIONS or now_host_ns - backward_host_ns[0] > _WINDOW_NS:
             return None
         if said is not None and now_host_ns - said < _REPEAT_NS:
             return None

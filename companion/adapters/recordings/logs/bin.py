@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
-from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT, Mapped, build_mapping
+from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT, MappedSource, build_mapping
 from companion.adapters.recordings.logs.dataflash import DataflashLog
-from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, rate_of, timed
+from companion.adapters.recordings.recording import INFO, InertialStream, LoggedRecording, join, merge, rate_of, timed
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
 from companion.params.vehicle import implausible
@@ -43,7 +43,7 @@ class BinRecording(LoggedRecording):
         super().__init__(path, airframe, ClockName.BOOT)
         self.log = DataflashLog(path)
         self._parameters = _parameters(self.log)
-        self.streams: list[Stream] = []
+        self.streams: list[InertialStream] = []
         sensors: dict[str, Any] = {}
         for source in build_mapping(airframe).sources:
             stream, sensor = self._station(source, airframe.sensor(source.station))
@@ -60,7 +60,7 @@ class BinRecording(LoggedRecording):
         sources += map(timed, self.streams)
         yield from merge(*sources)
 
-    def _station(self, source: Mapped, sensor: Sensor) -> tuple[Stream | None, Sensor]:
+    def _station(self, source: MappedSource, sensor: Sensor) -> tuple[InertialStream | None, Sensor]:
         number = imu_of(sensor)
         name = f"{self.path.name}: {source.station.name.lower()}"
         if number is None:
@@ -71,7 +71,7 @@ class BinRecording(LoggedRecording):
         if not raw:
             parts = _filtered_parts(self.log, number)
         wanted = [
-            Stream(source.station, ClockName.BOOT, axes & source.sends, t_ns, in_body(values, source, axes))
+            InertialStream(source.station, ClockName.BOOT, axes & source.sends, t_ns, in_body(values, source, axes))
             for axes, t_ns, values in parts
             if axes & source.sends
         ]
@@ -82,7 +82,7 @@ class BinRecording(LoggedRecording):
         self.notes.gaps(f"{name} (IMU {number + 1}, {'raw' if raw else 'filtered'})", stream.t_ns)
         return stream, self._as_logged(sensor, stream, raw)
 
-    def _as_logged(self, sensor: Sensor, stream: Stream, raw: bool) -> Sensor:
+    def _as_logged(self, sensor: Sensor, stream: InertialStream, raw: bool) -> Sensor:
         filters = (0.0, 0.0) if raw else (self._filter("ACCEL", sensor), self._filter("GYRO", sensor))
         return dataclasses.replace(
             sensor,
@@ -169,9 +169,9 @@ def _raw(log: DataflashLog, name: str, imu: int) -> tuple[Ints, Floats]:
     table = log.take(name, "SampleUS", "I", *fields)
     if not table:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    mine = table["I"] == imu
-    values = as_floats([table[field][mine] for field in fields])
-    return table["SampleUS"][mine].astype(np.int64) * 1000, values
+    selected = table["I"] == imu
+    values = as_floats([table[field][selected] for field in fields])
+    return table["SampleUS"][selected].astype(np.int64) * 1000, values
 
 
 def _raw_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Floats]]:
@@ -183,7 +183,7 @@ def _raw_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Floats]]:
         (Axis.ACCEL, accel_ns, np.hstack([accel, np.zeros_like(accel)])),
         (Axis.GYRO, gyro_ns, np.hstack([np.zeros_like(gyro), gyro])),
     ]
-    return [part for part in parts if part[1].size]
+    return [segment for segment in parts if segment[1].size]
 
 
 def _filtered_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Floats]]:
@@ -191,9 +191,9 @@ def _filtered_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Float
     table = log.take("IMU", "TimeUS", "I", *names)
     if not table or not (table["I"] == imu).any():
         return []
-    mine = table["I"] == imu
-    values = as_floats([table[name][mine] for name in names])
-    return [(Axis.ALL, table["TimeUS"][mine].astype(np.int64) * 1000, values)]
+    selected = table["I"] == imu
+    values = as_floats([table[name][selected] for name in names])
+    return [(Axis.ALL, table["TimeUS"][selected].astype(np.int64) * 1000, values)]
 
 
 def as_floats(columns: list[Any]) -> Floats:
@@ -202,12 +202,12 @@ def as_floats(columns: list[Any]) -> Floats:
         return np.column_stack(columns).astype(np.float64)
 
 
-def in_body(values: Floats, source: Mapped, axes: Axis) -> Floats:
+def in_body(values: Floats, source: MappedSource, axes: Axis) -> Floats:
     """Turn samples (n, 6) into body axes as the airframe's source says, and zero the columns that are not sent."""
     if source.body_from_sensor is not None:
         values = np.hstack([values[:, :3] @ source.body_from_sensor.T, values[:, 3:] @ source.body_from_sensor.T])
-    kept = [bool((axes & source.sends) >> i & 1) for i in range(6)]
-    return np.where(kept, values, 0.0)
+    axis_sent = [bool((axes & source.sends) >> i & 1) for i in range(6)]
+    return np.where(axis_sent, values, 0.0)
 
 
 def _latest(log: DataflashLog, message: str, field: str, t_us: Ints) -> Floats:

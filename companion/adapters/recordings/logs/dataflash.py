@@ -85,9 +85,9 @@ class DataflashLog:
         lengths = np.zeros(256, dtype=np.int64)
         for number, entry in self._formats.items():
             lengths[number] = entry.length
-        whole, self.skipped_bytes, self.cut_bytes = _chain(heads, lengths[types], self._data.size)
-        self._starts = heads[whole]
-        self._types = types[whole]
+        intact, self.skipped_bytes, self.cut_bytes = _chain(heads, lengths[types], self._data.size)
+        self._starts = heads[intact]
+        self._types = types[intact]
         if not self._starts.size:
             raise RecordingError(f"{path}: no whole message in this log")
 

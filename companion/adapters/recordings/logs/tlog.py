@@ -16,7 +16,7 @@ import numpy as np
 
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.link.dialect import NAME_OF
-from companion.adapters.mavlink.link.scan import next_frame, whole_frame
+from companion.adapters.mavlink.link.scan import frame_end, next_frame
 from companion.adapters.recordings.mcap.channels import CHANNELS
 from companion.adapters.recordings.recording import LoggedRecording
 from companion.errors import RecordingError
@@ -71,7 +71,7 @@ class TlogRecording(LoggedRecording):
         """Every frame with its UTC receive time in us; damage is stepped over and named in the notices."""
         data, end, at, skipped_from, last_us = self._data, len(self._data), 0, -1, 0
         while at < end:
-            if skipped_from >= 0 and at + _STAMP < end and whole_frame(data, at + _STAMP) < 0:
+            if skipped_from >= 0 and at + _STAMP < end and frame_end(data, at + _STAMP) < 0:
                 at = max(next_frame(data, at + _STAMP + 1) - _STAMP, at + 1)
                 continue
             size = _frame_bytes(data, at + _STAMP)
@@ -115,8 +115,8 @@ class TlogRecording(LoggedRecording):
             if parts:
                 self.notes.gaps(name, np.concatenate(parts))
             else:
-                there = {f"{NAME_OF[message]} of {component}" for message, component in decoder.delivered}
-                inertial = sorted(entry for entry in there if "IMU" in entry) or ["none"]
+                delivered = {f"{NAME_OF[message]} of {component}" for message, component in decoder.delivered}
+                inertial = sorted(entry for entry in delivered if "IMU" in entry) or ["none"]
                 self.notes.add(f"{name}: no samples; inertial messages in this log: {', '.join(inertial)}")
 
 

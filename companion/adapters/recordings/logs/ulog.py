@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
-from companion.adapters.mavlink.decode.source_map import Mapped, build_mapping
+from companion.adapters.mavlink.decode.source_map import MappedSource, build_mapping
 from companion.adapters.recordings.logs.bin import as_floats, imu_of, in_body
 from companion.adapters.recordings.logs.ulog_messages import UlogMessages
-from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, rate_of, timed
+from companion.adapters.recordings.recording import INFO, InertialStream, LoggedRecording, join, merge, rate_of, timed
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
@@ -40,7 +40,7 @@ _TOPICS = [
     "airspeed_validated",
 ]
 
-_Part = tuple[Axis, Ints, Floats]
+_LoggedAxes = tuple[Axis, Ints, Floats]
 
 
 class UlogRecording(LoggedRecording):
@@ -58,7 +58,7 @@ class UlogRecording(LoggedRecording):
     def __init__(self, path: Path, airframe: Airframe) -> None:
         super().__init__(path, airframe, ClockName.BOOT)
         self._log = UlogMessages(path, _TOPICS)
-        self.streams: list[Stream] = []
+        self.streams: list[InertialStream] = []
         sensors: dict[str, Any] = {}
         for source in build_mapping(airframe).sources:
             sensor = airframe.sensor(source.station)
@@ -70,8 +70,8 @@ class UlogRecording(LoggedRecording):
         self.airframe = dataclasses.replace(airframe, **sensors)
         self._say_what_is_wrong()
         if not self.streams:
-            there = ", ".join(f"{name}[{instance}]" for name, instance in self._log.logged) or "nothing"
-            raise RecordingError(f"{path}: no inertial samples at {_LEAST_RATE_HZ:.0f} Hz or more; it has {there}")
+            logged = ", ".join(f"{name}[{instance}]" for name, instance in self._log.logged) or "nothing"
+            raise RecordingError(f"{path}: no inertial samples at {_LEAST_RATE_HZ:.0f} Hz or more; it has {logged}")
 
     def records(self) -> Iterator[Record]:
         """Parameters, flight state and samples, in order of time."""
@@ -79,7 +79,7 @@ class UlogRecording(LoggedRecording):
         sources += map(timed, self.streams)
         yield from merge(*sources)
 
-    def _station(self, source: Mapped, sensor: Sensor) -> Stream | None:
+    def _station(self, source: MappedSource, sensor: Sensor) -> InertialStream | None:
         imu = imu_of(sensor)
         name = f"{self.path.name}: {source.station.name.lower()}"
         if imu is None:
@@ -87,7 +87,7 @@ class UlogRecording(LoggedRecording):
             return None
         parts = self._parts(imu)
         wanted = [
-            Stream(source.station, ClockName.BOOT, axes & source.sends, t_ns, in_body(values, source, axes))
+            InertialStream(source.station, ClockName.BOOT, axes & source.sends, t_ns, in_body(values, source, axes))
             for axes, t_ns, values in parts
             if axes & source.sends
         ]
@@ -98,21 +98,21 @@ class UlogRecording(LoggedRecording):
         self.notes.gaps(f"{name} (IMU {imu + 1})", stream.t_ns)
         return stream
 
-    def _parts(self, imu: int) -> list[_Part]:
+    def _parts(self, imu: int) -> list[_LoggedAxes]:
         choices = [self._sensor_topics(imu), self._vehicle_imu(imu), self._combined() if imu == 0 else []]
         return next((parts for parts in choices if parts and all(_fast(t_ns) for _, t_ns, _ in parts)), [])
 
-    def _sensor_topics(self, imu: int) -> list[_Part]:
+    def _sensor_topics(self, imu: int) -> list[_LoggedAxes]:
         names = ("x", "y", "z")
         accel, gyro = (self._log.take(topic, imu, "timestamp", *names) for topic in ("sensor_accel", "sensor_gyro"))
         parts = []
         if accel:
-            parts.append(_part(Axis.ACCEL, _sample_time(accel), [accel[name] for name in names]))
+            parts.append(_logged_axes(Axis.ACCEL, _sample_time(accel), [accel[name] for name in names]))
         if gyro:
-            parts.append(_part(Axis.GYRO, _sample_time(gyro), [gyro[name] for name in names]))
+            parts.append(_logged_axes(Axis.GYRO, _sample_time(gyro), [gyro[name] for name in names]))
         return parts
 
-    def _vehicle_imu(self, imu: int) -> list[_Part]:
+    def _vehicle_imu(self, imu: int) -> list[_LoggedAxes]:
         kinds = ((Axis.ACCEL, "delta_velocity", "delta_velocity_dt"), (Axis.GYRO, "delta_angle", "delta_angle_dt"))
         needed = [name for _, field, period in kinds for name in (*(f"{field}[{i}]" for i in range(3)), period)]
         table = self._log.take("vehicle_imu", imu, "timestamp", *needed)
@@ -123,10 +123,10 @@ class UlogRecording(LoggedRecording):
             seconds = table[period] * 1e-6
             good = seconds > 0
             columns = [table[f"{field}[{i}]"][good] / seconds[good] for i in range(3)]
-            parts.append(_part(axes, _sample_time(table)[good] - _half_us(table, period), columns))
+            parts.append(_logged_axes(axes, _sample_time(table)[good] - _half_us(table, period), columns))
         return parts
 
-    def _combined(self) -> list[_Part]:
+    def _combined(self) -> list[_LoggedAxes]:
         vectors = [f"{name}[{i}]" for name in ("accelerometer_m_s2", "gyro_rad") for i in range(3)]
         table = self._log.take("sensor_combined", 0, "timestamp", "accelerometer_timestamp_relative", *vectors)
         if not table:
@@ -138,7 +138,7 @@ class UlogRecording(LoggedRecording):
         gyro = [table[f"gyro_rad[{i}]"] for i in range(3)]
         accel_us = t_us + relative - _half_us(table, "accelerometer_integral_dt")
         gyro_us = t_us - _half_us(table, "gyro_integral_dt")
-        return [_part(Axis.ACCEL, accel_us[valid], accel), _part(Axis.GYRO, gyro_us, gyro)]
+        return [_logged_axes(Axis.ACCEL, accel_us[valid], accel), _logged_axes(Axis.GYRO, gyro_us, gyro)]
 
     def _say_what_is_wrong(self) -> None:
         dropouts = self._log.dropouts_ms
@@ -192,7 +192,7 @@ class UlogRecording(LoggedRecording):
         return values[np.searchsorted(table["timestamp"].astype(np.int64), t_us, side="right")]
 
 
-def _part(axes: Axis, t_us: Ints, columns: list[Any]) -> _Part:
+def _logged_axes(axes: Axis, t_us: Ints, columns: list[Any]) -> _LoggedAxes:
     values = np.zeros((t_us.size, 6))
     first = 0 if axes & Axis.ACCEL else 3
     values[:, first : first + 3] = as_floats(columns)
@@ -217,7 +217,7 @@ def _fast(t_ns: Ints) -> bool:
     return t_ns.size > 2 and bool(np.median(np.diff(t_ns)) <= 1e9 / _LEAST_RATE_HZ)
 
 
-def _as_logged(sensor: Sensor, stream: Stream) -> Sensor:
+def _as_logged(sensor: Sensor, stream: InertialStream) -> Sensor:
     return dataclasses.replace(
         sensor,
         rate_hz=rate_of(stream.t_ns, sensor.rate_hz),

@@ -49,7 +49,7 @@ _FIELD = re.compile(r"([a-zA-Z0-9_]+)(?:\[(\d{1,5})\])? ([a-zA-Z0-9_]+)")
 
 
 @dataclass(frozen=True, slots=True)
-class _Layout:
+class _TopicLayout:
     """Where a topic's columns are: name to (numpy type, offset). Padding at the end may be missing in the file."""
 
     columns: dict[str, tuple[str, int]]
@@ -61,7 +61,7 @@ class _Layout:
 class _Topic:
     name: str
     instance: int
-    layout: _Layout
+    layout: _TopicLayout
     starts: list[int] = field(default_factory=list)
 
 
@@ -268,7 +268,7 @@ def _parameter(body: bytes) -> tuple[str, float]:
     return name, float(value)
 
 
-def _layout(name: str, formats: Mapping[str, str]) -> _Layout:
+def _layout(name: str, formats: Mapping[str, str]) -> _TopicLayout:
     """Columns of a topic; raises ValueError for a format that is missing or cannot be right."""
     columns: dict[str, tuple[str, int]] = {}
     sizes: dict[str, int] = {}
@@ -287,7 +287,7 @@ def _layout(name: str, formats: Mapping[str, str]) -> _Layout:
     inside = {label: place for label, place in columns.items() if place[1] + int(place[0][-1]) <= least}
     if not inside:
         raise ValueError("no column")
-    return _Layout(inside, least, at)
+    return _TopicLayout(inside, least, at)
 
 
 def _fields(formats: Mapping[str, str], name: str) -> list[tuple[str, int | None, str]]:

@@ -42,7 +42,7 @@ SENT_LINK = 128
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class McapChannel:
     """One kind of record: its topic, whose braces ``topic_of`` fills in, and the attribute that is its host time."""
 
     kind: type
@@ -70,10 +70,10 @@ def topic_of(record: Recordable) -> str:
     return topic
 
 
-def _channel(kind: type) -> Channel:
+def _channel(kind: type) -> McapChannel:
     stamps = [entry.name for entry in dataclasses.fields(kind) if entry.name.endswith("_host_ns")]
     topic, time = _LISTED.get(kind, (f"/other/{kind.__name__}", stamps[0]))
-    return Channel(kind, topic, time)
+    return McapChannel(kind, topic, time)
 
 
 _IMAGES = (Frame, FramePair)  # compressed; see images.py
@@ -104,7 +104,7 @@ _LISTED: dict[type, tuple[str, str]] = {
     Notice: ("/status/notice", "at_host_ns"),
     ServiceStatus: ("/status/service", "at_host_ns"),
 }
-CHANNELS: dict[type, Channel] = {kind: _channel(kind) for kind in typing.get_args(Record) if kind not in _IMAGES}
+CHANNELS: dict[type, McapChannel] = {kind: _channel(kind) for kind in typing.get_args(Record) if kind not in _IMAGES}
 CAMERA_TOPICS = ("/camera/left", "/camera/right")
 IMAGE_SCHEMA = "foxglove.CompressedImage"
 KINDS: dict[str, type] = {channel.schema_name: kind for kind, channel in CHANNELS.items()}

@@ -90,8 +90,8 @@ _SCALARS = {
 
 
 def _of_enum(kind: type[enum.Enum]) -> Codec:
-    whole = issubclass(kind, int)
-    schema: dict[str, Any] = {"type": "integer" if whole else "string"}
+    integer = issubclass(kind, int)
+    schema: dict[str, Any] = {"type": "integer" if integer else "string"}
     if not issubclass(kind, enum.Flag):
         schema["enum"] = [member.value for member in kind]
     return Codec(lambda member: member.value, kind, schema)

@@ -31,24 +31,24 @@ class ImageFormat(enum.StrEnum):
         return self is ImageFormat.PNG
 
 
-_WHOLE = {"type": "integer"}
+_INTEGER = {"type": "integer"}
 SCHEMA: dict[str, Any] = {
     "title": "foxglove.CompressedImage",
     "description": "A compressed image, with the exposure that companion.records.Frame tells",
     "type": "object",
     "properties": {
-        "timestamp": {"type": "object", "title": "time", "properties": {"sec": _WHOLE, "nsec": _WHOLE}},
+        "timestamp": {"type": "object", "title": "time", "properties": {"sec": _INTEGER, "nsec": _INTEGER}},
         "frame_id": {"type": "string"},
         "data": {"type": "string", "contentEncoding": "base64"},
         "format": {"type": "string"},
-        "pair_id": {"anyOf": [_WHOLE, {"type": "null"}]},
-        "side": _WHOLE,
-        "sequence": _WHOLE,
+        "pair_id": {"anyOf": [_INTEGER, {"type": "null"}]},
+        "side": _INTEGER,
+        "sequence": _INTEGER,
         "clock": {"type": "string"},
-        "mid_exposure_ns": _WHOLE,
-        "exposure_ns": _WHOLE,
-        "row_time_ns": _WHOLE,
-        "plan_id": _WHOLE,
+        "mid_exposure_ns": _INTEGER,
+        "exposure_ns": _INTEGER,
+        "row_time_ns": _INTEGER,
+        "plan_id": _INTEGER,
     },
 }
 

@@ -35,7 +35,7 @@ from companion.records import ClockName, Frame, FramePair, Notice, Side
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9
-_KEPT = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT))
+_INDEXED_OPCODES = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT))
 _MOST_CHUNK_BYTES = 1 << 28
 _LONGEST_CHUNK_S = 60.0
 _DAMAGE = (
@@ -174,10 +174,10 @@ class McapRecording:
         schemas: dict[int, mcap.Schema] = {}
         channels: dict[int, mcap.Channel] = {}
         with self.path.open("rb") as file:
-            for segment in [part for part in self._segments if part.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)]:
+            for segment in [record for record in self._segments if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)]:
                 with contextlib.suppress(*_DAMAGE):  # copies of what the chunks declare
                     _learn(_parse(file, segment), schemas, channels)
-            for segment in [part for part in self._segments if part.opcode == Opcode.CHUNK]:
+            for segment in [record for record in self._segments if record.opcode == Opcode.CHUNK]:
                 for record in self._chunk(file, segment):
                     if not isinstance(record, mcap.Message):
                         _learn(record, schemas, channels)
@@ -232,7 +232,7 @@ class McapRecording:
         """Host times of the first and the last record, (0, 0) where there is none."""
         spans = []
         with self.path.open("rb") as file:
-            for segment in [part for part in self._segments if part.opcode == Opcode.CHUNK]:
+            for segment in [record for record in self._segments if record.opcode == Opcode.CHUNK]:
                 if segment.length >= _PARTLY.size:
                     file.seek(segment.offset)
                     spans.append(_PARTLY.unpack(file.read(_PARTLY.size)))
@@ -273,7 +273,7 @@ def _scan(path: Path) -> tuple[list[_Segment], _End]:
                 if opcode == Opcode.CHUNK and at + _HEAD + _PARTLY.size <= size:
                     cut_chunk_ns = _PARTLY.unpack(file.read(_PARTLY.size))[1]
                 break
-            if opcode in _KEPT:
+            if opcode in _INDEXED_OPCODES:
                 segments.append(_Segment(opcode, at + _HEAD, length))
             at += _HEAD + length
             if opcode == Opcode.FOOTER:

@@ -12,7 +12,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from companion.adapters.recordings.mcap.channels import Recordable
-from companion.adapters.recordings.mcap.recorder_client import Batch, Inlet, Outlet, recorder_channel
+from companion.adapters.recordings.mcap.recorder_client import Batch, RecorderClient, RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
 
@@ -69,7 +69,7 @@ def _on_terminate() -> list[int]:
 
 def _listening(ends: Sequence[socket.socket]) -> selectors.BaseSelector:
     selector = selectors.DefaultSelector()
-    for outlet in map(Outlet, ends):
+    for outlet in map(RecorderReceiver, ends):
         selector.register(outlet, selectors.EVENT_READ)
     return selector
 
@@ -99,7 +99,7 @@ def _discard(selector: selectors.BaseSelector, stop: Event | None, terminated: S
 
 def _take(selector: selectors.BaseSelector, outlet: object) -> Batch | None:
     """Take one packet; give the batch that it completes, and listen no more to a producer that has ended."""
-    assert isinstance(outlet, Outlet)
+    assert isinstance(outlet, RecorderReceiver)
     batch = outlet.receive()
     if batch is not None and batch.last:
         selector.unregister(outlet)
@@ -151,17 +151,17 @@ class ProcessRecorder:
     def __init__(self, path: Path, about: About, capacity_bytes: int = 64 << 20) -> None:
         if not path.parent.is_dir():
             raise RecordingError(f"{path}: cannot be written: no folder {path.parent}")
-        mine, theirs = recorder_channel()
+        own_end, theirs = recorder_channel()
         spawn = multiprocessing.get_context("spawn")
         self._process = spawn.Process(target=run_recorder, args=(path, about, [theirs]), name="spanwise-recorder")
         self._process.start()
         theirs.close()
-        self._inlet = Inlet(mine, capacity_bytes)
+        self._client = RecorderClient(own_end, capacity_bytes)
 
     @property
     def dropped(self) -> int:
         """Records that will never be in the file."""
-        return self._inlet.dropped
+        return self._client.dropped
 
     @property
     def alive(self) -> bool:
@@ -170,11 +170,11 @@ class ProcessRecorder:
 
     def write(self, record: Recordable) -> None:
         """Append one record, or drop and count it; never blocks."""
-        self._inlet.write(record)
+        self._client.write(record)
 
     def close(self) -> None:
         """Wait until everything is in the file and the file is finished."""
-        self._inlet.close()
+        self._client.close()
         self._process.join(_JOIN_S)
         if self._process.is_alive():
             self._process.terminate()

@@ -19,7 +19,7 @@ from companion.records import Frame, FramePair, ImuBatch, MatchSet, RawChunk
 
 _PERIOD_S = 0.02
 _PACKET_BYTES = 65_536
-_PART = struct.Struct("<II")
+_PACKET_HEADER = struct.Struct("<II")
 _SEND_TIMEOUT_S = 1.0
 _SMALL_BYTES = 400
 
@@ -34,11 +34,11 @@ class Batch:
 
 
 def recorder_channel() -> tuple[socket.socket, socket.socket]:
-    """A new channel: the producer's end, for :class:`Inlet`, and the recorder's; both may go to other processes."""
+    """Socket pair to the recorder process: the end of :class:`RecorderClient`, and of :class:`RecorderReceiver`."""
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
 
-class Inlet:
+class RecorderClient:
     """The recorder port in a producing process; to be used from one thread.
 
     Parameters
@@ -58,9 +58,9 @@ class Inlet:
         self._sent_bytes = 0  # changed by the sending thread alone
         self._refused = 0  # likewise the caller's
         self._lost = 0  # likewise the sender's
-        self._told = 0
+        self._reported_drops = 0
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._send_all, name="recorder-inlet", daemon=True)
+        self._thread = threading.Thread(target=self._send_all, name="recorder-client", daemon=True)
         self._thread.start()
 
     @property
@@ -91,11 +91,11 @@ class Inlet:
     def _send_waiting(self, last: bool) -> None:
         dropped = self.dropped
         taken = [self._waiting.popleft() for _ in range(len(self._waiting))]
-        if not taken and not last and dropped == self._told:
+        if not taken and not last and dropped == self._reported_drops:
             return
-        batch = Batch([record for record, _ in taken], dropped - self._told, last)
+        batch = Batch([record for record, _ in taken], dropped - self._reported_drops, last)
         if self._send(pickle.dumps(batch, protocol=pickle.HIGHEST_PROTOCOL)):
-            self._told = dropped
+            self._reported_drops = dropped
         else:
             self._lost += len(taken)
         self._sent_bytes += sum(size for _, size in taken)
@@ -104,7 +104,7 @@ class Inlet:
         """Send one batch whole; wait for a slow recorder, give up on a dead one, or on a stuck one when closing."""
         count = -(-len(data) // _PACKET_BYTES)
         for index in range(count):
-            packet = _PART.pack(index, count) + data[index * _PACKET_BYTES : (index + 1) * _PACKET_BYTES]
+            packet = _PACKET_HEADER.pack(index, count) + data[index * _PACKET_BYTES : (index + 1) * _PACKET_BYTES]
             while True:
                 try:
                     self._end.send(packet)
@@ -117,7 +117,7 @@ class Inlet:
         return True
 
 
-class Outlet:
+class RecorderReceiver:
     """The recorder's end: puts packets together to batches."""
 
     def __init__(self, end: socket.socket) -> None:
@@ -130,15 +130,15 @@ class Outlet:
 
     def receive(self) -> Batch | None:
         """Take one packet; give the batch that it completes, or an empty last one when the producer is gone."""
-        packet = self.end.recv(_PART.size + _PACKET_BYTES)
+        packet = self.end.recv(_PACKET_HEADER.size + _PACKET_BYTES)
         if not packet:
             return Batch([], 0, last=True)
-        index, count = _PART.unpack_from(packet)
+        index, count = _PACKET_HEADER.unpack_from(packet)
         if index == 0:
             self._parts = []
         elif index != len(self._parts):
             return None  # the rest of a batch whose beginning another recorder took
-        self._parts.append(packet[_PART.size :])
+        self._parts.append(packet[_PACKET_HEADER.size :])
         if len(self._parts) < count:
             return None
         batch: Any = pickle.loads(b"".join(self._parts))

@@ -22,7 +22,7 @@ from companion.adapters.recordings.mcap.channels import (
     CAMERA_TOPICS,
     CHANNELS,
     IMAGE_SCHEMA,
-    Channel,
+    McapChannel,
     Recordable,
     topic_of,
 )
@@ -170,7 +170,7 @@ class McapWriter:
         plain = images.frame_to_plain(frame, pair_id, self._format)
         self._add(channel, self._latest_ns, json.dumps(plain).encode())
 
-    def _register(self, topic: str, listed: Channel) -> int:
+    def _register(self, topic: str, listed: McapChannel) -> int:
         if listed.packed:
             schema = self._writer.register_schema(listed.schema_name, "ros1msg", packed.SCHEMAS[listed.kind].encode())
             encoding = "ros1"

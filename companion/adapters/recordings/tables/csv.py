@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, join, merge, rate_of, timed
+from companion.adapters.recordings.recording import INFO, InertialStream, LoggedRecording, join, merge, rate_of, timed
 from companion.adapters.recordings.tables.number_table import read_table
 from companion.adapters.recordings.tables.stamps import without_rounding
-from companion.adapters.recordings.tables.units import ACCELERATION, ANGULAR_RATE, has_known_unit, input_in_si
+from companion.adapters.recordings.tables.units import ACCELERATION, ANGULAR_RATE, has_unit, input_in_si
 from companion.errors import RecordingError, TableError
 from companion.params.airframe import Airframe, Sensor
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Station
@@ -82,10 +82,10 @@ class CsvRecording(LoggedRecording):
         self.covariates: dict[str, Covariate] = {}
         parts = [stream for file in accel_files(path) for stream in self._accel(file)]
         if not parts:
-            there = ", ".join(self.covariates) or "t_s alone"
-            problem = f"no column <place>_<axis>_<unit>, such as left_z_mps2; the columns are {there}"
+            columns = ", ".join(self.covariates) or "t_s alone"
+            problem = f"no column <place>_<axis>_<unit>, such as left_z_mps2; the columns are {columns}"
             raise TableError(accel_files(path)[0], 1, problem)
-        self.streams = tuple(self._one_per_station(parts))
+        self.streams = tuple(self._joined_by_station(parts))
         self.airframe = self._fitting(airframe)
         self.ranges = self._ranges(path / "range.csv")
         for stream in self.streams:
@@ -97,25 +97,25 @@ class CsvRecording(LoggedRecording):
         """The samples in batches of 20 ms, in order of time."""
         yield from merge(*map(timed, self.streams))
 
-    def _accel(self, file: Path) -> Iterator[Stream]:
+    def _accel(self, file: Path) -> Iterator[InertialStream]:
         table = read_table(file)
         place = file.stem.removeprefix("accel").lstrip("_")
         t_s, rounded = without_rounding(table.columns["t_s"])
         if rounded:
             self.notes.add(f"{file}: {rounded}", severity=INFO)
-        found: dict[Station, list[tuple[int, Floats]]] = {}
+        stations: dict[Station, list[tuple[int, Floats]]] = {}
         for name, values in table.columns.items():
             column = inertial_column(file, name, place)
             if column is not None:
                 station, index, factor = column
-                found.setdefault(station, []).append((index, values if factor == 1.0 else values * factor))
+                stations.setdefault(station, []).append((index, values if factor == 1.0 else values * factor))
             elif name != "t_s":
                 self._covariate(file, name, t_s, values)
-        for station, columns in sorted(found.items()):
+        for station, columns in sorted(stations.items()):
             yield stream_of(station, nanoseconds(t_s), columns)
 
     def _covariate(self, file: Path, name: str, t_s: Floats, values: Floats) -> None:
-        if not has_known_unit(name):
+        if not has_unit(name):
             self.notes.add(f"{file}: column '{name}' ends in no unit that is known; taken as a number without unit")
         si_name, factor = input_in_si(name) if name.startswith("input_") else (name, 1.0)
         if si_name in self.covariates:
@@ -123,13 +123,13 @@ class CsvRecording(LoggedRecording):
             return
         self.covariates[si_name] = Covariate(si_name, t_s, values * factor)
 
-    def _one_per_station(self, parts: list[Stream]) -> Iterator[Stream]:
-        for station in sorted({part.station for part in parts}):
-            mine = [part for part in parts if part.station is station]
+    def _joined_by_station(self, streams: list[InertialStream]) -> Iterator[InertialStream]:
+        for station in sorted({stream.station for stream in streams}):
+            of_station = [stream for stream in streams if stream.station is station]
             place = station.name.lower()
-            if len(mine) > 1 and mine[0].axes & mine[1].axes:
+            if len(of_station) > 1 and of_station[0].axes & of_station[1].axes:
                 raise TableError(self.path / f"accel_{place}.csv", 1, f"axes of '{place}' are in accel.csv as well")
-            yield join(mine)
+            yield join(of_station)
 
     def _fitting(self, airframe: Airframe) -> Airframe:
         sensors: dict[str, Any] = {
@@ -145,12 +145,12 @@ class CsvRecording(LoggedRecording):
         if not file.exists():
             return None
         columns = read_table(file, ("range_m",), frozenset({"range_m"})).columns
-        known: dict[str, Any] = {name: columns.get(name) for name in _RANGE_OPTIONAL}
+        optional: dict[str, Any] = {name: columns.get(name) for name in _RANGE_OPTIONAL}
         further = {name: columns[name] for name in columns if name not in ("t_s", "range_m", *_RANGE_OPTIONAL)}
         for name in further:
-            if not has_known_unit(name):
+            if not has_unit(name):
                 self.notes.add(f"{file}: column '{name}' is none of {', '.join(('range_m', *_RANGE_OPTIONAL))}; kept")
-        return RangeTable(columns["t_s"], columns["range_m"], **known, further=further)
+        return RangeTable(columns["t_s"], columns["range_m"], **optional, further=further)
 
 
 def accel_files(folder: Path) -> list[Path]:
@@ -196,17 +196,17 @@ def inertial_column(file: Path, name: str, place: str) -> tuple[Station, int, fl
     return _PLACES[where], _LETTERS.index(axis), _UNITS[axis][unit]
 
 
-def stream_of(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -> Stream:
+def stream_of(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -> InertialStream:
     """A station's stream of axes by index, each (n,)."""
     values = np.zeros((t_ns.size, 6))
     axes = Axis.NONE
     for index, column in columns:
         values[:, index] = column
         axes |= Axis(1 << index)
-    return Stream(station, ClockName.HOST, axes, t_ns, values)
+    return InertialStream(station, ClockName.HOST, axes, t_ns, values)
 
 
-def gravity(path: Path, stream: Stream) -> Iterator[str]:
+def gravity(path: Path, stream: InertialStream) -> Iterator[str]:
     """Look for gravity in the vertical axis: a sentence where it is missing.
 
     Raises
@@ -226,7 +226,7 @@ def gravity(path: Path, stream: Stream) -> Iterator[str]:
         yield f"{reads}, where about -1 g is expected: gravity was taken out, or its unit is another"
 
 
-def sensor_as_recorded(sensor: Sensor, stream: Stream) -> Sensor:
+def sensor_as_recorded(sensor: Sensor, stream: InertialStream) -> Sensor:
     """The sensor with the axes and the rate that are really there."""
     sent = [_LETTERS[i] for i in range(6) if stream.axes >> i & 1]
     source = dataclasses.replace(sensor.source, clock=ClockName.HOST, stamp_offset_s=0.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.adapters.recordings.recording import Stream
+from companion.adapters.recordings.recording import InertialStream
 from companion.adapters.recordings.tables.csv import Covariate, RangeTable
 from companion.records import Floats, ImuBatch, Ints, Station
 
@@ -17,7 +17,7 @@ _ROWS = 4096
 
 def write_folder(
     folder: Path,
-    streams: Sequence[Stream],
+    streams: Sequence[InertialStream],
     covariates: Sequence[Covariate] = (),
     ranges: RangeTable | None = None,
     epoch_ns: int = 0,
@@ -40,13 +40,13 @@ def write_folder(
     write_table(folder / "accel.csv", {"t_s": t_s, **columns})
     for stream in streams:
         if all(stream is not other for other in shared):
-            own = {"t_s": seconds(stream.t_ns, epoch_ns), **dict(_columns(stream))}
-            write_table(folder / f"accel_{stream.station.name.lower()}.csv", own)
+            stream_columns = {"t_s": seconds(stream.t_ns, epoch_ns), **dict(_columns(stream))}
+            write_table(folder / f"accel_{stream.station.name.lower()}.csv", stream_columns)
     if ranges is not None:
         write_table(folder / "range.csv", _range_columns(ranges))
 
 
-def streams_of(batches: Iterable[ImuBatch]) -> list[Stream]:
+def streams_of(batches: Iterable[ImuBatch]) -> list[InertialStream]:
     """Join batches to one stream per station, in order of time; of equal stamps the first sample is kept."""
     parts: dict[Station, list[ImuBatch]] = {}
     for batch in batches:
@@ -69,24 +69,24 @@ def seconds(t_ns: Ints, epoch_ns: int = 0) -> Floats:
     return (t_ns - epoch_ns) / 1e9
 
 
-def _columns(stream: Stream) -> Iterable[tuple[str, Floats]]:
+def _columns(stream: InertialStream) -> Iterable[tuple[str, Floats]]:
     place = stream.station.name.lower()
     for i, name in enumerate(_NAMES):
         if stream.axes >> i & 1:
             yield f"{place}_{name}", stream.values[:, i]
 
 
-def _joined(batches: list[ImuBatch]) -> Stream:
+def _joined(batches: list[ImuBatch]) -> InertialStream:
     t_ns = np.concatenate([batch.t_ns for batch in batches])
     values = np.concatenate([batch.values for batch in batches])
     t_ns, order = np.unique(t_ns, return_index=True)
     axes = batches[0].axes
     for batch in batches:
         axes &= batch.axes
-    return Stream(batches[0].station, batches[0].clock, axes, t_ns, values[order])
+    return InertialStream(batches[0].station, batches[0].clock, axes, t_ns, values[order])
 
 
 def _range_columns(ranges: RangeTable) -> dict[str, Floats]:
     optional = {name: getattr(ranges, name) for name in ("reference_m", "disparity_px", "t_command_s")}
-    given = {name: values for name, values in optional.items() if values is not None}
-    return {"t_s": ranges.t_s, "range_m": ranges.range_m, **given, **ranges.further}
+    present = {name: values for name, values in optional.items() if values is not None}
+    return {"t_s": ranges.t_s, "range_m": ranges.range_m, **present, **ranges.further}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.tables.mapping import Column, MatlabLayout, TableMapping
+from companion.adapters.recordings.tables.mapping import ColumnMapping, MatlabLayout, TableMapping
 from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.errors import RecordingError, TableError
 from companion.records import Floats
@@ -26,30 +26,30 @@ def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> d
     variables = read_matlab(path)
     array = _array(path, variables, layout)
     names = _names(path, variables, layout)
-    found: dict[str, Floats] = {}
+    channels: dict[str, Floats] = {}
     for column in mapping.columns:
         values = _channel(path, column, variables, array, names)
         if values is None and not column.optional:
-            there = [*names, *sorted(name for name in variables if not name.startswith("__"))]
+            available = [*names, *sorted(name for name in variables if not name.startswith("__"))]
             raise RecordingError(
                 f"{path}: no channel '{column.name}' ({column.channel}, unit {column.unit or 'none'}) of "
-                f"{mapping.origin}; it has {', '.join(there)}"
+                f"{mapping.origin}; it has {', '.join(available)}"
             )
         if values is not None:
-            found[column.name] = _checked(path, column, values)
-    lengths = {len(values) for values in found.values()}
+            channels[column.name] = _checked(path, column, values)
+    lengths = {len(values) for values in channels.values()}
     if len(lengths) > 1:
-        told = ", ".join(f"'{name}' {len(values)}" for name, values in found.items())
-        raise RecordingError(f"{path}: channels of different length: {told}")
-    return found
+        lengths_text = ", ".join(f"'{name}' {len(values)}" for name, values in channels.items())
+        raise RecordingError(f"{path}: channels of different length: {lengths_text}")
+    return channels
 
 
 def _array(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> Any:
     if not layout.array:
         return None
     if layout.array not in variables:
-        there = ", ".join(sorted(name for name in variables if not name.startswith("__")))
-        raise RecordingError(f"{path}: no variable '{layout.array}'; it has {there}")
+        available = ", ".join(sorted(name for name in variables if not name.startswith("__")))
+        raise RecordingError(f"{path}: no variable '{layout.array}'; it has {available}")
     array = variables[layout.array]
     if array.ndim != 2 or array.dtype.kind not in "iuf":
         raise RecordingError(f"{path}: variable '{layout.array}' is no table of numbers")
@@ -65,7 +65,7 @@ def _names(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> list[
     return [str(entry[0]).strip() if entry.size else "" for entry in entries]
 
 
-def _channel(path: Path, column: Column, variables: dict[str, Any], array: Any, names: list[str]) -> Any:
+def _channel(path: Path, column: ColumnMapping, variables: dict[str, Any], array: Any, names: list[str]) -> Any:
     number = column.name[1:]
     if column.name.startswith("#") and number.isdigit():
         if array is None or not 0 < int(number) <= array.shape[1]:
@@ -77,7 +77,7 @@ def _channel(path: Path, column: Column, variables: dict[str, Any], array: Any, 
     return variables.get(column.name)
 
 
-def _checked(path: Path, column: Column, values: Any) -> Floats:
+def _checked(path: Path, column: ColumnMapping, values: Any) -> Floats:
     try:
         numbers: Floats = np.asarray(values, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.recording import INFO, LoggedRecording, Stream, merge, timed
+from companion.adapters.recordings.recording import INFO, InertialStream, LoggedRecording, merge, timed
 from companion.adapters.recordings.tables.csv import (
     Covariate,
     RangeTable,
@@ -63,19 +63,19 @@ class MappedRecording(LoggedRecording):
         """The samples in batches of 20 ms, in order of time."""
         yield from merge(*map(timed, self.streams))
 
-    def _streams(self, table: MappedTable, mapping: TableMapping) -> Iterator[Stream]:
-        found: dict[Station, list[tuple[int, Floats]]] = {}
+    def _streams(self, table: MappedTable, mapping: TableMapping) -> Iterator[InertialStream]:
+        stations: dict[Station, list[tuple[int, Floats]]] = {}
         for name, values in table.channels.items():
             column = inertial_column(Path(mapping.origin), name, "")
             if column is not None:
                 station, index, factor = column
-                found.setdefault(station, []).append((index, values * factor))
+                stations.setdefault(station, []).append((index, values * factor))
             elif name not in MAY_BE_MISSING:
                 self.covariates[name] = Covariate(name, table.t_s, values)
-        if not found:
+        if not stations:
             raise TableError(Path(mapping.origin), 1, "no channel <place>_<axis>_<unit>, such as left_z_mps2")
         t_ns = nanoseconds(table.t_s)
-        for station, columns in sorted(found.items()):
+        for station, columns in sorted(stations.items()):
             yield stream_of(station, t_ns, columns)
 
 
@@ -84,8 +84,8 @@ def _ranges(table: MappedTable) -> RangeTable | None:
     range_m = table.channels.get("range_m")
     if range_m is None:
         return None
-    there = ~np.isnan(range_m)
-    others = {name: values[there] for name, values in table.channels.items() if name in MAY_BE_MISSING}
-    known: dict[str, Any] = {name: others[name] for name in others if not np.isnan(others[name]).any()}
-    known.pop("range_m", None)
-    return RangeTable(table.t_s[there], range_m[there], **known)
+    measured = ~np.isnan(range_m)
+    others = {name: values[measured] for name, values in table.channels.items() if name in MAY_BE_MISSING}
+    complete: dict[str, Any] = {name: others[name] for name in others if not np.isnan(others[name]).any()}
+    complete.pop("range_m", None)
+    return RangeTable(table.t_s[measured], range_m[measured], **complete)

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_matlab import matlab_columns
 from companion.adapters.recordings.tables.mapped_text import text_columns
-from companion.adapters.recordings.tables.mapping import Column, MatlabLayout, TableMapping
+from companion.adapters.recordings.tables.mapping import ColumnMapping, MatlabLayout, TableMapping
 from companion.errors import RecordingError, TableError
 from companion.records import Floats
 
@@ -87,12 +87,12 @@ def read_mapped(path: Path, mapping: TableMapping) -> MappedTable:
     return MappedTable(path, t_s, channels, _constants(path, mapping.constants), notes)
 
 
-def _scaled(values: Floats, column: Column) -> Floats:
+def _scaled(values: Floats, column: ColumnMapping) -> Floats:
     return values * column.scale + column.offset
 
 
-def _constants(path: Path, known: Mapping[str, dict[str, float]]) -> dict[str, float]:
-    return dict(known.get(path.name, {}))
+def _constants(path: Path, by_file: Mapping[str, dict[str, float]]) -> dict[str, float]:
+    return dict(by_file.get(path.name, {}))
 
 
 def _check_increasing(path: Path, mapping: TableMapping, t_s: Floats) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from companion.adapters.recordings.tables.mapping import Column, TableMapping, TextLayout
+from companion.adapters.recordings.tables.mapping import ColumnMapping, TableMapping, TextLayout
 from companion.errors import RecordingError, TableError
 from companion.records import Floats
 
@@ -52,22 +52,22 @@ def text_columns(
 def _places(path: Path, mapping: TableMapping, layout: TextLayout) -> dict[str, int]:
     """Index of each column of the mapping that is there."""
     header = _header(path, layout)
-    found: dict[str, int] = {}
+    places: dict[str, int] = {}
     for column in mapping.columns:
         index = _numbered(column.name)
         if index is None and column.name in header:
             index = header.index(column.name)
         if index is not None:
-            found[column.name] = index
+            places[column.name] = index
         elif not column.optional:
-            there = ", ".join(f"'{name}'" for name in header) or "without names: write '#1', '#2' in the mapping"
+            available = ", ".join(f"'{name}'" for name in header) or "without names: write '#1', '#2' in the mapping"
             raise TableError(
                 path,
                 layout.header_line or layout.first_line,
                 f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'}) of {mapping.origin} "
-                f"is missing; the columns are {there}",
+                f"is missing; the columns are {available}",
             )
-    return found
+    return places
 
 
 def _numbered(name: str) -> int | None:
@@ -116,7 +116,7 @@ def _cell_by_cell(
     return np.array(rows)
 
 
-def _number(path: Path, line: int, column: Column, cell: str, may_be_missing: frozenset[str]) -> float:
+def _number(path: Path, line: int, column: ColumnMapping, cell: str, may_be_missing: frozenset[str]) -> float:
     lenient = column.channel in may_be_missing
     what = f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'})"
     if not cell:

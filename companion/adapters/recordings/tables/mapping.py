@@ -34,7 +34,7 @@ class TestKind(enum.StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class ColumnMapping:
     """One column: its name in the table (or ``#3``), the channel it is, and value = scale * cell + offset."""
 
     name: str
@@ -88,13 +88,13 @@ class TableMapping:
     files: str
     rate_hz: float
     layout: TextLayout | MatlabLayout
-    columns: tuple[Column, ...]
+    columns: tuple[ColumnMapping, ...]
     constants: dict[str, dict[str, float]]
     band_hz: tuple[float, float] | None = None
     belief: dict[str, Uncertain] = field(default_factory=dict)
 
 
-def known_mappings() -> list[str]:
+def shipped_mappings() -> list[str]:
     """Names of the mappings that travel with Spanwise."""
     folder = shipped("mappings")
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
@@ -109,25 +109,26 @@ def load_mapping(name_or_path: str) -> TableMapping:
         No such mapping, no TOML, or a key that is missing, unknown or of a wrong type; file and key are named.
     """
     if not name_or_path.endswith(".toml"):
-        if name_or_path not in known_mappings():
+        if name_or_path not in shipped_mappings():
             raise ConfigError(
-                f"no mapping '{name_or_path}'; known: {', '.join(known_mappings())} (or give the path of a .toml file)"
+                f"no mapping '{name_or_path}'; known: {', '.join(shipped_mappings())} "
+                "(or give the path of a .toml file)"
             )
         entry = shipped("mappings") / f"{name_or_path}.toml"
         return parse_mapping(entry.read_text(encoding="utf-8"), f"{name_or_path}.toml")
     path = Path(name_or_path)
     if not path.is_file():
-        raise ConfigError(f"{path}: no such mapping file; known by name: {', '.join(known_mappings())}")
+        raise ConfigError(f"{path}: no such mapping file; known by name: {', '.join(shipped_mappings())}")
     return parse_mapping(read_text(path), str(path))
 
 
 def parse_mapping(text: str, origin: str) -> TableMapping:
     """Parse the text of a mapping file; ``origin`` is named in errors."""
     keys = _Keys(parse_toml(text, origin), origin, "")
-    table, matlab = keys.part("table"), keys.part("matlab")
+    table, matlab = keys.table("table"), keys.table("matlab")
     if table is not None and matlab is not None:
         raise ConfigError(f"{origin}: [table] is for text, [matlab] for .mat files: give one of them")
-    found = TableMapping(
+    mapping = TableMapping(
         origin,
         keys.text("description", ""),
         _kind(keys),
@@ -140,18 +141,18 @@ def parse_mapping(text: str, origin: str) -> TableMapping:
         _belief(keys),
     )
     keys.done()
-    _check_time(found)
-    return found
+    _check_time(mapping)
+    return mapping
 
 
 class _Keys:
     """A TOML table whose keys are taken one by one; what is left at the end is unknown."""
 
     def __init__(self, table: Mapping[str, Any], origin: str, where: str) -> None:
-        self._left, self.origin, self.where = dict(table), origin, where
+        self._unread, self.origin, self.where = dict(table), origin, where
 
     def take(self, key: str, kind: type | tuple[type, ...], expected: str, default: Any = None) -> Any:
-        value = self._left.pop(key, default)
+        value = self._unread.pop(key, default)
         if value is not default and (not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)):
             raise self.error(key, f"must be {expected}, not {value!r:.80}")
         return value
@@ -177,7 +178,7 @@ class _Keys:
             raise self.error(key, f"must be 0 to {_MOST_LINES}, not {value!r:.80}")
         return value
 
-    def part(self, key: str) -> _Keys | None:
+    def table(self, key: str) -> _Keys | None:
         value = self.take(key, dict, "a table")
         return None if value is None else _Keys(value, self.origin, f"{self.where}{key}.")
 
@@ -185,15 +186,15 @@ class _Keys:
         return ConfigError(f"{self.origin}: '{self.where}{key}' {problem}")
 
     def done(self) -> None:
-        for key in self._left:
+        for key in self._unread:
             raise self.error(key, "is no key of a mapping file")
 
     def names(self) -> list[str]:
-        return list(self._left)
+        return list(self._unread)
 
     def items(self) -> list[tuple[str, Any]]:
-        left, self._left = list(self._left.items()), {}
-        return left
+        unread, self._unread = list(self._unread.items()), {}
+        return unread
 
 
 def _kind(keys: _Keys) -> TestKind:
@@ -221,22 +222,22 @@ def _matlab(keys: _Keys) -> MatlabLayout:
     return layout
 
 
-def _columns(keys: _Keys) -> tuple[Column, ...]:
-    part = keys.part("columns")
-    if part is None:
+def _columns(keys: _Keys) -> tuple[ColumnMapping, ...]:
+    table = keys.table("columns")
+    if table is None:
         raise keys.error("columns", "is missing: it says which column is which channel")
-    found: list[Column] = []
-    for name, entry in part.items():
+    columns: list[ColumnMapping] = []
+    for name, entry in table.items():
         if not isinstance(entry, dict):
-            raise part.error(name, "must be a table such as { channel = 'left_z_mps2', unit = 'g' }")
+            raise table.error(name, "must be a table such as { channel = 'left_z_mps2', unit = 'g' }")
         column = _column(name, _Keys(entry, keys.origin, f"columns.{name}."))
-        if column.channel in [other.channel for other in found]:
-            raise part.error(name, f"is the second column of channel '{column.channel}'")
-        found.append(column)
-    return tuple(found)
+        if column.channel in [other.channel for other in columns]:
+            raise table.error(name, f"is the second column of channel '{column.channel}'")
+        columns.append(column)
+    return tuple(columns)
 
 
-def _column(name: str, keys: _Keys) -> Column:
+def _column(name: str, keys: _Keys) -> ColumnMapping:
     channel = keys.text("channel")
     unit = keys.text("unit", unit_of(channel))
     factor = conversion(unit, unit_of(channel))
@@ -248,22 +249,22 @@ def _column(name: str, keys: _Keys) -> Column:
     if scale == 0.0:
         raise keys.error("scale", "must not be 0")
     optional = bool(keys.take("optional", bool, "true or false", False))
-    column = Column(name, channel, unit, scale, keys.number("offset", 0.0), optional)
+    column = ColumnMapping(name, channel, unit, scale, keys.number("offset", 0.0), optional)
     keys.done()
     return column
 
 
 def _constants(keys: _Keys) -> dict[str, dict[str, float]]:
-    found: dict[str, dict[str, float]] = {}
+    constants: dict[str, dict[str, float]] = {}
     entries = keys.take("recordings", list, "a list of tables", [])
     for entry in entries:
         if not isinstance(entry, dict):
             raise keys.error("recordings", "must be tables: [[recordings]]")
-        one = _Keys(entry, keys.origin, "recordings.")
-        file, values = one.text("file"), one.part("values")
-        found[file] = {name: values.number(name) for name in values.names()} if values is not None else {}
-        one.done()
-    return found
+        recording = _Keys(entry, keys.origin, "recordings.")
+        file, values = recording.text("file"), recording.table("values")
+        constants[file] = {name: values.number(name) for name in values.names()} if values is not None else {}
+        recording.done()
+    return constants
 
 
 def _band(keys: _Keys) -> tuple[float, float] | None:
@@ -277,22 +278,22 @@ def _band(keys: _Keys) -> tuple[float, float] | None:
 
 
 def _belief(keys: _Keys) -> dict[str, Uncertain]:
-    part = keys.part("belief")
-    if part is None:
+    table = keys.table("belief")
+    if table is None:
         return {}
-    found: dict[str, Uncertain] = {}
+    belief: dict[str, Uncertain] = {}
     for name in ("frequency_hz", "damping"):
-        entry = part.part(name)
+        entry = table.table(name)
         if entry is not None:
-            found[name] = Uncertain(entry.number("value"), entry.number("sigma"))
+            belief[name] = Uncertain(entry.number("value"), entry.number("sigma"))
             entry.done()
-    part.done()
-    return found
+    table.done()
+    return belief
 
 
-def _check_time(found: TableMapping) -> None:
-    timed = any(column.channel == "t_s" for column in found.columns)
-    if timed == bool(found.rate_hz):
+def _check_time(mapping: TableMapping) -> None:
+    timed = any(column.channel == "t_s" for column in mapping.columns)
+    if timed == bool(mapping.rate_hz):
         raise ConfigError(
-            f"{found.origin}: give either a column with channel = 't_s' or rate_hz, not both and not none"
+            f"{mapping.origin}: give either a column with channel = 't_s' or rate_hz, not both and not none"
         )

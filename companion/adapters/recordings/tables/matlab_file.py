@@ -59,14 +59,14 @@ def read_matlab(path: Path) -> dict[str, Any]:
 
 def _inflated(data: memoryview, order: str) -> Iterator[_Element]:
     """The file's elements, compressed ones unpacked."""
-    left_bytes = _MOST_INFLATED_BYTES
+    budget_bytes = _MOST_INFLATED_BYTES
     for element in _elements(data, order, padded=False):
         if element.kind != _COMPRESSED:
             yield element
             continue
-        unpacked = zlib.decompressobj().decompress(element.data, left_bytes)
-        left_bytes -= len(unpacked)
-        if left_bytes <= 0:
+        unpacked = zlib.decompressobj().decompress(element.data, budget_bytes)
+        budget_bytes -= len(unpacked)
+        if budget_bytes <= 0:
             raise ValueError(f"more than {_MOST_INFLATED_BYTES / 1e6:.0f} MB once unpacked")
         yield from _elements(memoryview(unpacked), order)
 

@@ -14,7 +14,7 @@ from companion.records import Floats
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class NumberTable:
     """A table as read: ``columns`` by header name, each (n,), in file order."""
 
     path: Path
@@ -26,7 +26,9 @@ class Table:
         return len(next(iter(self.columns.values())))
 
 
-def read_table(path: Path, required: tuple[str, ...] = (), may_be_infinite: frozenset[str] = frozenset()) -> Table:
+def read_table(
+    path: Path, required: tuple[str, ...] = (), may_be_infinite: frozenset[str] = frozenset()
+) -> NumberTable:
     """Read a CSV table whose first line is its header; ``t_s`` must be there and increase.
 
     Columns of ``required`` must be there too; ``inf`` is allowed in those of ``may_be_infinite``. Empty cells and
@@ -54,7 +56,7 @@ def read_table(path: Path, required: tuple[str, ...] = (), may_be_infinite: froz
         row = int(back[0]) + 1
         line = _line_of_row(path, row)
         raise TableError(path, line, f"time must increase, but t_s = {t_s[row]:.9g} follows {t_s[row - 1]:.9g}")
-    return Table(path, {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)})
+    return NumberTable(path, {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)})
 
 
 def _header(path: Path) -> list[str]:

@@ -75,13 +75,13 @@ def _even(t_s: Floats, lattice_s: float) -> Floats | None:
     index = np.arange(_FIRST, dtype=np.float64)
     while True:
         slope, start = np.polyfit(index, since_s[first:last], 1)
-        whole = last - first == len(t_s)
+        complete = last - first == len(t_s)
         further = (last - first) // _GROWTH
         first, last = max(first - further, 0), min(last + further, len(t_s))
         index = np.rint((since_s[first:last] - start) / slope)
         if np.any(np.diff(index) < 1.0):
             return None
-        if whole:
+        if complete:
             break
     line = start + slope * index
     return np.asarray(t_s[0] + line) if np.ptp(since_s - line) < _SLACK * lattice_s else None

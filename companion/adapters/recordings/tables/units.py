@@ -11,7 +11,7 @@ ANGULAR_RATE = {"radps": 1.0, "degps": math.radians(1.0), "mradps": 0.001}
 _FORCE = {"n": 1.0, "mn": 0.001, "kn": 1000.0}
 
 _OTHERS = "s ms us m mm cm km mps kmh kt rad mrad deg hz rpm nm pa hpa kpa kg w v mv a px k degc".split()  # noqa: SIM905
-_KNOWN = frozenset((*_OTHERS, "ratio", "percent", "strain", "ustrain", "count", *ACCELERATION, *ANGULAR_RATE, *_FORCE))
+_UNITS = frozenset((*_OTHERS, "ratio", "percent", "strain", "ustrain", "count", *ACCELERATION, *ANGULAR_RATE, *_FORCE))
 _PLAIN_NUMBERS = frozenset({"throttle", "load_factor", "mach"})
 _LENGTH = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
@@ -25,9 +25,9 @@ _DIMENSIONS = (
 )  # fmt: skip
 
 
-def has_known_unit(column: str) -> bool:
+def has_unit(column: str) -> bool:
     """Whether a covariate's name ends in a unit (``rpm`` alone is one), or is known to be a plain number."""
-    return column in _PLAIN_NUMBERS or column.rpartition("_")[2] in _KNOWN
+    return column in _PLAIN_NUMBERS or column.rpartition("_")[2] in _UNITS
 
 
 def input_in_si(column: str) -> tuple[str, float]:
@@ -44,7 +44,7 @@ def unit_of(channel: str) -> str:
     if channel in _PLAIN_NUMBERS:
         return ""
     unit = channel.rpartition("_")[2].lower()
-    return unit if unit in _KNOWN or any(unit in units for units in _DIMENSIONS) else ""
+    return unit if unit in _UNITS or any(unit in units for units in _DIMENSIONS) else ""
 
 
 def conversion(unit: str, wanted: str) -> float | None:
