@@ -12,7 +12,8 @@ from companion.diagnosis.data.observations import Observations, RawRanges, RawRe
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.fit import derivatives, expect, fit, joint_scores, log_likelihood, priors
+from companion.diagnosis.model.flights import FlightsLikelihood, expect, log_likelihood
+from companion.diagnosis.selection.fit import fit
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
@@ -76,16 +77,16 @@ def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: Flig
 
 def test_the_gradient_is_the_slope_of_the_likelihood(drawn: FlightModel) -> None:
     terms = (EffectTerm(catalogue()["stream-delay"](0.0004)), EffectTerm(catalogue()["frequency-shift"](0.01)))
-    _, sigmas = priors(drawn.belief, terms)
-    values = np.concatenate([np.zeros(len(drawn.belief.nuisances)), [0.0004, 0.01]])
-    found = expect([drawn], values, terms)
-    gradient, information = joint_scores([drawn], found, derivatives([drawn], values, terms, found, sigmas))
-    for i in range(len(values)):
+    likelihood = FlightsLikelihood([drawn], terms)
+    values = likelihood.start()
+    scores = likelihood.scores(values)
+    for i, entry in enumerate(likelihood.parameters):
         step = np.zeros(len(values))
-        step[i] = 1e-3 * sigmas[i]
+        step[i] = 1e-3 * entry.sigma
         up, down = (log_likelihood([drawn], expect([drawn], values + sign * step, terms)) for sign in (1.0, -1.0))
         slope = (up - down) / (2.0 * step[i])
-        assert slope == pytest.approx(gradient[i], abs=0.02 * np.sqrt(information[i, i]) + 0.02 / sigmas[i])
+        tolerance = 0.02 * np.sqrt(scores.information[i, i]) + 0.02 / entry.sigma
+        assert slope == pytest.approx(scores.gradient[i], abs=tolerance)
 
 
 def test_a_fit_of_the_models_own_draw_stays_at_the_truth(drawn: FlightModel) -> None:

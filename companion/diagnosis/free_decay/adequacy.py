@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.free_decay.fit import FreeDecayFit, Mask, filter_all
+from companion.diagnosis.free_decay.likelihood import FreeDecayFit, Mask, filter_all
 from companion.records import Floats
 
 LIMIT = 5.5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.free_decay.fit import FreeDecayFit, Mask, filter_all, fit
+from companion.diagnosis.free_decay.likelihood import FreeDecayFit, Mask, filter_all, fit
 from companion.diagnosis.free_decay.record import FreeDecay
 from companion.records import Floats
 
@@ -88,7 +88,7 @@ def prediction_error(fitted: FreeDecayFit, splits: Sequence[Fold], ahead: int) -
     recordings = fitted.model.recordings
     squares, powers, scores = [], [], []
     for fold in splits:
-        again = fit(fitted.model, fitted.values, fold.fitted, _ROUNDS)
+        again = fit(fitted.model, fitted.values[None, :], fold.fitted, _ROUNDS)
         vectors = [again.values[None, :]] * len(recordings)
         for record, filtered, mask in zip(
             recordings, filter_all(fitted.model, vectors, ahead), fold.scored, strict=True

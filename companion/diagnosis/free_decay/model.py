@@ -4,28 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from companion.diagnosis.free_decay.kalman import Modes
 from companion.diagnosis.free_decay.laws import Extension, Follows, Law, SecondMode
 from companion.diagnosis.free_decay.record import FreeDecay
+from companion.diagnosis.selection.fisher_scoring import Parameter
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
 _OWN = 3  # nuisances of each recording: knock to load, noise, knock to noise
 _SLOWEST = 0.2
 _ZETA = (1e-5, 0.5)
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One entry of the vector and its prior."""
-
-    key: str
-    centre: float
-    sigma: float
 
 
 class FreeDecayModel:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.diagnosis.free_decay.cross_validation import PredictionError, folds, prediction_error
-from companion.diagnosis.free_decay.fit import FreeDecayFit, Mask, begin, fit
 from companion.diagnosis.free_decay.laws import Extension, Follows, Law, laws_for
+from companion.diagnosis.free_decay.likelihood import FreeDecayFit, Mask, fit
 from companion.diagnosis.free_decay.model import FreeDecayModel, key_of
 from companion.diagnosis.free_decay.record import FreeDecay
 from companion.params.airframe import Uncertain
@@ -90,7 +90,7 @@ def search(
         rounds.append(tuple(tried))
         if not tried or tried[0].log_bayes_factor < ENOUGH:
             break
-        deep = fit(tried[0].fitted.model, tried[0].fitted.values, masks, _DEEP)
+        deep = fit(tried[0].fitted.model, tried[0].fitted.values[None, :], masks, _DEEP)
         best = _against(tried[0].extension, deep, current)
         accepted.append(best)
         current = best.fitted
@@ -104,7 +104,7 @@ def _null(model: FreeDecayModel, masks: Sequence[Mask]) -> FreeDecayFit:
     at, entry = model.index("log frequency"), model.parameters[0]
     offered = np.tile(model.centres, (_FREQUENCIES, 1))
     offered[:, at] = entry.centre + entry.sigma * np.linspace(-2.0, 2.0, _FREQUENCIES)
-    return fit(model, begin(model, offered, masks), masks, _DEEP)
+    return fit(model, offered, masks, _DEEP)
 
 
 def _try(entry: Extension, current: FreeDecayFit, masks: Sequence[Mask]) -> Tried:
@@ -112,7 +112,7 @@ def _try(entry: Extension, current: FreeDecayFit, masks: Sequence[Mask]) -> Trie
     model = FreeDecayModel(before.recordings, before.frequency_hz, before.damping, (*before.extensions, entry))
     start = model.values_from(before, current.values)
     offered = _starts(entry, model, start, wide=not before.extensions)
-    return _against(entry, fit(model, begin(model, offered, masks), masks, _QUICK), current)
+    return _against(entry, fit(model, offered, masks, _QUICK), current)
 
 
 def _is_a_mode(tried: Tried, band_hz: tuple[float, float]) -> bool:
@@ -147,8 +147,8 @@ def _starts(entry: Extension, model: FreeDecayModel, start: Floats, wide: bool) 
 
 def _against(entry: Extension, fitted: FreeDecayFit, current: FreeDecayFit) -> Tried:
     extra = len(fitted.values) - len(current.values)
-    bic = -2.0 * (fitted.log_likelihood - current.log_likelihood) + extra * math.log(fitted.count)
-    return Tried(entry, fitted, fitted.log_evidence - current.log_evidence, bic)
+    bic = -2.0 * (fitted.best.log_likelihood - current.best.log_likelihood) + extra * math.log(fitted.count)
+    return Tried(entry, fitted, fitted.best.log_evidence - current.best.log_evidence, bic)
 
 
 def _scored(stages: Sequence[FreeDecayFit], progress: Progress, what: str) -> list[PredictionError]:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.fit import Fit, expect, fit
+from companion.diagnosis.model.flights import expect
+from companion.diagnosis.selection.fit import Fit, fit
 from companion.records import Floats
 
 DISTANCES_M = (20.0, 60.0, 100.0)

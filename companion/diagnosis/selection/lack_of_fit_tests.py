@@ -22,6 +22,7 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import derivatives
 from companion.diagnosis.model.generic_effects import (
     GenericClockDrift,
     GenericForce,
@@ -31,9 +32,9 @@ from companion.diagnosis.model.generic_effects import (
     GenericToeVariance,
     generic_effects,
 )
-from companion.diagnosis.selection.fit import Fit, derivatives
+from companion.diagnosis.model.scores import Column
+from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.selection.peak_scan import peaks
-from companion.diagnosis.selection.scores import Column
 from companion.diagnosis.selection.screen import efficient, normal_score
 from companion.diagnosis.selection.simulated_scores import DRAWS, score_scatter
 from companion.records import Floats

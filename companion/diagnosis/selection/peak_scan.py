@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.scores import Column, packed
+from companion.diagnosis.model.scores import Column, packed
 from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 

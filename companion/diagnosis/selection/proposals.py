@@ -18,7 +18,8 @@ from companion.core.wing.effect import Effect, ResidualPeak
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.fit import Fit, expect, log_likelihood
+from companion.diagnosis.model.flights import expect, log_likelihood
+from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.spectral_matrices import adjoint, apply
 
 _MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance

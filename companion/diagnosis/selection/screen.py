@@ -18,9 +18,10 @@ from scipy.stats import chi2, norm
 from companion.core.wing.effect import Effect
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.fit import Fit, derivatives, joint_scores
+from companion.diagnosis.model.flights import derivatives, joint_scores
+from companion.diagnosis.model.scores import Column
+from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.selection.proposals import NO_PROPOSALS, Proposals, proposed_terms
-from companion.diagnosis.selection.scores import Column
 from companion.diagnosis.selection.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.records import Floats
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.diagnosis.free_decay.adequacy import autocorrelation, whitened
-from companion.diagnosis.free_decay.fit import FreeDecayFit
+from companion.diagnosis.free_decay.likelihood import FreeDecayFit
 from companion.diagnosis.free_decay.record import Scale
 from companion.diagnosis.free_decay.search import FreeDecayDiagnosis
 from companion.diagnosis.free_decay.views import backbone, restoring_force

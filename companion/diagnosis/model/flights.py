@@ -1,0 +1,150 @@
+"""Likelihood of several flights together under one belief with terms: what :mod:`..selection.fisher_scoring` asks.
+
+Derivatives are differences of :meth:`FlightModel.expect`; :mod:`.scores` makes scores and information of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.wing.effect import Effect
+from companion.diagnosis.model.belief import Belief
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.expectation import Expectation
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.scores import Column, column, scores
+from companion.diagnosis.selection.fisher_scoring import Parameter, Scores
+from companion.records import Floats
+
+_STEP = 1e-4  # of a parameter's prior sigma, for differences
+
+
+@dataclass(frozen=True, slots=True)
+class FlightState:
+    """Expectations by recording, and columns by recording and parameter, at one parameter vector."""
+
+    expectations: tuple[Expectation, ...]
+    columns: tuple[tuple[Column, ...], ...]
+
+
+class FlightsLikelihood:
+    """Flights under the belief's nuisances and some terms, whose priors are made ``wider`` times as wide."""
+
+    def __init__(self, models: Sequence[FlightModel], terms: Sequence[EffectTerm], wider: float = 1.0) -> None:
+        self._models, self._terms = models, tuple(terms)
+        self.parameters = priors(models[0].belief, terms, wider)
+        self._sigmas: Floats = np.array([entry.sigma for entry in self.parameters])
+
+    def start(self, nuisances: Floats | None = None) -> Floats:
+        """Effects at the values of their terms, nuisances as given or as believed, (p,)."""
+        count = len(self._models[0].belief.nuisances)
+        values = np.concatenate([np.zeros(count), *[term.values for term in self._terms]])
+        if nuisances is not None:
+            count = min(len(nuisances), count)
+            values[:count] = nuisances[:count]
+        return values
+
+    def log_likelihood(self, values: Floats, near: FlightState) -> float:
+        """Log likelihood with the posterior covariance of the toe as it is nearby."""
+        return log_likelihood(self._models, expect(self._models, values, self._terms, near.expectations))
+
+    def scores(self, values: Floats) -> Scores[FlightState]:
+        """Log likelihood, gradient and information of all flights together."""
+        expectations = expect(self._models, values, self._terms)
+        columns = derivatives(self._models, values, self._terms, expectations, self._sigmas)
+        gradient, information = joint_scores(self._models, expectations, columns)
+        state = FlightState(expectations, tuple(tuple(entry) for entry in columns))
+        return Scores(log_likelihood(self._models, expectations), gradient, information, state)
+
+
+def log_likelihood(models: Sequence[FlightModel], expectations: Sequence[Expectation]) -> float:
+    """Log likelihood of all recordings together."""
+    return sum(model.log_likelihood(expectation) for model, expectation in zip(models, expectations, strict=True))
+
+
+def joint_scores(
+    models: Sequence[FlightModel], expectations: Sequence[Expectation], columns: Sequence[Sequence[Column]]
+) -> tuple[Floats, Floats]:
+    """Gradient and information of all recordings together; ``columns`` by recording."""
+    each = [scores(*entry) for entry in zip(models, expectations, columns, strict=True)]
+    return np.sum([gradient for gradient, _ in each], axis=0), np.sum([matrix for _, matrix in each], axis=0)
+
+
+def expect(
+    models: Sequence[FlightModel],
+    values: Floats,
+    terms: Sequence[EffectTerm],
+    near: Sequence[Expectation] | None = None,
+) -> tuple[Expectation, ...]:
+    """Hold a whole parameter vector against the recordings; ``near`` lends how well the toe is told."""
+    belief = models[0].belief
+    placed_terms = placed(belief, values, terms)
+    lent = near if near else [None] * len(models)
+    deviations = values[: len(belief.nuisances)]
+    return tuple(
+        model.expect(deviations, placed_terms, neighbour) for model, neighbour in zip(models, lent, strict=True)
+    )
+
+
+def placed(belief: Belief, values: Floats, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
+    """The effects with the values of a parameter vector."""
+    at, done = len(belief.nuisances), []
+    for term in terms:
+        names = [entry.name for entry in term.effect.parameters()]
+        done.append(term.with_values(dict(zip(names, values[at : at + len(names)].tolist(), strict=True))))
+        at += len(names)
+    return tuple(done)
+
+
+def priors(belief: Belief, terms: Sequence[EffectTerm], wider: float = 1.0) -> tuple[Parameter, ...]:
+    """Entries of the whole parameter vector: nuisances, then the parameters of each term."""
+    nuisances = [Parameter(entry.key, 0.0, entry.sigma) for entry in belief.nuisances]
+    declared = [entry for term in terms for entry in term.effect.parameters()]
+    return (*nuisances, *(Parameter(entry.name, entry.default, wider * entry.sigma) for entry in declared))
+
+
+def derivatives(
+    models: Sequence[FlightModel],
+    values: Floats,
+    terms: Sequence[EffectTerm],
+    expectations: Sequence[Expectation],
+    sigmas: Floats,
+    only: Sequence[int] | None = None,
+) -> list[list[Column]]:
+    """Columns by recording for all parameters, or for those of ``only``."""
+    belief = models[0].belief
+    keys = [entry.key for entry in belief.nuisances]
+    owners: list[Effect | None] = [None] * len(keys)
+    owners += [term.effect for term in terms for _ in term.effect.parameters()]
+    columns: list[list[Column]] = [[] for _ in models]
+    for i in range(len(values)) if only is None else only:
+        owner = owners[i]
+        # how well the accelerations tell the toe is taken as it is; what adds to its noise is not
+        alone = keys[i].startswith("match") if owner is None else owner.only_toe_variance
+        for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
+            if i < len(keys) and not belief.concerns(i, model.recording):
+                recording_columns.append(Column())
+                continue
+            other, step = _beside(model, expectation, values, i, float(sigmas[i]), terms)
+            shift = model.time_shift(owner) if owner is not None else model.delay_shift(keys[i])
+            warps = owner is not None and shift is not None and type(owner).response is Effect.response
+            recording_columns.append(column(expectation, other, step, alone, shift, warps))
+    return columns
+
+
+def _beside(
+    model: FlightModel, expectation: Expectation, values: Floats, i: int, sigma: float, terms: Sequence[EffectTerm]
+) -> tuple[Expectation, float]:
+    """An expectation with one parameter a little further on, or back where further on nothing is physical."""
+    count = len(model.belief.nuisances)
+    for step in (_STEP * sigma, -_STEP * sigma):
+        perturbed = values.copy()
+        perturbed[i] += step
+        try:
+            return model.expect(perturbed[:count], placed(model.belief, perturbed, terms), expectation), step
+        except ValueError as error:
+            edge = error
+    raise edge

@@ -1,0 +1,142 @@
+"""Most probable parameters of any likelihood: Fisher scoring with priors, and Laplace's approximation of the evidence.
+
+A model of recordings offers its parameters with their priors, its log likelihood, and its scores (gradient and Fisher
+information). With prior N(c, diag(s^2)), g and J of likelihood and prior together, a step is (J + d diag(s^-2))^-1 g;
+d grows until the posterior does (Levenberg). At the maximum log evidence = log posterior - sum log s - log det J / 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from companion.records import Floats
+
+_ENOUGH = 0.02  # nats gained by a step, below which it is the last
+_TRIES = 9
+_DAMPED_TRIES = 2  # then the step is shortened as well
+_DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
+_FARTHEST = 3.0  # prior sigmas in one step
+State = TypeVar("State")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One entry of a parameter vector with its normal prior."""
+
+    key: str
+    centre: float
+    sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class Scores(Generic[State]):
+    """Log likelihood at a vector (p,), its gradient (p,), Fisher information (p, p), and what the model keeps of it."""
+
+    log_likelihood: float
+    gradient: Floats
+    information: Floats
+    state: State
+
+
+class LikelihoodModel(Protocol[State]):
+    """Recordings under a model, as every fit asks them."""
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """Entries of the vector, with their priors."""
+
+    def scores(self, values: Floats) -> Scores[State]:
+        """Log likelihood, gradient and information at a vector (p,)."""
+
+    def log_likelihood(self, values: Floats, near: State) -> float:
+        """Log likelihood at a vector near one whose scores are known, which may lend what is dear to compute.
+
+        Raises
+        ------
+        ValueError, FloatingPointError, LinAlgError
+            Beyond what is physical.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Maximum(Generic[State]):
+    """Most probable values (p,) with posterior covariance (p, p); ``state`` is the model's there."""
+
+    values: Floats
+    covariance: Floats
+    log_likelihood: float
+    log_evidence: float
+    converged: bool
+    state: State
+
+
+def maximise(model: LikelihoodModel[State], start: Floats, rounds: int) -> Maximum[State]:
+    """Climb from ``start`` (p,) to the most probable values in at most ``rounds`` scoring steps."""
+    prior = Prior(model.parameters)
+    values, scores, converged, damping = start.copy(), model.scores(start), False, 0.0
+    for _ in range(rounds):
+        step = _climb(model, prior, values, scores, damping)
+        if step is None:
+            gradient, information = prior.added(values, scores)
+            converged = float(gradient @ np.linalg.solve(information, gradient)) < 1.0
+            break
+        values, gained, damping = step
+        scores = model.scores(values)
+        if gained < _ENOUGH:
+            converged = True
+            break
+    information = prior.added(values, scores)[1]
+    log_posterior = scores.log_likelihood + prior.log_density(values)
+    evidence = log_posterior - float(np.sum(np.log(prior.sigmas))) - 0.5 * float(np.linalg.slogdet(information)[1])
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    return Maximum(values, covariance, scores.log_likelihood, evidence, converged, scores.state)
+
+
+class Prior:
+    """Independent normal priors of a parameter vector."""
+
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        self.centres: Floats = np.array([entry.centre for entry in parameters])
+        self.sigmas: Floats = np.array([entry.sigma for entry in parameters])
+
+    def log_density(self, values: Floats) -> float:
+        """Log density of a vector, up to a constant."""
+        return -0.5 * float(np.sum(((values - self.centres) / self.sigmas) ** 2))
+
+    def added(self, values: Floats, scores: Scores[State]) -> tuple[Floats, Floats]:
+        """Gradient (p,) and information (p, p) of the posterior."""
+        gradient = scores.gradient - (values - self.centres) / self.sigmas**2
+        return gradient, scores.information + np.diag(1.0 / self.sigmas**2)
+
+
+def _climb(
+    model: LikelihoodModel[State], prior: Prior, values: Floats, scores: Scores[State], damping: float
+) -> tuple[Floats, float, float] | None:
+    """One step up the posterior: where to, by how much, and the damping there; None if nothing grows.
+
+    What the data hardly tell (a coherence near one) is held back by its prior, and the rest moves on.
+    """
+    gradient, information = prior.added(values, scores)
+    height = scores.log_likelihood + prior.log_density(values)
+    for k in range(_TRIES):
+        move = np.linalg.solve(information + damping * np.diag(1.0 / prior.sigmas**2), gradient)
+        move *= 0.4 ** max(0, k - _DAMPED_TRIES)
+        move *= min(1.0, _FARTHEST / max(float(np.max(np.abs(move) / np.maximum(prior.sigmas, 1e-12))), _FARTHEST))
+        candidate: Floats = np.asarray(values + move, dtype=np.float64)
+        reached = _height(model, prior, candidate, scores.state)
+        if reached > height:
+            softer = damping / _SOFTER if k == 0 else damping
+            return candidate, reached - height, softer if softer >= _UNDAMPED else 0.0
+        damping = max(_HARDER * damping, _DAMPING)
+    return None
+
+
+def _height(model: LikelihoodModel[State], prior: Prior, values: Floats, near: State) -> float:
+    try:
+        return model.log_likelihood(values, near) + prior.log_density(values)
+    except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+        return -np.inf  # beyond what is physical
