@@ -1,0 +1,177 @@
+"""Contents of a recording in one screen: sensor streams with true rates and gaps, record counts, refusals, losses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.adapters.mavlink.decode.decoder import Decoder
+from companion.adapters.recordings.mcap.channels import Recordable
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.recording import Recording
+from companion.params.settings import Settings, tunables
+from companion.records import Axis, CorrectedRange, Floats, ImuBatch, Ints, RawChunk, Rejected, ServiceStatus, Station
+
+_GAP_STEPS = 2.5  # usual steps; the readers' own limit for a gap
+_USUAL_STEPS = 1000  # steps that the usual one is the median of
+
+
+@dataclass(slots=True)
+class StreamInfo:
+    """One inertial sensor's samples, gathered batch by batch.
+
+    Attributes
+    ----------
+    samples : int
+    first_ns, last_ns : int
+        Stamps on the sensor's own clock.
+    axes : Axis
+        Axes that were measured.
+    """
+
+    samples: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    axes: Axis = Axis.NONE
+    _steps_ns: list[Ints] = field(default_factory=list)
+
+    def add(self, batch: ImuBatch) -> None:
+        """Take the next batch; an empty one says nothing."""
+        if not batch.t_ns.size:
+            return
+        stamps = batch.t_ns if not self.samples else np.concatenate(([self.last_ns], batch.t_ns))
+        self._steps_ns.append(np.diff(stamps))
+        if not self.samples:
+            self.first_ns = int(batch.t_ns[0])
+        self.last_ns = int(batch.t_ns[-1])
+        self.samples += int(batch.t_ns.size)
+        self.axes |= batch.axes
+
+    @property
+    def steps_s(self) -> Floats:
+        """Steps between consecutive samples, (n - 1,)."""
+        return np.concatenate(self._steps_ns or [np.zeros(0, dtype=np.int64)]) * 1e-9
+
+    @property
+    def rate_hz(self) -> float | None:
+        """One over the mean step, gaps and repeated stamps left out; None for fewer than two samples."""
+        steps_s, usual_s = self.steps_s, self._usual_s()
+        regular = steps_s[(steps_s > 0.0) & (steps_s <= _GAP_STEPS * usual_s)]
+        return float(1.0 / regular.mean()) if regular.size else None
+
+    def gaps(self) -> tuple[int, float]:
+        """Number of gaps longer than 2.5 usual steps, and the time that all of them lasted, s."""
+        steps_s, usual_s = self.steps_s, self._usual_s()
+        wide = steps_s[steps_s > _GAP_STEPS * usual_s] if usual_s else steps_s[:0]
+        return int(wide.size), float(wide.sum())
+
+    def _usual_s(self) -> float:
+        positive = self.steps_s[self.steps_s > 0.0][:_USUAL_STEPS]
+        return float(np.median(positive)) if positive.size else 0.0
+
+
+@dataclass(slots=True)
+class RecordingInfo:
+    """Everything that :func:`summarise` gathers from a recording's records."""
+
+    streams: dict[Station, StreamInfo] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
+    rejected: Counter[str] = field(default_factory=Counter)
+    published: int = 0
+    health: str = ""
+
+    def add(self, record: Recordable) -> None:
+        """Count one record."""
+        self.counts[type(record).__name__] += 1
+        if isinstance(record, ImuBatch):
+            self.streams.setdefault(record.station, StreamInfo()).add(record)
+        elif isinstance(record, Rejected):
+            self.rejected[str(record.reason)] += record.count
+        elif isinstance(record, CorrectedRange):
+            self.published += record.trusted
+        elif isinstance(record, ServiceStatus):
+            self.health = f"{record.health}: {record.reason}" if record.reason else str(record.health)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last inertial sample, on the sensors' own clocks."""
+        spans = [stream.last_ns - stream.first_ns for stream in self.streams.values()]
+        return max(spans, default=0) * 1e-9
+
+
+def summarise(recording: Recording) -> RecordingInfo:
+    """Read a recording once and count what is in it; raw bytes are decoded as the service decoded them."""
+    info = RecordingInfo()
+    for record in _decoded(recording):
+        info.add(record)
+    return info
+
+
+def _decoded(recording: Recording) -> Iterator[Recordable]:
+    settings = recording.settings
+    decoder = Decoder(recording.airframe, settings.component_id, settings.system_id)
+    for record in recording.records():
+        yield record
+        if isinstance(record, RawChunk):
+            yield from (entry for entry in decoder.decode_chunk(record) if isinstance(entry, ImuBatch))
+
+
+def lines(recording: Recording, info: RecordingInfo) -> list[str]:
+    """The screen, line by line."""
+    text = [f"{recording.path}: {_kind(recording)}, {info.duration_s:.1f} s, airframe {recording.airframe.name}"]
+    text += [f"  {_stream_line(station, stream)}" for station, stream in sorted(info.streams.items())]
+    absent = [station.name.lower() for station in Station if station not in info.streams]
+    if absent:
+        text.append(f"  no samples of: {', '.join(absent)}")
+    text += [f"  records: {_counted(info.counts)}"] if info.counts else ["  no records"]
+    if info.counts["CorrectedRange"]:
+        text.append(f"  ranges: {info.counts['CorrectedRange']} corrected, {info.published} published")
+    text += [f"  refused: {_counted(info.rejected)}"] if info.rejected else []
+    text += [f"  service at the end: {info.health}"] if info.health else []
+    text += [f"  changed settings: {changed}"] if (changed := _changed(recording.settings)) else []
+    text += [f"  note: {notice.text}" for notice in recording.notices]
+    return [*text, f"  {_uses(recording, info)}"]
+
+
+def _kind(recording: Recording) -> str:
+    if isinstance(recording, McapRecording):
+        return f"recording of Spanwise (software {recording.software})"
+    kinds = {".bin": "ArduPilot log", ".tlog": "telemetry log", ".ulg": "PX4 log"}
+    return kinds.get(recording.path.suffix.lower(), "laboratory tables")
+
+
+def _stream_line(station: Station, stream: StreamInfo) -> str:
+    rate = f"{stream.rate_hz:.1f} Hz" if stream.rate_hz is not None else "no rate"
+    axes = "".join(letter for i, letter in enumerate("xyzpqr") if stream.axes >> i & 1)
+    count, lost_s = stream.gaps()
+    gaps = f"{count} gap{'s' * (count != 1)}, {lost_s:.2f} s together" if count else "no gaps"
+    return f"{station.name.lower():5s} {stream.samples} samples of {axes} at {rate}, {gaps}"
+
+
+def _counted(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in counts.most_common())
+
+
+def _changed(settings: Settings) -> str:
+    default = Settings()
+    rows = [row for row in tunables() if getattr(settings, row.attribute) != getattr(default, row.attribute)]
+    return ", ".join(f"{row.name} {getattr(settings, row.attribute):g}" for row in rows)
+
+
+def _uses(recording: Recording, info: RecordingInfo) -> str:
+    """What the recording serves for."""
+    if not info.streams:
+        return "nothing to replay or to diagnose: no inertial samples"
+    tips = [station for station in info.streams if station is not Station.ROOT]
+    replay = "replay: as published" if recording.replayable else "replay: estimates anew, not as published"
+    missing = _missing(tips, info.streams)
+    return f"{replay}; diagnose: {f'needs {missing}' if missing else 'wing sensors and root are there'}"
+
+
+def _missing(tips: list[Station], streams: Iterable[Station]) -> str:
+    absent = [] if tips else ["samples of a wing tip"]
+    absent += [] if Station.ROOT in streams else ["samples of the root"]
+    return " and ".join(absent)

@@ -1,0 +1,92 @@
+"""``spanwise info``: streams, rates, gaps and losses of a recording, as it was written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.main import main
+from companion.evaluation.recording_info import StreamInfo, summarise
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import Axis, ClockName, ImuBatch, Reject, Rejected, Station
+
+AIRFRAME = load_airframe("nadir-2m")
+STEP_NS = 1_000_000
+
+
+def batch(station: Station, first_ns: int, count: int) -> ImuBatch:
+    t_ns = first_ns + STEP_NS * np.arange(count, dtype=np.int64)
+    return ImuBatch(station, ClockName.HOST, t_ns, np.zeros((count, 6)), Axis.ACCEL, int(t_ns[-1]))
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    """Two seconds of all stations at 1 kHz; the left node is silent for 0.3 s."""
+    path = tmp_path / "flight.mcap"
+    writer = McapWriter(path, About.of(AIRFRAME, Settings().replace("RNG_MATCHES", 20)))
+    for start in range(0, 2_000, 20):
+        for station in Station:
+            if station is not Station.LEFT or not 1_000 <= start < 1_300:
+                writer.write(batch(station, start * STEP_NS, 20))
+    writer.write(Rejected(Reject.CLOCK_UNSYNCED, "left", 2_000 * STEP_NS, 7))
+    writer.close()
+    return path
+
+
+def test_streams_have_their_true_rate_and_their_gaps(recorded: Path) -> None:
+    info = summarise(open_recording(recorded))
+    assert {station: stream.samples for station, stream in info.streams.items()} == {
+        Station.ROOT: 2000,
+        Station.LEFT: 1700,
+        Station.RIGHT: 2000,
+    }
+    left, right = info.streams[Station.LEFT], info.streams[Station.RIGHT]
+    assert left.rate_hz == pytest.approx(1000.0), "a gap is no slow rate"
+    assert left.gaps() == (1, pytest.approx(0.301))
+    assert right.gaps() == (0, 0.0)
+    assert info.duration_s == pytest.approx(1.999)
+    assert info.rejected == {"clock not synced": 7}
+
+
+def test_the_screen_names_what_is_there_and_what_was_changed(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["info", str(recorded)]) == 0
+    screen = capsys.readouterr().out
+    assert "left  1700 samples of xyz at 1000.0 Hz, 1 gap, 0.30 s together" in screen
+    assert "7 clock not synced" in screen
+    assert "RNG_MATCHES 20" in screen
+    assert "as published" in screen
+    assert max(map(len, screen.splitlines())) < 200
+    assert len(screen.splitlines()) < 25
+
+
+def test_a_cut_recording_says_how_far_it_goes(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = recorded.read_bytes()
+    recorded.write_bytes(whole[: len(whole) * 9 // 10])
+    code = main(["info", str(recorded)])
+    out = capsys.readouterr()
+    assert code in (0, 3)
+    assert "truncated" in out.out
+
+
+def test_what_is_no_recording_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "notes.txt").write_text("nothing")
+    assert main(["info", str(tmp_path / "notes.txt")]) == 1
+    assert "not a recording that can be read" in capsys.readouterr().err
+    assert main(["info", str(tmp_path / "absent.mcap")]) == 1
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_repeated_stamps_and_empty_batches_give_no_rate_and_no_gap() -> None:
+    stream = StreamInfo()
+    for count in (0, 3):
+        repeated = np.full(count, 9, dtype=np.int64)
+        stream.add(ImuBatch(Station.ROOT, ClockName.HOST, repeated, np.zeros((count, 6)), Axis.ALL, 9))
+        assert stream.rate_hz is None
+    assert stream.gaps() == (0, 0.0)
