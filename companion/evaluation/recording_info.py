@@ -53,7 +53,8 @@ class StreamInfo:
     @property
     def steps_s(self) -> Floats:
         """Steps between consecutive samples, (n - 1,)."""
-        return np.concatenate(self._steps_ns or [np.zeros(0, dtype=np.int64)]) * 1e-9
+        steps_s: Floats = 1e-9 * np.concatenate([np.zeros(0), *self._steps_ns])
+        return steps_s
 
     @property
     def rate_hz(self) -> float | None:
@@ -165,13 +166,13 @@ def _uses(recording: Recording, info: RecordingInfo) -> str:
     """What the recording serves for."""
     if not info.streams:
         return "nothing to replay or to diagnose: no inertial samples"
-    tips = [station for station in info.streams if station is not Station.ROOT]
     replay = "replay: as published" if recording.replayable else "replay: estimates anew, not as published"
-    missing = _missing(tips, info.streams)
+    missing = _missing(info.streams)
     return f"{replay}; diagnose: {f'needs {missing}' if missing else 'wing sensors and root are there'}"
 
 
-def _missing(tips: list[Station], streams: Iterable[Station]) -> str:
-    absent = [] if tips else ["samples of a wing tip"]
-    absent += [] if Station.ROOT in streams else ["samples of the root"]
+def _missing(streams: Iterable[Station]) -> str:
+    stations = set(streams)
+    absent = [] if stations - {Station.ROOT} else ["samples of a wing tip"]
+    absent += [] if Station.ROOT in stations else ["samples of the root"]
     return " and ".join(absent)
