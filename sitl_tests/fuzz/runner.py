@@ -23,7 +23,7 @@ from sitl_tests.fuzz.target import Ending, Target
 TIME_LIMIT_S = 10
 MEMORY_LIMIT_BYTES = 1 << 30
 _PATIENCE_S = 60.0
-_LOADING_S = 300.0
+_LOADING_S = 1200.0  # compiled loops where no cache is, on a machine with other work
 
 
 class TooSlow(BaseException):
@@ -54,7 +54,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """What the child says: a case begins, or has ended."""
+    """What the child says of a case."""
 
     number: int
     ending: str = ""
@@ -80,27 +80,32 @@ def fuzz(
 ) -> Result:
     """Run a target's cases until the count, the time or the patience with findings is over.
 
+    Raises RuntimeError for a target that does not get warm.
+
     Parameters
     ----------
     make : callable
         Gives the target; it is called in the child too, so it must be picklable.
+    seconds : float, optional
+        Counted from when the target was first warm.
     folder : Path, optional
         Where inputs of findings are kept, with what they led to.
     """
     target = make()
     result = Result(target.name)
-    began = time.monotonic()
+    began: float | None = None
     next_case = 0
 
     def going() -> bool:
         short = cases is None or next_case < cases
-        return (
-            short and (seconds is None or time.monotonic() - began < seconds) and len(result.findings) < most_findings
-        )
+        early = seconds is None or began is None or time.monotonic() - began < seconds
+        return short and early and len(result.findings) < most_findings
 
     while going():
         child = _Child(make, seed, next_case)
         try:
+            child.load()
+            began = began or time.monotonic()
             while going():
                 told = child.next_case()
                 next_case = told.number + 1
@@ -131,7 +136,16 @@ class _Child:
         self._process.start()
         theirs.close()
         self._number = first
-        self._patience_s = _LOADING_S
+
+    def load(self) -> None:
+        """Wait until it is warm."""
+        try:
+            if self._ours.poll(_LOADING_S):
+                self._ours.recv()
+                return
+        except (EOFError, ConnectionResetError):
+            self._process.join(_PATIENCE_S)
+        raise RuntimeError(f"the target does not start: code {self._process.exitcode}")
 
     def next_case(self) -> _Told:
         """Let one case run and say how it ended."""
@@ -139,17 +153,13 @@ class _Child:
         self._number += 1
         try:
             self._ours.send(True)
-            while self._ours.poll(self._patience_s):
+            if self._ours.poll(_PATIENCE_S):
                 told: _Told = self._ours.recv()
-                self._patience_s = _PATIENCE_S
-                if told.ending or told.problem:
-                    return told
-            problem = f"no end after {self._patience_s:.0f} s, not even by an alarm"
-            return _Told(number, problem=problem, took_s=self._patience_s, alive=False)
+                return told
+            problem = f"no end after {_PATIENCE_S:.0f} s, not even by an alarm"
+            return _Told(number, problem=problem, took_s=_PATIENCE_S, alive=False)
         except (EOFError, BrokenPipeError, ConnectionResetError):
             self._process.join(_PATIENCE_S)
-            if self._patience_s == _LOADING_S:
-                raise RuntimeError(f"the target does not start: code {self._process.exitcode}") from None
             return _Told(number, problem=f"the process ended with code {self._process.exitcode}", alive=False)
 
     def end(self) -> None:
@@ -170,8 +180,8 @@ def _run_cases(make: Callable[[], Target], seed: int, first: int, pipe: Connecti
     _limit_memory()
     number = first
     try:
+        pipe.send(True)
         while pipe.recv():
-            pipe.send(_Told(number))
             pipe.send(run_case(target, make_case(target, seed, number), number))
             number += 1
     except (EOFError, BrokenPipeError, ConnectionResetError):
