@@ -16,7 +16,7 @@ from scipy.io import savemat
 from companion.adapters.recordings.mcap.images import ImageFormat
 from companion.adapters.recordings.mcap.writer import McapWriter
 from companion.params.files import load_airframe
-from companion.records import FramePair, Side
+from companion.records import FramePair, ParameterChange, Side
 from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 from sitl_tests.unit import test_recordings_bin as onboard
@@ -68,7 +68,14 @@ def ulogs() -> list[bytes]:
 @functools.cache
 def mcaps() -> list[bytes]:
     with tempfile.TemporaryDirectory() as folder:
-        return [_written(Path(folder) / "a.mcap"), _flown(Path(folder) / "b.mcap")]
+        return [_written(Path(folder) / "a.mcap"), _flown(Path(folder) / "b.mcap", 2.5)]
+
+
+@functools.cache
+def flown_mcaps() -> list[bytes]:
+    """A start, and a flight that is long enough for trusted ranges."""
+    with tempfile.TemporaryDirectory() as folder:
+        return [_flown(Path(folder) / f"{seconds:g}.mcap", seconds) for seconds in (2.5, 11.5)]
 
 
 def _written(path: Path) -> bytes:
@@ -79,9 +86,11 @@ def _written(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def _flown(path: Path) -> bytes:
-    service = SimulatedService(build_flight(load_airframe("nadir-2m"), 1, 6.0), recording=path)
-    service.fly(2.5)
+def _flown(path: Path, seconds: float) -> bytes:
+    service = SimulatedService(build_flight(load_airframe("nadir-2m"), 1, seconds + 3.5), recording=path)
+    service.fly(1.5)
+    service.loop._handle(ParameterChange("RNG_TRUST", 0.04, service.clock.now_ns()))
+    service.fly(seconds)
     service.close()
     return path.read_bytes()
 

@@ -15,7 +15,7 @@ from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.link.dialect import build_message
 from companion.adapters.mavlink.link.scan import Scanner, sender
 from companion.params.files import load_airframe
-from companion.records import AutopilotParameter, ImuBatch, RawChunk, VehicleState
+from companion.records import AutopilotParameter, ImuBatch, RawChunk, Reject, Rejected, VehicleState
 from companion.sim.flight.flight import build_flight
 from sitl_tests.fuzz import mutators, structured
 from sitl_tests.fuzz.target import Ending, Violation
@@ -109,6 +109,8 @@ def _same_frames(data: bytes) -> None:
 
 def _finite(decoder: Decoder, chunk: RawChunk) -> None:
     for record in decoder.decode(chunk).records:
+        if isinstance(record, Rejected) and record.reason is Reject.INTERNAL_ERROR:
+            raise Violation(f"contained: {record.what}")
         if isinstance(record, ImuBatch):
             good = bool(np.isfinite(record.values).all())
         elif isinstance(record, VehicleState):

@@ -182,21 +182,16 @@ def _with_accel() -> dict[str, bytes]:
     return {"accel.csv": corpora.accel_tables()[0]}
 
 
+TLOG_WAYS: tuple[Mutator, ...] = (*mutators.PLAIN, *[structured.tlog_entry] * 10)
+BIN_WAYS: tuple[Mutator, ...] = (*mutators.PLAIN, *[structured.bin_format] * 5)
+ULOG_WAYS: tuple[Mutator, ...] = (*mutators.PLAIN, *[structured.ulog_message] * 8, *[structured.ulog_format] * 3)
+MCAP_WAYS: tuple[Mutator, ...] = (*mutators.PLAIN, *[structured.mcap_record] * 10)
 _TABLE = (*mutators.TEXT, structured.cell, structured.cell, structured.cell, structured.encoding)
 READERS: dict[str, Callable[[], Any]] = {
-    "tlog": lambda: ReaderTarget(
-        "tlog", "a.tlog", corpora.tlogs, _recording, (*mutators.PLAIN, *[structured.tlog_entry] * 10)
-    ),
-    "bin": lambda: ReaderTarget(
-        "bin", "a.BIN", corpora.bins, _recording, (*mutators.PLAIN, *[structured.bin_format] * 5)
-    ),
-    "ulog": lambda: ReaderTarget(
-        "ulog", "a.ulg", corpora.ulogs, _recording,
-        (*mutators.PLAIN, *[structured.ulog_message] * 8, *[structured.ulog_format] * 3),
-    ),
-    "mcap": lambda: ReaderTarget(
-        "mcap", "a.mcap", corpora.mcaps, _own_recording, (*mutators.PLAIN, *[structured.mcap_record] * 10)
-    ),
+    "tlog": lambda: ReaderTarget("tlog", "a.tlog", corpora.tlogs, _recording, TLOG_WAYS),
+    "bin": lambda: ReaderTarget("bin", "a.BIN", corpora.bins, _recording, BIN_WAYS),
+    "ulog": lambda: ReaderTarget("ulog", "a.ulg", corpora.ulogs, _recording, ULOG_WAYS),
+    "mcap": lambda: ReaderTarget("mcap", "a.mcap", corpora.mcaps, _own_recording, MCAP_WAYS),
     "accel": lambda: ReaderTarget("accel", "accel.csv", corpora.accel_tables, _folder, _TABLE, _with_range),
     "range": lambda: ReaderTarget("range", "range.csv", corpora.range_tables, _folder, _TABLE, _with_accel),
     "table": lambda: ReaderTarget("table", "a.txt", corpora.text_tables, _mapped(TEXT_MAPPING), _TABLE),

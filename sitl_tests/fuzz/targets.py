@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from sitl_tests.fuzz.commands import COMMANDS
 from sitl_tests.fuzz.frames import DecoderTarget
 from sitl_tests.fuzz.hostile import FlightTarget
 from sitl_tests.fuzz.recordings import READERS
 from sitl_tests.fuzz.target import Target
 from sitl_tests.fuzz.texts import TEXTS
 
-_TARGETS: dict[str, Callable[[], Target]] = {"decoder": DecoderTarget, "flight": FlightTarget, **READERS, **TEXTS}
+_TARGETS: dict[str, Callable[[], Target]] = {
+    "decoder": DecoderTarget,
+    "flight": FlightTarget,
+    **COMMANDS,
+    **READERS,
+    **TEXTS,
+}
 NAMES = tuple(_TARGETS)
 
 

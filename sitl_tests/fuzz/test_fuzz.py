@@ -8,12 +8,14 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from companion.records import Notice, Reject, Rejected
 from sitl_tests.fuzz import runner
+from sitl_tests.fuzz.hostile import check_contained
 from sitl_tests.fuzz.runner import fuzz, make_case
-from sitl_tests.fuzz.target import Ending
+from sitl_tests.fuzz.target import Ending, Violation
 from sitl_tests.fuzz.targets import NAMES, make_target
 
-CASES = {"decoder": 300, "flight": 8, "tlog": 150, "mcap": 200, "images": 600, "replay": 60}
+CASES = {"decoder": 300, "flight": 8, "tlog": 150, "mcap": 200, "images": 600, "replay": 30, "doctor": 100}
 
 
 @pytest.mark.slow
@@ -69,6 +71,13 @@ def test_an_exception_is_a_finding_and_its_case_can_be_made_again() -> None:
 def test_more_than_a_gigabyte_is_a_finding() -> None:
     (finding,) = fuzz(Greedy, seed=1, cases=1).findings
     assert "MemoryError" in finding.problem
+
+
+def test_a_contained_exception_is_a_finding() -> None:
+    refused = Rejected(Reject.INTERNAL_ERROR, "MatchSet", 5, 3)
+    check_contained([Rejected(Reject.STALE, "root", 5, 3), Notice(3, "tracker restarted", 5)])
+    with pytest.raises(Violation, match=r"'MatchSet': 3.*IndexError: 7 \(ranging.py:5\)"):
+        check_contained([refused, Notice(3, "internal error: MatchSet refused: IndexError: 7 (ranging.py:5)", 5)])
 
 
 @pytest.mark.slow
