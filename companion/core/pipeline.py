@@ -29,6 +29,7 @@ from companion.core.trigger.blur import Motion
 from companion.core.trigger.exposure_feedback import Feedback
 from companion.core.trigger.scheduling import Scheduling
 from companion.core.wing.effects import apply_to_airframe
+from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.params.vehicle import implausible
@@ -289,7 +290,11 @@ def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter)
 
 
 def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputRecord]:
-    state.settings = state.settings.replace(change.name, change.value)
+    try:
+        state.settings = state.settings.replace(change.name, change.value, flown=True)
+    except ConfigError as error:  # of a damaged recording; live, the parameter server has checked it
+        refused = Rejected(Reject.INCONSISTENT, f"parameter {change.name}", change.changed_host_ns)
+        return [refused, Notice(4, f"{error}: not used", change.changed_host_ns)]
     state.tracker.adopt(state.settings)
     if state.scheduling is not None:
         state.scheduling.adopt(state.settings)

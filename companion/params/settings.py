@@ -18,7 +18,7 @@ _MAVLINK_NAME_LENGTH = 16
 
 @dataclass(frozen=True, slots=True)
 class Tunable:
-    """One row of the table."""
+    """One row of the table; ``flown`` is the wider range of earlier versions, where it was one."""
 
     attribute: str
     name: str
@@ -30,12 +30,14 @@ class Tunable:
     live: bool
     integer: bool
     choices: tuple[str, ...]
+    flown: tuple[float, float] | None
 
-    def check(self, value: float) -> str | None:
-        """Say what is wrong with ``value``, or nothing."""
+    def check(self, value: float, *, flown: bool = False) -> str | None:
+        """Say what is wrong with ``value``, or nothing; with ``flown``, a value that an earlier version took is good."""
         if not math.isfinite(value):
             return f"{self.name} must be a finite number"
-        if not self.minimum <= value <= self.maximum:
+        earlier = flown and self.flown is not None and self.flown[0] <= value <= self.flown[1]
+        if not earlier and not self.minimum <= value <= self.maximum:
             return f"{self.name} = {value:g} is outside {self.minimum:g} to {self.maximum:g} {self.unit}".rstrip()
         if self.integer and value != int(value):
             return f"{self.name} = {value:g} must be a whole number"
@@ -52,6 +54,7 @@ def _tunable(
     *,
     live: bool = True,
     choices: tuple[str, ...] = (),
+    flown: tuple[float, float] | None = None,
 ) -> Any:
     if len(name) > _MAVLINK_NAME_LENGTH:
         raise ValueError(f"{name} is longer than a MAVLink parameter name")
@@ -63,6 +66,7 @@ def _tunable(
         "doc": doc,
         "live": live,
         "choices": choices,
+        "flown": flown,
     }
     return field(default=default, metadata=row)
 
@@ -81,7 +85,14 @@ class Settings:
 
     # identity (restart)
     component_id: int = _tunable(
-        "SW_COMPID", "", 2, 255, 191, "MAVLink component id of this service (1 is the autopilot)", live=False
+        "SW_COMPID",
+        "",
+        2,
+        255,
+        191,
+        "MAVLink component id of this service (1 is the autopilot)",
+        live=False,
+        flown=(1, 255),
     )
     system_id: int = _tunable(
         "SW_SYSID", "", 0, 255, 0, "MAVLink system id of the vehicle; 0 is the autopilot that is there", live=False
@@ -116,7 +127,13 @@ class Settings:
         "TRG_POLICY", "", 0, 2, 0, "When to fire", choices=("peaks, timer when calm", "timer", "off")
     )
     trigger_rate_hz: float = _tunable(
-        "TRG_RATE", "Hz", 1, 30, 10, "Most shots per second; ranges over 2 s apart would not vouch for each other"
+        "TRG_RATE",
+        "Hz",
+        1,
+        30,
+        10,
+        "Most shots per second; ranges over 2 s apart would not vouch for each other",
+        flown=(0.5, 30),
     )
     trigger_sigma_s: float = _tunable(
         "TRG_SIGMA", "s", 0.0005, 0.05, 0.025, "Skip a peak whose time is less certain than this"
@@ -131,7 +148,13 @@ class Settings:
     max_range_m: float = _tunable("RNG_MAX", "m", 5, 500, 200, "Longest range that is published")
     trust_ratio: float = _tunable("RNG_TRUST", "", 0.005, 0.2, 0.03, "Largest sigma/range that is trusted")
     min_matches: int = _tunable(
-        "RNG_MATCHES", "", 4, 100, 12, "Fewest matches for a range; of 200 corners that are tried, about half match"
+        "RNG_MATCHES",
+        "",
+        4,
+        100,
+        12,
+        "Fewest matches for a range; of 200 corners that are tried, about half match",
+        flown=(4, 500),
     )
     product: int = _tunable(
         "RNG_PRODUCT", "", 0, 2, 0, "Which range is published", choices=("median", "nearest", "centre")
@@ -173,11 +196,14 @@ class Settings:
         "IMU_RATE", "Hz", 25, 1000, 333, "Rate of inertial messages asked of the autopilot", live=False
     )
 
-    def replace(self, name: str, value: float) -> Settings:
-        """Give the settings with one value changed, by MAVLink name; raise :class:`ConfigError` for a bad one."""
+    def replace(self, name: str, value: float, *, flown: bool = False) -> Settings:
+        """Give the settings with one value changed, by MAVLink name; raise :class:`ConfigError` for a bad one.
+
+        With ``flown``, which is for recordings, a value is good that the version took which flew it.
+        """
         for row in tunables():
             if name == row.name:
-                problem = row.check(value)
+                problem = row.check(value, flown=flown)
                 if problem:
                     raise ConfigError(problem)
                 change: dict[str, Any] = {row.attribute: int(value) if row.integer else float(value)}

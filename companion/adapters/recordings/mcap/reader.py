@@ -25,11 +25,11 @@ from companion.adapters.recordings.mcap.channels import IMAGE_SCHEMA, KINDS, Rec
 from companion.adapters.recordings.mcap.codec import loads
 from companion.adapters.recordings.mcap.images import ImageFormat
 from companion.adapters.recordings.mcap.writer import FORMAT_VERSION
-from companion.adapters.recordings.recording import Notes
+from companion.adapters.recordings.recording import INFO, Notes
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe, parse_airframe
-from companion.params.settings import Settings
+from companion.params.settings import Settings, tunables
 from companion.params.toml import parse_toml, settings_of
 from companion.records import ClockName, Frame, FramePair, Notice, Side
 
@@ -217,6 +217,10 @@ class McapRecording:
         return facts, texts
 
     def _say_what_is_wrong(self) -> None:
+        for row in tunables():
+            problem = row.check(getattr(self.settings, row.attribute))
+            if problem is not None:
+                self._notes.add(f"{self.path.name}: {problem}; replayed as flown", severity=INFO)
         if self.cut:
             last = self._segments[-1]
             start_ns, end_ns = self.span_ns()
@@ -240,12 +244,16 @@ class McapRecording:
 
 
 def load_settings(text: str) -> Settings:
-    """Parse what :func:`~companion.adapters.recordings.mcap.writer.dump_settings` wrote; raise ConfigError if it is
-    bad.
+    """Parse what :func:`~companion.adapters.recordings.mcap.writer.dump_settings` wrote, in any version.
+
+    Raises
+    ------
+    ConfigError
+        A value that no version took.
     """
     settings = Settings()
     for name, value in settings_of(parse_toml(text, "settings.toml"), "settings.toml").items():
-        settings = settings.replace(name, value)
+        settings = settings.replace(name, value, flown=True)
     return settings
 
 
