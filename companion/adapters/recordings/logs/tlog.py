@@ -27,7 +27,7 @@ _STAMP = 8
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _CHUNK_US = 20_000
 _CHUNK_FRAMES = 128
-_PLAUSIBLE_US = 3_600_000_000
+_LONGEST_STEP_US = 3_600_000_000  # of the receive time; a longer one is believed where the next frame agrees with it
 _EARLIEST_US = 946_684_800_000_000
 
 
@@ -76,8 +76,8 @@ class TlogRecording(LoggedRecording):
                 continue
             size = _frame_bytes(data, at + _STAMP)
             after = at + _STAMP + size
-            stamp_us = int.from_bytes(data[at : at + _STAMP], "big")
-            good = size and after <= end and _plausible(stamp_us, last_us)
+            stamp_us = self._stamp_us(at)
+            good = size and after <= end and (_plausible(stamp_us, last_us) or self._resumes(at, after))
             if good:
                 if skipped_from >= 0:
                     self.notes.add(
@@ -93,6 +93,16 @@ class TlogRecording(LoggedRecording):
             self.notes.add(
                 f"{self.path.name}: truncated: the last {end - skipped_from} bytes are no whole frame, left out"
             )
+
+    def _resumes(self, at: int, after: int) -> bool:
+        """Whether logging went on here after a pause or a step of the clock: two whole frames agree on a new time."""
+        data, stamp_us, following = self._data, self._stamp_us(at), after + _STAMP
+        if not _plausible(stamp_us, 0) or frame_end(data, at + _STAMP) != after or following >= len(data):
+            return False
+        return _plausible(self._stamp_us(after), stamp_us) and frame_end(data, following) > 0
+
+    def _stamp_us(self, at: int) -> int:
+        return int.from_bytes(self._data[at : at + _STAMP], "big")
 
     def records(self) -> Iterator[Record]:
         """What the frames say, in arrival order, in the autopilot's clock."""
@@ -164,4 +174,4 @@ def _frame_bytes(data: bytes, at: int) -> int:
 
 
 def _plausible(stamp_us: int, last_us: int) -> bool:
-    return abs(stamp_us - last_us) < _PLAUSIBLE_US if last_us else _EARLIEST_US < stamp_us < 4 * _EARLIEST_US
+    return abs(stamp_us - last_us) < _LONGEST_STEP_US if last_us else _EARLIEST_US < stamp_us < 4 * _EARLIEST_US
