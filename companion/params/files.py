@@ -125,7 +125,8 @@ def _scalar(kind: Any, value: Any, origin: str, where: str) -> Any:
     if kind is float:
         return _number(value, origin, where)
     if kind is int:
-        _expect(isinstance(value, int) and not isinstance(value, bool), origin, where, "a whole number", value)
+        good = isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _LARGEST
+        _expect(good, origin, where, "a whole number", value)
         return value
     if isinstance(kind, type) and issubclass(kind, enum.Enum):
         allowed = [str(member.value) for member in kind]

@@ -39,7 +39,7 @@ RANGES: dict[str, dict[str, Range]] = {
         "bend_per_g_m": Range(-20, 20, "m", "more than any wing bends", 20),
     },
     "Mode": {
-        "frequency_hz": Range(0.2, 1000, "Hz", "bending modes of wings and beams", 1000),
+        "frequency_hz": Range(0.2, 500, "Hz", "bending modes of wings and beams", 500),
         "damping": Range(1e-4, 0.5, "", "a ratio of the critical damping, 0.03 for 3 %", 1),
         "slope_factor_radpm": Range(-500, 500, "rad/m", "a cantilever has 1.38 / semispan", 500),
         "twist_factor_radpm": Range(-500, 500, "rad/m", "nose-up twist per metre of tip deflection", 500),

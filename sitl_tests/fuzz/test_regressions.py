@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 import time
 from pathlib import Path
@@ -21,9 +22,11 @@ from companion.adapters.recordings.tables.mapping import parse_mapping
 from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.calibration.vibration import read_vibration_test
 from companion.cli.main import main
+from companion.core.pipeline import start
 from companion.errors import ConfigError, DeviceError, RecordingError
-from companion.params.files import load_airframe
+from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.params.learned import load_latency
+from companion.params.settings import Settings
 from companion.records import ImuBatch, Tick
 from sitl_tests.fuzz import corpora
 from sitl_tests.unit import test_recordings_bin as onboard
@@ -231,6 +234,23 @@ def test_what_no_toml_file_should_hold_is_told_in_a_sentence(tmp_path: Path, tex
             read()
     with pytest.raises(ConfigError, match=r"a\.toml"):
         parse_mapping(text.decode("latin-1"), "a.toml")
+
+
+@pytest.mark.parametrize(("key", "value"), [("orientation", "9" * 400), ("frequency_hz", "1_000")])
+def test_numbers_of_an_airframe_that_cannot_be_are_refused(key: str, value: str) -> None:
+    """A whole number beyond a float's range made an OverflowError; at 1000 Hz the tracker's model was not stable."""
+    text = re.sub(rf"^{key} = .*$", f"{key} = {value}", dump_airframe(AIRFRAME), count=1, flags=re.MULTILINE)
+    with pytest.raises(ConfigError, match=rf"a\.toml: '.*{key}'"):
+        parse_airframe(text, "a.toml")
+
+
+@pytest.mark.parametrize("damping", ["1e-4", "0.03", "0.5"])
+@pytest.mark.parametrize("rate_hz", [100, 500])
+def test_the_stiffest_mode_that_is_accepted_can_be_tracked(damping: str, rate_hz: float) -> None:
+    text = dump_airframe(AIRFRAME)
+    for key, value in (("frequency_hz", "500"), ("damping", damping), ("corners_hz", "[1000.0, 1000.0]")):
+        text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
+    start(parse_airframe(text, "a.toml"), Settings().replace("TRK_RATE", rate_hz))
 
 
 @pytest.mark.parametrize("rate", ["0", "-5", "nan", "inf", "1e999"])

@@ -40,7 +40,7 @@ def changed(section: str, key: str, value: str) -> str:
         ("wing", "trim_bend_m", "1.4", "'wing.trim_bend_m' = 1.4 m is more than the semispan of 1 m"),
         ("wing.symmetric", "damping", "3.0", "'wing.symmetric.damping' = 3 is outside 0.0001 to 0.5"),
         ("wing.symmetric", "damping", "0.0", "'wing.symmetric.damping' = 0 is outside"),
-        ("wing.symmetric", "frequency_hz", "5000.0", "frequency_hz' = 5000 Hz is outside 0.2 to 1000 Hz"),
+        ("wing.symmetric", "frequency_hz", "5000.0", "frequency_hz' = 5000 Hz is outside 0.2 to 500 Hz"),
         ("wing.symmetric", "frequency_hz", "{ value = 5.0, sigma = -1.0 }", "must be a sigma >= 0, not -1"),
         ("wing.symmetric", "frequency_hz", "{ value = 5.0, sigma = 50.0 }", "frequency_hz.sigma' = 50 is outside"),
         ("wing.symmetric", "frequency_hz", "nan", "must be a finite number, not nan"),
