@@ -56,6 +56,8 @@ class CommandTarget:
         From the recording's path and the airframe that its format needs to the words of the command line.
     """
 
+    limit_s = 40.0  # of estimation and analysis; the flights last 12 s
+
     def __init__(self, name: str, arguments: Callable[[Path, str | None], list[str]]) -> None:
         self.name, self._arguments = name, arguments
         self.counts: Counter[str] = Counter()

@@ -18,7 +18,7 @@ from companion.params.files import load_airframe
 from companion.records import AutopilotParameter, ImuBatch, RawChunk, Reject, Rejected, VehicleState
 from companion.sim.flight.flight import build_flight
 from sitl_tests.fuzz import mutators, structured
-from sitl_tests.fuzz.target import Ending, Violation
+from sitl_tests.fuzz.target import LIMIT_S, Ending, Violation
 from sitl_tests.loop.simulated_service import SimulatedService
 from sitl_tests.unit.test_mavlink_scan import random_frame, stepping_oracle
 
@@ -63,6 +63,7 @@ class DecoderTarget:
     """Datagrams of valid, hostile and damaged frames."""
 
     name = "decoder"
+    limit_s = LIMIT_S
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()

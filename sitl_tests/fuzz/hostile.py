@@ -41,6 +41,7 @@ class FlightTarget:
     """A flight of some seconds, and what is sent into it; nothing raises and nothing leaves that is not finite."""
 
     name = "flight"
+    limit_s = 40.0  # of simulation; the flight lasts 14 s
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()

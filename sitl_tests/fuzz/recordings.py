@@ -24,7 +24,7 @@ from companion.params.files import load_airframe
 from companion.records import ImuBatch, Side
 from sitl_tests.fuzz import corpora, mutators, structured
 from sitl_tests.fuzz.mutators import Mutator
-from sitl_tests.fuzz.target import Ending, Violation
+from sitl_tests.fuzz.target import LIMIT_S, Ending, Violation
 from sitl_tests.unit import test_recordings_mcap as ours
 
 TEXT_MAPPING = """
@@ -101,6 +101,7 @@ class ReaderTarget:
     ways: Sequence[Mutator]
     beside: Callable[[], dict[str, bytes]] | None = None
     counts: Counter[str] = field(default_factory=Counter)
+    limit_s: float = LIMIT_S
 
     def warm(self) -> None:
         for data in self.corpus():
@@ -137,6 +138,7 @@ class ImageTarget:
     """Images of a folder, and images inside our recordings."""
 
     name = "images"
+    limit_s = LIMIT_S
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()

@@ -20,9 +20,10 @@ import numpy as np
 
 from sitl_tests.fuzz.target import Ending, Target
 
-TIME_LIMIT_S = 10
 MEMORY_LIMIT_BYTES = 1 << 30
 _PATIENCE_S = 60.0
+_PATIENCE_LIMITS = 20  # of a target's time limit: a busy machine is no finding
+_ALARM_PERIOD_S = 0.5  # again and again: one that is raised within compiled code comes out as a SystemError
 _LOADING_S = 1200.0  # compiled loops where no cache is, on a machine with other work
 
 
@@ -102,7 +103,7 @@ def fuzz(
         return short and early and len(result.findings) < most_findings
 
     while going():
-        child = _Child(make, seed, next_case)
+        child = _Child(make, seed, next_case, max(_PATIENCE_S, _PATIENCE_LIMITS * target.limit_s))
         try:
             child.load()
             began = began or time.monotonic()
@@ -129,13 +130,13 @@ def fuzz(
 class _Child:
     """The process that runs the cases, as its parent sees it."""
 
-    def __init__(self, make: Callable[[], Target], seed: int, first: int) -> None:
+    def __init__(self, make: Callable[[], Target], seed: int, first: int, patience_s: float) -> None:
         spawn = multiprocessing.get_context("spawn")
         self._ours, theirs = spawn.Pipe()
         self._process = spawn.Process(target=_run_cases, args=(make, seed, first, theirs), daemon=True)
         self._process.start()
         theirs.close()
-        self._number = first
+        self._number, self._patience_s = first, patience_s
 
     def load(self) -> None:
         """Wait until it is warm."""
@@ -153,11 +154,11 @@ class _Child:
         self._number += 1
         try:
             self._ours.send(True)
-            if self._ours.poll(_PATIENCE_S):
+            if self._ours.poll(self._patience_s):
                 told: _Told = self._ours.recv()
                 return told
-            problem = f"no end after {_PATIENCE_S:.0f} s, not even by an alarm"
-            return _Told(number, problem=problem, took_s=_PATIENCE_S, alive=False)
+            problem = f"no end after {self._patience_s:.0f} s, not even by an alarm"
+            return _Told(number, problem=problem, took_s=self._patience_s, alive=False)
         except (EOFError, BrokenPipeError, ConnectionResetError):
             self._process.join(_PATIENCE_S)
             return _Told(number, problem=f"the process ended with code {self._process.exitcode}", alive=False)
@@ -172,7 +173,6 @@ class _Child:
 def _run_cases(make: Callable[[], Target], seed: int, first: int, pipe: Connection) -> None:
     """The child's life: one case for every word from the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGPROF, _alarm)
     warnings.simplefilter("ignore")
     target = make()
     target.warm()
@@ -189,21 +189,48 @@ def _run_cases(make: Callable[[], Target], seed: int, first: int, pipe: Connecti
 
 
 def run_case(target: Target, data: bytes, number: int = 0) -> _Told:
-    """Run one input under the time limit, and put what it raises into words."""
+    """Run one input under the target's time limit, and put what it raises into words."""
     target.counts = Counter()
     ending, problem, began = "", "", time.process_time()
-    signal.setitimer(signal.ITIMER_PROF, TIME_LIMIT_S)  # processor time: a busy machine is no finding
+    alarm = _Alarm(target.limit_s)
+    alarm.set()
     try:
         ending = str(target.run(data))
     except (Exception, TooSlow):
         problem = traceback.format_exc(limit=-8)
     finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        alarm.stop()
+    if alarm.rang and TooSlow.__name__ not in problem:
+        problem = f"{problem}\n{TooSlow.__name__}: more than {target.limit_s:g} s, and the alarm was swallowed"
     return _Told(number, ending, problem, time.process_time() - began, target.counts)
 
 
-def _alarm(number: int, frame: object) -> None:
-    raise TooSlow(f"more than {TIME_LIMIT_S} s")
+class _Alarm:
+    """Raises TooSlow after so much processor time: a busy machine is no finding.
+
+    Attributes
+    ----------
+    rang : bool
+        Whether it was raised; what was running may have made something else of it.
+    """
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self.rang = False
+
+    def set(self) -> None:
+        """Begin to count."""
+        signal.signal(signal.SIGPROF, self._ring)
+        signal.setitimer(signal.ITIMER_PROF, self._limit_s, _ALARM_PERIOD_S)
+
+    def stop(self) -> None:
+        """Ring no more."""
+        signal.signal(signal.SIGPROF, signal.SIG_IGN)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+
+    def _ring(self, number: int, frame: object) -> None:
+        self.rang = True
+        raise TooSlow(f"more than {self._limit_s:g} s")
 
 
 def _be_quiet() -> None:

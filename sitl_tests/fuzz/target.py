@@ -16,6 +16,10 @@ class Ending(enum.StrEnum):
     REFUSAL = "refusal"
 
 
+LIMIT_S = 10.0
+"""Processor time in which a reader has to end."""
+
+
 class Violation(AssertionError):
     """A property does not hold though nothing was raised."""
 
@@ -28,10 +32,13 @@ class Target(Protocol):
     name : str
     counts : Counter
         What the cases met with beside their endings; for the report alone.
+    limit_s : float
+        Processor time of one case; more is a finding.
     """
 
     name: str
     counts: Counter[str]
+    limit_s: float
 
     def warm(self) -> None:
         """Load and compile whatever the first case would otherwise be charged for."""

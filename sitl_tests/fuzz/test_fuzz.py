@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections import Counter
 
@@ -11,8 +12,8 @@ import pytest
 from companion.records import Notice, Reject, Rejected
 from sitl_tests.fuzz import runner
 from sitl_tests.fuzz.hostile import check_contained
-from sitl_tests.fuzz.runner import fuzz, make_case
-from sitl_tests.fuzz.target import Ending, Violation
+from sitl_tests.fuzz.runner import TooSlow, fuzz, make_case
+from sitl_tests.fuzz.target import LIMIT_S, Ending, Violation
 from sitl_tests.fuzz.targets import NAMES, make_target
 
 CASES = {"decoder": 300, "flight": 8, "tlog": 150, "mcap": 200, "images": 600, "replay": 30, "doctor": 100}
@@ -31,6 +32,7 @@ class Trap:
     """Ends in every way that there is."""
 
     name = "trap"
+    limit_s = LIMIT_S
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -57,6 +59,18 @@ class Endless(Trap):
             pass
 
 
+class Swallowing(Trap):
+    """Makes something else of the alarm, as compiled code and what contains a defect do."""
+
+    limit_s = 0.2
+
+    def run(self, data: bytes) -> Ending:
+        with contextlib.suppress(TooSlow):
+            while True:
+                pass
+        return Ending.DATA
+
+
 class Broken(Trap):
     def run(self, data: bytes) -> Ending:
         raise IndexError(data.hex())
@@ -71,6 +85,12 @@ def test_an_exception_is_a_finding_and_its_case_can_be_made_again() -> None:
 def test_more_than_a_gigabyte_is_a_finding() -> None:
     (finding,) = fuzz(Greedy, seed=1, cases=1).findings
     assert "MemoryError" in finding.problem
+
+
+def test_an_alarm_that_is_swallowed_is_a_finding() -> None:
+    """An alarm within a compiled loop is a SystemError, which the service contained."""
+    (finding,) = fuzz(Swallowing, seed=1, cases=1).findings
+    assert finding.problem.strip() == "TooSlow: more than 0.2 s, and the alarm was swallowed"
 
 
 def test_a_contained_exception_is_a_finding() -> None:

@@ -27,7 +27,7 @@ from companion.params.settings import Settings, tunables
 from companion.params.shipped import shipped
 from sitl_tests.fuzz import corpora, mutators
 from sitl_tests.fuzz.recordings import TEXT_MAPPING, ending, read_all
-from sitl_tests.fuzz.target import Ending, Violation
+from sitl_tests.fuzz.target import LIMIT_S, Ending, Violation
 
 _LAYOUT = b"""
 rate_hz = 2000.0
@@ -73,6 +73,8 @@ def _settings() -> list[bytes]:
 
 class TextTarget:
     """A text of one kind, damaged and used."""
+
+    limit_s = LIMIT_S
 
     def __init__(self, name: str, corpus: Callable[[], list[bytes]], use: Callable[[str, Path], None]) -> None:
         self.name, self._corpus, self._use = name, corpus, use
