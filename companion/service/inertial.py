@@ -62,7 +62,8 @@ class InertialLoop:
     """One turn reads, estimates, publishes. Kept apart from its process so that tests can turn it by hand.
 
     ``fires_by_link`` says that the trigger process only keeps the time and the autopilot fires: each shot is published
-    at once, before anything is made of it. ``tell_vision`` gets changed settings and plans.
+    at once, before anything is made of it. ``tell_vision`` gets changed settings and plans. ``alive`` gets the time of
+    each tick and the state in words: what watches over the process hears from its loop or not at all.
     """
 
     state: PipelineState
@@ -74,6 +75,8 @@ class InertialLoop:
     recorder: Recorder
     fires_by_link: bool = False
     tell_vision: Callable[[Record], object] = lambda _: None
+    alive: Callable[[int, str], object] = lambda _now_ns, _status: None
+    status: str = ""
     next_tick_ns: int = 0
     next_error_ns: int = 0
     outputs: list[Record] = field(default_factory=list)
@@ -99,6 +102,7 @@ class InertialLoop:
         if now_ns >= self.next_tick_ns:
             self.next_tick_ns = max(self.next_tick_ns + TICK_NS, now_ns)
             self._handle(Tick(now_ns))
+            self.alive(now_ns, self.status)
             if (strain := self.pace.ticked(now_ns)) is not None:
                 self._strained(strain)
 
@@ -127,6 +131,8 @@ class InertialLoop:
         if isinstance(output, ServiceStatus) and self.strains:  # the machine's, not the estimation's: a replay has none
             reason = "; ".join([output.reason, *(f"cannot keep up: {text}" for text in self.strains.values())])
             output = dataclasses.replace(output, reason=reason)
+        if isinstance(output, ServiceStatus):
+            self.status = f"{output.health.name.lower()}: {output.reason}"
         if isinstance(output, TriggerPlan):
             self.shots.send(output)
             self.tell_vision(output)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import signal
 import socket
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.adapters.recordings.mcap.recorder import keep_recording
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
+from companion.adapters.systemd import ServiceManager
 from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
@@ -167,7 +169,8 @@ def _inertial_process(
     _ignore_interrupt()
     clock: Clock = MonotonicClock()
     outlive_full_disk()
-    tell = _unheard if gate is not None and gate.spare else shown.send
+    manager = ServiceManager(os.environ)
+    tell = _unheard if gate is not None and gate.spare else _announced(shown, manager)
     warm_up(config.airframe, config.settings, lambda begun: tell(compiling_status(begun, clock.now_ns())))
     if gate is not None and not gate.wait_for_turn(stop):
         return
@@ -188,6 +191,7 @@ def _inertial_process(
         recorder=_recorder(tape),
         fires_by_link=firing is not None,
         tell_vision=_unheard if vision_ear is None else vision_ear.send,
+        alive=manager.ticked,
     )
     inertial.run(loop, stop)
 
@@ -196,6 +200,16 @@ def compiling_status(begun: int, now_host_ns: int) -> ServiceStatus:
     """What is shown while the link is not yet open, because the estimator is being compiled."""
     text = f"compiling the estimator, one to two minutes, at the first start only ({begun} functions so far)"
     return ServiceStatus(now_host_ns, Health.BOOT, text, {})
+
+
+def _announced(shown: Sender, manager: ServiceManager) -> Callable[[ServiceStatus], object]:
+    """Where the state goes while the loop does not run yet: to the screen, and to systemd, which would give up else."""
+
+    def tell(status: ServiceStatus) -> None:
+        shown.send(status)
+        manager.preparing(status.reason)
+
+    return tell
 
 
 def _unheard(record: Record) -> None:
