@@ -60,7 +60,7 @@ trials: $(STAMP) ## blind trials of the diagnosis: table and confusion matrix in
 	$(BIN)/python -m tools.trials
 
 lock: $(STAMP)   ## pin every dependency with its hashes (needs uv)
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header --extra dev --extra fast -q pyproject.toml requirements-build.in -o requirements.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header --extra all --extra dev -q pyproject.toml requirements-build.in -o requirements.lock
 
 clean:
 	rm -rf $(VENV) out build *.egg-info

@@ -6,7 +6,8 @@ SpanwiseError                   the base; ``str()`` says what was wrong, where, 
 ├── RecordingError              a recording that cannot be read
 │   └── TableError              a CSV table: file, line and column are named
 ├── LinkError                   a MAVLink connection that cannot be opened or was lost
-└── DeviceError                 a camera, trigger or clock device
+├── DeviceError                 a camera, trigger or clock device
+└── MissingExtra                an optional dependency that is not installed
 """
 
 from __future__ import annotations
@@ -50,6 +51,18 @@ class LinkError(SpanwiseError):
 
 class DeviceError(SpanwiseError):
     """A camera, trigger or clock device failed."""
+
+
+class MissingExtra(SpanwiseError):
+    """An optional dependency is not installed; the message names the extra that brings it."""
+
+    def __init__(self, purpose: str, extra: str) -> None:
+        super().__init__(missing_extra(purpose, extra))
+
+
+def missing_extra(purpose: str, extra: str) -> str:
+    """Sentence for a ``purpose`` ("OAK cameras") whose library comes with an optional extra of the package."""
+    return f"{purpose} need more than the base installation: pip install 'spanwise[{extra}]'"
 
 
 def described(error: Exception) -> str:

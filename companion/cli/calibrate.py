@@ -27,6 +27,7 @@ from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.files import dump_airframe, load_airframe
 from companion.ports import CameraPair
 from companion.records import Side
+from companion.reporting.plotting import require_report
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,6 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Calibrate, print the result, write the airframe (and a report)."""
+    if options.kind == "stereo":
+        require_report()
     base = load_airframe(options.airframe)
     make_folder(options.out)
     airframe = {"stereo": _stereo, "mounting": _mounting, "latency": _latency}[options.kind](options, base)

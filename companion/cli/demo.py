@@ -18,13 +18,14 @@ from companion.cli.steps.flying import fly
 from companion.cli.steps.lockstep import LockStepService
 from companion.cli.steps.numbers import seconds, seed
 from companion.cli.steps.options import add_settings, make_folder, read_settings
-from companion.cli.steps.view import View
+from companion.cli.steps.view import View, live_view_possible
 from companion.core.warmup import warm_up
 from companion.errors import ConfigError
 from companion.evaluation.flight_evaluation import debrief
 from companion.evaluation.pages.demo_picture import draw
 from companion.evaluation.rendered_shots import Stage
 from companion.params.files import load_airframe
+from companion.reporting.plotting import require_report
 from companion.service.config import ServiceConfig
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.lockstep import EPOCH_NS
@@ -50,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Fly, judge, show."""
+    require_report()
     airframe = load_airframe(options.airframe)
     if airframe.left_camera is None or airframe.right_camera is None:
         raise ConfigError(f"airframe '{airframe.name}' has no camera pair; the demo needs one")
@@ -77,7 +79,7 @@ def execute(options: argparse.Namespace) -> int:
 def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -> tuple[int, dict[str, Any]]:
     """Fly; give the host time of boot time 0, and what the vehicle reports."""
     view = View(f"spanwise demo {flight.airframe.name}, seed {flight.seed}")
-    live = sys.stdout.isatty() and not options.plain and not options.json
+    live = live_view_possible(plain=options.plain or options.json)
     if options.realtime:
         return fly_in_real_time(config, flight, view, live=live)
     warm_up(config.airframe, config.settings, _say_compiling)

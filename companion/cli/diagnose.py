@@ -23,6 +23,7 @@ from companion.diagnosis.selection.verdict import Diagnosis, Verdict
 from companion.diagnosis.summary import summary_sentences
 from companion.evaluation.pages.diagnosis_page import write_report
 from companion.params.files import dump_airframe
+from companion.reporting.plotting import require_report
 
 _NOTHING = 3
 
@@ -59,6 +60,8 @@ def execute(options: argparse.Namespace) -> int:
     for option in ("json", "html", "apply"):
         path = getattr(options, option)
         check_output(Path(path) if path else None, f"--{option}")
+    if options.html:
+        require_report()
     progress = _Progress(options.json != "-")
     mapping = load_mapping(options.mapping) if options.mapping is not None else None
     if mapping is not None and mapping.test is not TestKind.FLIGHT:

@@ -21,6 +21,7 @@ from companion.cli.steps.options import make_folder
 from companion.evaluation.pages.identification_figures import draw_flight, draw_test
 from companion.params.airframe import Airframe, Mode, Uncertain
 from companion.params.files import dump_airframe, load_airframe
+from companion.reporting.plotting import require_report
 
 _NOTHING = 3
 
@@ -43,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Identify, print a table, write airframe, figures and numbers."""
+    require_report()
     base = load_airframe(options.airframe)
     make_folder(options.out)
     if options.kind == "gvt":

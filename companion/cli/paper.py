@@ -14,6 +14,7 @@ from companion.cli.steps.options import check_output, make_folder
 from companion.errors import ConfigError
 from companion.paper.report import make_sections, plain, write
 from companion.paper.trials import FULL, QUICK, SEEDS
+from companion.reporting.plotting import require_report
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Compute everything, write the report, say where it is."""
+    require_report()
     make_folder(options.out)
     check_output(options.json, "--json")
     begun_s = time.monotonic()

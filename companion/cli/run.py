@@ -16,7 +16,7 @@ from companion.cli.steps.flying import fly
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings, state_file
 from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
-from companion.cli.steps.view import View
+from companion.cli.steps.view import View, live_view_possible
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
@@ -167,7 +167,7 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda caught, _: stopped.append(caught))
     view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}")
-    live = sys.stdout.isatty() and not options.plain
+    live = live_view_possible(plain=options.plain)
     began = time.monotonic()
     keeper = LatencyKeeper(_latency_file(options), _path(options))
     try:

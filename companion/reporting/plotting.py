@@ -2,17 +2,50 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import numpy as np
 
+from companion.errors import MissingExtra
 from companion.records import Floats
 
 # Okabe and Ito's palette, in which any two differ for every kind of colour vision, and in lightness
 BLUE, VERMILLION, ORANGE, GREEN, SKY, PURPLE = "#0072B2", "#D55E00", "#E69F00", "#009E73", "#56B4E9", "#CC79A7"
 GREY, INK, PALE = "#7F868D", "#20262D", "#D9DEE3"
 
-_GAP_RATIO = 3.0
+_GAP_RATIO = 3.0  # usual steps; a convention
+_REPORT_LIBRARIES = ("matplotlib", "jinja2", "rich")
+
+
+def require_report() -> None:
+    """Refuse a command that ends in pages or pictures, before its work.
+
+    Raises
+    ------
+    MissingExtra
+        The extra ``report`` is not installed.
+    """
+    try:
+        for library in _REPORT_LIBRARIES:
+            importlib.import_module(library)
+    except ImportError as error:
+        raise MissingExtra("pages and pictures", "report") from error
+
+
+def new_figure(width_in: float, height_in: float) -> Any:
+    """Empty matplotlib figure, laid out by its constrained engine; the library is imported here, not with the module.
+
+    Raises
+    ------
+    MissingExtra
+        The extra ``report`` is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtra("pictures", "report") from error
+    return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def with_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from mavsdk.plugins.mission_raw.mission_raw import MissionItem
+from mission_scripts.common.sdk import MissionItem
 
 _DEGREE_M = math.pi * 6378137.0 / 180.0
 _RELATIVE_FRAME = 6  # MAV_FRAME_GLOBAL_RELATIVE_ALT_INT

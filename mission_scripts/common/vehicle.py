@@ -9,16 +9,11 @@ from collections.abc import Callable
 from threading import Event
 from typing import Any
 
-import mavsdk
-from mavsdk.logging import log_subscribe
-from mavsdk.plugins.action.action import Action
-from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect, MavlinkMessage
-from mavsdk.plugins.mission_raw.mission_raw import MissionRaw
-
 from companion.params.links import LinkAddress
 from mission_scripts.common.outcome import Aborted, Exit, MissionError, Refused
 from mission_scripts.common.places import Place, Route
 from mission_scripts.common.recording import Tap
+from mission_scripts.common.sdk import Action, MavlinkDirect, MavlinkMessage, MissionRaw, log_subscribe, mavsdk
 from mission_scripts.common.watch import AUTOPILOT, KINDS, Watch
 
 GUIDED, AUTO, RTL, LOITER = 15, 10, 11, 12  # ArduPlane

@@ -54,7 +54,10 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"diagnosis", "core", "sim", "records", "errors", "params"}),
         frozenset({"numpy", "scipy"}),
     ),
-    "companion.reporting": (frozenset({"reporting", "records"}), frozenset({"numpy", "matplotlib", "jinja2"})),
+    "companion.reporting": (
+        frozenset({"reporting", "records", "errors"}),
+        frozenset({"numpy", "matplotlib", "jinja2"}),
+    ),
     "companion.evaluation": (_JUDGES | {"evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
     "companion.doctor": (_JUDGES | {"doctor", "evaluation.plan_outcomes"}, frozenset({"numpy", "pymavlink"})),
     "companion.paper": (_JUDGES | {"paper", "evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
@@ -70,7 +73,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     ),
     "companion.cli": (ANY, ANY),
     "companion": (frozenset(), frozenset()),
-    "mission_scripts": (frozenset({"cli", "params", "mission_scripts"}), frozenset({"mavsdk"})),
+    "mission_scripts": (frozenset({"cli", "errors", "params", "mission_scripts"}), frozenset({"mavsdk"})),
 }
 
 # the rooms that may read a clock

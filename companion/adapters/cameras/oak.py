@@ -19,7 +19,7 @@ import numpy as np
 
 from companion.adapters.cameras.oak_soft import SoftEar, fire_queue
 from companion.adapters.triggers.oak import SoftLine
-from companion.errors import DeviceError
+from companion.errors import DeviceError, missing_extra
 from companion.records import ClockName, Frame, Side
 
 PLAN_UNKNOWN = -1
@@ -266,7 +266,7 @@ def library() -> Any:
     try:
         return importlib.import_module("depthai")
     except ImportError as error:
-        raise DeviceError("DepthAI cameras need the depthai package, version 3") from error
+        raise DeviceError(missing_extra("OAK cameras", "oak")) from error
 
 
 def _nanoseconds(span: datetime.timedelta) -> int:

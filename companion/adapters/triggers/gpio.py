@@ -9,7 +9,7 @@ import importlib
 import time
 from typing import Any
 
-from companion.errors import DeviceError
+from companion.errors import DeviceError, missing_extra
 from companion.records import Shot, TriggerPlan
 
 _WIDTH_NS = 500_000
@@ -67,4 +67,4 @@ def _library() -> Any:
     try:
         return importlib.import_module("gpiod")
     except ImportError as error:
-        raise DeviceError("a GPIO trigger needs the gpiod package (pip install 'gpiod>=2.2')") from error
+        raise DeviceError(missing_extra("GPIO triggers", "gpio")) from error

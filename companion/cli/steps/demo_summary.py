@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from rich.table import Table
-
 from companion.cli.steps.view import console
 
 _NAMES = {
@@ -57,8 +55,8 @@ def _row_name(name: str, elsewhere: set[str]) -> str:
     return f"{_NAMES[name]} *" if name in elsewhere else _NAMES[name]
 
 
-def _toe_table(errors: dict[str, Any], elsewhere: set[str]) -> Table:
-    table = Table(title="relative toe error, mrad (4.5 mrad makes 60 m read 52.8 m)", title_justify="left")
+def _toe_table(errors: dict[str, Any], elsewhere: set[str]) -> Any:
+    table = _table("relative toe error, mrad (4.5 mrad makes 60 m read 52.8 m)")
     for column in ("", "shots", "rms", "median", "p95", "rms above 0.5 Hz"):
         table.add_column(column, justify="left" if not column else "right")
     for name, entry in errors.items():
@@ -67,9 +65,9 @@ def _toe_table(errors: dict[str, Any], elsewhere: set[str]) -> Table:
     return table
 
 
-def _range_table(errors: dict[str, Any], elsewhere: set[str]) -> Table:
+def _range_table(errors: dict[str, Any], elsewhere: set[str]) -> Any:
     distances = list(errors["oracle"])
-    table = Table(title="range error, m: median / 95th percentile (of so many shots)", title_justify="left")
+    table = _table("range error, m: median / 95th percentile (of so many shots)")
     table.add_column("")
     for distance in distances:
         table.add_column(f"at {distance} m ({errors['corrected'][distance]['n']})", justify="right")
@@ -133,3 +131,9 @@ def _joined(counts: dict[str, int]) -> str:
 
 def _met(met: bool) -> str:
     return "met" if met else "MISSED"
+
+
+def _table(title: str) -> Any:
+    from rich.table import Table  # an extra
+
+    return Table(title=title, title_justify="left")

@@ -5,9 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import Protocol
-
-from rich.live import Live
+from typing import Any, Protocol
 
 from companion.cli.steps.view import View, console
 from companion.errors import DeviceError
@@ -60,10 +58,7 @@ def fly(
         A process of the service died again and again.
     """
     began = time.monotonic()
-    with (
-        service,
-        Live(console=console(), refresh_per_second=1 / _DRAW_S, transient=True) if live else _Lines() as screen,
-    ):
+    with service, _screen() if live else _Lines() as screen:
         next_line_s = 0.0
         while not ended():
             for record in service.shown():
@@ -85,6 +80,12 @@ def fly(
                 _print([] if refused is None else [refused], elapsed_s)
                 print(view.line(elapsed_s), file=sys.stderr, flush=True)
             wait(_DRAW_S)
+
+
+def _screen() -> Any:
+    from rich.live import Live  # an extra; plain lines do without
+
+    return Live(console=console(), refresh_per_second=1 / _DRAW_S, transient=True)
 
 
 def _print(sentences: list[str], elapsed_s: float) -> None:

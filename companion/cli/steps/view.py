@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Any
 
-from rich.console import Console, Group
-from rich.table import Table
-from rich.text import Text
-
+from companion.errors import missing_extra
 from companion.evaluation.plan_outcomes import Fates
 from companion.records import (
     CorrectedRange,
@@ -85,8 +84,12 @@ class View:
         parts = [f"{count} {reason}" for reason, count in sorted(fresh.items()) if count > 0]
         return f"refused: {', '.join(parts)}" if parts else None
 
-    def render(self, elapsed_s: float) -> Group:
-        """The whole picture."""
+    def render(self, elapsed_s: float) -> Any:
+        """Screen of a terminal, as something that rich draws."""
+        from rich.console import Group  # an extra; plain lines do without
+        from rich.table import Table
+        from rich.text import Text
+
         table = Table.grid(padding=(0, 2))
         table.add_column(style="bold", width=10)
         table.add_column()
@@ -133,6 +136,20 @@ def _range(measured: CorrectedRange) -> str:
     )
 
 
-def console() -> Console:
-    """Where the view goes."""
+def console() -> Any:
+    """Terminal that rich draws on."""
+    from rich.console import Console
+
     return Console(highlight=False)
+
+
+def live_view_possible(*, plain: bool) -> bool:
+    """Whether there is a terminal to draw on; where only the extra is missing for it, say so on standard error."""
+    if plain or not sys.stdout.isatty():
+        return False
+    try:
+        import rich  # noqa: F401 (looked for)
+    except ImportError:
+        print(f"{missing_extra('live views', 'report')}; plain lines meanwhile", file=sys.stderr)
+        return False
+    return True

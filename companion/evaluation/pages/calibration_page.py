@@ -14,7 +14,7 @@ import numpy as np
 from companion.calibration.boards import Board, Corners, find_corners
 from companion.calibration.stereo_rig import CELLS, RigFit, View, cells, toe_sigma_rad
 from companion.records import Bytes, Floats, Side
-from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline
+from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline, new_figure
 
 Pairs = list[tuple[str, Bytes, Bytes]]
 _NAMES = ("fx, px", "fy, px", "cx, px", "cy, px", "k1", "k2", "p1", "p2", "k3")
@@ -116,9 +116,7 @@ def _image(data: bytes, kind: str, text: str) -> str:
 
 
 def _picture(fit: RigFit, used: list[View], shape: tuple[int, ...]) -> bytes:
-    from matplotlib.figure import Figure  # takes most of a second to import
-
-    figure = Figure(figsize=(12, 8), layout="constrained")
+    figure = new_figure(12, 8)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.3, 1.0))
     for column, side in enumerate(Side):
         axis = figure.add_subplot(grid[0, column])

@@ -10,7 +10,7 @@ import numpy as np
 from companion.evaluation.flight_evaluation import Debrief
 from companion.evaluation.metrics import DISTANCES_M, near
 from companion.records import Floats
-from companion.reporting.plotting import BLUE, GREY, INK, ORANGE, VERMILLION, dots, headline, with_gaps
+from companion.reporting.plotting import BLUE, GREY, INK, ORANGE, VERMILLION, dots, headline, new_figure, with_gaps
 
 _COLOURS = {"rigid": VERMILLION, "rigid_in_trim": ORANGE, "corrected": BLUE, "oracle": GREY}
 _FAR = "60"
@@ -26,9 +26,7 @@ _LABELS = {
 
 def draw(debrief: Debrief, path: Path) -> None:
     """Draw ``summary.png``."""
-    from matplotlib.figure import Figure  # takes most of a second to import
-
-    figure = Figure(figsize=(13, 8.8), layout="constrained")
+    figure = new_figure(13, 8.8)
     plain = debrief.plain
     truth = plain["truth"]
     what = (

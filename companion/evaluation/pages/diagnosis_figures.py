@@ -13,7 +13,7 @@ from companion.diagnosis.selection.verdict import Diagnosis
 from companion.diagnosis.views import autocorrelation, backbone, force_map
 from companion.records import Floats
 from companion.reporting.page import AFTER, BEFORE, DATA
-from companion.reporting.plotting import INK, VERMILLION, dots
+from companion.reporting.plotting import INK, VERMILLION, dots, new_figure
 
 _NEEDED_Z = 4.4
 _SHOWN = 16
@@ -102,10 +102,8 @@ def ranges(fits: Fits, model: FlightModel) -> Any:
 
 def screening(found: Diagnosis) -> Any:
     """Strength of the leading effects, and how far each can be told from the others."""
-    from matplotlib.figure import Figure  # takes most of a second to import
-
     shown = found.screening.candidates[:_SHOWN]
-    figure = Figure(figsize=(11.5, 4.8), layout="constrained")
+    figure = new_figure(11.5, 4.8)
     bars, matrix = figure.subplots(1, 2, width_ratios=(1.2, 1))
     names = [entry.name + (f" ({entry.term.channel})" if entry.term.channel else "") for entry in shown]
     named = {cause.term.effect.name for cause in found.causes}
@@ -145,9 +143,7 @@ def gains(before_after: dict[float, tuple[float, float]], toe: tuple[float, floa
 
 
 def _figure(height: float, columns: int, width: float = 11.5, sharey: bool = False) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure  # takes most of a second to import
-
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = new_figure(width, height)
     axes = np.atleast_1d(figure.subplots(1, columns, sharey=sharey))
     for axis in axes:
         axis.grid(alpha=0.25)

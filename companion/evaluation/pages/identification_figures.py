@@ -12,16 +12,14 @@ from companion.calibration.flight_modes import WingMotion
 from companion.calibration.modes import IdentifiedMode, assurance
 from companion.calibration.vibration import VibrationTest
 from companion.calibration.wing_modes import BendingMode, relative_to_root
-from companion.reporting.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, headline
+from companion.reporting.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, headline, new_figure
 
 _LEADING, _TRAILING = BLUE, VERMILLION
 
 
 def draw_test(test: VibrationTest, modes: list[IdentifiedMode], found: list[BendingMode], folder: Path) -> None:
     """Write ``responses.png``, ``repeatability.png`` and ``shapes.png``."""
-    from matplotlib.figure import Figure  # takes most of a second to import
-
-    figure = Figure(figsize=(11, 5), layout="constrained")
+    figure = new_figure(11, 5)
     axis = figure.subplots()
     for run in test.runs:
         for response in run.response:
@@ -48,9 +46,7 @@ def _listed(modes: list[IdentifiedMode]) -> str:
 
 def _draw_repeatability(modes: list[IdentifiedMode], folder: Path) -> None:
     """Frequency and damping run by run; assurance of each mode in one half of the data with all of the other."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    figure = new_figure(13, 4.2)
     first, second, third = figure.subplots(1, 3, width_ratios=(1, 1, 0.9))
     for mode, colour in zip(modes, itertools.cycle((BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)), strict=False):
         run, frequency, damping = mode.per_run.T
@@ -75,9 +71,7 @@ def _draw_repeatability(modes: list[IdentifiedMode], folder: Path) -> None:
 
 
 def _draw_shapes(test: VibrationTest, found: list[BendingMode], folder: Path) -> None:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14, 3.3 * len(found)), layout="constrained")
+    figure = new_figure(14, 3.3 * len(found))
     span = np.array([point.span_m for point in test.points])
     for axes, each in zip(figure.subplots(len(found), 3, squeeze=False), found, strict=True):
         mode, kind = each.mode, "symmetric" if each.sign > 0 else "antisymmetric"
@@ -107,9 +101,7 @@ def _draw_shapes(test: VibrationTest, found: list[BendingMode], folder: Path) ->
 
 def draw_flight(motion: WingMotion, modes: dict[str, list[AmbientMode]], folder: Path) -> None:
     """Write ``spectra.png``."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 5), layout="constrained")
+    figure = new_figure(11, 5)
     for axis, (name, family) in zip(figure.subplots(1, 2), modes.items(), strict=True):
         samples = motion.symmetric if name == "symmetric" else motion.antisymmetric
         frequency, response, _ = half_spectrum(samples[:, np.newaxis], motion.rate_hz, (0.5, 0.45 * motion.rate_hz))

@@ -15,6 +15,7 @@ from companion.diagnosis.free_decay.views import backbone, restoring_force
 from companion.diagnosis.modal_tests.run_comparison import Comparison
 from companion.diagnosis.modal_tests.vibration import VibrationRun
 from companion.reporting import page
+from companion.reporting.plotting import new_figure
 
 _TWO_PI = 2.0 * np.pi
 
@@ -111,9 +112,7 @@ def _kind(entry: dict[str, Any]) -> str:
 
 
 def _figure(width: float, height: float) -> Any:
-    from matplotlib.figure import Figure  # takes most of a second to import
-
-    return Figure(figsize=(width, height), layout="constrained")
+    return new_figure(width, height)
 
 
 def _tracks(found: FreeDecayDiagnosis) -> Any:

@@ -1,0 +1,80 @@
+"""Installed size of the wheel with its dependencies: the base, each extra beside it, and all of them.
+
+Every row is a fresh environment that pip fills from the package index with the pinned versions of
+``requirements.lock``; counted are the files in its site-packages, compiled bytecode left out. Python itself and pip are
+not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+EXTRAS = ("", "fast", "report", "oak", "all")
+_PACKAGED = ("companion", "config", "mission_scripts", "tools")
+_MB = 1e6
+_BASE_LIMIT_MB = 450.0  # what fits beside a 64-bit system on a 4 GB card, twice over; a convention
+_INSTALL_S = 900
+
+
+def pins(lock: Path) -> list[str]:
+    """Requirement lines ``name==version ; marker`` of a lock file, without hashes and continuation marks."""
+    lines = (line.rstrip(" \\") for line in lock.read_text(encoding="utf-8").splitlines())
+    return [line for line in lines if re.match(r"[A-Za-z0-9]", line)]
+
+
+def installed_mb(extra: str, folder: Path) -> float:
+    """Size of site-packages, MB, once ``spanwise[extra]`` is installed in a fresh environment inside ``folder``."""
+    place = folder / (extra or "base")
+    venv.create(place, with_pip=True)
+    constraints = folder / "constraints.txt"
+    constraints.write_text("\n".join(pins(ROOT / "requirements.lock")) + "\n", encoding="utf-8")
+    site = Path(subprocess.check_output([place / "bin/python", "-c", "import site; print(site.getsitepackages()[0])"],
+                                        text=True).strip())  # fmt: skip
+    before = _bytes(site)
+    pip = (place / "bin/python", "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-compile")
+    wanted = f"{_checkout(folder)}[{extra}]" if extra else str(_checkout(folder))
+    subprocess.run([*pip, "-c", constraints, wanted], check=True, timeout=_INSTALL_S)
+    grown = _bytes(site) - before
+    shutil.rmtree(place)
+    return grown / _MB
+
+
+def _checkout(folder: Path) -> Path:
+    """Copy of what the wheel is built from, so that the build leaves nothing behind in the tree."""
+    copy = folder / "checkout"
+    if not copy.exists():
+        for name in _PACKAGED:
+            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", ".build"))
+        for path in ROOT.iterdir():
+            if path.is_file():
+                shutil.copy(path, copy)
+    return copy
+
+
+def _bytes(site: Path) -> int:
+    return sum(path.stat().st_size for path in site.rglob("*") if path.is_file() and path.suffix != ".pyc")
+
+
+def main(arguments: list[str]) -> int:
+    """Print a table; 1 where the base is above its limit."""
+    parser = argparse.ArgumentParser(prog="size", description=__doc__)
+    parser.add_argument("--extras", nargs="*", default=list(EXTRAS), help="which rows ('' is the base)")
+    options = parser.parse_args(arguments)
+    sizes_mb = {}
+    with tempfile.TemporaryDirectory(prefix="spanwise-size-") as folder:
+        for extra in options.extras:
+            sizes_mb[extra] = installed_mb(extra, Path(folder))
+            name = f"spanwise[{extra}]" if extra else "spanwise (base)"
+            print(f"{name:20s} {sizes_mb[extra]:7.0f} MB", flush=True)
+    missed = sizes_mb.get("", 0.0) > _BASE_LIMIT_MB
+    if missed:
+        print(f"base above {_BASE_LIMIT_MB:g} MB", file=sys.stderr)
+    return int(missed)
