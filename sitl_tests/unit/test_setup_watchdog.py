@@ -99,7 +99,7 @@ def test_the_inertial_loop_feeds_the_watchdog_and_a_stalled_one_does_not(systemd
     vehicle = Vehicle(clock)
     loop = turned(vehicle, ServiceManager(systemd.surroundings()))
     while clock.now_ns() < 11 * SECOND:
-        loop.turn()
+        loop.run_once()
         systemd.listen(clock.now_ns())
     assert len(systemd.times_ns("READY=1")) == 1
     fed = systemd.times_ns("WATCHDOG=1")
@@ -115,7 +115,7 @@ def test_the_loop_s_state_is_systemd_s_status(systemd: Listener) -> None:
     clock = ManualClock(SECOND)
     loop = turned(Vehicle(clock), ServiceManager(systemd.surroundings()))
     while clock.now_ns() < 4 * SECOND:
-        loop.turn()
+        loop.run_once()
     systemd.listen(clock.now_ns())
     said = [line for _, line in systemd.heard if line.startswith("STATUS=")]
     assert said
