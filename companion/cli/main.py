@@ -23,6 +23,7 @@ _COMMANDS = {
     "simulate": "fly the simulated aircraft into a recording",
     "vehicle": "the simulated aircraft on a link: try run and doctor without hardware",
     "replay": "estimate again from a recording",
+    "report": "one flight as a page: could its ranges be trusted, and why not",
     "info": "what a recording holds: streams, rates, gaps, losses",
     "paper": "reproduce and audit the paper, table by table and figure by figure",
     "doctor": "look at a live vehicle or a log: what is wrong, and the exact fix",

@@ -106,12 +106,13 @@ class RecordingInfo:
 def summarise(recording: Recording) -> RecordingInfo:
     """Read a recording once and count what is in it; raw bytes are decoded as the service decoded them."""
     info = RecordingInfo()
-    for record in _decoded(recording):
+    for record in decoded_records(recording):
         info.add(record)
     return info
 
 
-def _decoded(recording: Recording) -> Iterator[Recordable]:
+def decoded_records(recording: Recording) -> Iterator[Recordable]:
+    """Every record, and the inertial batches that the raw bytes among them hold."""
     settings = recording.settings
     decoder = Decoder(recording.airframe, settings.component_id, settings.system_id)
     for record in recording.records():
@@ -123,7 +124,7 @@ def _decoded(recording: Recording) -> Iterator[Recordable]:
 def lines(recording: Recording, info: RecordingInfo) -> list[str]:
     """The screen, line by line."""
     text = [f"{recording.path}: {_kind(recording)}, {info.duration_s:.1f} s, airframe {recording.airframe.name}"]
-    text += [f"  {_stream_line(station, stream)}" for station, stream in sorted(info.streams.items())]
+    text += [f"  {stream_line(station, stream)}" for station, stream in sorted(info.streams.items())]
     absent = [station.name.lower() for station in Station if station not in info.streams]
     if absent:
         text.append(f"  no samples of: {', '.join(absent)}")
@@ -144,7 +145,8 @@ def _kind(recording: Recording) -> str:
     return kinds.get(recording.path.suffix.lower(), "laboratory tables")
 
 
-def _stream_line(station: Station, stream: StreamInfo) -> str:
+def stream_line(station: Station, stream: StreamInfo) -> str:
+    """One stream in words: samples, axes, rate, gaps."""
     rate = f"{stream.rate_hz:.1f} Hz" if stream.rate_hz is not None else "no rate"
     axes = "".join(letter for i, letter in enumerate("xyzpqr") if stream.axes >> i & 1)
     count, lost_s = stream.gaps()

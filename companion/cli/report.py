@@ -1,0 +1,49 @@
+"""``spanwise report``: one flight as a self-contained page, its verdict first."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+from companion.adapters.recordings.mcap.channels import Recordable
+from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.steps.options import check_output
+from companion.cli.steps.progress import Progress, length_ns
+from companion.evaluation.flight_log import gather
+from companion.evaluation.pages.flight_report import render, verdict
+from companion.evaluation.recording_info import decoded_records
+from companion.params.files import load_airframe
+from companion.records import ImuBatch
+
+_NOTHING = 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("recording", type=Path, help="a recording of Spanwise; of other logs, what can be said")
+    parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own; see config/airframes")
+    parser.add_argument("--out", type=Path, metavar="FILE.html", help="default: beside the recording")
+    parser.add_argument("--plain", action="store_true", help="progress as a line every few seconds (standard error)")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Write the page and print its verdict; 3 where nothing was tracked or measured."""
+    out = options.out or options.recording.with_suffix(".html")
+    check_output(out, "--out")
+    recording = open_recording(options.recording, load_airframe(options.airframe) if options.airframe else None)
+    log = gather(_watched(recording, plain=options.plain))
+    out.write_text(render(recording, log), encoding="utf-8")
+    judged = verdict(log)
+    print("\n".join([judged.headline, *(f"  {reason}" for reason in judged.reasons), f"wrote {out}"]))
+    return 0 if log.ranges or log.modes else _NOTHING
+
+
+def _watched(recording: Recording, *, plain: bool) -> Iterator[Recordable]:
+    progress = Progress("read", length_ns(recording), plain=plain)
+    for record in decoded_records(recording):
+        if isinstance(record, ImuBatch):
+            progress.at(record.received_host_ns)
+        yield record
+    progress.close()

@@ -1,0 +1,163 @@
+"""Report of one flight as a self-contained page: the verdict first, then every figure behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.adapters.recordings.recording import Recording
+from companion.evaluation.flight_log import FlightLog
+from companion.evaluation.pages import flight_figures as figures
+from companion.evaluation.recording_info import stream_line
+from companion.params.settings import Settings, tunables
+from companion.records import Health, Station, Validity
+from companion.reporting import page
+
+_USABLE_SHARE = 0.5  # of the ranges; below, more were withheld than published
+_LONG_SILENCE_S = 10.0  # an approach at 20 m/s covers 200 m in it
+
+
+@dataclass(frozen=True, slots=True)
+class FlightVerdict:
+    """Whether the flight's ranges could be trusted: a colour key of the page, a headline, and the reasons."""
+
+    key: str
+    headline: str
+    reasons: tuple[str, ...]
+
+
+def verdict(log: FlightLog) -> FlightVerdict:
+    """Judge a flight by what it recorded itself; no truth is known."""
+    total, published = len(log.ranges), log.trusted()
+    if not log.modes:
+        return FlightVerdict("not-identifiable", "No wing was tracked: nothing can be said of ranges", ())
+    if not total:
+        return FlightVerdict("not-identifiable", "No range was measured: the cameras gave no matched pair", ())
+    share = len(published) / total
+    headline = f"{len(published)} of {total} ranges were published ({100 * share:.0f} %)"
+    if published:
+        relative = np.median([entry.sigma_m / entry.range_m for entry in published])
+        headline += f", median sigma {100 * relative:.1f} % of the range"
+    reasons = tuple(f"{count} withheld: {reason}" for reason, count in log.withheld().most_common())
+    silence_s = log.longest_silence_s()
+    reasons += (f"longest time without a range {silence_s:.1f} s",) if published else ()
+    key = "adequate" if share >= _USABLE_SHARE and silence_s < _LONG_SILENCE_S else "unexplained"
+    return FlightVerdict(key, headline, reasons)
+
+
+def render(recording: Recording, log: FlightLog) -> str:
+    """The page as HTML, with every picture inside."""
+    judged = verdict(log)
+    what = f"{recording.path.name}, airframe {recording.airframe.name}, {log.info.duration_s:.0f} s of flight"
+    return page.page(judged.key, judged.headline, what, list(_body(recording, log, judged)))
+
+
+def _body(recording: Recording, log: FlightLog, judged: FlightVerdict) -> Iterator[str]:
+    yield page.told(list(_answers(log, judged)))
+    yield from _ranges(log)
+    yield from _wing(log)
+    yield from _triggers(log)
+    yield from _clocks(log)
+    yield from _refusals(log)
+    yield page.heading("Recording")
+    rows = [(stream_line(station, stream),) for station, stream in sorted(log.info.streams.items())]
+    yield page.table(("sensor streams",), rows)
+    notes = list(dict.fromkeys(notice.text for notice in [*log.notices, *recording.notices]))
+    if notes:
+        yield page.table(("said during the flight, or of the file",), [(note,) for note in notes])
+    yield page.table(("setting that differs from its default", "value", "default"), _changed(recording.settings))
+    yield page.advice(f"What the model of the wing gets wrong on this flight: spanwise diagnose {recording.path.name}")
+
+
+def _answers(log: FlightLog, judged: FlightVerdict) -> Iterator[tuple[str, str]]:
+    yield "Why not all ranges?", "; ".join(judged.reasons) or "none was withheld"
+    yield "Was the wing tracked?", f"{100 * log.tracked_share():.0f} % of the time; {_modes_sentence(log)}"
+    yield "What is the correction worth?", _rigid_sentence(log)
+    active = sum(status.health is Health.ACTIVE for status in log.status) / max(len(log.status), 1)
+    yield "Was the service well?", f"ACTIVE {100 * active:.0f} % of the time" if log.status else "no status recorded"
+
+
+def _rigid_sentence(log: FlightLog) -> str:
+    """How far rigid stereo's readings were from the published ones, as medians."""
+    pairs = [(entry.rigid_range_m, entry.range_m) for entry in log.trusted()]
+    finite = [abs(rigid_m - range_m) / range_m for rigid_m, range_m in pairs if rigid_m > 0.0]
+    if not finite:
+        return "no published range to compare with"
+    beyond = len(pairs) - len(finite)
+    text = f"rigid stereo would have read {100 * float(np.median(finite)):.0f} % wrong (median)"
+    return text + (f", and in {beyond} of {len(pairs)} pairs nothing at all" if beyond else "")
+
+
+def _modes_sentence(log: FlightLog) -> str:
+    tracked = [mode for mode in log.modes if mode.validity is Validity.TRACKING]
+    if not tracked:
+        return "no mode was identified"
+    last = tracked[-1]
+    return ", ".join(
+        f"{name} {mode.frequency_hz:.2f} ±{mode.frequency_sigma_hz:.2f} Hz, rms {1e3 * mode.rms_m:.1f} mm"
+        for name, mode in (("symmetric", last.symmetric), ("antisymmetric", last.antisymmetric))
+    )
+
+
+def _ranges(log: FlightLog) -> Iterator[str]:
+    if log.ranges:
+        yield page.heading("Ranges")
+        text = _rigid_sentence(log)
+        yield page.picture(figures.ranges(log, text[:1].upper() + text[1:]), "rigid and corrected ranges over time")
+
+
+def _wing(log: FlightLog) -> Iterator[str]:
+    if not log.modes:
+        return
+    yield page.heading("Wing")
+    yield page.picture(figures.modes(log, _modes_sentence(log)), "modes over time")
+    if log.info.streams:
+        yield page.picture(figures.spectra(log, _lines_sentence(log)), "spectra of root and tips")
+
+
+def _lines_sentence(log: FlightLog) -> str:
+    """Sharp lines of each station, which an engine, a propeller or a loose part makes."""
+    told = []
+    for station in Station:
+        spectrum = log.spectrum(station)
+        lines = spectrum.lines_hz() if spectrum is not None else []
+        if lines:
+            told.append(f"{station.name.lower()} {', '.join(f'{line:.1f}' for line in lines)} Hz")
+    return f"Vibration lines: {'; '.join(told)}" if told else "No sharp vibration line at root or tips"
+
+
+def _triggers(log: FlightLog) -> Iterator[str]:
+    outcomes = log.outcomes.counts()
+    if not outcomes:
+        return
+    yield page.heading("Triggers")
+    yield page.table(("end of a plan to fire", "plans"), [(name, str(count)) for name, count in outcomes.items()])
+    if log.delays_s:
+        median_us, late_us = 1e6 * np.percentile(log.delays_s, (50, 99))
+        text = f"{len(log.delays_s)} shots, fired {median_us:.0f} µs after plan (median), {late_us:.0f} µs (99 %)"
+        yield page.picture(figures.triggers(log, text), "trigger delay and predicted blur")
+
+
+def _clocks(log: FlightLog) -> Iterator[str]:
+    if log.clocks:
+        yield page.heading("Clocks")
+        synced = sum(state.synced for state in log.clocks) / len(log.clocks)
+        text = f"Clocks in step {100 * synced:.0f} % of the time"
+        yield page.picture(figures.clocks(log, text), "error bound of each clock")
+
+
+def _refusals(log: FlightLog) -> Iterator[str]:
+    withheld = sum(log.withheld().values())
+    if log.refused or withheld:
+        yield page.heading("Refusals")
+        count = sum(refusal.count for refusal in log.refused)
+        text = f"{count} records refused, {withheld} ranges withheld"
+        yield page.picture(figures.refusals(log, text), "refusals over time by reason")
+
+
+def _changed(settings: Settings) -> list[tuple[str, str, str]]:
+    default = Settings()
+    rows = [(row.name, getattr(settings, row.attribute), getattr(default, row.attribute)) for row in tunables()]
+    return [(name, f"{value:g}", f"{usual:g}") for name, value, usual in rows if value != usual] or [("none", "", "")]

@@ -1,0 +1,143 @@
+"""``spanwise report``: the verdict of a flight from its own records, and a page that needs nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.cli.main import main
+from companion.evaluation.flight_log import FlightLog, gather
+from companion.evaluation.pages.flight_report import verdict
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import (
+    Axis,
+    ClockName,
+    ClockState,
+    CorrectedRange,
+    Firing,
+    Health,
+    ImuBatch,
+    ModeEstimate,
+    ModeState,
+    Record,
+    Reject,
+    Rejected,
+    ServiceStatus,
+    Shot,
+    Station,
+    TriggerPlan,
+    Validity,
+)
+
+AIRFRAME = load_airframe("nadir-2m")
+SECOND_NS = 1_000_000_000
+LINE_HZ, MODE_HZ = 80.0, 5.0
+
+
+def ranged(number: int, *, trusted: bool = True, rigid_m: float = 30.0) -> CorrectedRange:
+    reject = None if trusted else Reject.SIGMA_TOO_LARGE
+    at_ns = number * SECOND_NS // 4
+    return CorrectedRange(number, number, at_ns, 25, 60.0, 0.6, 4e-3, 1e-4, rigid_m, 40, trusted, reject)
+
+
+def mode(at_ns: int, validity: Validity = Validity.TRACKING) -> ModeState:
+    estimate = ModeEstimate(MODE_HZ, 0.02, 0.03, 0.002, 0.004, 0.0002, 0.3, 0.05, MODE_HZ, 0.1, 0.003)
+    axes = (Axis.ALL, Axis.ALL, Axis.ALL)
+    return ModeState(at_ns, estimate, estimate, validity, np.zeros(2), np.full(2, 1e-4), tuple(Station), axes)
+
+
+def shaken(station: Station) -> list[ImuBatch]:
+    """Twenty seconds at 1 kHz: white noise, and at the tips a propeller's line."""
+    t_ns = np.arange(20_000, dtype=np.int64) * 1_000_000
+    values = np.zeros((len(t_ns), 6))
+    values[:, 2] = np.random.default_rng(station).normal(0.0, 0.1, len(t_ns))
+    if station is not Station.ROOT:
+        values[:, 2] += 0.5 * np.sin(2.0 * np.pi * LINE_HZ * t_ns * 1e-9)
+    clock = ClockName.HOST
+    return [
+        ImuBatch(station, clock, t_ns[i : i + 100], values[i : i + 100], Axis.ALL, int(t_ns[i + 99]))
+        for i in range(0, len(t_ns), 100)
+    ]
+
+
+def flight() -> list[Record]:
+    records: list[Record] = [batch for station in Station for batch in shaken(station)]
+    for number in range(40):
+        at_ns = number * SECOND_NS // 4
+        plan = TriggerPlan(number, Firing.PEAK, at_ns, at_ns, 1_000_000, 0.3, at_ns + 10, at_ns)
+        records += [mode(at_ns), plan, Shot(number, at_ns, at_ns + 20_000), ranged(number, trusted=number % 4 != 0)]
+        records.append(ClockState(ClockName.NODE_LEFT, at_ns, 7, 1.0, 150_000, True))
+    records.append(Rejected(Reject.CLOCK_UNSYNCED, "left <b>", SECOND_NS, 3))
+    records.append(ServiceStatus(10 * SECOND_NS, Health.ACTIVE, ""))
+    return records
+
+
+@pytest.fixture(scope="module")
+def log() -> FlightLog:
+    return gather(flight())
+
+
+def test_a_propellers_line_is_told_at_the_tips_and_not_at_the_root(log: FlightLog) -> None:
+    for station in (Station.LEFT, Station.RIGHT):
+        spectrum = log.spectrum(station)
+        assert spectrum is not None
+        assert spectrum.lines_hz()[0] == pytest.approx(LINE_HZ, abs=0.125)
+    root = log.spectrum(Station.ROOT)
+    assert root is not None
+    assert root.lines_hz() == []
+    band = root.f_hz[1] - root.f_hz[0]
+    assert np.sum(root.density) * band == pytest.approx(0.01, rel=0.05), "the density adds up to the variance"
+
+
+def test_the_verdict_counts_what_was_published_and_says_why_not_the_rest(log: FlightLog) -> None:
+    judged = verdict(log)
+    assert judged.key == "adequate"
+    assert "30 of 40 ranges were published (75 %), median sigma 1.0 % of the range" in judged.headline
+    assert any("10 withheld: sigma too large" in reason for reason in judged.reasons)
+
+
+def test_a_long_silence_or_mostly_withheld_ranges_are_no_good_flight() -> None:
+    withheld = gather([mode(0), *(ranged(i, trusted=i < 3) for i in range(10))])
+    assert verdict(withheld).key == "unexplained"
+    late = dataclasses.replace(ranged(1), t_host_ns=60 * SECOND_NS)
+    silent = gather([mode(0), ranged(0), late])
+    assert verdict(silent).key == "unexplained"
+    assert any("longest time without a range 60.0 s" in reason for reason in verdict(silent).reasons)
+
+
+def test_without_wing_or_cameras_the_verdict_says_so() -> None:
+    assert "No wing was tracked" in verdict(gather([])).headline
+    assert "No range was measured" in verdict(gather([mode(0)])).headline
+
+
+def test_the_command_writes_one_page_that_refers_to_nothing_outside(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "flight.mcap"
+    writer = McapWriter(path, About.of(AIRFRAME, Settings()))
+    for record in flight():
+        writer.write(record)
+    writer.close()
+    assert main(["report", str(path)]) == 0
+    assert "30 of 40 ranges" in capsys.readouterr().out
+    text = (tmp_path / "flight.html").read_text(encoding="utf-8")
+    for outside in ("http://", "https://", "<script", "<link"):
+        assert outside not in text
+    assert text.count("data:image/png;base64,") == 6
+    assert "nan" not in text.split("base64")[0].lower()
+
+
+def test_a_recording_without_modes_or_ranges_ends_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bare.mcap"
+    writer = McapWriter(path, About.of(AIRFRAME, Settings()))
+    writer.write(shaken(Station.ROOT)[0])
+    writer.close()
+    assert main(["report", str(path), "--out", str(tmp_path / "bare.html")]) == 3
+    assert (tmp_path / "bare.html").exists()
+    assert main(["report", str(path), "--out", str(tmp_path / "no" / "bare.html")]) == 1
+    assert "no folder" in capsys.readouterr().err
