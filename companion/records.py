@@ -4,7 +4,7 @@ Every record is a frozen, slotted dataclass. Times are integer nanoseconds whose
 ``_host_ns`` is the companion's monotonic clock (in the replay of a log that has one clock only, that clock stands in),
 ``_boot_ns`` the autopilot's, ``_node_ns`` a wing node's, ``_cam_ns`` a camera's; a bare ``t_ns`` stands beside a
 ``clock`` field that names it. Axes are body FRD. Modal coordinates are ``[symmetric, antisymmetric]`` in metres at the
-tip, positive when the tips bend up; tip quantities are ``[left, right]`` (DESIGN, Signs):
+tip, positive when the tips bend up; tip quantities are ``[left, right]``:
 ``left = symmetric - antisymmetric``, ``right = symmetric + antisymmetric``.
 """
 

@@ -23,7 +23,7 @@ _LOST = 0.05
 _OVERHEAD_BYTES = 12
 _BITS_PER_BYTE = 10
 _LETTERS = "xyzpqr"
-# smoothed relative slope of a 5 Hz, 5 mm wing with drifting biases (FACTS section 3), mrad
+# smoothed relative slope of a 5 Hz, 5 mm wing with drifting biases, mrad: sitl_tests/physics/test_reference_limits.py
 _SLOPE_MRAD = {(False, False): 0.47, (True, False): 0.26, (False, True): 0.33, (True, True): 0.24}
 
 

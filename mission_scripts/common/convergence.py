@@ -1,7 +1,7 @@
 """The convergence offset that known distances reveal: pure arithmetic.
 
-The axes of a pair that diverge by theta more than is believed make a distance Z read ``1/Z' = 1/Z + theta/B`` (DESIGN,
-Signs); a focal length or baseline that is believed too large by a factor makes it read that factor too long at every
+The axes of a pair that diverge by theta more than is believed make a distance Z read ``1/Z' = 1/Z + theta/B``; a focal
+length or baseline that is believed too large by a factor makes it read that factor too long at every
 distance. At one distance the two look alike; at several they come apart.
 """
 

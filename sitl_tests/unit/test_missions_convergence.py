@@ -53,7 +53,7 @@ def test_one_distance_says_nothing_of_the_scale() -> None:
 
 
 def test_the_paper_s_board_reads_short_when_the_axes_diverge() -> None:
-    """4.478 mrad turn 60 m into 52.8 m (FACTS section 4)."""
+    """4.478 mrad turn 60 m into 52.8 m."""
     found = estimate([Group(60.0, 0.1, 52.83, 0.1, 100)], 1.98)
     assert found.toe_rad * 1e3 == pytest.approx(4.478, abs=0.02)
 

@@ -97,7 +97,7 @@ def test_twist_is_taken_from_the_modal_coordinates() -> None:
 
 
 def test_unequal_exposures_are_bridged_with_the_body_rate() -> None:
-    """1 ms at 0.5 rad/s of roll is 0.5 mrad: 0.9 m at 60 m if it were left out (DESIGN, rule 9)."""
+    """1 ms at 0.5 rad/s of roll is 0.5 mrad: 0.9 m at 60 m if it were left out."""
     airframe = nadir()
     rig, points = Rig.from_airframe(airframe), ground_below(60.0, 200, 4)
     rate = np.array([0.5, 0.2, -0.3])

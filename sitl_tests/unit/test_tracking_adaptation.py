@@ -129,7 +129,7 @@ def test_where_one_tip_never_comes_the_other_is_fitted(settled: tuple[Adaptation
     adaptation, cells = _adaptation(), _cells(8.0, away_s=(0.0, 8.0))
     assert _fed(adaptation, cells)[-3:] == [6.0, 7.0, 8.0]
     found_hz = adaptation.parameters[0].frequency_hz
-    # FACTS.md section 3: a mode locks to sqrt(zeta / (omega T)) = 1.1 % in 8 s; three of that, and believed 7 % off
+    # the asymptotic limit: a mode locks to sqrt(zeta / (omega T)) = 1.1 % in 8 s; three of that, and believed 7 % off
     assert found_hz == pytest.approx(TRUE_HZ, rel=3 * math.sqrt(ZETA / (2 * math.pi * TRUE_HZ * 8.0)))
 
 

@@ -1,7 +1,7 @@
 """The trigger process: fires the line at the planned instant, whatever the rest of the service is busy with.
 
 A thread that shares the interpreter with busy Python fires milliseconds late; a process of its own with a real-time
-priority fires within microseconds. The planner may be late or busy, the shot is not (DESIGN, rule 8).
+priority fires within microseconds. The planner may be late or busy, the shot is not.
 """
 
 from __future__ import annotations

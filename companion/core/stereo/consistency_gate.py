@@ -1,4 +1,4 @@
-"""All rules of trust between pairs (DESIGN, rule 11): matches against the sensors, and a range against the last ones.
+"""All rules of trust between pairs: matches against the sensors, and a range against the last ones.
 
 What turns a camera unnoticed (a blow, a stamp that is wrong, a tracker misled) shows in two ways. The matches leave an
 innovation: a rotation beyond everything that is believed. And the range jumps. Either reopens the drift filter: the

@@ -59,7 +59,7 @@ def tip_signs(side: Side) -> Floats:
 def exposures(
     rig: Rig, tips: TipMotion, left: Deflection, right: Deflection, velocity_mps: Floats | None = None
 ) -> tuple[Exposure, Exposure]:
-    """Both exposures, each at its own instant, brought to the body axes midway between them (DESIGN, rule 9).
+    """Both exposures, each at its own instant, brought to the body axes midway between them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Predicted motion blur of both cameras, from bending, body rate and ground speed together (DESIGN, rule 9).
+"""Predicted motion blur of both cameras, from bending, body rate and ground speed together.
 
 The image of a point at depth Z near the optical axis moves, in camera axes (x right, y down, z forward), by::
 

@@ -1,7 +1,7 @@
 """The wing in state space: one super-model for the simulator's truth and the estimator's belief.
 
 q'' + C q' + K (q - q_static) = g + effects, in metres at the tip, tips-up positive, order of
-:data:`companion.core.wing.structure.SLOT_NAMES`. Truth and belief are two objects of this class (DESIGN rule 6).
+:data:`companion.core.wing.structure.SLOT_NAMES`. Truth and belief are two objects of this class.
 """
 
 from __future__ import annotations

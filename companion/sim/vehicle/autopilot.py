@@ -1,8 +1,8 @@
-"""The simulated autopilot: ArduPlane's habits on the link, as FACTS section 1 measured them.
+"""The simulated autopilot: ArduPlane's behaviour on the link, as measured on ArduPlane 4.7.0-dev in SITL.
 
 No sockets and no clock inside: :mod:`companion.sim.vehicle.world` tells it the time and carries its frames. It runs in
-ticks of
-its main loop; what arrives is handled at the next tick, what it streams is stamped with the instant of sending.
+ticks of its main loop; what arrives is handled at the next tick, what it streams is stamped with the instant of
+sending.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Obstacles as ArduCopter's MAVLink proximity driver takes them (FACTS section 1); ArduPlane has none."""
+"""Obstacles as ArduCopter's MAVLink proximity driver takes them (AP_Proximity_MAV.cpp, 4.7); ArduPlane has none."""
 
 from __future__ import annotations
 
