@@ -14,7 +14,7 @@ from companion.params.files import load_airframe
 from companion.records import Side
 from companion.sim.vision.renderer import ExposureInterval, Renderer
 from companion.sim.vision.scene import (
-    CameraView,
+    PosedCamera,
     Scene,
     TrueRangeProduct,
     board,
@@ -78,7 +78,7 @@ def _shifts(reference: np.ndarray, other: np.ndarray, where: np.ndarray, block: 
     return np.array(found)
 
 
-def _predicted(scene: Scene, view: CameraView, other: CameraView) -> np.ndarray:
+def _predicted(scene: Scene, view: PosedCamera, other: PosedCamera) -> np.ndarray:
     width, height = view.camera.lens.size_px
     points = view.points_ned_m(scene, _pixels((height, width)))
     return other.project(points).reshape(height, width, 2)
@@ -338,7 +338,7 @@ def test_leaving_out_what_is_hidden_changes_no_pixel(near_m: float, east_m: floa
 # ------------------------------------------------------------------------------------------------ true ranges
 
 
-def _views(airframe: Airframe, path: Path) -> tuple[CameraView, CameraView]:
+def _views(airframe: Airframe, path: Path) -> tuple[PosedCamera, PosedCamera]:
     renderer = Renderer(airframe, fly(airframe, path), ground_scene(1), 1)
     return renderer.view(Side.LEFT, MIDDLE_NS), renderer.view(Side.RIGHT, MIDDLE_NS)
 

@@ -20,7 +20,7 @@ from companion.core.wing.effects import make_effects
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Bytes, Floats, Ints, Side
 from companion.sim.flight.truth import FlightTruth
-from companion.sim.vision.scene import CameraView, Scene
+from companion.sim.vision.scene import PosedCamera, Scene
 from companion.sim.vision.shutter import PixelGrid
 from companion.sim.vision.texture import Image32, NoiseTile
 from companion.sim.vision.textured_plane import SurfacePainter
@@ -64,17 +64,17 @@ class Renderer:
         bank = np.random.default_rng([seed, 0x5E25])
         self._noise: Image32 = bank.standard_normal((largest + _NOISE_SPARE)[::-1], dtype=np.float32)
 
-    def view(self, side: Side, t_boot_ns: int) -> CameraView:
+    def view(self, side: Side, t_boot_ns: int) -> PosedCamera:
         """Where a camera is and looks at one instant, effects included."""
         return self.views(side, np.array([t_boot_ns], dtype=np.int64))[0]
 
-    def views(self, side: Side, t_boot_ns: Ints) -> list[CameraView]:
+    def views(self, side: Side, t_boot_ns: Ints) -> list[PosedCamera]:
         """The same at many instants."""
         series = self.truth.series(t_boot_ns)
         views = []
         for i, t_ns in enumerate(t_boot_ns):
             camera, pose = self._mounted(side, int(t_ns), series.slope_rad[i], series.lift_m[i], series.twist_rad[i])
-            views.append(CameraView.from_body(camera, pose, series.body_from_ned[i], series.position_ned_m[i]))
+            views.append(PosedCamera.from_body(camera, pose, series.body_from_ned[i], series.position_ned_m[i]))
         return views
 
     def render(self, side: Side, exposure: ExposureInterval, shot: int) -> Bytes:

@@ -148,7 +148,7 @@ def obstacle_scene(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraView:
+class PosedCamera:
     """One camera in the world: its lens, and its pose in NED."""
 
     camera: MountedCamera
@@ -156,7 +156,7 @@ class CameraView:
     centre_ned_m: Floats
 
     @classmethod
-    def from_body(cls, camera: MountedCamera, pose: Pose, body_from_ned: Floats, position_ned_m: Floats) -> CameraView:
+    def from_body(cls, camera: MountedCamera, pose: Pose, body_from_ned: Floats, position_ned_m: Floats) -> PosedCamera:
         """Carry a body pose into the world."""
         centre = position_ned_m + body_from_ned.T @ pose.position_body_m
         return cls(camera, pose.camera_from_body @ body_from_ned, centre)
@@ -177,7 +177,7 @@ class CameraView:
         return self.camera.lens.project((points_ned_m - self.centre_ned_m) @ self.camera_from_ned.T)
 
 
-def overlap_depths_m(scene: Scene, left: CameraView, right: CameraView, grid: tuple[int, int] = (32, 24)) -> Floats:
+def overlap_depths_m(scene: Scene, left: PosedCamera, right: PosedCamera, grid: tuple[int, int] = (32, 24)) -> Floats:
     """True depths of what both cameras see, along the mean optical axis from between the cameras, (n,).
 
     A ``grid`` of left pixels is followed to the scene; what falls outside the right image is left out, what hides
@@ -198,7 +198,7 @@ def overlap_depths_m(scene: Scene, left: CameraView, right: CameraView, grid: tu
 
 
 def true_range_m(
-    scene: Scene, left: CameraView, right: CameraView, product: TrueRangeProduct = TrueRangeProduct.MEDIAN
+    scene: Scene, left: PosedCamera, right: PosedCamera, product: TrueRangeProduct = TrueRangeProduct.MEDIAN
 ) -> float:
     """The range that the named product should read, along the mean optical axis; infinite where nothing is seen."""
     depths = overlap_depths_m(scene, left, right)

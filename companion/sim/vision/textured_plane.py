@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from companion.records import Bools, Floats
-from companion.sim.vision.scene import CameraView, Plane
+from companion.sim.vision.scene import Plane, PosedCamera
 from companion.sim.vision.shutter import PixelGrid, Track, Window, at_time, margin_of
 from companion.sim.vision.texture import (
     LEVELS_PER_RMS,
@@ -68,7 +68,7 @@ class SurfacePainter:
         self._octaves = functools.lru_cache(maxsize=64)(functools.partial(octaves_of, seed))
 
     def paint(
-        self, image: Image32, planes: Sequence[Plane], views: list[CameraView], grid: PixelGrid, track: Track
+        self, image: Image32, planes: Sequence[Plane], views: list[PosedCamera], grid: PixelGrid, track: Track
     ) -> None:
         """Draw over ``image`` (rows, columns) what planes cover of it, from far to near; hidden ones are left out.
 
@@ -173,7 +173,7 @@ def _enlarged(layer: Image32, factor: int) -> Image32:
     return np.ascontiguousarray(large[edge:-edge, edge:-edge])
 
 
-def _window(plane: Plane, views: list[CameraView], grid: PixelGrid) -> Window | None:
+def _window(plane: Plane, views: list[PosedCamera], grid: PixelGrid) -> Window | None:
     """Pixels that the plane may touch; None when it is out of sight."""
     if plane.half_size_m is None:
         return grid.full()
@@ -186,7 +186,7 @@ def _window(plane: Plane, views: list[CameraView], grid: PixelGrid) -> Window | 
     return Window.around(corners.min(axis=0) - 2.0, corners.max(axis=0) + 2.0, grid.size_px)
 
 
-def _sight(plane: Plane, views: list[CameraView], grid: PixelGrid, track: Track) -> PlaneView | None:
+def _sight(plane: Plane, views: list[PosedCamera], grid: PixelGrid, track: Track) -> PlaneView | None:
     """Set the homography up; None when the plane is seen edge-on or lies behind."""
     middle = views[0]
     if abs(plane.normal @ (plane.centre_m - middle.centre_ned_m)) < _EDGE_ON_M:
@@ -200,7 +200,7 @@ def _sight(plane: Plane, views: list[CameraView], grid: PixelGrid, track: Track)
     return PlaneView(plane, grid, track, origin, polynomial, footprint, _motion_px(polynomial, grid, track))
 
 
-def _origin(plane: Plane, view: CameraView) -> Floats:
+def _origin(plane: Plane, view: PosedCamera) -> Floats:
     """Plane coordinates near what is seen, so that single precision suffices from there on."""
     axis = view.camera_from_ned[2]
     stretch = plane.hit(view.centre_ned_m, axis[None])[0] if abs(plane.normal @ axis) > 0.05 else np.inf
@@ -208,7 +208,7 @@ def _origin(plane: Plane, view: CameraView) -> Floats:
     return np.array([spot @ plane.across, spot @ plane.along])
 
 
-def _plane_from_ray(plane: Plane, view: CameraView, origin_m: Floats) -> Floats:
+def _plane_from_ray(plane: Plane, view: PosedCamera, origin_m: Floats) -> Floats:
     """From a ray in camera axes to (u w, v w, w): u = across.(C + s d - P) with s = n.(P - C) / n.d, w = n.d."""
     offset = view.centre_ned_m - plane.centre_m
     reach = -float(plane.normal @ offset)
