@@ -56,7 +56,7 @@ class StandbyGate:
 
 
 @dataclass(slots=True)
-class _Waiting:
+class _StandbyProcess:
     """A process that waits for its turn, and the supervisor's end of the line to it."""
 
     process: SpawnProcess
@@ -82,7 +82,7 @@ class Worker:
     started_ns: int = 0
     again_ns: int | None = None
     standby: bool = False
-    spare: _Waiting | None = None
+    spare: _StandbyProcess | None = None
     line: socket.socket | None = None  # to the process, if it had to wait for its turn
     settled_ns: int | None = None
 
@@ -115,13 +115,13 @@ class Worker:
         processes = [self.process, None if self.spare is None else self.spare.process]
         return [process for process in processes if process is not None]
 
-    def _waiting(self, *, spare: bool) -> _Waiting:
+    def _waiting(self, *, spare: bool) -> _StandbyProcess:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         *arguments, stop = self.arguments
         process = self._spawned(*arguments, StandbyGate(theirs, spare), stop)
         theirs.close()
-        return _Waiting(process, ours)
+        return _StandbyProcess(process, ours)
 
     def _spawned(self, *arguments: Any) -> SpawnProcess:
         process = SPAWN.Process(
