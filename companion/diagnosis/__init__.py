@@ -1,1 +1,1 @@
-"""What the simulation gets wrong: compare, rank, extend, gain, report."""
+"""Errors of the simulation on measured data: likelihood, score tests, selection, cross-validation, report."""

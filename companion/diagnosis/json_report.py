@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from companion.diagnosis.json_rows import checks, deviation, failures, nats, quantity
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.cross_validation import CrossValidation
 from companion.diagnosis.selection.verdict import Cause, Diagnosis, Verdict
 from companion.diagnosis.views import strengths
 
 FORMAT = 1
-_SIGMAS_95 = 1.959964
 _SHOWN_CHECKS = 12
 
 
@@ -34,10 +34,7 @@ def as_json(
         "nearest": diagnosis.nearest or None,
         "nearest_causes": [_cause(entry, gain) for entry in diagnosis.nearest_causes],
         "gain": gain,
-        "adequacy": {
-            "before": [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in diagnosis.before],
-            "after": [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in diagnosis.after],
-        },
+        "adequacy": {"before": checks(diagnosis.before), "after": checks(diagnosis.after)},
         "residual": _residual(diagnosis),
         "views": _views(diagnosis, models[0]) if with_views else [],
         "screening": [
@@ -93,13 +90,7 @@ def _cause(cause: Cause, gain: dict[str, Any] | None) -> dict[str, Any]:
         "bic": cause.bic,
         "z": cause.z,
         "parameters": {
-            entry.name: {
-                "value": value,
-                "sigma": sigma,
-                "unit": entry.unit,
-                "interval": [value - _SIGMAS_95 * sigma, value + _SIGMAS_95 * sigma],
-                "meaning": entry.doc,
-            }
+            entry.name: quantity(value, sigma, entry.unit, entry.doc)
             for entry, value, sigma in zip(declared, cause.values, cause.sigmas, strict=True)
         },
         "gain": gain["total"] if gain else None,
@@ -113,18 +104,14 @@ def _gain(gain: CrossValidation | None) -> dict[str, Any] | None:
     if gain is None:
         return None
 
-    def nats(name: str) -> dict[str, Any]:
-        value, low, high = gain.log_score[name]
-        return {"before": 0.0, "after": value, "unit": "nat", "interval": [low, high]}
-
     ranges = {
         f"{distance:g}": {"before": before, "after": after, "unit": "m"}
         for distance, (before, after) in gain.range_rms_m.items()
     }
     return {
         "held_out": True,
-        "total": nats("total"),
-        "channels": {name: nats(name) for name in gain.log_score if name != "total"},
+        "total": nats(gain.log_score["total"]),
+        "channels": {name: nats(score) for name, score in gain.log_score.items() if name != "total"},
         "toe_rms_rad": _pair(gain.toe_rms_rad, gain.toe_interval),
         "range_rms_m": ranges,
     }
@@ -137,31 +124,19 @@ def _pair(pair: tuple[float, float] | None, interval: tuple[float, float] | None
 
 
 def _residual(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """What is left, described and not named."""
+    """Description of what is left without a name; None where nothing is."""
     if diagnosis.verdict is not Verdict.UNEXPLAINED:
         return None
-    failed = [entry for entry in diagnosis.after if not entry.passed][:_SHOWN_CHECKS]
     forces = [entry for entry in diagnosis.after if entry.name.startswith("force with")][:3]
     return {
         "description": diagnosis.reason,
-        "failed": [{"test": entry.name, "z": entry.z} for entry in failed],
+        "failed": failures(diagnosis.after)[:_SHOWN_CHECKS],
         "latent_force": [{"follows": entry.name.removeprefix("force with "), "z": entry.z} for entry in forces],
     }
 
 
 def _nuisances(diagnosis: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
-    """What the fit made of the airframe's own parameters."""
-    rows = []
-    for i, entry in enumerate(model.belief.nuisances):
-        value, sigma = float(diagnosis.final.values[i]), math.sqrt(float(diagnosis.final.covariance[i, i]))
-        rows.append(
-            {
-                "name": entry.key,
-                "deviation": value,
-                "logarithmic": entry.logarithmic,
-                "prior_sigma": entry.sigma,
-                "sigma": sigma,
-                "prior_sigmas_away": value / entry.sigma,
-            }
-        )
-    return rows
+    """Deviations of the airframe's own parameters in the final fit."""
+    spread = [math.sqrt(float(value)) for value in diagnosis.final.covariance.diagonal()]
+    each = zip(model.belief.nuisances, diagnosis.final.values.tolist(), spread, strict=False)  # effects come after
+    return [deviation(entry.key, value, sigma, entry.sigma, entry.logarithmic) for entry, value, sigma in each]

@@ -1,4 +1,4 @@
-"""What an engineer looks at before any name is given: innovations, backbone, restoring force, left against right.
+"""Views without a name: autocorrelation of the innovations, backbone, restoring force, left against right.
 
 Each view has a statistic, and :func:`strengths` says how far it lies from what the fitted model itself shows by chance,
 in recordings simulated from it.
@@ -34,7 +34,7 @@ SIDES = "left against right"
 
 @dataclass(frozen=True, slots=True)
 class Autocorrelation:
-    """Of the whitened residual: lags (l,), values (c, l), and the bound that 95 % of chance stays within."""
+    """Autocorrelation of the whitened residual: lags (l,), values (c, l), and the bound of 95 % of chance."""
 
     lag_s: Floats
     values: Floats
@@ -64,7 +64,7 @@ class Backbone:
 
 
 def autocorrelation(model: FlightModel, expectation: Expectation) -> Autocorrelation:
-    """Of what the model leaves of each accelerometer; white where nothing is left."""
+    """Autocorrelation of each accelerometer's residual; white where nothing is left."""
     white = apply(adjoint(expectation.motion.whitener), expectation.residual)
     lag_s = np.linspace(0.0, _LAGS_S, 201)[1:]
     turn = np.exp(2j * np.pi * np.outer(model.band_hz, lag_s))
@@ -76,7 +76,7 @@ def autocorrelation(model: FlightModel, expectation: Expectation) -> Autocorrela
 
 
 def force_map(model: FlightModel, expectation: Expectation) -> ForceMap:
-    """Where in deflection and speed a force is missing."""
+    """Mean residual force over deflection and speed."""
     force = _force(model, expectation)
     q, v = expectation.q_m[0] / np.std(expectation.q_m[0]), expectation.qdot_mps[0] / np.std(expectation.qdot_mps[0])
     edges = np.linspace(-_REACH, _REACH, _CELLS + 1)
@@ -86,7 +86,7 @@ def force_map(model: FlightModel, expectation: Expectation) -> ForceMap:
 
 
 def backbone(model: FlightModel, expectation: Expectation, bins: int = 8) -> Backbone:
-    """How the symmetric mode's frequency and damping go with its amplitude."""
+    """Frequency and damping of the symmetric mode over its amplitude."""
     wing = model.belief.airframe.wing.symmetric
     omega = 2.0 * np.pi * wing.frequency_hz.value
     spectrum = np.fft.rfft(expectation.q_m[0])
@@ -112,7 +112,7 @@ def backbone(model: FlightModel, expectation: Expectation, bins: int = 8) -> Bac
 def strengths(
     model: FlightModel, expectation: Expectation, values: Floats, terms: Sequence[EffectTerm]
 ) -> dict[str, float]:
-    """By view: standard deviations of its statistic from the mean of simulated recordings of the same model.
+    """Standard deviations of each view's statistic from the mean of simulated recordings of the same model.
 
     ``values`` and ``terms`` are the fit's own, of which ``expectation`` is what it makes of the recording.
     """

@@ -13,7 +13,7 @@ from companion.diagnosis.data.sample_defects import find_sample_defects, interpo
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.generic_effects import laws
+from companion.diagnosis.model.generic_effects import generic_laws
 from companion.diagnosis.selection.adequacy import check
 from companion.diagnosis.selection.fit import fit
 from companion.diagnosis.selection.initial_values import begin
@@ -55,7 +55,7 @@ def test_a_swelling_reading_scatters_by_the_root_of_two(name: str) -> None:
     """Score sum d |x|^2: of variance sum d^2, and the product of its column says half of that."""
     model = drawn(2)
     found = fit([model], ())
-    law = next(effect for title, effect in laws() if title == f"sensors with acceleration, {name}")
+    law = next(effect for title, effect in generic_laws() if title == f"sensors with acceleration, {name}")
     unit = dataclasses.replace(law, strength=1e-3)  # type: ignore[call-arg]
     # 40 draws tell a standard deviation to 11 %
     assert score_scatter([model], found.expectations, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)

@@ -1,4 +1,4 @@
-"""A structure that knocks make ring: the filter against closed forms, and causes hidden by another integrator."""
+"""A structure that decays after impulses: the filter against closed forms, causes hidden by another integrator."""
 
 from __future__ import annotations
 
@@ -132,7 +132,9 @@ def test_what_vibrates_is_no_cause_and_gaps_are_cut_out() -> None:
     late = np.concatenate([t_s[:4000], t_s[4000:] + 0.5])
     (cut,), _ = prepare([RawFreeDecay("two", late, up, {})], BAND_HZ)
     assert cut.t_s[-1] == pytest.approx((count - 4000) / RATE_HZ, abs=0.1)
-    with pytest.raises(RecordingError, match="sampled at 100 Hz; to hear knocks above a band up to 14 Hz it takes 140"):
+    with pytest.raises(
+        RecordingError, match="sampled at 100 Hz; to see impulses above a band up to 14 Hz it takes 140"
+    ):
         prepare([RawFreeDecay("slow", np.arange(600) / 100.0, np.zeros(600), {})], BAND_HZ)
 
 

@@ -62,7 +62,7 @@ def test_what_follows_a_channel_is_judged_by_the_rms_that_it_has_in_the_recordin
     for name, channel in (("airspeed-dependence", "airspeed_mps"), ("covariate-frequency", "roller_v")):
         part: Any = SimpleNamespace(effect=catalogue()[name](), channel=channel)
         per_rms = 0.04 * float(np.std(wave))
-        cause = SimpleNamespace(part=part, group=(), z=9.0, values=(per_rms,), sigmas=(0.004,))
+        cause = SimpleNamespace(term=term, group=(), z=9.0, values=(per_rms,), sigmas=(0.004,))
         found: Any = SimpleNamespace(
             causes=(cause,), nearest="", nearest_causes=(), verdict="explained", reason="", gain=None, after=()
         )

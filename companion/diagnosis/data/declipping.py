@@ -1,7 +1,7 @@
 """Samples that a range has cut, restored as what the recording's own spectra make likely beyond it.
 
 Of a cut sample only its side is known. A spline through its neighbours, which noise has pushed to just below the limit,
-is too smooth and too low: it looks like a crooked sensor beside the cut one. Instead the cut samples are drawn from
+is too smooth and too low: it looks like a nonlinear sensor beside the cut one. Instead the cut samples are drawn from
 their posterior (Gibbs): they are Gaussian like the rest, of the spectral matrix of all channels, and lie beyond the
 limit. Drawn and not expected, for an expectation has less power than what it stands for; and the spectra are learnt on
 the way (stochastic approximation of EM: Delyon, Lavielle and Moulines, Ann. Statist. 27 (1999) 94).
@@ -63,7 +63,7 @@ def impute_clipped(values: Floats, beyond: Floats, interpolated: Floats) -> Floa
 
 
 class _Split:
-    """What the channels that are cut show beside the others, as a white part and the rest.
+    """Conditional spectrum of the clipped channels given the others, as a white part and the rest.
 
     The larger the white part is, the fewer sweeps it takes; it is not larger than the spectrum allows anywhere. That
     counts by bands: where chance alone makes a spectrum faint, it is lifted.
@@ -105,6 +105,6 @@ class _Smoother:
         self._high = np.minimum(np.maximum(index + width, 2 * _FEWEST), len(index) - 1)
 
     def __call__(self, products: Complexes) -> Complexes:
-        """Of each entry, along the last axis; what is at 0 has been taken out, and is left out."""
+        """Mean of each entry along the last axis; frequency 0 has been taken out, and is left out."""
         total = np.cumsum(products, axis=-1)
         return np.asarray((total[..., self._high] - total[..., self._low - 1]) / (self._high - self._low + 1))

@@ -1,4 +1,4 @@
-"""What a recording says about the wing, on one uniform grid: tip accelerations, load factor, covariates, toe.
+"""One recording on one uniform grid: tip accelerations, load factor, covariates, toe.
 
 Diagnosis sees nothing else of a recording. Raw streams of any rate, with gaps, become these tables here.
 """
@@ -113,7 +113,7 @@ class Observations:
     rigid : dict of str to (m,)
         The root's further axes by letter (x, y, p, q, r), where they were recorded.
     fine_mps2 : (M, c) or None
-        ``up_mps2`` at the sensors' own rate ``fine_hz``, over the same time: what is crooked bends the whole band.
+        ``up_mps2`` at the sensors' own rate ``fine_hz``, over the same time: what is nonlinear bends the whole band.
     turning_mps2 : (m, c) or None
         What the aircraft's turning adds to the vertical specific force of each tip; it is out of ``up_mps2``.
     inputs : dict of str to (m,)

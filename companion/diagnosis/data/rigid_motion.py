@@ -1,4 +1,4 @@
-"""What the rigid aircraft does to a tip's specific force, from the root's IMU; what a tip that is turned would read.
+"""Specific force of the rigid aircraft at a tip, from the root's IMU, and the reading of a tip that is turned.
 
 ``rigid`` are the root's further axes by letter, each with its own stamps: x, y in m/s^2, p, q, r in rad/s.
 """
@@ -36,7 +36,7 @@ def manoeuvre_band(values: Floats, rate_hz: float) -> Floats:
 
 
 def rotation_forces(rigid: _Channels, t_s: Floats, rate_hz: float, airframe: Airframe, sides: Sequence[Side]) -> Floats:
-    """What the aircraft's turning adds to the specific force of tips, (c, 3, m)."""
+    """Specific force that the aircraft's turning adds at tips, (c, 3, m), m/s^2."""
     rates = np.zeros((3, len(t_s)))
     for row, letter in enumerate("pqr"):
         if letter in rigid:

@@ -25,7 +25,7 @@ class Transforms:
         self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))
 
     def spectrum(self, values: Floats) -> Complexes:
-        """Of channels (c, m): (c, f), all frequencies."""
+        """Transform (c, f) of channels (c, m), all frequencies."""
         return np.asarray(np.fft.rfft(values, axis=-1))
 
     def in_time(self, spectrum: Complexes) -> Floats:

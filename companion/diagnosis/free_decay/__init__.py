@@ -1,1 +1,1 @@
-"""One structure that knocks make ring: its modes followed in time, however far their frequency goes."""
+"""One structure that decays freely after impulses: its modes followed in time, however far their frequency goes."""

@@ -2,7 +2,7 @@
 
 Under the model the innovations over their own standard deviation are independent and standard normal, exactly; so the
 spread of any statistic is that of such draws at the same samples, and its false-alarm rate is what they say. Judged are
-the samples between knocks: of what shape a knock is nobody claims to know.
+the samples between impulses: of what shape an impulse is nobody claims to know.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.diagnosis.free_decay.likelihood import FreeDecayFit, Mask, filter_all
+from companion.diagnosis.selection.check import Check
 from companion.records import Floats
 
 LIMIT = 5.5
@@ -23,21 +24,8 @@ _NAMES = ("innovations' size", "innovations' neighbours", "outliers", "unsteadin
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
-    """One statistic of one recording, in standard deviations from what the model expects."""
-
-    name: str
-    z: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether it may be chance."""
-        return abs(self.z) < LIMIT
-
-
-@dataclass(frozen=True, slots=True)
 class Whitened:
-    """Innovations over their standard deviation (n,), and which of them lie between knocks."""
+    """Innovations over their standard deviation (n,), and which of them lie between impulses."""
 
     values: Floats
     quiet: Mask
@@ -61,7 +49,7 @@ def checks(fitted: FreeDecayFit, seed: int = 20250101) -> list[Check]:
     for record, white in zip(fitted.model.recordings, whitened(fitted), strict=True):
         for name, z in judged(white, rng).items():
             if name not in worst or abs(z) > abs(worst[name].z):
-                worst[name] = Check(f"{name} ({record.name})", z)
+                worst[name] = Check(f"{name} ({record.name})", z, LIMIT)
     return sorted(worst.values(), key=lambda entry: -abs(entry.z))
 
 
@@ -73,7 +61,7 @@ def judged(white: Whitened, rng: np.random.Generator) -> dict[str, float]:
 
 
 def autocorrelation(values: Floats, quiet: Mask) -> Floats:
-    """At lags 1 to :data:`LAGS`, of pairs that both lie between knocks."""
+    """At lags 1 to :data:`LAGS`, of pairs that both lie between impulses."""
     still = np.where(quiet, values, 0.0)
     power = float(still @ still) / int(quiet.sum())
     pairs = [max(int(np.sum(quiet[lag:] & quiet[:-lag])), 1) for lag in range(1, LAGS + 1)]

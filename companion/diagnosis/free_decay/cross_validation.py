@@ -1,7 +1,7 @@
-"""What a law is worth: the acceleration one period ahead, on blocks of which it was not fitted.
+"""Error of the acceleration one period ahead, on blocks of which a law was not fitted.
 
-Blocks are interleaved with guard gaps. A knock cannot be foreseen by anybody: only samples are scored before which no
-knock came within the prediction.
+Blocks are interleaved with guard gaps. Nobody can foresee an impulse: only samples are scored before which none came
+within the prediction.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 
 from companion.diagnosis.free_decay.likelihood import FreeDecayFit, Mask, filter_all, fit
 from companion.diagnosis.free_decay.record import FreeDecay
+from companion.diagnosis.selection.block_bootstrap import Interval, share_gone, sum_with_interval
 from companion.records import Floats
 
 _BLOCK_S = 1.0
 _GUARD_S = 0.1
 _QUIET = 0.02  # of the mean square above the band
-_DRAWS = 1000
 _ROUNDS = 4
 
 
@@ -54,19 +54,13 @@ class PredictionError:
     powers: Floats
     scores: Floats
 
-    def gone(self, before: PredictionError) -> tuple[float, float, float]:
-        """Share of the squared error of ``before`` that is gone, and its 95 % interval over the blocks."""
-        draws = np.random.default_rng(7).integers(0, len(self.squares), (_DRAWS, len(self.squares)))
-        spread = 1.0 - self.squares[draws].sum(1) / before.squares[draws].sum(1)
-        low, high = np.percentile(spread, [2.5, 97.5])
-        return 1.0 - float(self.squares.sum() / before.squares.sum()), float(low), float(high)
+    def gone(self, before: PredictionError) -> Interval:
+        """Share of the squared error of ``before`` that is gone."""
+        return share_gone(before.squares, self.squares)
 
-    def gained(self, before: PredictionError) -> tuple[float, float, float]:
-        """Gain in log score over ``before``, and its 95 % interval over the blocks."""
-        each = self.scores - before.scores
-        draws = np.random.default_rng(7).integers(0, len(each), (_DRAWS, len(each)))
-        low, high = np.percentile(each[draws].sum(1), [2.5, 97.5])
-        return float(each.sum()), float(low), float(high)
+    def gained(self, before: PredictionError) -> Interval:
+        """Gain in log score over ``before``."""
+        return sum_with_interval(self.scores - before.scores)
 
 
 def folds(recordings: Sequence[FreeDecay]) -> list[Fold]:
@@ -122,7 +116,7 @@ def prediction_error(fitted: FreeDecayFit, splits: Sequence[Fold], ahead: int) -
 
 
 def quiet_samples(record: FreeDecay, ahead: int) -> Mask:
-    """Samples before which no knock came within ``ahead`` steps."""
+    """Samples before which no impulse came within ``ahead`` steps."""
     loud = record.impulse_mps2**2 > _QUIET * float(np.mean(record.impulse_mps2**2))
     near = np.convolve(loud, np.ones(ahead + 2))[: len(loud)] > 0.5
     return np.asarray(~near)

@@ -1,4 +1,4 @@
-"""The verdict on ringing recordings as plain data, in the layout of every diagnosis (companion/diagnosis/README.md)."""
+"""The verdict on free decays as plain data, in the layout of every diagnosis (companion/diagnosis/README.md)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from companion.core.wing.effects.modes.second_mode import SecondMode
 from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.frequency_drift import FrequencyDrift
-from companion.diagnosis.free_decay.adequacy import Check, checks
+from companion.diagnosis import json_rows
+from companion.diagnosis.free_decay.adequacy import checks
 from companion.diagnosis.free_decay.cross_validation import PredictionError
 from companion.diagnosis.free_decay.laws import Extension, Law
 from companion.diagnosis.free_decay.model import key_of
 from companion.diagnosis.free_decay.record import Scale
 from companion.diagnosis.free_decay.search import FreeDecayDiagnosis, Tried
+from companion.diagnosis.json_rows import deviation, failures, nats, quantity
+from companion.diagnosis.selection.check import Check
 
 _CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close
-_SIGMAS_95 = 1.959964
 _ADVICE = {
     CovariateFrequency.name: "vary the channel independently of time and of the other channels",
     FrequencyDrift.name: "a drift in time has a cause that can be measured: record temperature and settings",
@@ -50,7 +52,7 @@ def as_json(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe
         if verdict == "unexplained"
         else None,
         "gain": _gain(diagnosis.errors[0], diagnosis.errors[-1]) if diagnosis.accepted else None,
-        "adequacy": {"before": [_plain(entry) for entry in before], "after": [_plain(entry) for entry in after]},
+        "adequacy": {"before": json_rows.checks(before), "after": json_rows.checks(after)},
         "residual": _residual(diagnosis, after) if verdict == "unexplained" else None,
         "screening": [_screened(diagnosis, entry) for entry in (diagnosis.rounds[0] if diagnosis.rounds else ())],
         "modes": _modes(diagnosis, scales),
@@ -104,7 +106,7 @@ def _with_channel(extension: Extension, diagnosis: FreeDecayDiagnosis, index: in
 
 
 def _descriptions(diagnosis: FreeDecayDiagnosis) -> list[str]:
-    """What was needed and has no name, as a sentence each."""
+    """Sentences of the laws that were needed and have no name."""
     sentences = []
     for entry in diagnosis.accepted:
         law = entry.extension
@@ -136,12 +138,12 @@ def _cause(diagnosis: FreeDecayDiagnosis, index: int, scales: Mapping[str, Scale
 
 def _of_law(diagnosis: FreeDecayDiagnosis, law: Law, scales: Mapping[str, Scale]) -> dict[str, Any]:
     value, sigma = diagnosis.final.value(key_of(law))
-    parameters = {law.parameter: _quantity(value, sigma, law.unit, law.meaning)}
+    parameters = {law.parameter: quantity(value, sigma, law.unit, law.meaning)}
     if law.channel in scales:
         scale = scales[law.channel]
         unit = law.channel.rpartition("_")[2]
-        parameters["channel_mean"] = _quantity(scale.mean, 0.0, unit, "mean of the channel, where the ratio is 1")
-        parameters["channel_rms"] = _quantity(scale.rms, 0.0, unit, "rms of the channel")
+        parameters["channel_mean"] = quantity(scale.mean, 0.0, unit, "mean of the channel, where the ratio is 1")
+        parameters["channel_rms"] = quantity(scale.rms, 0.0, unit, "rms of the channel")
     return parameters
 
 
@@ -152,24 +154,18 @@ def _of_second(diagnosis: FreeDecayDiagnosis) -> dict[str, Any]:
     follow, follow_sigma = diagnosis.final.value("second follow")
     f_hz, zeta, power = math.exp(f_log), math.exp(z_log), math.exp(p_log)
     return {
-        "frequency_hz": _quantity(f_hz, f_hz * f_sigma, "Hz", "of the second mode, channels at their mean"),
-        "damping": _quantity(zeta, zeta * z_sigma, "", "damping ratio of the second mode"),
-        "participation": _quantity(power, power * p_sigma, "", "power of its load over the first mode's"),
-        "follows": _quantity(follow, follow_sigma, "", "share of the first mode's change of frequency that it follows"),
+        "frequency_hz": quantity(f_hz, f_hz * f_sigma, "Hz", "of the second mode, channels at their mean"),
+        "damping": quantity(zeta, zeta * z_sigma, "", "damping ratio of the second mode"),
+        "participation": quantity(power, power * p_sigma, "", "power of its load over the first mode's"),
+        "follows": quantity(follow, follow_sigma, "", "share of the first mode's change of frequency that it follows"),
     }
 
 
-def _quantity(value: float, sigma: float, unit: str, meaning: str) -> dict[str, Any]:
-    interval = [value - _SIGMAS_95 * sigma, value + _SIGMAS_95 * sigma]
-    return {"value": value, "sigma": sigma, "unit": unit, "interval": interval, "meaning": meaning}
-
-
 def _gain(before: PredictionError, after: PredictionError) -> dict[str, Any]:
-    score, low, high = after.gained(before)
     gone, gone_low, gone_high = after.gone(before)
     return {
         "held_out": True,
-        "total": {"before": 0.0, "after": score, "unit": "nat", "interval": [low, high]},
+        "total": nats(after.gained(before)),
         "error": {
             "before": before.rms_mps2,
             "after": after.rms_mps2,
@@ -182,15 +178,11 @@ def _gain(before: PredictionError, after: PredictionError) -> dict[str, Any]:
     }
 
 
-def _plain(entry: Check) -> dict[str, Any]:
-    return {"test": entry.name, "z": entry.z, "passed": entry.passed}
-
-
 def _residual(diagnosis: FreeDecayDiagnosis, after: list[Check]) -> dict[str, Any]:
     remaining = _descriptions(diagnosis)
     return {
         "description": "; ".join(remaining) or "innovations are not white",
-        "failed": [{"test": entry.name, "z": entry.z} for entry in after if not entry.passed],
+        "failed": failures(after),
         "unnamed": remaining,
     }
 
@@ -223,7 +215,7 @@ def _pairs(diagnosis: FreeDecayDiagnosis) -> list[dict[str, float]]:
 
 
 def _modes(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[str, Any]:
-    """Where the modes are when the recordings end at rest, and over what the first one moved."""
+    """Modes at the end of each recording, at rest, and the range over which the first one moved."""
     model = diagnosis.final.model
     at_end = []
     for k, record in enumerate(model.recordings):
@@ -244,9 +236,9 @@ def _modes(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[s
 
 
 def _believed(diagnosis: FreeDecayDiagnosis) -> list[dict[str, Any]]:
-    rows = []
-    for i, entry in enumerate(diagnosis.final.model.parameters[:2]):
-        value, sigma = float(diagnosis.final.values[i]) - entry.centre, float(diagnosis.final.sigmas[i])
-        rows.append({"name": entry.key.removeprefix("log "), "deviation": value, "logarithmic": True,
-                     "prior_sigma": entry.sigma, "sigma": sigma, "prior_sigmas_away": value / entry.sigma})  # fmt: skip
-    return rows
+    final = diagnosis.final
+    each = zip(final.model.parameters[:2], final.values.tolist(), final.sigmas.tolist(), strict=False)
+    return [
+        deviation(entry.key.removeprefix("log "), value - entry.centre, sigma, entry.sigma, True)
+        for entry, value, sigma in each
+    ]

@@ -21,7 +21,7 @@ _AT_REST = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """What a batch of b hypotheses says of k modes over t steps.
+    """k modes over t steps under a batch of b hypotheses.
 
     Attributes
     ----------

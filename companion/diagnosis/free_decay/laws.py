@@ -1,4 +1,4 @@
-"""What frequency and damping of a ringing mode may follow, and a second mode near the first.
+"""Laws of a mode's frequency and damping in a free decay, and a second mode near the first.
 
 A named law is an effect of the catalogue; a law without a name only ever describes what is left.
 """
@@ -22,7 +22,7 @@ _MINUTE_S = 60.0
 
 
 class Follows(enum.StrEnum):
-    """What of the mode a law moves."""
+    """Property of the mode that a law moves."""
 
     FREQUENCY = "frequency"
     DAMPING = "damping"

@@ -1,4 +1,4 @@
-"""The modes of a ringing structure under some laws: a parameter vector in, what a filter needs out."""
+"""The modes of a decaying structure under some laws: a parameter vector in, what a filter needs out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from companion.diagnosis.selection.fisher_scoring import Parameter
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
-_OWN = 3  # nuisances of each recording: knock to load, noise, knock to noise
+_OWN = 3  # nuisances of each recording: impulse to load, noise, impulse to noise
 _SLOWEST = 0.2
 _ZETA = (1e-5, 0.5)
 
@@ -60,7 +60,7 @@ class FreeDecayModel:
         return np.array([known_values.get(entry.key, entry.centre) for entry in self.parameters])
 
     def modes(self, values: Floats, recording: int) -> Modes:
-        """What the rows of ``values`` (b, p) say of one recording."""
+        """Modes of one recording under each row of ``values`` (b, p)."""
         record = self.recordings[recording]
         columns = {entry.key: values[:, i : i + 1] for i, entry in enumerate(self.parameters)}
         swing, log_zeta = self.swing(columns, record), columns["log damping"] + np.zeros_like(record.t_s)
@@ -68,7 +68,7 @@ class FreeDecayModel:
             if isinstance(law, Law) and law.follows is Follows.DAMPING:
                 log_zeta = log_zeta + columns[key_of(law)] * law.basis(record)
         first = 2.0 * np.pi * np.exp(columns["log frequency"]) * np.maximum(swing, _SLOWEST)
-        loudness = np.exp(2.0 * columns[f"knock to load #{recording}"]) * record.impulse_mps2**2
+        loudness = np.exp(2.0 * columns[f"impulse to load #{recording}"]) * record.impulse_mps2**2
         omega, zeta, load = [first], [np.exp(log_zeta)], [loudness]
         if any(isinstance(entry, SecondMode) for entry in self.extensions):
             follow = 1.0 + columns["second follow"] * (swing - 1.0)
@@ -76,7 +76,7 @@ class FreeDecayModel:
             zeta.append(np.exp(columns["second log damping"]) + np.zeros_like(log_zeta))
             load.append(loudness * np.exp(columns["second log participation"]))
         noise = np.exp(2.0 * columns[f"noise #{recording}"])
-        noise = noise + np.exp(2.0 * columns[f"knock to noise #{recording}"]) * record.leakage_mps2**2
+        noise = noise + np.exp(2.0 * columns[f"impulse to noise #{recording}"]) * record.leakage_mps2**2
         return Modes(np.stack(omega, 2), np.clip(np.stack(zeta, 2), *_ZETA), np.stack(load, 2), noise)
 
     def swing(self, columns: dict[str, Floats], record: FreeDecay) -> Floats:
@@ -101,9 +101,9 @@ class FreeDecayModel:
         for k, record in enumerate(self.recordings):
             quiet = math.log(float(np.percentile(np.abs(record.up_mps2), 5)) + 1e-9)
             parameters += [
-                Parameter(f"knock to load #{k}", -1.0, 3.0),
+                Parameter(f"impulse to load #{k}", -1.0, 3.0),
                 Parameter(f"noise #{k}", quiet, 3.0),
-                Parameter(f"knock to noise #{k}", -1.0, 2.0),
+                Parameter(f"impulse to noise #{k}", -1.0, 2.0),
             ]
         return parameters
 

@@ -1,6 +1,6 @@
-"""A ringing recording on a grid that carries the modes' band and no more, with how hard it was knocked.
+"""A free decay on a grid that carries the modes' band and no more, with the strength of its impulses.
 
-Nobody measured the knocks. They are broad: the acceleration's rms above the band, where no mode of interest is, tells
+Nobody measured the impulses. They are broad: the acceleration's rms above the band, where no mode of interest is, tells
 when they came and how strong they were relative to each other. One factor per recording then makes a load of it.
 """
 
@@ -17,7 +17,7 @@ from scipy.signal import hilbert
 from companion.errors import RecordingError
 from companion.records import Floats
 
-_ABOVE = (4.0, 15.0)  # times the band's top: where knocks are heard and modes of interest are not
+_ABOVE = (4.0, 15.0)  # times the band's top: where impulses are seen and modes of interest are not
 _LEAST_S = 2.0
 _GAP_RATIO = 2.5
 _ROOM = 1.3
@@ -46,10 +46,10 @@ class FreeDecay:
         From the start of the recording.
     up_mps2 : (n,)
         In the band below half the rate, mean removed.
-    knock_mps2 : (n,)
+    impulse_mps2 : (n,)
         Rms above the band, in each step.
     echo_mps2 : (n,)
-        The same, with what the edge of the band spreads of a knock to samples before and after.
+        The same, with what the edge of the band spreads of an impulse to samples before and after.
     channels : dict of str to (n,)
         About the mean of all recordings, in units of their rms.
     amplitude : (n,)
@@ -70,7 +70,7 @@ class FreeDecay:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """What a channel's unit is in its own: ``recorded = mean + rms * channel``."""
+    """Mean and rms of a channel: ``recorded = mean + rms * channel``."""
 
     mean: float
     rms: float
@@ -82,7 +82,7 @@ def prepare(raws: Sequence[RawFreeDecay], band_hz: tuple[float, float]) -> tuple
     Raises
     ------
     RecordingError
-        Sampled too slowly to hear knocks above the band, or shorter than 2 s without a gap.
+        Sampled too slowly to see impulses above the band, or shorter than 2 s without a gap.
     """
     cut = [_longest(raw) for raw in raws]
     shared = sorted(set.intersection(*(set(raw.channels) for raw, _ in cut)))
@@ -150,7 +150,7 @@ def _coarse(
     fine_hz = (count - 1) / float(raw.t_s[-1] - raw.t_s[0])
     if fine_hz < 2.5 * _ABOVE[0] * band_hz[1]:
         raise RecordingError(
-            f"{raw.name}: sampled at {fine_hz:.0f} Hz; to hear knocks above a band up to {band_hz[1]:g} Hz it takes "
+            f"{raw.name}: sampled at {fine_hz:.0f} Hz; to see impulses above a band up to {band_hz[1]:g} Hz it takes "
             f"{2.5 * _ABOVE[0] * band_hz[1]:.0f} Hz"
         )
     even_t = raw.t_s[0] + np.arange(count) / fine_hz
@@ -160,24 +160,24 @@ def _coarse(
     f_hz = np.fft.rfftfreq(count, 1.0 / fine_hz)
     spectrum = np.fft.rfft(up)
     f_low = f_hz[: keep // 2 + 1]
-    # a sharp edge would ring like a mode of its own at every knock
+    # a sharp edge would ring like a mode of its own at every impulse
     edge = np.clip((f_low - band_hz[1]) / (0.5 * rate_hz - band_hz[1]), 0.0, 1.0)
     passed = np.where(f_low < 0.5 * band_hz[0], 0.0, 0.5 + 0.5 * np.cos(np.pi * edge))
     low = np.fft.irfft(passed * spectrum[: keep // 2 + 1], keep)
     above = (f_hz > _ABOVE[0] * band_hz[1]) & (f_hz < min(_ABOVE[1] * band_hz[1], 0.45 * fine_hz))
     loud = np.fft.irfft(np.where(above, spectrum, 0.0), count) ** 2
     edges = np.linspace(0, count, keep + 1).astype(int)
-    knock = np.sqrt(np.add.reduceat(loud, edges[:-1]) / np.diff(edges))
+    impulse = np.sqrt(np.add.reduceat(loud, edges[:-1]) / np.diff(edges))
     thin = np.asarray(low * keep / count)
     channels = {name: np.add.reduceat(raw.channels[name], edges[:-1]) / np.diff(edges) for name in shared}
     envelope = np.abs(hilbert(thin))
     t_s = np.arange(keep) / rate_hz
     return FreeDecay(
-        raw.name, rate_hz, t_s, thin, knock, leakage_of(knock), channels, envelope / float(thin.std()), notes
+        raw.name, rate_hz, t_s, thin, impulse, leakage_of(impulse), channels, envelope / float(thin.std()), notes
     )
 
 
-def leakage_of(knock: Floats) -> Floats:
-    """Rms that the edge of the band makes of knocks in the samples around them."""
+def leakage_of(impulse: Floats) -> Floats:
+    """Rms that the edge of the band makes of impulses in the samples around them."""
     lags = np.arange(-_ECHO, _ECHO + 1)
-    return np.asarray(np.sqrt(np.convolve(knock**2, 1.0 / (1.0 + np.abs(np.pi * lags) ** 4), mode="same")))
+    return np.asarray(np.sqrt(np.convolve(impulse**2, 1.0 / (1.0 + np.abs(np.pi * lags) ** 4), mode="same")))

@@ -1,4 +1,4 @@
-"""From ringing recordings to what their frequency follows: try every law, accept by evidence, keep what predicts."""
+"""From free decays to what their frequency follows: try every law, accept by evidence, keep what predicts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class FreeDecayDiagnosis:
-    """What was found.
+    """Outcome of a search.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def _is_a_mode(tried: Tried, band_hz: tuple[float, float]) -> bool:
 
 
 def _starts(entry: Extension, model: FreeDecayModel, start: Floats, wide: bool) -> Floats:
-    """Where the climb may begin: a frequency that swings far has many small hills."""
+    """Initial vectors (b, p) of a climb: a frequency that swings far has many small hills."""
     rows = []
     if not isinstance(entry, Law):
         for ratio in entry.starts:

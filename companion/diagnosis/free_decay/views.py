@@ -1,4 +1,4 @@
-"""What an engineer looks at: frequency against channel, backbone, and the restoring force, told by short windows.
+"""Views of a free decay by short windows: frequency against channel, backbone, restoring force.
 
 These look at the data without any model of what the frequency follows.
 """
@@ -34,7 +34,7 @@ class Backbone:
 
 
 def backbone(record: FreeDecay) -> Backbone:
-    """Frequency, damping and amplitude of every window without a knock in it."""
+    """Frequency, damping and amplitude of every window without an impulse in it."""
     length, step = round(_WINDOW_S * record.rate_hz), max(round(_STEP_S * record.rate_hz), 1)
     envelope = np.abs(hilbert(record.up_mps2))
     loud = record.impulse_mps2**2 > _QUIET * float(np.mean(record.impulse_mps2**2))

@@ -1,4 +1,4 @@
-"""Why did a frequency change from run to run, and can these runs tell?
+"""Comparison of runs: causes of a frequency that changed from run to run, and whether these runs can tell.
 
 What was set once per run (a sensor's position, a temperature) is told from mere run order only where a value was left
 and came back: then runs of equal value must agree if it is the cause, whenever they were made. A channel none of whose
@@ -127,7 +127,7 @@ def _changed(mode: ModeOverRuns, constants: Sequence[Mapping[str, float]]) -> Ch
 
 
 def disagreement(values: Floats, sigmas: Floats) -> float:
-    """How far values with these sigmas are from one common value, as a standard normal (one-sided)."""
+    """Distance of values with these sigmas from one common value, as a standard normal (one-sided)."""
     if len(values) < 2:
         return 0.0
     weight = 1.0 / sigmas**2
@@ -206,7 +206,7 @@ def _not_identifiable(changed: ChangedMode) -> str:
 
 
 def _ruled_out(changed: ChangedMode) -> str:
-    """What came back while the frequency did not."""
+    """Clause on channels that came back while the frequency did not."""
     names = [
         _plainly(channel.name) for channel in changed.channels if channel.came_back and channel not in changed.causes()
     ]

@@ -57,12 +57,12 @@ class ModeOverRuns:
 
     @property
     def frequency_hz(self) -> Floats:
-        """By run."""
+        """Natural frequency in each run, (runs,)."""
         return np.array([mode.frequency_hz for mode in self.of_runs])
 
     @property
     def sigma_hz(self) -> Floats:
-        """By run."""
+        """Standard deviation of each run's natural frequency, (runs,)."""
         return np.array([mode.frequency_sigma_hz for mode in self.of_runs])
 
 

@@ -1,4 +1,4 @@
-"""What may be wrong with a believed airframe without anything being wrong with the model: the nuisance parameters.
+"""Nuisance parameters: deviations of the airframe from its file within its sigmas, with which no model is wrong.
 
 Each is a deviation from the belief, 0 before the data speak, with the prior sigma of the airframe file. Positive
 quantities deviate in their logarithm. Everything that a named effect claims is judged with these free.

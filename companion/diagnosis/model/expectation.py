@@ -1,4 +1,4 @@
-"""What a model makes of a recording: everything that its likelihood needs."""
+"""Expectation of a recording under a model: everything that its likelihood needs."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Expectation:
 
     @property
     def residual(self) -> Complexes:
-        """What is left of the data's spectrum once all that is not stationary Gaussian is out, (c, b)."""
+        """Spectrum of the data once all that is not stationary Gaussian is out, (c, b)."""
         return self.motion.residual
 
     @property
@@ -62,5 +62,5 @@ class Expectation:
 
     @property
     def toe_covariance(self) -> Floats:
-        """Of the toe residual, (k, k)."""
+        """Covariance of the toe residual, (k, k), rad^2."""
         return self.toe_posterior + np.diag(self.toe_variance)

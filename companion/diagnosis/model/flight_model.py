@@ -1,4 +1,4 @@
-"""The one super-model in the frequency domain: what it expects of a recording, and how far the recording is from that.
+"""The one model in the frequency domain: what it expects of a recording, and how far the recording is from that.
 
 The tips' accelerations are a stationary process with spectral matrix S(f) (Whittle); forces that depend on state or
 time and sensors that are not straight are taken back out of the data first. The toe at each exposure is judged given
@@ -147,7 +147,7 @@ class FlightModel:
         return self._toe.baseline_m
 
     def time_shift(self, effect: Effect) -> Floats | None:
-        """How a unit of the effect's first parameter shifts the channels' time, (c, m) seconds; None if not at all."""
+        """Shift of the channels' time by a unit of the effect's first parameter, (c, m) seconds; None for none."""
         kind = type(effect)
         if kind.sample_time is Effect.sample_time:
             return None
@@ -166,7 +166,7 @@ class FlightModel:
         return np.outer(late, np.ones(len(self.observations.t_s))) if any(late) else None
 
     def rigid_shifted(self, shift_s: Floats) -> Complexes | None:
-        """What shifts in time (c, m) do to the rigid aircraft's motion: tapered and in the band, (c, b)."""
+        """Change of the rigid aircraft's motion by shifts in time (c, m), tapered and in the band, (c, b)."""
         if self._rigid is None:
             return None
         rate = 2j * np.pi * self.transforms.f_hz[: self._rigid[0].shape[-1]] * (self._rigid[0] + self._rigid[1])
@@ -175,7 +175,7 @@ class FlightModel:
     def _motion(
         self, wing: WingModel, terms: Sequence[EffectTerm], deviation: Mapping[str, float], near: Expectation | None
     ) -> Motion:
-        """What the accelerations have a say in; half of all parameters are of the cameras alone and leave it."""
+        """Motion under a model; half of all parameters are of the cameras alone and leave it as it is nearby."""
         inner = tuple(term for term in terms if term.effect.group is not Group.CAMERA)
         bends = self.observations.has_root  # then the bend per g moves the wing, and not the ranges alone
         key = (inner, tuple(value for name, value in deviation.items() if not is_range_only(name, bends)))
@@ -195,7 +195,7 @@ class FlightModel:
         )
 
     def _leaked_mps2(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Floats | None:
-        """What the sensors' errors leave of the rigid aircraft's motion in the accelerations, (c, m)."""
+        """Rigid aircraft's motion that the sensors' errors leave in the accelerations, (c, m), m/s^2."""
         if self._rigid is None:
             return None
         heave, turning = self._rigid

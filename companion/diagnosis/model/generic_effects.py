@@ -49,7 +49,6 @@ TIMES: dict[str, _Sway] = {
 class GenericForce(Effect):
     """A force of either half's deflection and speed, in units of the rms spring force."""
 
-    name: ClassVar[str] = "latent-force"
     group: ClassVar[Group] = Group.STRUCTURE
     law: ClassVar[_Law]
 
@@ -89,7 +88,6 @@ SENSED: dict[str, Callable[[Floats, Floats], Floats]] = {
 class GenericSensorLaw(Effect):
     """One law of the sensors' basis, on both sides alike or against each other, in units of the rms acceleration."""
 
-    name: ClassVar[str] = "latent-sense"
     group: ClassVar[Group] = Group.SENSING
     law: ClassVar[_Law]
     against: ClassVar[bool] = False
@@ -110,9 +108,8 @@ class GenericSensorLaw(Effect):
 
 @dataclass(frozen=True, slots=True)
 class GenericToe(Effect):
-    """What the measured toe may follow, in units of that one's rms."""
+    """Regressor of the measured toe, in units of its own rms."""
 
-    name: ClassVar[str] = "latent-toe"
     group: ClassVar[Group] = Group.CAMERA
     follows: ClassVar[str]
 
@@ -125,9 +122,8 @@ class GenericToe(Effect):
 
 @dataclass(frozen=True, slots=True)
 class GenericToeVariance(Effect):
-    """What the variance of the measured toe may grow with, in units of that one's mean."""
+    """Regressor of the measured toe's variance, in units of its own mean."""
 
-    name: ClassVar[str] = "latent-spread"
     group: ClassVar[Group] = Group.CAMERA
     one_way: ClassVar[bool] = True
     only_toe_variance: ClassVar[bool] = True
@@ -142,9 +138,8 @@ class GenericToeVariance(Effect):
 
 @dataclass(frozen=True, slots=True)
 class GenericBias(Effect):
-    """What one side shows at rest."""
+    """Constant reading of one side at rest."""
 
-    name: ClassVar[str] = "latent-rest"
     group: ClassVar[Group] = Group.SENSING
     station: ClassVar[Station]
 
@@ -159,7 +154,6 @@ class GenericBias(Effect):
 class GenericPhase(Effect):
     """A phase of one side that grows with frequency."""
 
-    name: ClassVar[str] = "latent-phase"
     group: ClassVar[Group] = Group.SENSING
     station: ClassVar[Station]
 
@@ -174,7 +168,6 @@ class GenericPhase(Effect):
 class GenericRollOff(Effect):
     """A gain that falls with the square of frequency, on both sides alike or against each other, and turns no phase."""
 
-    name: ClassVar[str] = "latent-fall"
     group: ClassVar[Group] = Group.SENSING
     against: ClassVar[bool] = False
 
@@ -192,7 +185,6 @@ class GenericRollOff(Effect):
 class GenericClockDrift(Effect):
     """One side is ever later: by nothing in the middle of the recording, as it may be late throughout anyway."""
 
-    name: ClassVar[str] = "latent-warp"
     group: ClassVar[Group] = Group.SENSING
 
     late_s: float = parameter("s", 0.002, "at the end, and as early at the start")
@@ -206,7 +198,6 @@ class GenericClockDrift(Effect):
 class GenericLine(Effect):
     """One frequency in both sides' readings, alike or against each other."""
 
-    name: ClassVar[str] = "latent-line"
     group: ClassVar[Group] = Group.SENSING
     starts_at: ClassVar = ResidualPeak.LINE
     against: ClassVar[bool] = False
@@ -252,7 +243,7 @@ SPREAD = ("deflection", "its rate", "inverse distance", "time")
 def toe_regressors(
     toe: ToeData, modal: Floats, rates: Floats, load_factor: Floats, expected_rad: Floats
 ) -> dict[str, Floats]:
-    """What the toe might follow, each about its mean (but the whole reading) and of rms 1, (k,).
+    """Regressors of the toe, each about its mean (but the whole reading) and of rms 1, (k,).
 
     Parameters
     ----------
@@ -278,7 +269,7 @@ def toe_regressors(
 
 
 def toe_variance_regressors(toe: ToeData, modal: Floats, rates: Floats) -> dict[str, Floats]:
-    """What the toe's variance might grow with, of mean 1, (k,)."""
+    """Regressors of the toe's variance, of mean 1, (k,)."""
     values = (modal[0] ** 2, rates[0] ** 2, toe.inverse_m**2, 0.5 * (1.0 + _across(toe.t_s)))
     return {
         name: regressor / np.mean(regressor)
@@ -318,12 +309,12 @@ def generic_effects() -> list[type[Effect]]:
     ]
 
 
-def lines() -> list[type[Effect]]:
-    """What a single frequency may be, which the data must lead to."""
+def generic_lines() -> list[type[Effect]]:
+    """Single frequencies in the sensors, which begin where the residual has a line."""
     return [_kind(GenericLine, f"a line, {how}", against=how != "alike") for how in ("alike", "left against right")]
 
 
-def laws() -> list[tuple[str, Effect]]:
+def generic_laws() -> list[tuple[str, Effect]]:
     """Every law of forces and sensors at nothing, with what it says."""
     return [(kind.name, kind()) for kind in generic_effects() if issubclass(kind, (GenericForce, GenericSensorLaw))]
 

@@ -1,4 +1,4 @@
-"""The linear part of the super-model in the frequency domain: receptance, load, sensing, noise."""
+"""The linear part of the model in the frequency domain: receptance, load, sensing, noise."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Spectra:
         return Linear(receptance(structure, self._omega), load, sensing, noise)
 
     def responses(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
-        """What the accelerometers show of what they feel, (c, f)."""
+        """Complex gain of the accelerometers, (c, f)."""
         return np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
 
     def _load(self, structure: Structure, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
@@ -83,7 +83,7 @@ class Spectra:
         return load
 
     def _coherent(self, load: Complexes, structure: Structure, deviation: Mapping[str, float]) -> Complexes:
-        """Let modes of one symmetry share a gust: one that loads the first may load the next, in part or wholly."""
+        """Add the gust that modes of one symmetry share: what loads the first may load the next, in part or wholly."""
         for i in range(1, structure.count):
             slot = structure.slots[i]
             first = slot % 2 if structure.count > 1 and slot % 2 < len(self._level) else 0

@@ -1,4 +1,4 @@
-"""What the accelerations say: their spectrum under a model, what is left of them, and the smoothed wing."""
+"""Accelerations under a model: their spectrum, their residual, and the smoothed motion of the wing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PASSES = 2
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """What every model of one recording shares: ``recorded`` is its spectrum, plain from 0 and tapered in the band."""
+    """Data shared by all models of a recording: ``recorded`` is its spectrum, plain from 0 and tapered in the band."""
 
     lineariser: SensorLineariser
     transforms: Transforms
@@ -107,7 +107,7 @@ class Motion:
 
     @cached_property
     def residual(self) -> Complexes:
-        """Tapered spectrum in the band of what is left once crooked sensors and forces are out, (c, b)."""
+        """Tapered spectrum in the band of what is left once nonlinear sensors and forces are out, (c, b)."""
         if self._push is None and not self._bent:
             return self._grid.recorded[1]
         up = self._up_mps2
@@ -117,7 +117,7 @@ class Motion:
 
     @cached_property
     def force_score(self) -> Complexes:
-        """What is left, weighed and taken back to the modes that a force would have moved, (n, f)."""
+        """Score by a force on each mode, G^H S^-1 residual through the receptance, (n, f)."""
         path = adjoint(product(self.linear.sensing, self.linear.receptance))
         score = np.zeros(path.shape[::2], dtype=np.complex128)
         score[:, self._low :] = apply(path[..., self._low :], apply(self.inverse, self.residual))

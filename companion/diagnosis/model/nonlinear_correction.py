@@ -1,4 +1,4 @@
-"""What no linear, steady model makes: crooked sensors, and forces of state or time.
+"""Nonlinear sensors, and forces of state or time, by statistical linearisation.
 
 Both are split. The mean slope of a force's law acts as stiffness and damping; of a reading's law the geometric mean
 slope acts as a scale: it is what the law does to the volume of motions, which the spectrum's determinant stands for.
@@ -87,7 +87,7 @@ class SensorLineariser:
         return up, scale
 
     def nonlinear_part_mps2(self, effect: Effect) -> Floats:
-        """What a slight effect on samples adds to a recording beyond its linear part, to first order, (c, m)."""
+        """Change of a recording by a slight effect on samples beyond its linear part, to first order, (c, m), m/s^2."""
         fine, added = self._fine, np.empty_like(self._up)
         for i, side in enumerate(self._observations.sides):
             station, shown = STATIONS[side], fine.shown(i)
@@ -159,7 +159,7 @@ class SensorLineariser:
         return np.asarray(weights.T)
 
     def _uncorrelated(self, rest: Floats, q_m: Floats) -> Floats:
-        """What is left of a force once, band by band, all is out that a linear filter of the motion makes."""
+        """Part of a force that no linear filter of the motion makes, band by band, (n, m)."""
         taper = self._transforms.taper
         spectrum, wanted, motion = (np.fft.rfft(x, axis=1) for x in (rest, rest * taper, q_m * taper))
         count, bands = spectrum.shape[1], min(_BANDS, spectrum.shape[1])
@@ -183,7 +183,7 @@ class SensorLineariser:
         return term.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
 
     def _on_time(self, effect: Effect, channel: int, up: Floats) -> Floats:
-        """What a station shows, (m,), taken back to where it belongs: read at the mirrored instants."""
+        """A station's reading (m,) at the instants at which it belongs: read at the mirrored ones."""
         station, t_s = STATIONS[self._observations.sides[channel]], self._observations.t_s
         stamped = effect.sample_time(station, t_s)
         if stamped is t_s:
@@ -193,7 +193,7 @@ class SensorLineariser:
         return np.asarray(rigid + self._transforms.at(np.fft.rfft(up - rigid), 2.0 * t_s - stamped))
 
     def _bent_by(self, effects: tuple[Effect, ...]) -> tuple[Floats, Floats]:
-        """What effects have added to all channels, (c, m), and the scales they amount to, (c,); the last are kept."""
+        """Sum that effects have added to the channels (c, m), and the scales they amount to (c,); the last are kept."""
         if effects not in self._kept:
             if len(self._kept) >= _KEPT:
                 self._kept.pop(next(iter(self._kept)))
@@ -202,7 +202,7 @@ class SensorLineariser:
         return self._kept[effects]
 
     def _bent(self, effects: Sequence[Effect], side: Side, channel: int) -> tuple[Floats, float]:
-        """What effects, one after the other, have added to what a station shows, (m,), and the scale they amount to."""
+        """Sum that effects, in their order, have added to a station's reading, (m,), and the scale they amount to."""
         fine, station = self._fine, STATIONS[side]
         shown = true = fine.shown(channel)
         scale, added_to_root = 1.0, np.zeros(len(shown))
@@ -213,7 +213,7 @@ class SensorLineariser:
         return fine.thinned(true - shown + added_to_root, len(self._up[channel])), scale
 
     def _of_root(self, effect: Effect) -> Floats | float:
-        """What an effect adds to a root sensor, which tells the load factor."""
+        """Error that an effect adds to a root sensor, which tells the load factor, m/s^2."""
         fine = self._fine
         return (
             fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor) if self._observations.has_root else 0.0
@@ -221,7 +221,7 @@ class SensorLineariser:
 
 
 class _Fine:
-    """The same recording at its sensors' own rate, where what is crooked bends the whole band."""
+    """The same recording at its sensors' own rate, where what is nonlinear bends the whole band."""
 
     def __init__(self, observations: Observations, weight: Floats) -> None:
         up = observations.up_mps2 if observations.fine_mps2 is None else observations.fine_mps2
@@ -242,7 +242,7 @@ class _Fine:
         return np.asarray(-GRAVITY_MPS2 * self.load_factor - self.up_mps2[channel])
 
     def sensed(self, effect: Effect, station: Station, force_z: Floats) -> Floats:
-        """What an effect adds to a station's vertical specific force."""
+        """Error that an effect adds to a station's vertical specific force, m/s^2."""
         values = self._rigid.copy()
         values[:, 2] = force_z
         return np.asarray(effect.sense(station, self._t_s, values)[:, 2] - force_z)

@@ -1,4 +1,4 @@
-"""What the model expects of the measured toe, given the accelerations: its mean, and the covariance that is left."""
+"""Measured toe given the accelerations: its mean, and the covariance that they leave."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class ToeModel:
         return residual, variance
 
     def _generic(self, effects: Sequence[Effect], motion: Motion, expected: Floats) -> Floats | float:
-        """What laws without a name add to the toe, (k,)."""
+        """Toe that laws without a name add, (k,), rad."""
         toe_terms = [effect for effect in effects if isinstance(effect, GenericToe)]
         if not toe_terms:
             return 0.0

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +17,7 @@ from scipy.stats import kurtosistest
 
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.selection.lack_of_fit_tests import lack_of_fit_tests, normal_score_of_gamma
 from companion.diagnosis.selection.prior_tension import prior_tension
@@ -41,20 +41,6 @@ LIMIT = 5.0
 """Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights."""
 LIMIT_OF_NAMES = 4.2
 """The same where names were given: something is wrong then, and what remains speaks against the names."""
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One statistic: what it looks at, and how many standard deviations it lies from what the model expects."""
-
-    name: str
-    z: float
-    limit: float = LIMIT
-
-    @property
-    def passed(self) -> bool:
-        """Whether it may be chance."""
-        return abs(self.z) < self.limit
 
 
 def check(models: Sequence[FlightModel], fitted: Fit, seed: int = 20250101) -> list[Check]:

@@ -1,4 +1,4 @@
-"""What naming a cause is worth: parameters fitted on some blocks of a recording, scored on the others.
+"""Gain of naming a cause: parameters fitted on some blocks of a recording, scored on the others.
 
 Blocks are interleaved with guard gaps; each is scored by the model that has not seen it. The interval is a block
 bootstrap. Scores are log likelihoods, by channel; the toe's error is turned into metres of range at stated distances.
@@ -13,13 +13,13 @@ import numpy as np
 
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import expect
+from companion.diagnosis.selection.block_bootstrap import Interval, share_gone, sum_with_interval
 from companion.diagnosis.selection.fit import Fit, fit
 from companion.records import Floats
 
 DISTANCES_M = (20.0, 60.0, 100.0)
 _GUARD_S = 0.5
 _BLOCK_S = 6.0
-_DRAWS = 1000
 _WIDER = 5.0  # what is learnt on half of the data is theirs, not the prior's
 
 
@@ -41,7 +41,7 @@ class CrossValidation:
         How much likelier the airframe's parameters are by their priors with the effects than without, in nat.
     """
 
-    log_score: dict[str, tuple[float, float, float]]
+    log_score: dict[str, Interval]
     toe_rms_rad: tuple[float, float] | None
     toe_interval: tuple[float, float] | None
     range_rms_m: dict[float, tuple[float, float]]
@@ -111,21 +111,15 @@ def _summary(
     models: Sequence[FlightModel],
     believed: float,
 ) -> CrossValidation:
-    rng = np.random.default_rng(7)
-    draws = rng.integers(0, len(scores), (_DRAWS, len(scores)))
     names = sorted({name for entry in scores for name in entry})
     table = {name: np.array([entry.get(name, 0.0) for entry in scores]) for name in names}
     table["total"] = np.sum([table[name] for name in names], axis=0)
-    gains = {}
-    for name, values in table.items():
-        low, high = np.percentile(values[draws].sum(1), [2.5, 97.5])
-        gains[name] = (float(values.sum()), float(low), float(high))
+    gains = {name: sum_with_interval(values) for name, values in table.items()}
     squares = np.array([[float(np.sum(old**2)), float(np.sum(new**2)), len(old)] for old, new in residuals])
     if not squares[:, 2].sum():
         return CrossValidation(gains, None, None, {}, believed)
-    rms = np.sqrt(squares[:, :2].sum(0) / squares[:, 2].sum())
-    again = squares[draws].sum(1)
-    low, high = np.percentile(1.0 - again[:, 1] / again[:, 0], [2.5, 97.5])
-    baseline_m = models[0].baseline_m
-    metres = {d: (float(d**2 / baseline_m * rms[0]), float(d**2 / baseline_m * rms[1])) for d in DISTANCES_M}
-    return CrossValidation(gains, (float(rms[0]), float(rms[1])), (float(low), float(high)), metres, believed)
+    before, after = np.sqrt(squares[:, :2].sum(0) / squares[:, 2].sum()).tolist()
+    _, low, high = share_gone(squares[:, 0], squares[:, 1])
+    per_rad = {d: d**2 / models[0].baseline_m for d in DISTANCES_M}
+    metres = {d: (scale * before, scale * after) for d, scale in per_rad.items()}
+    return CrossValidation(gains, (before, after), (low, high), metres, believed)

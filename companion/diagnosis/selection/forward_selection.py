@@ -193,7 +193,7 @@ def log_count(models: Sequence[FlightModel]) -> float:
 
 
 def penalised_log_likelihood(models: Sequence[FlightModel], fitted: Fit, null: Fit) -> float:
-    """What the parts of a fit explain beyond ``null``, half a difference of BIC, with what was looked at paid for.
+    """Gain of a fit's terms over ``null`` by half a difference of BIC, with the trials paid for, nat.
 
     How far effects may physically go is left aside: it would weigh the prior of a law that nobody knows against that of
     a name. Nuisances keep theirs.

@@ -1,4 +1,4 @@
-"""Where to begin a fit: levels, colours, dampings and noise that make the model's spectra about as large as the data's.
+"""Initial values of a fit: levels, colours, dampings and noise that make the model's spectra as large as the data's.
 
 The Whittle likelihood is exact and treacherous far from its maximum: where the data stand a thousand times above the
 belief, noise and damping are driven anywhere to make up for it. So each sensor's noise begins at the floor of its own
@@ -117,6 +117,6 @@ def _power(model: FlightModel) -> Floats:
 
 
 def _logarithms(power: Floats) -> Floats:
-    """Of means over neighbouring frequencies, all channels in one row."""
+    """Logarithms of means over neighbouring frequencies, all channels in one row."""
     trimmed = power[:, : power.shape[1] // _CHUNK * _CHUNK]
     return np.asarray(np.log(trimmed.reshape(len(power), -1, _CHUNK).mean(2)).ravel())

@@ -1,4 +1,4 @@
-"""Where a model may be wrong without anybody having a name for it: generic directions, tested like named effects.
+"""Lack of fit without a name: generic directions of mean and spectrum, tested like named effects.
 
 Spectra by band and channel, coherence and phase between the sides, peaks anywhere, forces and sensors by law, the toe
 against what it might follow, and its spread likewise. Each is tested by its efficient score, with everything that was
@@ -129,7 +129,7 @@ def _log_tail(z: float) -> float:
 
 
 def _together(score: Floats, information: Floats, kurtosis: float) -> float:
-    """Of a family as a whole: the sum of its squares, whose variance by chance each one's excess kurtosis adds to."""
+    """Normal score of a family's sum of squares, to whose variance by chance each excess kurtosis adds."""
     unit = 1.0 / np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
     independent = values > _ITS_OWN
@@ -211,7 +211,7 @@ def _family(models: Sequence[FlightModel], fitted: Fit, kinds: Sequence[type[Eff
 
 
 def _skewness(family: _Family, expectations: Sequence[Expectation]) -> Floats:
-    """Of scores of the toe's variance."""
+    """Skewness of the scores of the toe's variance."""
     cubes, squares = np.zeros(len(family.names)), np.zeros(len(family.names))
     for recording_columns, expectation in zip(family.columns, expectations, strict=True):
         for i, entry in enumerate(recording_columns):

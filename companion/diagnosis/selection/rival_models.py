@@ -13,8 +13,8 @@ import numpy as np
 
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.generic_effects import generic_effects, lines
-from companion.diagnosis.selection.adequacy import Check
+from companion.diagnosis.model.generic_effects import generic_effects, generic_lines
+from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.fit import Fit, fit
 from companion.diagnosis.selection.forward_selection import (
     SAME,
@@ -84,7 +84,7 @@ def _offered(models: Sequence[FlightModel], null: Fit, before: Sequence[Check]) 
         EffectTerm(kind()) for kind in (*tested[:_REFITTED], *(kind for kind in kinds if kind.name not in strength))
     ]
     proposals = find_proposals(models, null)
-    return terms + [term for kind in lines() for term in proposed_terms(kind, proposals)]
+    return terms + [term for kind in generic_lines() for term in proposed_terms(kind, proposals)]
 
 
 def _refitted(models: Sequence[FlightModel], base: Fit, candidate: Candidate) -> Fit | None:

@@ -148,7 +148,7 @@ def efficient(models: Sequence[FlightModel], null: Fit, columns: Sequence[Sequen
 
 
 def _score_scatter(models: Sequence[FlightModel], null: Fit, tested: Sequence[_Tested]) -> Floats:
-    """How much more each parameter's score scatters than its column says: 1 but for crooked sensors."""
+    """Ratio by which each parameter's score scatters beyond its column, (d,): 1 but for nonlinear sensors."""
     wider, at = np.ones(sum(len(candidate.sigmas) for candidate in tested)), 0
     bent: dict[int, Effect] = {}
     for candidate in tested:

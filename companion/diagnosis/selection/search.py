@@ -13,7 +13,8 @@ from companion.core.wing.samples import SampleDefect
 from companion.diagnosis.data.sample_defects import worst_defects
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.adequacy import Check, check
+from companion.diagnosis.selection.adequacy import LIMIT, check
+from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.cross_validation import CrossValidation, cross_validate
 from companion.diagnosis.selection.fit import Fit, fit
 from companion.diagnosis.selection.forward_selection import Extension, Path, Progress
@@ -46,7 +47,7 @@ def diagnose(
     progress("test what is left", 0.0)
     offered = {kind.name for kind in kinds}
     shown = worst_defects([entry for model in models for entry in model.observations.sample_defects])
-    faults = [Check(entry.evidence, _strength(entry)) for entry in shown if entry.name not in offered]
+    faults = [Check(entry.evidence, _strength(entry), LIMIT) for entry in shown if entry.name not in offered]
     after = (*faults, *check(models, path.fitted))
     before = (*faults, *check(models, null)) if path.causes else after
     gain = rival = None

@@ -1,4 +1,4 @@
-"""How far scores of crooked sensors scatter by chance, by simulation.
+"""Scatter by chance of the scores of nonlinear sensors, by simulation.
 
 The score of a change that is made of the data themselves scatters otherwise than its column's product says: a swelling
 reading twice as much in variance, one that is late not at all. Recordings drawn from the fitted spectra tell by how
@@ -60,7 +60,7 @@ def _drawn(model: FlightModel, expectation: Expectation, effects: Sequence[Effec
 
 
 def _change(lineariser: SensorLineariser, effect: Effect) -> Floats:
-    """What an effect does to a recording, (c, m): by far most of the time goes into this."""
+    """Change of a recording by an effect, (c, m): by far most of the time goes into this."""
     if type(effect).sample_time is not Effect.sample_time:
         return lineariser.recorded_mps2 - lineariser.corrected_mps2([effect])[0]
     return lineariser.nonlinear_part_mps2(effect)

@@ -1,4 +1,4 @@
-"""How a diagnosis ends, and what it names."""
+"""Outcome of a diagnosis, with the causes that it names."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import enum
 from dataclasses import dataclass
 
 from companion.diagnosis.model.effect_term import EffectTerm
-from companion.diagnosis.selection.adequacy import Check
+from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.cross_validation import CrossValidation
 from companion.diagnosis.selection.fit import Fit
 from companion.diagnosis.selection.screen import Screening
 
 
 class Verdict(enum.StrEnum):
-    """How a diagnosis ends."""
+    """Outcomes of a diagnosis."""
 
     ADEQUATE = "adequate"
     EXPLAINED = "explained"

@@ -1,0 +1,44 @@
+"""Rows of the documented JSON that every kind of diagnosis shares (companion/diagnosis/README.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from companion.diagnosis.selection.block_bootstrap import Interval
+from companion.diagnosis.selection.check import Check
+
+_SIGMAS_95 = 1.959964
+
+
+def quantity(value: float, sigma: float, unit: str, meaning: str) -> dict[str, Any]:
+    """A value with its sigma and 95 % interval."""
+    interval = [value - _SIGMAS_95 * sigma, value + _SIGMAS_95 * sigma]
+    return {"value": value, "sigma": sigma, "unit": unit, "interval": interval, "meaning": meaning}
+
+
+def checks(tested: Iterable[Check]) -> list[dict[str, Any]]:
+    """Adequacy tests, passed or not."""
+    return [{"test": entry.name, "z": entry.z, "passed": entry.passed} for entry in tested]
+
+
+def failures(tested: Iterable[Check]) -> list[dict[str, Any]]:
+    """Adequacy tests that failed."""
+    return [{"test": entry.name, "z": entry.z} for entry in tested if not entry.passed]
+
+
+def nats(gain: Interval) -> dict[str, Any]:
+    """Gain of a held-out log score."""
+    return {"before": 0.0, "after": gain[0], "unit": "nat", "interval": [gain[1], gain[2]]}
+
+
+def deviation(name: str, value: float, sigma: float, prior_sigma: float, logarithmic: bool) -> dict[str, Any]:
+    """Deviation of an airframe parameter from its file, beside its prior."""
+    return {
+        "name": name,
+        "deviation": value,
+        "logarithmic": logarithmic,
+        "prior_sigma": prior_sigma,
+        "sigma": sigma,
+        "prior_sigmas_away": value / prior_sigma,
+    }
