@@ -60,7 +60,7 @@ def test_what_follows_a_channel_is_judged_by_the_rms_that_it_has_in_the_recordin
     tables = Tables(t_s, nothing, nothing, nothing, nothing, wave, 17.0 + 2.0 * wave)
     units = swings(tables)
     for name, channel in (("airspeed-dependence", "airspeed_mps"), ("covariate-frequency", "roller_v")):
-        part: Any = SimpleNamespace(effect=catalogue()[name](), channel=channel)
+        term: Any = SimpleNamespace(effect=catalogue()[name](), channel=channel)
         per_rms = 0.04 * float(np.std(wave))
         cause = SimpleNamespace(term=term, group=(), z=9.0, values=(per_rms,), sigmas=(0.004,))
         found: Any = SimpleNamespace(
