@@ -49,15 +49,15 @@ def ambient_modes(samples: Floats, rate_hz: float, band_hz: tuple[float, float])
     list of AmbientMode
         By frequency; those that the whole record and at least half of its blocks show.
     """
-    whole = _poles(samples, rate_hz, band_hz)
+    record_poles = _poles(samples, rate_hz, band_hz)
     blocks = [_poles(block, rate_hz, band_hz) for block in np.array_split(samples, _BLOCKS)]
     modes = []
-    for frequency, damping in whole:
+    for frequency, damping in record_poles:
         near = [_nearest(block, frequency) for block in blocks]
-        seen = np.array([each for each in near if each is not None])
-        if len(seen) >= 0.5 * _BLOCKS:
-            spread = seen.std(axis=0, ddof=1) / np.sqrt(len(seen))
-            modes.append(AmbientMode(frequency, float(spread[0]), damping, float(spread[1]), len(seen)))
+        block_poles = np.array([each for each in near if each is not None])
+        if len(block_poles) >= 0.5 * _BLOCKS:
+            spread = block_poles.std(axis=0, ddof=1) / np.sqrt(len(block_poles))
+            modes.append(AmbientMode(frequency, float(spread[0]), damping, float(spread[1]), len(block_poles)))
     return modes
 
 
@@ -79,12 +79,12 @@ def half_spectrum(samples: Floats, rate_hz: float, band_hz: tuple[float, float])
 def _poles(samples: Floats, rate_hz: float, band_hz: tuple[float, float]) -> Floats:
     """(n, 2) frequency and damping ratio, the window's share taken out."""
     frequency, response, decay = half_spectrum(samples, rate_hz, band_hz)
-    found = []
+    poles = []
     for pole in stable_poles(frequency, response, range(8, 31, 2), most_damping=0.3):
         value = pole.value + decay
         if value.real < 0.0:
-            found.append((abs(value) / (2.0 * np.pi), -value.real / abs(value)))
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+            poles.append((abs(value) / (2.0 * np.pi), -value.real / abs(value)))
+    return np.array(poles, dtype=np.float64).reshape(-1, 2)
 
 
 def _nearest(poles: Floats, frequency_hz: float) -> Floats | None:

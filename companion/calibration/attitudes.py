@@ -55,13 +55,13 @@ def find_attitudes(
         raise ConfigError(f"airframe '{airframe.name}' has no {side.name.lower()} camera")
     lens = MountedCamera.from_record(side, camera, f"{side.name.lower()}_camera").lens
     stamps, values = station_samples(recording.records(), recording.hub)[_STATIONS[side]]
-    found: list[Attitude] = []
+    attitudes: list[Attitude] = []
     refused: dict[str, str] = {}
     first_ns = None
     for t_ns, frame in _frames(recording, side):
         first_ns = t_ns if first_ns is None else first_ns
         up = _up(stamps, values, t_ns)
-        if up is None or any(float(np.arccos(np.clip(up @ each.up_section, -1, 1))) < _APART_RAD for each in found):
+        if up is None or any(float(np.arccos(np.clip(up @ each.up_section, -1, 1))) < _APART_RAD for each in attitudes):
             continue
         name = f"{(t_ns - first_ns) * 1e-9:.1f} s"
         corners = find_corners(frame.image, board)
@@ -72,8 +72,8 @@ def find_attitudes(
         if error_px > _FIT_PX:
             refused[name] = f"the board fits the calibrated lens only to {error_px:.2f} px"
             continue
-        found.append(Attitude(name, up, rotation))
-    return found, refused
+        attitudes.append(Attitude(name, up, rotation))
+    return attitudes, refused
 
 
 def _frames(recording: Recorded, side: Side) -> Iterable[tuple[int, Frame]]:

@@ -11,7 +11,7 @@ from companion.errors import ConfigError
 from companion.records import Bytes, Floats, Ints
 
 _DICTIONARY = cv2.aruco.DICT_4X4_250
-_MARKER_SHARE = 0.75
+_MARKER_FRACTION = 0.75
 LEAST_CORNERS = 12
 # half window of the saddle point's refinement, in squares: a marker begins an eighth of a square from a corner
 _WINDOW_SQUARES = {"chessboard": 0.25, "charuco": 0.11}
@@ -57,7 +57,7 @@ class Board:
     def charuco(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's board of this size, dictionary 4x4_250, markers three quarters of a square."""
         dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARY)
-        return cv2.aruco.CharucoBoard(self.squares, self.square_m, _MARKER_SHARE * self.square_m, dictionary)
+        return cv2.aruco.CharucoBoard(self.squares, self.square_m, _MARKER_FRACTION * self.square_m, dictionary)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,8 @@ class Corners:
 
 def find_corners(image: Bytes, board: Board) -> Corners | None:
     """Corners of the board in an image; None where it is not seen (a chessboard has to be seen whole)."""
-    found = _charuco(image, board) if board.kind == "charuco" else _chessboard(image, board)
-    return None if found is None else Corners(found.ids, _refined(image, found, board))
+    detected = _charuco(image, board) if board.kind == "charuco" else _chessboard(image, board)
+    return None if detected is None else Corners(detected.ids, _refined(image, detected, board))
 
 
 def common(left: Corners, right: Corners) -> Ints:
@@ -84,24 +84,24 @@ def _upright(pixels: Floats) -> Floats:
     return pixels if pixels[0, 1] + 0.1 * pixels[0, 0] <= pixels[-1, 1] + 0.1 * pixels[-1, 0] else pixels[::-1].copy()
 
 
-def _refined(image: Bytes, found: Corners, board: Board) -> Floats:
+def _refined(image: Bytes, detected: Corners, board: Board) -> Floats:
     """Saddle points by gradients (Foerstner): the detectors' own corners are off twice as far, and not at random."""
-    place = {int(number): index for index, number in enumerate(found.ids)}
+    place = {int(number): index for index, number in enumerate(detected.ids)}
     across = board.inner[0]
     beside = [(i, place[n + 1]) for n, i in place.items() if (n + 1) % across and n + 1 in place]
     if not beside:
-        return found.pixels
+        return detected.pixels
     pairs = np.array(beside)
-    square_px = float(np.median(np.linalg.norm(found.pixels[pairs[:, 0]] - found.pixels[pairs[:, 1]], axis=1)))
+    square_px = float(np.median(np.linalg.norm(detected.pixels[pairs[:, 0]] - detected.pixels[pairs[:, 1]], axis=1)))
     half = int(np.clip(round(_WINDOW_SQUARES[board.kind] * square_px), *_WINDOW_PX))
-    start = found.pixels.astype(np.float32).reshape(-1, 1, 2)
+    start = detected.pixels.astype(np.float32).reshape(-1, 1, 2)
     moved = np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), _STOP), dtype=np.float64).reshape(-1, 2)
     return moved
 
 
 def _chessboard(image: Bytes, board: Board) -> Corners | None:
-    seen, corners = cv2.findChessboardCornersSB(image, board.inner)
-    if not seen:
+    complete, corners = cv2.findChessboardCornersSB(image, board.inner)
+    if not complete:
         return None
     pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     return Corners(np.arange(len(pixels)), _upright(pixels))

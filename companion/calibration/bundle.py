@@ -20,7 +20,9 @@ LENS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
 SHARED = 2 * LENS + 6
 _ROUNDS = 12
 _SETTLED = 1e-9
-_PARTS = np.r_[6:10, 10:15]  # of projectPoints' derivatives: rotation, translation, focal, principal, distortion
+_JACOBIAN_COLUMNS = np.r_[
+    6:10, 10:15
+]  # of projectPoints' derivatives: rotation, translation, focal, principal, distortion
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +52,16 @@ class Bundle:
     @property
     def error_px(self) -> float:
         """Rms distance of all corners."""
-        everything = np.concatenate([part for pair in self.residuals_px for part in pair])
+        everything = np.concatenate([residual for pair in self.residuals_px for residual in pair])
         return float(np.sqrt(np.mean(np.sum(everything**2, axis=1))))
 
 
-def adjust(seen: list[tuple[Corners, Corners]], points_m: Floats, shared: Floats, boards: Floats) -> Bundle:
+def adjust(observed: list[tuple[Corners, Corners]], points_m: Floats, shared: Floats, boards: Floats) -> Bundle:
     """Fit from a start.
 
     Parameters
     ----------
-    seen : list of (Corners, Corners)
+    observed : list of (Corners, Corners)
         Left and right corners of each view; they need not be the same ones.
     points_m : (corners, 3) float64
         On the board, by corner id.
@@ -67,38 +69,38 @@ def adjust(seen: list[tuple[Corners, Corners]], points_m: Floats, shared: Floats
         Start, as in :class:`Bundle`.
     """
     for _ in range(_ROUNDS):
-        normal, gradient, back = _normal_equations(seen, points_m, shared, boards)
+        normal, gradient, back = _normal_equations(observed, points_m, shared, boards)
         step = _scaled_solve(normal, gradient)
-        moves = np.array([one @ (g - cross.T @ step) for one, g, cross in back])
+        moves = np.array([inverse @ (g - cross.T @ step) for inverse, g, cross in back])
         shared, boards = shared + step, boards + moves
         if float(np.max(np.abs(step / (np.abs(shared) + 1e-3)))) < _SETTLED:
             break
-    normal, _, _ = _normal_equations(seen, points_m, shared, boards)
-    residuals = [tuple(_view(pair, points_m, shared, board)[0]) for pair, board in zip(seen, boards, strict=True)]
-    total = float(sum(np.sum(part**2) for pair in residuals for part in pair))
-    count = sum(part.size for pair in residuals for part in pair)
+    normal, _, _ = _normal_equations(observed, points_m, shared, boards)
+    residuals = [tuple(_view(pair, points_m, shared, board)[0]) for pair, board in zip(observed, boards, strict=True)]
+    total = float(sum(np.sum(residual**2) for pair in residuals for residual in pair))
+    count = sum(residual.size for pair in residuals for residual in pair)
     variance = total / max(count - SHARED - boards.size, 1)
     covariance = variance * _scaled_solve(normal, np.eye(SHARED))
     return Bundle(shared, covariance, boards, [(left, right) for left, right in residuals])
 
 
 def _normal_equations(
-    seen: list[tuple[Corners, Corners]], points_m: Floats, shared: Floats, boards: Floats
+    observed: list[tuple[Corners, Corners]], points_m: Floats, shared: Floats, boards: Floats
 ) -> tuple[Floats, Floats, list[tuple[Floats, Floats, Floats]]]:
     """Reduced normal matrix and gradient of the shared parameters, and per view what gives its board's step back."""
     normal: Floats = np.zeros((SHARED, SHARED))
     gradient: Floats = np.zeros(SHARED)
     back: list[tuple[Floats, Floats, Floats]] = []
-    for pair, board in zip(seen, boards, strict=True):
+    for pair, board in zip(observed, boards, strict=True):
         errors, slopes = _view(pair, points_m, shared, board)
         error = np.concatenate([each.ravel() for each in errors])
         slope: Floats = np.concatenate(slopes)
         of_shared, of_board = slope[:, :SHARED], slope[:, SHARED:]
         inverse: Floats = np.asarray(np.linalg.inv(of_board.T @ of_board), dtype=np.float64)
-        cross, own = of_shared.T @ of_board, of_board.T @ error
+        cross, board_gradient = of_shared.T @ of_board, of_board.T @ error
         normal += of_shared.T @ of_shared - cross @ inverse @ cross.T
-        gradient += of_shared.T @ error - cross @ inverse @ own
-        back.append((inverse, own, cross))
+        gradient += of_shared.T @ error - cross @ inverse @ board_gradient
+        back.append((inverse, board_gradient, cross))
     return normal, gradient, back
 
 
@@ -114,15 +116,15 @@ def _view(
         matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
         pixels, slope = cv2.projectPoints(points_m[corners.ids], pose[:3], pose[3:], matrix, lens[4:])
         errors.append(corners.pixels - np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
-        whole = np.zeros((len(slope), SHARED + 6))
-        whole[:, side * LENS : (side + 1) * LENS] = slope[:, _PARTS]
+        jacobian = np.zeros((len(slope), SHARED + 6))
+        jacobian[:, side * LENS : (side + 1) * LENS] = slope[:, _JACOBIAN_COLUMNS]
         of_pose = slope[:, :6]
         if side:
             by_board, by_rig = _chain(turned)
-            whole[:, 2 * LENS : SHARED] = of_pose @ by_rig
+            jacobian[:, 2 * LENS : SHARED] = of_pose @ by_rig
             of_pose = of_pose @ by_board
-        whole[:, SHARED:] = of_pose
-        slopes.append(whole)
+        jacobian[:, SHARED:] = of_pose
+        slopes.append(jacobian)
     return errors, slopes
 
 

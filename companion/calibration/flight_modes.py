@@ -70,22 +70,22 @@ def station_samples(records: Iterable[Record], hub: ClockName) -> dict[Station, 
     """Samples of every station on the host's clock: stamps (n,), ns, values (n, 6); what is not synced is left out."""
     bank = ClockBank()
     bank.identity(hub)
-    found: dict[Station, list[tuple[Ints, Floats]]] = {station: [] for station in Station}
+    streams: dict[Station, list[tuple[Ints, Floats]]] = {station: [] for station in Station}
     for record in records:
         if isinstance(record, TimesyncReply):
             bank.exchange(record)
         elif isinstance(record, ImuBatch):
             answer = bank.to_host(record.clock, record.t_ns)
             if isinstance(answer, tuple):
-                found[record.station].append((answer[0], record.values))
-    return {station: _joined(parts) for station, parts in found.items()}
+                streams[record.station].append((answer[0], record.values))
+    return {station: _joined(batches) for station, batches in streams.items()}
 
 
-def _joined(parts: list[tuple[Ints, Floats]]) -> tuple[Ints, Floats]:
-    if not parts:
+def _joined(batches: list[tuple[Ints, Floats]]) -> tuple[Ints, Floats]:
+    if not batches:
         return np.empty(0, dtype=np.int64), np.empty((0, 6))
-    t_ns, first = np.unique(np.concatenate([t for t, _ in parts]), return_index=True)
-    return t_ns, np.concatenate([values for _, values in parts])[first]
+    t_ns, first = np.unique(np.concatenate([t for t, _ in batches]), return_index=True)
+    return t_ns, np.concatenate([values for _, values in batches])[first]
 
 
 def _shared(streams: dict[Station, tuple[Ints, Floats]]) -> tuple[int, int]:

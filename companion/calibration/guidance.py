@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from companion.calibration.boards import Board, Corners
-from companion.calibration.stereo_rig import CELLS, View, cells
+from companion.calibration.stereo_rig import CELLS, BoardView, cells
 from companion.records import Floats, Side
 
 ENOUGH_VIEWS = 20
@@ -26,12 +26,12 @@ _TILTS = (
 )
 
 
-def advice(views: list[View], board: Board, size_px: tuple[int, int], wanted: int = ENOUGH_VIEWS) -> list[str]:
+def advice(views: list[BoardView], board: Board, size_px: tuple[int, int], wanted: int = ENOUGH_VIEWS) -> list[str]:
     """Sentences that say what to do next, the most useful one first; none when the set is complete.
 
     Parameters
     ----------
-    views : list of View
+    views : list of BoardView
         Taken so far.
     board : Board
         What they show.
@@ -54,7 +54,7 @@ def advice(views: list[View], board: Board, size_px: tuple[int, int], wanted: in
     return said
 
 
-def is_new(view: View, others: list[View], size_px: tuple[int, int]) -> bool:
+def is_new(view: BoardView, others: list[BoardView], size_px: tuple[int, int]) -> bool:
     """Whether a view differs from all others: its corners lie elsewhere, or the board stands at another angle."""
     return all(_apart(view.left, other.left) > _NEW_PX * size_px[0] for other in others)
 
@@ -74,11 +74,11 @@ def perspective(corners: Corners, board: Board) -> Floats:
     return falls
 
 
-def _missing_cells(views: list[View], side: Side, size_px: tuple[int, int]) -> str:
-    seen = {cell for view in views for cell in cells(view.left if side is Side.LEFT else view.right, size_px)}
-    if len(seen) >= _ENOUGH_CELLS:
+def _missing_cells(views: list[BoardView], side: Side, size_px: tuple[int, int]) -> str:
+    covered = {cell for view in views for cell in cells(view.left if side is Side.LEFT else view.right, size_px)}
+    if len(covered) >= _ENOUGH_CELLS:
         return ""
-    missing = [(row, column) for row in range(CELLS) for column in range(CELLS) if (column, row) not in seen]
+    missing = [(row, column) for row in range(CELLS) for column in range(CELLS) if (column, row) not in covered]
     row, column = missing[0]
     more = f" and {len(missing) - 1} more parts" if len(missing) > 1 else ""
     return f"bring the board to the {_ROWS[row]} {_COLUMNS[column]} of the {side.name.lower()} image{more}"
@@ -93,7 +93,7 @@ def _square_px(corners: Corners, board: Board) -> float:
 
 def _apart(first: Corners, second: Corners) -> float:
     """Rms distance of the corners that two views share, px; infinite where they share none."""
-    both, one, other = np.intersect1d(first.ids, second.ids, return_indices=True)
-    if not len(both):
+    shared, in_first, in_second = np.intersect1d(first.ids, second.ids, return_indices=True)
+    if not len(shared):
         return float("inf")
-    return float(np.sqrt(np.mean(np.sum((first.pixels[one] - second.pixels[other]) ** 2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum((first.pixels[in_first] - second.pixels[in_second]) ** 2, axis=1))))

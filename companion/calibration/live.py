@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.calibration.boards import LEAST_CORNERS, Board, Corners, common, find_corners
 from companion.calibration.guidance import advice, is_new
-from companion.calibration.stereo_rig import View
+from companion.calibration.stereo_rig import BoardView
 from companion.records import Bytes, Frame, Side
 
 _SKEW_NS = 50_000_000  # a board that holds still may be seen by cameras that are not synchronised
@@ -20,7 +20,7 @@ _LATELY_NS = 1_000_000_000
 class Taken:
     """A view with its images."""
 
-    view: View
+    view: BoardView
     left: Bytes
     right: Bytes
 
@@ -37,7 +37,7 @@ class LiveViews:
         self.size_px = (0, 0)
 
     @property
-    def views(self) -> list[View]:
+    def views(self) -> list[BoardView]:
         """Views so far."""
         return [each.view for each in self.taken]
 
@@ -60,17 +60,17 @@ class LiveViews:
 
     def _look(self, left: Frame, right: Frame) -> str:
         self.size_px = (left.image.shape[1], left.image.shape[0])
-        found = find_corners(left.image, self._board), find_corners(right.image, self._board)
+        detected = find_corners(left.image, self._board), find_corners(right.image, self._board)
         before, self._before = self._before, None
-        if found[0] is None or found[1] is None:
-            missing = [side.name.lower() for side, corners in zip(Side, found, strict=True) if corners is None]
+        if detected[0] is None or detected[1] is None:
+            missing = [side.name.lower() for side, corners in zip(Side, detected, strict=True) if corners is None]
             return f"no board in the {' and '.join(missing)} image"
-        if len(common(found[0], found[1])) < LEAST_CORNERS:
+        if len(common(detected[0], detected[1])) < LEAST_CORNERS:
             return "the cameras share too few corners: hold the board where both see it"
-        self._before = (left.mid_exposure_ns, found[0], found[1])
-        if before is None or left.mid_exposure_ns - before[0] > _LATELY_NS or not _still(before[1:], found):
+        self._before = (left.mid_exposure_ns, detected[0], detected[1])
+        if before is None or left.mid_exposure_ns - before[0] > _LATELY_NS or not _still(before[1:], detected):
             return "hold still"
-        view = View(f"view{len(self.taken) + 1:02d}", found[0], found[1])
+        view = BoardView(f"view{len(self.taken) + 1:02d}", detected[0], detected[1])
         if not is_new(view, self.views, self.size_px):
             return "this view is there already: move or tilt the board"
         self.taken.append(Taken(view, left.image, right.image))

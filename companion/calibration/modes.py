@@ -15,7 +15,7 @@ _RESOLVED = 4.0  # lines within the half-power bandwidth: with fewer, damping an
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class VibrationRun:
     """One run: responses of a few points to the measured force.
 
     Attributes
@@ -33,10 +33,10 @@ class Run:
     frequency_hz: Floats
     response: Complex
 
-    def lines(self, first: int, step: int) -> Run:
+    def lines(self, first: int, step: int) -> VibrationRun:
         """Every ``step``-th line from the ``first``: halves without a common sample of noise."""
         chosen = slice(first, None, step)
-        return Run(self.name, self.points, self.frequency_hz[chosen], self.response[:, chosen])
+        return VibrationRun(self.name, self.points, self.frequency_hz[chosen], self.response[:, chosen])
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,26 +88,26 @@ class IdentifiedMode:
         return self.bandwidth_lines >= _RESOLVED
 
 
-def identify_runs(runs: list[Run], points: int) -> list[IdentifiedMode]:
+def identify_runs(runs: list[VibrationRun], points: int) -> list[IdentifiedMode]:
     """Modes that at least half of the runs show, by frequency.
 
     Parameters
     ----------
-    runs : list of Run
+    runs : list of VibrationRun
         Each with the same drive point.
     points : int
         Number of points of the structure.
     """
-    found = [stable_poles(run.frequency_hz, run.response) for run in runs]
-    groups = _grouped(found, len(runs))
-    per_run = [_completed(poles, groups, index) for index, poles in enumerate(found)]
-    whole = [_residues(run, poles) for run, poles in zip(runs, per_run, strict=True)]
+    poles_per_run = [stable_poles(run.frequency_hz, run.response) for run in runs]
+    groups = _grouped(poles_per_run, len(runs))
+    per_run = [_completed(poles, groups, index) for index, poles in enumerate(poles_per_run)]
+    all_lines = [_residues(run, poles) for run, poles in zip(runs, per_run, strict=True)]
     even, odd = (
         [_of_half(run.lines(first, 2), poles) for run, poles in zip(runs, per_run, strict=True)] for first in (0, 1)
     )
     order = range(len(groups))
     spacing_hz = float(np.median([np.median(np.diff(run.frequency_hz)) for run in runs]))
-    shapes = [[_shape(runs, part, k, points) for part in (whole, even, odd)] for k in order]
+    shapes = [[_shape(runs, lines, k, points) for lines in (all_lines, even, odd)] for k in order]
     return [_describe(groups[k], spacing_hz, *shapes[k]) for k in order]
 
 
@@ -137,98 +137,100 @@ def residues(frequency_hz: Floats, response: Complex, poles: list[Pole]) -> Comp
     wanted = np.concatenate([response.real, response.imag], axis=1).T
     norms = np.linalg.norm(stacked, axis=0)
     fitted, *_ = np.linalg.lstsq(stacked / norms, wanted, rcond=None)
-    parts = (fitted / norms[:, np.newaxis])[: 2 * len(poles)].reshape(len(poles), 2, -1)
-    answer: Complex = (parts[:, 0] + 1j * parts[:, 1]).T
+    pairs = (fitted / norms[:, np.newaxis])[: 2 * len(poles)].reshape(len(poles), 2, -1)
+    answer: Complex = (pairs[:, 0] + 1j * pairs[:, 1]).T
     return answer
 
 
-_Found = list[tuple[int, Pole]]
+_PoleChain = list[tuple[int, Pole]]
 
 
-def _grouped(found: list[list[Pole]], runs: int) -> list[_Found]:
+def _grouped(poles_per_run: list[list[Pole]], runs: int) -> list[_PoleChain]:
     """Poles of the same mode, one per run; modes that too few runs show are left out."""
-    every = sorted(((run, pole) for run, poles in enumerate(found) for pole in poles), key=lambda e: e[1].frequency_hz)
-    chains: list[_Found] = []
+    every = sorted(
+        ((run, pole) for run, poles in enumerate(poles_per_run) for pole in poles), key=lambda e: e[1].frequency_hz
+    )
+    chains: list[_PoleChain] = []
     for entry in every:
         near = chains and entry[1].frequency_hz < (1.0 + _LINK) * chains[-1][-1][1].frequency_hz
         if near:
             chains[-1].append(entry)
         else:
             chains.append([entry])
-    modes = [_one_per_run(chain) for chain in chains]
+    modes = [_best_per_run(chain) for chain in chains]
     return [mode for mode in modes if len(mode) >= _LEAST_RUNS * runs]
 
 
-def _one_per_run(chain: _Found) -> _Found:
+def _best_per_run(chain: _PoleChain) -> _PoleChain:
     best: dict[int, Pole] = {}
     for run, pole in chain:
-        if run not in best or pole.share > best[run].share:
+        if run not in best or pole.order_fraction > best[run].order_fraction:
             best[run] = pole
     return sorted(best.items())
 
 
-def _completed(poles: list[Pole], groups: list[_Found], run: int) -> list[Pole]:
+def _completed(poles: list[Pole], groups: list[_PoleChain], run: int) -> list[Pole]:
     """The poles of a run: one for every mode first (that of the others where it has none), then its own extra ones."""
     chosen = []
     for group in groups:
-        mine = [pole for index, pole in group if index == run]
-        chosen.append(mine[0] if mine else _middle(group))
+        run_poles = [pole for index, pole in group if index == run]
+        chosen.append(run_poles[0] if run_poles else _middle(group))
     taken = {(pole.frequency_hz, pole.damping) for pole in chosen}
     clear = [p for p in poles if all(abs(p.frequency_hz - f) > 0.004 * f for f, _ in taken)]
     return chosen + clear
 
 
-def _middle(group: _Found) -> Pole:
+def _middle(group: _PoleChain) -> Pole:
     frequency, damping = (
         float(np.median([getattr(p, name) for _, p in group])) for name in ("frequency_hz", "damping")
     )
     return Pole(frequency, damping, 0.0)
 
 
-def _of_half(half: Run, poles: list[Pole]) -> Complex:
+def _of_half(half: VibrationRun, poles: list[Pole]) -> Complex:
     """Residues of one half of the lines, by the poles that this half shows itself, where it shows them."""
-    own = stable_poles(half.frequency_hz, half.response)
-    return _residues(half, [_nearest(own, pole) for pole in poles])
+    half_poles = stable_poles(half.frequency_hz, half.response)
+    return _residues(half, [_nearest(half_poles, pole) for pole in poles])
 
 
-def _nearest(own: list[Pole], wanted: Pole) -> Pole:
-    best = min(own, key=lambda pole: abs(pole.frequency_hz - wanted.frequency_hz), default=wanted)
+def _nearest(half_poles: list[Pole], wanted: Pole) -> Pole:
+    best = min(half_poles, key=lambda pole: abs(pole.frequency_hz - wanted.frequency_hz), default=wanted)
     return best if abs(best.frequency_hz - wanted.frequency_hz) < 0.5 * _LINK * wanted.frequency_hz else wanted
 
 
-def _residues(run: Run, poles: list[Pole]) -> Complex:
+def _residues(run: VibrationRun, poles: list[Pole]) -> Complex:
     return residues(run.frequency_hz, run.response, poles)
 
 
-def _shape(runs: list[Run], parts: list[Complex], mode: int, points: int) -> Complex:
+def _shape(runs: list[VibrationRun], residues_per_run: list[Complex], mode: int, points: int) -> Complex:
     """Residues of one mode at all points (mean where runs overlap); NaN where no run measured."""
     total, count = np.zeros(points, dtype=np.complex128), np.zeros(points)
-    for run, part in zip(runs, parts, strict=True):
-        total[run.points] += part[:, mode]
+    for run, run_residues in zip(runs, residues_per_run, strict=True):
+        total[run.points] += run_residues[:, mode]
         count[run.points] += 1
     mean = total / np.where(count > 0, count, 1.0)
     shape: Complex = np.where(count > 0, mean, np.nan)
     return shape
 
 
-def _describe(group: _Found, spacing_hz: float, whole: Complex, even: Complex, odd: Complex) -> IdentifiedMode:
+def _describe(group: _PoleChain, spacing_hz: float, all_lines: Complex, even: Complex, odd: Complex) -> IdentifiedMode:
     frequencies = np.array([pole.frequency_hz for _, pole in group])
     dampings = np.array([pole.damping for _, pole in group])
-    known = np.isfinite(whole)
+    measured = np.isfinite(all_lines)
     # the common phase that makes the shape as real as it gets
-    turn = np.exp(-0.5j * np.angle(np.sum(whole[known] ** 2)))
-    real = np.real(whole * turn)
+    turn = np.exp(-0.5j * np.angle(np.sum(all_lines[measured] ** 2)))
+    real = np.real(all_lines * turn)
     largest = int(np.nanargmax(np.abs(real)))
     scale = turn / real[largest]
     difference = np.real((even - odd) * scale)
-    weight = np.abs(real[known]) ** 2
-    off = np.arctan2(np.imag(whole * turn)[known], np.abs(real[known]))
+    weight = np.abs(real[measured]) ** 2
+    off = np.arctan2(np.imag(all_lines * turn)[measured], np.abs(real[measured]))
     return IdentifiedMode(
         frequency_hz=float(frequencies.mean()),
         frequency_sigma_hz=float(frequencies.std(ddof=1)) if len(group) > 1 else float("nan"),
         damping=float(dampings.mean()),
         damping_sigma=float(dampings.std(ddof=1)) if len(group) > 1 else float("nan"),
-        shape=np.real(whole * scale),
+        shape=np.real(all_lines * scale),
         # each half has twice the variance of the whole, their difference four times
         shape_sigma=np.abs(difference) / 2.0,
         assurance=assurance(even, odd),

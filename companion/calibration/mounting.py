@@ -102,9 +102,9 @@ def airframe_with_mounting(base: Airframe, left: Mounting, right: Mounting) -> A
         raise ConfigError(f"airframe '{base.name}' has no cameras to mount")
     before = [_rest(camera, name) for camera, name in ((base.left_camera, "left"), (base.right_camera, "right"))]
     right_from_left = before[1] @ before[0].T
-    seen = left.camera_from_section
-    other = right_from_left.T @ right.camera_from_section
-    middle = exp_rotation(0.5 * log_rotation(other @ seen.T)) @ seen
+    left_from_section = left.camera_from_section
+    implied_from_section = right_from_left.T @ right.camera_from_section
+    middle = exp_rotation(0.5 * log_rotation(implied_from_section @ left_from_section.T)) @ left_from_section
     turned = [
         dataclasses.replace(camera, rotation_rad=_rotation(camera, rest, name))
         for camera, rest, name in (
@@ -118,9 +118,9 @@ def disagreement_rad(base: Airframe, left: Mounting, right: Mounting) -> float:
     """Angle between the relative rotation that both mountings imply and that of the base's stereo calibration."""
     if base.left_camera is None or base.right_camera is None:
         raise ConfigError(f"airframe '{base.name}' has no cameras to mount")
-    known = _rest(base.right_camera, "right") @ _rest(base.left_camera, "left").T
+    calibrated = _rest(base.right_camera, "right") @ _rest(base.left_camera, "left").T
     implied = right.camera_from_section @ left.camera_from_section.T
-    return float(np.linalg.norm(log_rotation(implied @ known.T)))
+    return float(np.linalg.norm(log_rotation(implied @ calibrated.T)))
 
 
 def _rest(camera: Camera, name: str) -> Floats:
@@ -146,6 +146,6 @@ def _start(felt: Floats, boards: Floats) -> tuple[Floats, Floats]:
 
 def _errors(rotation: Floats, up: Floats, felt: Floats, boards: Floats) -> tuple[Floats, Floats]:
     """Felt minus seen up (3 k,), camera axes, and what a small turn of the mounting and of up on the board changes."""
-    turned, seen = felt @ rotation.T, boards @ up
+    turned, observed = felt @ rotation.T, boards @ up
     slope = np.concatenate([skew(turned), -boards @ skew(up)], axis=2)
-    return (turned - seen).ravel(), slope.reshape(-1, 6)
+    return (turned - observed).ravel(), slope.reshape(-1, 6)

@@ -20,16 +20,16 @@ Complex = npt.NDArray[np.complex128]
 _SAME_FREQUENCY = 0.005
 _SAME_DAMPING = 0.15
 _SAME_DAMPING_FLOOR = 0.0005
-_LEAST_SHARE = 0.35  # of the orders that have to bring a pole back
+_MIN_ORDER_FRACTION = 0.35  # of the orders that have to bring a pole back
 
 
 @dataclass(frozen=True, slots=True)
 class Pole:
-    """An underdamped pole; ``share`` is the part of the model orders in which it came back."""
+    """Underdamped pole; ``order_fraction`` of the model orders bring it back within the stability tolerances."""
 
     frequency_hz: float
     damping: float
-    share: float
+    order_fraction: float
 
     @property
     def value(self) -> complex:
@@ -55,11 +55,11 @@ def stable_poles(
         Larger ratios are not modes of a wing.
     """
     low, high = float(frequency_hz[0]), float(frequency_hz[-1])
-    found = [_within(lscf(frequency_hz, response, order), low, high, most_damping) for order in orders]
-    steady = [_returning(a, b) for a, b in itertools.pairwise(found)]
+    poles_per_order = [_within(lscf(frequency_hz, response, order), low, high, most_damping) for order in orders]
+    steady = [_returning(a, b) for a, b in itertools.pairwise(poles_per_order)]
     everything = np.concatenate([each for each in steady if len(each)] or [np.empty((0, 2))])
     poles = [_median(cluster, len(steady)) for cluster in _clusters(everything)]
-    return [pole for pole in poles if pole.share >= _LEAST_SHARE]
+    return [pole for pole in poles if pole.order_fraction >= _MIN_ORDER_FRACTION]
 
 
 def lscf(frequency_hz: Floats, response: Complex, order: int) -> Complex:
@@ -80,10 +80,10 @@ def lscf(frequency_hz: Floats, response: Complex, order: int) -> Complex:
     basis = np.exp(-2j * np.pi * step_s * np.outer(frequency_hz, np.arange(order + 1)))
     inverse = np.linalg.pinv(np.real(basis.conj().T @ basis))
     reduced = np.zeros((order + 1, order + 1))
-    for one in response:
-        moved = -one[:, np.newaxis] * basis
-        cross, own = np.real(basis.conj().T @ moved), np.real(moved.conj().T @ moved)
-        reduced += own - cross.T @ inverse @ cross
+    for output in response:
+        moved = -output[:, np.newaxis] * basis
+        cross, square = np.real(basis.conj().T @ moved), np.real(moved.conj().T @ moved)
+        reduced += square - cross.T @ inverse @ cross
     # the coefficient of the highest delay is 1: then the poles of the noise come out damped negatively
     lower, *_ = np.linalg.lstsq(reduced[:order, :order], -reduced[:order, order], rcond=None)
     roots = np.roots(np.concatenate([lower, [1.0]]))
@@ -103,13 +103,13 @@ def _within(poles: Complex, low_hz: float, high_hz: float, most_damping: float) 
 
 def _returning(now: Floats, then: Floats) -> Floats:
     """Those poles that the next order brings back, with little change."""
-    kept = []
+    stable = []
     for frequency, damping in now:
         near = np.abs(then[:, 0] - frequency) < _SAME_FREQUENCY * frequency
         near &= np.abs(then[:, 1] - damping) < _SAME_DAMPING * damping + _SAME_DAMPING_FLOOR
         if np.any(near):
-            kept.append((frequency, damping))
-    return np.array(kept).reshape(-1, 2)
+            stable.append((frequency, damping))
+    return np.array(stable).reshape(-1, 2)
 
 
 def _clusters(points: Floats) -> list[Floats]:

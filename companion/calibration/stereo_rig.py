@@ -27,7 +27,7 @@ _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class BoardView:
     """One pair of images in which both cameras see the board."""
 
     name: str
@@ -123,29 +123,29 @@ def _matrix(lens: Floats) -> Floats:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[list[View], dict[str, str]]:
+def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[list[BoardView], dict[str, str]]:
     """Look for the board in named image pairs; give the views, and the names of those without, with the reason."""
     views, rejected = [], {}
     for name, left_image, right_image in pairs:
         left, right = find_corners(left_image, board), find_corners(right_image, board)
         if left is None or right is None:
-            missing = [side for side, found in (("left", left), ("right", right)) if found is None]
+            missing = [side for side, corners in (("left", left), ("right", right)) if corners is None]
             rejected[name] = f"board not found in the {' and '.join(missing)} image"
         elif len(common(left, right)) < LEAST_CORNERS:
             rejected[name] = f"the cameras share only {len(common(left, right))} corners"
         else:
-            views.append(View(name, left, right))
+            views.append(BoardView(name, left, right))
     return views, rejected
 
 
 def calibrate_rig(
-    views: list[View], board: Board, size_px: tuple[int, int], rejected: dict[str, str] | None = None
+    views: list[BoardView], board: Board, size_px: tuple[int, int], rejected: dict[str, str] | None = None
 ) -> RigFit:
     """Calibrate both lenses and their relative pose; views that fit much worse than the others are left out, by name.
 
     Parameters
     ----------
-    views : list of View
+    views : list of BoardView
         From :func:`find_views`.
     board : Board
         What they show.
@@ -236,7 +236,7 @@ class _Alone:
     errors_px: Floats
 
 
-def _lens(views: list[View], side: Side, board: Board, size_px: tuple[int, int]) -> _Alone:
+def _lens(views: list[BoardView], side: Side, board: Board, size_px: tuple[int, int]) -> _Alone:
     corners = [view.left if side is Side.LEFT else view.right for view in views]
     grid = board.points_m().astype(np.float32)
     points = [grid[each.ids] for each in corners]
@@ -255,28 +255,28 @@ def _lens(views: list[View], side: Side, board: Board, size_px: tuple[int, int])
 
 def _worst(errors_px: list[Floats], text: str) -> tuple[int, str] | None:
     """The view that fits worst, if it does not belong to the others, and why in words."""
-    found: list[tuple[float, int, str]] = []
+    outliers: list[tuple[float, int, str]] = []
     for side, errors in zip(Side, errors_px, strict=True):
         usual, worst = float(np.median(errors)), int(np.argmax(errors))
         if errors[worst] > max(_OUTLIER * usual, _HARMLESS_PX):
-            found.append((float(errors[worst]), worst, text.format(errors[worst], side.name.lower(), usual)))
-    return max(found)[1:] if found else None
+            outliers.append((float(errors[worst]), worst, text.format(errors[worst], side.name.lower(), usual)))
+    return max(outliers)[1:] if outliers else None
 
 
-def _bundle(views: list[View], board: Board, alone: list[_Alone], size_px: tuple[int, int]) -> Bundle:
+def _bundle(views: list[BoardView], board: Board, alone: list[_Alone], size_px: tuple[int, int]) -> Bundle:
     start = [np.concatenate([each.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], each.bent]) for each in alone]
-    seen = [(view.left, view.right) for view in views]
+    observed = [(view.left, view.right) for view in views]
     return adjust(
-        seen, board.points_m(), np.concatenate([*start, _relative(views, board, alone, size_px)]), alone[0].boards
+        observed, board.points_m(), np.concatenate([*start, _relative(views, board, alone, size_px)]), alone[0].boards
     )
 
 
-def _relative(views: list[View], board: Board, alone: list[_Alone], size_px: tuple[int, int]) -> Floats:
+def _relative(views: list[BoardView], board: Board, alone: list[_Alone], size_px: tuple[int, int]) -> Floats:
     """Rotation vector and translation (6,) from left to right, lenses held."""
     grid = board.points_m().astype(np.float32)
     shared = [common(view.left, view.right) for view in views]
     pixels = [
-        [_of(seen, ids) for seen, ids in zip([getattr(view, side) for view in views], shared, strict=True)]
+        [_of(corners, ids) for corners, ids in zip([getattr(view, side) for view in views], shared, strict=True)]
         for side in ("left", "right")
     ]
     _, _, _, _, _, rotation, translation, _, _ = cv2.stereoCalibrate(
@@ -287,17 +287,17 @@ def _relative(views: list[View], board: Board, alone: list[_Alone], size_px: tup
     return np.concatenate([vector, np.asarray(translation, dtype=np.float64).ravel()])
 
 
-def _of(seen: Corners, ids: Ints) -> npt.NDArray[np.float32]:
+def _of(corners: Corners, ids: Ints) -> npt.NDArray[np.float32]:
     """Pixels of some corners, as OpenCV wants them."""
-    place = {int(number): index for index, number in enumerate(seen.ids)}
-    return seen.pixels[[place[int(number)] for number in ids]].astype(np.float32).reshape(-1, 1, 2)
+    place = {int(number): index for index, number in enumerate(corners.ids)}
+    return corners.pixels[[place[int(number)] for number in ids]].astype(np.float32).reshape(-1, 1, 2)
 
 
-def uncovered(views: list[View], side: Side, size_px: tuple[int, int]) -> list[str]:
+def uncovered(views: list[BoardView], side: Side, size_px: tuple[int, int]) -> list[str]:
     """Cells of the image, 4 by 4, in which no corner of any view lies."""
-    seen = {cell for view in views for cell in cells(view.left if side is Side.LEFT else view.right, size_px)}
+    covered = {cell for view in views for cell in cells(view.left if side is Side.LEFT else view.right, size_px)}
     everything = [(column, row) for row in range(CELLS) for column in range(CELLS)]
-    return [f"column {c + 1}, row {r + 1} of {CELLS}" for c, r in everything if (c, r) not in seen]
+    return [f"column {c + 1}, row {r + 1} of {CELLS}" for c, r in everything if (c, r) not in covered]
 
 
 def cells(corners: Corners, size_px: tuple[int, int]) -> set[tuple[int, int]]:

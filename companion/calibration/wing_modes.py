@@ -73,7 +73,7 @@ def symmetry(mode: IdentifiedMode, points: list[Point]) -> float:
 
 def bending_modes(modes: list[IdentifiedMode], points: list[Point]) -> list[BendingMode]:
     """Those modes that are resolved, clearly symmetric or antisymmetric, and move their tips, by frequency."""
-    found = []
+    bending = []
     for mode in modes:
         likeness = symmetry(mode, points)
         if not mode.resolved or abs(likeness) < SYMMETRIC_LEAST:
@@ -86,8 +86,8 @@ def bending_modes(modes: list[IdentifiedMode], points: list[Point]) -> list[Bend
             factors = shape.factors(place, place)
         except ValueError:
             continue  # a node at the tip: nothing can be scaled by its deflection
-        found.append(BendingMode(mode, sign, shape, factors, chords))
-    return found
+        bending.append(BendingMode(mode, sign, shape, factors, chords))
+    return bending
 
 
 def half_shape(mode: IdentifiedMode, points: list[Point], sign: float) -> WingShape:
@@ -114,13 +114,13 @@ class Stations:
     notes: tuple[str, ...]
 
 
-def stations(base: Airframe, found: list[BendingMode]) -> Stations:
+def stations(base: Airframe, modes: list[BendingMode]) -> Stations:
     """Where the modes have to be known for an airframe."""
     sensor = 0.5 * (abs(base.left.position_m[1]) + abs(base.right.position_m[1]))
     camera, notes = sensor, []
     if base.left_camera is not None and base.right_camera is not None:
         camera = 0.5 * (abs(base.left_camera.position_m[1]) + abs(base.right_camera.position_m[1]))
-    inner, outer = max(each.span_m[0] for each in found), min(each.span_m[1] for each in found)
+    inner, outer = max(each.span_m[0] for each in modes), min(each.span_m[1] for each in modes)
     for name, place in (("tip sensors", sensor), ("cameras", camera)):
         if not inner <= place <= outer:
             notes.append(
@@ -132,7 +132,7 @@ def stations(base: Airframe, found: list[BendingMode]) -> Stations:
     return Stations(min(max(sensor, inner), outer), min(max(camera, inner), outer), tuple(notes))
 
 
-def airframe_with(base: Airframe, found: list[BendingMode]) -> Airframe:
+def airframe_with(base: Airframe, modes: list[BendingMode]) -> Airframe:
     """The base airframe with the first symmetric and the first antisymmetric bending mode of a test.
 
     Slope and twist are those at its tip sensors, per metre of deflection there; the cameras get the symmetric mode's
@@ -144,7 +144,7 @@ def airframe_with(base: Airframe, found: list[BendingMode]) -> Airframe:
     ConfigError
         One of the two was not found, or it does not move at the tip sensors.
     """
-    first, other, place = _first(found, 1.0, "symmetric"), _first(found, -1.0, "antisymmetric"), stations(base, found)
+    first, other, place = _first(modes, 1.0, "symmetric"), _first(modes, -1.0, "antisymmetric"), stations(base, modes)
     try:
         at_sensor, at_camera = (first.between(span, place.sensor_m) for span in (place.sensor_m, place.camera_m))
         antisymmetric = other.between(place.sensor_m, place.sensor_m)
@@ -175,9 +175,9 @@ def _in_flight(wing: Wing, frequency_hz: float) -> dict[str, Any]:
     """
     slower = wing.symmetric.frequency_hz.value / frequency_hz
 
-    def scaled(known: Uncertain, power: float) -> Uncertain:
-        value = known.value * slower**power
-        return Uncertain(round(value, 6), round(max(known.sigma * slower**power, abs(value) * _UNSEEN), 6))
+    def scaled(prior: Uncertain, power: float) -> Uncertain:
+        value = prior.value * slower**power
+        return Uncertain(round(value, 6), round(max(prior.sigma * slower**power, abs(value) * _UNSEEN), 6))
 
     return {
         "trim_bend_m": scaled(wing.trim_bend_m, 2.0),
@@ -186,8 +186,8 @@ def _in_flight(wing: Wing, frequency_hz: float) -> dict[str, Any]:
     }
 
 
-def _first(found: list[BendingMode], sign: float, name: str) -> BendingMode:
-    for each in found:
+def _first(modes: list[BendingMode], sign: float, name: str) -> BendingMode:
+    for each in modes:
         if each.sign == sign:
             return each
     raise ConfigError(f"no {name} bending mode was identified; test again with more points or a wider band")

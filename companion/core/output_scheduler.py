@@ -13,7 +13,7 @@ _NEWS_NS = 2_000_000_000
 
 
 @dataclass(slots=True)
-class Publishing:
+class OutputScheduler:
     """Keeps the rates. A trusted range is published by the event that made it; silence is filled here."""
 
     orientation: int

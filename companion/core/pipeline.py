@@ -17,16 +17,16 @@ import numpy as np
 from companion.core.autopilot_filters import VehicleFilters
 from companion.core.clock.bank import ClockBank
 from companion.core.clock.motion_alignment import SIGMAS
-from companion.core.clock.unsynced_nodes import SilentNodes
-from companion.core.output_scheduler import Publishing
-from companion.core.rate_monitor import Delivery
+from companion.core.clock.unsynced_nodes import UnsyncedNodes
+from companion.core.output_scheduler import OutputScheduler
+from companion.core.rate_monitor import StreamRateMonitor
 from companion.core.silence import RangeSilence
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.tracking.streams import within_range
 from companion.core.tracking.tracker import WingTracker
-from companion.core.trigger.blur import Motion
-from companion.core.trigger.exposure_feedback import Feedback
+from companion.core.trigger.blur import GroundMotion
+from companion.core.trigger.exposure_feedback import ExposureFeedback
 from companion.core.trigger.scheduling import Scheduling
 from companion.core.wing.effects import apply_to_airframe
 from companion.errors import ConfigError
@@ -76,11 +76,11 @@ class PipelineState:
     tracker: WingTracker
     scheduling: Scheduling | None
     correction: Correction | None
-    publishing: Publishing
-    feedback: Feedback
-    delivery: Delivery = field(default_factory=Delivery)
+    output_scheduler: OutputScheduler
+    feedback: ExposureFeedback
+    rate_monitor: StreamRateMonitor = field(default_factory=StreamRateMonitor)
     filters: VehicleFilters = field(default_factory=VehicleFilters)
-    silent: SilentNodes = field(default_factory=SilentNodes)
+    unsynced_nodes: UnsyncedNodes = field(default_factory=UnsyncedNodes)
     silence: RangeSilence = field(default_factory=RangeSilence)
     validity: Validity | None = None  # of what the tracker says; None until there is something
     vehicle: VehicleState | None = None
@@ -113,8 +113,8 @@ def start(
         tracker=WingTracker(airframe, settings),
         scheduling=Scheduling.create(airframe, settings) if has_cameras else None,
         correction=Correction.create(airframe, settings) if has_cameras else None,
-        publishing=Publishing(airframe.orientation),
-        feedback=Feedback(airframe, clocks),
+        output_scheduler=OutputScheduler(airframe.orientation),
+        feedback=ExposureFeedback(airframe, clocks),
         hub=hub,
     )
 
@@ -147,7 +147,7 @@ def _take_samples(state: PipelineState) -> list[OutputRecord]:
     refused: list[OutputRecord] = []
     for batches in state.waiting.values():
         for batch in joined(batches):
-            state.delivery.note(batch)
+            state.rate_monitor.note(batch)
             state.counters[f"samples {batch.station.name.lower()}"] += len(batch.t_ns)
             refused += _track(state, batch)
     state.waiting.clear()
@@ -158,7 +158,7 @@ def _adapt_to_delivery(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Take the rates that really come for those that the airframe file believes."""
     said: list[OutputRecord] = []
     airframe = state.airframe
-    for station, rate_hz in state.delivery.changed(airframe):
+    for station, rate_hz in state.rate_monitor.changed(airframe):
         name, sensor = station.name.lower(), airframe.sensor(station)
         changed: dict[str, Any] = {name: dataclasses.replace(sensor, rate_hz=rate_hz)}
         airframe = dataclasses.replace(airframe, **changed)
@@ -179,7 +179,7 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
     if not len(batch.t_ns):
         return refused
     batch = state.filters.undone(batch)
-    state.silent.note(batch, state.airframe.sensor(batch.station), state.airframe.root)
+    state.unsynced_nodes.note(batch, state.airframe.sensor(batch.station), state.airframe.root)
     if batch.clock is not ClockName.HOST:
         converted = state.clocks.to_host(batch.clock, batch.t_ns, batch.received_host_ns)
         if isinstance(converted, Reject):
@@ -188,14 +188,14 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
         clock, t_ns = ClockName.HOST, converted[0]
         batch = ImuBatch(batch.station, clock, t_ns, batch.values, batch.axes, batch.received_host_ns)
     if batch.station is Station.ROOT:
-        state.silent.note_root(batch.t_ns, batch.values)
+        state.unsynced_nodes.note_root(batch.t_ns, batch.values)
     return [*refused, *state.tracker.add(batch)]
 
 
 def _align(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     """Let what the motion tells of silent nodes' clocks count as exchanges."""
     said: list[OutputRecord] = []
-    for exchange in state.silent.exchanges(now_ns):
+    for exchange in state.unsynced_nodes.exchanges(now_ns):
         before = state.clocks.state(exchange.clock).synced
         after = state.clocks.exchange(exchange)
         if after.synced and not before:
@@ -235,22 +235,22 @@ def _together(run: list[ImuBatch]) -> ImuBatch:
 
 
 def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecord]:
-    state.silent.answered(reply.clock, reply.received_host_ns)
+    state.unsynced_nodes.answered(reply.clock, reply.received_host_ns)
     before, restarts = state.clocks.synced(reply.clock), state.clocks.restarts(reply.clock)
     after = state.clocks.exchange(reply)
     if state.clocks.restarts(reply.clock) != restarts:  # nothing announced it: the exchanges show it
-        state.tracker.restarted(_kept_by(state.airframe, reply.clock))
+        state.tracker.restarted(_tips_on_clock(state.airframe, reply.clock))
     return [after] if after.synced != before else []
 
 
 def _on_restart(state: PipelineState, restart: ClockRestart) -> list[OutputRecord]:
     state.clocks.restart(restart)
-    state.silent.restarted(restart.clock)
-    state.tracker.restarted(_kept_by(state.airframe, restart.clock))
+    state.unsynced_nodes.restarted(restart.clock)
+    state.tracker.restarted(_tips_on_clock(state.airframe, restart.clock))
     return [Notice(4, f"{restart.clock} clock restarted; waiting for sync", restart.seen_host_ns)]
 
 
-def _kept_by(airframe: Airframe, clock: ClockName) -> list[Station]:
+def _tips_on_clock(airframe: Airframe, clock: ClockName) -> list[Station]:
     """The tips whose stamps, relative to the fuselage's, hang on this clock."""
     root = airframe.root.source.clock
     tips = [station for station in Station if station is not Station.ROOT]
@@ -306,12 +306,12 @@ def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputReco
 def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
     if state.correction is None:
         return []
-    matches, told = state.feedback.stamped(matches)
+    matches, stamped = state.feedback.stamped(matches)
     said: list[OutputRecord] = []
-    if told:
+    if stamped:
         if not state.counters[_BY_PIN]:
             said.append(Notice(6, f"{_BY_PIN}: its hot-shoe pin tells them best", matches.matched_host_ns))
-        state.counters[_BY_PIN] += told
+        state.counters[_BY_PIN] += stamped
     stamps = state.scheduling.exposed(matches) if state.scheduling is not None else None
     return [*said, *state.correction.add(matches, stamps)]
 
@@ -353,7 +353,7 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         climb_mps = state.vehicle.climb_mps if state.vehicle else 0.0
         airspeed_mps = state.vehicle.airspeed_mps if state.vehicle else 0.0
         outputs += state.correction.due(state.tracker, now_ns, climb_mps, airspeed_mps)
-    outputs += state.publishing.tick(now_ns, outputs, state.tracker.describe, state.validity, state.settings)
+    outputs += state.output_scheduler.tick(now_ns, outputs, state.tracker.describe, state.validity, state.settings)
     if state.correction is not None and state.validity is not None:
         state.silence.tick(now_ns, usable=_tracked(state) and _unlearned(state) is None)
     if now_ns >= state.next_status_ns:
@@ -362,12 +362,12 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     return outputs
 
 
-def _motion(state: PipelineState) -> Motion:
+def _motion(state: PipelineState) -> GroundMotion:
     """Ground speed smears a downward view by its share of the range; what is unknown counts as still and far."""
     measured = state.correction.last_trusted if state.correction else None
     if state.vehicle is None or measured is None:
-        return Motion()
-    return Motion(np.array([state.vehicle.airspeed_mps, 0.0, -state.vehicle.climb_mps]), measured.range_m)
+        return GroundMotion()
+    return GroundMotion(np.array([state.vehicle.airspeed_mps, 0.0, -state.vehicle.climb_mps]), measured.range_m)
 
 
 def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
@@ -401,7 +401,7 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
         if early is not None:
             return Health.STANDBY, f"{state.validity}; no range yet: {early}"
         silence = state.silence.reason(state.settings) if state.correction is not None else None
-        return (Health.ACTIVE, _motion_told(state)) if silence is None else (Health.STANDBY, silence)
+        return (Health.ACTIVE, _motion_text(state)) if silence is None else (Health.STANDBY, silence)
     if state.validity is Validity.SETTLING:
         return Health.STANDBY, str(state.validity)
     return Health.CRITICAL, str(state.validity)
@@ -417,12 +417,12 @@ def _unlearned(state: PipelineState) -> Reject | None:
     return state.tracker.distrust if state.correction is not None else None
 
 
-def _motion_told(state: PipelineState) -> str:
+def _motion_text(state: PipelineState) -> str:
     """``tracking`` only where the stronger mode's swing stands out from its own sigma."""
     mode = state.tracker.describe()
     if state.validity is not Validity.TRACKING or mode is None:
         return str(state.validity)
-    strongest = max(mode.symmetric, mode.antisymmetric, key=lambda one: one.rms_m)
+    strongest = max(mode.symmetric, mode.antisymmetric, key=lambda each: each.rms_m)
     return str(state.validity) if strongest.swings else "swing within its uncertainty"
 
 

@@ -23,7 +23,7 @@ class _Window:
 
 
 @dataclass(slots=True)
-class Delivery:
+class StreamRateMonitor:
     """Watches the stamps. An autopilot grants what it can, falls back, and sends more after a change.
 
     The tracker takes the believed rate for how long a gap may be and how much noise a cell has. What is lost on the

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.stereo.epipolar import epipolar_frame
-from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, with_relative_rotation
+from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.inverse_depth import Product, read
-from companion.core.stereo.ranging import divergence, range_axis
-from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
+from companion.core.stereo.inverse_depth import RangeProduct, robust_inverse_depth
+from companion.core.stereo.ranging import divergence, orientation_axis
+from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
@@ -42,7 +42,7 @@ class Judge:
         self._belief = Rig.from_airframe(flight.airframe)
         self._tips = TipMotion.from_airframe(flight.airframe)
         self._true_tips = TipMotion.from_airframe(flight.real.actual)
-        self._axis = range_axis(flight.airframe.orientation)
+        self._axis = orientation_axis(flight.airframe.orientation)
 
     @property
     def baseline_m(self) -> float:
@@ -97,24 +97,24 @@ class Judge:
             slow_slope_sigma_rad=0.0,
         )
 
-    def _read(self, matches: MatchSet, rig: Rig, moving: tuple[Exposure, Exposure]) -> Reading | None:
-        sight = sight_along(self._belief, self._axis)
+    def _read(self, matches: MatchSet, rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> Reading | None:
+        sight = range_axis_of_rig(self._belief, self._axis)
         depths = triangulate(match_rays(rig, moving, matches), sight, matches.sigma_px / rig.left.lens.focal_px)
-        reading = read(depths, Product(self.settings.product), self.settings.min_matches)
+        reading = robust_inverse_depth(depths, RangeProduct(self.settings.product), self.settings.min_matches)
         if reading is None:
             return None
         true_inverse = self._true_inverse(matches)
-        counted = np.isfinite(true_inverse) & (reading.influence != 0)
-        if not np.array_equal(counted, reading.influence != 0):
+        counted = np.isfinite(true_inverse) & (reading.weights != 0)
+        if not np.array_equal(counted, reading.weights != 0):
             return None
-        return Reading(reading.inverse_pm, float(reading.influence[counted] @ true_inverse[counted]))
+        return Reading(reading.inverse_pm, float(reading.weights[counted] @ true_inverse[counted]))
 
     def _true_inverse(self, matches: MatchSet) -> Floats:
         """Inverse depth along the range axis of what each left pixel really showed, (n,)."""
         left_ns, right_ns = (int(t_ns) - self.start_host_ns for t_ns in matches.mid_exposure_ns)
         points = self.renderer.view(Side.LEFT, left_ns).points_ned_m(self.renderer.scene, matches.left_px)
         body = self.flight.truth.at((left_ns + right_ns) // 2)
-        sight = sight_along(self._belief, self._axis)
+        sight = range_axis_of_rig(self._belief, self._axis)
         depth = ((points - body.position_ned_m) @ body.body_from_ned.T - sight.origin_m) @ sight.axis
         inverse: Floats = 1.0 / np.where(depth > 0, depth, np.nan)
         return inverse

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from companion.core.stereo.exposure import Exposure, rest_exposures
+from companion.core.stereo.exposure import CameraExposure, rest_exposures
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.ranging import range_axis
+from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.rotation import exp_rotation, log_rotation, relative_rotation, skew
-from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
+from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
 from companion.core.wing.beam import BeamMode, characteristic
 from companion.paper import printed
 from companion.paper.beam_tables import corrected_beam
@@ -64,8 +64,8 @@ def projected_range_m(depth_m: float, slope_rad: float) -> tuple[float, float]:
         0, 0, (ClockName.HOST, ClockName.HOST), np.zeros(2, np.int64), 0, 0,
         pixels[Side.LEFT], pixels[Side.RIGHT], np.ones(1), 0,
     )  # fmt: skip
-    still: tuple[Exposure, Exposure] = rest_exposures(rig)
-    depths = triangulate(match_rays(rig, still, matches), sight_along(rig, range_axis(25)), np.ones(1))
+    still: tuple[CameraExposure, CameraExposure] = rest_exposures(rig)
+    depths = triangulate(match_rays(rig, still, matches), range_axis_of_rig(rig, orientation_axis(25)), np.ones(1))
     return float((pixels[Side.LEFT] - pixels[Side.RIGHT])[0, 0]), float(1.0 / depths.inverse_pm[0])
 
 

@@ -17,9 +17,9 @@ from companion.core.stereo.exposure import rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.inverse_depth import consistent
 from companion.core.stereo.matching import match_pair
-from companion.core.stereo.ranging import range_axis
+from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.search import trim_search
-from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
+from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
 from companion.paper.bench import Setup, hang, rested, target
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.params.settings import Settings
@@ -71,7 +71,7 @@ def _pictures(setup: Setup, settings: Settings) -> list[MatchSet]:
 def _residuals(airframe: Airframe, seen: list[tuple[list[MatchSet], float]], theta: Floats) -> Floats:
     """Depth and parallax errors of every match in sigmas, then the priors."""
     rig = Rig.from_airframe(_changed(airframe, theta))
-    sight = sight_along(rig, range_axis(airframe.orientation))
+    sight = range_axis_of_rig(rig, orientation_axis(airframe.orientation))
     focal = rig.left.lens.focal_px
     parts = []
     for pictures, distance_m in seen:

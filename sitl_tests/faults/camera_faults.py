@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.inverse_depth import Product, read
-from companion.core.stereo.ranging import range_axis
+from companion.core.stereo.inverse_depth import RangeProduct, robust_inverse_depth
+from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.rotation import exp_rotation, log_rotation
-from companion.core.stereo.triangulation import Depths, sight_along
+from companion.core.stereo.triangulation import Depths, range_axis_of_rig
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import ClockName, CorrectedRange, MatchSet, Side
@@ -164,11 +164,13 @@ class StruckCameras(Cameras):
 
     def _range_m(self, points: np.ndarray) -> float:
         """What the product makes of exact depths."""
-        sight = sight_along(self._rig, range_axis(self.flight.airframe.orientation))
+        sight = range_axis_of_rig(self._rig, orientation_axis(self.flight.airframe.orientation))
         depth = (points - sight.origin_m) @ sight.axis
         tangent = ((points - sight.origin_m) @ sight.across.T) / depth[:, np.newaxis]
         parallax = 1e-9 * np.cos(np.arange(len(points)))
-        reading = read(Depths(1.0 / depth, np.full(len(points), 1e-5), tangent, parallax), Product.MEDIAN, 4)
+        reading = robust_inverse_depth(
+            Depths(1.0 / depth, np.full(len(points), 1e-5), tangent, parallax), RangeProduct.MEDIAN, 4
+        )
         assert reading is not None
         return 1.0 / reading.inverse_pm
 

@@ -9,8 +9,8 @@ import pytest
 
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.inverse_depth import consistent
-from companion.core.stereo.ranging import range_axis
-from companion.core.stereo.triangulation import match_rays, sight_along, triangulate
+from companion.core.stereo.ranging import orientation_axis
+from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
 from companion.core.stereo.vision import VisionState
 from companion.evaluation.true_geometry import Judge
 from companion.params.files import load_airframe
@@ -32,7 +32,7 @@ def _errors(judge: Judge, matches: MatchSet) -> tuple[np.ndarray, np.ndarray]:
     body = truth.at(middle_ns)
     rig, tips = judge.renderer.rig, TipMotion.from_airframe(judge.flight.real.actual)
     moving = exposures(rig, tips, bends[0], bends[1], body.body_from_ned @ body.velocity_ned_mps)
-    sight = sight_along(rig, range_axis(judge.flight.airframe.orientation))
+    sight = range_axis_of_rig(rig, orientation_axis(judge.flight.airframe.orientation))
     depths = triangulate(match_rays(rig, moving, matches), sight, matches.sigma_px / rig.left.lens.focal_px)
     view = judge.renderer.view(Side.LEFT, int(matches.mid_exposure_ns[0]) - HOST_EPOCH_NS)
     points = view.points_ned_m(judge.renderer.scene, matches.left_px)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.epipolar import EpipolarFilter, SlowPrior, epipolar_frame, in_frame
+from companion.core.stereo.epipolar import EpipolarFilter, ExtrinsicsPrior, epipolar_frame, in_frame
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
@@ -29,14 +29,14 @@ class Verdict:
     sigma_rad: np.ndarray
 
 
-def tuned_prior(rig: Rig, pairs: list[FlexedPair]) -> SlowPrior:
+def tuned_prior(rig: Rig, pairs: list[FlexedPair]) -> ExtrinsicsPrior:
     """The one thing that is learned: what these matches scatter beyond their stated sigmas, about each pair's fit."""
     excess = []
     for pair in pairs:
         every = np.ones(len(pair.matches), dtype=bool)
         stated = float(np.median(pair.matches.sigma_px)) / rig.right.lens.focal_px
         excess.append(noise_rad(rig, pair, every) ** 2 - stated**2)
-    return SlowPrior(baseline_rad=_BASELINE_RAD, parallax_rad=float(np.sqrt(max(np.median(excess), 0.0))))
+    return ExtrinsicsPrior(baseline_rad=_BASELINE_RAD, parallax_rad=float(np.sqrt(max(np.median(excess), 0.0))))
 
 
 def split(pairs: list[FlexedPair], seed: int = 5) -> list[np.ndarray]:
@@ -45,7 +45,7 @@ def split(pairs: list[FlexedPair], seed: int = 5) -> list[np.ndarray]:
     return [random.random(len(pair.matches)) < 0.5 for pair in pairs]
 
 
-def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str, prior: SlowPrior) -> Verdict:
+def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str, prior: ExtrinsicsPrior) -> Verdict:
     """Error of the total rotation of every pair, estimated in one of three ways; no held-out match is touched."""
     epipolar_from_camera = epipolar_frame(rig) @ rig.right.rest.camera_from_body.T
     running = EpipolarFilter(rig, prior)
@@ -82,7 +82,7 @@ def kept(parallax: np.ndarray) -> np.ndarray:
     return off < 4 * 1.4826 * np.median(off)
 
 
-def calibration_error(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], belief: SlowPrior) -> np.ndarray:
+def calibration_error(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], belief: ExtrinsicsPrior) -> np.ndarray:
     """Constant relative rotation (3,) by which the published calibration is off: all held-out matches together."""
     rows = [own_design(rig, pair, ~mine) for pair, mine in zip(pairs, used, strict=True)]
     parallax, design = np.concatenate([p for p, _ in rows]), np.concatenate([h for _, h in rows])
@@ -104,7 +104,7 @@ def noise_rad(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> float:
 
 
 def cramer_rao(
-    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], fast_sigma_rad: float | None, prior: SlowPrior
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], fast_sigma_rad: float | None, prior: ExtrinsicsPrior
 ) -> np.ndarray:
     """Sigma (n, 3) that nobody can beat with these matches: lenses and baseline unknown within their priors.
 

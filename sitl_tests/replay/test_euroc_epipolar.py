@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.core.stereo.epipolar import SlowPrior, epipolar_frame
+from companion.core.stereo.epipolar import ExtrinsicsPrior, epipolar_frame
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation
 from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, euroc_airframe, flexed_pairs, rays_of, rotations
@@ -35,7 +35,7 @@ def rig() -> Rig:
 
 
 @pytest.fixture(scope="module")
-def prior(rig: Rig) -> SlowPrior:
+def prior(rig: Rig) -> ExtrinsicsPrior:
     """Tuned on other pairs, under other rotations, than those that are judged."""
     return tuned_prior(rig, flexed_pairs(EUROC, rig, seed=0, which=slice(0, TUNED)))
 
@@ -50,7 +50,7 @@ def used(pairs: list[FlexedPair]) -> list[np.ndarray]:
     return split(pairs)
 
 
-def _rms(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str, prior: SlowPrior) -> np.ndarray:
+def _rms(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str, prior: ExtrinsicsPrior) -> np.ndarray:
     """Pitch, yaw, roll; the reference's own constant error comes from the matches that judge."""
     error = estimate(rig, pairs, used, way, prior).error_rad[SETTLED:] - calibration_error(rig, pairs, used, prior)
     return np.sqrt(np.mean(error**2, axis=0))
@@ -63,20 +63,22 @@ def test_the_rotation_stays_within_five_mrad_and_uses_most_of_it() -> None:
 
 
 def test_both_together_hold_pitch_and_roll_to_a_tenth_of_a_mrad(
-    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: ExtrinsicsPrior
 ) -> None:
     rms = _rms(rig, pairs, used, "both", prior)
     assert rms[PITCH] <= LIMIT_RAD
     assert rms[ROLL] <= LIMIT_RAD
 
 
-def test_yaw_comes_near_its_bound(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior) -> None:
+def test_yaw_comes_near_its_bound(
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: ExtrinsicsPrior
+) -> None:
     bound = cramer_rao(rig, pairs, used, FAST_SIGMA_RAD, prior)[SETTLED:, YAW]
     assert _rms(rig, pairs, used, "both", prior)[YAW] <= 1.5 * np.sqrt(np.mean(bound**2))
 
 
 def test_both_beat_the_matches_alone_where_they_are_weak_and_the_modal_part_everywhere(
-    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: ExtrinsicsPrior
 ) -> None:
     modal, epipolar, both = (_rms(rig, pairs, used, way, prior) for way in ("modal", "epipolar", "both"))
     assert np.all(modal > BEFORE_ANYTHING_RAD)
@@ -85,7 +87,7 @@ def test_both_beat_the_matches_alone_where_they_are_weak_and_the_modal_part_ever
 
 
 def test_the_stated_sigma_is_honest(
-    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: ExtrinsicsPrior
 ) -> None:
     """Errors over stated sigmas: neither three times too bold nor three times too shy (40 pairs of one scene)."""
     for way in ("epipolar", "both"):
@@ -97,7 +99,7 @@ def test_the_stated_sigma_is_honest(
 
 
 def test_depth_agrees_within_the_yaw_that_is_left(
-    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: SlowPrior
+    rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], prior: ExtrinsicsPrior
 ) -> None:
     """Disparity of held-out matches, by estimated and by true rotation: they differ by what the bound of yaw allows."""
     verdict = estimate(rig, pairs, used, "both", prior)

@@ -11,7 +11,7 @@ import pytest
 from companion.calibration.boards import Corners
 from companion.calibration.guidance import advice, is_new, perspective
 from companion.calibration.live import LiveViews
-from companion.calibration.stereo_rig import View
+from companion.calibration.stereo_rig import BoardView
 from companion.cli import calibrate
 from companion.cli.steps.calibrate_live import take_views
 from companion.core.stereo.geometry import Rig
@@ -34,8 +34,8 @@ def _corners(
     return Corners(np.arange(len(points)), pixels)
 
 
-def _view(**how: tuple[float, float, float]) -> View:
-    return View("v", _corners(**how), _corners(**how))
+def _view(**how: tuple[float, float, float]) -> BoardView:
+    return BoardView("v", _corners(**how), _corners(**how))
 
 
 def _frames(k: int, t_s: float, apart_s: float = 0.0) -> list[Frame]:

@@ -13,8 +13,8 @@ from companion.core import pipeline
 from companion.core.clock.motion_alignment import (
     LARGEST_SIGMA_S,
     SIGMAS,
-    Alignment,
     Lag,
+    MotionAlignment,
     carried,
     heave_lag,
     lag_between,
@@ -86,7 +86,7 @@ def test_the_delay_of_a_low_pass_is_that_of_its_slope_at_zero() -> None:
 
 
 def test_arrivals_alone_bound_the_clock_by_the_longest_delay() -> None:
-    alignment = Alignment(NODE)
+    alignment = MotionAlignment(NODE)
     alignment.add_node(ImuBatch(Station.LEFT, NODE, np.array([5_000_000_000]), np.zeros((1, 6)), 63, 9_000_000_000))  # type: ignore[arg-type]
     (exchange,) = alignment.exchanges(9_000_000_000)
     # the sample was taken 0 to 60 ms before it arrived: so 60 ms less was read 0 to 120 ms before
@@ -210,7 +210,7 @@ def test_in_flight_a_deaf_node_joins_with_a_true_bound_and_is_told(monkeypatch: 
     assert {batch.station for batch in tracker.heard} == set(Station), "the node's samples reach the tracker"
     assert {batch.clock for batch in tracker.heard} == {ClockName.HOST}
     assert driven.state.airframe.left.time_offset_sigma_s >= flight.airframe.left.time_offset_sigma_s
-    assert driven.state.silent.clocks == {NODE}, "the right node answers, and is left alone"
+    assert driven.state.unsynced_nodes.clocks == {NODE}, "the right node answers, and is left alone"
 
 
 @pytest.mark.slow

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.output_scheduler import Publishing
-from companion.core.pipeline import _motion_told, start
+from companion.core.output_scheduler import OutputScheduler
+from companion.core.pipeline import _motion_text, start
 from companion.core.stereo.consistency_gate import RangeGate
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -163,14 +163,14 @@ def nothing() -> None:
 @given(st.lists(st.tuples(st.integers(1, 60), st.booleans(), st.booleans()), min_size=1, max_size=120))
 def test_an_old_number_never_stands_longer_than_400_ms(turns: list[tuple[int, bool, bool]]) -> None:
     """Whatever comes when: at any tick more than 400 ms after the last trusted range, "no range" went out lately."""
-    publishing, settings = Publishing(DOWN), Settings()
+    scheduler, settings = OutputScheduler(DOWN), Settings()
     now_ns = trusted_ns = 10 * S
-    publishing.tick(now_ns, [measured(40.0, now_ns)], nothing, None, settings)
+    scheduler.tick(now_ns, [measured(40.0, now_ns)], nothing, None, settings)
     said_ns: int | None = None
     for wait_ms, comes, good in turns:
         now_ns += wait_ms * MS
         fresh: list[OutputRecord] = [measured(40.0, now_ns, trusted=good)] if comes else []
-        outputs = publishing.tick(now_ns, fresh, nothing, None, settings)
+        outputs = scheduler.tick(now_ns, fresh, nothing, None, settings)
         if comes and good:
             trusted_ns, said_ns = now_ns, None
         if any(isinstance(output, NoRange) for output in outputs):
@@ -182,49 +182,49 @@ def test_an_old_number_never_stands_longer_than_400_ms(turns: list[tuple[int, bo
 
 
 def test_silence_is_filled_at_the_publishing_rate_with_the_last_reason() -> None:
-    publishing, settings = Publishing(DOWN), Settings().replace("OUT_RATE", 5.0)
+    scheduler, settings = OutputScheduler(DOWN), Settings().replace("OUT_RATE", 5.0)
     good = Validity.TRACKING
-    publishing.tick(10 * S, [measured(40.0, 10 * S)], nothing, good, settings)
-    publishing.tick(10 * S + 10 * MS, [measured(40.0, 10 * S, trusted=False)], nothing, good, settings)
+    scheduler.tick(10 * S, [measured(40.0, 10 * S)], nothing, good, settings)
+    scheduler.tick(10 * S + 10 * MS, [measured(40.0, 10 * S, trusted=False)], nothing, good, settings)
     said = [
         output
         for k in range(1, 201)
-        for output in publishing.tick(10 * S + k * 10 * MS, [], nothing, good, settings)
+        for output in scheduler.tick(10 * S + k * 10 * MS, [], nothing, good, settings)
         if isinstance(output, NoRange)
     ]
     assert len(said) == 8, "1.6 s of silence at 5 Hz"
     assert {entry.reject for entry in said} == {Reject.SIGMA_TOO_LARGE}
     assert {entry.orientation for entry in said} == {DOWN}
-    (entry,) = [e for e in publishing.tick(13 * S, [], nothing, Validity.STALE, settings) if isinstance(e, NoRange)]
+    (entry,) = [e for e in scheduler.tick(13 * S, [], nothing, Validity.STALE, settings) if isinstance(e, NoRange)]
     assert entry.reject is Reject.STALE
 
 
 @pytest.mark.parametrize(("rate_hz", "expected"), [(0.0, 0), (4.0, 8), (20.0, 40)])
 def test_the_mode_goes_out_at_the_rate_for_graphs(rate_hz: float, expected: int) -> None:
-    publishing, settings = Publishing(DOWN), Settings().replace("OUT_DEBUG", rate_hz)
+    scheduler, settings = OutputScheduler(DOWN), Settings().replace("OUT_DEBUG", rate_hz)
     calm = functools.partial(mode, Validity.CALM)
-    said = [o for k in range(200) for o in publishing.tick(10 * S + k * 10 * MS, [], calm, Validity.CALM, settings)]
+    said = [o for k in range(200) for o in scheduler.tick(10 * S + k * 10 * MS, [], calm, Validity.CALM, settings)]
     assert sum(isinstance(output, ModeState) for output in said) == expected
 
 
-def reasons(publishing: Publishing, validity: Validity, seconds: range) -> list[Reject]:
+def reasons(scheduler: OutputScheduler, validity: Validity, seconds: range) -> list[Reject]:
     """Why there was no range at these seconds, when nothing was measured."""
-    outputs = [publishing.tick(second * S, [], nothing, validity, Settings()) for second in seconds]
+    outputs = [scheduler.tick(second * S, [], nothing, validity, Settings()) for second in seconds]
     return [output.reject for group in outputs for output in group if isinstance(output, NoRange)]
 
 
 def test_without_cameras_the_reason_for_no_range_is_not_the_tracker() -> None:
-    publishing = Publishing(DOWN)
-    assert reasons(publishing, Validity.SETTLING, range(10, 12)) == [Reject.NOT_SETTLED] * 2
-    assert reasons(publishing, Validity.TRACKING, range(12, 15)) == [Reject.NO_PAIRS] * 3
+    scheduler = OutputScheduler(DOWN)
+    assert reasons(scheduler, Validity.SETTLING, range(10, 12)) == [Reject.NOT_SETTLED] * 2
+    assert reasons(scheduler, Validity.TRACKING, range(12, 15)) == [Reject.NO_PAIRS] * 3
 
 
 @pytest.mark.parametrize("good", [True, False])
 def test_what_was_said_of_a_range_long_ago_is_not_said_of_now(good: bool) -> None:
-    publishing = Publishing(DOWN)
-    publishing.tick(10 * S, [measured(40.0, 10 * S, trusted=False)], nothing, Validity.TRACKING, Settings())
-    publishing.tick(11 * S, [measured(40.0, 11 * S, trusted=good)], nothing, Validity.TRACKING, Settings())
-    assert reasons(publishing, Validity.TRACKING, range(14, 16)) == [Reject.NO_PAIRS] * 2
+    scheduler = OutputScheduler(DOWN)
+    scheduler.tick(10 * S, [measured(40.0, 10 * S, trusted=False)], nothing, Validity.TRACKING, Settings())
+    scheduler.tick(11 * S, [measured(40.0, 11 * S, trusted=good)], nothing, Validity.TRACKING, Settings())
+    assert reasons(scheduler, Validity.TRACKING, range(14, 16)) == [Reject.NO_PAIRS] * 2
 
 
 @pytest.mark.parametrize(("rms_mm", "told"), [(4.0, "tracking"), (0.05, "swing within its uncertainty")])
@@ -234,7 +234,7 @@ def test_tracking_is_said_only_of_a_swing_that_stands_out_from_its_sigma(rms_mm:
     described = dataclasses.replace(mode(Validity.TRACKING), symmetric=unsure)
     state.validity = Validity.TRACKING
     state.tracker.describe = lambda: described  # type: ignore[method-assign]
-    assert _motion_told(state) == told
+    assert _motion_text(state) == told
 
 
 def test_a_pair_that_looks_ahead_takes_the_next_obstacle_for_no_knock() -> None:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.core.rate_monitor import Delivery
+from companion.core.rate_monitor import StreamRateMonitor
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, ModeState, Notice, Station, Validity
 from sitl_tests.unit.pipeline_flight import S, inputs, run
@@ -18,7 +18,7 @@ WRONG = dataclasses.replace(AIRFRAME, left=dataclasses.replace(AIRFRAME.left, ra
 
 def settled_on(t_s: np.ndarray, rng: np.random.Generator | None = None, loss: float = 0.0) -> list[float]:
     """Rates that a left node's samples at these instants would have the tracker adopt."""
-    delivery, found = Delivery(), []
+    delivery, found = StreamRateMonitor(), []
     for part in np.array_split(t_s, max(len(t_s) // 20, 1)):
         kept = part if rng is None else part[rng.random(len(part)) >= loss]
         if len(kept):

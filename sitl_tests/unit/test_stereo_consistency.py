@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from companion.core.stereo.consistency_gate import Innovation, MatchTest, Verdict
+from companion.core.stereo.consistency_gate import Innovation, MatchTest, MatchVerdict
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
@@ -202,7 +202,7 @@ def test_where_nothing_looks_at_matches_a_new_surface_must_stay_for_five_seconds
 # ------------------------------------------------------------------------------------- the test itself
 
 
-def _verdicts(shift_sigmas: float, count: int, seed: int) -> list[Verdict]:
+def _verdicts(shift_sigmas: float, count: int, seed: int) -> list[MatchVerdict]:
     test, random = MatchTest(), np.random.default_rng(seed)
     sigma_rad = np.array([2e-5, 5e-4, 1e-4])
     shift = np.array([0.0, shift_sigmas, 0.0])
@@ -213,21 +213,21 @@ def _verdicts(shift_sigmas: float, count: int, seed: int) -> list[Verdict]:
 @pytest.mark.slow
 def test_chance_opens_nothing_in_ten_minutes_at_eight_pairs_a_second() -> None:
     said = _verdicts(0.0, 8 * 600 * 10, 1)
-    assert said.count(Verdict.KNOCKED) <= 2, "in a hundred minutes"
-    assert said.count(Verdict.OUTLIER) <= 2
+    assert said.count(MatchVerdict.KNOCKED) <= 2, "in a hundred minutes"
+    assert said.count(MatchVerdict.OUTLIER) <= 2
 
 
 @pytest.mark.parametrize(("shift_sigmas", "pairs"), [(2.0, 20), (3.5, 8), (8.0, 5)])
 def test_a_shift_that_one_pair_hardly_shows_adds_up(shift_sigmas: float, pairs: int) -> None:
     """The sum grows by the shift less three quarters of a sigma a pair; far outliers open by their number."""
     for seed in range(20):
-        assert Verdict.KNOCKED in _verdicts(shift_sigmas, pairs, seed)
+        assert MatchVerdict.KNOCKED in _verdicts(shift_sigmas, pairs, seed)
 
 
 def test_one_outlier_is_an_outlier_and_is_granted_any_rotation() -> None:
     test, sigma_rad = MatchTest(), np.array([2e-5, 5e-4, 1e-4])
     covariance = np.diag(sigma_rad**2)
     verdict, doubt = test.take(Innovation(np.array([7.0, 0.0, 0.0]) * sigma_rad, covariance))
-    assert verdict is Verdict.OUTLIER
+    assert verdict is MatchVerdict.OUTLIER
     assert np.sqrt(doubt[1, 1]) > 0.003
-    assert test.take(Innovation(np.zeros(3), covariance))[0] is Verdict.AGREE
+    assert test.take(Innovation(np.zeros(3), covariance))[0] is MatchVerdict.AGREE

@@ -8,11 +8,11 @@ import pytest
 from companion.core.stereo.epipolar import (
     EpipolarFilter,
     EpipolarUpdate,
-    SlowPrior,
+    ExtrinsicsPrior,
     epipolar_frame,
     in_frame,
     parallax,
-    turned_right,
+    with_right_rotated,
 )
 from companion.core.stereo.geometry import Pose, Rig
 from companion.core.stereo.rotation import exp_rotation
@@ -50,7 +50,7 @@ def _rays(
     )
 
 
-def _update(rig: Rig, rays: Rays, prior: SlowPrior, fast_rad: float = 1e-9) -> EpipolarUpdate:
+def _update(rig: Rig, rays: Rays, prior: ExtrinsicsPrior, fast_rad: float = 1e-9) -> EpipolarUpdate:
     sigma = np.full(len(rays.left), NOISE_RAD)
     answer = EpipolarFilter(rig, prior).update(rays, sigma, fast_rad**2 * np.eye(3), 0)
     assert isinstance(answer, EpipolarUpdate)
@@ -61,7 +61,7 @@ def test_a_rotation_of_several_milliradians_is_found_within_its_sigma(rig: Rig) 
     squares = []
     for seed in range(40):
         true = np.random.default_rng(1000 + seed).normal(0.0, 0.004, 3)
-        found = _update(rig, _rays(rig, true, seed), SlowPrior(baseline_rad=1e-9, **EXACT_LENSES))
+        found = _update(rig, _rays(rig, true, seed), ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES))
         error = found.slow_rad - true
         squares.append(float(error @ np.linalg.solve(found.slow_covariance, error)))
         assert np.abs(error[[0, 2]]).max() < 1e-4
@@ -73,7 +73,9 @@ def test_yaw_is_weak_by_the_factor_that_geometry_gives_and_the_filter_knows_it(r
     """Uniform x in +-a, y in +-b: the parallax of yaw is x y, so its sigma is noise / sqrt(n a^2 b^2 / 9)."""
     n = 400
     found = _update(
-        rig, _rays(rig, np.zeros(3), 3, n=n, depths_m=(400.0, 500.0)), SlowPrior(baseline_rad=1e-9, **EXACT_LENSES)
+        rig,
+        _rays(rig, np.zeros(3), 3, n=n, depths_m=(400.0, 500.0)),
+        ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES),
     )
     sigma = np.sqrt(np.diag(found.slow_covariance))
     scaled = NOISE_RAD * found.parallax_scale
@@ -86,8 +88,8 @@ def test_an_unknown_baseline_counts_as_far_as_there_is_disparity(rig: Rig) -> No
     """At one depth a baseline turned by b is a pitch of b times the disparity B/Z: no match can tell the two apart."""
     depth_m, baseline_rad = 175.0, 0.005  # small: y^2 in the pitch column tells a large one apart
     rays = _rays(rig, np.zeros(3), 4, depths_m=(depth_m, depth_m))
-    known = _update(rig, rays, SlowPrior(baseline_rad=1e-9, **EXACT_LENSES))
-    unknown = _update(rig, rays, SlowPrior(baseline_rad=baseline_rad, **EXACT_LENSES))
+    known = _update(rig, rays, ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES))
+    unknown = _update(rig, rays, ExtrinsicsPrior(baseline_rad=baseline_rad, **EXACT_LENSES))
     added = np.sqrt(unknown.slow_covariance[0, 0] - known.slow_covariance[0, 0])
     assert added == pytest.approx(baseline_rad * rig.baseline_m / depth_m, rel=0.05)
     assert unknown.slow_covariance[2, 2] == pytest.approx(known.slow_covariance[2, 2], rel=0.02)
@@ -98,7 +100,7 @@ def test_a_third_of_wrong_matches_hardly_matters(rig: Rig) -> None:
     rays = _rays(rig, true, 6)
     spoiled = rays.right.copy()
     spoiled[:50] += np.random.default_rng(7).normal(0.0, 0.004, (50, 3))
-    prior = SlowPrior(baseline_rad=1e-9, **EXACT_LENSES)
+    prior = ExtrinsicsPrior(baseline_rad=1e-9, **EXACT_LENSES)
     found = _update(rig, Rays(rays.left_m, rays.left, rays.right_m, spoiled), prior)
     error = np.abs(found.slow_rad - true)
     assert np.all(error < 5.0 * np.sqrt(np.diag(found.slow_covariance)))
@@ -107,7 +109,10 @@ def test_a_third_of_wrong_matches_hardly_matters(rig: Rig) -> None:
 
 def test_slow_and_fast_part_are_told_apart_by_time(rig: Rig) -> None:
     """A constant 3 mrad under a fast part that is known to 0.5 mrad only: 100 pairs find the constant."""
-    random, tracker = np.random.default_rng(8), EpipolarFilter(rig, SlowPrior(walk_rad_rts=1e-5, baseline_rad=1e-9))
+    random, tracker = (
+        np.random.default_rng(8),
+        EpipolarFilter(rig, ExtrinsicsPrior(walk_rad_rts=1e-5, baseline_rad=1e-9)),
+    )
     slow, first = np.array([0.003, -0.003, 0.001]), None
     for k in range(100):
         fast_error = random.normal(0.0, 5e-4, 3)
@@ -133,13 +138,13 @@ def test_the_design_is_the_derivative_of_the_parallax(rig: Rig) -> None:
 
 def test_turning_the_rays_back_leaves_no_parallax(rig: Rig) -> None:
     true = np.array([0.002, -0.003, 0.004])
-    rays = turned_right(_rays(rig, true, 10), true, epipolar_frame(rig))
+    rays = with_right_rotated(_rays(rig, true, 10), true, epipolar_frame(rig))
     left_over, _ = parallax(in_frame(rays, epipolar_frame(rig)), np.zeros(7))
     assert np.std(left_over) < 1.2 * NOISE_RAD
 
 
 def test_it_refuses_and_forgets_nothing(rig: Rig) -> None:
-    tracker = EpipolarFilter(rig, SlowPrior())
+    tracker = EpipolarFilter(rig, ExtrinsicsPrior())
     rays, sigma, still = _rays(rig, np.full(3, 0.002), 11), np.full(150, NOISE_RAD), 1e-8 * np.eye(3)
     tracker.update(rays, sigma, still, 1_000)
     before = tracker.predict(1_000)[0]
@@ -153,7 +158,7 @@ def test_it_refuses_and_forgets_nothing(rig: Rig) -> None:
 
 def test_belief_grows_wider_while_nothing_is_seen(rig: Rig) -> None:
     """An Ornstein-Uhlenbeck process: ``P(t) = V + (P(0) - V) exp(-2 t / T)``, ``T = 2 V / walk^2``."""
-    prior = SlowPrior(walk_rad_rts=1e-3, rotation_rad=0.005)
+    prior = ExtrinsicsPrior(walk_rad_rts=1e-3, rotation_rad=0.005)
     tracker = EpipolarFilter(rig, prior)
     tracker.update(_rays(rig, np.zeros(3), 12), np.full(150, NOISE_RAD), 1e-8 * np.eye(3), 0)
     now, soon, late = (np.diag(tracker.predict(t_ns)[1]) for t_ns in (0, 4_000_000_000, 10**13))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.core.stereo.exposure import TipMotion, exposures
-from companion.core.stereo.extrinsics_drift import SlowRotation
+from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import correct
 from companion.core.stereo.triangulation import match_rays
@@ -44,10 +44,12 @@ def _matches(airframe: Airframe, points: np.ndarray, turned: Airframe, seed: int
     return match_set(left, right, MATCH_PX)
 
 
-def _told(slow: SlowRotation, airframe: Airframe, matches: MatchSet, wing: Deflection, look: bool) -> RelativeRotation:
+def _told(
+    slow: ExtrinsicsDriftFilter, airframe: Airframe, matches: MatchSet, wing: Deflection, use_matches: bool
+) -> RelativeRotation:
     rig = Rig.from_airframe(airframe)
     moving = exposures(rig, TipMotion.from_airframe(airframe), wing, wing)
-    return slow.update(matches, match_rays(rig, moving, matches), (wing, wing), moving, 0.0, look=look)
+    return slow.update(matches, match_rays(rig, moving, matches), (wing, wing), moving, 0.0, use_matches=use_matches)
 
 
 def _mounted(airframe: Airframe, random: np.random.Generator) -> tuple[Airframe, np.ndarray]:
@@ -60,13 +62,13 @@ def _mounted(airframe: Airframe, random: np.random.Generator) -> tuple[Airframe,
         x, y, z = turn.tolist()
         cameras.append(dataclasses.replace(camera, rotation_rad=(x, y, z)))
         turned.append(mounted.rest.camera_from_body.T @ turn)
-    frame = SlowRotation(rig, airframe).body_from_epipolar.T
+    frame = ExtrinsicsDriftFilter(rig, airframe).body_from_epipolar.T
     return dataclasses.replace(airframe, left_camera=cameras[0], right_camera=cameras[1]), frame @ (
         turned[1] - turned[0]
     )
 
 
-def _errors(tilt_rad: float, look: bool, flights: int = 40, pairs: int = 8) -> tuple[np.ndarray, np.ndarray]:
+def _errors(tilt_rad: float, use_matches: bool, flights: int = 40, pairs: int = 8) -> tuple[np.ndarray, np.ndarray]:
     """Last yaw error of each flight, and its stated sigma; the tracker's slow error is drawn from ``tilt_rad``."""
     airframe = _lasting(nadir(rotation_sigma_rad=3e-4))
     rig = Rig.from_airframe(airframe)
@@ -75,13 +77,13 @@ def _errors(tilt_rad: float, look: bool, flights: int = 40, pairs: int = 8) -> t
         random = np.random.default_rng([flight, 77])
         truth, mounting = _mounted(airframe, random)
         off_rad = tilt_rad * random.standard_normal()
-        slow = SlowRotation(rig, airframe)
+        slow = ExtrinsicsDriftFilter(rig, airframe)
         for k in range(pairs):
             fast = 2e-4 * random.standard_normal(2)
             wing = _believed(TRUE_SLOPE - off_rad, tilt_rad, 2e-4, k * PERIOD_NS)
             wing = dataclasses.replace(wing, slope_rad=wing.slope_rad - fast)
             rolling = ground_below(60.0, 120, 100 * flight + k, tilt=(0.1, -0.05))
-            told = _told(slow, airframe, _matches(airframe, rolling, truth, 1000 * flight + k), wing, look)
+            told = _told(slow, airframe, _matches(airframe, rolling, truth, 1000 * flight + k), wing, use_matches)
         # up-bend turns the right camera about -x of the body, which is +y of this pair's epipolar frame, twice over
         errors.append(told.slow_rad[YAW] - (2.0 * off_rad + mounting[YAW]))
         sigmas.append(np.sqrt(told.slow_covariance[YAW, YAW]))
@@ -89,17 +91,17 @@ def _errors(tilt_rad: float, look: bool, flights: int = 40, pairs: int = 8) -> t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("tilt_rad", "look"), [(0.002, False), (0.01, True), (0.0002, True)])
-def test_the_sigma_of_tilt_only_epipolar_only_and_both_is_honest(tilt_rad: float, look: bool) -> None:
+@pytest.mark.parametrize(("tilt_rad", "use_matches"), [(0.002, False), (0.01, True), (0.0002, True)])
+def test_the_sigma_of_tilt_only_epipolar_only_and_both_is_honest(tilt_rad: float, use_matches: bool) -> None:
     """Chi-square with 40 degrees of freedom over 40: mean 1, standard deviation 0.22."""
-    errors, sigmas = _errors(tilt_rad, look)
+    errors, sigmas = _errors(tilt_rad, use_matches)
     assert 1.0 - 3 * 0.22 < np.mean((errors / sigmas) ** 2) < 1.0 + 3 * 0.22
 
 
 def test_both_together_are_better_than_either() -> None:
     tilt, features, both = (
-        _errors(tilt_rad, look, flights=10, pairs=1)[1].mean()
-        for tilt_rad, look in ((0.0001, False), (0.01, True), (0.0001, True))
+        _errors(tilt_rad, use_matches, flights=10, pairs=1)[1].mean()
+        for tilt_rad, use_matches in ((0.0001, False), (0.01, True), (0.0001, True))
     )
     assert both < 0.9 * min(tilt, features)
     # mounting is common to both, so that their information does not simply add up; it can at most
@@ -109,11 +111,11 @@ def test_both_together_are_better_than_either() -> None:
 def test_without_looking_the_yaw_is_as_uncertain_as_tilt_and_mounting() -> None:
     airframe = nadir(rotation_sigma_rad=3e-4)
     told = _told(
-        SlowRotation(Rig.from_airframe(airframe), airframe),
+        ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe),
         airframe,
         _matches(airframe, ground_below(60.0, 50, 1), airframe, 1),
         _believed(TRUE_SLOPE, 0.001, 2e-4, 0),
-        look=False,
+        use_matches=False,
     )
     assert (told.matches, told.parallax_scale) == (0, 0.0)
     slow = (2 * 0.001) ** 2 + 2 * 3e-4**2
@@ -125,37 +127,37 @@ def test_without_looking_the_yaw_is_as_uncertain_as_tilt_and_mounting() -> None:
 def test_what_the_tracker_learns_is_taken_over_and_what_the_matches_told_is_not_counted_twice() -> None:
     """Two witnesses of one constant: tilt known to s, then to s/2; nothing seen in between."""
     airframe = nadir(rotation_sigma_rad=1e-7)
-    slow = SlowRotation(Rig.from_airframe(airframe), airframe)
+    slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
     matches = _matches(airframe, ground_below(60.0, 50, 1), airframe, 1)
-    first = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 0.0, 0), look=True)
-    later = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.0005, 0.0, PERIOD_NS), look=False)
+    first = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 0.0, 0), use_matches=True)
+    later = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.0005, 0.0, PERIOD_NS), use_matches=False)
     seen_slope = first.slow_covariance[YAW, YAW] / 4.0
     ratio = 0.25
     expected = ratio**2 * seen_slope + 0.0005**2 * (1.0 - ratio)
     assert later.slow_covariance[YAW, YAW] / 4.0 == pytest.approx(expected, rel=1e-3)
 
 
-def _last_yaw_sigma(sigmas_rad: list[float], look: bool) -> float:
-    """Of a slow bend whose stated sigma goes through a list, pair by pair; ``look`` is for the last pair."""
+def _last_yaw_sigma(sigmas_rad: list[float], use_matches: bool) -> float:
+    """Of a slow bend whose stated sigma goes through a list, pair by pair; ``use_matches`` is for the last pair."""
     airframe = _lasting(nadir(rotation_sigma_rad=1e-7))
-    slow = SlowRotation(Rig.from_airframe(airframe), airframe)
+    slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
     for k, sigma_rad in enumerate(sigmas_rad):
         wing = _believed(TRUE_SLOPE, sigma_rad, 0.0, k * PERIOD_NS)
         matches = _matches(airframe, ground_below(60.0, 60, k), airframe, k)
-        told = _told(slow, airframe, matches, wing, look=look or k + 1 < len(sigmas_rad))
+        told = _told(slow, airframe, matches, wing, use_matches=use_matches or k + 1 < len(sigmas_rad))
     return float(np.sqrt(told.slow_covariance[YAW, YAW]))
 
 
 def test_a_stated_sigma_that_ripples_with_the_load_makes_nobody_forget() -> None:
     """Two percent up and down, twenty times: what the matches have told of a lasting error stays told."""
-    steady = _last_yaw_sigma([0.002] * 20, look=True)
-    rippling = _last_yaw_sigma([0.002, 0.00204] * 10, look=True)
+    steady = _last_yaw_sigma([0.002] * 20, use_matches=True)
+    rippling = _last_yaw_sigma([0.002, 0.00204] * 10, use_matches=True)
     assert steady < 0.1 * 2.0 * 0.002
     assert rippling == pytest.approx(steady, rel=0.02)
 
 
 def test_a_tracker_that_has_lost_the_bend_is_believed_at_once() -> None:
-    sigma = _last_yaw_sigma([0.0005] * 5 + [0.005], look=False)
+    sigma = _last_yaw_sigma([0.0005] * 5 + [0.005], use_matches=False)
     assert 0.75 * 2.0 * 0.005 < sigma <= 2.0 * 0.005
 
 
@@ -168,19 +170,21 @@ def test_matches_on_the_axes_say_nothing_about_yaw_and_the_filter_knows() -> Non
         [np.where(np.arange(100) % 2, reach, 0.0), np.where(np.arange(100) % 2, 0.99, reach), np.full(100, 60.0)]
     )
     wing = _believed(TRUE_SLOPE, 0.002, 0.0, 0)
-    slow = SlowRotation(Rig.from_airframe(airframe), airframe)
-    told = _told(slow, airframe, _matches(airframe, cross, airframe, 2), wing, look=True)
+    slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
+    told = _told(slow, airframe, _matches(airframe, cross, airframe, 2), wing, use_matches=True)
     assert np.sqrt(told.slow_covariance[YAW, YAW]) > 0.9 * 0.004
-    everywhere = SlowRotation(Rig.from_airframe(airframe), airframe)
-    told = _told(everywhere, airframe, _matches(airframe, ground_below(60.0, 100, 4), airframe, 2), wing, look=True)
+    everywhere = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
+    told = _told(
+        everywhere, airframe, _matches(airframe, ground_below(60.0, 100, 4), airframe, 2), wing, use_matches=True
+    )
     assert np.sqrt(told.slow_covariance[YAW, YAW]) < 0.25 * 0.004
 
 
 def test_a_forward_pair_sees_its_bend_as_roll_at_once() -> None:
     airframe = forward(rotation_sigma_rad=1e-7)
     wing = _believed(TRUE_SLOPE - 0.002, 0.004, 0.0, 0)
-    slow = SlowRotation(Rig.from_airframe(airframe), airframe)
-    told = _told(slow, airframe, _matches(airframe, wall_ahead(40.0, 100, 5), airframe, 6), wing, look=True)
+    slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
+    told = _told(slow, airframe, _matches(airframe, wall_ahead(40.0, 100, 5), airframe, 6), wing, use_matches=True)
     # parallax of roll is x: noise / (rms of x times sqrt(n)), x uniform within +-0.3
     noise = MATCH_PX / 800.0
     assert np.sqrt(told.slow_covariance[ROLL, ROLL]) == pytest.approx(noise / (0.3 / np.sqrt(3.0) * 10.0), rel=0.3)
@@ -191,11 +195,11 @@ def test_the_range_takes_the_rotation_and_its_sigma() -> None:
     """A slope that is 1 mrad wrong in both tips: 60 m would read 64 m; matches bring it back within its own sigma."""
     airframe = nadir(rotation_sigma_rad=1e-4)
     rig, settings = Rig.from_airframe(airframe), Settings()
-    slow = SlowRotation(rig, airframe)
+    slow = ExtrinsicsDriftFilter(rig, airframe)
     for k in range(60):
         wing = _believed(TRUE_SLOPE - 0.001, 0.001, 1e-4, k * PERIOD_NS)
         matches = _matches(airframe, ground_below(60.0, 150, k, tilt=(0.1, 0.1)), airframe, k)
-        told = _told(slow, airframe, matches, wing, look=True)
+        told = _told(slow, airframe, matches, wing, use_matches=True)
     blind = correct(matches, wing, wing, rig, airframe, settings).range
     held = correct(matches, wing, wing, rig, airframe, settings, turned=told).range
     assert abs(blind.range_m - 60.0) > 3.0
@@ -207,11 +211,11 @@ def test_the_range_takes_the_rotation_and_its_sigma() -> None:
 
 def test_numbers_that_are_none_change_nothing() -> None:
     airframe = nadir()
-    slow = SlowRotation(Rig.from_airframe(airframe), airframe)
+    slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
     matches = _matches(airframe, ground_below(60.0, 50, 1), airframe, 1)
-    good = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 2e-4, 0), look=True)
+    good = _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 2e-4, 0), use_matches=True)
     broken = dataclasses.replace(matches, left_px=matches.left_px * np.nan)
-    told = _told(slow, airframe, broken, _believed(TRUE_SLOPE, 0.001, 2e-4, PERIOD_NS), look=True)
+    told = _told(slow, airframe, broken, _believed(TRUE_SLOPE, 0.001, 2e-4, PERIOD_NS), use_matches=True)
     assert told.matches == 0
     assert np.allclose(told.slow_rad, good.slow_rad, rtol=1e-3)
     assert np.isfinite(told.covariance).all()
@@ -225,12 +229,12 @@ def test_no_number_of_pairs_averages_a_steady_hundredth_of_a_pixel_away(airframe
     rig, sigma = Rig.from_airframe(airframe), []
     looks = wall_ahead if airframe.orientation == 0 else ground_below
     for tilt_rad in (0.01, 0.5 * 0.5 * steady):
-        slow = SlowRotation(rig, airframe)
+        slow = ExtrinsicsDriftFilter(rig, airframe)
         for k in range(150):
             wing = _believed(TRUE_SLOPE, tilt_rad, 0.0, k * PERIOD_NS)
             matches = _matches(airframe, looks(60.0, 200, k), airframe, k)
             matches = dataclasses.replace(matches, sigma_px=0.01 * matches.sigma_px)
-            told = _told(slow, airframe, matches, wing, look=True)
+            told = _told(slow, airframe, matches, wing, use_matches=True)
         sigma.append(np.sqrt(told.slow_covariance[YAW, YAW]))
     mounting = np.sqrt(2.0) * airframe.left_camera.rotation_sigma_rad if airframe.left_camera else 0.0
     alone = steady if airframe.orientation else steady * mounting / np.hypot(steady, mounting)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from companion.core.stereo.geometry import Pose, Rig
 from companion.core.stereo.matching import match
-from companion.core.stereo.ranging import RangeAnswer, correct, range_axis
+from companion.core.stereo.ranging import RangeAnswer, correct, orientation_axis
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import trim_search
-from companion.core.stereo.triangulation import points_of, sight_along
+from companion.core.stereo.triangulation import points_of, range_axis_of_rig
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.settings import Settings
@@ -68,7 +68,9 @@ def test_points_come_back_where_they_are(range_m: float, left: float, right: flo
     rig = Rig.from_airframe(airframe)
     points = wall_ahead(range_m, 40, 2)
     answer = _range(airframe, match_set(*seen(rig, points, (left, right))), bend((left, right)))
-    np.testing.assert_allclose(points_of(answer.depths, sight_along(rig, range_axis(0))), points, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(
+        points_of(answer.depths, range_axis_of_rig(rig, orientation_axis(0))), points, rtol=1e-6, atol=1e-6
+    )
 
 
 def test_however_many_matches_there_are_what_they_share_stays_in_the_sigma() -> None:
@@ -322,9 +324,9 @@ def test_ids_and_orientation_travel_with_the_range() -> None:
 
 def test_an_orientation_between_the_axes_is_a_configuration_error() -> None:
     with pytest.raises(ConfigError, match="orientation 1"):
-        range_axis(1)
-    np.testing.assert_array_equal(range_axis(25), [0, 0, 1])
-    np.testing.assert_array_equal(range_axis(6), [0, -1, 0])
+        orientation_axis(1)
+    np.testing.assert_array_equal(orientation_axis(25), [0, 0, 1])
+    np.testing.assert_array_equal(orientation_axis(6), [0, -1, 0])
 
 
 @pytest.mark.slow

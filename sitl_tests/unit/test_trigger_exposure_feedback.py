@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.core.clock.bank import ClockBank
 from companion.core.pipeline import start, step
-from companion.core.trigger.exposure_feedback import WRAP_NS, Feedback
+from companion.core.trigger.exposure_feedback import WRAP_NS, ExposureFeedback
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -70,8 +70,8 @@ def pair(plan_id: int, left_ns: int, right_ns: int, clock: ClockName = ClockName
     return MatchSet(1, plan_id, (clock, clock), stamps, EXPOSURE_NS, 0, empty, empty, np.zeros(0), right_ns + 60 * MS)
 
 
-def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> Feedback:
-    feedback = Feedback(airframe(stamp_sigma_s), known())
+def fired(stamp_sigma_s: float, at_ns: int = START_NS + 19 * S) -> ExposureFeedback:
+    feedback = ExposureFeedback(airframe(stamp_sigma_s), known())
     feedback.shot(Shot(7, at_ns, at_ns))
     assert feedback.edge(edge(0, at_ns + 9 * MS))
     assert feedback.edge(edge(1, at_ns + 10 * MS))
@@ -115,9 +115,9 @@ def test_each_picture_gets_its_own_edge() -> None:
 
 def test_an_edge_without_a_known_clock_or_of_long_ago_is_refused() -> None:
     at_ns = START_NS + 19 * S
-    assert not Feedback(airframe(0.003), ClockBank()).edge(edge(0, at_ns))
+    assert not ExposureFeedback(airframe(0.003), ClockBank()).edge(edge(0, at_ns))
     late = dataclasses.replace(edge(0, at_ns - 3 * S), received_host_ns=at_ns)
-    assert not Feedback(airframe(0.003), known()).edge(late)
+    assert not ExposureFeedback(airframe(0.003), known()).edge(late)
 
 
 def test_in_the_pipeline_latency_and_correction_see_the_autopilots_stamp_and_it_is_said_once() -> None:

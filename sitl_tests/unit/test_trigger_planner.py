@@ -11,7 +11,7 @@ from hypothesis import settings as profile
 from hypothesis import strategies as st
 
 from companion.core.tracking.prediction import Forecast
-from companion.core.trigger.blur import BlurModel, Motion
+from companion.core.trigger.blur import BlurModel, GroundMotion
 from companion.core.trigger.instants import still_instants
 from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
@@ -103,7 +103,7 @@ def fly(planner: Planner, duration_ns: int, tick_ns: int = 10 * MS, **wing_optio
 def test_still_instants_are_the_deflection_peaks(hz: float, phase: float) -> None:
     airframe = load_airframe("nadir-2m")
     forecast = wing(S, hz=hz, phase_rad=phase, horizon_ns=600 * MS)
-    blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), Motion())
+    blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), GroundMotion())
     found = still_instants(blur)
     assert len(found) >= int(2 * hz * 0.59) - 1
     for instant in found:
@@ -112,7 +112,7 @@ def test_still_instants_are_the_deflection_peaks(hz: float, phase: float) -> Non
 
 def test_sigma_is_rate_sigma_over_acceleration(airframe: Airframe) -> None:
     forecast = wing(S, rate_sigma_radps=0.01)
-    found = still_instants(BlurModel(airframe).predict(forecast, LatencyModel(airframe), Motion()))
+    found = still_instants(BlurModel(airframe).predict(forecast, LatencyModel(airframe), GroundMotion()))
     acceleration = FACTOR_RADPM * 0.005 * (2 * np.pi * 5.0) ** 2
     for instant in found:
         assert instant.sigma_ns == pytest.approx(0.01 / acceleration * 1e9, rel=0.05)
@@ -131,7 +131,7 @@ def test_sigma_agrees_with_perturbed_forecasts(airframe: Airframe, anti_m: float
         slope_rate_covariance=np.tile(rate_covariance, (n, 1, 1)),
         q_covariance=np.tile(deflection_sigma_m**2 * np.eye(2), (n, 1, 1)),
     )
-    nominal = still_instants(model.predict(base, latency, Motion()))[0]
+    nominal = still_instants(model.predict(base, latency, GroundMotion()))[0]
     elapsed_s = (base.t_host_ns - nominal.t_host_ns)[:, None] * 1e-9
     moved = []
     for _ in range(250):
@@ -140,7 +140,9 @@ def test_sigma_agrees_with_perturbed_forecasts(airframe: Airframe, anti_m: float
         pull = -FACTOR_RADPM * (2 * np.pi) ** 2 * np.array([25.0 * symmetric, 6.4**2 * antisymmetric])
         acceleration_error = np.array([pull[0] - pull[1], pull[0] + pull[1]])
         shifted = base.slope_rate_radps + rate_error + acceleration_error * elapsed_s
-        instants = still_instants(model.predict(dataclasses.replace(base, slope_rate_radps=shifted), latency, Motion()))
+        instants = still_instants(
+            model.predict(dataclasses.replace(base, slope_rate_radps=shifted), latency, GroundMotion())
+        )
         moved.append(min((i.t_host_ns - nominal.t_host_ns for i in instants), key=abs))
     assert np.std(moved) == pytest.approx(nominal.sigma_ns, rel=0.2)
 
@@ -148,14 +150,14 @@ def test_sigma_agrees_with_perturbed_forecasts(airframe: Airframe, anti_m: float
 def test_blur_is_the_image_motion_of_one_exposure(airframe: Airframe) -> None:
     """Closed forms for a nadir pair: bending and roll move the image sideways, ground speed along."""
     still = wing(S, amplitude_m=0.0, rate_sigma_radps=0.0)
-    motion = Motion(np.array([18.0, 0.0, 0.0]), 60.0)
+    motion = GroundMotion(np.array([18.0, 0.0, 0.0]), 60.0)
     blur = BlurModel(airframe).predict(still, LatencyModel(airframe), motion)
     assert blur.rms_px == pytest.approx(FOCAL_PX * EXPOSURE_S * 18.0 / 60.0)
     rolling = wing(S, amplitude_m=0.0, rate_sigma_radps=0.0, roll_radps=0.5)
-    blur = BlurModel(airframe).predict(rolling, LatencyModel(airframe), Motion())
+    blur = BlurModel(airframe).predict(rolling, LatencyModel(airframe), GroundMotion())
     assert blur.rms_px == pytest.approx(FOCAL_PX * EXPOSURE_S * 0.5)
     bending = wing(S, rate_sigma_radps=0.0)
-    blur = BlurModel(airframe).predict(bending, LatencyModel(airframe), Motion())
+    blur = BlurModel(airframe).predict(bending, LatencyModel(airframe), GroundMotion())
     most = FOCAL_PX * EXPOSURE_S * FACTOR_RADPM * 0.005 * 2 * np.pi * 5.0
     assert blur.rms_px.max() == pytest.approx(most, rel=0.02)
 
@@ -165,7 +167,7 @@ def test_a_steady_roll_moves_each_camera_the_other_way(airframe: Airframe) -> No
     rate = 0.1
     forecast = wing(S, amplitude_m=0.0, rate_sigma_radps=0.0, roll_radps=rate)
     forecast = dataclasses.replace(forecast, slope_rate_radps=np.full_like(forecast.slope_rate_radps, rate))
-    blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), Motion())
+    blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), GroundMotion())
     assert blur.rms_px[:, 0] == pytest.approx(FOCAL_PX * EXPOSURE_S * 2 * rate)
     assert blur.rms_px[:, 1] == pytest.approx(0.0, abs=1e-9)
 
@@ -175,7 +177,7 @@ def test_a_yaw_turns_the_image_and_swings_the_wingtips(airframe: Airframe) -> No
     forecast = dataclasses.replace(
         wing(S, amplitude_m=0.0, rate_sigma_radps=0.0), body_rate_radps=np.array([0.0, 0.0, 0.8])
     )
-    blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), Motion(np.zeros(3), 10.0))
+    blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), GroundMotion(np.zeros(3), 10.0))
     turn = EXPOSURE_S * 0.8 * np.sqrt((640**2 + 480**2) / 12)
     swing = FOCAL_PX * EXPOSURE_S * 0.99 * 0.8 / 10.0
     assert blur.rms_px == pytest.approx(np.hypot(turn, swing))
@@ -183,7 +185,7 @@ def test_a_yaw_turns_the_image_and_swings_the_wingtips(airframe: Airframe) -> No
 
 def test_uncertainty_is_in_the_expected_blur(airframe: Airframe) -> None:
     forecast = wing(S, amplitude_m=0.0, rate_sigma_radps=0.05)
-    blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), Motion())
+    blur = BlurModel(airframe).predict(forecast, LatencyModel(airframe), GroundMotion())
     assert blur.rms_px == pytest.approx(FOCAL_PX * EXPOSURE_S * 0.05, rel=0.01)
 
 

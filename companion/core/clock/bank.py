@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from companion.core.clock.remote_clock import RemoteClock
+from companion.core.clock.remote_clock import RemoteClockEstimator
 from companion.records import ClockName, ClockRestart, ClockState, Ints, Reject, TimesyncReply
 
 
@@ -15,7 +15,7 @@ class ClockBank:
     """
 
     def __init__(self) -> None:
-        self._remotes: dict[ClockName, RemoteClock] = {}
+        self._remotes: dict[ClockName, RemoteClockEstimator] = {}
         self._identities = {ClockName.HOST}
 
     def exchange(self, reply: TimesyncReply) -> ClockState:
@@ -55,8 +55,8 @@ class ClockBank:
         """
         if clock in self._identities:
             return t_ns, 0
-        known = self._remotes.get(clock)
-        return Reject.CLOCK_UNSYNCED if known is None else known.to_host(t_ns, received_host_ns)
+        remote = self._remotes.get(clock)
+        return Reject.CLOCK_UNSYNCED if remote is None else remote.to_host(t_ns, received_host_ns)
 
     def state(self, clock: ClockName, now_host_ns: int | None = None) -> ClockState:
         """Give what is known of a clock, at ``now_host_ns`` or at its last exchange."""
@@ -80,7 +80,7 @@ class ClockBank:
             "timesync_discarded": sum(remote.discarded for remote in remotes),
         }
 
-    def _remote(self, clock: ClockName) -> RemoteClock:
+    def _remote(self, clock: ClockName) -> RemoteClockEstimator:
         if clock not in self._remotes:
-            self._remotes[clock] = RemoteClock(clock)
+            self._remotes[clock] = RemoteClockEstimator(clock)
         return self._remotes[clock]

@@ -39,7 +39,7 @@ class Knot:
         return int(self.bound_ns + self.bound_rate * abs(host_ns - self.host_ns)) + 1
 
 
-class Mapping:
+class ClockMap:
     """Knots from an estimate's history."""
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class Mapping:
 
 @compiled
 def _mapped(t_ns: Ints, stamps: Ints, slopes: Floats) -> tuple[Ints, int, int, int]:
-    """See :meth:`Mapping.to_host`."""
+    """See :meth:`ClockMap.to_host`."""
     at = np.maximum(np.searchsorted(stamps[:, 0], t_ns, side="right") - 1, 0)
     elapsed = t_ns - stamps[:, 0][at]
     host = stamps[:, 1][at] + elapsed - (slopes[:, 0][at] * elapsed).astype(np.int64)

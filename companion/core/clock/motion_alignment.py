@@ -40,8 +40,8 @@ _STAMPS_SIGMA_S = 0.0003  # what the stamps themselves leave open: an autopilot'
 _HEAVE_FLOOR_S = 0.0006  # how far the wing may give way in step with the manoeuvre and not be told from lag
 _LINK_SIGMA_S = 0.0001  # by how much the least delay of two seconds differs from that of others
 _NEAR_NS = 1_000_000_000
-_ROUNDS = 4
-_KEPT_S = 32.0
+_GAUSS_NEWTON_STEPS = 4
+_BUFFER_S = 32.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class _Series:
             self.values.clear()
         self.stamps.append(t_ns)
         self.values.append(values)
-        while self.stamps[-1][-1] - self.stamps[0][-1] > _KEPT_S * 1e9:
+        while self.stamps[-1][-1] - self.stamps[0][-1] > _BUFFER_S * 1e9:
             del self.stamps[0], self.values[0]
 
     def joined(self) -> tuple[Ints, Floats]:
@@ -74,7 +74,7 @@ class _Series:
         return t_ns[order], np.concatenate(self.values)[order]
 
 
-class Alignment:
+class MotionAlignment:
     """One node's. Feed it both streams, then ask for exchanges about every 20 ms.
 
     Attributes
@@ -98,13 +98,13 @@ class Alignment:
         """Whether a node that measures these axes can be aligned: it needs rates, or its vertical specific force."""
         return bool(axes & (Axis.GYRO | Axis.Z))
 
-    def sensors(self, own: Sensor, root: Sensor) -> None:
+    def sensors(self, node: Sensor, root: Sensor) -> None:
         """Take note of where both are, and by how much the root's low-passes delay more than the node's."""
-        self._lever_m = np.subtract(own.position_m, root.position_m)
-        force_s = lowpass_delay_s(root.lowpass_accel_hz) - lowpass_delay_s(own.lowpass_accel_hz)
+        self._lever_m = np.subtract(node.position_m, root.position_m)
+        force_s = lowpass_delay_s(root.lowpass_accel_hz) - lowpass_delay_s(node.lowpass_accel_hz)
         # a node's rates against the root's; for a force the root's rates stand for angular acceleration at the node
-        own_s = lowpass_delay_s(own.lowpass_gyro_hz if self._turns else own.lowpass_accel_hz)
-        self._delay_s = (force_s, lowpass_delay_s(root.lowpass_gyro_hz) - own_s)
+        node_s = lowpass_delay_s(node.lowpass_gyro_hz if self._turns else node.lowpass_accel_hz)
+        self._delay_s = (force_s, lowpass_delay_s(root.lowpass_gyro_hz) - node_s)
 
     def add_node(self, batch: ImuBatch) -> None:
         """Take samples of the node, stamps on its own clock."""
@@ -114,7 +114,7 @@ class Alignment:
         if self._arrivals and newest < self._arrivals[-1][0] - 1_000_000_000:
             self._arrivals.clear()
         self._arrivals.append((newest, batch.received_host_ns))
-        while self._arrivals[-1][0] - self._arrivals[0][0] > _KEPT_S * 1e9:
+        while self._arrivals[-1][0] - self._arrivals[0][0] > _BUFFER_S * 1e9:
             del self._arrivals[0]
 
     def add_root(self, t_host_ns: Ints, values: Floats) -> None:
@@ -147,15 +147,15 @@ class Alignment:
         measured = self._measured(node_s, node, root_s, root, span_s)
         if measured is None:
             return
-        found = Lag(measured.lag_s, math.hypot(measured.sigma_s, _STAMPS_SIGMA_S))
-        if found.sigma_s > LARGEST_SIGMA_S:
+        lag = Lag(measured.lag_s, math.hypot(measured.sigma_s, _STAMPS_SIGMA_S))
+        if lag.sigma_s > LARGEST_SIGMA_S:
             return
-        self.newest = found
+        self.newest = lag
         middle_ns = start_ns + round(span_s * 0.5e9)
         # how old the quickest arrivals were at the middle of the window, and so are now: the link has not changed
-        age_ns = self._quickest(middle_ns)[0] - base_ns + round(found.lag_s * 1e9)
+        age_ns = self._quickest(middle_ns)[0] - base_ns + round(lag.lag_s * 1e9)
         _, stamp_ns, received_ns = self._quickest(self._arrivals[-1][1] - _NEAR_NS)
-        half_ns = round(SIGMAS * math.hypot(found.sigma_s, _LINK_SIGMA_S) * 1e9)
+        half_ns = round(SIGMAS * math.hypot(lag.sigma_s, _LINK_SIGMA_S) * 1e9)
         yield TimesyncReply(self.clock, received_ns - age_ns - half_ns, stamp_ns, received_ns - age_ns + half_ns)
 
     def _quickest(self, host_ns: int) -> tuple[int, int, int]:
@@ -201,9 +201,9 @@ def lag_between(node_s: Floats, node: Floats, root_s: Floats, root: Floats, span
         None where nothing moves.
     """
     edges = _edges(span_s, most_s)
-    wanted, slope = _smoothed(_means(root_s, root, edges), _SMOOTH_S)
-    others = np.hstack([wanted, np.gradient(slope, _CELL_S, axis=0)])
-    return _searched(node_s, node, edges, _Wanted(wanted, slope, others, _SMOOTH_S), most_s)
+    reference, slope = _smoothed(_means(root_s, root, edges), _SMOOTH_S)
+    others = np.hstack([reference, np.gradient(slope, _CELL_S, axis=0)])
+    return _searched(node_s, node, edges, _Reference(reference, slope, others, _SMOOTH_S), most_s)
 
 
 def carried(force_mps2: Floats, rates_radps: Floats, lever_m: Floats) -> Floats:
@@ -231,16 +231,16 @@ def heave_lag(node_s: Floats, node_mps2: Floats, rigid_mps2: Floats, span_s: flo
         See :func:`lag_between`.
     """
     rigid, slope = _smoothed(rigid_mps2, _HEAVE_SMOOTH_S)
-    wanted, slope = rigid[:, 2:], slope[:, 2:]
+    reference, slope = rigid[:, 2:], slope[:, 2:]
     others = np.hstack([rigid, np.gradient(slope, _CELL_S, axis=0)])
-    found = _searched(
-        node_s, node_mps2, _edges(span_s, most_s), _Wanted(wanted, slope, others, _HEAVE_SMOOTH_S), most_s
+    lag = _searched(
+        node_s, node_mps2, _edges(span_s, most_s), _Reference(reference, slope, others, _HEAVE_SMOOTH_S), most_s
     )
-    return None if found is None else Lag(found.lag_s, math.hypot(found.sigma_s, _HEAVE_FLOOR_S))
+    return None if lag is None else Lag(lag.lag_s, math.hypot(lag.sigma_s, _HEAVE_FLOOR_S))
 
 
 @dataclass(frozen=True, slots=True)
-class _Wanted:
+class _Reference:
     """What a node's smoothed series should be but for its lag, its derivative, and what else may be in it."""
 
     values: Floats
@@ -249,15 +249,15 @@ class _Wanted:
     smooth_s: float
 
 
-def _searched(node_s: Floats, node: Floats, edges: Floats, wanted: _Wanted, most_s: float) -> Lag | None:
+def _searched(node_s: Floats, node: Floats, edges: Floats, reference: _Reference, most_s: float) -> Lag | None:
     def late(lag_s: float) -> Floats:
-        return _smoothed(_means(node_s, node, edges + lag_s), wanted.smooth_s)[0] - wanted.values
+        return _smoothed(_means(node_s, node, edges + lag_s), reference.smooth_s)[0] - reference.values
 
     trials = np.arange(0.0, most_s + _SEARCH_S, _SEARCH_S)
     lag_s = float(trials[int(np.argmin([np.sum(_level(late(lag)) ** 2) for lag in trials]))])
     sigma_s = np.inf
-    for _ in range(_ROUNDS):
-        step_s, sigma_s = _regressed(late(lag_s), wanted.slope, wanted.others)
+    for _ in range(_GAUSS_NEWTON_STEPS):
+        step_s, sigma_s = _regressed(late(lag_s), reference.slope, reference.others)
         lag_s += step_s
     if not (np.isfinite(sigma_s) and -_SEARCH_S <= lag_s <= most_s + _SEARCH_S):
         return None
@@ -296,15 +296,15 @@ def _regressed(difference: Floats, slope: Floats, others: Floats) -> tuple[float
     is the jackknife's over blocks of 1.5 s, so that it holds for coloured residuals and for what the fit of ``others``
     takes away.
     """
-    whole = _solved(difference, slope, others)
+    estimate = _solved(difference, slope, others)
     starts = range(0, len(slope) - _BLOCK // 2, _BLOCK)
-    parts = []
+    replicates = []
     for start in starts:
-        kept = np.ones(len(slope), dtype=np.bool_)
-        kept[start : start + _BLOCK] = False
-        parts.append(_solved(difference[kept], slope[kept], others[kept]))
-    spread = np.array(parts) - np.mean(parts)
-    return whole, float(np.sqrt((len(parts) - 1) / len(parts) * np.sum(spread**2)))
+        retained = np.ones(len(slope), dtype=np.bool_)
+        retained[start : start + _BLOCK] = False
+        replicates.append(_solved(difference[retained], slope[retained], others[retained]))
+    spread = np.array(replicates) - np.mean(replicates)
+    return estimate, float(np.sqrt((len(replicates) - 1) / len(replicates) * np.sum(spread**2)))
 
 
 def _solved(difference: Floats, slope: Floats, others: Floats) -> float:
@@ -312,8 +312,8 @@ def _solved(difference: Floats, slope: Floats, others: Floats) -> float:
     difference, slope = (values - basis @ (basis.T @ values) for values in (difference, slope))
     information = np.einsum("ij,ij->j", slope, slope)
     with np.errstate(divide="ignore", invalid="ignore"):
-        own = -np.einsum("ij,ij->j", slope, difference) / information
-    if not np.isfinite(own).all():
+        axis_lag_s = -np.einsum("ij,ij->j", slope, difference) / information
+    if not np.isfinite(axis_lag_s).all():
         return math.nan
-    weight = information / np.maximum(np.var(difference + own * slope, axis=0), 1e-12)
-    return float(weight @ own / weight.sum())
+    weight = information / np.maximum(np.var(difference + axis_lag_s * slope, axis=0), 1e-12)
+    return float(weight @ axis_lag_s / weight.sum())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.clock.clock_map import Knot, Mapping
+from companion.core.clock.clock_map import ClockMap, Knot
 from companion.core.clock.sync_window import ANY_SKEW, LONGEST_LAG_NS, ClockFit, ExchangeWindow, agree
 from companion.records import ClockName, ClockState, Ints, Reject, TimesyncReply
 
@@ -37,7 +37,7 @@ class _Before:
     goal_ns: float = _GOOD_BOUND_NS
 
 
-class RemoteClock:
+class RemoteClockEstimator:
     """Estimator of one clock.
 
     An exchange that contradicts all others suspends the clock at once. The next one decides: if it agrees with the old
@@ -54,18 +54,18 @@ class RemoteClock:
         self.discarded = 0
         self.restarts = 0
         self._window: ExchangeWindow | None = None
-        self._mapping = Mapping()
+        self._mapping = ClockMap()
         self._suspect: TimesyncReply | None = None
         self._suspected_ns = 0
         self._skew = 0.0
         self._last_host_ns = 0
         self._before = _Before()
 
-    def restart(self, seen_host_ns: int) -> ClockState:
+    def restart(self, at_host_ns: int) -> ClockState:
         """Forget everything: the clock's owner has restarted."""
         self._forget()
         self.restarts += 1
-        self._last_host_ns = max(self._last_host_ns, seen_host_ns)
+        self._last_host_ns = max(self._last_host_ns, at_host_ns)
         return self.state()
 
     def exchange(self, reply: TimesyncReply) -> ClockState:
@@ -113,14 +113,14 @@ class RemoteClock:
         skew = knot.shrink / (1 - knot.shrink)
         offset = knot.remote_ns - knot.host_ns + round(skew * (now - knot.host_ns))
         bound = self._bound_at_ns(now)
-        synced = now <= self._last_host_ns + STALE_NS and self._known(bound)
+        synced = now <= self._last_host_ns + STALE_NS and self._is_synced(bound)
         return ClockState(self.clock, now, offset, self._skew * 1e6, bound, synced)
 
     def synced(self) -> bool:
         """Whether the clock was known at the last exchange."""
-        return bool(self._mapping) and self._known(self._bound_at_ns(self._last_host_ns))
+        return bool(self._mapping) and self._is_synced(self._bound_at_ns(self._last_host_ns))
 
-    def _known(self, bound_ns: int) -> bool:
+    def _is_synced(self, bound_ns: int) -> bool:
         return self._suspect is None and bound_ns <= MOST_BOUND_NS
 
     def _bound_at_ns(self, host_ns: int) -> int:
@@ -130,7 +130,7 @@ class RemoteClock:
         if self._mapping:
             self._before = _remembered(self._skew, self._mapping.newest())
         self._window = None
-        self._mapping = Mapping()
+        self._mapping = ClockMap()
         self._suspect = None
         self._skew = 0.0
 
@@ -146,8 +146,8 @@ class RemoteClock:
             return
         self._forget()
         self.restarts += 1
-        for kept in (suspect, reply):
-            self.exchange(kept)
+        for exchange_reply in (suspect, reply):
+            self.exchange(exchange_reply)
 
     def _lags(self, reply: TimesyncReply) -> bool:
         """Whether an exchange is so little off that the clock may only be behind."""
@@ -172,5 +172,5 @@ def _good_enough(window: ExchangeWindow, fit: ClockFit, now_host_ns: int, goal_n
     if window.count < _FEWEST_EXCHANGES or fit.bound_ns > MOST_BOUND_NS:
         return False
     settled = now_host_ns - window.first_host_ns >= _SETTLED_SPAN_NS
-    known_before = goal_ns < _GOOD_BOUND_NS
-    return settled or fit.bound_ns <= goal_ns or (window.count >= _SETTLED_EXCHANGES and not known_before)
+    was_good = goal_ns < _GOOD_BOUND_NS
+    return settled or fit.bound_ns <= goal_ns or (window.count >= _SETTLED_EXCHANGES and not was_good)

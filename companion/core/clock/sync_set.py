@@ -54,13 +54,13 @@ class FeasibleLines:
         uppers, lowers : (n, 2) float64
             Time [ns], relative to the reference, and value [ns] of each bound.
         """
-        kept = _cut(_cut(self.corners, uppers, 1.0), lowers, -1.0)
-        return FeasibleLines(kept) if len(kept) else None
+        polygon = _cut(_cut(self.corners, uppers, 1.0), lowers, -1.0)
+        return FeasibleLines(polygon) if len(polygon) else None
 
     def between(self, upper: tuple[float, float], lower: tuple[float, float]) -> FeasibleLines | None:
         """As :meth:`within`, with one bound of each kind, time and value; an infinite value bounds nothing."""
-        kept = _between(self.corners, *upper, *lower)
-        return FeasibleLines(kept) if len(kept) else None
+        polygon = _between(self.corners, *upper, *lower)
+        return FeasibleLines(polygon) if len(polygon) else None
 
 
 @compiled
@@ -104,13 +104,13 @@ def _cut_once(corners: Floats, at: float, value: float, sign: float) -> Floats:
     inside = excess <= 0.0
     if inside.all():
         return corners
-    kept, count = np.empty((2 * len(corners), 2)), 0
+    polygon, count = np.empty((2 * len(corners), 2)), 0
     for i in range(len(corners)):
         if inside[i] != inside[i - 1]:
-            share = excess[i - 1] / (excess[i - 1] - excess[i])
-            kept[count] = corners[i - 1] + share * (corners[i] - corners[i - 1])
+            fraction = excess[i - 1] / (excess[i - 1] - excess[i])
+            polygon[count] = corners[i - 1] + fraction * (corners[i] - corners[i - 1])
             count += 1
         if inside[i]:
-            kept[count] = corners[i]
+            polygon[count] = corners[i]
             count += 1
-    return kept[:count].copy()
+    return polygon[:count].copy()

@@ -61,8 +61,8 @@ class _Bucket(NamedTuple):
         def at_once(bound: _Bound) -> float:
             return bound.offset_ns - skew * (bound.at_ns - upper.at_ns)
 
-        known = self.uppers if self.exchanges > 1 else self.uppers[:1]
-        first, second = sorted((*known, upper), key=at_once)[:2]
+        previous = self.uppers if self.exchanges > 1 else self.uppers[:1]
+        first, second = sorted((*previous, upper), key=at_once)[:2]
         largest = max(self.lower, lower, key=at_once)
         return _Bucket(self.number, self.careful, self.exchanges + 1, (first, second), largest, self.lagged)
 
@@ -159,13 +159,13 @@ class ExchangeWindow:
     def _grown_careful(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int) -> tuple[list[_Bucket], _Bucket]:
         """An exchange was caught: there may be some that were not, near it, before it, or in the minute to come."""
         self._careful_until_ns = now_ns + WINDOW_NS
-        marked = [one._replace(careful=True) for one in closed]
+        marked = [each._replace(careful=True) for each in closed]
         first, last = (at // _BUCKET_NS for at in (self._aside_ns - _NEAR_NS, now_ns + _NEAR_NS))
-        others = sum(not one.lagged and not first <= one.number <= last for one in marked)
+        others = sum(not each.lagged and not first <= each.number <= last for each in marked)
         if self._aside < 2 or others < _ENOUGH:
             return marked, bucket
         self._lagged_until = last
-        marked = [one._replace(lagged=one.lagged or first <= one.number <= last) for one in marked]
+        marked = [each._replace(lagged=each.lagged or first <= each.number <= last) for each in marked]
         return marked, bucket._replace(lagged=True)
 
     def _forget_before(self, oldest_ns: int) -> None:
@@ -184,17 +184,17 @@ class ExchangeWindow:
     def _rebuilt(self, closed: list[_Bucket], bucket: _Bucket, now_ns: int, most_ns: float) -> FeasibleLines | None:
         """Intersect all bounds, with as little tolerance as they allow; more than there was only up to ``most_ns``."""
         running = self._running(bucket)
-        highs = [*(one.upper() for one in closed), running]
+        highs = [*(each.upper() for each in closed), running]
         uppers = [_relative(high, now_ns) for high in highs if high is not None]
-        lowers = [_relative(one.lower, now_ns) for one in (*closed, bucket)]
+        lowers = [_relative(each.lower, now_ns) for each in (*closed, bucket)]
         if not uppers:
             return None
-        for tolerance in [one for one in _TOLERANCES_NS if one <= max(most_ns, self._tolerance_ns)]:
+        for tolerance in [each for each in _TOLERANCES_NS if each <= max(most_ns, self._tolerance_ns)]:
             for skews in dict.fromkeys((self._skews, ANY_SKEW)):
-                found = _intersected(uppers, lowers, tolerance, skews)
-                if found is not None:
+                lines = _intersected(uppers, lowers, tolerance, skews)
+                if lines is not None:
                     self._tolerance_ns, self._skews = tolerance, skews
-                    return found
+                    return lines
         return None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from companion.core.clock.motion_alignment import Alignment
+from companion.core.clock.motion_alignment import MotionAlignment
 from companion.params.airframe import Sensor
 from companion.records import ClockName, Floats, ImuBatch, Ints, TimesyncReply
 
@@ -12,12 +12,12 @@ _PATIENCE_NS = 3_000_000_000  # so long a node may leave TIMESYNC unanswered
 _NODES = (ClockName.NODE_LEFT, ClockName.NODE_RIGHT)
 
 
-class SilentNodes:
-    """Who has not answered for some seconds, and one :class:`Alignment` for each of them."""
+class UnsyncedNodes:
+    """Who has not answered for some seconds, and one :class:`MotionAlignment` for each of them."""
 
     def __init__(self) -> None:
         self._unanswered_ns: dict[ClockName, int] = {}
-        self._alignments: dict[ClockName, Alignment] = {}
+        self._alignments: dict[ClockName, MotionAlignment] = {}
 
     @property
     def clocks(self) -> frozenset[ClockName]:
@@ -33,16 +33,16 @@ class SilentNodes:
         """Forget the motion that was stamped by a clock's last life."""
         self._alignments.pop(clock, None)
 
-    def note(self, batch: ImuBatch, own: Sensor, root: Sensor) -> None:
+    def note(self, batch: ImuBatch, sensor: Sensor, root: Sensor) -> None:
         """Take samples of any station, stamped by its own clock: those of silent nodes are kept."""
         clock = batch.clock
         if clock not in _NODES:
             return
         since_ns = self._unanswered_ns.setdefault(clock, batch.received_host_ns)
-        if batch.received_host_ns - since_ns >= _PATIENCE_NS and Alignment.possible(batch.axes):
-            alignment = self._alignments.setdefault(clock, Alignment(clock))
+        if batch.received_host_ns - since_ns >= _PATIENCE_NS and MotionAlignment.possible(batch.axes):
+            alignment = self._alignments.setdefault(clock, MotionAlignment(clock))
             alignment.add_node(batch)
-            alignment.sensors(own, root)
+            alignment.sensors(sensor, root)
 
     def note_root(self, t_host_ns: Ints, values: Floats) -> None:
         """Take samples of the autopilot's IMU, (n,) and (n, 6), in host time."""

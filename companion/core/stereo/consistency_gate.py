@@ -32,7 +32,7 @@ _DOUBT_SIGMAS = 2.5
 _CARRIED = 0.5  # from pair to pair: stamps that were wrong lately may be so again
 
 
-class Verdict(enum.Enum):
+class MatchVerdict(enum.Enum):
     """What a pair's matches say of what was believed before."""
 
     AGREE = enum.auto()
@@ -66,7 +66,7 @@ class MatchTest:
     _doubt_rad2: Floats = field(default_factory=lambda: np.zeros(3))
     _outliers: int = 0  # in a row
 
-    def take(self, innovation: Innovation) -> tuple[Verdict, Floats]:
+    def take(self, innovation: Innovation) -> tuple[MatchVerdict, Floats]:
         """Judge one pair; also the covariance (3, 3) that its own rotation is granted beyond what is believed."""
         sigma_rad = np.sqrt(np.diag(innovation.covariance))
         square = innovation.rotation_rad @ np.linalg.solve(innovation.covariance, innovation.rotation_rad)
@@ -78,12 +78,12 @@ class MatchTest:
             self._outliers = 0
         if self._outliers >= _OUTLIERS_TO_REOPEN or self._sums.max() > _KNOCKED_SIGMAS:
             self._sums, self._doubt_rad2, self._outliers = np.zeros((2, 3)), np.zeros(3), 0
-            return Verdict.KNOCKED, np.zeros((3, 3))
+            return MatchVerdict.KNOCKED, np.zeros((3, 3))
         beyond_rad2 = np.maximum(innovation.rotation_rad**2 - (_DOUBT_SIGMAS * sigma_rad) ** 2, 0.0)
         self._doubt_rad2 = np.maximum(np.minimum(beyond_rad2, KNOCK_RAD**2), _CARRIED * self._doubt_rad2)
         if self._outliers:
-            return Verdict.OUTLIER, KNOCK_RAD**2 * np.eye(3)
-        return Verdict.AGREE, np.diag(self._doubt_rad2)
+            return MatchVerdict.OUTLIER, KNOCK_RAD**2 * np.eye(3)
+        return MatchVerdict.AGREE, np.diag(self._doubt_rad2)
 
 
 @dataclass(slots=True)

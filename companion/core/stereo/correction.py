@@ -10,10 +10,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from companion.core.stereo.consistency_gate import RangeGate, Verdict
+from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate
 from companion.core.stereo.epipolar import YAW
 from companion.core.stereo.exposure import TipMotion, exposures
-from companion.core.stereo.extrinsics_drift import SlowRotation
+from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, RangeAnswer, correct
 from companion.core.stereo.triangulation import match_rays
@@ -41,7 +41,7 @@ _ATTITUDE_NS = 500_000_000
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
 
-class Bends(Protocol):
+class BendSource(Protocol):
     """What tells the bend: the wing tracker."""
 
     @property
@@ -52,7 +52,7 @@ class Bends(Protocol):
         """The wing at a past instant."""
 
 
-class Waiting(NamedTuple):
+class PendingPair(NamedTuple):
     """A matched pair, and why its stamps are not to be believed, if so."""
 
     matches: MatchSet
@@ -67,8 +67,8 @@ class Correction:
     rig: Rig
     gate: RangeGate
     settings: Settings
-    slow: SlowRotation
-    pending: deque[Waiting] = field(default_factory=deque)
+    drift_filter: ExtrinsicsDriftFilter
+    pending: deque[PendingPair] = field(default_factory=deque)
     vehicles: deque[VehicleState] = field(default_factory=lambda: deque(maxlen=_VEHICLES))
     last_trusted: CorrectedRange | None = None
     _distrusted: bool = False
@@ -78,26 +78,30 @@ class Correction:
         """For an airframe that has both cameras."""
         down = airframe.orientation == _DOWN
         rig = Rig.from_airframe(airframe)
-        return cls(airframe, rig, RangeGate(float(down), lasting_surface=down), settings, SlowRotation(rig, airframe))
+        return cls(
+            airframe, rig, RangeGate(float(down), lasting_surface=down), settings, ExtrinsicsDriftFilter(rig, airframe)
+        )
 
     def add(self, matches: MatchSet, stamps: Reject | None = None) -> Iterator[OutputRecord]:
         """Queue a pair, with the reason not to believe its stamps if any; a full queue drops the oldest and says so."""
         if any(clock is not ClockName.HOST for clock in matches.clocks):
             yield Rejected(Reject.CLOCK_UNSYNCED, "camera frames", matches.matched_host_ns)
             return
-        self.pending.append(Waiting(matches, stamps))
+        self.pending.append(PendingPair(matches, stamps))
         if len(self.pending) > _QUEUE_DEPTH:
             dropped = self.pending.popleft().matches
             yield Rejected(Reject.QUEUE_FULL, f"pair {dropped.pair_id}", matches.matched_host_ns)
 
-    def due(self, tracker: Bends, now_host_ns: int, climb_mps: float, airspeed_mps: float) -> Iterator[OutputRecord]:
+    def due(
+        self, tracker: BendSource, now_host_ns: int, climb_mps: float, airspeed_mps: float
+    ) -> Iterator[OutputRecord]:
         """Correct every pair whose exposures lie a full lag behind what the tracker has seen."""
         ready_ns = now_host_ns - int((self.settings.smoother_lag_s + self.settings.reorder_window_s) * 1e9)
         while self.pending and int(self.pending[0].matches.mid_exposure_ns.max()) <= ready_ns:
             yield from self._correct(self.pending.popleft(), tracker, now_host_ns, climb_mps, airspeed_mps)
 
     def _correct(
-        self, waiting: Waiting, tracker: Bends, now_host_ns: int, climb_mps: float, airspeed_mps: float
+        self, waiting: PendingPair, tracker: BendSource, now_host_ns: int, climb_mps: float, airspeed_mps: float
     ) -> Iterator[OutputRecord]:
         matches, reason = waiting.matches, tracker.distrust or waiting.stamps
         left, right = (tracker.smooth(int(t_ns)) for t_ns in matches.mid_exposure_ns)
@@ -110,7 +114,7 @@ class Correction:
         yield right
         velocity_mps = np.array([airspeed_mps, 0.0, -climb_mps])
         self._doubt(tracker.distrust)
-        turned = self._turned(matches, (left, right), velocity_mps, look=reason is None)
+        turned = self._turned(matches, (left, right), velocity_mps, use_matches=reason is None)
         yield turned
         answer: RangeAnswer = correct(
             matches,
@@ -124,7 +128,7 @@ class Correction:
             attitude_rad=self._attitude((left.t_host_ns + right.t_host_ns) // 2),
         )
         slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
-        if self.slow.verdict is not Verdict.AGREE:
+        if self.drift_filter.verdict is not MatchVerdict.AGREE:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)
         judged = self.gate.judge(_withheld(answer.range, reason), climb_mps, slack_mps, lasting_m)
@@ -133,7 +137,7 @@ class Correction:
         yield judged
         if self.gate.jumped and self.settings.hold_slow:
             self._reopen()
-        if self.slow.verdict is Verdict.KNOCKED:
+        if self.drift_filter.verdict is MatchVerdict.KNOCKED:
             yield Notice(4, _KNOCKED, now_host_ns)
         if answer.sectors is not None and reason is None:
             yield answer.sectors
@@ -144,12 +148,12 @@ class Correction:
 
     def _doubt(self, reason: Reject | None) -> None:
         """After a time of distrust the tracker may be wrong by more than it says: the matches have to tell anew."""
-        if reason is None and self._distrusted and self.slow.looked:
+        if reason is None and self._distrusted and self.drift_filter.has_matches:
             self._reopen()
         self._distrusted = reason is not None
 
     def _reopen(self) -> None:
-        self.slow.reopen()
+        self.drift_filter.reopen()
         self.gate.reopened()
 
     def _attitude(self, t_host_ns: int) -> tuple[float, float] | None:
@@ -162,14 +166,14 @@ class Correction:
         return roll, float(np.interp(0.0, since_s, [vehicle.pitch_rad for vehicle in self.vehicles]))
 
     def _turned(
-        self, matches: MatchSet, bend: tuple[Deflection, Deflection], velocity_mps: Floats, *, look: bool
+        self, matches: MatchSet, bend: tuple[Deflection, Deflection], velocity_mps: Floats, *, use_matches: bool
     ) -> RelativeRotation:
         """What the matches tell, unless the bend at the stamps, on which they build, is not to be trusted."""
         moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, velocity_mps)
         matches = matches.features()
         rays = match_rays(self.rig, moving, matches)
-        look = look and bool(self.settings.hold_slow)
-        return self.slow.update(matches, rays, bend, moving, TIMING_SIGMA_S, look=look)
+        use_matches = use_matches and bool(self.settings.hold_slow)
+        return self.drift_filter.update(matches, rays, bend, moving, TIMING_SIGMA_S, use_matches=use_matches)
 
 
 def _withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:

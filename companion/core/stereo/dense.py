@@ -135,7 +135,7 @@ def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats,
 
 
 def metric_pairs(
-    dense: Disparity, left: Bytes, right: Bytes, rig: Rig, step_px: int, known_px: Floats | None = None
+    dense: Disparity, left: Bytes, right: Bytes, rig: Rig, step_px: int, excluded_px: Floats | None = None
 ) -> Matches:
     """Refine a thinned dense disparity in the raw images: matches fit for ranging, where the sparse ones do not reach.
 
@@ -149,20 +149,20 @@ def metric_pairs(
         Lenses.
     step_px : int
         Spacing of the grid that is kept, in the raw image.
-    known_px : (m, 2) float64, optional
+    excluded_px : (m, 2) float64, optional
         Left raw pixels near which nothing new is to be seen.
     """
     left_px, right_px, _ = raw_pairs(dense, rig, step_px)
-    frame, found = dense.frame, _rectified_pairs(dense, step_px)[1]
-    whole = np.rint(left_px).astype(np.int64)
+    frame, right_rectified = dense.frame, _rectified_pairs(dense, step_px)[1]
+    centres_px = np.rint(left_px).astype(np.int64)
     margin = HALF_WINDOW + 3
-    inside = np.all((whole >= margin) & (whole < np.array([left.shape[1], left.shape[0]]) - margin), axis=1)
-    if known_px is not None:
-        apart_px = np.linalg.norm(left_px[:, np.newaxis] - known_px[np.newaxis], axis=-1)
+    inside = np.all((centres_px >= margin) & (centres_px < np.array([left.shape[1], left.shape[0]]) - margin), axis=1)
+    if excluded_px is not None:
+        apart_px = np.linalg.norm(left_px[:, np.newaxis] - excluded_px[np.newaxis], axis=-1)
         inside &= np.all(apart_px > _CLOSE_PX, axis=1)
-    along = frame.along_rows(rig.right, frame.right, found[inside])
-    slopes = expected_slopes(frame, rig, whole[inside], found[inside])
-    fine = refine(left, right, whole[inside], (right_px + whole - left_px)[inside], along, slopes)
+    along = frame.along_rows(rig.right, frame.right, right_rectified[inside])
+    slopes = expected_slopes(frame, rig, centres_px[inside], right_rectified[inside])
+    fine = refine(left, right, centres_px[inside], (right_px + centres_px - left_px)[inside], along, slopes)
     good = fine.good & (fine.correlation > _METRIC_SCORE)
     good[good] = returned(left, right, fine, good, slopes)
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
@@ -188,6 +188,6 @@ def _rectified_pairs(dense: Disparity, step_px: int) -> tuple[Floats, Floats]:
     height, width = dense.disparity_px.shape
     rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
     disparity = dense.disparity_px[rows, columns].astype(np.float64)
-    known = np.isfinite(disparity)
-    left = np.column_stack([columns[known], rows[known]]).astype(np.float64)
-    return scale * left, scale * (left - np.column_stack([disparity[known], np.zeros(len(left))]))
+    finite = np.isfinite(disparity)
+    left = np.column_stack([columns[finite], rows[finite]]).astype(np.float64)
+    return scale * left, scale * (left - np.column_stack([disparity[finite], np.zeros(len(left))]))

@@ -25,28 +25,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.consistency_gate import KNOCK_RAD, Innovation, MatchTest, Verdict
+from companion.core.stereo.consistency_gate import KNOCK_RAD, Innovation, MatchTest, MatchVerdict
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
-PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, STEADY = range(9)
+PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, YAW_BIAS = range(9)
 _SLOW = 9
 _ALL = _SLOW + 6  # with this pair's error of the fast part, and its innovation
 _FAST, _INNOVATION = slice(_SLOW, _SLOW + 3), slice(_SLOW + 3, _ALL)
-_SEEN = 7  # states that the parallax has a column of its own for
-_LEAST_MATCHES = 12
-_ROUNDS = 10
-_STUDENT = 5.0  # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
-_MEDIAN_TO_SIGMA = 1.4826
-_TINY = 1e-17  # rad^2: what is known exactly has a finite information
-_TAILS = 3.0  # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
-_BLIND = 1e-3  # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
+_PARALLAX_STATES = 7  # states that the parallax has a column of its own for
+_MIN_MATCHES = 12
+_GAUSS_NEWTON_STEPS = 10
+_STUDENT_DOF = (
+    5.0  # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
+)
+_MAD_TO_SIGMA = 1.4826
+_VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information
+_FAST_VARIANCE_FACTOR = (
+    3.0  # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
+)
+_PRIOR_REMAINDER = (
+    1e-3  # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
+)
 
 
 @dataclass(frozen=True, slots=True)
-class SlowPrior:
+class ExtrinsicsPrior:
     """What is believed of the slow part before any picture.
 
     Attributes
@@ -59,11 +65,11 @@ class SlowPrior:
         Sigma of the baseline's direction, a constant: mounting, and static bend that differs between the wings.
     focal, radial : float
         Sigma of the difference of the lenses' relative focal lengths, and of their first radial terms; constants.
-    steady_rad : float
+    yaw_bias_rad : float
         Sigma of the yaw that errors common to all pairs make up; a constant.
     parallax_rad : float
         What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
-    standing_rad : tuple of float
+    systematic_rad : tuple of float
         Pitch, yaw and roll that interpolation, lenses, slopes and the cameras' places feign for seconds: no knock.
     """
 
@@ -72,9 +78,9 @@ class SlowPrior:
     baseline_rad: float = 0.001
     focal: float = 0.0007
     radial: float = 0.002
-    steady_rad: float = 0.0
+    yaw_bias_rad: float = 0.0
     parallax_rad: float = 0.00005
-    standing_rad: tuple[float, float, float] = (1e-4, 3e-4, 1e-4)
+    systematic_rad: tuple[float, float, float] = (1e-4, 3e-4, 1e-4)
 
     def variances(self) -> Floats:
         """Diagonal (7,) of the first covariance, bend and steady error left out."""
@@ -125,7 +131,7 @@ class EpipolarUpdate:
         How much larger than their stated sigma the parallaxes are; at least 1, and paid for in every covariance.
     used : int
         Matches with at least half their weight.
-    verdict : Verdict
+    verdict : MatchVerdict
         Whether the matches go with what was believed before them.
     """
 
@@ -136,7 +142,7 @@ class EpipolarUpdate:
     baseline_rad: Floats
     parallax_scale: float
     used: int
-    verdict: Verdict
+    verdict: MatchVerdict
 
 
 class EpipolarFilter:
@@ -150,20 +156,20 @@ class EpipolarFilter:
     the slow part has it (a camera that was knocked): see :class:`~companion.core.stereo.consistency_gate.MatchTest`.
     """
 
-    def __init__(self, rig: Rig, prior: SlowPrior) -> None:
+    def __init__(self, rig: Rig, prior: ExtrinsicsPrior) -> None:
         self.epipolar_from_body = epipolar_frame(rig)
         self._prior = prior
         self._mean = np.zeros(_SLOW)
-        self._covariance = np.diag([*prior.variances(), 0.0, prior.steady_rad**2])
+        self._covariance = np.diag([*prior.variances(), 0.0, prior.yaw_bias_rad**2])
         self._bend_variance = 0.0
-        self._seen_ns: int | None = None
+        self._updated_ns: int | None = None
         self._test = MatchTest()
-        self._standing = np.diag(prior.standing_rad) ** 2
+        self._systematic_rad2 = np.diag(prior.systematic_rad) ** 2
 
     @property
-    def looked(self) -> bool:
+    def has_matches(self) -> bool:
         """Whether any matches have been taken."""
-        return self._seen_ns is not None
+        return self._updated_ns is not None
 
     def reopen(self, sigma_rad: float = KNOCK_RAD) -> None:
         """Doubt the rotation about every axis by a sigma more: only what matches tell from now on counts."""
@@ -196,15 +202,21 @@ class EpipolarFilter:
         if refused is not None:
             return refused
         mean, predicted = self._predicted(t_host_ns, bend)
-        seen = in_frame(rays, self.epipolar_from_body)
+        epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        answer = _solve(seen, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
-        verdict, doubt = self._test.take(_innovation(answer).loosened(self._standing + _TAILS * fast_covariance))
-        if verdict is Verdict.KNOCKED:
+        answer = _solve(epipolar_rays, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
+        verdict, doubt = self._test.take(
+            _innovation(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast_covariance)
+        )
+        if verdict is MatchVerdict.KNOCKED:
             predicted[:3, :3] += KNOCK_RAD**2 * np.eye(3)
-            answer = _solve(seen, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
-        answer = _held(answer, doubt)
-        self._mean, self._covariance, self._seen_ns = answer.mean[:_SLOW], answer.covariance[:_SLOW, :_SLOW], t_host_ns
+            answer = _solve(epipolar_rays, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
+        answer = _bound(answer, doubt)
+        self._mean, self._covariance, self._updated_ns = (
+            answer.mean[:_SLOW],
+            answer.covariance[:_SLOW, :_SLOW],
+            t_host_ns,
+        )
         self._bend_variance = bend.sigma_rad**2
         return _describe(answer, bend.direction, verdict)
 
@@ -220,8 +232,8 @@ class EpipolarFilter:
         The tracker's next error is independent of what it learns until then, so of the part ``1 - s1^2/s0^2`` that it
         learns nothing is left: mean and deviations shrink by ``s1^2/s0^2``, and its own sigma fills the rest.
         """
-        first = self._seen_ns is None
-        passed_s = 0.0 if self._seen_ns is None else max(t_host_ns - self._seen_ns, 0) * 1e-9
+        first = self._updated_ns is None
+        passed_s = 0.0 if self._updated_ns is None else max(t_host_ns - self._updated_ns, 0) * 1e-9
         keep = np.ones(_SLOW)
         keep[:3] = np.exp(-passed_s / self._prior.time_s)
         before, now = self._bend_variance, bend.sigma_rad**2
@@ -234,12 +246,12 @@ class EpipolarFilter:
         return keep * self._mean, covariance
 
     def _refuse(self, rays: Rays, sigma_rad: Floats, t_host_ns: int) -> Reject | None:
-        if len(sigma_rad) < _LEAST_MATCHES:
+        if len(sigma_rad) < _MIN_MATCHES:
             return Reject.NO_MATCHES
-        if self._seen_ns is not None and t_host_ns < self._seen_ns:
+        if self._updated_ns is not None and t_host_ns < self._updated_ns:
             return Reject.TIME_BACKWARDS
-        parts = (rays.left_m, rays.left, rays.right_m, rays.right, sigma_rad)
-        return None if all(bool(np.all(np.isfinite(part))) for part in parts) else Reject.NOT_FINITE
+        arrays = (rays.left_m, rays.left, rays.right_m, rays.right, sigma_rad)
+        return None if all(bool(np.all(np.isfinite(array))) for array in arrays) else Reject.NOT_FINITE
 
 
 def epipolar_frame(rig: Rig) -> Floats:
@@ -254,42 +266,42 @@ def epipolar_frame(rig: Rig) -> Floats:
 
 def in_frame(rays: Rays, frame_from_body: Floats) -> Rays:
     """Express rays in another frame."""
-    parts = (rays.left_m, rays.left, rays.right_m, rays.right)
-    return Rays(*(np.asarray(part @ frame_from_body.T, dtype=np.float64) for part in parts))
+    arrays = (rays.left_m, rays.left, rays.right_m, rays.right)
+    return Rays(*(np.asarray(array @ frame_from_body.T, dtype=np.float64) for array in arrays))
 
 
-def turned_right(rays: Rays, rotation_rad: Floats, epipolar_from_body: Floats) -> Rays:
+def with_right_rotated(rays: Rays, rotation_rad: Floats, epipolar_from_body: Floats) -> Rays:
     """Rays in body axes with the right ones turned by a rotation vector of the epipolar frame."""
     turn = epipolar_from_body.T @ exp_rotation(rotation_rad) @ epipolar_from_body
     return Rays(rays.left_m, rays.left, rays.right_m, rays.right @ turn.T)
 
 
-def parallax(seen: Rays, state: Floats) -> tuple[Floats, Floats]:
+def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
     """Parallax (n,) that a state (7,) leaves, and how it falls with each of its entries (n, 7).
 
     Parameters
     ----------
-    seen : Rays
-        In the epipolar frame.
+    epipolar_rays : Rays
+        Matched rays in the epipolar frame.
     state : (7,) float64
         Pitch, yaw, roll of the right camera in all, baseline y and z, focal and radial difference of the lenses.
     """
-    left, right = seen.left, seen.right @ exp_rotation(state[:3]).T
+    left, right = epipolar_rays.left, epipolar_rays.right @ exp_rotation(state[:3]).T
     x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
     x_r, y_r = right[:, 0] / right[:, 2], right[:, 1] / right[:, 2]
-    apart = seen.right_m - seen.left_m
+    apart = epipolar_rays.right_m - epipolar_rays.left_m
     toward = apart[:, 1:] / apart[:, :1] + state[BASELINE_Y : BASELINE_Z + 1]
     disparity, twisted = x_l - x_r, x_r * y_l - y_r * x_l
     y = 0.5 * (y_l + y_r)
     cubic = 0.5 * (y_l * (x_l**2 + y_l**2) + y_r * (x_r**2 + y_r**2))
-    left_over = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted
-    left_over = left_over - state[FOCAL] * y - state[RADIAL] * cubic
+    residual_rad = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted
+    residual_rad = residual_rad - state[FOCAL] * y - state[RADIAL] * cubic
     columns = [-(1.0 + y_r**2), x_r * y_r, x_r, disparity, twisted, y, cubic]
-    return left_over, np.stack(columns, axis=1)
+    return residual_rad, np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
+class _Posterior:
     mean: Floats
     covariance: Floats
     scale: float
@@ -304,44 +316,46 @@ def _joint(slow_covariance: Floats, fast_covariance: Floats) -> Floats:
     return joint
 
 
-def _solve(seen: Rays, sigma_rad: Floats, slow: Floats, covariance: Floats, bend: Floats) -> _Answer:
+def _solve(epipolar_rays: Rays, sigma_rad: Floats, slow: Floats, covariance: Floats, bend: Floats) -> _Posterior:
     """Maximum a posteriori by Gauss-Newton; bend, fast part and innovation add to the first three."""
     mean = np.concatenate([slow, np.zeros(_ALL - _SLOW)])
     gather = _gather(bend)
-    gather[YAW, STEADY] = 1.0
-    prior_information = np.linalg.inv(covariance + _TINY * np.eye(len(mean)))
+    gather[YAW, YAW_BIAS] = 1.0
+    prior_information = np.linalg.inv(covariance + _VARIANCE_FLOOR_RAD2 * np.eye(len(mean)))
     state, scale = mean.copy(), 1.0
     weight, information = np.ones(len(sigma_rad)), prior_information
-    for _ in range(_ROUNDS):
-        left_over, columns = parallax(seen, np.concatenate([gather @ state, state[3:_SEEN]]))
+    for _ in range(_GAUSS_NEWTON_STEPS):
+        residual_rad, columns = parallax(epipolar_rays, np.concatenate([gather @ state, state[3:_PARALLAX_STATES]]))
         design = columns[:, :3] @ gather
-        design[:, 3:_SEEN] = columns[:, 3:]
+        design[:, 3:_PARALLAX_STATES] = columns[:, 3:]
         # the first rounds see the rotation itself and take it for noise; as it shrinks, outliers come to stand alone
-        unit = left_over / sigma_rad
-        scale = max(_MEDIAN_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
+        unit = residual_rad / sigma_rad
+        scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
         unit = unit / scale
-        weight = (_STUDENT + 1.0) / (_STUDENT + unit**2)
+        weight = (_STUDENT_DOF + 1.0) / (_STUDENT_DOF + unit**2)
         weighted = design * (np.minimum(weight, 1.0) / (scale * sigma_rad))[:, np.newaxis]
         # Fisher information counts weighted squares, the pull counts weighted residuals
         information = prior_information + weighted.T @ (design / (scale * sigma_rad)[:, np.newaxis])
         pull = weighted.T @ unit + prior_information @ (mean - state)
         state = state + np.linalg.solve(information, pull)
-    return _Answer(state, np.linalg.inv(information), scale, int(np.sum(weight > 0.5)))
+    return _Posterior(state, np.linalg.inv(information), scale, int(np.sum(weight > 0.5)))
 
 
-def _innovation(answer: _Answer) -> Innovation:
+def _innovation(answer: _Posterior) -> Innovation:
     """What the matches say of the innovation, its own prior taken out: zero within its covariance, if all is well."""
     information = np.linalg.inv(answer.covariance[_INNOVATION, _INNOVATION])
     pull = information @ answer.mean[_INNOVATION]
-    covariance = np.asarray(np.linalg.inv(information - (1.0 - _BLIND) / KNOCK_RAD**2 * np.eye(3)), dtype=np.float64)
+    covariance = np.asarray(
+        np.linalg.inv(information - (1.0 - _PRIOR_REMAINDER) / KNOCK_RAD**2 * np.eye(3)), dtype=np.float64
+    )
     return Innovation(np.asarray(covariance @ pull, dtype=np.float64), covariance)
 
 
-def _held(answer: _Answer, doubt: Floats) -> _Answer:
+def _bound(answer: _Posterior, doubt: Floats) -> _Posterior:
     """The answer with ``doubt`` (3, 3) in place of the innovation's wide prior: zero binds it to what is believed."""
     block, innovation = answer.covariance[_INNOVATION, _INNOVATION], _innovation(answer)
-    share = np.linalg.solve(innovation.covariance + doubt, doubt).T
-    mean, covariance = share @ innovation.rotation_rad, doubt - share @ doubt
+    gain = np.linalg.solve(innovation.covariance + doubt, doubt).T
+    mean, covariance = gain @ innovation.rotation_rad, doubt - gain @ doubt
     follow = np.linalg.solve(block, answer.covariance[_INNOVATION]).T
     return dataclasses.replace(
         answer,
@@ -358,7 +372,7 @@ def _gather(bend: Floats) -> Floats:
     return rows
 
 
-def _describe(answer: _Answer, bend: Floats, verdict: Verdict) -> EpipolarUpdate:
+def _describe(answer: _Posterior, bend: Floats, verdict: MatchVerdict) -> EpipolarUpdate:
     total = _gather(bend)
     slow = total.copy()
     slow[:, _SLOW:] = 0.0

@@ -13,7 +13,7 @@ from companion.records import Deflection, Floats, Side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exposure:
+class CameraExposure:
     """One camera's exposure, in the body axes of the instant midway between the two exposures.
 
     Attributes
@@ -58,7 +58,7 @@ def tip_signs(side: Side) -> Floats:
 
 def exposures(
     rig: Rig, tips: TipMotion, left: Deflection, right: Deflection, velocity_mps: Floats | None = None
-) -> tuple[Exposure, Exposure]:
+) -> tuple[CameraExposure, CameraExposure]:
     """Both exposures, each at its own instant, brought to the body axes midway between them.
 
     Parameters
@@ -80,7 +80,9 @@ def exposures(
     )
 
 
-def with_relative_rotation(pair: tuple[Exposure, Exposure], rotation_rad: Floats) -> tuple[Exposure, Exposure]:
+def with_relative_rotation(
+    pair: tuple[CameraExposure, CameraExposure], rotation_rad: Floats
+) -> tuple[CameraExposure, CameraExposure]:
     """Both exposures with the cameras turned against each other by a small rotation vector (3,), body axes.
 
     The right camera takes half of it and the left one the opposite half: bending of both wings does it so, and where
@@ -88,7 +90,7 @@ def with_relative_rotation(pair: tuple[Exposure, Exposure], rotation_rad: Floats
     """
     halves = (-0.5 * rotation_rad, 0.5 * rotation_rad)
     left, right = (
-        Exposure(
+        CameraExposure(
             Pose(exposure.pose.camera_from_body @ exp_rotation(-half), exposure.pose.position_body_m),
             exposure.rate_radps,
             exposure.velocity_mps,
@@ -98,13 +100,15 @@ def with_relative_rotation(pair: tuple[Exposure, Exposure], rotation_rad: Floats
     return left, right
 
 
-def rest_exposures(rig: Rig) -> tuple[Exposure, Exposure]:
+def rest_exposures(rig: Rig) -> tuple[CameraExposure, CameraExposure]:
     """What the ground calibration alone would assume: nothing bends, nothing moves."""
     still = np.zeros(3)
-    return Exposure(rig.left.rest, still, still), Exposure(rig.right.rest, still, still)
+    return CameraExposure(rig.left.rest, still, still), CameraExposure(rig.right.rest, still, still)
 
 
-def _exposure(camera: MountedCamera, tips: TipMotion, bend: Deflection, after_s: float, drift_mps: Floats) -> Exposure:
+def _exposure(
+    camera: MountedCamera, tips: TipMotion, bend: Deflection, after_s: float, drift_mps: Floats
+) -> CameraExposure:
     signs = tip_signs(camera.side)
     pose = camera.pose(
         float(bend.slope_rad[camera.side]), float(signs @ bend.q_m), float((signs * tips.twist_radpm) @ bend.q_m)
@@ -115,4 +119,4 @@ def _exposure(camera: MountedCamera, tips: TipMotion, bend: Deflection, after_s:
         float((signs * tips.slope_radpm) @ bend.qdot_mps), float((signs * tips.twist_radpm) @ bend.qdot_mps)
     )
     lever = np.cross(bend.body_rate_radps, moved.position_body_m)
-    return Exposure(moved, bend.body_rate_radps + wing_rate, lever)
+    return CameraExposure(moved, bend.body_rate_radps + wing_rate, lever)

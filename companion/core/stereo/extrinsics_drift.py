@@ -11,34 +11,34 @@ import math
 
 import numpy as np
 
-from companion.core.stereo.consistency_gate import Verdict
-from companion.core.stereo.epipolar import BendBelief, EpipolarFilter, EpipolarUpdate, SlowPrior
-from companion.core.stereo.exposure import Exposure
+from companion.core.stereo.consistency_gate import MatchVerdict
+from companion.core.stereo.epipolar import BendBelief, EpipolarFilter, EpipolarUpdate, ExtrinsicsPrior
+from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.triangulation import Rays
 from companion.params.airframe import Airframe
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
 
-_LEAST_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is found again, slowly
-_BASELINE_M = 0.0005  # how well a camera's place across the baseline is known
-_RADIAL = 0.002
-_STEADY_PX = 0.01  # what matching and lens model leave in its place from pair to pair, in the corner of the image
+_MIN_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is found again, slowly
+_CAMERA_PLACE_SIGMA_M = 0.0005  # how well a camera's place across the baseline is known
+_RADIAL_SIGMA = 0.002
+_YAW_BIAS_PX = 0.01  # what matching and lens model leave in its place from pair to pair, in the corner of the image
 _DOWN = 25
-_STANDING_DOWN_RAD = (1e-4, 3e-4, 1e-4)
+_SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
 # Obstacles at many distances show what is wrong with the cameras' places (wind, exposures apart) as rotations: in a
 # rendered flight half a milliradian of pitch and roll for seconds, a milliradian of yaw.
-_STANDING_AHEAD_RAD = (5e-4, 1.2e-3, 5e-4)
+_SYSTEMATIC_AHEAD_RAD = (5e-4, 1.2e-3, 5e-4)
 _RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone
 
 
-class SlowRotation:
+class ExtrinsicsDriftFilter:
     """State of the slow part for one airframe; pure, driven by pairs in order of exposure."""
 
     def __init__(self, rig: Rig, airframe: Airframe) -> None:
         self._rig = rig
-        self._filter = EpipolarFilter(rig, slow_prior(rig, airframe))
+        self._filter = EpipolarFilter(rig, extrinsics_prior(rig, airframe))
         self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
-        self.verdict = Verdict.AGREE
+        self.verdict = MatchVerdict.AGREE
         self._bend_variance = math.inf
         self._bend_ns = 0
         self._per_slope = np.stack(
@@ -47,9 +47,9 @@ class SlowRotation:
         self.body_from_epipolar: Floats = self._filter.epipolar_from_body.T
 
     @property
-    def looked(self) -> bool:
+    def has_matches(self) -> bool:
         """Whether any matches have been taken."""
-        return self._filter.looked
+        return self._filter.has_matches
 
     def reopen(self) -> None:
         """Doubt what is known of the rotation: only what matches tell from now on counts."""
@@ -60,10 +60,10 @@ class SlowRotation:
         matches: MatchSet,
         rays: Rays,
         bend: tuple[Deflection, Deflection],
-        exposures: tuple[Exposure, Exposure],
+        exposures: tuple[CameraExposure, CameraExposure],
         timing_sigma_s: float,
         *,
-        look: bool = True,
+        use_matches: bool = True,
     ) -> RelativeRotation:
         """Take one pair.
 
@@ -75,28 +75,28 @@ class SlowRotation:
             Its rays by the tracked bend alone.
         bend : tuple of Deflection
             The tracked wing at the left and at the right exposure.
-        exposures : tuple of Exposure
+        exposures : tuple of CameraExposure
             For how fast the cameras turn.
         timing_sigma_s : float
             One-sigma of each exposure's stamp.
-        look : bool
-            False leaves the matches aside: the tracker's own uncertainty alone.
+        use_matches : bool
+            False: predict only, with the tracker's own uncertainty.
         """
         t_host_ns = (bend[0].t_host_ns + bend[1].t_host_ns) // 2
         belief, fast = self._belief(bend, t_host_ns), self._fast(bend, exposures, timing_sigma_s)
         sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
-        seen = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief) if look else None
-        self.verdict = seen.verdict if isinstance(seen, EpipolarUpdate) else Verdict.AGREE
-        if isinstance(seen, EpipolarUpdate):
+        update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief) if use_matches else None
+        self.verdict = update.verdict if isinstance(update, EpipolarUpdate) else MatchVerdict.AGREE
+        if isinstance(update, EpipolarUpdate):
             return RelativeRotation(
                 matches.pair_id,
                 t_host_ns,
-                seen.total_rad,
-                seen.total_covariance,
-                seen.slow_rad,
-                seen.slow_covariance,
-                seen.used,
-                seen.parallax_scale,
+                update.total_rad,
+                update.total_covariance,
+                update.slow_rad,
+                update.slow_covariance,
+                update.used,
+                update.parallax_scale,
             )
         slow, covariance = self._filter.predict(t_host_ns, belief)
         return RelativeRotation(matches.pair_id, t_host_ns, slow, covariance + fast, slow, covariance, 0, 0.0)
@@ -118,7 +118,10 @@ class SlowRotation:
         return BendBelief(direction, math.sqrt(self._bend_variance), self._time_s)
 
     def _fast(
-        self, bend: tuple[Deflection, Deflection], exposures: tuple[Exposure, Exposure], timing_sigma_s: float
+        self,
+        bend: tuple[Deflection, Deflection],
+        exposures: tuple[CameraExposure, CameraExposure],
+        timing_sigma_s: float,
     ) -> Floats:
         """Covariance (3, 3) of the fast part: the slopes less what of them is slow, and stamps of moving cameras."""
         left, right = bend
@@ -134,25 +137,25 @@ class SlowRotation:
         return covariance
 
 
-def slow_prior(rig: Rig, airframe: Airframe) -> SlowPrior:
+def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
     """What the airframe says of its cameras: mounting and its drift, lenses, places."""
     cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
     mounting = math.sqrt(sum(camera.rotation_sigma_rad**2 + camera.drift_sigma_rad**2 for camera in cameras))
     walk = math.sqrt(sum(2.0 * camera.drift_sigma_rad**2 / camera.drift_time_s for camera in cameras))
     focal = math.sqrt(sum((camera.focal_px.sigma / camera.focal_px.value) ** 2 for camera in cameras))
-    return SlowPrior(
+    return ExtrinsicsPrior(
         rotation_rad=mounting,
-        walk_rad_rts=max(walk, _LEAST_WALK_RAD_RTS),
-        baseline_rad=math.sqrt(2.0) * _BASELINE_M / rig.baseline_m,
+        walk_rad_rts=max(walk, _MIN_WALK_RAD_RTS),
+        baseline_rad=math.sqrt(2.0) * _CAMERA_PLACE_SIGMA_M / rig.baseline_m,
         focal=focal,
-        radial=_RADIAL,
-        steady_rad=_steady_rad(rig),
-        standing_rad=_STANDING_DOWN_RAD if airframe.orientation == _DOWN else _STANDING_AHEAD_RAD,
+        radial=_RADIAL_SIGMA,
+        yaw_bias_rad=_yaw_bias_rad(rig),
+        systematic_rad=_SYSTEMATIC_DOWN_RAD if airframe.orientation == _DOWN else _SYSTEMATIC_AHEAD_RAD,
     )
 
 
-def _steady_rad(rig: Rig) -> float:
+def _yaw_bias_rad(rig: Rig) -> float:
     """The yaw that an error of :data:`_STEADY_PX` across the epipolar lines pretends to be: it shows as ``x y``."""
     lens = rig.left.lens
     width_px, height_px = lens.size_px
-    return float(_STEADY_PX * lens.focal_px / (0.25 * width_px * height_px))
+    return float(_YAW_BIAS_PX * lens.focal_px / (0.25 * width_px * height_px))

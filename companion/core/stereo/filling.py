@@ -23,7 +23,7 @@ from companion.records import Bytes, Floats, FramePair, MatchSet
 _SMALL_WIDTH_PX = 160
 _STEP_PX = 32
 _LEAST_FEATURES = 12
-_ROUNDS = 8
+_IRLS_STEPS = 8
 _COARSE_RAD = 0.0003
 _SIGMA_PX = 0.35
 _BLOCK_PX = 16  # disparities are searched in blocks of so many
@@ -39,13 +39,13 @@ def filled(matches: MatchSet, pair: FramePair, rig: Rig, search: Search) -> Matc
         return matches
     left, right = pair.left.image, pair.right.image
     dense = _proposed(left, right, rig, search, rectification(rig, *poses))
-    found = metric_pairs(dense, left, right, rig, _STEP_PX, matches.left_px)
+    dense_matches = metric_pairs(dense, left, right, rig, _STEP_PX, matches.left_px)
     return dataclasses.replace(
         matches,
-        left_px=np.concatenate([matches.left_px, found.left_px]),
-        right_px=np.concatenate([matches.right_px, found.right_px]),
-        sigma_px=np.concatenate([matches.sigma_px, found.sigma_px]),
-        filled=len(found),
+        left_px=np.concatenate([matches.left_px, dense_matches.left_px]),
+        right_px=np.concatenate([matches.right_px, dense_matches.right_px]),
+        sigma_px=np.concatenate([matches.sigma_px, dense_matches.sigma_px]),
+        filled=len(dense_matches),
     )
 
 
@@ -65,7 +65,7 @@ def levelled(matches: MatchSet, rig: Rig, search: Search) -> tuple[Pose, Pose] |
     parted, design = left[:, 1] - right[:, 1], np.column_stack([-(1.0 + y * y), x])
     weight: Floats = np.ones(len(parted))
     turn = np.zeros(2)
-    for _ in range(_ROUNDS):
+    for _ in range(_IRLS_STEPS):
         weighted = design * weight[:, np.newaxis]
         turn = np.linalg.solve(weighted.T @ design, weighted.T @ parted)
         weight = np.asarray(1.0 / np.maximum(np.abs(parted - design @ turn), _COARSE_RAD), dtype=np.float64)

@@ -21,10 +21,10 @@ _TILT = 1.0
 _PARALLAX_RAD = 1e-4
 _PARALLAX_SLOPE = 0.02
 _CLUSTER_SIGMAS = 3.0
-_CENTRE_SHARE = 0.2
+_CENTRE_FRACTION = 0.2
 
 
-class Product(enum.IntEnum):
+class RangeProduct(enum.IntEnum):
     """Which range is asked for; the values are those of the parameter RNG_PRODUCT."""
 
     MEDIAN = 0
@@ -33,14 +33,14 @@ class Product(enum.IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """A linear estimate: ``inverse_pm = influence @ depths.inverse_pm + edge_pm``.
+class InverseDepthEstimate:
+    """A linear estimate: ``inverse_pm = weights @ depths.inverse_pm + edge_pm``.
 
     Attributes
     ----------
     inverse_pm, sigma_pm : float
         Inverse depth on the axis, and its one-sigma from matching (larger where matches scatter more than they say).
-    influence : (n,) float64
+    weights : (n,) float64
         Weight of each match; sums to one. Any change of the geometry moves the estimate by the weighted change.
     used : int
         Matches that count.
@@ -50,12 +50,12 @@ class Reading:
 
     inverse_pm: float
     sigma_pm: float
-    influence: Floats
+    weights: Floats
     used: int
     edge_pm: float = 0.0
 
 
-def read(depths: Depths, product: Product, least: int) -> Reading | None:
+def robust_inverse_depth(depths: Depths, product: RangeProduct, least: int) -> InverseDepthEstimate | None:
     """Reduce inverse depths to one value, or None when fewer than ``least`` matches support it.
 
     ``MEDIAN`` and ``CENTRE`` fit a plane, whose inverse depth is linear in the tangents, with an M-estimator that
@@ -63,17 +63,19 @@ def read(depths: Depths, product: Product, least: int) -> Reading | None:
     the scatter that sloping ground under a field of view of 40 degrees would bring. ``CENTRE`` uses only the matches
     nearest to the axis. ``NEAREST`` is where the nearest group of matches that agree among themselves begins.
     """
-    kept = consistent(depths)
-    if kept.size < least:
+    inliers = consistent(depths)
+    if inliers.size < least:
         return None
-    if product is Product.NEAREST:
+    if product is RangeProduct.NEAREST:
         size = max(4, least // 3)
-        kept = _nearest_group(depths, kept, size)
-        return _edge(depths, kept, _solve(depths, kept, np.ones((kept.size, 1))), size) if kept.size else None
-    if product is Product.CENTRE:
-        count = max(least, round(_CENTRE_SHARE * kept.size))
-        kept = kept[np.argsort(np.linalg.norm(depths.tangent[kept], axis=1), kind="stable")[:count]]
-    return _solve(depths, kept, np.column_stack([np.ones(kept.size), depths.tangent[kept]]))
+        inliers = _nearest_group(depths, inliers, size)
+        return (
+            _edge(depths, inliers, _solve(depths, inliers, np.ones((inliers.size, 1))), size) if inliers.size else None
+        )
+    if product is RangeProduct.CENTRE:
+        count = max(least, round(_CENTRE_FRACTION * inliers.size))
+        inliers = inliers[np.argsort(np.linalg.norm(depths.tangent[inliers], axis=1), kind="stable")[:count]]
+    return _solve(depths, inliers, np.column_stack([np.ones(inliers.size), depths.tangent[inliers]]))
 
 
 def consistent(depths: Depths) -> Ints:
@@ -94,9 +96,9 @@ def consistent(depths: Depths) -> Ints:
     return finite[alike]
 
 
-def _nearest_group(depths: Depths, kept: Ints, size: int) -> Ints:
+def _nearest_group(depths: Depths, inliers: Ints, size: int) -> Ints:
     """The nearest ``size`` or more matches within their own sigmas of each other; empty if there are none."""
-    order = kept[np.argsort(-depths.inverse_pm[kept], kind="stable")]
+    order = inliers[np.argsort(-depths.inverse_pm[inliers], kind="stable")]
     inverse, sigma = depths.inverse_pm[order], depths.sigma_pm[order]
     for first in range(order.size - size + 1):
         group = slice(first, first + size)
@@ -106,32 +108,32 @@ def _nearest_group(depths: Depths, kept: Ints, size: int) -> Ints:
     return order[:0]
 
 
-def _edge(depths: Depths, kept: Ints, middle: Reading, size: int) -> Reading:
+def _edge(depths: Depths, inliers: Ints, middle: InverseDepthEstimate, size: int) -> InverseDepthEstimate:
     """Where a group begins: midway from its middle to its nearest ``size`` members, known to as much.
 
     Of a flat thing the nearest members are near by noise alone, of sloping ground they are really nearer than the
     middle; which it is, the matches cannot tell.
     """
-    nearest_pm = float(np.mean(np.sort(depths.inverse_pm[kept])[-size:]))
+    nearest_pm = float(np.mean(np.sort(depths.inverse_pm[inliers])[-size:]))
     edge_pm = 0.5 * max(nearest_pm - middle.inverse_pm, 0.0)
     sigma_pm = float(np.hypot(middle.sigma_pm, edge_pm))
-    return Reading(middle.inverse_pm + edge_pm, sigma_pm, middle.influence, middle.used, edge_pm)
+    return InverseDepthEstimate(middle.inverse_pm + edge_pm, sigma_pm, middle.weights, middle.used, edge_pm)
 
 
-def _solve(depths: Depths, kept: Ints, design: Floats) -> Reading:
+def _solve(depths: Depths, inliers: Ints, design: Floats) -> InverseDepthEstimate:
     """Robust fit; its value on the axis as a linear functional of all matches."""
-    value, sigma = depths.inverse_pm[kept], depths.sigma_pm[kept]
+    value, sigma = depths.inverse_pm[inliers], depths.sigma_pm[inliers]
     tilt_pm = _TILT * max(float(np.median(np.abs(value))), 1e-4)
     prior = np.zeros(design.shape[1])
     prior[1:] = tilt_pm**-2
     _, weight, scale = _robust(design, value, sigma, prior)
     normal = (design * weight[:, np.newaxis]).T @ design + np.diag(prior)
     row = np.linalg.solve(normal, np.eye(len(prior))[0])
-    influence = np.zeros(depths.inverse_pm.size)
-    influence[kept] = weight * (design @ row)
-    spread = float(np.sqrt(np.sum((influence[kept] * sigma) ** 2))) * max(1.0, scale)
+    weights = np.zeros(depths.inverse_pm.size)
+    weights[inliers] = weight * (design @ row)
+    spread = float(np.sqrt(np.sum((weights[inliers] * sigma) ** 2))) * max(1.0, scale)
     used = int(np.count_nonzero(weight > 0.0))
-    return Reading(float(influence[kept] @ value), spread, influence, used)
+    return InverseDepthEstimate(float(weights[inliers] @ value), spread, weights, used)
 
 
 def _robust(design: Floats, value: Floats, sigma: Floats, prior: Floats) -> tuple[Floats, Floats, float]:

@@ -32,7 +32,7 @@ _RETURN_PX = 0.1
 _RETURN_SIGMAS = 4.0
 _SLOPE_PX = 5.0
 _LEAST_FOR_ROLL = 12
-_ROLL_ROUNDS = 5
+_ROLL_IRLS_STEPS = 5
 _COARSE_PX = 0.5
 
 
@@ -69,19 +69,19 @@ def match(
     frame = rectification(rig, search.left, search.right)
     level = max(0, round(np.log2(left.shape[1] / _COARSE_WIDTH_PX)))
     corners = _corners(left, 2 * most, level, quality)
-    seen = frame.to_rectified(rig.left, search.left, corners.astype(np.float64))
-    band = bands(search, frame, seen, Side.LEFT)
+    left_rectified = frame.to_rectified(rig.left, search.left, corners.astype(np.float64))
+    band = bands(search, frame, left_rectified, Side.LEFT)
     chosen = np.flatnonzero(_reachable(band, frame))[:most]
-    corners, seen, band = corners[chosen], seen[chosen], _rows(band, chosen)
+    corners, left_rectified, band = corners[chosen], left_rectified[chosen], _rows(band, chosen)
 
     small = rectify_pair(frame, rig, left, right, level)
-    coarse = seek(*small, seen * 0.5**level, _scale(band, 0.5**level))
-    kept = _distinct(coarse.score, coarse.runner_up)
-    found = coarse.position_px[kept] / 0.5**level
-    start = frame.to_raw(rig.right, search.right, found)
-    along = frame.along_rows(rig.right, search.right, found)
-    slopes = expected_slopes(frame, rig, corners[kept], found)
-    fine = refine(left, right, corners[kept], start, along, slopes)
+    coarse = seek(*small, left_rectified * 0.5**level, _scale(band, 0.5**level))
+    distinct = _distinct(coarse.score, coarse.runner_up)
+    right_rectified = coarse.position_px[distinct] / 0.5**level
+    start = frame.to_raw(rig.right, search.right, right_rectified)
+    along = frame.along_rows(rig.right, search.right, right_rectified)
+    slopes = expected_slopes(frame, rig, corners[distinct], right_rectified)
+    fine = refine(left, right, corners[distinct], start, along, slopes)
     good = fine.good & (fine.correlation > _FINE_SCORE)
     good[good] = returned(left, right, fine, good, slopes)
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
@@ -117,8 +117,8 @@ def _corners(image: Bytes, most: int, level: int, quality: float) -> Ints:
     corners = cv2.goodFeaturesToTrack(small, most, quality, spacing, mask=mask, blockSize=5)
     if corners is None:
         return np.empty((0, 2), dtype=np.int64)
-    whole: Ints = np.rint(corners.reshape(-1, 2)).astype(np.int64) * 2**level
-    return whole
+    pixels: Ints = np.rint(corners.reshape(-1, 2)).astype(np.int64) * 2**level
+    return pixels
 
 
 def _reachable(band: Band, frame: Rectification) -> Bools:
@@ -127,39 +127,42 @@ def _reachable(band: Band, frame: Rectification) -> Bools:
     return inside & (band.bottom >= _BORDER_PX) & (band.top < height - _BORDER_PX)
 
 
-def expected_slopes(frame: Rectification, rig: Rig, left_px: Ints, found_px: Floats) -> Floats:
+def expected_slopes(frame: Rectification, rig: Rig, left_px: Ints, right_rectified_px: Floats) -> Floats:
     """How the displacement of each match grows around it at one depth (n, 2, 2): lenses, expected bend, and its error.
 
-    ``found_px`` (n, 2) are the coarse matches in the rectified right image.
+    ``right_rectified_px`` (n, 2) are the coarse matches in the rectified right image.
     """
-    seen = frame.to_rectified(rig.left, frame.left, left_px.astype(np.float64))
-    moved = found_px - seen
-    roll = _roll(seen, moved[:, 1])
+    left_rectified = frame.to_rectified(rig.left, frame.left, left_px.astype(np.float64))
+    moved = right_rectified_px - left_rectified
+    roll = _roll(left_rectified, moved[:, 1])
     turn = np.array([[0.0, -roll], [roll, 0.0]])
     sides = []
     for step in (np.array([_SLOPE_PX, 0.0]), np.array([0.0, _SLOPE_PX])):
-        there = (
+        neighbours = (
             frame.to_rectified(rig.left, frame.left, left_px + step),
             frame.to_rectified(rig.left, frame.left, left_px - step),
         )
-        ends = [frame.to_raw(rig.right, frame.right, point + moved + (point - seen) @ turn.T) for point in there]
+        ends = [
+            frame.to_raw(rig.right, frame.right, point + moved + (point - left_rectified) @ turn.T)
+            for point in neighbours
+        ]
         sides.append((ends[0] - ends[1]) / (2.0 * _SLOPE_PX))
     slopes: Floats = np.stack(sides, axis=-1) - np.eye(2)
     return slopes
 
 
-def _roll(seen_px: Floats, down_px: Floats) -> float:
+def _roll(points_px: Floats, down_px: Floats) -> float:
     """By how much rectified matches go down per pixel to the right: the roll that was not expected, rad.
 
     Depth moves a match along its row alone. Least sum of magnitudes: coarse matches are right to half a pixel, some
     are wrong.
     """
-    if len(seen_px) < _LEAST_FOR_ROLL:
+    if len(points_px) < _LEAST_FOR_ROLL:
         return 0.0
-    design = np.column_stack([seen_px, np.ones(len(seen_px))])
-    weight: Floats = np.ones(len(seen_px))
+    design = np.column_stack([points_px, np.ones(len(points_px))])
+    weight: Floats = np.ones(len(points_px))
     fitted: Floats = np.zeros(3)
-    for _ in range(_ROLL_ROUNDS):
+    for _ in range(_ROLL_IRLS_STEPS):
         weighted = design * weight[:, np.newaxis]
         fitted = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ down_px), dtype=np.float64)
         weight = np.asarray(1.0 / np.maximum(np.abs(down_px - design @ fitted), _COARSE_PX), dtype=np.float64)
@@ -169,10 +172,10 @@ def _roll(seen_px: Floats, down_px: Floats) -> float:
 def returned(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Floats) -> Bools:
     """Whether the match of a right patch, refined in the left image, gives the same displacement (left-right check)."""
     left_px, right_px = fine.left_px[chosen], fine.right_px[chosen]
-    whole = np.rint(right_px).astype(np.int64)
-    expected = left_px + (whole - right_px)
-    along = np.tile([1.0, 0.0], (len(whole), 1))
-    back = refine(right, left, whole, expected, along, -slopes[chosen], iterations=2)
+    centres_px = np.rint(right_px).astype(np.int64)
+    expected = left_px + (centres_px - right_px)
+    along = np.tile([1.0, 0.0], (len(centres_px), 1))
+    back = refine(right, left, centres_px, expected, along, -slopes[chosen], iterations=2)
     gap = np.linalg.norm((back.right_px - back.left_px) - (left_px - right_px), axis=1)
     alike: Bools = back.good & (gap < _RETURN_PX + _RETURN_SIGMAS * fine.sigma_px[chosen])
     return alike

@@ -28,14 +28,14 @@ class FramePairer:
 
     def add(self, frame: Frame) -> tuple[list[FramePair], list[Rejected]]:
         """Take one frame; give the pairs that it completes and the frames that stay without a partner."""
-        own, behind_ns = self._waiting[frame.side], self._newest_ns[frame.side] - frame.mid_exposure_ns
+        queue, behind_ns = self._waiting[frame.side], self._newest_ns[frame.side] - frame.mid_exposure_ns
         if 0 <= behind_ns <= _FORGET_NS:
             return [], [self._lonely(frame)]
-        left_over = [self._lonely(own.popleft()) for _ in range(len(own))] if behind_ns > 0 else []
+        unpaired = [self._lonely(queue.popleft()) for _ in range(len(queue))] if behind_ns > 0 else []
         self._newest_ns[frame.side] = frame.mid_exposure_ns
-        own.append(frame)
+        queue.append(frame)
         pairs = self._match()
-        return pairs, left_over + self._expire(frame.mid_exposure_ns)
+        return pairs, unpaired + self._expire(frame.mid_exposure_ns)
 
     def _match(self) -> list[FramePair]:
         left, right = self._waiting
@@ -78,6 +78,6 @@ class FramePairer:
         return Rejected(Reject.UNPAIRED, f"{frame.side.name.lower()} frame {frame.sequence}", frame.mid_exposure_ns)
 
 
-def _of_different_plans(one: Frame, other: Frame) -> bool:
+def _of_different_plans(left: Frame, right: Frame) -> bool:
     """Whether both say which plan fired them, and it is not the same; a negative number says nothing."""
-    return one.plan_id >= 0 and other.plan_id >= 0 and one.plan_id != other.plan_id
+    return left.plan_id >= 0 and right.plan_id >= 0 and left.plan_id != right.plan_id

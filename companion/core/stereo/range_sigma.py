@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.exposure import Exposure, TipMotion, tip_signs
+from companion.core.stereo.exposure import CameraExposure, TipMotion, tip_signs
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import skew
 from companion.core.stereo.triangulation import Rays
@@ -18,9 +18,9 @@ _STEP_RAD = 1e-6
 _STEP_M = 1e-5
 _STEP_RELATIVE = 1e-6
 # modal coordinates and the antisymmetric slope, of [q symmetric, q antisymmetric, slope left, slope right]
-_KEPT = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.5]])
-_TOGETHER = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])
-_PARTS = ("left_m", "left", "right_m", "right")
+_ANTISYMMETRIC_FROM_TIPS = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.5]])
+_TIPS_FROM_ANTISYMMETRIC = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])
+_RAY_FIELDS = ("left_m", "left", "right_m", "right")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,15 +57,18 @@ class Budget:
 
 
 def gradient_of(
-    inverse_depths: Callable[[Rays], Floats], influence: Floats, rays: Rays, exposures: tuple[Exposure, Exposure]
+    inverse_depths: Callable[[Rays], Floats],
+    weights: Floats,
+    rays: Rays,
+    exposures: tuple[CameraExposure, CameraExposure],
 ) -> Gradient:
-    """Differentiate ``influence @ inverse_depths(rays)`` numerically, all cameras and axes in one evaluation.
+    """Differentiate ``weights @ inverse_depths(rays)`` numerically, all cameras and axes in one evaluation.
 
     Parameters
     ----------
     inverse_depths : callable
         Gives (m,) for m matched rays, each for itself.
-    influence : (n,) float64
+    weights : (n,) float64
         Weights of the result.
     rays : Rays
         n matched rays.
@@ -81,8 +84,8 @@ def gradient_of(
         # a longer focal length makes every ray flatter: its part across the optical axis shrinks
         flat = direction - (direction @ look)[:, np.newaxis] * look
         changed.append(_with(rays, side, origin, direction - _STEP_RELATIVE * flat))
-    stacked = Rays(*(np.concatenate([getattr(each, name) for each in changed]) for name in _PARTS))
-    results = np.nan_to_num(inverse_depths(stacked)).reshape(len(changed), -1) @ influence
+    stacked = Rays(*(np.concatenate([getattr(each, name) for each in changed]) for name in _RAY_FIELDS))
+    results = np.nan_to_num(inverse_depths(stacked)).reshape(len(changed), -1) @ weights
     steps = (results[1:] - results[0]).reshape(2, 7)
     return Gradient(steps[:, :3] / _STEP_RAD, steps[:, 3:6] / _STEP_M, steps[:, 6] / _STEP_RELATIVE)
 
@@ -101,7 +104,7 @@ def budget(
     rig: Rig,
     airframe: Airframe,
     bend: Deflection,
-    exposures: tuple[Exposure, Exposure],
+    exposures: tuple[CameraExposure, CameraExposure],
     timing_sigma_s: float,
     apart_rad2: Floats | None = None,
 ) -> Budget:
@@ -110,12 +113,12 @@ def budget(
     The two exposures are so near each other that one error of the modal state holds for both: modal errors are
     propagated jointly, calibration and stamping errors of the two cameras are independent.
 
-    ``apart_rad2`` (3, 3), body axes, is the covariance of the cameras' relative rotation where matches have told it
-    (:class:`companion.core.stereo.extrinsics_drift.SlowRotation`); then only what turns both cameras alike is left of
-    the rest.
+    ``apart_rad2`` (3, 3), body axes, is the covariance of the cameras' relative rotation where matches have measured it
+    (:class:`companion.core.stereo.extrinsics_drift.ExtrinsicsDriftFilter`); of the other causes only those that turn
+    both cameras alike remain.
     """
     if apart_rad2 is not None:
-        return _told(gradient, rig, airframe, bend, exposures, timing_sigma_s, apart_rad2)
+        return _budget_with_rotation(gradient, rig, airframe, bend, exposures, timing_sigma_s, apart_rad2)
     modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe))
     block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
     variance = float(modal @ bend.covariance[block] @ modal)
@@ -131,20 +134,23 @@ def budget(
     return Budget(float(np.sqrt(max(variance, 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
 
 
-def _told(
+def _budget_with_rotation(
     gradient: Gradient,
     rig: Rig,
     airframe: Airframe,
     bend: Deflection,
-    exposures: tuple[Exposure, Exposure],
+    exposures: tuple[CameraExposure, CameraExposure],
     timing_sigma_s: float,
     apart_rad2: Floats,
 ) -> Budget:
-    modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe)) @ _TOGETHER.T
+    modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe)) @ _TIPS_FROM_ANTISYMMETRIC.T
     block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
     apart = 0.5 * (gradient.turn_prad[Side.RIGHT] - gradient.turn_prad[Side.LEFT])
     alike = gradient.turn_prad[Side.RIGHT] + gradient.turn_prad[Side.LEFT]
-    variance = modal @ (_KEPT @ bend.covariance[block] @ _KEPT.T) @ modal + apart @ apart_rad2 @ apart
+    variance = (
+        modal @ (_ANTISYMMETRIC_FROM_TIPS @ bend.covariance[block] @ _ANTISYMMETRIC_FROM_TIPS.T) @ modal
+        + apart @ apart_rad2 @ apart
+    )
     calibration = timing = 0.0
     for side in Side:
         camera = _camera(airframe, side)

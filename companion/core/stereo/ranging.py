@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.stereo.epipolar import epipolar_frame
-from companion.core.stereo.exposure import Exposure, TipMotion, exposures, rest_exposures, with_relative_rotation
+from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig, axes_from_body
-from companion.core.stereo.inverse_depth import Product, Reading, read
+from companion.core.stereo.inverse_depth import InverseDepthEstimate, RangeProduct, robust_inverse_depth
 from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient_of, toe_gradient
 from companion.core.stereo.sectors import matched_sectors
-from companion.core.stereo.triangulation import Depths, Rays, Sight, match_rays, sight_along, triangulate
+from companion.core.stereo.triangulation import Depths, RangeAxis, Rays, match_rays, range_axis_of_rig, triangulate
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -77,7 +77,7 @@ def correct(
     airframe : Airframe
         Orientation, slope and twist factors, calibration sigmas.
     settings : Settings
-        Product, limits, trust.
+        RangeProduct, limits, trust.
     timing_sigma_s : float
         One-sigma of each exposure's stamp.
     velocity_mps : (3,) float64, optional
@@ -92,25 +92,25 @@ def correct(
     RangeAnswer
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
-    whole, matches = matches, matches.features()
+    all_matches, matches = matches, matches.features()
     scene = _Scene.exposed(matches, left, right, rig, airframe, timing_sigma_s, velocity_mps, turned)
     depths = scene.depths(matches)
-    reading = read(depths, Product(settings.product), settings.min_matches)
+    reading = robust_inverse_depth(depths, RangeProduct(settings.product), settings.min_matches)
     toe = scene.toe()
     if reading is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
         reason = Reject.NO_MATCHES if reading is None else Reject.NOT_FINITE
         refused = _refused(matches, scene.t_host_ns, airframe.orientation, settings, reason)
         return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
 
-    causes = scene.budget(gradient_of(scene.inverse_depths, reading.influence, scene.rays, scene.moving))
+    causes = scene.budget(gradient_of(scene.inverse_depths, reading.weights, scene.rays, scene.moving))
     match_pm = float(np.hypot(reading.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
     answer = _answer(scene, settings, toe, reading, float(np.hypot(match_pm, causes.total)))
     square = answer.range_m**2
     in_metres = Budget(causes.modal * square, causes.calibration * square, causes.timing * square)
     sectors = None
     if airframe.orientation == _FORWARD:
-        picture = scene.depths(whole)
-        sectors = matched_sectors(picture, scene.sight, causes.total, scene.t_host_ns, settings, attitude_rad)
+        picture = scene.depths(all_matches)
+        sectors = matched_sectors(picture, scene.range_axis, causes.total, scene.t_host_ns, settings, attitude_rad)
     return RangeAnswer(answer, sectors, depths, match_pm * square, in_metres)
 
 
@@ -132,10 +132,10 @@ class _Scene:
     airframe: Airframe
     bend: Deflection
     t_host_ns: int
-    moving: tuple[Exposure, Exposure]
+    moving: tuple[CameraExposure, CameraExposure]
     timing_sigma_s: float
     apart_rad2: Floats | None
-    sight: Sight
+    range_axis: RangeAxis
     rays: Rays
 
     @classmethod
@@ -158,19 +158,18 @@ class _Scene:
             moving = with_relative_rotation(moving, body_from_epipolar @ turned.rotation_rad)
             apart_rad2 = body_from_epipolar @ turned.covariance @ body_from_epipolar.T
         t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
-        sight = sight_along(rig, range_axis(airframe.orientation))
+        range_axis = range_axis_of_rig(rig, orientation_axis(airframe.orientation))
         rays = match_rays(rig, moving, matches)
-        return cls(matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, apart_rad2, sight, rays)
+        return cls(matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, apart_rad2, range_axis, rays)
 
     def depths(self, matches: MatchSet) -> Depths:
-        """Of matches of this pair, along the sight."""
+        """Of matches of this pair, along the range axis."""
         rays = self.rays if matches is self.matches else match_rays(self.rig, self.moving, matches)
-        return triangulate(rays, self.sight, matches.sigma_px / self.rig.left.lens.focal_px)
+        return triangulate(rays, self.range_axis, matches.sigma_px / self.rig.left.lens.focal_px)
 
     def budget(self, gradient: Gradient) -> Budget:
         """Sigma of a result by cause."""
-        known = (self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.apart_rad2)
-        return budget(gradient, *known)
+        return budget(gradient, self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.apart_rad2)
 
     def toe(self) -> _Toe:
         """How far the optical axes part."""
@@ -179,14 +178,16 @@ class _Scene:
 
     def inverse_depths(self, rays: Rays) -> Floats:
         """Of any rays, along the range axis."""
-        return triangulate(rays, self.sight, np.ones(len(rays.left))).inverse_pm
+        return triangulate(rays, self.range_axis, np.ones(len(rays.left))).inverse_pm
 
     def rigid_pm(self) -> Floats:
         """Inverse depths (n,) of the matches as the ground calibration alone would have them."""
         return np.nan_to_num(self.inverse_depths(match_rays(self.rig, rest_exposures(self.rig), self.matches)))
 
 
-def _answer(scene: _Scene, settings: Settings, toe: _Toe, reading: Reading, sigma_pm: float) -> CorrectedRange:
+def _answer(
+    scene: _Scene, settings: Settings, toe: _Toe, reading: InverseDepthEstimate, sigma_pm: float
+) -> CorrectedRange:
     range_m = _metres(reading.inverse_pm)
     sigma_m = min(sigma_pm * range_m**2, settings.max_range_m) if range_m > 0.0 else settings.max_range_m
     reject = _judge(reading, range_m, sigma_m, settings)
@@ -199,36 +200,36 @@ def _answer(scene: _Scene, settings: Settings, toe: _Toe, reading: Reading, sigm
         sigma_m=sigma_m,
         toe_rad=toe.angle_rad,
         toe_sigma_rad=toe.sigma_rad,
-        rigid_range_m=_metres(float(scene.rigid_pm() @ reading.influence)),
+        rigid_range_m=_metres(float(scene.rigid_pm() @ reading.weights)),
         matches=reading.used,
         trusted=reject is None,
         reject=reject,
     )
 
 
-def range_axis(orientation: int) -> Floats:
+def orientation_axis(orientation: int) -> Floats:
     """Body axis (3,) of a MAV_SENSOR_ORIENTATION; :class:`ConfigError` for one that is not along an axis."""
     if orientation not in _AXES:
-        known = ", ".join(str(key) for key in sorted(_AXES))
-        raise ConfigError(f"orientation {orientation} is not along a body axis; possible: {known}")
+        allowed = ", ".join(str(key) for key in sorted(_AXES))
+        raise ConfigError(f"orientation {orientation} is not along a body axis; possible: {allowed}")
     name = _AXES[orientation]
     direction: Floats = axes_from_body(("x", "y", "z"), "orientation")["xyz".index(name[-1])]
     return -direction if name.startswith("-") else direction
 
 
-def toe_between(rig: Rig, moving: tuple[Exposure, Exposure]) -> float:
+def toe_between(rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> float:
     """Divergence of the optical axes in the epipolar plane beyond that of the ground calibration, radians."""
     return divergence(moving) - divergence(rest_exposures(rig))
 
 
-def divergence(pair: tuple[Exposure, Exposure]) -> float:
+def divergence(pair: tuple[CameraExposure, CameraExposure]) -> float:
     """Angle by which the optical axes of a pair part in the epipolar plane, radians."""
     x, z = _epipolar_xz(pair)
     left, right = (exposure.pose.camera_from_body[2] for exposure in pair)
     return float(np.arctan2(right @ x, right @ z) - np.arctan2(left @ x, left @ z))
 
 
-def _epipolar_xz(pair: tuple[Exposure, Exposure]) -> tuple[Floats, Floats]:
+def _epipolar_xz(pair: tuple[CameraExposure, CameraExposure]) -> tuple[Floats, Floats]:
     apart = pair[1].pose.position_body_m - pair[0].pose.position_body_m
     x = apart / np.linalg.norm(apart)
     look = pair[0].pose.camera_from_body[2] + pair[1].pose.camera_from_body[2]
@@ -236,7 +237,7 @@ def _epipolar_xz(pair: tuple[Exposure, Exposure]) -> tuple[Floats, Floats]:
     return x, z / np.linalg.norm(z)
 
 
-def _epipolar_y(pair: tuple[Exposure, Exposure]) -> Floats:
+def _epipolar_y(pair: tuple[CameraExposure, CameraExposure]) -> Floats:
     x, z = _epipolar_xz(pair)
     return np.cross(z, x)
 
@@ -245,8 +246,8 @@ def _metres(inverse_pm: float) -> float:
     return 1.0 / inverse_pm if inverse_pm > _INFINITY_PM else 0.0
 
 
-def _judge(reading: Reading, range_m: float, sigma_m: float, settings: Settings) -> Reject | None:
-    if reading.used < settings.min_matches and settings.product != Product.NEAREST:
+def _judge(reading: InverseDepthEstimate, range_m: float, sigma_m: float, settings: Settings) -> Reject | None:
+    if reading.used < settings.min_matches and settings.product != RangeProduct.NEAREST:
         return Reject.NO_MATCHES
     if not settings.min_range_m <= range_m <= settings.max_range_m:
         return Reject.OUT_OF_RANGE

@@ -98,9 +98,11 @@ def refine(
     position = position + step - template.grown(residual, centroid)
     strayed = np.linalg.norm(position - start_px, axis=1)
     settled = (np.abs(step).max(axis=1) < _CONVERGED_PX) & (strayed < 0.5 * HALF_WINDOW) if len(position) else inside
-    found = position + centroid + np.einsum("nij,nj->ni", slopes, centroid)
-    good = inside & settled & np.isfinite(sigma) & _inside(right, found)  # whoever looks back from there needs a patch
-    return Refined(left_px + centroid, found, sigma, correlation, good)
+    right_px = position + centroid + np.einsum("nij,nj->ni", slopes, centroid)
+    good = (
+        inside & settled & np.isfinite(sigma) & _inside(right, right_px)
+    )  # whoever looks back from there needs a patch
+    return Refined(left_px + centroid, right_px, sigma, correlation, good)
 
 
 class _Template:
@@ -142,11 +144,11 @@ class _Template:
         free = np.concatenate([self._gradient, growth], axis=1)
         weighted = free * _WEIGHT
         noise = ((residual**2) @ _WEIGHT).astype(np.float64) / _EFFECTIVE
-        known = _FLAT + noise[:, np.newaxis] * np.array([0.0, 0.0, 1.0, 1.0]) / _GROWTH**2
-        normal = (weighted @ free.transpose(0, 2, 1)).astype(np.float64) + known[:, np.newaxis] * np.eye(4)
+        prior = _FLAT + noise[:, np.newaxis] * np.array([0.0, 0.0, 1.0, 1.0]) / _GROWTH**2
+        normal = (weighted @ free.transpose(0, 2, 1)).astype(np.float64) + prior[:, np.newaxis] * np.eye(4)
         pull = (weighted @ residual[..., np.newaxis]).astype(np.float64)
-        found: Floats = np.linalg.solve(normal, pull)[..., 0]
-        displaced: Floats = found[:, :2] + np.einsum("ni,ni->n", found[:, 2:], at)[:, np.newaxis] * self._along
+        solution: Floats = np.linalg.solve(normal, pull)[..., 0]
+        displaced: Floats = solution[:, :2] + np.einsum("ni,ni->n", solution[:, 2:], at)[:, np.newaxis] * self._along
         return displaced
 
     def quality(self, residual: Patches) -> tuple[Floats, Floats]:
@@ -208,9 +210,9 @@ def _gather(image: Bytes, centre: Ints, before: int, after: int | None = None) -
 
 def _interpolated(image: Bytes, position: Floats) -> Patches:
     """Patches (n, window^2) of the image around fractional positions, by separable six-tap interpolation."""
-    whole = np.floor(position).astype(np.int64)
-    patches = _gather(image, whole, HALF_WINDOW + _BEFORE, HALF_WINDOW + _TAPS - 1 - _BEFORE)
-    taps = keys_taps(position - whole).astype(np.float32)
+    base_px = np.floor(position).astype(np.int64)
+    patches = _gather(image, base_px, HALF_WINDOW + _BEFORE, HALF_WINDOW + _TAPS - 1 - _BEFORE)
+    taps = keys_taps(position - base_px).astype(np.float32)
     n, across = len(position), np.arange(_WINDOW)
     blend = np.zeros((2, n, _WINDOW + _TAPS - 1, _WINDOW), dtype=np.float32)
     for tap in range(_TAPS):

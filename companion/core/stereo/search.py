@@ -52,7 +52,7 @@ class Band:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class CoarseMatches:
     """Best place (n, 2) of each template, px, its correlation and the best correlation elsewhere in the band."""
 
     position_px: Floats
@@ -97,7 +97,7 @@ def bands(search: Search, frame: Rectification, points_px: Floats, of: Side) -> 
     return Band(column + far, column + near, row - rows, row + rows)
 
 
-def seek(template_image: Bytes, other_image: Bytes, points_px: Floats, band: Band) -> Found:
+def seek(template_image: Bytes, other_image: Bytes, points_px: Floats, band: Band) -> CoarseMatches:
     """Best normalised correlation of the patch around each point within its band.
 
     Parameters
@@ -130,7 +130,7 @@ def seek(template_image: Bytes, other_image: Bytes, points_px: Floats, band: Ban
         scores[:, max(column - _SAME_PEAK_PX, 0) : column + _SAME_PEAK_PX + 1] = -1.0
         runner_up[i] = cv2.minMaxLoc(scores)[1]
     # the template sat on whole pixels; what was found belongs to the point itself
-    return Found(position + (points_px - centre), score, runner_up)
+    return CoarseMatches(position + (points_px - centre), score, runner_up)
 
 
 def _usable(centre: Ints, lower: Ints, upper: Ints, size: Ints) -> Bools:

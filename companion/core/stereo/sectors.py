@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.stereo.inverse_depth import consistent
-from companion.core.stereo.triangulation import Depths, Sight
+from companion.core.stereo.triangulation import Depths, RangeAxis
 from companion.params.settings import Settings
 from companion.records import Floats, ObstacleSectors
 
@@ -20,7 +20,7 @@ _WIDTH_RAD = 2.0 * np.pi / SECTORS
 _SUPPORT = 2
 _CLEAR_SUPPORT = 3
 _AGREE_SIGMAS = 3.0
-_AGREE_SHARE = 0.1
+_AGREE_FRACTION = 0.1
 _SURE_SIGMAS = 2.0
 # What is seen steeper than this leaves the height band long before the largest range, so it clears nothing.
 _LEVEL = 0.1
@@ -30,7 +30,7 @@ _BELOW_M = 5.0
 
 def matched_sectors(
     depths: Depths,
-    sight: Sight,
+    range_axis: RangeAxis,
     common_sigma_pm: float,
     t_host_ns: int,
     settings: Settings,
@@ -40,8 +40,10 @@ def matched_sectors(
 
     Parameters
     ----------
-    depths, sight
-        Matches along the sight.
+    depths : Depths
+        Inverse depths of the matches.
+    range_axis : RangeAxis
+        Axis along which they are depths.
     common_sigma_pm : float
         One-sigma of the inverse depth that all matches share (bend, calibration).
     t_host_ns : int
@@ -52,11 +54,11 @@ def matched_sectors(
         Roll and pitch: bearing and height then count from the horizon, so that a bank does not put the ground into
         the flight's level; without them from the body's own axes.
     """
-    kept = consistent(depths)
-    inverse, sigma = depths.inverse_pm[kept], np.hypot(depths.sigma_pm[kept], common_sigma_pm)
-    along = sight.axis + depths.tangent[kept] @ sight.across
+    inliers = consistent(depths)
+    inverse, sigma = depths.inverse_pm[inliers], np.hypot(depths.sigma_pm[inliers], common_sigma_pm)
+    along = range_axis.axis + depths.tangent[inliers] @ range_axis.across
     level = np.eye(3) if attitude_rad is None else level_from_body(*attitude_rad)
-    return sectors_of(along @ level.T, inverse, sigma, level @ sight.origin_m, t_host_ns, settings)
+    return sectors_of(along @ level.T, inverse, sigma, level @ range_axis.origin_m, t_host_ns, settings)
 
 
 def level_from_body(roll_rad: float, pitch_rad: float) -> Floats:
@@ -115,18 +117,18 @@ def sectors_of(
     for index in np.unique(sector[solid]):
         here = np.flatnonzero(solid & (sector == index))
         nearest[index], sigma_m[index] = _nearest(distance[here], distance[here] * sigma_pm[here] / positive[here])
-    known = nearest > 0.0
-    seen_far = np.bincount(sector[far], minlength=SECTORS) >= _CLEAR_SUPPORT
+    occupied = nearest > 0.0
+    far_support = np.bincount(sector[far], minlength=SECTORS) >= _CLEAR_SUPPORT
     obstructed = np.bincount(sector[in_band & in_range], minlength=SECTORS) > 0
-    clear = seen_far & ~known & ~obstructed
-    return ObstacleSectors(t_host_ns, nearest, sigma_m, known, clear, settings.min_range_m, settings.max_range_m)
+    clear = far_support & ~occupied & ~obstructed
+    return ObstacleSectors(t_host_ns, nearest, sigma_m, occupied, clear, settings.min_range_m, settings.max_range_m)
 
 
 def _nearest(distance_m: Floats, sigma_m: Floats) -> tuple[float, float]:
     """Nearest distance that enough points agree on, and its sigma; zeros when there is none."""
     for index in np.argsort(distance_m, kind="stable"):
         gap = np.abs(distance_m - distance_m[index])
-        allowed = np.maximum(_AGREE_SIGMAS * np.hypot(sigma_m, sigma_m[index]), _AGREE_SHARE * distance_m[index])
+        allowed = np.maximum(_AGREE_SIGMAS * np.hypot(sigma_m, sigma_m[index]), _AGREE_FRACTION * distance_m[index])
         alike = gap <= allowed
         if np.count_nonzero(alike) >= _SUPPORT:
             group, weight = distance_m[alike], sigma_m[alike] ** -2.0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.exposure import Exposure
+from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.geometry import MountedCamera, Rig
 from companion.core.stereo.rotation import exp_rotation
 from companion.records import Floats, MatchSet
@@ -26,7 +26,7 @@ class Rays:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class RangeAxis:
     """An axis to measure along, body axes: origin (3,), direction (3,), and two unit vectors across it (2, 3)."""
 
     origin_m: Floats
@@ -36,7 +36,7 @@ class Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Depths:
-    """Matches as inverse depths along a sight.
+    """Matches as inverse depths along a range axis.
 
     Attributes
     ----------
@@ -56,24 +56,24 @@ class Depths:
     parallax_rad: Floats
 
 
-def match_rays(rig: Rig, exposures: tuple[Exposure, Exposure], matches: MatchSet) -> Rays:
+def match_rays(rig: Rig, exposures: tuple[CameraExposure, CameraExposure], matches: MatchSet) -> Rays:
     """Rays of every match, each at the instant when its row was exposed."""
     left_m, left = _rays(rig.left, exposures[0], matches.left_px, matches.row_time_ns)
     right_m, right = _rays(rig.right, exposures[1], matches.right_px, matches.row_time_ns)
     return Rays(left_m, left, right_m, right)
 
 
-def sight_along(rig: Rig, axis: Floats) -> Sight:
-    """Sight from midway between the two cameras at rest, which is where the range counts from."""
+def range_axis_of_rig(rig: Rig, axis: Floats) -> RangeAxis:
+    """RangeAxis from midway between the two cameras at rest, which is where the range counts from."""
     helper = np.array([0.0, 1.0, 0.0]) if abs(axis[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     first = helper - (helper @ axis) * axis
     first /= np.linalg.norm(first)
     middle = 0.5 * (rig.left.rest.position_body_m + rig.right.rest.position_body_m)
-    return Sight(middle, axis, np.stack([first, np.cross(axis, first)]))
+    return RangeAxis(middle, axis, np.stack([first, np.cross(axis, first)]))
 
 
-def triangulate(rays: Rays, sight: Sight, sigma_rad: Floats) -> Depths:
-    """Inverse depth of each match along a sight.
+def triangulate(rays: Rays, range_axis: RangeAxis, sigma_rad: Floats) -> Depths:
+    """Inverse depth of each match along a range axis.
 
     In the epipolar frame of a match (x along its baseline B, z where the cameras look) the rays have slopes x_l and
     x_r; the point of closest approach lies at ``B / (x_l - x_r)`` along z, and the difference of the slopes y is the
@@ -83,8 +83,8 @@ def triangulate(rays: Rays, sight: Sight, sigma_rad: Floats) -> Depths:
     ----------
     rays : Rays
         Matched rays.
-    sight : Sight
-        Along which axis, and from where, depth counts.
+    range_axis : RangeAxis
+        Axis along which, and origin from which, depth counts.
     sigma_rad : (n,) float64
         One-sigma of each disparity, as a slope.
     """
@@ -99,23 +99,23 @@ def triangulate(rays: Rays, sight: Sight, sigma_rad: Floats) -> Depths:
     right_x, right_y = _slopes(rays.right, x, y, z)
     disparity = left_x - right_x
     pointing = z + left_x[:, np.newaxis] * x + 0.5 * (left_y + right_y)[:, np.newaxis] * y
-    start = rays.left_m - sight.origin_m
-    reach = baseline[:, 0] * (pointing @ sight.axis)
-    scale = disparity * (start @ sight.axis) + reach
+    start = rays.left_m - range_axis.origin_m
+    reach = baseline[:, 0] * (pointing @ range_axis.axis)
+    scale = disparity * (start @ range_axis.axis) + reach
     scale = np.where(scale > _FLATTEST * baseline[:, 0], scale, np.nan)
     offset = disparity[:, np.newaxis] * start + baseline * pointing
     return Depths(
         inverse_pm=disparity / scale,
         sigma_pm=sigma_rad * reach / scale**2,
-        tangent=(offset @ sight.across.T) / scale[:, np.newaxis],
+        tangent=(offset @ range_axis.across.T) / scale[:, np.newaxis],
         parallax_rad=left_y - right_y,
     )
 
 
-def points_of(depths: Depths, sight: Sight) -> Floats:
+def points_of(depths: Depths, range_axis: RangeAxis) -> Floats:
     """Points (n, 3) in body axes; NaN where the inverse depth is not positive."""
     depth = 1.0 / np.where(depths.inverse_pm > 0.0, depths.inverse_pm, np.nan)
-    points: Floats = sight.origin_m + depth[:, np.newaxis] * (sight.axis + depths.tangent @ sight.across)
+    points: Floats = range_axis.origin_m + depth[:, np.newaxis] * (range_axis.axis + depths.tangent @ range_axis.across)
     return points
 
 
@@ -124,7 +124,7 @@ def _slopes(rays: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floa
     return np.einsum("ij,ij->i", rays, x) / along, np.einsum("ij,ij->i", rays, y) / along
 
 
-def _rays(camera: MountedCamera, exposure: Exposure, pixels: Floats, row_time_ns: int) -> tuple[Floats, Floats]:
+def _rays(camera: MountedCamera, exposure: CameraExposure, pixels: Floats, row_time_ns: int) -> tuple[Floats, Floats]:
     """Origins and directions (n, 3) of pixels; rows are exposed one after the other, the middle row at mid-exposure."""
     middle_row = 0.5 * (camera.lens.size_px[1] - 1)
     after_s = 1e-9 * row_time_ns * (pixels[:, 1] - middle_row)

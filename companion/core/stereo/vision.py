@@ -14,7 +14,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Rejected, Side, TriggerPlan
 
-_PLANS_KEPT = 32
+_MAX_PLANS = 32
 _FORWARD = 0
 
 
@@ -25,7 +25,7 @@ class FrameChoice:
     A pair is taken when no neighbour can be nearer: within half the time between two pairs.
     """
 
-    plans: deque[TriggerPlan] = field(default_factory=lambda: deque(maxlen=_PLANS_KEPT))
+    plans: deque[TriggerPlan] = field(default_factory=lambda: deque(maxlen=_MAX_PLANS))
     last_ns: int | None = None
 
     def plan(self, plan: TriggerPlan) -> None:

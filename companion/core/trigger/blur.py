@@ -24,7 +24,7 @@ from companion.records import Floats, Ints, Side
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class GroundMotion:
     """Rigid motion that the forecast does not hold.
 
     Attributes
@@ -79,7 +79,7 @@ class BlurModel:
         left, right = airframe.left_camera, airframe.right_camera
         self._eyes = _blind() if left is None or right is None else _eyes(airframe, (left, right))
 
-    def predict(self, forecast: Forecast, latency: LatencyModel, motion: Motion) -> BlurForecast:
+    def predict(self, forecast: Forecast, latency: LatencyModel, motion: GroundMotion) -> BlurForecast:
         """Predict the blur at every instant of the forecast."""
         step_s = float(forecast.t_host_ns[1] - forecast.t_host_ns[0]) * 1e-9
         nearness = 1.0 / motion.range_m if motion.range_m > 0 else 0.0

@@ -24,16 +24,16 @@ _PIN_SIGMA_NS = 50e3
 _NEAR_NS = 20_000_000
 """A pair that no plan is known for has its feedback within this of its own stamp."""
 _LATE_NS = 1_000_000_000
-_KEPT = 64
+_MAX_ENTRIES = 64
 
 
-class Feedback:
+class ExposureFeedback:
     """Keeps edges and shots, and stamps pairs by them. ``clocks`` is only read."""
 
     def __init__(self, airframe: Airframe, clocks: ClockBank) -> None:
         self._cameras = (airframe.left_camera, airframe.right_camera)
         self._clocks = clocks
-        self._edges: tuple[deque[tuple[int, int]], ...] = (deque(maxlen=_KEPT), deque(maxlen=_KEPT))
+        self._edges: tuple[deque[tuple[int, int]], ...] = (deque(maxlen=_MAX_ENTRIES), deque(maxlen=_MAX_ENTRIES))
         self._shots: OrderedDict[int, int] = OrderedDict()
 
     def edge(self, feedback: CameraFeedback) -> bool:
@@ -53,7 +53,7 @@ class Feedback:
     def shot(self, shot: Shot) -> None:
         """Take note of when a plan was fired."""
         self._shots[shot.plan_id] = shot.fired_host_ns
-        while len(self._shots) > _KEPT:
+        while len(self._shots) > _MAX_ENTRIES:
             self._shots.popitem(last=False)
 
     def stamped(self, matches: MatchSet) -> tuple[MatchSet, int]:
@@ -82,9 +82,9 @@ class Feedback:
             return min((edge for edge in self._edges[side] if fired_ns - edge[1] <= edge[0] < ends_ns), default=None)
         if camera is None or matches.clocks[side] is not ClockName.HOST:
             return None
-        own_ns = int(matches.mid_exposure_ns[side]) - _to_middle_ns(matches, camera)
-        nearest = min(self._edges[side], key=lambda edge: abs(edge[0] - own_ns), default=None)
-        return nearest if nearest is not None and abs(nearest[0] - own_ns) <= _NEAR_NS else None
+        camera_ns = int(matches.mid_exposure_ns[side]) - _to_middle_ns(matches, camera)
+        nearest = min(self._edges[side], key=lambda edge: abs(edge[0] - camera_ns), default=None)
+        return nearest if nearest is not None and abs(nearest[0] - camera_ns) <= _NEAR_NS else None
 
 
 def _to_middle_ns(matches: MatchSet, camera: Camera) -> int:

@@ -31,7 +31,7 @@ class StillInstant:
 def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[StillInstant]:
     """Find the local minima of the predicted blur, in order of time, those before ``from_host_ns`` left out."""
     first_ns = int(blur.t_host_ns[0])
-    found = _minima(
+    minima = _minima(
         blur.t_host_ns,
         from_host_ns,
         blur.motion,
@@ -42,7 +42,7 @@ def still_instants(blur: BlurForecast, from_host_ns: int = 0) -> list[StillInsta
         blur.spring,
         blur.rms_px,
     )
-    return [StillInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in found.tolist()]
+    return [StillInstant(first_ns + round(t), round(sigma), px) for t, sigma, px in minima.tolist()]
 
 
 def blur_at_px(blur: BlurForecast, t_host_ns: int) -> float:
@@ -69,26 +69,26 @@ def _minima(
     for side in range(2):
         for axis in range(3):
             energy += motion[:, side, axis] ** 2
-    found, count = np.empty((len(t_ns), 3)), 0
+    minima, count = np.empty((len(t_ns), 3)), 0
     for i in range(1, len(t_ns) - 1):
         if energy[i] <= energy[i - 1] and energy[i] < energy[i + 1] and t_ns[i] >= from_ns:
             step_ns = t_ns[i + 1] - t_ns[i]
             bend = energy[i - 1] - 2.0 * energy[i] + energy[i + 1]
-            share = 0.5 * (energy[i - 1] - energy[i + 1]) / bend
-            middle = motion[i] + share * (motion[i + 1] - motion[i - 1]) / 2.0
+            fraction = 0.5 * (energy[i - 1] - energy[i + 1]) / bend
+            middle = motion[i] + fraction * (motion[i + 1] - motion[i - 1]) / 2.0
             variance = _slope_variance(middle, per_rate, acceleration[i], rate_covariance[i], q_covariance[i], spring)
             sigma_ns = np.sqrt(variance) / (bend / (step_ns * 1e-9) ** 2) * 1e9
-            found[count, 0] = t_ns[i] - t_ns[0] + share * step_ns
-            found[count, 1] = min(sigma_ns, _WORST_SIGMA_NS)
-            found[count, 2] = _between(rms_px[i - 1] ** 2, rms_px[i] ** 2, rms_px[i + 1] ** 2, share)
+            minima[count, 0] = t_ns[i] - t_ns[0] + fraction * step_ns
+            minima[count, 1] = min(sigma_ns, _WORST_SIGMA_NS)
+            minima[count, 2] = _between(rms_px[i - 1] ** 2, rms_px[i] ** 2, rms_px[i + 1] ** 2, fraction)
             count += 1
-    return found[:count]
+    return minima[:count]
 
 
 @compiled
-def _between(before: Floats, at: Floats, after: Floats, share: float) -> float:
+def _between(before: Floats, at: Floats, after: Floats, fraction: float) -> float:
     """The larger of two roots whose squares are known at three instants, by parabolas."""
-    square = at + share * (after - before) / 2.0 + share**2 * (after - 2.0 * at + before) / 2.0
+    square = at + fraction * (after - before) / 2.0 + fraction**2 * (after - 2.0 * at + before) / 2.0
     return float(np.sqrt(max(square.max(), 0.0)))
 
 

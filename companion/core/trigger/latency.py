@@ -14,7 +14,7 @@ from companion.records import Reject, Shot, Side, TriggerLatency
 MOST_LATENCY_NS = 500_000_000
 """A frame that is further from a shot than this was not caused by it."""
 _MEMORY = 64
-_SHOTS_KEPT = 256
+_MAX_SHOTS = 256
 _OUTLIER_SPREADS = 6.0
 _LEAST_SPREAD_NS = 50e3
 _REGIME = 5
@@ -24,7 +24,7 @@ _MEDIAN_LOSS = math.pi / 2
 
 
 @dataclass(frozen=True, slots=True)
-class Latency:
+class LatencyEstimate:
     """Belief about one path: the bias and its sigma, the spread from shot to shot, and what it rests on."""
 
     bias_ns: float
@@ -35,16 +35,16 @@ class Latency:
 
 
 @dataclass(slots=True)
-class _Path:
+class _TriggerPath:
     prior_ns: float
     prior_sigma_ns: float
-    seen: deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
+    latencies_ns: deque[float] = field(default_factory=lambda: deque(maxlen=_MEMORY))
     odd: list[float] = field(default_factory=list)
     count: int = 0
     outliers: int = 0
     usual: deque[bool] = field(default_factory=lambda: deque(maxlen=_JUDGED))  # of the last latencies: no outlier
     to_middle_ns: float = 0.0
-    belief: Latency = field(init=False)
+    belief: LatencyEstimate = field(init=False)
 
     def __post_init__(self) -> None:
         self.belief = self._believe()
@@ -55,7 +55,7 @@ class _Path:
         good = abs(latency_ns - self.belief.bias_ns) <= allowed
         if good:
             self.odd.clear()
-            self.seen.append(latency_ns)
+            self.latencies_ns.append(latency_ns)
             self.count += 1
         else:
             self.outliers += 1
@@ -68,25 +68,25 @@ class _Path:
         self.odd.append(latency_ns)
         self.odd = self.odd[-_REGIME:]
         if len(self.odd) == _REGIME and max(self.odd) - min(self.odd) <= 2 * allowed_ns:
-            self.seen.clear()
-            self.seen.extend(self.odd)
+            self.latencies_ns.clear()
+            self.latencies_ns.extend(self.odd)
             self.prior_sigma_ns = math.inf
             self.odd.clear()
 
-    def _believe(self) -> Latency:
+    def _believe(self) -> LatencyEstimate:
         """Combine prior and median; the spread starts at the prior's, on a log scale."""
-        n = len(self.seen)
+        n = len(self.latencies_ns)
         if n == 0:
-            return Latency(self.prior_ns, self.prior_sigma_ns, self.prior_sigma_ns, self.count, self.outliers)
-        median = float(np.median(self.seen))
-        scatter = max(1.4826 * float(np.median(np.abs(np.array(self.seen) - median))), _LEAST_SPREAD_NS)
-        known = math.isfinite(self.prior_sigma_ns)
-        share = n / (n + _REGIME)
-        spread = scatter**share * self.prior_sigma_ns ** (1.0 - share) if known else scatter
+            return LatencyEstimate(self.prior_ns, self.prior_sigma_ns, self.prior_sigma_ns, self.count, self.outliers)
+        median = float(np.median(self.latencies_ns))
+        scatter = max(1.4826 * float(np.median(np.abs(np.array(self.latencies_ns) - median))), _LEAST_SPREAD_NS)
+        has_prior = math.isfinite(self.prior_sigma_ns)
+        weight = n / (n + _REGIME)
+        spread = scatter**weight * self.prior_sigma_ns ** (1.0 - weight) if has_prior else scatter
         information = n / (_MEDIAN_LOSS * spread**2)
-        before = 1.0 / self.prior_sigma_ns**2 if known else 0.0
+        before = 1.0 / self.prior_sigma_ns**2 if has_prior else 0.0
         bias = (information * median + before * self.prior_ns) / (information + before)
-        return Latency(bias, 1.0 / math.sqrt(information + before), spread, self.count, self.outliers)
+        return LatencyEstimate(bias, 1.0 / math.sqrt(information + before), spread, self.count, self.outliers)
 
 
 class LatencyModel:
@@ -103,7 +103,7 @@ class LatencyModel:
     def shot(self, shot: Shot) -> None:
         """Remember when a plan was fired."""
         self._fired[shot.plan_id] = shot.fired_host_ns
-        while len(self._fired) > _SHOTS_KEPT:
+        while len(self._fired) > _MAX_SHOTS:
             self._fired.popitem(last=False)
 
     def exposure(self, side: Side, plan_id: int, mid_exposure_host_ns: int) -> Reject | None:
@@ -133,7 +133,7 @@ class LatencyModel:
         usual = self._paths[side].usual
         return 2 * sum(usual) > len(usual)
 
-    def estimate(self, side: Side) -> Latency:
+    def estimate(self, side: Side) -> LatencyEstimate:
         """Give the belief about one camera."""
         return self._paths[side].belief
 
@@ -168,9 +168,9 @@ class LatencyModel:
         return min(earlier, key=lambda fired: abs(fired - expected), default=None)
 
 
-def _path(camera: Camera | None) -> _Path:
+def _path(camera: Camera | None) -> _TriggerPath:
     if camera is None:
-        return _Path(0.0, 0.0)
+        return _TriggerPath(0.0, 0.0)
     middle_s = camera.exposure_s / 2 + camera.row_time_s * camera.height_px / 2
     sigma_ns = max(camera.latency_s.sigma * 1e9, _LEAST_SPREAD_NS)
-    return _Path((camera.latency_s.value + middle_s) * 1e9, sigma_ns, to_middle_ns=middle_s * 1e9)
+    return _TriggerPath((camera.latency_s.value + middle_s) * 1e9, sigma_ns, to_middle_ns=middle_s * 1e9)

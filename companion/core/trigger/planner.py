@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.tracking.prediction import Forecast
-from companion.core.trigger.blur import BlurForecast, BlurModel, Motion
+from companion.core.trigger.blur import BlurForecast, BlurModel, GroundMotion
 from companion.core.trigger.instants import StillInstant, blur_at_px, still_instants
 from companion.core.trigger.latency import LatencyModel
 from companion.params.airframe import Airframe
@@ -23,7 +23,7 @@ MARGIN_NS = 3_000_000
 """A plan needs so long to reach the trigger process; within it of the command, a plan is not changed any more."""
 EXPIRY_NS = 10_000_000
 """A command that could not be given within this is not given: the wing would be moving again."""
-_EARLY_SHARE = 0.3
+_EARLY_FRACTION = 0.3
 """A peak may come before its turn by this share of the interval; on average the rate is never exceeded."""
 _ANY_SPACING_NS = 50_000_000
 _NOT_YET = -1
@@ -72,7 +72,7 @@ class Planner:
         self._overtaken = False
 
     def plan(
-        self, forecast: Forecast | Reject, validity: Validity, now_host_ns: int, motion: Motion | None = None
+        self, forecast: Forecast | Reject, validity: Validity, now_host_ns: int, motion: GroundMotion | None = None
     ) -> TriggerPlan | None:
         """Give the plan in force, new or refined.
 
@@ -84,7 +84,7 @@ class Planner:
             Of the newest mode state; ``CALM`` means the timer.
         now_host_ns : int
             The tick's time.
-        motion : Motion, optional
+        motion : GroundMotion, optional
             Speed over ground and range; still and infinitely far where unknown.
 
         Returns
@@ -103,7 +103,7 @@ class Planner:
             return None
         if self.settings.trigger_policy == Policy.OFF:
             return self._withdraw(now_host_ns)
-        draft = self._choose(forecast, validity, now_host_ns, motion or Motion())
+        draft = self._choose(forecast, validity, now_host_ns, motion or GroundMotion())
         return None if draft is None else self._number(draft, now_host_ns)
 
     def fired(self, shot: Shot) -> None:
@@ -119,7 +119,7 @@ class Planner:
         self._due_ns = max(self._due_ns, shot.fired_host_ns + self._latency.lead_ns + self._interval_ns)
         if self._draft is not None:
             early_ns = self._due_ns - self._draft.exposure_ns
-            self._overtaken = early_ns > round(_EARLY_SHARE * self._interval_ns)
+            self._overtaken = early_ns > round(_EARLY_FRACTION * self._interval_ns)
 
     # ---------------------------------------------------------------------------------------- the open plan
 
@@ -174,7 +174,9 @@ class Planner:
     def _interval_ns(self) -> int:
         return round(1e9 / self.settings.trigger_rate_hz)
 
-    def _choose(self, forecast: Forecast | Reject, validity: Validity, now_ns: int, motion: Motion) -> _Draft | None:
+    def _choose(
+        self, forecast: Forecast | Reject, validity: Validity, now_ns: int, motion: GroundMotion
+    ) -> _Draft | None:
         blur = None if isinstance(forecast, Reject) else self._blur.predict(forecast, self._latency, motion)
         if validity is Validity.CALM:
             return self._tick(Firing.CALM, blur, now_ns)
@@ -200,7 +202,7 @@ class Planner:
         instants = still_instants(blur, now_ns)
         if self._slips_away(instants, now_ns):
             return None
-        early_ns = round(_EARLY_SHARE * self._interval_ns)
+        early_ns = round(_EARLY_FRACTION * self._interval_ns)
         due_ns = self._due_from(now_ns)
         give_up_ns = due_ns + self._interval_ns - early_ns
         spacing_ns = _spacing(instants)

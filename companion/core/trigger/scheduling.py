@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from companion.core.tracking.tracker import WingTracker
-from companion.core.trigger.blur import Motion
+from companion.core.trigger.blur import GroundMotion
 from companion.core.trigger.latency import LatencyModel
 from companion.core.trigger.planner import HORIZON_NS, STEP_NS, Planner
 from companion.params.airframe import Airframe
@@ -38,7 +38,7 @@ class Scheduling:
         self.planner.settings = settings
 
     def tick(
-        self, tracker: WingTracker, validity: Validity | None, motion: Motion, now_host_ns: int
+        self, tracker: WingTracker, validity: Validity | None, motion: GroundMotion, now_host_ns: int
     ) -> Iterator[OutputRecord]:
         """Plan, when it is time to."""
         if validity is None or now_host_ns < self.next_plan_ns:

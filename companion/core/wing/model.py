@@ -171,8 +171,8 @@ class WingModel:
 
 
 def _replaced(record: Any, path: list[str], value: float, name: str) -> Any:
-    known = {entry.name for entry in dataclasses.fields(record)} if dataclasses.is_dataclass(record) else set()
-    if path[0] not in known:
+    names = {entry.name for entry in dataclasses.fields(record)} if dataclasses.is_dataclass(record) else set()
+    if path[0] not in names:
         raise KeyError(f"the wing has no parameter '{name}'")
     old = getattr(record, path[0])
     if len(path) > 1:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from companion.calibration.boards import Board, Corners, find_corners
-from companion.calibration.stereo_rig import CELLS, RigFit, View, cells, toe_sigma_rad
+from companion.calibration.stereo_rig import CELLS, BoardView, RigFit, cells, toe_sigma_rad
 from companion.records import Bytes, Floats, Side
 from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline, new_figure
 
@@ -49,14 +49,14 @@ def rows(fit: RigFit) -> list[tuple[str, str, str, str]]:
     return table
 
 
-def report(fit: RigFit, views: list[View], pairs: Pairs, board: Board, advice: list[str]) -> tuple[str, bytes]:
+def report(fit: RigFit, views: list[BoardView], pairs: Pairs, board: Board, advice: list[str]) -> tuple[str, bytes]:
     """A page with nothing external in it, and its main picture alone (PNG).
 
     Parameters
     ----------
     fit : RigFit
         The result.
-    views : list of View
+    views : list of BoardView
         All that were found, used or not.
     pairs : list
         Name, left and right image of each.
@@ -115,7 +115,7 @@ def _image(data: bytes, kind: str, text: str) -> str:
     return f"<img alt='{html.escape(text)}' src='data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}'>"
 
 
-def _picture(fit: RigFit, used: list[View], shape: tuple[int, ...]) -> bytes:
+def _picture(fit: RigFit, used: list[BoardView], shape: tuple[int, ...]) -> bytes:
     figure = new_figure(12, 8)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.3, 1.0))
     for column, side in enumerate(Side):
