@@ -15,7 +15,7 @@ _RESOLVED = 4.0  # lines within the half-power bandwidth: with fewer, damping an
 
 
 @dataclass(frozen=True, slots=True)
-class VibrationRun:
+class FrequencyResponse:
     """One run: responses of a few points to the measured force.
 
     Attributes
@@ -33,10 +33,10 @@ class VibrationRun:
     frequency_hz: Floats
     response: Complex
 
-    def lines(self, first: int, step: int) -> VibrationRun:
+    def lines(self, first: int, step: int) -> FrequencyResponse:
         """Every ``step``-th line from the ``first``: halves without a common sample of noise."""
         chosen = slice(first, None, step)
-        return VibrationRun(self.name, self.points, self.frequency_hz[chosen], self.response[:, chosen])
+        return FrequencyResponse(self.name, self.points, self.frequency_hz[chosen], self.response[:, chosen])
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +88,12 @@ class IdentifiedMode:
         return self.bandwidth_lines >= _RESOLVED
 
 
-def identify_runs(runs: list[VibrationRun], points: int) -> list[IdentifiedMode]:
+def identify_runs(runs: list[FrequencyResponse], points: int) -> list[IdentifiedMode]:
     """Modes that at least half of the runs show, by frequency.
 
     Parameters
     ----------
-    runs : list of VibrationRun
+    runs : list of FrequencyResponse
         Each with the same drive point.
     points : int
         Number of points of the structure.
@@ -187,7 +187,7 @@ def _middle(group: _PoleChain) -> Pole:
     return Pole(frequency, damping, 0.0)
 
 
-def _of_half(half: VibrationRun, poles: list[Pole]) -> Complex:
+def _of_half(half: FrequencyResponse, poles: list[Pole]) -> Complex:
     """Residues of one half of the lines, by the poles that this half shows itself, where it shows them."""
     half_poles = stable_poles(half.frequency_hz, half.response)
     return _residues(half, [_nearest(half_poles, pole) for pole in poles])
@@ -198,11 +198,11 @@ def _nearest(half_poles: list[Pole], wanted: Pole) -> Pole:
     return best if abs(best.frequency_hz - wanted.frequency_hz) < 0.5 * _LINK * wanted.frequency_hz else wanted
 
 
-def _residues(run: VibrationRun, poles: list[Pole]) -> Complex:
+def _residues(run: FrequencyResponse, poles: list[Pole]) -> Complex:
     return residues(run.frequency_hz, run.response, poles)
 
 
-def _shape(runs: list[VibrationRun], residues_per_run: list[Complex], mode: int, points: int) -> Complex:
+def _shape(runs: list[FrequencyResponse], residues_per_run: list[Complex], mode: int, points: int) -> Complex:
     """Residues of one mode at all points (mean where runs overlap); NaN where no run measured."""
     total, count = np.zeros(points, dtype=np.complex128), np.zeros(points)
     for run, run_residues in zip(runs, residues_per_run, strict=True):

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.calibration.modes import VibrationRun
+from companion.calibration.modes import FrequencyResponse
 from companion.errors import ConfigError, RecordingError
 from companion.params.toml import read_toml
 from companion.records import Floats
@@ -49,7 +49,7 @@ class VibrationTest:
     """A test that has been read."""
 
     points: list[Point]
-    runs: list[VibrationRun]
+    runs: list[FrequencyResponse]
 
 
 def read_vibration_test(
@@ -79,7 +79,9 @@ def read_vibration_test(
     return VibrationTest(points, runs)
 
 
-def frequency_response(force: Floats, answers: Floats, rate_hz: float, band_hz: tuple[float, float]) -> VibrationRun:
+def frequency_response(
+    force: Floats, answers: Floats, rate_hz: float, band_hz: tuple[float, float]
+) -> FrequencyResponse:
     """Responses of a whole record to its force: one transform, no window, for sweeps that start and end at rest.
 
     Parameters
@@ -95,14 +97,14 @@ def frequency_response(force: Floats, answers: Floats, rate_hz: float, band_hz: 
 
     Returns
     -------
-    VibrationRun
+    FrequencyResponse
         Without a name; its points are counted from 0.
     """
     frequency: Floats = np.asarray(np.fft.rfftfreq(len(force), 1.0 / rate_hz), dtype=np.float64)
     inside = (frequency > band_hz[0]) & (frequency < band_hz[1])
     pushed = np.fft.rfft(force - force.mean())[inside]
     answered = np.fft.rfft(answers - answers.mean(axis=0), axis=0)[inside]
-    return VibrationRun("", np.arange(answers.shape[1]), frequency[inside], (answered / pushed[:, np.newaxis]).T)
+    return FrequencyResponse("", np.arange(answers.shape[1]), frequency[inside], (answered / pushed[:, np.newaxis]).T)
 
 
 def _run(
@@ -111,7 +113,7 @@ def _run(
     place: dict[int, int],
     folder: Path,
     read_matlab: Callable[[Path], Mapping[str, Any]],
-) -> VibrationRun:
+) -> FrequencyResponse:
     path = folder / str(entry["file"])
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
@@ -134,7 +136,7 @@ def _run(
         (float(low), float(high)),
     )
     numbers = np.array([place[int(number)] for number in entry["points"]], dtype=np.int64)
-    return VibrationRun(path.stem, numbers, run.frequency_hz, run.response)
+    return FrequencyResponse(path.stem, numbers, run.frequency_hz, run.response)
 
 
 def _layout(path: Path) -> dict[str, Any]:

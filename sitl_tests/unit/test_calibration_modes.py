@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from companion.calibration.ambient import ambient_modes
-from companion.calibration.modes import IdentifiedMode, VibrationRun, assurance, identify_runs, residues
+from companion.calibration.modes import FrequencyResponse, IdentifiedMode, assurance, identify_runs, residues
 from companion.calibration.poles import Pole, stable_poles
 from companion.calibration.vibration import Point, frequency_response
 from companion.calibration.wing_modes import airframe_with, bending_modes, stations, symmetry
@@ -40,7 +40,7 @@ def _shape(point: Point, kind: int) -> float:
     return bend if kind != 1 or point.span_m > 0.0 else -bend
 
 
-def _runs(noise: float = 0.0, seed: int = 0) -> list[VibrationRun]:
+def _runs(noise: float = 0.0, seed: int = 0) -> list[FrequencyResponse]:
     """Two points per run, as roving accelerometers give them; unit modal masses, driven at the first point."""
     random, points = np.random.default_rng(seed), _points()
     frequency = np.arange(3.0, 30.0, 1 / 20)
@@ -54,7 +54,7 @@ def _runs(noise: float = 0.0, seed: int = 0) -> list[VibrationRun]:
             for row in range(2):
                 response[row] += -(omega**2) * _shape(points[first + row], kind) * drive * receptance
         response += noise * (random.normal(size=response.shape) + 1j * random.normal(size=response.shape))
-        runs.append(VibrationRun(f"run{first}", np.array([first, first + 1]), frequency, response))
+        runs.append(FrequencyResponse(f"run{first}", np.array([first, first + 1]), frequency, response))
     return runs
 
 
