@@ -2,41 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Sequence
-from html import escape
 
-from companion.paper.findings import Picture, Section, Table
+from companion.paper.findings import Section
 from companion.paper.report_markdown import SUBTITLE, TITLE
-
-_STYLE = """
-:root { --ink: #1c2733; --soft: #5b6875; --line: #d9dfe5; --tint: #f5f7f9; --mark: #2166ac; }
-* { box-sizing: border-box; }
-body { margin: 0; color: var(--ink); background: #fff; font: 16px/1.55 system-ui, "Segoe UI", sans-serif; }
-main { max-width: 66rem; margin: 0 auto; padding: 2.5rem 1.5rem 5rem; }
-h1 { font-size: 2rem; line-height: 1.2; margin: 0 0 .5rem; }
-h2 { font-size: 1.35rem; margin: 3.2rem 0 .8rem; padding-top: 1rem; border-top: 2px solid var(--ink); }
-h3 { font-size: 1rem; margin: 1.8rem 0 .4rem; }
-p.sub, p.note { color: var(--soft); max-width: 48rem; }
-p.note { font-size: .87rem; margin: .4rem 0 0; }
-nav { margin: 1.6rem 0 0; padding: 1rem 1.2rem; background: var(--tint); border-radius: 6px; }
-nav ol { margin: 0; padding-left: 1.3rem; columns: 2; column-gap: 2.5rem; font-size: .93rem; }
-a { color: var(--mark); text-decoration: none; } a:hover { text-decoration: underline; }
-ul.findings { padding-left: 1.2rem; max-width: 54rem; } ul.findings li { margin: .35rem 0; }
-ul.findings li:first-child { font-weight: 600; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; vertical-align: top; padding: .32rem .8rem .32rem 0; border-bottom: 1px solid var(--line); }
-sup { line-height: 0; font-size: .72em; }
-th.n, td.n { text-align: right; }
-th { color: var(--soft); font-weight: 600; border-bottom: 1.5px solid var(--ink); vertical-align: bottom; }
-figure { margin: 1.6rem 0 0; } figure img { width: 100%; height: auto; display: block; }
-figcaption { font-size: .87rem; color: var(--soft); margin-top: .3rem; }
-@media (max-width: 44rem) { nav ol { columns: 1; } main { padding: 1.5rem 1rem; } }
-@media print { nav { display: none; } h2 { break-after: avoid; } table, figure { break-inside: avoid; } }
-"""
-
+from companion.reporting.blocks import Block, Findings, Heading, Page, Table
+from companion.reporting.embedding import embed_image
+from companion.reporting.page import render
 
 _SYMBOLS = (
     (r"\bbeta\*l\b", "βl"),
@@ -55,65 +28,28 @@ _SYMBOLS = (
     (r"(?<=\d)e([+-]?)0*(\d+)(?=\D|$)", lambda found: f"·10<sup>{'−' if found[1] == '-' else ''}{found[2]}</sup>"),
     (r"(?<![\w.)])-(?=[\d.])", "−"),
 )
-_NUMERIC = re.compile(r"[−~>±·\d.,/%+\s()→a-z]*\d[−~>±·\d.,/%+\s()→]*(<sup>.*</sup>)?\s*(%|m|mm|mrad|px)?|-|")
 
 
 def html(sections: Sequence[Section]) -> str:
-    """The whole document."""
-    links = "".join(f'<li><a href="#{escape(s.key)}">{escape(s.title)}</a></li>' for s in sections)
-    body = "\n".join(_section(section) for section in sections)
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{TITLE}</title>'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{_STYLE}</style></head>\n'
-        f'<body><main><h1>{TITLE}</h1><p class="sub">{escape(SUBTITLE)}</p><nav><ol>{links}</ol></nav>\n'
-        f"{body}\n</main></body></html>\n"
-    )
+    """Whole report as one page with a table of contents."""
+    body = [block for section in sections for block in _blocks(section)]
+    return render(Page(title=TITLE, headline=TITLE, body=body, subject=SUBTITLE, contents=True), with_symbols)
 
 
-def _text(plain: str) -> str:
-    """Escaped, with the symbols that plain text spells out."""
-    text = escape(plain, quote=False)
+def with_symbols(escaped: str) -> str:
+    """Escaped text with the symbols that plain text spells out: Greek letters, powers, minus signs, close units."""
     for pattern, symbol in _SYMBOLS:
-        text = re.sub(pattern, symbol, text)
-    return text
+        escaped = re.sub(pattern, symbol, escaped)
+    return escaped
 
 
-def _section(section: Section) -> str:
-    findings = "".join(f"<li>{_text(finding)}</li>" for finding in section.findings)
-    parts = [
-        f'<section id="{escape(section.key)}"><h2>{escape(section.title)}</h2><ul class="findings">{findings}</ul>'
+def _blocks(section: Section) -> list[Block]:
+    return [
+        Heading(section.title, key=section.key),
+        Findings(section.findings),
+        *[
+            embed_image(picture.svg.encode(), "svg+xml", picture.title, caption=picture.title)
+            for picture in section.pictures
+        ],
+        *[Table(table.header, table.rows, title=table.title, note=table.note) for table in section.tables],
     ]
-    parts += [_picture(picture) for picture in section.pictures]
-    parts += [_table(table) for table in section.tables]
-    return "\n".join([*parts, "</section>"])
-
-
-def _table(table: Table) -> str:
-    columns = list(zip(*table.rows, strict=True))
-    numeric = [all(_NUMERIC.fullmatch(_text(cell)) for cell in column) for column in columns]
-    numeric[0] &= not any(re.search("[A-Za-z]{2}", cell) for cell in columns[0])  # names, though they end in numbers
-    head = _row("th", table.header, numeric)
-    rows = "".join(_row("td", row, numeric) for row in table.rows)
-    note = f'<p class="note">{_text(table.note)}</p>' if table.note else ""
-    return (
-        f'<h3>{_text(table.title)}</h3><div class="wide"><table><thead>{head}</thead>'
-        f"<tbody>{rows}</tbody></table></div>{note}"
-    )
-
-
-def _row(tag: str, cells: Sequence[str], numeric: Sequence[bool]) -> str:
-    """Numbers stand at the right, so that they can be compared."""
-    marked = zip(cells, numeric, strict=True)
-    return (
-        "<tr>"
-        + "".join(f"<{tag}{' class=n' if right else ''}>{_text(cell)}</{tag}>" for cell, right in marked)
-        + "</tr>"
-    )
-
-
-def _picture(picture: Picture) -> str:
-    data = base64.b64encode(picture.svg.encode()).decode()
-    return (
-        f'<figure><img alt="{escape(picture.title)}" src="data:image/svg+xml;base64,{data}">'
-        f"<figcaption>{_text(picture.title)}</figcaption></figure>"
-    )

@@ -56,7 +56,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     ),
     "companion.reporting": (
         frozenset({"reporting", "records", "errors"}),
-        frozenset({"numpy", "matplotlib", "jinja2"}),
+        frozenset({"numpy", "matplotlib", "jinja2", "markupsafe"}),
     ),
     "companion.evaluation": (_JUDGES | {"evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
     "companion.doctor": (_JUDGES | {"doctor", "evaluation.plan_outcomes"}, frozenset({"numpy", "pymavlink"})),

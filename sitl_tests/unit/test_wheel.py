@@ -47,6 +47,9 @@ def test_the_wheel_installs_one_package_with_its_configuration_inside(wheel: Pat
     assert {top for top in tops if not top.endswith(".dist-info")} == {"companion"}
     ours = {str(path.relative_to(ROOT)) for path in (ROOT / "companion").rglob("*.py")}
     assert ours <= set(names)
+    templates = {str(path.relative_to(ROOT)) for path in (ROOT / "companion/reporting/templates").iterdir()}
+    assert "companion/reporting/templates/page.html.j2" in templates
+    assert templates <= set(names)
     files = {f"companion/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*.toml")}
     assert len(files) > 5
     assert files <= set(names)

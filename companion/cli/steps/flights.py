@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import html
 import itertools
 import json
 from collections.abc import Sequence
@@ -20,7 +19,8 @@ from companion.adapters.recordings.tables.mapping import TableMapping
 from companion.evaluation.station_tones import StationAnalysis
 from companion.params.airframe import Airframe
 from companion.records import Axis, Floats, ImuBatch, Ints, Station
-from companion.reporting import page
+from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
+from companion.reporting.page import render
 
 _SHORTEST_S = 8.0
 _GAP_RATIO = 2.5
@@ -173,10 +173,17 @@ def _tell(plain: dict[str, Any]) -> None:
 
 def _page(plain: dict[str, Any]) -> str:
     heads = ["recording", "station", "rate", "steps (1 to 99 %)", "gaps", "longest", "unbroken"]
-    body = [
-        *[page.advice(f"{line[:1].upper()}{line[1:]}.") for line in plain["advice"]],
-        page.heading("How evenly it was sampled"),
-        page.table(heads, _rows(plain)),
-        *[f"<p>{html.escape(note)}</p>" for note in plain["notes"]],
+    body: list[Block] = [
+        *[Advice(f"{line[:1].upper()}{line[1:]}.") for line in plain["advice"]],
+        Heading("How evenly it was sampled"),
+        Table(heads, _rows(plain)),
+        *[Paragraph(note) for note in plain["notes"]],
     ]
-    return page.page("not-identifiable", f"not identifiable from this recording: {plain['reason']}", "", body)
+    return render(
+        Page(
+            title="Diagnosis: not-identifiable",
+            headline=f"not identifiable from this recording: {plain['reason']}",
+            body=body,
+            grade="not-identifiable",
+        )
+    )

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import io
-from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -14,6 +10,9 @@ import numpy as np
 from companion.calibration.boards import Board, Corners, find_corners
 from companion.calibration.stereo_rig import CELLS, BoardView, RigFit, cells, toe_sigma_rad
 from companion.records import Bytes, Floats, Side
+from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
+from companion.reporting.embedding import embed_image, png
+from companion.reporting.page import render
 from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline, new_figure
 
 Pairs = list[tuple[str, Bytes, Bytes]]
@@ -24,16 +23,6 @@ _FAR_M = 60.0
 _MATCHING_PX = 0.2  # of one feature
 _MATCHING_SHARE = 0.4  # adds 8 % to what matching leaves
 _ARROW = 100.0  # residuals are drawn so many times their length
-_STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;color:#20262d;max-width:1080px;margin:2rem auto;padding:0 1.2rem}
-h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d9dee3;padding-bottom:.2rem}
-h1{font-size:1.4rem;line-height:1.35;color:#fff;padding:1rem 1.2rem;border-radius:8px}
-.good{background:#2e7d4f}.fair{background:#8a6d1d}.poor{background:#b23b2e}
-h3{font-size:1rem;margin:1rem 0 .2rem}p{color:#5b6670}img{width:100%}
-table{border-collapse:collapse;font-size:.93rem}
-th,td{text-align:right;padding:.25rem .8rem;border-bottom:1px solid #e6eaee}
-td:first-child,th:first-child{text-align:left}.bad{color:#b23b2e}
-"""
 
 
 def rows(fit: RigFit) -> list[tuple[str, str, str, str]]:
@@ -65,30 +54,28 @@ def report(fit: RigFit, views: list[BoardView], pairs: Pairs, board: Board, advi
     advice : list of str
         What another session should add.
     """
-    picture = _picture(fit, [view for view in views if view.name in fit.views], pairs[0][1].shape)
-    grade, told = verdict(fit)
-    body = [
-        f"<h1 class={grade}>{html.escape(told)}</h1>",
-        f"<p>{len(fit.views)} views used, {len(fit.rejected)} refused; reprojection error {fit.error_px:.3f} px "
-        "(rms over all corners of both cameras, both lenses and the pose between them fitted together).</p>",
-    ]
-    if advice:
-        body += ["<h2>What to do next</h2>", "<p>" + "; ".join(html.escape(text) for text in advice) + ".</p>"]
+    picture = png(_figure(fit, [view for view in views if view.name in fit.views], pairs[0][1].shape))
+    grade, headline_text = verdict(fit)
+    body: list[Block] = [Advice("; ".join(advice)[:1].upper() + "; ".join(advice)[1:] + ".")] if advice else []
     body += [
-        "<h2>Coverage and residuals</h2>",
-        _image(picture, "png", "coverage of both images, residuals of each view"),
-        "<h2>Values</h2>",
-        _table(("", "value", "sigma", "camera"), rows(fit)),
+        Heading("Coverage and residuals"),
+        embed_image(picture, "png", "coverage of both images, residuals of each view"),
+        Heading("Values"),
+        Table(("", "value", "sigma", "camera"), rows(fit)),
     ]
     if fit.rejected:
-        body += ["<h2>Refused</h2>", _table(("view", "why"), list(fit.rejected.items()))]
+        body += [Heading("Refused"), Table(("view", "why"), list(fit.rejected.items()))]
     body += [
-        f"<h2>Views</h2><p>Corners in green; residuals in red, {_ARROW:.0f} times their length.</p>",
+        Heading("Views"),
+        Paragraph(f"Corners in green; residuals in red, {_ARROW:.0f} times their length."),
         *_views(fit, pairs, board),
     ]
-    text = "".join(body)
-    head = f"<meta charset=utf-8><title>Stereo calibration</title><style>{_STYLE}</style>"
-    return f"<!doctype html><html lang=en>{head}{text}</html>\n", picture
+    subject = (
+        f"{len(fit.views)} views used, {len(fit.rejected)} refused; reprojection error {fit.error_px:.3f} px "
+        "(rms over all corners of both cameras, both lenses and the pose between them fitted together)."
+    )
+    page = Page(title="Stereo calibration", headline=headline_text, body=body, subject=subject, grade=grade)
+    return render(page), picture
 
 
 def verdict(fit: RigFit) -> tuple[str, str]:
@@ -105,17 +92,7 @@ def verdict(fit: RigFit) -> tuple[str, str]:
     return "poor", f"Not good yet: the calibration leaves {what}, more than the matching's {matching_m:.2f} m{gaps}"
 
 
-def _table(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    top = "".join(f"<th>{html.escape(head)}</th>" for head in heads)
-    text = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in line) + "</tr>" for line in lines)
-    return f"<table><tr>{top}</tr>{text}</table>"
-
-
-def _image(data: bytes, kind: str, text: str) -> str:
-    return f"<img alt='{html.escape(text)}' src='data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}'>"
-
-
-def _picture(fit: RigFit, used: list[BoardView], shape: tuple[int, ...]) -> bytes:
+def _figure(fit: RigFit, used: list[BoardView], shape: tuple[int, ...]) -> Any:
     figure = new_figure(12, 8)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.3, 1.0))
     for column, side in enumerate(Side):
@@ -135,9 +112,7 @@ def _picture(fit: RigFit, used: list[BoardView], shape: tuple[int, ...]) -> byte
     axis.legend(fontsize=8, ncols=3, loc="upper right")
     axis.set_ylim(top=1.25 * float(errors.max()))
     headline(figure, verdict(fit)[1].replace(": ", ":\n", 1))
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return buffer.getvalue()
+    return figure
 
 
 def _coverage(axis: Any, seen: list[Corners], off: Floats, shape: tuple[int, ...]) -> None:
@@ -158,19 +133,19 @@ def _coverage(axis: Any, seen: list[Corners], off: Floats, shape: tuple[int, ...
     axis.set(xlim=(0, columns_px), ylim=(rows_px, 0), aspect="equal", xlabel="column, px", ylabel="row, px")
 
 
-def _views(fit: RigFit, pairs: Pairs, board: Board) -> list[str]:
+def _views(fit: RigFit, pairs: Pairs, board: Board) -> list[Block]:
     """Refused ones first; then as many of the others as a page bears."""
     ordered = sorted(pairs, key=lambda pair: pair[0] not in fit.rejected)
-    pieces = []
+    pieces: list[Block] = []
     for name, *images in ordered[:_SHOWN]:
         why = fit.rejected.get(name)
         off = None if why else fit.bundle.residuals_px[fit.views.index(name)]
         drawn = [_drawn(image, board, None if off is None else off[k]) for k, image in enumerate(images)]
         data = cv2.imencode(".jpg", cv2.hconcat(drawn))[1].tobytes()
-        text = f"<span class=bad>{html.escape(name)}: {html.escape(why)}</span>" if why else html.escape(name)
-        pieces += [f"<h3>{text}</h3>", _image(data, "jpeg", f"view {name}")]
+        title = Heading(f"{name}: {why}" if why else name, level=3, warning=bool(why))
+        pieces += [title, embed_image(data, "jpeg", f"view {name}")]
     if len(ordered) > _SHOWN:
-        pieces.append(f"<p>and {len(ordered) - _SHOWN} more views.</p>")
+        pieces.append(Paragraph(f"and {len(ordered) - _SHOWN} more views."))
     return pieces
 
 

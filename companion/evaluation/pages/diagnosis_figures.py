@@ -12,8 +12,7 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.verdict import Diagnosis
 from companion.diagnosis.views import autocorrelation, backbone, force_map
 from companion.records import Floats
-from companion.reporting.page import AFTER, BEFORE, DATA
-from companion.reporting.plotting import INK, VERMILLION, dots, new_figure
+from companion.reporting.plotting import AFTER, BEFORE, DATA, INK, VERMILLION, dots, new_figure
 
 _NEEDED_Z = 4.4
 _SHOWN = 16

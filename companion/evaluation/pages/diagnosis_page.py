@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,9 @@ from companion.diagnosis.json_report import sentence
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.verdict import Diagnosis, Verdict
 from companion.evaluation.pages import diagnosis_figures as figures
-from companion.reporting.page import advice, heading, page, paragraph, picture, table, told
+from companion.reporting.blocks import Advice, Answers, Block, Details, Heading, Page, Paragraph, Table
+from companion.reporting.embedding import embed
+from companion.reporting.page import render
 
 _CHECKS = 12
 _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}
@@ -20,24 +21,28 @@ _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What t
 def write_report(found: Diagnosis, models: Sequence[FlightModel], plain: dict[str, Any], path: Path) -> None:
     """Write the page."""
     fits, model = figures.fits_of(found), models[0]
-    body = [
-        told([(_ASKED[key], plain["words"][key]) for key in _ASKED]),
+    body: list[Block] = [
+        Answers([(_ASKED[key], plain["words"][key]) for key in _ASKED]),
         *_causes(plain),
         *_left(plain),
-        heading("Evidence: the simulation against the recording"),
-        picture(figures.spectra(fits, model), "spectra of both tips, recorded and modelled"),
-        picture(figures.innovations(fits, model), "innovations, backbone and missing force"),
+        Heading("Evidence: the simulation against the recording"),
+        embed(figures.spectra(fits, model), "spectra of both tips, recorded and modelled"),
+        embed(figures.innovations(fits, model), "innovations, backbone and missing force"),
     ]
     if model.observations.toe is not None:
-        body.append(picture(figures.ranges(fits, model), "range residuals"))
+        body.append(embed(figures.ranges(fits, model), "range residuals"))
     body += [*_views(plain), *_gain(found, plain)]
     if found.verdict is not Verdict.NOT_IDENTIFIABLE:
         body += [
-            heading("What was tested, and what cannot be told apart"),
-            picture(figures.screening(found), "strength of each effect and confusion matrix"),
+            Heading("What was tested, and what cannot be told apart"),
+            embed(figures.screening(found), "strength of each effect and confusion matrix"),
         ]
     body += [*_advices(plain), *_checks(plain), *_parameters(plain), *_notes(plain)]
-    path.write_text(page(str(found.verdict), sentence(found), _what(plain, models), body), encoding="utf-8")
+    page = Page(
+        title=f"Diagnosis: {found.verdict}", headline=sentence(found), body=body, subject=_what(plain, models),
+        grade=str(found.verdict),
+    )  # fmt: skip
+    path.write_text(render(page), encoding="utf-8")
 
 
 def _what(plain: dict[str, Any], models: Sequence[FlightModel]) -> str:
@@ -47,21 +52,21 @@ def _what(plain: dict[str, Any], models: Sequence[FlightModel]) -> str:
     )
 
 
-def _causes(plain: dict[str, Any]) -> list[str]:
+def _causes(plain: dict[str, Any]) -> list[Block]:
     causes = plain["causes"]
     if not causes:
         return []
     rows = [_cause_row(cause) for cause in causes]
-    found = [heading("Causes, strongest first")]
-    found.append(table(["cause", "parameters", "log Bayes factor", "BIC", "cannot be told from"], rows))
+    found: list[Block] = [Heading("Causes, strongest first")]
+    found.append(Table(["cause", "parameters", "log Bayes factor", "BIC", "cannot be told from"], rows))
     return found
 
 
-def _advices(plain: dict[str, Any]) -> list[str]:
-    return [advice(_advice(cause)) for cause in plain["causes"] if cause["group"] or cause["advice"]]
+def _advices(plain: dict[str, Any]) -> list[Block]:
+    return [Advice(_advice(cause)) for cause in plain["causes"] if cause["group"] or cause["advice"]]
 
 
-def _views(plain: dict[str, Any]) -> list[str]:
+def _views(plain: dict[str, Any]) -> list[Block]:
     """How far each view lies from what the model itself would show."""
     views = sorted(plain["views"], key=lambda one: -_change(one))
     rows = [[one["view"], _sigmas(one["before"]), _sigmas(one["after"]), f"{_change(one):+.1f}"] for one in views]
@@ -73,7 +78,7 @@ def _views(plain: dict[str, Any]) -> list[str]:
         "those that changed most first; marked is what is left worst."
     )
     heads = ["view", "believed model, fitted", "extended model", "change"]
-    return [paragraph(what), table(heads, rows, last.index(max(last)))]
+    return [Paragraph(what), Table(heads, rows, last.index(max(last)))]
 
 
 def _change(view: dict[str, Any]) -> float:
@@ -106,24 +111,24 @@ def _advice(cause: dict[str, Any]) -> str:
     return said + (f"To separate or mend it: {cause['advice']}." if cause["advice"] else "")
 
 
-def _left(plain: dict[str, Any]) -> list[str]:
+def _left(plain: dict[str, Any]) -> list[Block]:
     """What an unexplained recording leaves, described and not named."""
     residual = plain["residual"]
     if residual is None:
         return []
     rows = [[entry["test"], f"{entry['z']:+.1f}"] for entry in residual["failed"]]
-    found = [heading("What is left over")]
+    found: list[Block] = [Heading("What is left over")]
     if plain["nearest_causes"]:
         near = ", ".join(cause["name"] for cause in plain["nearest_causes"])
-        found.append(paragraph(f"Nearest in the catalogue: {near}. It is not the cause, or not all of it."))
-    found.append(table(["what the extended model still does not explain", "sigma"], rows))
+        found.append(Paragraph(f"Nearest in the catalogue: {near}. It is not the cause, or not all of it."))
+    found.append(Table(["what the extended model still does not explain", "sigma"], rows))
     follows = [f"{entry['follows']} ({entry['z']:+.1f} sigma)" for entry in residual["latent_force"]]
     if follows:
-        found.append(paragraph(f"A force without a name would follow: {', '.join(follows)}."))
+        found.append(Paragraph(f"A force without a name would follow: {', '.join(follows)}."))
     return found
 
 
-def _gain(found: Diagnosis, plain: dict[str, Any]) -> list[str]:
+def _gain(found: Diagnosis, plain: dict[str, Any]) -> list[Block]:
     gain = plain["gain"]
     if gain is None or found.gain is None:
         return []
@@ -131,19 +136,19 @@ def _gain(found: Diagnosis, plain: dict[str, Any]) -> list[str]:
         [name, f"{entry['after']:+.1f} nat", f"{entry['interval'][0]:.1f} to {entry['interval'][1]:.1f}"]
         for name, entry in [("all channels", gain["total"]), *gain["channels"].items()]
     ]
-    body = [heading("What it is worth, on blocks that were not fitted")]
-    body.append(table(["prediction log score", "gain", "95 % (block bootstrap)"], rows))
+    body: list[Block] = [Heading("What it is worth, on blocks that were not fitted")]
+    body.append(Table(["prediction log score", "gain", "95 % (block bootstrap)"], rows))
     if found.gain.toe_rms_rad is not None:
         metres = [
             [f"{distance} m", f"{entry['before']:.2f} m", f"{entry['after']:.2f} m"]
             for distance, entry in gain["range_rms_m"].items()
         ]
-        body.append(table(["range error at (rms, matching noise included)", "before", "after"], metres))
-        body.append(picture(figures.gains(found.gain.range_rms_m, found.gain.toe_rms_rad), "range error by distance"))
+        body.append(Table(["range error at (rms, matching noise included)", "before", "after"], metres))
+        body.append(embed(figures.gains(found.gain.range_rms_m, found.gain.toe_rms_rad), "range error by distance"))
     return body
 
 
-def _checks(plain: dict[str, Any]) -> list[str]:
+def _checks(plain: dict[str, Any]) -> list[Block]:
     before = {entry["test"]: entry["z"] for entry in plain["adequacy"]["before"]}
     rows = [
         [
@@ -158,10 +163,10 @@ def _checks(plain: dict[str, Any]) -> list[str]:
         return []
     count = len(plain["adequacy"]["after"])
     what = f"Standard deviations from what the model itself would show; the {len(rows)} worst of {count} tests."
-    return [heading("Adequacy"), paragraph(what), table(["test", "believed model", "extended model", ""], rows)]
+    return [Heading("Adequacy"), Paragraph(what), Table(["test", "believed model", "extended model", ""], rows)]
 
 
-def _parameters(plain: dict[str, Any]) -> list[str]:
+def _parameters(plain: dict[str, Any]) -> list[Block]:
     rows = [
         [
             entry["name"],
@@ -172,13 +177,11 @@ def _parameters(plain: dict[str, Any]) -> list[str]:
         for entry in plain["airframe_parameters"]
     ]
     heads = ["airframe parameter", "deviation from the belief (positive ones: of the logarithm)", "prior sigma", "away"]
-    listed = table(heads, rows)
-    title = html.escape("What the fit makes of the believed airframe")
-    return [f"<details><summary><b>{title}</b></summary>{listed}</details>"]
+    return [Details("What the fit makes of the believed airframe", Table(heads, rows))]
 
 
-def _notes(plain: dict[str, Any]) -> list[str]:
-    return [paragraph(f"Note: {note}") for note in plain["notes"]]
+def _notes(plain: dict[str, Any]) -> list[Block]:
+    return [Paragraph(f"Note: {note}") for note in plain["notes"]]
 
 
 def _number(value: float) -> str:

@@ -14,50 +14,57 @@ from companion.diagnosis.free_decay.search import FreeDecayDiagnosis
 from companion.diagnosis.free_decay.views import backbone, restoring_force
 from companion.diagnosis.modal_tests.run_comparison import Comparison
 from companion.diagnosis.modal_tests.vibration import VibrationRun
-from companion.reporting import page
-from companion.reporting.plotting import new_figure
+from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
+from companion.reporting.embedding import embed
+from companion.reporting.page import render
+from companion.reporting.plotting import AFTER, BEFORE, DATA, new_figure
 
 _TWO_PI = 2.0 * np.pi
 
 
 def ringing_page(found: FreeDecayDiagnosis, scales: Mapping[str, Scale], plain: dict[str, Any], what: str) -> str:
     """The page of recordings in which a structure rang."""
-    body = [
+    body: list[Block] = [
         *_causes(plain),
-        page.heading("What was recorded, and where the model has its modes"),
-        page.picture(_tracks(found), "spectrogram of each recording with the fitted frequencies"),
+        Heading("What was recorded, and where the model has its modes"),
+        embed(_tracks(found), "spectrogram of each recording with the fitted frequencies"),
         *[
-            page.picture(_against_channel(found, name, scale), f"frequency and damping against {name}")
+            embed(_against_channel(found, name, scale), f"frequency and damping against {name}")
             for name, scale in scales.items()
         ],
-        page.picture(_backbones(found), "frequency and damping against amplitude"),
-        page.heading("What each law is worth alone"),
-        page.paragraph("Evidence and usefulness are two things: a law can win on likelihood and foretell nothing."),
+        embed(_backbones(found), "frequency and damping against amplitude"),
+        Heading("What each law is worth alone"),
+        Paragraph("Evidence and usefulness are two things: a law can win on likelihood and foretell nothing."),
         _alone(plain),
-        page.heading("What is left"),
-        page.picture(_innovations(found), "autocorrelation of the innovations"),
-        page.picture(_forces(found), "what spring and damper leave, over deflection and speed"),
+        Heading("What is left"),
+        embed(_innovations(found), "autocorrelation of the innovations"),
+        embed(_forces(found), "what spring and damper leave, over deflection and speed"),
         *_left(plain),
     ]
     seconds = sum(float(one.t_s[-1]) for one in found.null.model.recordings)
-    return page.page(plain["verdict"], _headline(plain), f"{what}: recordings: {len(plain['recordings'])}, "
-                     f"{seconds:.0f} s, fitted jointly", body)  # fmt: skip
+    return _rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, {seconds:.0f} s, fitted jointly", body)
 
 
 def vibration_page(found: Comparison, runs: Sequence[VibrationRun], plain: dict[str, Any], what: str) -> str:
     """The page of a vibration test."""
-    body = [
-        *[page.advice(f"Record: {line}.") for line in plain["advice"]],
-        page.heading("Frequency by run"),
-        page.picture(_by_run(found), "frequency of each mode by run"),
-        *([page.picture(_by_constant(found, runs), "frequency against what was set per run")] if found.changed else []),
-        page.heading("Responses"),
-        page.picture(_responses(runs), "acceleration over force of every run"),
-        page.heading("Modes"),
-        _modes(plain),
-        *[page.paragraph(note) for note in plain["notes"]],
+    body: list[Block] = [
+        *[Advice(f"Record: {line}.") for line in plain["advice"]],
+        Heading("Frequency by run"),
+        embed(_by_run(found), "frequency of each mode by run"),
+        *([embed(_by_constant(found, runs), "frequency against what was set per run")] if found.changed else []),
+        Heading("Responses"),
+        embed(_responses(runs), "acceleration over force of every run"),
+        Heading("Modes"),
+        *_modes(plain),
+        *[Paragraph(note) for note in plain["notes"]],
     ]
-    return page.page(plain["verdict"], _headline(plain), f"{what}: {len(runs)} runs, fitted jointly", body)
+    return _rendered(plain, f"{what}: {len(runs)} runs, fitted jointly", body)
+
+
+def _rendered(plain: dict[str, Any], subject: str, body: Sequence[Block]) -> str:
+    verdict = plain["verdict"]
+    page = Page(title=f"Diagnosis: {verdict}", headline=_headline(plain), body=body, subject=subject, grade=verdict)
+    return render(page)
 
 
 def _headline(plain: dict[str, Any]) -> str:
@@ -65,7 +72,7 @@ def _headline(plain: dict[str, Any]) -> str:
     return f"{plain['verdict'].replace('-', ' ')}{nearest}: {plain['reason']}"
 
 
-def _causes(plain: dict[str, Any]) -> list[str]:
+def _causes(plain: dict[str, Any]) -> list[Block]:
     if not plain["causes"]:
         return []
     rows = []
@@ -79,10 +86,10 @@ def _causes(plain: dict[str, Any]) -> list[str]:
         worth = f"{100 * gain['share_of_signal'][0]:.1f} → {100 * gain['share_of_signal'][1]:.1f} %" if gain else "–"
         rows.append([name, values, f"{cause['log_bayes_factor']:.0f}", f"{cause['bic']:+.0f}", worth])
     heads = ["cause", "parameters", "log Bayes factor", "BIC", "held-out error, share of the signal"]
-    return [page.heading("Causes, strongest first"), page.table(heads, rows)]
+    return [Heading("Causes, strongest first"), Table(heads, rows)]
 
 
-def _alone(plain: dict[str, Any]) -> str:
+def _alone(plain: dict[str, Any]) -> Table:
     rows = []
     for entry in plain["screening"]:
         gain = entry["gain"]
@@ -90,10 +97,10 @@ def _alone(plain: dict[str, Any]) -> str:
         worth = f"{shares[0]:.0f} → {shares[1]:.0f} %" if gain else "–"
         gone = f"{100 * gain['interval'][0]:.0f} to {100 * gain['interval'][1]:.0f} %" if gain else "–"
         rows.append([entry["says"], f"{entry['log_odds']:.0f}", worth, gone])
-    return page.table(["law", "log Bayes factor", "held-out error", "of its square gone (95 %)"], rows)
+    return Table(["law", "log Bayes factor", "held-out error", "of its square gone (95 %)"], rows)
 
 
-def _left(plain: dict[str, Any]) -> list[str]:
+def _left(plain: dict[str, Any]) -> list[Block]:
     before = {_kind(entry): entry["z"] for entry in plain["adequacy"]["before"]}
     rows = [
         [entry["test"], f"{before[_kind(entry)]:+.1f}", f"{entry['z']:+.1f}",
@@ -101,9 +108,9 @@ def _left(plain: dict[str, Any]) -> list[str]:
         for entry in plain["adequacy"]["after"]
     ]  # fmt: skip
     residual = plain["residual"]
-    told = [page.advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
+    told = [Advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
     heads = ["test (worst recording)", "constant frequency", "extended", ""]
-    return [*told, page.table(heads, rows), *[page.paragraph(note) for note in plain["notes"]]]
+    return [*told, Table(heads, rows), *[Paragraph(note) for note in plain["notes"]]]
 
 
 def _kind(entry: dict[str, Any]) -> str:
@@ -111,21 +118,17 @@ def _kind(entry: dict[str, Any]) -> str:
     return str(entry["test"]).partition(" (")[0]
 
 
-def _figure(width: float, height: float) -> Any:
-    return new_figure(width, height)
-
-
 def _tracks(found: FreeDecayDiagnosis) -> Any:
     recordings = found.final.model.recordings
     columns = min(len(recordings), 3)
     rows = -(-len(recordings) // columns)
-    figure = _figure(11, 2.7 * rows)
+    figure = new_figure(11, 2.7 * rows)
     axes = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).ravel()
     for k, (axis, one) in enumerate(zip(axes, recordings, strict=False)):
         axis.specgram(one.up_mps2 + 1e-9, NFFT=64, noverlap=56, pad_to=512, Fs=one.rate_hz, cmap="Greys",
                       vmin=-90, vmax=10)  # fmt: skip
         modes = found.final.model.modes(found.final.values[None, :], k).omega_radps[0] / _TWO_PI
-        for mode, colour in zip(modes.T, (page.AFTER, page.BEFORE), strict=False):
+        for mode, colour in zip(modes.T, (AFTER, BEFORE), strict=False):
             axis.plot(one.t_s, mode, color=colour, lw=1.0)
         axis.set(title=one.name, xlabel="time, s", ylabel="frequency, Hz" if k % columns == 0 else "")
     for axis in axes[len(recordings) :]:
@@ -134,18 +137,18 @@ def _tracks(found: FreeDecayDiagnosis) -> Any:
 
 
 def _against_channel(found: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
-    figure = _figure(11, 3.6)
+    figure = new_figure(11, 3.6)
     frequency, damping = figure.subplots(1, 2)
     model = found.final.model
     for k, one in enumerate(model.recordings):
         track = backbone(one)
         at = scale.mean + scale.rms * track.channels[name]
-        frequency.plot(at, track.frequency_hz, ".", ms=4, color=page.DATA, label="windows of 0.3 s" if k == 0 else None)
-        damping.semilogy(at, np.maximum(track.damping, 1e-4), ".", ms=4, color=page.DATA)
+        frequency.plot(at, track.frequency_hz, ".", ms=4, color=DATA, label="windows of 0.3 s" if k == 0 else None)
+        damping.semilogy(at, np.maximum(track.damping, 1e-4), ".", ms=4, color=DATA)
         modes = model.modes(found.final.values[None, :], k)
         order = np.argsort(one.channels[name])
         channel = scale.mean + scale.rms * one.channels[name][order]
-        for j, colour in zip(range(modes.zeta.shape[2]), (page.AFTER, page.BEFORE), strict=False):
+        for j, colour in zip(range(modes.zeta.shape[2]), (AFTER, BEFORE), strict=False):
             label = ("first mode", "second mode")[j] if k == 0 else None
             frequency.plot(channel, modes.omega_radps[0, order, j] / _TWO_PI, color=colour, lw=1.2, label=label)
             damping.semilogy(channel, modes.zeta[0, order, j], color=colour, lw=1.2)
@@ -158,7 +161,7 @@ def _against_channel(found: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
 
 
 def _backbones(found: FreeDecayDiagnosis) -> Any:
-    figure = _figure(11, 3.2)
+    figure = new_figure(11, 3.2)
     frequency, damping = figure.subplots(1, 2)
     for one in found.final.model.recordings:
         track = backbone(one)
@@ -174,11 +177,11 @@ def _backbones(found: FreeDecayDiagnosis) -> Any:
 
 
 def _innovations(found: FreeDecayDiagnosis) -> Any:
-    figure = _figure(11, 3.0)
+    figure = new_figure(11, 3.0)
     whole, lags = figure.subplots(1, 2, width_ratios=(1.6, 1))
     recordings = found.final.model.recordings
-    stages: list[tuple[FreeDecayFit, str, str]] = [(found.null, page.BEFORE, "constant frequency")]
-    stages += [(found.final, page.AFTER, "extended")] if found.accepted else []
+    stages: list[tuple[FreeDecayFit, str, str]] = [(found.null, BEFORE, "constant frequency")]
+    stages += [(found.final, AFTER, "extended")] if found.accepted else []
     for fitted, colour, label in stages:
         white = whitened(fitted)
         whole.plot(recordings[0].t_s, white[0].values, color=colour, lw=0.5, label=label)
@@ -193,7 +196,7 @@ def _innovations(found: FreeDecayDiagnosis) -> Any:
 
 
 def _forces(found: FreeDecayDiagnosis) -> Any:
-    figure = _figure(11, 3.8)
+    figure = new_figure(11, 3.8)
     axes = figure.subplots(1, 2)
     image = None
     for axis, fitted, title in zip(axes, (found.null, found.final), ("constant frequency", "extended"), strict=True):
@@ -206,10 +209,10 @@ def _forces(found: FreeDecayDiagnosis) -> Any:
 
 def _by_run(found: Comparison) -> Any:
     shown = [one.mode for one in found.changed] or list(found.modes)
-    figure = _figure(11, 3.2)
+    figure = new_figure(11, 3.2)
     axes = np.atleast_1d(figure.subplots(1, min(len(shown), 4)))
     for axis, mode in zip(axes, shown, strict=False):
-        axis.errorbar(mode.runs, mode.frequency_hz, 2.0 * mode.sigma_hz, fmt="o-", ms=4, color=page.AFTER, lw=0.8)
+        axis.errorbar(mode.runs, mode.frequency_hz, 2.0 * mode.sigma_hz, fmt="o-", ms=4, color=AFTER, lw=0.8)
         axis.set(title=f"near {np.median(mode.frequency_hz):.2f} Hz", xlabel="run")
         axis.title.set_fontsize(10)
         axis.grid(alpha=0.3)
@@ -220,11 +223,11 @@ def _by_run(found: Comparison) -> Any:
 def _by_constant(found: Comparison, runs: Sequence[VibrationRun]) -> Any:
     leading = found.changed[0]
     names = [one.name for one in leading.channels] or ["run_order"]
-    figure = _figure(11, 3.2)
+    figure = new_figure(11, 3.2)
     axes = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
     for axis, name in zip(axes, names, strict=True):
         at = [run.constants.get(name, k + 1.0) for k, run in enumerate(runs)]
-        axis.errorbar(at, leading.mode.frequency_hz, 2.0 * leading.mode.sigma_hz, fmt="o", ms=4, color=page.AFTER)
+        axis.errorbar(at, leading.mode.frequency_hz, 2.0 * leading.mode.sigma_hz, fmt="o", ms=4, color=AFTER)
         for x, y, run in zip(at, leading.mode.frequency_hz, runs, strict=True):
             axis.annotate(run.name, (x, y), fontsize=8, xytext=(4, 4), textcoords="offset points")
         axis.set(xlabel=f"{_named(name)} (numbers: runs)")
@@ -236,7 +239,7 @@ def _by_constant(found: Comparison, runs: Sequence[VibrationRun]) -> Any:
 def _responses(runs: Sequence[VibrationRun]) -> Any:
     from matplotlib import colormaps
 
-    figure = _figure(11, 3.6)
+    figure = new_figure(11, 3.6)
     axis = figure.subplots()
     colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(runs)))
     for run, colour in zip(runs, colours, strict=True):
@@ -248,22 +251,22 @@ def _responses(runs: Sequence[VibrationRun]) -> Any:
     return figure
 
 
-def _modes(plain: dict[str, Any]) -> str:
+def _modes(plain: dict[str, Any]) -> list[Block]:
     if not plain["modes"]:
-        return page.paragraph("No mode stands out.")
+        return [Paragraph("No mode stands out.")]
     changes = sorted(plain["modes"], key=lambda mode: -abs(_change(mode)))
     rows = [
         [f"near {mode['near_hz']:.2f} Hz", f"{min(mode['frequency_hz']):.3f} to {max(mode['frequency_hz']):.3f} Hz",
          f"{100.0 * _change(mode):+.1f} %", f"{_in_sigmas(mode):.0f}"]
         for mode in changes
     ]  # fmt: skip
-    moved = page.table(["mode", "lowest to highest", "change", "in its sigmas"], rows, 0)
+    moved = Table(["mode", "lowest to highest", "change", "in its sigmas"], rows, 0)
     heads = ["run", *[f"near {mode['near_hz']:.2f} Hz" for mode in plain["modes"]]]
     rows = []
     for k, run in enumerate(plain["modes"][0]["runs"]):
         rows.append([run, *[f"{m['frequency_hz'][k]:.3f} ± {m['sigma_hz'][k]:.4f}" for m in plain["modes"]]])
-    by_run = page.table(heads, rows)
-    return moved + page.heading("Every run") + by_run
+    by_run = Table(heads, rows)
+    return [moved, Heading("Every run"), by_run]
 
 
 def _change(mode: dict[str, Any]) -> float:
