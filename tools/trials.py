@@ -26,7 +26,6 @@ from typing import Any
 
 import numpy as np
 
-from companion.cli.steps.diagnose_models import belief_for
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import RawRanges, RawRecording, RawStream, observe
 from companion.diagnosis.model.flight_model import FlightModel
@@ -35,6 +34,7 @@ from companion.diagnosis.selection.proposals import find_proposals
 from companion.diagnosis.selection.screen import candidates_of, screen
 from companion.diagnosis.selection.search import diagnose
 from companion.diagnosis.selection.verdict import Diagnosis
+from companion.evaluation.flight_models import belief_for
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
 from companion.records import Side

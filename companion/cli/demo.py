@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from companion.cli.steps.demo_realtime import fly_in_real_time
-from companion.cli.steps.demo_summary import print_summary
-from companion.cli.steps.flying import fly
 from companion.cli.steps.lockstep import LockStepService
 from companion.cli.steps.numbers import seconds, seed
 from companion.cli.steps.options import add_settings, make_folder, read_settings
-from companion.cli.steps.view import View, live_view_possible
+from companion.cli.terminal.demo_tables import print_summary
+from companion.cli.terminal.run_loop import fly
+from companion.cli.terminal.status_view import View, live_view_possible
 from companion.core.warmup import warm_up
 from companion.errors import ConfigError
 from companion.evaluation.flight_evaluation import debrief

@@ -9,10 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.recordings.tables.mapping import TestKind, load_mapping
-from companion.cli.steps import flights, measured
-from companion.cli.steps.diagnose_apply import extended
-from companion.cli.steps.diagnose_models import models_of
-from companion.cli.steps.diagnosis_evidence import airframe_of
 from companion.cli.steps.effect_list import add_effect_list
 from companion.cli.steps.numbers import whole
 from companion.cli.steps.options import check_output
@@ -21,7 +17,11 @@ from companion.diagnosis.json_report import as_json, sentence
 from companion.diagnosis.selection.search import diagnose
 from companion.diagnosis.selection.verdict import Diagnosis, Verdict
 from companion.diagnosis.summary import summary_sentences
+from companion.evaluation import measured_structures, sampling_check
+from companion.evaluation.extended_airframe import extended
+from companion.evaluation.flight_models import models_of
 from companion.evaluation.pages.diagnosis_page import write_report
+from companion.evaluation.recorded_evidence import airframe_of
 from companion.params.files import dump_airframe
 from companion.reporting.plotting import require_report
 
@@ -65,12 +65,12 @@ def execute(options: argparse.Namespace) -> int:
     progress = _Progress(options.json != "-")
     mapping = load_mapping(options.mapping) if options.mapping is not None else None
     if mapping is not None and mapping.test is not TestKind.FLIGHT:
-        return measured.execute(options, mapping, progress)
+        return measured_structures.execute(options, mapping, progress)
     airframe = airframe_of(options.airframe, options.recordings)
-    paths = flights.paths_of(options.recordings, mapping)
-    timings = [flights.timing(path, airframe, mapping) for path in paths]
+    paths = sampling_check.paths_of(options.recordings, mapping)
+    timings = [sampling_check.timing(path, airframe, mapping) for path in paths]
     if not all(one.can_be_judged for one in timings):
-        return flights.not_identifiable(timings, options, airframe.name)
+        return sampling_check.not_identifiable(timings, options, airframe.name)
     models = models_of(paths, airframe, mapping)
     found = diagnose(models, list(catalogue().values()), options.max_causes, progress)
     plain = as_json(found, models, options.recordings, bool(options.json or options.html))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from companion.cli.steps.airframe_draft import (
+from companion.calibration.airframe_draft import (
     Measured,
     bend_per_g_m,
     default_antisymmetric_hz,

@@ -19,7 +19,7 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.options import add_settings, check_output, read_settings
-from companion.cli.steps.progress import Progress, length_ns
+from companion.cli.terminal.progress import Progress, length_ns
 from companion.errors import RecordingError
 from companion.evaluation.replay import drive, foreign_inputs, own_inputs
 from companion.evaluation.station_tones import StationAnalysis

@@ -10,7 +10,7 @@ from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.options import check_output
-from companion.cli.steps.progress import Progress, length_ns
+from companion.cli.terminal.progress import Progress, length_ns
 from companion.evaluation.flight_log import gather
 from companion.evaluation.pages.flight_report import render, verdict
 from companion.evaluation.recording_info import decoded_records

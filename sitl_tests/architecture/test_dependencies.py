@@ -108,7 +108,7 @@ def test_a_mission_names_its_extra() -> None:
 
 def test_the_live_view_gives_way_to_lines_where_only_its_extra_is_absent() -> None:
     done = base_alone(
-        "from companion.cli.steps.view import live_view_possible\n"
+        "from companion.cli.terminal.status_view import live_view_possible\n"
         "sys.stdout.isatty = lambda: True\nprint(live_view_possible(plain=False))"
     )
     assert done.stdout == "False\n"

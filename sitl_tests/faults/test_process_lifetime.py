@@ -23,7 +23,7 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.recorder import keep_recording
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, recorder_channel
 from companion.adapters.recordings.mcap.writer import About, McapWriter
-from companion.cli.steps.view import View
+from companion.cli.terminal.status_view import View
 from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.params.settings import Settings

@@ -11,7 +11,7 @@ import pytest
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
-from companion.cli.steps.progress import Progress, length_ns
+from companion.cli.terminal.progress import Progress, length_ns
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Tick
@@ -23,7 +23,7 @@ SECOND_NS = 1_000_000_000
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every look at the clock finds it two seconds later."""
     beats = itertools.count(100.0, 2.0)
-    monkeypatch.setattr("companion.cli.steps.progress.time.monotonic", lambda: next(beats))
+    monkeypatch.setattr("companion.cli.terminal.progress.time.monotonic", lambda: next(beats))
 
 
 def wing_at_rest(folder: Path, seconds: float) -> Path:
@@ -87,7 +87,7 @@ def test_the_length_of_our_own_recording_is_that_of_its_records(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_json_stays_json(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("companion.cli.steps.progress._LINE_S", 0.0)
+    monkeypatch.setattr("companion.cli.terminal.progress._LINE_S", 0.0)
     folder = wing_at_rest(tmp_path / "lab", 3.0)
     main(["replay", str(folder), "--airframe", "sitl-plane", "--json", "--plain"])
     said = capsys.readouterr()

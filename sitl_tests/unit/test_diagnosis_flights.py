@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from companion.adapters.recordings.tables.mapping import load_mapping
 from companion.cli.main import main
-from companion.cli.steps.diagnose_models import models_of
+from companion.evaluation.flight_models import models_of
 from companion.params.files import load_airframe
 from companion.records import Side
 

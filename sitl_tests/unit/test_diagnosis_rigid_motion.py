@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.cli.steps.diagnose_models import belief_for, top_of
 from companion.diagnosis.data.observations import Observations, RawRecording, RawStream, observe
 from companion.diagnosis.data.rigid_motion import tip_axes_corrected
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.evaluation.flight_models import belief_for, top_of
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import load_airframe
 from companion.records import Floats, Side

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.cli.steps.demo_summary import print_summary
+from companion.cli.terminal.demo_tables import print_summary
 from companion.evaluation.flight_evaluation import Shots, json_plain, paired
 from companion.evaluation.metrics import Scored, range_summary, toe_summary
 

@@ -18,8 +18,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from companion.cli.steps.flying import fly
-from companion.cli.steps.view import View
+from companion.cli.terminal.run_loop import fly
+from companion.cli.terminal.status_view import View
 from companion.evaluation.rendered_shots import scene_of
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from companion.adapters.recordings.tables.mapping import TableMapping
-from companion.cli.steps.diagnosis_evidence import load
 from companion.diagnosis.data.observations import Observations, observe
 from companion.diagnosis.model.belief import Belief, believe
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.evaluation.recorded_evidence import load
 from companion.params.airframe import Airframe
 
 _LOAD_VARIES = 0.02

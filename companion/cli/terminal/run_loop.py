@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from companion.cli.steps.view import View, console
+from companion.cli.terminal.status_view import View, console
 from companion.errors import DeviceError
 from companion.records import Record
 

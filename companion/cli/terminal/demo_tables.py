@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from companion.cli.steps.view import console
+from companion.cli.terminal.status_view import console
 
 _NAMES = {
     "rigid": "rigid stereo (ground calibration)",

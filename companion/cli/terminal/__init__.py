@@ -1,0 +1,1 @@
+"""What a command shows in a terminal: the live view, plain lines, progress, the demo's tables."""
