@@ -16,6 +16,7 @@ from companion.evaluation.pages.flight_report import render, verdict
 from companion.evaluation.recording_info import decoded_records
 from companion.params.files import load_airframe
 from companion.records import ImuBatch
+from companion.reporting.plotting import require_report
 
 _NOTHING = 3
 
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Write the page and print its verdict; 3 where nothing was tracked or measured."""
+    require_report()
     out = options.out or options.recording.with_suffix(".html")
     check_output(out, "--out")
     recording = open_recording(options.recording, load_airframe(options.airframe) if options.airframe else None)

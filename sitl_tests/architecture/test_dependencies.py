@@ -76,6 +76,7 @@ def refusal(arguments: list[str], folder: Path) -> str:
     [
         ["demo"],
         ["paper"],
+        ["report", "no.mcap"],
         ["identify", "flight", "no.tlog"],
         ["calibrate", "stereo", "no-folder", "--square-m", "0.1", "--airframe", "nadir-2m"],
         ["diagnose", "no.tlog", "--html", "page.html"],

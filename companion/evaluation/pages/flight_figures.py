@@ -20,6 +20,7 @@ from companion.reporting.plotting import (
     VERMILLION,
     dots,
     headline,
+    new_figure,
     with_gaps,
 )
 
@@ -32,9 +33,7 @@ _TOP_HZ = 200.0  # beyond, no airframe of ours has a mode
 
 
 def _figure(height_in: float) -> Any:
-    from matplotlib.figure import Figure  # takes most of a second to import
-
-    return Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
+    return new_figure(_WIDTH_IN, height_in)
 
 
 def ranges(log: FlightLog, text: str) -> Any:

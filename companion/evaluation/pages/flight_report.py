@@ -14,6 +14,8 @@ from companion.evaluation.recording_info import stream_line
 from companion.params.settings import Settings, tunables
 from companion.records import Health, Station, Validity
 from companion.reporting import page
+from companion.reporting.blocks import Advice, Answers, Block, Heading, Page, Table
+from companion.reporting.embedding import embed
 
 _USABLE_SHARE = 0.5  # of the ranges; below, more were withheld than published
 _LONG_SILENCE_S = 10.0  # an approach at 20 m/s covers 200 m in it
@@ -51,24 +53,25 @@ def render(recording: Recording, log: FlightLog) -> str:
     """The page as HTML, with every picture inside."""
     judged = verdict(log)
     what = f"{recording.path.name}, airframe {recording.airframe.name}, {log.info.duration_s:.0f} s of flight"
-    return page.page(judged.key, judged.headline, what, list(_body(recording, log, judged)))
+    body = list(_body(recording, log, judged))
+    return page.render(Page(f"Flight: {judged.key}", judged.headline, body, subject=what, grade=judged.key))
 
 
-def _body(recording: Recording, log: FlightLog, judged: FlightVerdict) -> Iterator[str]:
-    yield page.told(list(_answers(log, judged)))
+def _body(recording: Recording, log: FlightLog, judged: FlightVerdict) -> Iterator[Block]:
+    yield Answers(list(_answers(log, judged)))
     yield from _ranges(log)
     yield from _wing(log)
     yield from _triggers(log)
     yield from _clocks(log)
     yield from _refusals(log)
-    yield page.heading("Recording")
+    yield Heading("Recording")
     rows = [(stream_line(station, stream),) for station, stream in sorted(log.info.streams.items())]
-    yield page.table(("sensor streams",), rows)
+    yield Table(("sensor streams",), rows)
     notes = list(dict.fromkeys(notice.text for notice in [*log.notices, *recording.notices]))
     if notes:
-        yield page.table(("said during the flight, or of the file",), [(note,) for note in notes])
-    yield page.table(("setting that differs from its default", "value", "default"), _changed(recording.settings))
-    yield page.advice(f"What the model of the wing gets wrong on this flight: spanwise diagnose {recording.path.name}")
+        yield Table(("said during the flight, or of the file",), [(note,) for note in notes])
+    yield Table(("setting that differs from its default", "value", "default"), _changed(recording.settings))
+    yield Advice(f"What the model of the wing gets wrong on this flight: spanwise diagnose {recording.path.name}")
 
 
 def _answers(log: FlightLog, judged: FlightVerdict) -> Iterator[tuple[str, str]]:
@@ -101,20 +104,20 @@ def _modes_sentence(log: FlightLog) -> str:
     )
 
 
-def _ranges(log: FlightLog) -> Iterator[str]:
+def _ranges(log: FlightLog) -> Iterator[Block]:
     if log.ranges:
-        yield page.heading("Ranges")
+        yield Heading("Ranges")
         text = _rigid_sentence(log)
-        yield page.picture(figures.ranges(log, text[:1].upper() + text[1:]), "rigid and corrected ranges over time")
+        yield embed(figures.ranges(log, text[:1].upper() + text[1:]), "rigid and corrected ranges over time")
 
 
-def _wing(log: FlightLog) -> Iterator[str]:
+def _wing(log: FlightLog) -> Iterator[Block]:
     if not log.modes:
         return
-    yield page.heading("Wing")
-    yield page.picture(figures.modes(log, _modes_sentence(log)), "modes over time")
+    yield Heading("Wing")
+    yield embed(figures.modes(log, _modes_sentence(log)), "modes over time")
     if log.info.streams:
-        yield page.picture(figures.spectra(log, _lines_sentence(log)), "spectra of root and tips")
+        yield embed(figures.spectra(log, _lines_sentence(log)), "spectra of root and tips")
 
 
 def _lines_sentence(log: FlightLog) -> str:
@@ -128,33 +131,33 @@ def _lines_sentence(log: FlightLog) -> str:
     return f"Vibration lines: {'; '.join(told)}" if told else "No sharp vibration line at root or tips"
 
 
-def _triggers(log: FlightLog) -> Iterator[str]:
+def _triggers(log: FlightLog) -> Iterator[Block]:
     outcomes = log.outcomes.counts()
     if not outcomes:
         return
-    yield page.heading("Triggers")
-    yield page.table(("end of a plan to fire", "plans"), [(name, str(count)) for name, count in outcomes.items()])
+    yield Heading("Triggers")
+    yield Table(("end of a plan to fire", "plans"), [(name, str(count)) for name, count in outcomes.items()])
     if log.delays_s:
         median_us, late_us = 1e6 * np.percentile(log.delays_s, (50, 99))
         text = f"{len(log.delays_s)} shots, fired {median_us:.0f} µs after plan (median), {late_us:.0f} µs (99 %)"
-        yield page.picture(figures.triggers(log, text), "trigger delay and predicted blur")
+        yield embed(figures.triggers(log, text), "trigger delay and predicted blur")
 
 
-def _clocks(log: FlightLog) -> Iterator[str]:
+def _clocks(log: FlightLog) -> Iterator[Block]:
     if log.clocks:
-        yield page.heading("Clocks")
+        yield Heading("Clocks")
         synced = sum(state.synced for state in log.clocks) / len(log.clocks)
         text = f"Clocks in step {100 * synced:.0f} % of the time"
-        yield page.picture(figures.clocks(log, text), "error bound of each clock")
+        yield embed(figures.clocks(log, text), "error bound of each clock")
 
 
-def _refusals(log: FlightLog) -> Iterator[str]:
+def _refusals(log: FlightLog) -> Iterator[Block]:
     withheld = sum(log.withheld().values())
     if log.refused or withheld:
-        yield page.heading("Refusals")
+        yield Heading("Refusals")
         count = sum(refusal.count for refusal in log.refused)
         text = f"{count} records refused, {withheld} ranges withheld"
-        yield page.picture(figures.refusals(log, text), "refusals over time by reason")
+        yield embed(figures.refusals(log, text), "refusals over time by reason")
 
 
 def _changed(settings: Settings) -> list[tuple[str, str, str]]:
