@@ -19,7 +19,7 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.options import add_settings, check_output, read_settings
-from companion.cli.terminal.progress import Progress, length_ns
+from companion.cli.terminal.progress import Progress, progress_of
 from companion.errors import RecordingError
 from companion.evaluation.replay import drive, foreign_inputs, own_inputs
 from companion.evaluation.station_tones import StationAnalysis
@@ -109,7 +109,7 @@ def execute(options: argparse.Namespace) -> int:
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
     recorded = _outputs_of(recording) if own and same_beliefs else None
-    progress = Progress("replaying", length_ns(recording), plain=options.plain)
+    progress = progress_of(recording, "replaying", plain=options.plain)
     for output in _replayed(recording, settings, own, stations, progress):
         tally.take(output)
         if writer is not None:

@@ -10,7 +10,7 @@ from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.options import check_output
-from companion.cli.terminal.progress import Progress, length_ns
+from companion.cli.terminal.progress import progress_of
 from companion.evaluation.flight_log import gather
 from companion.evaluation.pages.flight_report import render, verdict
 from companion.evaluation.recording_info import decoded_records
@@ -43,7 +43,7 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _watched(recording: Recording, *, plain: bool) -> Iterator[Recordable]:
-    progress = Progress("read", length_ns(recording), plain=plain)
+    progress = progress_of(recording, "read", plain=plain)
     for record in decoded_records(recording):
         if isinstance(record, ImuBatch):
             progress.at(record.received_host_ns)

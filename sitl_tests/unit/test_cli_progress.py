@@ -7,11 +7,13 @@ import re
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20.ardupilotmega import MAVLink, MAVLink_heartbeat_message
 
+from companion.adapters.recordings.logs.tlog import TlogRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
-from companion.cli.terminal.progress import Progress, length_ns
+from companion.cli.terminal.progress import Progress, length_ns, progress_of
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Tick
@@ -69,6 +71,23 @@ def test_a_pipe_gets_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     progress.at(9 * SECOND_NS)
     progress.close()
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.usefixtures("clock")
+def test_a_telemetry_log_tells_the_share_of_its_bytes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stamp_us, frame = 1_700_000_000_000_000, MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)
+    packed = frame.pack(MAVLink(None, srcSystem=1))
+    log = b"".join((stamp_us + 100_000 * k).to_bytes(8, "big") + packed for k in range(100))
+    (tmp_path / "flight.tlog").write_bytes(log)
+    recording = open_recording(tmp_path / "flight.tlog", load_airframe("sitl-plane"))
+    assert isinstance(recording, TlogRecording)
+    progress = progress_of(recording, "replaying", plain=True)
+    for stamp_us, _ in recording.frames():
+        progress.at(1000 * stamp_us)
+    shares = [int(match) for match in re.findall(r"^replaying +(\d+) %, ", capsys.readouterr().err, re.M)]
+    assert shares == sorted(shares)
+    assert 1 <= shares[0] < 10
+    assert shares[-1] > 90
 
 
 def test_the_length_is_that_of_the_samples(tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 
+from companion.adapters.recordings.logs.tlog import TlogRecording
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 
@@ -20,13 +22,17 @@ class Progress:
     what : str
         What is being done.
     length_ns : int, optional
-        Of the whole recording; without it seconds are shown and no percentage.
+        Of the whole recording.
+    read_share : callable, optional
+        Share of the file that has been read, 0 to 1, where its length is unknown; without both no percentage is shown.
     plain : bool
         A line every five seconds, wherever standard error goes; otherwise nothing is shown but on a terminal.
     """
 
-    def __init__(self, what: str, length_ns: int | None, *, plain: bool) -> None:
-        self._what, self._length_ns, self._plain = what, length_ns, plain
+    def __init__(
+        self, what: str, length_ns: int | None, *, plain: bool, read_share: Callable[[], float] | None = None
+    ) -> None:
+        self._what, self._length_ns, self._plain, self._read_share = what, length_ns, plain, read_share
         self._shown = plain or sys.stderr.isatty()
         self._every_s = _LINE_S if plain else _LIVE_S
         self._began_s = self._last_s = time.monotonic()
@@ -50,8 +56,20 @@ class Progress:
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 
     def _line(self, done_s: float, took_s: float) -> str:
-        share = f"{min(100.0, 1e11 * done_s / self._length_ns):3.0f} %, " if self._length_ns else ""
-        return f"{self._what} {share}{done_s:.0f} s of flight in {took_s:.0f} s"
+        share = self._share(done_s)
+        percentage = "" if share is None else f"{100.0 * min(1.0, share):3.0f} %, "
+        return f"{self._what} {percentage}{done_s:.0f} s of flight in {took_s:.0f} s"
+
+    def _share(self, done_s: float) -> float | None:
+        if self._length_ns:
+            return done_s / (1e-9 * self._length_ns)
+        return None if self._read_share is None else self._read_share()
+
+
+def progress_of(recording: Recording, what: str, *, plain: bool) -> Progress:
+    """Progress by time where the recording's length is known beforehand, by bytes where only the file's is."""
+    by_bytes = (lambda: recording.read_share) if isinstance(recording, TlogRecording) else None
+    return Progress(what, length_ns(recording), plain=plain, read_share=by_bytes)
 
 
 def length_ns(recording: Recording) -> int | None:

@@ -34,6 +34,11 @@ _EARLIEST_US = 946_684_800_000_000
 class TlogRecording(LoggedRecording):
     """A tlog, decoded by the same decoder as a live link; see :class:`LoggedRecording` for its attributes.
 
+    Attributes
+    ----------
+    read_share : float
+        Share of the file's bytes that the last iteration has passed, 0 to 1: its length in time is unknown until then.
+
     Raises
     ------
     RecordingError
@@ -43,6 +48,7 @@ class TlogRecording(LoggedRecording):
     def __init__(self, path: Path, airframe: Airframe) -> None:
         super().__init__(path, airframe, ClockName.BOOT)
         self._data = path.read_bytes()
+        self.read_share = 0.0
         foreign = [s.name.lower() for s in Station if airframe.sensor(s).source.clock is not ClockName.BOOT]
         if foreign:
             raise RecordingError(
@@ -84,6 +90,7 @@ class TlogRecording(LoggedRecording):
                         f"{self.path}: {at - skipped_from} bytes at byte {skipped_from} are no frames, skipped"
                     )
                     skipped_from = -1
+                self.read_share = after / end
                 yield stamp_us, data[at + _STAMP : after]
                 last_us, at = stamp_us, after
             else:
