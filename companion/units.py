@@ -1,4 +1,15 @@
-"""Physical constants that every room shares; imports nothing."""
+"""Physical constants and MAVLink numbers that every room shares; imports nothing of ours."""
+
+from __future__ import annotations
+
+import enum
 
 GRAVITY_MPS2 = 9.80665
 """Standard acceleration of gravity, a convention (3rd CGPM, 1901): what ``g`` means in every unit and log."""
+
+
+class Orientation(enum.IntEnum):
+    """Directions of a range, as MAVLink's MAV_SENSOR_ORIENTATION numbers them (common.xml)."""
+
+    FORWARD = 0
+    DOWN = 25

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.units import GRAVITY_MPS2
+from companion.units import GRAVITY_MPS2, Orientation
 
 SLOPE_FACTOR = 1.38
 """Tip slope of a cantilever's first mode times its length over its tip deflection (uniform beam: 1.3765)."""
@@ -27,7 +27,7 @@ _TRUST = 0.03
 """sigma / range above which no range is trusted by default (RNG_TRUST)."""
 
 _AXES = {"down": '["y", "-x", "z"]', "forward": '["y", "z", "x"]'}
-_ORIENTATION = {"down": 25, "forward": 0, "none": 25}
+_ORIENTATION = {"down": int(Orientation.DOWN), "forward": int(Orientation.FORWARD), "none": int(Orientation.DOWN)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,16 +13,15 @@ from typing import Any
 from companion.cli.steps.numbers import seconds, seed
 from companion.cli.steps.simulated_devices import frames_path, line_path
 from companion.errors import ConfigError, DeviceError
+from companion.evaluation.rendered_shots import scene_of
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.routing import Port, Router
 from companion.sim.vehicle.world import VehicleLink, WorldOptions, serve
 from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
-from companion.sim.vision.scene import ground_scene, obstacle_scene
 
 _LINKS = ("udpout:127.0.0.1:14550", "udpout:127.0.0.1:14551")
-_DOWN = 25
 _WAIT_S = 600.0  # the first start of the service compiles the estimator
 _NOBODY = 3
 _OPENING_S = 5.0
@@ -134,12 +133,11 @@ def _opened(spellings: list[str]) -> list[Port]:
 
 
 def _open_cameras(flight: Flight, folder: Path, start_host_ns: int) -> BaseProcess:
-    down = flight.airframe.orientation == _DOWN
     return start_camera_server(
         CameraServerConfig(
             airframe=flight.real.actual,
             truth=flight.truth,
-            scene=ground_scene(flight.seed) if down else obstacle_scene(flight.truth, flight.seed),
+            scene=scene_of(flight),
             seed=flight.seed,
             start_host_ns=start_host_ns,
             line_path=line_path(folder),

@@ -20,7 +20,7 @@ from companion.core.clock.motion_alignment import SIGMAS
 from companion.core.clock.unsynced_nodes import UnsyncedNodes
 from companion.core.output_scheduler import OutputScheduler
 from companion.core.rate_monitor import StreamRateMonitor
-from companion.core.silence import RangeSilence
+from companion.core.silence import NO_PAIRS, RangeSilence
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.tracking.streams import within_range
@@ -63,7 +63,6 @@ _STATUS_PERIOD_NS = 1_000_000_000
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between
 _WARNING = 4
 _BY_PIN = "exposures stamped by the autopilot"
-_BLIND = "shots bring no image pairs: trigger, cameras?"
 
 
 @dataclass(slots=True)
@@ -374,7 +373,7 @@ def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     health, reason = _health(state, now_ns)
     clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
     latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
-    say = reason if reason == _BLIND else state.silence.due(reason, state.settings, now_ns)
+    say = reason if reason == NO_PAIRS else state.silence.due(reason, state.settings, now_ns)
     return [
         *clocks,
         *([] if latency is None else [latency]),
@@ -395,7 +394,7 @@ def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
     if unsynced:
         return Health.CRITICAL, f"lost sync with {', '.join(unsynced)}"
     if state.scheduling is not None and state.scheduling.blind(now_ns):
-        return Health.CRITICAL, _BLIND
+        return Health.CRITICAL, NO_PAIRS
     if _tracked(state):
         early = _unlearned(state)
         if early is not None:

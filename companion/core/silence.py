@@ -24,6 +24,10 @@ _SETTINGS = {
 }
 
 
+NO_PAIRS = "shots bring no image pairs: trigger, cameras?"
+"""Cause of silence, and reason of a CRITICAL status, where exposures bring no matches."""
+
+
 @dataclass(slots=True)
 class RangeSilence:
     """Adds up the time in which the tracker could have given ranges and none was trusted.
@@ -111,7 +115,7 @@ class RangeSilence:
         if settings.trigger_policy == Policy.OFF:
             return "triggering is off (TRG_POLICY 2)"
         if self._events[Shot]:
-            return "shots bring no image pairs: trigger, cameras?"
+            return NO_PAIRS
         if self._events[TriggerPlan] > sum(self._skipped.values()):
             return "nothing fires and no image pairs come: --trigger, --cameras?"
         if self._skipped:

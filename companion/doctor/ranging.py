@@ -9,7 +9,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.doctor.evidence import Evidence, Finding, Fix, Level
 
 _MAVLINK_RANGEFINDER, _MAVLINK_PROXIMITY = 10, 2
-_DOWN, _FORWARD = 25, 0
 _PROXIMITY_USERS = frozenset(
     (
         mavlink.MAV_TYPE_QUADROTOR,
@@ -81,7 +80,7 @@ def _limits(seen: Evidence) -> Iterator[Finding]:
 
 
 def _proximity(seen: Evidence) -> Iterator[Finding]:
-    if seen.airframe.orientation != _FORWARD or seen.pilot is None:
+    if not seen.airframe.looks_forward or seen.pilot is None:
         return
     if seen.pilot.kind not in _PROXIMITY_USERS:
         text = "this vehicle has no proximity library: OBSTACLE_DISTANCE is only passed on to ground stations and logs"

@@ -28,15 +28,13 @@ from companion.sim.vision.renderer import Renderer
 from companion.sim.vision.scene import Scene, ground_scene, obstacle_scene
 
 Seen = list[MatchSet | Rejected]
-_DOWN = 25
 _ENDED = "a process that renders the cameras' images has ended; its messages are above"
 _WORKERS = 2  # shots overlap by one at most: a third would wait
 
 
 def scene_of(flight: Flight) -> Scene:
     """The ground for a pair that looks down, obstacles for one that looks ahead."""
-    down = flight.airframe.orientation == _DOWN
-    return ground_scene(flight.seed) if down else obstacle_scene(flight.truth, flight.seed)
+    return ground_scene(flight.seed) if flight.airframe.looks_down else obstacle_scene(flight.truth, flight.seed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -87,7 +87,7 @@ def hang(setup: Setup) -> Flight:
 
 def target(setup: Setup) -> Scene:
     """A flat textured target across the sight, at the distance from the cameras."""
-    if setup.airframe.orientation == 25:
+    if setup.airframe.looks_down:
         return Scene((ground(),), setup.seed)
     wall: Plane = board(np.array([setup.distance_m, 0.0, -_height(setup)]), 0.0, (400.0, 400.0), 1)
     return Scene((wall,), setup.seed, sight_m=1000.0)
@@ -95,7 +95,7 @@ def target(setup: Setup) -> Scene:
 
 def _height(setup: Setup) -> float:
     """Body origin above NED zero; the cameras of the laboratory airframes sit at the body's origin height."""
-    return setup.distance_m if setup.airframe.orientation == 25 else 60.0
+    return setup.distance_m if setup.airframe.looks_down else 60.0
 
 
 # ------------------------------------------------------------------------------------------------ drive

@@ -21,6 +21,7 @@ from companion.paper.findings import Section, Table, number
 from companion.paper.range_tables import toe_rad, wide_factor
 from companion.params.files import load_airframe
 from companion.records import ClockName, Floats, MatchSet, Side
+from companion.units import Orientation
 
 _AXIS = np.array([0.48, -0.6, 0.64])  # a unit vector
 _ANGLE_RAD = 0.7
@@ -65,7 +66,9 @@ def projected_range_m(depth_m: float, slope_rad: float) -> tuple[float, float]:
         pixels[Side.LEFT], pixels[Side.RIGHT], np.ones(1), 0,
     )  # fmt: skip
     still: tuple[CameraExposure, CameraExposure] = rest_exposures(rig)
-    depths = triangulate(match_rays(rig, still, matches), range_axis_of_rig(rig, orientation_axis(25)), np.ones(1))
+    depths = triangulate(
+        match_rays(rig, still, matches), range_axis_of_rig(rig, orientation_axis(Orientation.DOWN)), np.ones(1)
+    )
     return float((pixels[Side.LEFT] - pixels[Side.RIGHT])[0, 0]), float(1.0 / depths.inverse_pm[0])
 
 

@@ -14,9 +14,6 @@ from companion.evaluation.true_geometry import Judge, Reading
 from companion.records import CorrectedRange, Deflection, Floats, MatchSet, Reject, RelativeRotation, Side
 from companion.sim.flight.flight import Flight
 
-_FORWARD = 0
-
-
 WAYS = ("rigid", "in_trim", "corrected", "published", "oracle")
 """Ways of ranging: the calibration unmodified; that of level flight; the wing's sensors (the paper's way); with what
 the matched features tell as well, as the service publishes it; the true extrinsics."""
@@ -108,7 +105,7 @@ def score(judge: Judge, usual: Usual, matches: MatchSet, answer: Answer, planned
     return Scored(
         planned=planned,
         whole=_readings(judge, matches, answer),
-        upper=_readings(judge, upper, answer) if flight.airframe.orientation == _FORWARD else {},
+        upper=_readings(judge, upper, answer) if flight.airframe.looks_forward else {},
         reject=answer.range.reject,
         tip_rad=(float(slope[0]), float(slope[1])),
         blur_px=lens.focal_px * matches.exposure_ns * 1e-9 * float(rate[worse]),

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from companion.records import ClockName, Station
+from companion.units import Orientation
 
 Vector3 = tuple[float, float, float]
 
@@ -168,8 +169,18 @@ class Airframe:
     right: Sensor
     left_camera: Camera | None = None
     right_camera: Camera | None = None
-    orientation: int = 25
+    orientation: int = int(Orientation.DOWN)
     effects: tuple[NamedEffect, ...] = ()
+
+    @property
+    def looks_down(self) -> bool:
+        """Whether the camera pair looks at the ground: range grows with height."""
+        return self.orientation == Orientation.DOWN
+
+    @property
+    def looks_forward(self) -> bool:
+        """Whether the camera pair looks along the flight: it sees obstacles, and bending rolls its images."""
+        return self.orientation == Orientation.FORWARD
 
     def sensor(self, station: Station) -> Sensor:
         """The sensor of a station."""

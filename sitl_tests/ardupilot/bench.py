@@ -27,7 +27,6 @@ from sitl_tests.ardupilot.vehicle import Ports, Vehicle, keep_pace
 
 ROOT = Path(__file__).resolve().parents[2]
 _SPANWISE = str(Path(sys.executable).with_name("spanwise"))
-_DOWN = 25
 _START_S, _SERVICE_S = 60.0, 180.0
 _END_S = 15.0
 
@@ -92,7 +91,7 @@ class Run:
 
     def _open_eyes(self) -> None:
         self.flight: Flight = build_flight(self.airframe, self.seed, self.duration_s)
-        down = self.airframe.orientation == _DOWN
+        down = self.airframe.looks_down
         scene = ground_scene(self.seed) if down else obstacle_scene(self.flight.truth, self.seed)
         truth, actual = self.flight.truth, self.flight.real.actual
         line, frames = self.folder / "line", self.folder / "frames"

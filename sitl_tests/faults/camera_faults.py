@@ -33,7 +33,6 @@ _LATE_NS = 15 * MS
 _EXPOSURE_NS, _VISION_NS = 2 * MS, 60 * MS
 _EDGE_PX = 8.0
 _SIGMAS, _SHARE = 5.0, 0.05
-_DOWN = 25
 _WAVES_M = np.array([200.0, 120.0, 60.0, 30.0, 20.0])
 _HEIGHTS = np.array([1.0, 0.7, 0.4, 0.25, 0.15])
 
@@ -107,7 +106,7 @@ class StruckCameras(Cameras):
         side = Side(int(self._random.integers(2)))
         axis = self._random.standard_normal(3)
         if self.fault.toe_only:
-            axis = np.array([1.0, 0.0, 0.0] if airframe.orientation == _DOWN else [0.0, 0.0, 1.0])
+            axis = np.array([1.0, 0.0, 0.0] if airframe.looks_down else [0.0, 0.0, 1.0])
         turn_body = self.fault.knock_rad * axis / np.linalg.norm(axis)
         name = f"{side.name.lower()}_camera"
         camera = getattr(airframe, name)
@@ -158,7 +157,7 @@ class StruckCameras(Cameras):
         rough = np.sin(2.0 * np.pi * (where @ waves) / _WAVES_M + 3.0 * self._phases) @ _HEIGHTS
         depth = reach + self.view.relief_m * rough
         scaled = across * (depth / reach)[:, np.newaxis]
-        if self.flight.airframe.orientation == _DOWN:
+        if self.flight.airframe.looks_down:
             return np.column_stack([scaled[:, 0], scaled[:, 1], depth])
         return np.column_stack([depth, scaled[:, 0], scaled[:, 1]])
 

@@ -34,7 +34,6 @@ from companion.records import (
 )
 
 _QUEUE_DEPTH = 64
-_DOWN = 25
 _SLACK_MPS = 8.0
 _VEHICLES = 64
 _ATTITUDE_NS = 500_000_000
@@ -76,7 +75,7 @@ class Correction:
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> Correction:
         """For an airframe that has both cameras."""
-        down = airframe.orientation == _DOWN
+        down = airframe.looks_down
         rig = Rig.from_airframe(airframe)
         return cls(
             airframe, rig, RangeGate(float(down), lasting_surface=down), settings, ExtrinsicsDriftFilter(rig, airframe)
@@ -127,7 +126,7 @@ class Correction:
             turned=turned,
             attitude_rad=self._attitude((left.t_host_ns + right.t_host_ns) // 2),
         )
-        slack_mps = _SLACK_MPS + (0.0 if self.airframe.orientation == _DOWN else airspeed_mps)
+        slack_mps = _SLACK_MPS + (0.0 if self.airframe.looks_down else airspeed_mps)
         if self.drift_filter.verdict is not MatchVerdict.AGREE:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)

@@ -51,6 +51,10 @@ _PRIOR_REMAINDER = (
 )
 
 
+SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
+"""Pitch, yaw and roll that a rendered pair over ground shows for seconds without having turned, rad (1 sigma)."""
+
+
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsPrior:
     """What is believed of the slow part before any picture.
@@ -80,7 +84,7 @@ class ExtrinsicsPrior:
     radial: float = 0.002
     yaw_bias_rad: float = 0.0
     parallax_rad: float = 0.00005
-    systematic_rad: tuple[float, float, float] = (1e-4, 3e-4, 1e-4)
+    systematic_rad: tuple[float, float, float] = SYSTEMATIC_DOWN_RAD
 
     def variances(self) -> Floats:
         """Diagonal (7,) of the first covariance, bend and steady error left out."""

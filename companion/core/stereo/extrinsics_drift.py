@@ -12,7 +12,13 @@ import math
 import numpy as np
 
 from companion.core.stereo.consistency_gate import MatchVerdict
-from companion.core.stereo.epipolar import BendBelief, EpipolarFilter, EpipolarUpdate, ExtrinsicsPrior
+from companion.core.stereo.epipolar import (
+    SYSTEMATIC_DOWN_RAD,
+    BendBelief,
+    EpipolarFilter,
+    EpipolarUpdate,
+    ExtrinsicsPrior,
+)
 from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.triangulation import Rays
@@ -23,8 +29,6 @@ _MIN_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is foun
 _CAMERA_PLACE_SIGMA_M = 0.0005  # how well a camera's place across the baseline is known
 _RADIAL_SIGMA = 0.002
 _YAW_BIAS_PX = 0.01  # what matching and lens model leave in its place from pair to pair, in the corner of the image
-_DOWN = 25
-_SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
 # Obstacles at many distances show what is wrong with the cameras' places (wind, exposures apart) as rotations: in a
 # rendered flight half a milliradian of pitch and roll for seconds, a milliradian of yaw.
 _SYSTEMATIC_AHEAD_RAD = (5e-4, 1.2e-3, 5e-4)
@@ -150,7 +154,7 @@ def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
         focal=focal,
         radial=_RADIAL_SIGMA,
         yaw_bias_rad=_yaw_bias_rad(rig),
-        systematic_rad=_SYSTEMATIC_DOWN_RAD if airframe.orientation == _DOWN else _SYSTEMATIC_AHEAD_RAD,
+        systematic_rad=SYSTEMATIC_DOWN_RAD if airframe.looks_down else _SYSTEMATIC_AHEAD_RAD,
     )
 
 

@@ -22,7 +22,6 @@ from companion.records import CorrectedRange, Deflection, Floats, MatchSet, Obst
 _COMMON_MATCH_PX = 0.02
 TIMING_SIGMA_S = 1e-4
 """Of the stamps of an exposure, where nobody says otherwise."""
-_FORWARD = 0
 _AXES = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}
 # 1 / (10 km): below this an inverse depth is called infinite.
 _INFINITY_PM = 1e-4
@@ -108,7 +107,7 @@ def correct(
     square = answer.range_m**2
     in_metres = Budget(causes.modal * square, causes.calibration * square, causes.timing * square)
     sectors = None
-    if airframe.orientation == _FORWARD:
+    if airframe.looks_forward:
         picture = scene.depths(all_matches)
         sectors = matched_sectors(picture, scene.range_axis, causes.total, scene.t_host_ns, settings, attitude_rad)
     return RangeAnswer(answer, sectors, depths, match_pm * square, in_metres)

@@ -15,7 +15,6 @@ from companion.params.settings import Settings
 from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Rejected, Side, TriggerPlan
 
 _MAX_PLANS = 32
-_FORWARD = 0
 
 
 @dataclass(slots=True)
@@ -82,7 +81,7 @@ class VisionState:
     def match(self, pair: FramePair, now_host_ns: int) -> MatchSet:
         """Features, and for a pair that looks ahead what lies between them."""
         matches = match_pair(pair, self.rig, self.search, now_host_ns)
-        if self.settings.fill and self.airframe.orientation == _FORWARD:
+        if self.settings.fill and self.airframe.looks_forward:
             return filled(matches, pair, self.rig, self.search)
         return matches
 

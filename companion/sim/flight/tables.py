@@ -17,13 +17,13 @@ from companion.records import Floats, Ints, Side, Station
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.sensors import BACKEND_HZ, RealSensor
 from companion.sim.flight.truth import TruthSeries
+from companion.units import Orientation
 
 _LETTERS = "xyzpqr"
 _UNITS = ("mps2", "mps2", "mps2", "radps", "radps", "radps")
 _MATCH_SIGMA_PX = 0.3
 _RANGE_RATE_HZ = 10.0
 _TARGET_AHEAD_M = 30.0
-_DOWN = 25
 
 
 def write_csv(flight: Flight, folder: Path) -> list[Path]:
@@ -90,7 +90,7 @@ def _mount_toe(flight: Flight, t_s: float) -> float:
 
 def reference_m(truth: TruthSeries, orientation: int) -> Floats:
     """True distance along the cameras' axis: to the ground for a pair that looks down, else to a wall ahead."""
-    if orientation != _DOWN:
+    if orientation != Orientation.DOWN:
         return np.full(len(truth.t_boot_ns), _TARGET_AHEAD_M)
     # body z against NED down is the last entry of the rotation
     return np.asarray(-truth.position_ned_m[:, 2] / truth.body_from_ned[:, 2, 2])

@@ -13,10 +13,10 @@ from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.routing import Port, Router
 from companion.sim.vehicle.scripted_pilot import ScriptedPilot
 from companion.sim.vehicle.world import VehicleLink, World, WorldOptions
+from companion.units import Orientation
 
 _WAKE_S = 0.002
 _LONGEST_STEP_S = 0.02
-_FORWARD = 0
 _FIELD_OF_VIEW_RAD = 0.37
 
 
@@ -54,7 +54,7 @@ class RehearsalVehicle:
         self._obstacle_m = obstacle_m
         orientation = flight.airframe.orientation
         self.companion = CompanionStub(
-            self._ahead_m if orientation == _FORWARD else self._below_m,
+            self._ahead_m if orientation == Orientation.FORWARD else self._below_m,
             lambda: self.protocol.flown_ns,  # the instant that the distance is of
             orientation=orientation,
         )

@@ -7,8 +7,8 @@ from typing import Any
 from companion.adapters.mavlink.component import encode
 from companion.params.settings import Settings
 from companion.records import CorrectedRange, NoRange, ObstacleSectors
+from companion.units import Orientation
 
-_FORWARD = 0
 _CIRCLE, _POINTS = 1, 2
 _RESTARTED_MS = 1000
 _EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be
@@ -22,7 +22,7 @@ class RangePublisher:
 
     def __init__(self, settings: Settings, orientation: int) -> None:
         self._settings = settings
-        self._forward = orientation == _FORWARD
+        self._forward = orientation == Orientation.FORWARD
         self._sent_host_ns: dict[str, int] = {}
         self._trusted = False
         self._points_ms = 0
