@@ -212,7 +212,7 @@ def _scatter(outcome: Outcome) -> Picture:
         top.set(ylabel="range, m", title=f"{outcome.trial.title}: range")
         bottom.set(xlabel="true relative toe at the exposure, mrad", ylabel="error, m", title="What is left, magnified")
         top.legend(ncols=2)
-        bottom.legend(ncols=2)
+        bottom.legend(ncols=2, loc="upper center")  # shots lie at both ends
 
     worst_m, left_most_m = (np.nanmax(np.abs(_read_m(shots, way)[0] - z)) for way in ("rigid", "corrected"))
     said = f"At {z:g} m up to {number(worst_m, 2)} m of error become at most {number(left_most_m, 2)} m"
