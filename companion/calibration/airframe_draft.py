@@ -22,7 +22,7 @@ _ANTISYMMETRIC_RATIO, _ANTISYMMETRIC_SPREAD = 1.28, 0.15
 _DAMPING, _DAMPING_SIGMA = 0.03, 0.02
 _GUST_PER_G, _GUST_SPREAD = 1.0 / 3.0, 0.8
 _MOUNT_SIGMA_RAD = 0.01
-_FOCAL_SPREAD = 0.02
+_FOCAL_SPREAD = 0.02  # of the focal length: data sheets against calibrations
 _TRUST = 0.03
 """sigma / range above which no range is trusted by default (RNG_TRUST)."""
 

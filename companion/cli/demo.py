@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.demo_realtime import fly_in_real_time
 from companion.cli.steps.lockstep import LockStepService
 from companion.cli.steps.numbers import seconds, seed
@@ -29,8 +30,6 @@ from companion.reporting.plotting import require_report
 from companion.service.config import ServiceConfig
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.lockstep import EPOCH_NS
-
-_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,7 +72,7 @@ def execute(options: argparse.Namespace) -> int:
     print(json.dumps(summary.plain, indent=2)) if options.json else print_summary(summary.plain)
     picture = f", {options.out / 'summary.png'}" if judged else ""
     _say(f"wrote {options.out / 'summary.json'}{picture} and {recording}")
-    return 0 if judged else _NOTHING
+    return 0 if judged else NOTHING_TO_ESTIMATE
 
 
 def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -> tuple[int, dict[str, Any]]:

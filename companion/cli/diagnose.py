@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.recordings.tables.mapping import TestKind, load_mapping
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.effect_list import add_effect_list
 from companion.cli.steps.numbers import whole
 from companion.cli.steps.options import check_output
@@ -24,8 +25,6 @@ from companion.evaluation.pages.diagnosis_page import write_report
 from companion.evaluation.recorded_evidence import airframe_of
 from companion.params.files import dump_airframe
 from companion.reporting.plotting import require_report
-
-_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,7 +91,7 @@ def execute(options: argparse.Namespace) -> int:
         )
         if options.json != "-":
             print(f"wrote {path}: {airframe.name} with {', '.join(cause.term.effect.name for cause in found.causes)}")
-    return _NOTHING if found.verdict is Verdict.NOT_IDENTIFIABLE else 0
+    return NOTHING_TO_ESTIMATE if found.verdict is Verdict.NOT_IDENTIFIABLE else 0
 
 
 def _tell(found: Diagnosis, plain: dict[str, Any]) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import open_link
 from companion.adapters.mavlink.link.signing import load_signing
+from companion.cli.exit_codes import TO_FIX
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings
 from companion.doctor.evidence import Evidence, Finding, Fix, Level
@@ -27,8 +28,7 @@ from companion.doctor.wing import check_cameras, check_nodes
 from companion.params.files import load_airframe
 from companion.ports import Clock
 
-_TO_FIX = 4
-_TRIES = 3
+_TRIES = 3  # a parameter is set so often before it counts as refused
 _ANSWER_NS = 1_000_000_000
 _CHECKS = (
     check_link,
@@ -76,7 +76,7 @@ def execute(options: argparse.Namespace) -> int:
             ask = (lambda _: True) if options.yes else _ask
             left = apply([fix for entry in findings for fix in entry.fixes], examination, clock, ask)
             by_hand = any(entry.level is Level.FIX and not entry.fixes for entry in findings)
-            code = _TO_FIX if left or by_hand else 0
+            code = TO_FIX if left or by_hand else 0
     finally:
         examination.pilot.close()
     return code
@@ -147,4 +147,4 @@ def _report(findings: list[Finding], *, as_json: bool) -> int:
             remedy = "".join(f"\n{'':17s}-> {fix}" for fix in entry.fixes)
             print(f"{entry.level:5s}{entry.subject:12s}{entry.text}{remedy}")
         print(f"{len(wrong)} to fix" if wrong else "nothing to fix")
-    return _TO_FIX if wrong else 0
+    return TO_FIX if wrong else 0

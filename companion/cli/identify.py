@@ -16,14 +16,13 @@ from companion.calibration.flight_modes import wing_motion
 from companion.calibration.modes import IdentifiedMode, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import BendingMode, airframe_with, bending_modes, stations, symmetry
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.numbers import number
 from companion.cli.steps.options import make_folder
 from companion.evaluation.pages.identification_figures import draw_flight, draw_test
 from companion.params.airframe import Airframe, Mode, Uncertain
 from companion.params.files import dump_airframe, load_airframe
 from companion.reporting.plotting import require_report
-
-_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +56,7 @@ def _from_test(options: argparse.Namespace, base: Airframe) -> int:
     modes = identify_runs(test.runs, len(test.points))
     if not modes:
         print("no mode came back in half of the runs")
-        return _NOTHING
+        return NOTHING_TO_ESTIMATE
     _print_modes(modes, test)
     found = bending_modes(modes, test.points)
     draw_test(test, modes, found, options.out)
@@ -127,7 +126,7 @@ def _from_flight(options: argparse.Namespace, base: Airframe) -> int:
     draw_flight(motion, modes, options.out)
     if not all(modes.values()):
         print("not both families show a mode: no airframe written")
-        return _NOTHING
+        return NOTHING_TO_ESTIMATE
     wing = recording.airframe.wing
     bent = dataclasses.replace(
         wing,

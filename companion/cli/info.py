@@ -6,10 +6,9 @@ import argparse
 from pathlib import Path
 
 from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.evaluation.recording_info import lines, summarise
 from companion.params.files import load_airframe
-
-_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,4 +23,4 @@ def execute(options: argparse.Namespace) -> int:
     recording = open_recording(options.recording, airframe)
     info = summarise(recording)
     print("\n".join(lines(recording, info)))
-    return 0 if info.streams else _NOTHING
+    return 0 if info.streams else NOTHING_TO_ESTIMATE

@@ -18,6 +18,7 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.options import add_settings, check_output, read_settings
 from companion.cli.terminal.progress import Progress, progress_of
 from companion.errors import RecordingError
@@ -42,7 +43,6 @@ from companion.records import (
 )
 
 _OUTPUTS = (ModeState, TriggerPlan, Deflection, CorrectedRange, NoRange, ObstacleSectors, ServiceStatus)
-_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -125,7 +125,7 @@ def execute(options: argparse.Namespace) -> int:
     if tally.first_difference:
         print(f"spanwise replay: not reproduced: {tally.first_difference}", file=sys.stderr)
         return 1
-    return 0 if tally.trusted or tally.last_tracking or stations.found else _NOTHING
+    return 0 if tally.trusted or tally.last_tracking or stations.found else NOTHING_TO_ESTIMATE
 
 
 def encoded(record: Record) -> bytes:

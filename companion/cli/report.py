@@ -9,6 +9,7 @@ from pathlib import Path
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.options import check_output
 from companion.cli.terminal.progress import progress_of
 from companion.evaluation.flight_log import gather
@@ -17,8 +18,6 @@ from companion.evaluation.recording_info import decoded_records
 from companion.params.files import load_airframe
 from companion.records import ImuBatch
 from companion.reporting.plotting import require_report
-
-_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +38,7 @@ def execute(options: argparse.Namespace) -> int:
     out.write_text(render(recording, log), encoding="utf-8")
     judged = verdict(log)
     print("\n".join([judged.headline, *(f"  {reason}" for reason in judged.reasons), f"wrote {out}"]))
-    return 0 if log.ranges or log.modes else _NOTHING
+    return 0 if log.ranges or log.modes else NOTHING_TO_ESTIMATE
 
 
 def _watched(recording: Recording, *, plain: bool) -> Iterator[Recordable]:

@@ -12,6 +12,7 @@ from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings, state_file
 from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
@@ -26,7 +27,6 @@ from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 
 _KEEP_NS = 30_000_000_000
-_NOTHING = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -177,5 +177,5 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     print(view.line(time.monotonic() - began).strip())
     if options.seconds and not stopped and not view.began:
         print(f"spanwise run: nothing to estimate in {options.seconds:g} s", file=sys.stderr)
-        return _NOTHING
+        return NOTHING_TO_ESTIMATE
     return 0

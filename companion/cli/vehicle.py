@@ -10,6 +10,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.numbers import seconds, seed
 from companion.cli.steps.simulated_devices import frames_path, line_path
 from companion.errors import ConfigError, DeviceError
@@ -23,7 +24,6 @@ from companion.sim.vision.camera_server import CameraServerConfig, start_camera_
 
 _LINKS = ("udpout:127.0.0.1:14550", "udpout:127.0.0.1:14551")
 _WAIT_S = 600.0  # the first start of the service compiles the estimator
-_NOBODY = 3
 _OPENING_S = 5.0
 
 
@@ -104,7 +104,7 @@ def execute(options: argparse.Namespace) -> int:
         control.close()
     received = ", ".join(f"{count} {name}" for name, count in report["received"].items())
     print(f"flew {report['flown_s']:.0f} s; received {received or 'nothing: was run connected to this link?'}")
-    return 0 if received else _NOBODY
+    return 0 if received else NOTHING_TO_ESTIMATE
 
 
 def _check(options: argparse.Namespace, airframe: Airframe) -> None:

@@ -17,9 +17,9 @@ _LOSSES = {
     "line_lost": "readings lost because its line is too slow: raise the baud rate or lower the rate",
     "line_bad": "damaged TIMESYNC requests: mend the cable",
 }
-_ENOUGH = 0.75
-_UNPAIRED = 0.05
-_LOST = 0.05
+_ENOUGH = 0.75  # of the believed rate: below, the stream does not come as set
+_UNPAIRED = 0.05  # share of frames: one in twenty costs no flight its ranges
+_LOST = 0.05  # share of plans: one in twenty costs no flight its ranges
 _OVERHEAD_BYTES = 12
 _BITS_PER_BYTE = 10
 _LETTERS = "xyzpqr"

@@ -46,7 +46,7 @@ from companion.sim.flight.flight import Flight
 SETTLED_S = 10.0
 WAYS = ("rigid", "rigid_in_trim", "tilt_only", "corrected", "oracle")
 _RANDOM_RATE_HZ = 4.0
-_RANDOM_SEED = 0xA11
+_RANDOM_SEED = 0xA11  # convention: keeps random instants apart from the flight's own draws
 _ARRIVAL_NS = 100_000_000
 _NO_RANGE = (Reject.FRAME_LOST, Reject.UNPAIRED, Reject.OUT_OF_WINDOW, Reject.QUEUE_FULL)
 """What happens to images on their way; nothing else is refused for these reasons."""

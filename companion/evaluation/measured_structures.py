@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import TableMapping, TestKind
+from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
 from companion.diagnosis.free_decay.record import RawFreeDecay, prepare
 from companion.diagnosis.free_decay.search import search
@@ -29,7 +30,6 @@ Progress = Callable[[str, float], None]
 _TIPS = ("left_z_mps2", "right_z_mps2")
 _RESPONSE = "response_"
 _FORCE = "input_n"
-_NOTHING = 3
 
 
 def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
@@ -52,7 +52,7 @@ def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progre
         Path(options.html).write_text(make_page(), encoding="utf-8")
     if options.apply is not None:
         print("--apply: what was found here is of a structure on the bench; no airframe was written", file=sys.stderr)
-    return _NOTHING if plain["verdict"] == "not-identifiable" else 0
+    return NOTHING_TO_ESTIMATE if plain["verdict"] == "not-identifiable" else 0
 
 
 _Diagnosed = tuple[dict[str, Any], Callable[[], str]]

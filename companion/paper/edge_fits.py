@@ -12,8 +12,8 @@ from companion.records import Floats
 
 CAMERA_M = 0.99
 TIP_M = 1.0
-WHOLE_DEGREE = 6
-CLAMPED_DEGREE = 4
+WHOLE_DEGREE = 6  # the paper's own choice for Fig. 9
+CLAMPED_DEGREE = 4  # two terms beyond the root's clamp: the first mode has no inflection
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-_AS_FACTOR = 100.0
+_AS_FACTOR = 100.0  # convention: a ratio beyond it reads better as a factor than in percent
 
 
 @dataclass(frozen=True, slots=True)

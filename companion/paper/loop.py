@@ -41,7 +41,7 @@ _VISION_NS = 60_000_000
 WARM_UP_S = 2.0
 """Before shots count the planner fires already, so that the trigger's latency is learned."""
 
-_RANDOM_PLAN = -1
+_RANDOM_PLAN = -1  # convention: no plan has a negative number
 _PAIR = "pair "
 
 

@@ -21,7 +21,7 @@ RATE_HZ = 200.0
 INCH_M = 0.0254
 _SMOOTHING = 15  # bins of the spectrum that are averaged
 GVT_BAND_HZ = (8.5, 10.2)
-_GVT_RUNS = 10
+_GVT_RUNS = 10  # roving runs in the published data set, five a side
 _GVT_RATE_HZ = 2000
 _LBF_PER_VOLT, _G_PER_VOLT = 1.0 / 0.4684, 1.0 / 1.028
 # x in inches, positive to the left wing, of leading (even index) and trailing edge points, from the centre outward

@@ -26,9 +26,9 @@ class PrintedRange(NamedTuple):
 
 # Table 1
 YOUNGS_MODULUS = 70e9  # "70 * 10^9 GPa"
-DENSITY_KGPM3 = 2700.0
-SECOND_MOMENT_M4 = 4.225e-10
-AREA_M2 = 3.07e-8
+DENSITY_KGPM3 = 2700.0  # Table 1
+SECOND_MOMENT_M4 = 4.225e-10  # Table 1
+AREA_M2 = 3.07e-8  # Table 1
 TIP_MASS = 0.035  # ".035 g"
 LENGTH_M = 0.1115
 
@@ -53,4 +53,4 @@ FAR_REMOVED_PERCENT = 55.5
 BEAM_BASELINE_M = 0.254  # "10 inch"
 BEAM_REMOVED_PERCENT = 70.0  # "by more than 70%"
 NOISE_BAND_HZ = 200.0
-AVERAGES = 100
+AVERAGES = 100  # of the spectra in Figs. 11 and 12

@@ -20,7 +20,7 @@ WINDOW_S = 8.0
 """Of each average: bins a third as wide as the peak of a mode of 1 % damping."""
 
 _SHAKER_RMS_MPS2 = 1.0
-_SEED = 11
+_SEED = 11  # convention: any fixed number
 _BURN_IN_S = 5.0
 
 

@@ -14,10 +14,10 @@ from companion.records import Floats
 from companion.sim.flight.perturb import draw_truth
 from companion.sim.flight.wing import SUBSTEP_S, integrate
 
-TESTS = 8
+TESTS = 8  # repeated tests: a spread known to a quarter
 STATIONS_M = (0.2, 0.4, 0.6, 0.8, TIP_M)
 GAIN_SIGMA = 0.01  # of each accelerometer
-_SEED = 9
+_SEED = 9  # convention: any fixed number
 _TEST_S = 60.0
 _SWEEP_HZ = (1.0, 40.0)
 _FORCE_MPS2 = 0.5

@@ -22,7 +22,7 @@ from companion.records import (
     ServiceStatus,
 )
 
-_RECENT = 4
+_RECENT = 4  # sentences that stay on the screen
 
 
 @dataclass(slots=True)

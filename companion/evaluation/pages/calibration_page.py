@@ -18,7 +18,7 @@ from companion.reporting.plotting import BLUE, GREY, VERMILLION, headline, new_f
 Pairs = list[tuple[str, Bytes, Bytes]]
 _NAMES = ("fx, px", "fy, px", "cx, px", "cy, px", "k1", "k2", "p1", "p2", "k3")
 _LEFT_TO_RIGHT = ("x", "y", "z")
-_SHOWN = 12
+_SHOWN = 12  # images a page shows before it grows long
 _FAR_M = 60.0
 _MATCHING_PX = 0.2  # of one feature
 _MATCHING_SHARE = 0.4  # adds 8 % to what matching leaves
