@@ -13,3 +13,11 @@ class Orientation(enum.IntEnum):
 
     FORWARD = 0
     DOWN = 25
+
+
+class Severity(enum.IntEnum):
+    """MAV_SEVERITY (MAVLink common.xml, RFC 5424): the three of its eight levels that notices use."""
+
+    ERROR = 3
+    WARNING = 4
+    INFO = 6

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Sequence
 
+from companion.units import Orientation
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.monitor import RangeMonitor, Tolerance
 from mission_scripts.common.options import parser_for
@@ -23,7 +24,6 @@ from mission_scripts.common.run import run
 from mission_scripts.common.vehicle import NotAccepted
 from mission_scripts.common.watch import Range
 
-_NADIR = 25
 _OUT_M = 400.0
 _BELOW_M = 8.0
 _CLIMB_MPS, _CLIMBING_S = 0.5, 10.0
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def approach(flight: Flight) -> Exit:
     """The mission."""
-    if flight.airframe.orientation != _NADIR:
+    if flight.airframe.orientation != Orientation.DOWN:
         raise Refused(f"airframe '{flight.airframe.name}' does not look down (orientation 25)")
     flight.need_ranges()
     flight.be_airborne()

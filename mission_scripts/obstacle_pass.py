@@ -14,6 +14,7 @@ import time
 from argparse import ArgumentTypeError
 from collections.abc import Sequence
 
+from companion.units import Orientation
 from mission_scripts.common.flight import Flight
 from mission_scripts.common.options import parser_for
 from mission_scripts.common.outcome import Aborted, Exit, Refused, Response
@@ -21,7 +22,6 @@ from mission_scripts.common.places import CLIMB_TO, LOITER, WAYPOINT, Place, Rou
 from mission_scripts.common.run import run
 from mission_scripts.common.watch import Range
 
-_FORWARD = 0
 _FRESH_S = 0.5
 _IN_VIEW_DEG = 18.0
 _LINE_UP_M = 150.0
@@ -53,7 +53,7 @@ def _aside(text: str) -> float:
 def fly_past(flight: Flight) -> Exit:
     """The mission."""
     options, watch = flight.options, flight.watch
-    if flight.airframe.orientation != _FORWARD:
+    if flight.airframe.orientation != Orientation.FORWARD:
         raise Refused(
             f"airframe '{flight.airframe.name}' looks to orientation {flight.airframe.orientation}, not ahead (0)"
         )

@@ -25,8 +25,8 @@ from companion.records import (
     Tick,
     TimesyncReply,
 )
+from companion.units import Severity
 
-_ERROR = 3
 _PERIOD_NS = 1_000_000_000
 _ABOUT_CLOCKS = (TimesyncReply, ClockRestart)
 
@@ -49,12 +49,11 @@ def _refused(state: PipelineState, record: Record, error: Exception) -> tuple[Pi
     fresh = _anew(state, clocks=isinstance(record, _ABOUT_CLOCKS))
     fresh.counters[str(Reject.INTERNAL_ERROR)] += 1
     outputs: list[OutputRecord] = [Rejected(Reject.INTERNAL_ERROR, name, state.now_ns)]
-    if state.now_ns >= state.next_error_ns:
-        fresh.next_error_ns = state.now_ns + _PERIOD_NS
+    if state.errors.take(state.now_ns):
         text = f"internal error: {name} refused, estimation restarted: {described(error)}"
         counters = dict(sorted(fresh.counters.items()))
         status = ServiceStatus(state.now_ns, Health.CRITICAL, str(Reject.INTERNAL_ERROR), counters)
-        outputs.append(Notice(_ERROR, text, state.now_ns))
+        outputs.append(Notice(Severity.ERROR, text, state.now_ns))
         if isinstance(record, Tick):
             outputs.append(status)
             fresh.next_status_ns = state.now_ns + 2 * _PERIOD_NS  # where ticks go on raising, no other comes between
@@ -64,6 +63,6 @@ def _refused(state: PipelineState, record: Record, error: Exception) -> tuple[Pi
 def _anew(state: PipelineState, *, clocks: bool) -> PipelineState:
     fresh = start(state.airframe, state.settings, state.hub, None if clocks else state.clocks)
     fresh.filters, fresh.vehicle, fresh.counters = state.filters, state.vehicle, state.counters
-    fresh.now_ns, fresh.next_error_ns = state.now_ns, state.next_error_ns
+    fresh.now_ns, fresh.errors = state.now_ns, state.errors
     fresh.next_track_ns, fresh.next_status_ns = state.next_track_ns, state.next_status_ns
     return fresh

@@ -33,6 +33,7 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.params.vehicle import implausible
+from companion.rate_limiter import RateLimiter
 from companion.records import (
     AutopilotParameter,
     CameraFeedback,
@@ -56,12 +57,13 @@ from companion.records import (
     Validity,
     VehicleState,
 )
+from companion.units import Severity
 
 __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000
+_ERROR_PERIOD_NS = 1_000_000_000
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between
-_WARNING = 4
 _BY_PIN = "exposures stamped by the autopilot"
 
 
@@ -89,7 +91,7 @@ class PipelineState:
     next_status_ns: int = 0
     hub: ClockName | None = None
     now_ns: int = 0  # of the last tick, for what has no time of its own
-    next_error_ns: int = 0
+    errors: RateLimiter = field(default_factory=lambda: RateLimiter(_ERROR_PERIOD_NS))
 
 
 def start(
@@ -161,7 +163,8 @@ def _adapt_to_delivery(state: PipelineState, now_ns: int) -> list[OutputRecord]:
         name, sensor = station.name.lower(), airframe.sensor(station)
         changed: dict[str, Any] = {name: dataclasses.replace(sensor, rate_hz=rate_hz)}
         airframe = dataclasses.replace(airframe, **changed)
-        said.append(Notice(4, f"{name} comes at {rate_hz:.0f} Hz, not {sensor.rate_hz:.0f}: tracker restarted", now_ns))
+        text = f"{name} comes at {rate_hz:.0f} Hz, not {sensor.rate_hz:.0f}: tracker restarted"
+        said.append(Notice(Severity.WARNING, text, now_ns))
     if said:
         _rebuild(state, airframe)
     return said
@@ -210,7 +213,8 @@ def _adopt_alignment(state: PipelineState, clock: ClockName, now_ns: int) -> lis
         if sensor.source.clock is clock and sensor.time_offset_sigma_s < sigma_s:
             changed: dict[str, Any] = {name: dataclasses.replace(sensor, time_offset_sigma_s=sigma_s)}
             _rebuild(state, dataclasses.replace(state.airframe, **changed))
-    return [Notice(4, f"{clock} answers no TIMESYNC: aligned by motion, sigma {1e3 * sigma_s:.1f} ms", now_ns)]
+    text = f"{clock} answers no TIMESYNC: aligned by motion, sigma {1e3 * sigma_s:.1f} ms"
+    return [Notice(Severity.WARNING, text, now_ns)]
 
 
 def joined(batches: list[ImuBatch]) -> list[ImuBatch]:
@@ -246,7 +250,7 @@ def _on_restart(state: PipelineState, restart: ClockRestart) -> list[OutputRecor
     state.clocks.restart(restart)
     state.unsynced_nodes.restarted(restart.clock)
     state.tracker.restarted(_tips_on_clock(state.airframe, restart.clock))
-    return [Notice(4, f"{restart.clock} clock restarted; waiting for sync", restart.seen_host_ns)]
+    return [Notice(Severity.WARNING, f"{restart.clock} clock restarted; waiting for sync", restart.seen_host_ns)]
 
 
 def _tips_on_clock(airframe: Airframe, clock: ClockName) -> list[Station]:
@@ -271,7 +275,7 @@ def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter)
     fresh = filters.note_refusal(parameter.name, why)
     if why is not None:
         refused = Rejected(Reject.IMPLAUSIBLE, f"parameter {parameter.name}", at_ns)
-        return [refused, Notice(_WARNING, why, at_ns)] if fresh else [refused]
+        return [refused, Notice(Severity.WARNING, why, at_ns)] if fresh else [refused]
     before = (filters.gyro_delay_s, filters.stamp_shift_ns)
     if not filters.take(parameter.name, parameter.value):
         return []
@@ -280,11 +284,11 @@ def _on_autopilot_parameter(state: PipelineState, parameter: AutopilotParameter)
     if airframe != state.airframe:
         _rebuild(state, airframe)
         text = f"{parameter.name} is {parameter.value:g} Hz on the vehicle: tracker restarted with it"
-        said.append(Notice(4, text, at_ns))
+        said.append(Notice(Severity.WARNING, text, at_ns))
     if (filters.gyro_delay_s, filters.stamp_shift_ns) != before:
         delays_ms = f"rates {1e3 * filters.gyro_delay_s:.2f} ms, stamps {1e-6 * filters.stamp_shift_ns:+.2f} ms"
         text = f"{parameter.name} {parameter.value:g}: undone ({delays_ms})"
-        said.append(Notice(6, text, at_ns))
+        said.append(Notice(Severity.INFO, text, at_ns))
     return said
 
 
@@ -293,7 +297,7 @@ def _on_change(state: PipelineState, change: ParameterChange) -> list[OutputReco
         state.settings = state.settings.replace(change.name, change.value, flown=True)
     except ConfigError as error:  # of a damaged recording; live, the parameter server has checked it
         refused = Rejected(Reject.INCONSISTENT, f"parameter {change.name}", change.changed_host_ns)
-        return [refused, Notice(4, f"{error}: not used", change.changed_host_ns)]
+        return [refused, Notice(Severity.WARNING, f"{error}: not used", change.changed_host_ns)]
     state.tracker.adopt(state.settings)
     if state.scheduling is not None:
         state.scheduling.adopt(state.settings)
@@ -309,7 +313,7 @@ def _on_matches(state: PipelineState, matches: MatchSet) -> list[OutputRecord]:
     said: list[OutputRecord] = []
     if stamped:
         if not state.counters[_BY_PIN]:
-            said.append(Notice(6, f"{_BY_PIN}: its hot-shoe pin tells them best", matches.matched_host_ns))
+            said.append(Notice(Severity.INFO, f"{_BY_PIN}: its hot-shoe pin tells them best", matches.matched_host_ns))
         state.counters[_BY_PIN] += stamped
     stamps = state.scheduling.exposed(matches) if state.scheduling is not None else None
     return [*said, *state.correction.add(matches, stamps)]
@@ -377,7 +381,7 @@ def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
     return [
         *clocks,
         *([] if latency is None else [latency]),
-        *([] if say is None else [Notice(_WARNING, say, now_ns)]),
+        *([] if say is None else [Notice(Severity.WARNING, say, now_ns)]),
         ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items()))),
     ]
 

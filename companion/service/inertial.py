@@ -13,13 +13,12 @@ from companion.core.containment import contained
 from companion.core.pipeline import PipelineState
 from companion.errors import described
 from companion.ports import Autopilot, Clock, Recorder
+from companion.rate_limiter import RateLimiter
 from companion.records import (
-    ClockState,
     CorrectedRange,
     ModeState,
     NoRange,
     Notice,
-    ObstacleSectors,
     ParameterChange,
     Record,
     Reject,
@@ -31,12 +30,11 @@ from companion.records import (
     TriggerPlan,
 )
 from companion.service.pace import Overload, TickPace
+from companion.units import Severity
 
 TICK_NS = 10_000_000
 _POLL_S = 0.002
-_ERROR, _WARNING, _INFORMATION = 3, 4, 6
 _SECOND_NS = 1_000_000_000
-_PUBLISHED = (ClockState, CorrectedRange, NoRange, ObstacleSectors, ModeState, Notice, ServiceStatus)
 _SHOWN = (CorrectedRange, ModeState, Notice, ServiceStatus, TriggerPlan, NoRange, TriggerLatency)
 _UNFIRED = (Reject.PLAN_EXPIRED, Reject.DEVICE_FAILED)
 
@@ -78,7 +76,7 @@ class InertialLoop:
     alive: Callable[[int, str], object] = lambda _now_ns, _status: None
     status: str = ""
     next_tick_ns: int = 0
-    next_error_ns: int = 0
+    errors: RateLimiter = field(default_factory=lambda: RateLimiter(_SECOND_NS))
     outputs: list[Record] = field(default_factory=list)
     pace: TickPace = field(default_factory=TickPace)
     strains: dict[str, str] = field(default_factory=dict)
@@ -98,7 +96,7 @@ class InertialLoop:
                 self._handle(said)
         now_ns = self.clock.now_ns()
         for sentence in self.shots.warnings():
-            self._route(Notice(_WARNING, sentence, now_ns))
+            self._route(Notice(Severity.WARNING, sentence, now_ns))
         if now_ns >= self.next_tick_ns:
             self.next_tick_ns = max(self.next_tick_ns + TICK_NS, now_ns)
             self._handle(Tick(now_ns))
@@ -111,7 +109,7 @@ class InertialLoop:
         self.strains.pop(strain.who, None)
         if strain.text:
             self.strains[strain.who] = strain.text
-        self._route(Notice(_WARNING if strain.text else _INFORMATION, strain.sentence, self.clock.now_ns()))
+        self._route(Notice(Severity.WARNING if strain.text else Severity.INFO, strain.sentence, self.clock.now_ns()))
 
     def _handle(self, record: Record) -> None:
         if isinstance(record, Notice):  # the adapter's own words, for the operator and not for the estimation
@@ -136,8 +134,7 @@ class InertialLoop:
         if isinstance(output, TriggerPlan):
             self.shots.send(output)
             self.tell_vision(output)
-        if isinstance(output, _PUBLISHED):
-            self._publish(output)
+        self._publish(output)
         if isinstance(output, _SHOWN):
             self.show(output)
 
@@ -147,11 +144,10 @@ class InertialLoop:
             self.autopilot.publish(output)
         except Exception as error:  # whatever it is: the wing is tracked on
             now_ns = self.clock.now_ns()
-            if now_ns >= self.next_error_ns:
-                self.next_error_ns = now_ns + _SECOND_NS
+            if self.errors.take(now_ns):
                 name = type(output).__name__
                 text = f"internal error: {name} not sent: {described(error)}"
-                self._route(Notice(_ERROR, text, now_ns))
+                self._route(Notice(Severity.ERROR, text, now_ns))
 
 
 def run(loop: InertialLoop, stop: Event) -> None:

@@ -35,8 +35,7 @@ from companion.service import inertial, vision
 from companion.service.channel import Receiver, Sender, channel
 from companion.service.config import ServiceConfig
 from companion.service.supervisor import StandbyGate, Supervisor
-
-_WARNING = 4
+from companion.units import Severity
 
 
 class Service(Supervisor):
@@ -243,7 +242,7 @@ def _trigger_process(config: ServiceConfig, line: socket.socket, stop: Event) ->
 
 
 def _warning(sentence: str) -> Notice:
-    return Notice(_WARNING, sentence, MonotonicClock().now_ns())
+    return Notice(Severity.WARNING, sentence, MonotonicClock().now_ns())
 
 
 def _recorder_process(path: Path, about: About, ends: list[socket.socket], say: Sender, stop: Event) -> None:

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 from companion.params.airframe import Airframe
+from companion.units import Orientation
 from mission_scripts.common.convergence import Offset
 
-_NADIR = 25
 _PROVEN = 2.0
 
 
@@ -40,7 +40,7 @@ def advise(airframe: Airframe, offset: Offset) -> Advice:
             f"{1e3 * offset.toe_rad:+.2f} +- {1e3 * offset.sigma_rad:.2f} mrad is no proof of an offset: change nothing"
         )
         return Advice([same], {})
-    advice = _trim(airframe, offset) if airframe.orientation == _NADIR else _mounting(airframe, offset)
+    advice = _trim(airframe, offset) if airframe.orientation == Orientation.DOWN else _mounting(airframe, offset)
     if offset.scale_matters:
         advice.lines.append(
             f"and ranges are {offset.scale:.4f} +- {offset.scale_sigma:.4f} of what they should be: focal length or "

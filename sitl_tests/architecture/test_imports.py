@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ANY = frozenset({"*"})
-EVERYWHERE = frozenset({"units"})  # importable by every room
+EVERYWHERE = frozenset({"units", "rate_limiter"})  # importable by every room
 
 # what judges a flight or a paper: everything below it, and the reporting room
 _JUDGES = frozenset(
@@ -22,6 +22,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.records": (frozenset(), frozenset({"numpy"})),
     "companion.errors": (frozenset(), frozenset({"numpy"})),
     "companion.units": (frozenset(), frozenset()),
+    "companion.rate_limiter": (frozenset(), frozenset()),
     "companion.params": (frozenset({"params", "errors", "records"}), frozenset()),
     "companion.lifetime": (frozenset(), frozenset()),
     "companion.ports": (frozenset({"records", "errors"}), frozenset()),

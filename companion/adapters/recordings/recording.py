@@ -16,10 +16,9 @@ from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Notice, Station
+from companion.units import Severity
 
 _Kind = TypeVar("_Kind")
-WARNING = 4
-INFO = 6
 BATCH_NS = 20_000_000
 _GAP_RATIO = 2.5
 _FINEST_STEP_NS, _COARSEST_STEP_NS = 2e4, 2e8  # the rates that an airframe may have
@@ -145,7 +144,7 @@ class Notes:
 
     notices: list[Notice] = field(default_factory=list)
 
-    def add(self, text: str, at_host_ns: int = 0, severity: int = WARNING) -> None:
+    def add(self, text: str, at_host_ns: int = 0, severity: int = Severity.WARNING) -> None:
         """Append a notice unless it is there already."""
         if all(notice.text != text for notice in self.notices):
             self.notices.append(Notice(severity, text, at_host_ns))
@@ -163,7 +162,7 @@ class Notes:
         low, high = np.percentile(np.delete(steps, wide), (1, 99))
         if high - low > _JITTER_RATIO * usual:
             text = f"{name}: uneven steps, {low / 1e6:.2f} to {high / 1e6:.2f} ms (usual {usual / 1e6:.2f} ms)"
-            self.add(text, int(t_ns[0]), INFO)
+            self.add(text, int(t_ns[0]), Severity.INFO)
         if wide.size:
             longest = int(wide[np.argmax(steps[wide])])
             self.add(

@@ -32,6 +32,7 @@ from companion.records import (
     RelativeRotation,
     VehicleState,
 )
+from companion.units import Severity
 
 _QUEUE_DEPTH = 64
 _SLACK_MPS = 8.0
@@ -137,7 +138,7 @@ class Correction:
         if self.gate.jumped and self.settings.hold_slow:
             self._reopen()
         if self.drift_filter.verdict is MatchVerdict.KNOCKED:
-            yield Notice(4, _KNOCKED, now_host_ns)
+            yield Notice(Severity.WARNING, _KNOCKED, now_host_ns)
         if answer.sectors is not None and reason is None:
             yield answer.sectors
 

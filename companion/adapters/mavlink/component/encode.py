@@ -157,16 +157,21 @@ def named_value(name: str, value: float, time_boot_ms: int) -> Any | None:
     )
 
 
-def graph_values(record: ModeState | CorrectedRange) -> list[tuple[str, float]]:
-    """Give name and value of what is worth a graph; the names carry the unit."""
-    if isinstance(record, CorrectedRange):
-        return [("rng_sig_m", record.sigma_m), ("toe_mrad", record.toe_rad * 1e3), ("rigid_m", record.rigid_range_m)]
-    return [
+def range_graphs(record: CorrectedRange, time_boot_ms: int) -> list[Any | None]:
+    """NAMED_VALUE_FLOAT of a range's sigma (m), the correction's toe (mrad) and the range without it (m)."""
+    values = (("rng_sig_m", record.sigma_m), ("toe_mrad", record.toe_rad * 1e3), ("rigid_m", record.rigid_range_m))
+    return [named_value(name, value, time_boot_ms) for name, value in values]
+
+
+def mode_graphs(record: ModeState, time_boot_ms: int) -> list[Any | None]:
+    """NAMED_VALUE_FLOAT of the modal coordinates (mm at the tip), and of the symmetric mode's frequency and phase."""
+    values = (
         ("q_sym_mm", float(record.q_m[0]) * 1e3),
         ("q_anti_mm", float(record.q_m[1]) * 1e3),
         ("f_sym_hz", record.symmetric.frequency_hz),
         ("ph_sym_rad", record.symmetric.phase_rad),
-    ]
+    )
+    return [named_value(name, value, time_boot_ms) for name, value in values]
 
 
 def status_text(severity: int, text: str, identity: int) -> list[Any]:

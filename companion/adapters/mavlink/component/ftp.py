@@ -15,6 +15,7 @@ from typing import Any
 from companion.adapters.mavlink.decode.message_records import Heard
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.params.metadata import mavlink_crc32
+from companion.rate_limiter import RateLimiter
 
 _HEAD = struct.Struct("<HBBBBBBI")
 _DATA_BYTES = 239
@@ -60,7 +61,7 @@ class FileServer:
         self._component = component
         self._clients: dict[tuple[int, int], _Client] = {}
         self._waiting: deque[tuple[tuple[int, int], bytes]] = deque(maxlen=_MOST_WAITING)
-        self._sent_host_ns = -_PACE_NS
+        self._pace = RateLimiter(_PACE_NS)
 
     def hear(self, heard: Heard, system: int) -> None:
         """Take in a FILE_TRANSFER_PROTOCOL message; ``system`` is our own system id."""
@@ -80,12 +81,12 @@ class FileServer:
 
     def due(self, now_host_ns: int) -> Any | None:
         """The next message to send, if it is time for one."""
-        if now_host_ns - self._sent_host_ns < _PACE_NS:
+        if not self._pace.ready(now_host_ns):
             return None
         addressed = self._waiting.popleft() if self._waiting else self._next_burst()
         if addressed is None:
             return None
-        self._sent_host_ns = now_host_ns
+        self._pace.take(now_host_ns)
         (system, component), payload = addressed
         filled = list(payload.ljust(_PAYLOAD_BYTES, b"\0"))
         return mavlink.MAVLink_file_transfer_protocol_message(0, system, component, filled)

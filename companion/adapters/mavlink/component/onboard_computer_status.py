@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.mavlink.link.dialect import mavlink
+from companion.rate_limiter import RateLimiter
 
 _PERIOD_NS = 1_000_000_000
 _UNKNOWN_8, _UNKNOWN_TEMPERATURE, _UNKNOWN_16, _UNKNOWN_32 = 0xFF, 127, 32767, 0xFFFFFFFF
@@ -25,15 +26,12 @@ class OnboardComputerStatus:
 
     def __init__(self, root: Path = Path("/")) -> None:
         self._root = root
-        self._last_host_ns: int | None = None
+        self._limiter = RateLimiter(_PERIOD_NS)
         self._times: dict[str, tuple[int, int]] = {}
 
     def due(self, now_host_ns: int) -> Any | None:
         """The message, if it is time for one."""
-        if self._last_host_ns is not None and now_host_ns - self._last_host_ns < _PERIOD_NS:
-            return None
-        self._last_host_ns = now_host_ns
-        return self._message(now_host_ns)
+        return self._message(now_host_ns) if self._limiter.take(now_host_ns) else None
 
     def _message(self, now_host_ns: int) -> Any:
         load = self._load_percent()

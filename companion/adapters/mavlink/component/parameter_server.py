@@ -20,7 +20,9 @@ from companion.adapters.mavlink.decode.message_records import Heard
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.params.persist import decimal32
 from companion.params.settings import Settings, Tunable, tunables
+from companion.rate_limiter import RateLimiter
 from companion.records import Notice, ParameterChange
+from companion.units import Severity
 
 _SECOND_NS = 1_000_000_000
 _PACE_NS = 25_000_000
@@ -29,7 +31,6 @@ _GONE_NS = 10 * _SECOND_NS
 _ASKED_AGAIN_NS = 5 * _SECOND_NS
 _MOST_STATIONS = 16
 _MOST_EVENTS = 64
-_ERROR, _WARNING, _INFO = 3, 4, 6
 _REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 
 
@@ -96,7 +97,7 @@ class ParameterServer:
         self._changes: list[ParameterChange] = []
         self._notices: deque[Notice] = deque(maxlen=_MOST_EVENTS)
         self._stations: dict[tuple[int, int], _Station] = {}
-        self._sent_host_ns = -_PACE_NS
+        self._pace = RateLimiter(_PACE_NS)
 
     # ------------------------------------------------------------------------------------------ hearing
 
@@ -156,7 +157,7 @@ class ParameterServer:
             if message.target_component == self._component:
                 self.refused += 1
                 self._complain(heard, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
-                self._say(_WARNING, f"no parameter '{message.param_id}'", heard.received_host_ns)
+                self._say(Severity.WARNING, f"no parameter '{message.param_id}'", heard.received_host_ns)
             return
         row = self._rows[index]
         value = decimal32(message.param_value)
@@ -168,7 +169,7 @@ class ParameterServer:
             problem = None if clash is None else clash.text
         if problem is not None:
             self.refused += 1
-            self._say(_WARNING, problem, heard.received_host_ns)
+            self._say(Severity.WARNING, problem, heard.received_host_ns)
             self._complain(heard, mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)
         elif value != self._values[row.name]:
             self._accept(row, value, heard.received_host_ns)
@@ -181,7 +182,7 @@ class ParameterServer:
             self.settings = self.settings.replace(row.name, value)
             self._changes.append(ParameterChange(row.name, value, now_host_ns))
         else:
-            self._say(_INFO, f"{row.name} {value:g}: restart needed", now_host_ns)
+            self._say(Severity.INFO, f"{row.name} {value:g}: restart needed", now_host_ns)
         if self._store is not None:
             self._store.keep(dict(self._stored))
 
@@ -200,10 +201,9 @@ class ParameterServer:
     def due(self, now_host_ns: int) -> Any | None:
         """The next message to send, if it is time for one."""
         for problem in () if self._store is None else self._store.problems():
-            self._say(_ERROR, problem, now_host_ns)
-        if now_host_ns - self._sent_host_ns < _PACE_NS or not (self._errors or self._waiting):
+            self._say(Severity.ERROR, problem, now_host_ns)
+        if not (self._errors or self._waiting) or not self._pace.take(now_host_ns):
             return None
-        self._sent_host_ns = now_host_ns
         if self._errors:
             return self._errors.popleft()
         index = self._waiting.popleft()

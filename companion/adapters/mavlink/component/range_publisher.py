@@ -6,6 +6,7 @@ from typing import Any
 
 from companion.adapters.mavlink.component import encode
 from companion.params.settings import Settings
+from companion.rate_limiter import RateLimiter
 from companion.records import CorrectedRange, NoRange, ObstacleSectors
 from companion.units import Orientation
 
@@ -23,7 +24,7 @@ class RangePublisher:
     def __init__(self, settings: Settings, orientation: int) -> None:
         self._settings = settings
         self._forward = orientation == Orientation.FORWARD
-        self._sent_host_ns: dict[str, int] = {}
+        self._limiter = RateLimiter(0.0)
         self._trusted = False
         self._points_ms = 0
 
@@ -65,8 +66,4 @@ class RangePublisher:
         return encode.obstacle_points(record, stamp_ms)
 
     def _due(self, what: str, now_host_ns: int) -> bool:
-        last = self._sent_host_ns.get(what)
-        if last is not None and now_host_ns - last < _EARLY * 1e9 / self._settings.publish_rate_hz:
-            return False
-        self._sent_host_ns[what] = now_host_ns
-        return True
+        return self._limiter.take(now_host_ns, what, _EARLY * 1e9 / self._settings.publish_rate_hz)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from companion.records import Notice
+from companion.units import Severity
 
 _SECOND_NS = 1_000_000_000
 _REPEAT_NS = 10 * _SECOND_NS
 _REFILL_NS = _SECOND_NS
 _BURST = 8
 _RESERVED_FOR_ERRORS = 3
-_ERROR = 3
 _MOST_TEXTS = 64
 
 
@@ -42,7 +42,7 @@ class TextLimiter:
         if said is not None and 0 <= now - said.host_ns < _REPEAT_NS:
             self._hold(said)
             return None
-        if self._tokens < (1 if notice.severity <= _ERROR else 1 + _RESERVED_FOR_ERRORS):
+        if self._tokens < (1 if notice.severity <= Severity.ERROR else 1 + _RESERVED_FOR_ERRORS):
             self._hold(said)
             return None
         self._tokens -= 1

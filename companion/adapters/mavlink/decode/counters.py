@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from companion.rate_limiter import RateLimiter
 from companion.records import Reject, Rejected
 
 _PERIOD_NS = 1_000_000_000
@@ -14,7 +15,6 @@ _MOST_KINDS = 64
 class _Count:
     total: int = 0
     unreported: int = 0
-    reported_host_ns: int | None = None
 
 
 class RefusalCounters:
@@ -22,6 +22,7 @@ class RefusalCounters:
 
     def __init__(self) -> None:
         self._counts: dict[tuple[Reject, str], _Count] = {}
+        self._reports = RateLimiter(_PERIOD_NS)
 
     def add(self, reason: Reject, what: str, count: int = 1) -> None:
         """Count ``count`` refusals."""
@@ -36,10 +37,9 @@ class RefusalCounters:
         """Give the reports that are due."""
         reports = []
         for (reason, what), entry in self._counts.items():
-            last = entry.reported_host_ns
-            if entry.unreported and (last is None or now_host_ns - last >= _PERIOD_NS):
+            if entry.unreported and self._reports.take(now_host_ns, (reason, what)):
                 reports.append(Rejected(reason, what, now_host_ns, entry.unreported))
-                entry.unreported, entry.reported_host_ns = 0, now_host_ns
+                entry.unreported = 0
         return reports
 
     def totals(self) -> dict[Reject, int]:

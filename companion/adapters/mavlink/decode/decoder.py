@@ -27,6 +27,7 @@ from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockResetDe
 from companion.errors import described
 from companion.params.airframe import Airframe
 from companion.records import ClockRestart, ImuBatch, Notice, RawChunk, Record, Reject
+from companion.units import Severity
 
 OUTGOING = 128
 """Added to the link number of chunks that we sent."""
@@ -55,7 +56,6 @@ _RARE_NAMES = (
     "VFR_HUD",
 )
 RARE = frozenset(ID_OF[name] for name in _RARE_NAMES)
-_ERROR = 3
 _TUNNEL = ID_OF["TUNNEL"]
 _TUNNEL_KIND = TUNNEL_IMU_TYPE.to_bytes(2, "little")
 
@@ -140,7 +140,7 @@ class Decoder:
             due = self.refusals.due(chunk.received_host_ns)
             if any(refused.reason is Reject.INTERNAL_ERROR for refused in due):  # at most once a second
                 text = f"internal error: bytes of link {chunk.link} refused: {described(error)}"
-                return Decoded([*due, Notice(_ERROR, text, chunk.received_host_ns)])
+                return Decoded([*due, Notice(Severity.ERROR, text, chunk.received_host_ns)])
             return Decoded([*due])
 
     def _decode(self, chunk: RawChunk) -> Decoded:

@@ -32,7 +32,9 @@ from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.errors import ConfigError
 from companion.params.persist import write_atomically
 from companion.ports import Clock
+from companion.rate_limiter import RateLimiter
 from companion.records import Notice
+from companion.units import Severity
 
 _MAGIC_2 = 0xFD
 _SIGNED = 0x01
@@ -47,7 +49,6 @@ _EPOCH_S = 1_420_070_400  # 2015-01-01
 _LARGEST = (1 << 48) - 1
 _MOST_STREAMS = 1024
 _SAY_PERIOD_NS = 10_000_000_000
-_WARNING = 4
 
 
 class Refusal(enum.StrEnum):
@@ -103,11 +104,11 @@ class Signing:
         self._save = save
         self._base = timestamp
         self._base_host_ns = clock.now_ns()
-        self._saved_host_ns: int | None = None
+        self._saves = RateLimiter(_SAVE_PERIOD_NS)
         self._last_sent = 0
         self._streams: dict[StreamKey, int] = {} if saved is None else dict(saved.streams)
         self._floor = 0 if saved is None else saved.sent
-        self._said_host_ns: int | None = None
+        self._warnings = RateLimiter(_SAY_PERIOD_NS)
         self._reported: Counter[Refusal] = Counter()
 
     def now(self) -> int:
@@ -156,20 +157,18 @@ class Signing:
         return hashlib.sha256(self._secret + signed).digest()[:6]
 
     def _keep(self) -> None:
-        now_ns = self._clock.now_ns()
-        if self._save is None or (self._saved_host_ns is not None and now_ns - self._saved_host_ns < _SAVE_PERIOD_NS):
+        if self._save is None or not self._saves.take(self._clock.now_ns()):
             return
-        self._saved_host_ns = now_ns
         self._save(SigningTime(max(self.now(), self._last_sent), dict(self._streams)))
 
     def notices(self, now_host_ns: int) -> list[Notice]:
         """A sentence about what was refused since the last one, at most every 10 s."""
         fresh = self.refused - self._reported
-        if not fresh or (self._said_host_ns is not None and now_host_ns - self._said_host_ns < _SAY_PERIOD_NS):
+        if not fresh or not self._warnings.take(now_host_ns):
             return []
-        self._said_host_ns, self._reported = now_host_ns, Counter(self.refused)
+        self._reported = Counter(self.refused)
         parts = ", ".join(f"{count} {reason}" for reason, count in sorted(fresh.items()))
-        return [Notice(_WARNING, f"signing refused {parts}", now_host_ns)]
+        return [Notice(Severity.WARNING, f"signing refused {parts}", now_host_ns)]
 
 
 class Carrier(Protocol):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from companion.rate_limiter import RateLimiter
 from companion.records import Notice
+from companion.units import Severity
 
 _PATIENCE_NS = 3_000_000_000
 _REPEAT_NS = 30_000_000_000
-_WARNING = 4
 _MOST_NAMED = 8  # a flood of invented senders must take no memory, and a sentence names no more
 
 
@@ -28,7 +29,7 @@ class Absence:
     def __init__(self) -> None:
         self._others: dict[tuple[int, int], None] = {}
         self._began_host_ns: int | None = None
-        self._said_host_ns: int | None = None
+        self._limiter = RateLimiter(_REPEAT_NS)
         self._text = ""
 
     def beat(self, system: int, component: int) -> None:
@@ -43,10 +44,12 @@ class Absence:
         if now_host_ns - self._began_host_ns < _PATIENCE_NS:
             return None
         text = absence_text(self._others, junk=junk)
-        if text == self._text and self._said_host_ns is not None and now_host_ns - self._said_host_ns < _REPEAT_NS:
+        if text != self._text:
+            self._limiter.reset()
+        if not self._limiter.take(now_host_ns):
             return None
-        self._text, self._said_host_ns = text, now_host_ns
-        return Notice(_WARNING, text, now_host_ns)
+        self._text = text
+        return Notice(Severity.WARNING, text, now_host_ns)
 
     def is_absence_notice(self, notice: Notice) -> bool:
         """Whether this is such a complaint: of no use to who hears it once the autopilot is there."""

@@ -10,6 +10,7 @@ from typing import Any
 
 from companion.adapters.mavlink.component import encode
 from companion.adapters.mavlink.component.component import OnboardComponent
+from companion.adapters.mavlink.component.message_outputs import OutputPublisher
 from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.component.range_publisher import RangePublisher
 from companion.adapters.mavlink.decode.decoder import OUTGOING, Decoded, Decoder
@@ -26,6 +27,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.params.vehicle import implausible
 from companion.ports import Clock
+from companion.rate_limiter import RateLimiter
 from companion.records import (
     AutopilotParameter,
     ClockName,
@@ -47,6 +49,7 @@ from companion.records import (
     TimesyncReply,
     Validity,
 )
+from companion.units import Severity
 
 _SECOND_NS = 1_000_000_000
 _STATE_RATE_HZ = 20.0
@@ -54,7 +57,6 @@ _KNOCK_SYSTEM = 1
 _MOST_ANSWERS = 16
 _MOST_HELD = 16
 _MOST_OTHERS = 8
-_WARNING = 4
 
 
 class MavlinkAutopilot:
@@ -116,8 +118,8 @@ class MavlinkAutopilot:
         self.rates = RateKeeper(self._wanted_rates(settings), self.decoder.mapping.messages)
         modes = (airframe.wing.symmetric, airframe.wing.antisymmetric)
         self.rates.mode(max(mode.frequency_hz.value for mode in modes))
-        self._heartbeat_host_ns: int | None = None
-        self._verified_host_ns = 0
+        self._heartbeats = RateLimiter(_SECOND_NS)
+        self._verifications = RateLimiter(_SECOND_NS)
         self._read_host_ns = 0
         self._boot_offset_ns = 0
         self._ranges = RangePublisher(settings, airframe.orientation)
@@ -125,7 +127,7 @@ class MavlinkAutopilot:
         self._absence = Absence()
         self._others: set[int | None] = set()  # further autopilots of which the operator knows
         self._held: deque[Notice] = deque(maxlen=_MOST_HELD)  # until somebody is there to read them
-        self._graphed_host_ns: dict[type, int] = {}
+        self._outputs = OutputPublisher()
 
     def _wanted_rates(self, settings: Settings) -> dict[int, float]:
         wanted = {ID_OF["ATTITUDE"]: _STATE_RATE_HZ, ID_OF["VFR_HUD"]: _STATE_RATE_HZ}
@@ -171,13 +173,13 @@ class MavlinkAutopilot:
         """Say that another autopilot is there too, once for each, and that the served one has changed."""
         now_served = self.decoder.system_id
         if served not in (None, now_served):
-            yield Notice(_WARNING, f"autopilot {served}/1 is silent: serving {now_served}/1 now", now_host_ns)
+            yield Notice(Severity.WARNING, f"autopilot {served}/1 is silent: serving {now_served}/1 now", now_host_ns)
             self._others |= {served}
         for system in sorted(self.decoder.other_systems - self._others)[:_MOST_OTHERS]:
             self._others |= {system}
             if now_served is not None and len(self._others) <= _MOST_OTHERS:
                 text = f"autopilot {system}/1 is heard too: serving {now_served}/1 (SW_SYSID chooses)"
-                yield Notice(_WARNING, text, now_host_ns)
+                yield Notice(Severity.WARNING, text, now_host_ns)
 
     def _refusals(self) -> Iterator[Record]:
         for link in self._links:
@@ -273,8 +275,7 @@ class MavlinkAutopilot:
             self._packer.srcSystem = system
             while self._held:
                 self._tell(dataclasses.replace(self._held.popleft(), at_host_ns=now_host_ns))
-        if self._heartbeat_host_ns is None or now_host_ns - self._heartbeat_host_ns >= _SECOND_NS:
-            self._heartbeat_host_ns = now_host_ns
+        if self._heartbeats.take(now_host_ns):
             for link in self._links:
                 if system is not None or link.knocks:
                     self._send(encode.heartbeat(self.health), link.number)
@@ -290,8 +291,7 @@ class MavlinkAutopilot:
         name = self._parameters.due(now_host_ns)
         if name is not None:
             self._send(mavlink.MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode(), -1))
-        if now_host_ns - self._verified_host_ns >= _SECOND_NS:
-            self._verified_host_ns = now_host_ns
+        if self._verifications.take(now_host_ns):
             delivered = self.decoder.delivered
             counts = {message: n for (message, component), n in delivered.items() if component == AUTOPILOT_COMPONENT}
             self.rates.verify(counts, now_host_ns)
@@ -332,8 +332,11 @@ class MavlinkAutopilot:
             self._boot_offset_ns = record.offset_ns
         if isinstance(record, ModeState) and record.validity is Validity.TRACKING:
             self.rates.mode(max(record.symmetric.frequency_hz, record.antisymmetric.frequency_hz))
-        if isinstance(record, ModeState | CorrectedRange):
-            self._graph(record)
+        for message in self._outputs.messages(record, self._settings, self._boot_offset_ns):
+            if message is None:
+                self.refused += 1
+            else:
+                self._send(message)
 
     def _tell(self, notice: Notice) -> None:
         text = self.component.texts.admit(notice)
@@ -346,22 +349,6 @@ class MavlinkAutopilot:
         """Use changed live settings from now on."""
         self._settings = settings
         self._ranges.adopt(settings)
-
-    def _graph(self, record: ModeState | CorrectedRange) -> None:
-        rate_hz, last = self._settings.debug_rate_hz, self._graphed_host_ns.get(type(record))
-        if rate_hz <= 0 or (last is not None and record.t_host_ns - last < _SECOND_NS / rate_hz):
-            return
-        self._graphed_host_ns[type(record)] = record.t_host_ns
-        for name, value in encode.graph_values(record):
-            self.publish_value(name, value, record.t_host_ns)
-
-    def publish_value(self, name: str, value: float, t_host_ns: int) -> None:
-        """Send a number for graphs; one that is not finite is counted as refused and not sent."""
-        message = encode.named_value(name, value, self._boot_ms(t_host_ns))
-        if message is None:
-            self.refused += 1
-        else:
-            self._send(message)
 
     def command(self, command: int, *parameters: float) -> None:
         """Send a COMMAND_LONG to the autopilot; parameters that are left out are 0."""
@@ -380,9 +367,6 @@ class MavlinkAutopilot:
         self.component.close()
         for link in self._links:
             link.close()
-
-    def _boot_ms(self, t_host_ns: int) -> int:
-        return (t_host_ns + self._boot_offset_ns) // 1_000_000
 
     def _send(self, message: Any, number: int | None = None) -> None:
         if not encode.sendable(message):

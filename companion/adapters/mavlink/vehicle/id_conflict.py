@@ -10,13 +10,14 @@ from collections import deque
 
 from companion.adapters.mavlink.decode.message_records import Echo
 from companion.adapters.mavlink.link.dialect import NAME_OF
+from companion.rate_limiter import RateLimiter
 from companion.records import Notice
+from companion.units import Severity
 
 _REMEMBERED = 512
 _CONFIRMATIONS = 3
 _WINDOW_NS = 10_000_000_000
 _REPEAT_NS = 30_000_000_000
-_ERROR = 3
 
 
 class IdConflictDetector:
@@ -26,7 +27,7 @@ class IdConflictDetector:
         self.foreign = 0
         self._sent: dict[tuple[int, bytes], None] = {}  # in order of sending; looked up at once, in a flood too
         self._foreign_host_ns: deque[int] = deque(maxlen=_CONFIRMATIONS)
-        self._said_host_ns: int | None = None
+        self._warnings = RateLimiter(_REPEAT_NS)
 
     def sent(self, message: int, payload: bytes) -> None:
         """Take note of a frame of ours."""
@@ -46,8 +47,7 @@ class IdConflictDetector:
         # one strange frame may be our own from before a restart, still on its way through a router
         if len(self._foreign_host_ns) < _CONFIRMATIONS or now - self._foreign_host_ns[0] > _WINDOW_NS:
             return None
-        if self._said_host_ns is not None and now - self._said_host_ns < _REPEAT_NS:
+        if not self._warnings.take(now):
             return None
-        self._said_host_ns = now
         text = f"id {echo.system}/{echo.component} is used twice ({NAME_OF[echo.message]}): set SW_COMPID"
-        return Notice(_ERROR, text, now)
+        return Notice(Severity.ERROR, text, now)

@@ -13,7 +13,9 @@ from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 from companion.adapters.mavlink.link.dialect import NAME_OF, mavlink
+from companion.rate_limiter import RateLimiter
 from companion.records import Notice
+from companion.units import Severity
 
 _SECOND_NS = 1_000_000_000
 _ACK_TIMEOUT_NS = 300_000_000
@@ -26,7 +28,6 @@ _SLOWER = 1.25
 _SLOWEST_US = 200_000
 _SLOW_VERDICTS = 3
 _SLOW_REPEAT_NS = 60 * _SECOND_NS
-_WARNING, _INFO = 4, 6
 SAMPLES_PER_PERIOD = 10.0
 """Samples that the tracker wants of every period of the fastest mode."""
 
@@ -45,7 +46,6 @@ class _RequestedRate:
     counted: int = 0
     counted_host_ns: int = 0
     slow: int = 0
-    slow_said_host_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +89,7 @@ class RateKeeper:
         self._loop_rate_hz: float | None = None
         self._integration_rate_hz: float | None = None
         self._notices: deque[Notice] = deque(maxlen=32)
+        self._slow_warnings = RateLimiter(_SLOW_REPEAT_NS)
         self.delivered_hz: dict[int, float] = {}
 
     def restart(self, now_host_ns: int) -> None:
@@ -138,7 +139,9 @@ class RateKeeper:
             self._reduce(entry, now_host_ns)
         else:
             entry.ask_at_host_ns = now_host_ns + _REFUSED_PAUSE_NS
-            self._say(_WARNING, f"{NAME_OF[entry.message]}: autopilot cannot send it (result {result})", now_host_ns)
+            self._say(
+                Severity.WARNING, f"{NAME_OF[entry.message]}: autopilot cannot send it (result {result})", now_host_ns
+            )
 
     def verify(self, delivered: Mapping[int, int], now_host_ns: int) -> None:
         """Compare what has come (running counts by message id) with what was granted; call about once a second."""
@@ -174,20 +177,20 @@ class RateKeeper:
         entry.pause_ns = min(2 * entry.pause_ns, _LONGEST_PAUSE_NS)
         if entry.fallen in (1, 3):
             text = f"{NAME_OF[entry.message]} comes at {rate_hz:.0f}, not {granted_hz:.0f} Hz: "
-            self._say(_WARNING, text + (self._remedy(granted_hz) if entry.fallen > 1 else "asking again"), now_host_ns)
+            self._say(
+                Severity.WARNING, text + (self._remedy(granted_hz) if entry.fallen > 1 else "asking again"), now_host_ns
+            )
 
     def _judge_mode(self, entry: _RequestedRate, rate_hz: float, now_host_ns: int) -> None:
         """Say, and once a minute again, that what comes is too little for the mode, and what to change to what."""
         needed_hz = SAMPLES_PER_PERIOD * self._mode_hz
         entry.slow = entry.slow + 1 if 0 < rate_hz < needed_hz else 0  # silence is told elsewhere
-        last = entry.slow_said_host_ns
-        if entry.slow < _SLOW_VERDICTS or (last is not None and now_host_ns - last < _SLOW_REPEAT_NS):
+        if entry.slow < _SLOW_VERDICTS or not self._slow_warnings.take(now_host_ns, entry.message):
             return
-        entry.slow_said_host_ns = now_host_ns
         wanted_hz = 1e6 / entry.wanted_us
         remedy = self._remedy(needed_hz) if wanted_hz >= needed_hz else f"set IMU_RATE {math.ceil(needed_hz)}, restart"
         text = f"{NAME_OF[entry.message]} {rate_hz:.0f} Hz, {self._mode_hz:.1f} Hz mode needs {needed_hz:.0f}: {remedy}"
-        self._say(_WARNING, text, now_host_ns)
+        self._say(Severity.WARNING, text, now_host_ns)
 
     def _reduce(self, entry: _RequestedRate, now_host_ns: int) -> None:
         slower_us = math.ceil(entry.granted_us * _SLOWER / 1000.0) * 1000
@@ -196,7 +199,7 @@ class RateKeeper:
         if entry.granted_us == entry.wanted_us:
             wanted_hz = 1e6 / entry.wanted_us
             text = f"{NAME_OF[entry.message]} at {wanted_hz:.0f} Hz denied: {self._remedy(wanted_hz)}"
-            self._say(_WARNING, text, now_host_ns)
+            self._say(Severity.WARNING, text, now_host_ns)
         entry.granted_us, entry.ask_at_host_ns, entry.tries = min(slower_us, _SLOWEST_US), now_host_ns, 0
 
     def _remedy(self, rate_hz: float) -> str:

@@ -6,7 +6,9 @@ from collections import Counter, deque
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
+from companion.rate_limiter import RateLimiter
 from companion.records import ClockRestart, Notice, Record, Reject, Rejected
+from companion.units import Severity
 
 Address = tuple[str, int]
 Key = tuple[int, int]
@@ -17,7 +19,6 @@ _CONFIRMATIONS = 3
 _REPEAT_NS = 30_000_000_000
 _REPORT_NS = 1_000_000_000
 _WINDOW_NS = 10_000_000_000
-_ERROR = 3
 
 
 @dataclass(slots=True)
@@ -49,8 +50,8 @@ class Senders:
         self._places: dict[Key, _Place] = {}
         self._refused: Counter[tuple[Key, Address]] = Counter()
         self._foreign: Counter[tuple[Key, Address]] = Counter()
-        self._said_host_ns: dict[Key, int] = {}
-        self._reported_host_ns = 0
+        self._counts = RateLimiter(_REPORT_NS)
+        self._warnings = RateLimiter(_REPEAT_NS)
 
     def guards(self, key: Key) -> bool:
         """Whether this id is one that matters."""
@@ -82,19 +83,16 @@ class Senders:
 
     def refusals(self, now_host_ns: int) -> list[Notice | Rejected]:
         """What was refused, once a second, and a sentence for each id, at most every 30 s."""
-        if not self._refused or now_host_ns - self._reported_host_ns < _REPORT_NS:
+        if not self._refused or not self._counts.take(now_host_ns):
             return []
-        self._reported_host_ns = now_host_ns
         notices: list[Notice | Rejected] = []
         for (key, address), count in self._refused.items():
             name, where = f"{key[0]}/{key[1]}", f"{address[0]}:{address[1]}"
             notices.append(Rejected(Reject.FOREIGN_SOURCE, f"second sender of {name}", now_host_ns, count))
-            said = self._said_host_ns.get(key)
-            if self._foreign[key, address] >= _CONFIRMATIONS and (said is None or now_host_ns - said >= _REPEAT_NS):
-                self._said_host_ns[key] = now_host_ns
+            if self._foreign[key, address] >= _CONFIRMATIONS and self._warnings.take(now_host_ns, key):
                 first = self._places[key].address
                 text = f"id {name} is used twice: {where} is refused, {first[0]}:{first[1]} came first"
-                notices.append(Notice(_ERROR, text, now_host_ns))
+                notices.append(Notice(Severity.ERROR, text, now_host_ns))
         self._refused.clear()
         if len(self._foreign) > _COPIES:
             self._foreign.clear()
@@ -109,7 +107,7 @@ class ClockConflictDetector:
 
     def __init__(self) -> None:
         self._backward_host_ns: dict[str, deque[int]] = {}
-        self._said_host_ns: dict[str, int] = {}
+        self._warnings = RateLimiter(_REPEAT_NS)
 
     def hear(self, record: Record) -> Notice | None:
         """Look at what the decoder gave; a sentence when the stamps of one source went back in three seconds of ten."""
@@ -122,10 +120,8 @@ class ClockConflictDetector:
         backward_host_ns = self._backward_host_ns.setdefault(what, deque(maxlen=_CONFIRMATIONS))
         if not backward_host_ns or now_host_ns - backward_host_ns[-1] >= _REPORT_NS:
             backward_host_ns.append(now_host_ns)
-        said = self._said_host_ns.get(what)
         if len(backward_host_ns) < _CONFIRMATIONS or now_host_ns - backward_host_ns[0] > _WINDOW_NS:
             return None
-        if said is not None and now_host_ns - said < _REPEAT_NS:
+        if not self._warnings.take(now_host_ns, what):
             return None
-        self._said_host_ns[what] = now_host_ns
-        return Notice(_ERROR, f"{what}: time goes back again and again: two senders with one id?", now_host_ns)
+        return Notice(Severity.ERROR, f"{what}: time goes back again and again: two senders with one id?", now_host_ns)

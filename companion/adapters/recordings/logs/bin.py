@@ -18,11 +18,12 @@ import numpy as np
 from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT, MappedSource, build_mapping
 from companion.adapters.recordings.logs.dataflash import DataflashLog
-from companion.adapters.recordings.recording import INFO, InertialStream, LoggedRecording, join, merge, rate_of, timed
+from companion.adapters.recordings.recording import InertialStream, LoggedRecording, join, merge, rate_of, timed
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
 from companion.params.vehicle import implausible
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
+from companion.units import Severity
 
 _IMU_OF_MESSAGE = {"RAW_IMU": 0, "HIGHRES_IMU": 0, "SCALED_IMU": 0, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
 
@@ -105,7 +106,7 @@ class BinRecording(LoggedRecording):
     def _say_what_is_wrong(self) -> None:
         if self.log.cut_bytes:
             text = f"{self.path.name}: truncated: the last {self.log.cut_bytes} bytes are no whole message, left out"
-            self.notes.add(text, severity=INFO)
+            self.notes.add(text, severity=Severity.INFO)
         if self.log.skipped_bytes:
             self.notes.add(f"{self.path.name}: {self.log.skipped_bytes} bytes are no messages (damage), skipped")
         dropped = self.log.take("DSF", "Dp").get("Dp")

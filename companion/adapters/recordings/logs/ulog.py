@@ -19,10 +19,11 @@ from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
 from companion.adapters.mavlink.decode.source_map import MappedSource, build_mapping
 from companion.adapters.recordings.logs.bin import as_floats, imu_of, in_body
 from companion.adapters.recordings.logs.ulog_messages import UlogMessages
-from companion.adapters.recordings.recording import INFO, InertialStream, LoggedRecording, join, merge, rate_of, timed
+from companion.adapters.recordings.recording import InertialStream, LoggedRecording, join, merge, rate_of, timed
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
+from companion.units import Severity
 
 _LEAST_RATE_HZ = 50.0
 _NO_TIME = 0x7FFFFFFF
@@ -150,7 +151,7 @@ class UlogRecording(LoggedRecording):
             self.notes.add(f"{self.path.name}: {self._log.damaged_bytes} bytes are damaged and were left out")
         if self._log.cut_bytes:
             text = f"{self.path.name}: truncated: the last {self._log.cut_bytes} bytes are no whole message, left out"
-            self.notes.add(text, severity=INFO)
+            self.notes.add(text, severity=Severity.INFO)
 
     def _parameters(self) -> Iterator[tuple[int, AutopilotParameter]]:
         for t_us, name, value in self._log.parameters:

@@ -25,13 +25,14 @@ from companion.adapters.recordings.mcap.channels import IMAGE_SCHEMA, KINDS, Rec
 from companion.adapters.recordings.mcap.codec import loads
 from companion.adapters.recordings.mcap.images import ImageFormat
 from companion.adapters.recordings.mcap.writer import FORMAT_VERSION
-from companion.adapters.recordings.recording import INFO, Notes
+from companion.adapters.recordings.recording import Notes
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe, parse_airframe
 from companion.params.settings import Settings, tunables
 from companion.params.toml import parse_toml, settings_of
 from companion.records import ClockName, Frame, FramePair, Notice, Side
+from companion.units import Severity
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9
@@ -220,7 +221,7 @@ class McapRecording:
         for row in tunables():
             problem = row.check(getattr(self.settings, row.attribute))
             if problem is not None:
-                self._notes.add(f"{self.path.name}: {problem}; replayed as flown", severity=INFO)
+                self._notes.add(f"{self.path.name}: {problem}; replayed as flown", severity=Severity.INFO)
         if self.cut:
             last = self._segments[-1]
             start_ns, end_ns = self.span_ns()

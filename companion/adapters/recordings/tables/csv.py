@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.recording import INFO, InertialStream, LoggedRecording, join, merge, rate_of, timed
+from companion.adapters.recordings.recording import InertialStream, LoggedRecording, join, merge, rate_of, timed
 from companion.adapters.recordings.tables.number_table import read_table
 from companion.adapters.recordings.tables.stamps import without_rounding
 from companion.adapters.recordings.tables.units import ACCELERATION, ANGULAR_RATE, has_unit, input_in_si
 from companion.errors import RecordingError, TableError
 from companion.params.airframe import Airframe, Sensor
 from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, Station
+from companion.units import Severity
 
 _PLACES = {station.name.lower(): station for station in Station}
 _LETTERS = "xyzpqr"
@@ -102,7 +103,7 @@ class CsvRecording(LoggedRecording):
         place = file.stem.removeprefix("accel").lstrip("_")
         t_s, rounded = without_rounding(table.columns["t_s"])
         if rounded:
-            self.notes.add(f"{file}: {rounded}", severity=INFO)
+            self.notes.add(f"{file}: {rounded}", severity=Severity.INFO)
         stations: dict[Station, list[tuple[int, Floats]]] = {}
         for name, values in table.columns.items():
             column = inertial_column(file, name, place)

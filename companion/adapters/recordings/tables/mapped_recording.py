@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.recordings.recording import INFO, InertialStream, LoggedRecording, merge, timed
+from companion.adapters.recordings.recording import InertialStream, LoggedRecording, merge, timed
 from companion.adapters.recordings.tables.csv import (
     Covariate,
     RangeTable,
@@ -25,6 +25,7 @@ from companion.adapters.recordings.tables.stamps import without_rounding
 from companion.errors import TableError
 from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, ImuBatch, Station
+from companion.units import Severity
 
 
 class MappedRecording(LoggedRecording):
@@ -45,7 +46,7 @@ class MappedRecording(LoggedRecording):
         for note in table.notes:
             self.notes.add(note)
         if rounded:
-            self.notes.add(f"{path}: {rounded}", severity=INFO)
+            self.notes.add(f"{path}: {rounded}", severity=Severity.INFO)
         self.covariates: dict[str, Covariate] = {}
         self.streams = tuple(self._streams(table, mapping))
         self.ranges = _ranges(table)

@@ -1,0 +1,62 @@
+"""Messages made of output records: a table of which record becomes which MAVLink messages, and at most how often.
+
+To publish another message, write its encoder and add a row to :data:`OUTPUTS`. Ranges and obstacles, whose change goes
+out at once and whose stamps must advance, have a publisher of their own
+(:mod:`companion.adapters.mavlink.component.range_publisher`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from companion.adapters.mavlink.component import encode
+from companion.params.settings import Settings
+from companion.rate_limiter import RateLimiter
+from companion.records import CorrectedRange, ModeState, Record
+
+_SECOND_NS = 1_000_000_000  # by definition
+
+
+@dataclass(frozen=True, slots=True)
+class MessageOutput:
+    """One row: MAVLink messages made of one kind of output record.
+
+    Attributes
+    ----------
+    record : type
+        Kind of record, of :data:`companion.records.OutputRecord`; it is stamped ``t_host_ns`` or ``at_host_ns``.
+    encode : callable
+        (record, time_boot_ms) to pymavlink messages in wire units; None in the place of one that cannot be said.
+    rate_hz : callable
+        Settings to the largest rate; 0 sends nothing.
+    """
+
+    record: type
+    encode: Callable[[Any, int], Iterable[Any | None]]
+    rate_hz: Callable[[Settings], float]
+
+
+OUTPUTS: tuple[MessageOutput, ...] = (
+    MessageOutput(ModeState, encode.mode_graphs, lambda settings: settings.debug_rate_hz),
+    MessageOutput(CorrectedRange, encode.range_graphs, lambda settings: settings.debug_rate_hz),
+)
+
+
+class OutputPublisher:
+    """Encodes the records of one vehicle by :data:`OUTPUTS`, each row at its rate."""
+
+    def __init__(self, outputs: tuple[MessageOutput, ...] = OUTPUTS) -> None:
+        self._outputs = outputs
+        self._limiter = RateLimiter(_SECOND_NS)
+
+    def messages(self, record: Record, settings: Settings, boot_offset_ns: int) -> Iterator[Any | None]:
+        """Messages of a record; ``boot_offset_ns`` is boot time less host time."""
+        for row, output in enumerate(self._outputs):
+            rate_hz = output.rate_hz(settings) if isinstance(record, output.record) else 0.0
+            if rate_hz <= 0:
+                continue
+            t_host_ns = int(getattr(record, "t_host_ns", getattr(record, "at_host_ns", 0)))
+            if self._limiter.take(t_host_ns, row, _SECOND_NS / rate_hz):
+                yield from output.encode(record, (t_host_ns + boot_offset_ns) // 1_000_000)
