@@ -43,7 +43,6 @@ PENDING = (
     "companion/core/kernels/",
     "companion/core/tracking/",
     "companion/core/wing/effect",
-    "companion/core/wing/folding.py",
     "companion/diagnosis/",
     "companion/doctor/",
     "companion/evaluation/",
