@@ -71,3 +71,7 @@ def described(error: Exception) -> str:
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     said = " ".join(str(error).split())[:_LONGEST_TEXT]
     return f"{type(error).__name__}{': ' if said else ''}{said}{where}"
+
+
+NOTHING_TO_ESTIMATE = 3  # exit code of a command that ended well without a mode, a range or a cause; see the README
+TO_FIX = 4  # exit code of the doctor where the vehicle wants a change; see the README

@@ -12,7 +12,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.demo_realtime import fly_in_real_time
 from companion.cli.steps.lockstep import LockStepService
 from companion.cli.steps.numbers import seconds, seed
@@ -21,7 +20,7 @@ from companion.cli.terminal.demo_tables import print_summary
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View, live_view_possible
 from companion.core.warmup import warm_up
-from companion.errors import ConfigError
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.evaluation.flight_evaluation import debrief
 from companion.evaluation.pages.demo_picture import draw
 from companion.evaluation.rendered_shots import Stage

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.recordings.tables.mapping import TestKind, load_mapping
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.effect_list import add_effect_list
 from companion.cli.steps.numbers import whole
 from companion.cli.steps.options import check_output
@@ -18,6 +17,7 @@ from companion.diagnosis.json_report import as_json, sentence
 from companion.diagnosis.selection.search import diagnose
 from companion.diagnosis.selection.verdict import Diagnosis, Verdict
 from companion.diagnosis.summary import summary_sentences
+from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation import measured_structures, sampling_check
 from companion.evaluation.extended_airframe import extended
 from companion.evaluation.flight_models import models_of

@@ -15,7 +15,6 @@ from pathlib import Path
 from companion.adapters.clocks import MonotonicClock
 from companion.adapters.mavlink.link.link import open_link
 from companion.adapters.mavlink.link.signing import load_signing
-from companion.cli.exit_codes import TO_FIX
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings
 from companion.doctor.evidence import Evidence, Finding, Fix, Level
@@ -25,6 +24,7 @@ from companion.doctor.parameters import check_parameters
 from companion.doctor.ranging import check_ranging
 from companion.doctor.timing import check_clocks, check_filters, check_rates
 from companion.doctor.wing import check_cameras, check_nodes
+from companion.errors import TO_FIX
 from companion.params.files import load_airframe
 from companion.ports import Clock
 

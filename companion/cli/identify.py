@@ -16,9 +16,9 @@ from companion.calibration.flight_modes import wing_motion
 from companion.calibration.modes import IdentifiedMode, identify_runs
 from companion.calibration.vibration import VibrationTest, read_vibration_test
 from companion.calibration.wing_modes import BendingMode, airframe_with, bending_modes, stations, symmetry
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.numbers import number
 from companion.cli.steps.options import make_folder
+from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.pages.identification_figures import draw_flight, draw_test
 from companion.params.airframe import Airframe, Mode, Uncertain
 from companion.params.files import dump_airframe, load_airframe

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from companion.adapters.recordings.recording_factory import open_recording
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
+from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.recording_info import lines, summarise
 from companion.params.files import load_airframe
 

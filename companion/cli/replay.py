@@ -18,10 +18,9 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.options import add_settings, check_output, read_settings
 from companion.cli.terminal.progress import Progress, progress_of
-from companion.errors import RecordingError
+from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
 from companion.evaluation.replay import drive, foreign_inputs, own_inputs
 from companion.evaluation.station_tones import StationAnalysis
 from companion.params.files import load_airframe

@@ -9,9 +9,9 @@ from pathlib import Path
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.options import check_output
 from companion.cli.terminal.progress import progress_of
+from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.flight_log import gather
 from companion.evaluation.pages.flight_report import render, verdict
 from companion.evaluation.recording_info import decoded_records

@@ -12,13 +12,12 @@ from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings, state_file
 from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View, live_view_possible
-from companion.errors import ConfigError
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.learned import keep_latency, load_latency, with_latency

@@ -10,10 +10,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.cli.steps.numbers import seconds, seed
 from companion.cli.steps.simulated_devices import frames_path, line_path
-from companion.errors import ConfigError, DeviceError
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, DeviceError
 from companion.evaluation.rendered_shots import scene_of
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe

@@ -13,14 +13,13 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import TableMapping, TestKind
-from companion.cli.exit_codes import NOTHING_TO_ESTIMATE
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
 from companion.diagnosis.free_decay.record import RawFreeDecay, prepare
 from companion.diagnosis.free_decay.search import search
 from companion.diagnosis.modal_tests.run_comparison import as_json as comparison_json
 from companion.diagnosis.modal_tests.run_comparison import compare
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
-from companion.errors import ConfigError, RecordingError
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, RecordingError
 from companion.evaluation.pages.measured_pages import ringing_page, vibration_page
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
