@@ -8,13 +8,13 @@ from companion.core.wing.effects import catalogue
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.cross_validation import cross_validate
-from companion.diagnosis.selection.fit import Fit, fit
+from companion.diagnosis.selection.fit import FlightFit, fit
 from sitl_tests.trials.cases import SEEN, Hidden
 
 _FOLLOWS = {"airspeed-dependence": "airspeed_mps", "covariate-frequency": "roller_v"}
 
 
-def oracle_gain(model: FlightModel, null: Fit, label: Hidden) -> float | None:
+def oracle_gain(model: FlightModel, null: FlightFit, label: Hidden) -> float | None:
     """Held-out gain of the hidden effect, nats; None for several, for none, and for what samples themselves show."""
     if len(label.effects) != 1 or next(iter(label.effects)) in SEEN:
         return None

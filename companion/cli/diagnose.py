@@ -15,7 +15,7 @@ from companion.cli.steps.options import check_output
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.json_report import as_json, sentence
 from companion.diagnosis.selection.search import diagnose
-from companion.diagnosis.selection.verdict import Diagnosis, Verdict
+from companion.diagnosis.selection.verdict import Diagnosis, DiagnosisVerdict
 from companion.diagnosis.summary import summary_sentences
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation import measured_structures, sampling_check
@@ -91,7 +91,7 @@ def execute(options: argparse.Namespace) -> int:
         )
         if options.json != "-":
             print(f"wrote {path}: {airframe.name} with {', '.join(cause.term.effect.name for cause in found.causes)}")
-    return NOTHING_TO_ESTIMATE if found.verdict is Verdict.NOT_IDENTIFIABLE else 0
+    return NOTHING_TO_ESTIMATE if found.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE else 0
 
 
 def _tell(found: Diagnosis, plain: dict[str, Any]) -> None:

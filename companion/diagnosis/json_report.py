@@ -9,7 +9,7 @@ from typing import Any
 from companion.diagnosis.json_rows import checks, deviation, failures, nats, quantity
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.cross_validation import CrossValidation
-from companion.diagnosis.selection.verdict import Cause, Diagnosis, Verdict
+from companion.diagnosis.selection.verdict import Cause, Diagnosis, DiagnosisVerdict
 from companion.diagnosis.views import strengths
 
 FORMAT = 1
@@ -63,12 +63,12 @@ def _views(diagnosis: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
 
 def sentence(diagnosis: Diagnosis) -> str:
     """The verdict in one line."""
-    if diagnosis.verdict is Verdict.ADEQUATE:
+    if diagnosis.verdict is DiagnosisVerdict.ADEQUATE:
         return "adequate: the believed airframe explains this recording"
-    if diagnosis.verdict is Verdict.NOT_IDENTIFIABLE:
+    if diagnosis.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE:
         return f"not identifiable from this recording: {diagnosis.reason}"
     named = ", ".join(_with_group(cause) for cause in diagnosis.causes)
-    if diagnosis.verdict is Verdict.EXPLAINED:
+    if diagnosis.verdict is DiagnosisVerdict.EXPLAINED:
         return f"explained by {named}"
     return f"unexplained (nearest: {diagnosis.nearest or 'none'}); {diagnosis.reason}"
 
@@ -125,7 +125,7 @@ def _pair(pair: tuple[float, float] | None, interval: tuple[float, float] | None
 
 def _residual(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """Description of what is left without a name; None where nothing is."""
-    if diagnosis.verdict is not Verdict.UNEXPLAINED:
+    if diagnosis.verdict is not DiagnosisVerdict.UNEXPLAINED:
         return None
     forces = [entry for entry in diagnosis.after if entry.name.startswith("force with")][:3]
     return {

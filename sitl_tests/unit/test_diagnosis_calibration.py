@@ -16,7 +16,7 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.generic_effects import generic_laws
 from companion.diagnosis.selection.adequacy import check
 from companion.diagnosis.selection.fit import fit
-from companion.diagnosis.selection.initial_values import begin
+from companion.diagnosis.selection.initial_values import regressed_start
 from companion.diagnosis.selection.lack_of_fit_tests import lack_of_fit_tests
 from companion.diagnosis.selection.screen import candidates_of, screen
 from companion.diagnosis.selection.simulated_scores import is_sample_nonlinearity, score_scatter
@@ -129,8 +129,8 @@ def test_a_fit_begins_anywhere() -> None:
     """Sensors two hundred times noisier than the file says, a gust ten times as strong: the same answer."""
     quiet = parse_airframe(airframe_text(0.15 / 200.0), "quiet")
     near, far = drawn(4, 3.0), model_of(drawn(4, 3.0).observations.up_mps2, quiet)
-    right = fit([near], (), begin([near], np.zeros(len(near.belief.nuisances))))
-    from_far = fit([far], (), begin([far], np.zeros(len(far.belief.nuisances))))
+    right = fit([near], (), regressed_start([near], np.zeros(len(near.belief.nuisances))))
+    from_far = fit([far], (), regressed_start([far], np.zeros(len(far.belief.nuisances))))
     names = [entry.key for entry in near.belief.nuisances]
     shift = np.zeros(len(names))
     shift[[names.index("left.noise"), names.index("right.noise")]] = np.log(200.0)

@@ -23,7 +23,7 @@ from companion.diagnosis.selection.lack_of_fit_tests import (
 from companion.diagnosis.selection.prior_tension import prior_tension
 from companion.diagnosis.selection.proposals import best_trial
 from companion.diagnosis.selection.search import diagnose
-from companion.diagnosis.selection.verdict import Verdict
+from companion.diagnosis.selection.verdict import DiagnosisVerdict
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text
@@ -116,7 +116,7 @@ def test_what_shows_in_the_samples_is_left_over_where_it_has_no_name(snr_db: flo
     named = diagnose([model], [catalogue()["quantisation"]])
     assert [cause.term.effect.name for cause in named.causes] == ["quantisation"]
     without = diagnose([model], [])
-    assert without.verdict is Verdict.UNEXPLAINED
+    assert without.verdict is DiagnosisVerdict.UNEXPLAINED
     assert f"multiples of {step_mps2:g}" in without.reason
 
 
@@ -266,9 +266,9 @@ def test_a_name_that_comes_near_is_not_said_if_a_law_without_a_name_explains_mor
     model = flown(**{"baseline-error": 0.12})
     both = [catalogue()[name] for name in ("baseline-error", "focal-error")]
     named = diagnose([model], both)
-    assert named.verdict is Verdict.EXPLAINED
+    assert named.verdict is DiagnosisVerdict.EXPLAINED
     assert [cause.term.effect.name for cause in named.causes] == ["baseline-error"]
     without = diagnose([model], both[1:])
-    assert without.verdict is Verdict.UNEXPLAINED
+    assert without.verdict is DiagnosisVerdict.UNEXPLAINED
     assert without.nearest == "focal-error"
     assert not without.causes

@@ -7,7 +7,7 @@ import pytest
 
 from companion.diagnosis.modal_tests.run_comparison import as_json, compare, disagreement
 from companion.diagnosis.modal_tests.vibration import VibrationRun, mode_of, modes_of_runs, responses
-from companion.diagnosis.selection.verdict import Verdict
+from companion.diagnosis.selection.verdict import DiagnosisVerdict
 from companion.records import Floats
 
 F_HZ: Floats = np.arange(5.0, 20.0, 1.0 / 60.0)
@@ -42,7 +42,7 @@ def test_responses_of_a_whole_record_are_the_ratio_of_its_transforms() -> None:
     np.testing.assert_allclose(response[1], np.exp(-2j * np.pi * f_hz * 3 / 200.0), atol=1e-9)
 
 
-def judge(frequencies: list[float], positions: list[float]) -> tuple[Verdict, dict[str, object]]:
+def judge(frequencies: list[float], positions: list[float]) -> tuple[DiagnosisVerdict, dict[str, object]]:
     runs = [run_of(k + 1, f, position_m=x) for k, (f, x) in enumerate(zip(frequencies, positions, strict=True))]
     found = compare(modes_of_runs(runs), [run.constants for run in runs])
     return found.verdict, as_json(found, [run.name for run in runs], None)
@@ -50,13 +50,13 @@ def judge(frequencies: list[float], positions: list[float]) -> tuple[Verdict, di
 
 def test_equal_runs_are_adequate() -> None:
     verdict, plain = judge([9.2] * 6, [0.0, 1.0, 2.0, 0.0, 1.0, 2.0])
-    assert verdict is Verdict.ADEQUATE
+    assert verdict is DiagnosisVerdict.ADEQUATE
     assert plain["causes"] == []
 
 
 def test_a_change_that_goes_hand_in_hand_with_run_order_has_no_identifiable_cause() -> None:
     verdict, plain = judge([9.2, 9.2, 9.2, 9.3, 9.4, 9.5], [0.0, 1.0, 2.0, -1.0, -2.0, -3.0])
-    assert verdict is Verdict.NOT_IDENTIFIABLE
+    assert verdict is DiagnosisVerdict.NOT_IDENTIFIABLE
     assert plain["causes"] == []
     assert plain["confounded"] == ["run_order", "position_m"]
     reason = str(plain["reason"])
@@ -67,14 +67,14 @@ def test_a_change_that_goes_hand_in_hand_with_run_order_has_no_identifiable_caus
 
 def test_the_same_change_is_explained_where_positions_came_back_with_their_frequency() -> None:
     verdict, plain = judge([9.2, 9.3, 9.4, 9.2, 9.4, 9.3], [0.0, 1.0, 2.0, 0.0, 2.0, 1.0])
-    assert verdict is Verdict.EXPLAINED
+    assert verdict is DiagnosisVerdict.EXPLAINED
     (cause,) = plain["causes"]  # type: ignore[misc]
     assert (cause["name"], cause["channel"]) == ("covariate-frequency", "position_m")
 
 
 def test_where_positions_came_back_and_the_frequency_did_not_nothing_is_named() -> None:
     verdict, plain = judge([9.2, 9.2, 9.2, 9.3, 9.4, 9.5], [0.0, 1.0, 2.0, 0.0, 1.0, 2.0])
-    assert verdict is Verdict.UNEXPLAINED
+    assert verdict is DiagnosisVerdict.UNEXPLAINED
     assert plain["causes"] == []
 
 

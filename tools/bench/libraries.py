@@ -22,7 +22,7 @@ import numpy as np
 from companion.adapters.recordings.tables.mapped_table import files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import load_mapping
 from companion.diagnosis.free_decay.cross_validation import quiet_samples
-from companion.diagnosis.free_decay.laws import Extension, Law, SecondMode, laws_for
+from companion.diagnosis.free_decay.laws import Extension, Law, NeighbourMode, laws_for
 from companion.diagnosis.free_decay.likelihood import filter_all, fit
 from companion.diagnosis.free_decay.model import FreeDecayModel, key_of
 from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
@@ -83,7 +83,7 @@ def foretold(folder: Path) -> list[dict[str, object]]:
         {"by": "ours, constant frequency", "share": _ours(learned, judged, belief, [])},
         {"by": "ours, following the roller", "share": _ours(learned, judged, belief, [follow])},
         {"by": "ours, following it on a bent line", "share": _ours(learned, judged, belief, [follow, bend])},
-        {"by": "ours, as diagnosed", "share": _ours(learned, judged, belief, [follow, bend, SecondMode(), fade])},
+        {"by": "ours, as diagnosed", "share": _ours(learned, judged, belief, [follow, bend, NeighbourMode(), fade])},
     ]
     if importlib.util.find_spec("sysidentpy") is not None:
         rows.append({"by": "sysidentpy, AR", "share": _narx(learned, judged, roller=False, degree=1)})

@@ -60,19 +60,19 @@ class Law:
 
 
 @dataclass(frozen=True, slots=True)
-class SecondMode:
+class NeighbourMode:
     """A further mode near the first: where its search begins, in times the first one's frequency."""
 
     starts: tuple[float, ...] = (0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.25)
     text: str = "a second mode near the first"
 
 
-Extension = Law | SecondMode
+Extension = Law | NeighbourMode
 
 
 def laws_for(channels: Sequence[str]) -> list[Extension]:
     """Everything that is tried, for the channels that were recorded."""
-    extensions: list[Extension] = [SecondMode()]
+    extensions: list[Extension] = [NeighbourMode()]
     for channel in channels:
         extensions.append(_covariate(channel))
         extensions.append(_bent(channel))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from companion.diagnosis.free_decay.kalman import Filtered, Modes, run
 from companion.diagnosis.free_decay.model import FreeDecayModel
-from companion.diagnosis.selection.fisher_scoring import Maximum, Parameter, Prior, Scores, maximise
+from companion.diagnosis.selection.fisher_scoring import Maximum, NormalPrior, Parameter, Scores, maximise
 from companion.records import Floats
 
 Mask = npt.NDArray[np.bool_]
@@ -37,7 +37,7 @@ class FreeDecayLikelihood:
 
     def best_of(self, offered: Floats) -> Floats:
         """The most probable of some vectors (b, p)."""
-        prior = Prior(self.parameters)
+        prior = NormalPrior(self.parameters)
         heights = self.log_likelihoods(offered) + [prior.log_density(values) for values in offered]
         return np.asarray(offered[int(np.nanargmax(heights))])
 

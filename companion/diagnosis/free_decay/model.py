@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from companion.diagnosis.free_decay.kalman import Modes
-from companion.diagnosis.free_decay.laws import Extension, Follows, Law, SecondMode
+from companion.diagnosis.free_decay.laws import Extension, Follows, Law, NeighbourMode
 from companion.diagnosis.free_decay.record import FreeDecay
 from companion.diagnosis.selection.fisher_scoring import Parameter
 from companion.params.airframe import Uncertain
@@ -70,7 +70,7 @@ class FreeDecayModel:
         first = 2.0 * np.pi * np.exp(columns["log frequency"]) * np.maximum(swing, _SLOWEST)
         loudness = np.exp(2.0 * columns[f"impulse to load #{recording}"]) * record.impulse_mps2**2
         omega, zeta, load = [first], [np.exp(log_zeta)], [loudness]
-        if any(isinstance(entry, SecondMode) for entry in self.extensions):
+        if any(isinstance(entry, NeighbourMode) for entry in self.extensions):
             follow = 1.0 + columns["second follow"] * (swing - 1.0)
             omega.append(2.0 * np.pi * np.exp(columns["second log frequency"]) * np.maximum(follow, _SLOWEST))
             zeta.append(np.exp(columns["second log damping"]) + np.zeros_like(log_zeta))

@@ -23,7 +23,7 @@ _SPREAD = 2.5  # of the map, in rms
 
 
 @dataclass(frozen=True, slots=True)
-class Backbone:
+class WindowedBackbone:
     """Quiet windows, (w,) each: middle, frequency, damping by the envelope's fall, amplitude, channels there."""
 
     t_s: Floats
@@ -33,7 +33,7 @@ class Backbone:
     channels: dict[str, Floats]
 
 
-def backbone(record: FreeDecay) -> Backbone:
+def backbone(record: FreeDecay) -> WindowedBackbone:
     """Frequency, damping and amplitude of every window without an impulse in it."""
     length, step = round(_WINDOW_S * record.rate_hz), max(round(_STEP_S * record.rate_hz), 1)
     envelope = np.abs(hilbert(record.up_mps2))
@@ -51,7 +51,7 @@ def backbone(record: FreeDecay) -> Backbone:
         at.append(window)
     table = np.array(rows).reshape(-1, 4)
     channels = {name: np.array([values[window].mean() for window in at]) for name, values in record.channels.items()}
-    return Backbone(table[:, 0], table[:, 1], table[:, 2], table[:, 3], channels)
+    return WindowedBackbone(table[:, 0], table[:, 1], table[:, 2], table[:, 3], channels)
 
 
 def _peak_hz(window: Floats, rate_hz: float) -> float:

@@ -18,7 +18,7 @@ from scipy.stats import chi2, norm
 
 from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
 from companion.diagnosis.modal_tests.vibration import ModeOverRuns
-from companion.diagnosis.selection.verdict import Verdict
+from companion.diagnosis.selection.verdict import DiagnosisVerdict
 from companion.records import Floats
 
 CHANGED = 5.0
@@ -88,7 +88,7 @@ class Comparison:
 
     modes: tuple[ModeOverRuns, ...]
     changed: tuple[ChangedMode, ...]
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     reason: str
     advice: tuple[str, ...]
 
@@ -101,17 +101,23 @@ def compare(modes: Sequence[ModeOverRuns], constants: Sequence[Mapping[str, floa
     )
     if not changed:
         reason = f"every frequency is the same in all {len(constants)} runs, to {100 * _WORTH:g} %"
-        return Comparison(tuple(modes), (), Verdict.ADEQUATE, reason, ())
+        return Comparison(tuple(modes), (), DiagnosisVerdict.ADEQUATE, reason, ())
     leading = changed[0]
     causes = leading.causes()
     if causes:
-        return Comparison(tuple(modes), tuple(changed), Verdict.EXPLAINED, _explained(leading, causes), ())
+        return Comparison(tuple(modes), tuple(changed), DiagnosisVerdict.EXPLAINED, _explained(leading, causes), ())
     if leading.confounded():
         return Comparison(
-            tuple(modes), tuple(changed), Verdict.NOT_IDENTIFIABLE, _not_identifiable(leading), _advice(leading)
+            tuple(modes),
+            tuple(changed),
+            DiagnosisVerdict.NOT_IDENTIFIABLE,
+            _not_identifiable(leading),
+            _advice(leading),
         )
     reason = f"{_change_in_words(leading)}; nothing that was recorded of the runs goes with it"
-    return Comparison(tuple(modes), tuple(changed), Verdict.UNEXPLAINED, reason, ("record what differs between runs",))
+    return Comparison(
+        tuple(modes), tuple(changed), DiagnosisVerdict.UNEXPLAINED, reason, ("record what differs between runs",)
+    )
 
 
 def _changed(mode: ModeOverRuns, constants: Sequence[Mapping[str, float]]) -> ChangedMode | None:
@@ -238,7 +244,7 @@ def as_json(comparison: Comparison, recordings: Sequence[str], airframe: str | N
         "gain": None,
         "adequacy": {"before": [_check(mode) for mode in comparison.modes], "after": []},
         "residual": None
-        if comparison.verdict is not Verdict.UNEXPLAINED
+        if comparison.verdict is not DiagnosisVerdict.UNEXPLAINED
         else {"description": comparison.reason, "failed": []},
         "confounded": _confounded(comparison),
         "advice": list(comparison.advice),
@@ -249,13 +255,13 @@ def as_json(comparison: Comparison, recordings: Sequence[str], airframe: str | N
 
 
 def _confounded(comparison: Comparison) -> list[str]:
-    if comparison.verdict is not Verdict.NOT_IDENTIFIABLE:
+    if comparison.verdict is not DiagnosisVerdict.NOT_IDENTIFIABLE:
         return []
     return [ORDER, *comparison.changed[0].confounded()]
 
 
 def _causes(comparison: Comparison) -> list[dict[str, Any]]:
-    if comparison.verdict is not Verdict.EXPLAINED:
+    if comparison.verdict is not DiagnosisVerdict.EXPLAINED:
         return []
     leading = comparison.changed[0]
     causes = leading.causes()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.diagnosis.model.motion import Motion
+from companion.diagnosis.model.motion import SmoothedMotion
 from companion.diagnosis.spectral_matrices import Complexes
 from companion.records import Floats
 
@@ -28,7 +28,7 @@ class Expectation:
         The sensors at rest: what is left of the mean, and its variance.
     """
 
-    motion: Motion
+    motion: SmoothedMotion
     toe_residual_rad: Floats
     toe_posterior: Floats
     toe_variance: Floats

@@ -21,7 +21,7 @@ from companion.diagnosis.model.belief import Belief, input_gains, is_range_only
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.linear_spectra import STATIONS, Spectra, spectrum_of
-from companion.diagnosis.model.motion import Grid, Motion
+from companion.diagnosis.model.motion import RecordedSpectra, SmoothedMotion
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.diagnosis.model.toe import ToeModel
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inverse, log_determinant, quadratic_form
@@ -51,7 +51,7 @@ class FlightModel:
         lineariser = SensorLineariser(observations, self.transforms)
         up = lineariser.recorded_mps2
         recorded = self.transforms.spectrum(up)[:, :top], self.transforms.tapered(up)[:, self._low : top]
-        self._grid = Grid(lineariser, self.transforms, self._low, recorded)
+        self._grid = RecordedSpectra(lineariser, self.transforms, self._low, recorded)
         self._rigid: tuple[Complexes, Complexes] | None = None
         if lineariser.rigid_mps2 is not None:
             heave, turning = (self.transforms.spectrum(values)[..., :top] for values in lineariser.rigid_mps2)
@@ -174,7 +174,7 @@ class FlightModel:
 
     def _motion(
         self, wing: WingModel, terms: Sequence[EffectTerm], deviation: Mapping[str, float], near: Expectation | None
-    ) -> Motion:
+    ) -> SmoothedMotion:
         """Motion under a model; half of all parameters are of the cameras alone and leave it as it is nearby."""
         inner = tuple(term for term in terms if term.effect.group is not Group.CAMERA)
         bends = self.observations.has_root  # then the bend per g moves the wing, and not the ranges alone
@@ -184,7 +184,7 @@ class FlightModel:
         effects = tuple(term.effect for term in inner)
         measured = self._grid.lineariser.measured_mps2(wing, input_gains(deviation))
         leaked = self._leaked_mps2(effects, deviation)
-        return Motion(
+        return SmoothedMotion(
             key,
             wing,
             inner,

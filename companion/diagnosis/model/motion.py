@@ -21,7 +21,7 @@ _PASSES = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class RecordedSpectra:
     """Data shared by all models of a recording: ``recorded`` is its spectrum, plain from 0 and tapered in the band."""
 
     lineariser: SensorLineariser
@@ -30,7 +30,7 @@ class Grid:
     recorded: tuple[Complexes, Complexes]
 
 
-class Motion:
+class SmoothedMotion:
     """One model's view of the accelerations; what is dear is made when it is asked for, once.
 
     ``key`` equals another's where the two models are the same here; ``measured_mps2`` (n, m) are modal loads that were
@@ -43,7 +43,7 @@ class Motion:
         key: object,
         wing: WingModel,
         terms: Sequence[EffectTerm],
-        grid: Grid,
+        grid: RecordedSpectra,
         linear_of: Callable[..., Linear],
         measured_mps2: Floats | None = None,
         leaked_mps2: Floats | None = None,

@@ -18,7 +18,7 @@ from scipy.stats import kurtosistest
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.check import Check
-from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.fit import FlightFit
 from companion.diagnosis.selection.lack_of_fit_tests import lack_of_fit_tests, normal_score_of_gamma
 from companion.diagnosis.selection.prior_tension import prior_tension
 from companion.diagnosis.selection.proposals import strongest_line, strongest_parametric_excitation
@@ -43,7 +43,7 @@ LIMIT_OF_NAMES = 4.2
 """The same where names were given: something is wrong then, and what remains speaks against the names."""
 
 
-def check(models: Sequence[FlightModel], fitted: Fit, seed: int = 20250101) -> list[Check]:
+def check(models: Sequence[FlightModel], fitted: FlightFit, seed: int = 20250101) -> list[Check]:
     """All checks of a fitted model, the worst first."""
     rng = np.random.default_rng(seed)
     checks = lack_of_fit_tests(models, fitted)

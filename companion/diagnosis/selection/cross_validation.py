@@ -14,7 +14,7 @@ import numpy as np
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import expect
 from companion.diagnosis.selection.block_bootstrap import Interval, share_gone, sum_with_interval
-from companion.diagnosis.selection.fit import Fit, fit
+from companion.diagnosis.selection.fit import FlightFit, fit
 from companion.records import Floats
 
 DISTANCES_M = (20.0, 60.0, 100.0)
@@ -58,8 +58,8 @@ class CrossValidation:
 
 def cross_validate(
     models: Sequence[FlightModel],
-    before: Fit,
-    after: Fit,
+    before: FlightFit,
+    after: FlightFit,
     progress: Callable[[float], None] = lambda _share: None,
     most: int = 6,
 ) -> CrossValidation:
@@ -96,11 +96,11 @@ def _blocks(model: FlightModel, count: int) -> list[FlightModel]:
     ]
 
 
-def _again(train: Sequence[FlightModel], fitted: Fit) -> Fit:
+def _again(train: Sequence[FlightModel], fitted: FlightFit) -> FlightFit:
     return fit(train, fitted.terms, fitted.values, rounds=3, wider=_WIDER)
 
 
-def _judge(block: FlightModel, fitted: Fit) -> tuple[dict[str, float], Floats]:
+def _judge(block: FlightModel, fitted: FlightFit) -> tuple[dict[str, float], Floats]:
     (expectation,) = expect([block], fitted.values, fitted.terms)
     return block.log_scores(expectation), expectation.toe_residual_rad
 

@@ -76,7 +76,7 @@ class Maximum(Generic[State]):
 
 def maximise(model: LikelihoodModel[State], start: Floats, rounds: int) -> Maximum[State]:
     """Climb from ``start`` (p,) to the most probable values in at most ``rounds`` scoring steps."""
-    prior = Prior(model.parameters)
+    prior = NormalPrior(model.parameters)
     values, scores, converged, damping = start.copy(), model.scores(start), False, 0.0
     for _ in range(rounds):
         step = _climb(model, prior, values, scores, damping)
@@ -96,7 +96,7 @@ def maximise(model: LikelihoodModel[State], start: Floats, rounds: int) -> Maxim
     return Maximum(values, covariance, scores.log_likelihood, evidence, converged, scores.state)
 
 
-class Prior:
+class NormalPrior:
     """Independent normal priors of a parameter vector."""
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
@@ -114,7 +114,7 @@ class Prior:
 
 
 def _climb(
-    model: LikelihoodModel[State], prior: Prior, values: Floats, scores: Scores[State], damping: float
+    model: LikelihoodModel[State], prior: NormalPrior, values: Floats, scores: Scores[State], damping: float
 ) -> tuple[Floats, float, float] | None:
     """One step up the posterior: where to, by how much, and the damping there; None if nothing grows.
 
@@ -135,7 +135,7 @@ def _climb(
     return None
 
 
-def _height(model: LikelihoodModel[State], prior: Prior, values: Floats, near: State) -> float:
+def _height(model: LikelihoodModel[State], prior: NormalPrior, values: Floats, near: State) -> float:
     try:
         return model.log_likelihood(values, near) + prior.log_density(values)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):

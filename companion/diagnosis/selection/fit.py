@@ -12,12 +12,12 @@ from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightsLikelihood, placed
 from companion.diagnosis.model.scores import Column
-from companion.diagnosis.selection.fisher_scoring import Prior, maximise
+from companion.diagnosis.selection.fisher_scoring import NormalPrior, maximise
 from companion.records import Floats
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class FlightFit:
     """A fitted model.
 
     Attributes
@@ -61,7 +61,7 @@ def fit(
     start: Floats | None = None,
     rounds: int = 24,
     wider: float = 1.0,
-) -> Fit:
+) -> FlightFit:
     """Find the most probable parameters in at most ``rounds`` scoring steps.
 
     Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief. The priors of the
@@ -69,8 +69,8 @@ def fit(
     """
     likelihood = FlightsLikelihood(models, terms, wider)
     best = maximise(likelihood, likelihood.start(start), rounds)
-    prior = Prior(likelihood.parameters)
-    return Fit(
+    prior = NormalPrior(likelihood.parameters)
+    return FlightFit(
         placed(models[0].belief, best.values, terms),
         best.values,
         prior.centres,

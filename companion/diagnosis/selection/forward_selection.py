@@ -12,7 +12,7 @@ import numpy as np
 from companion.core.wing.effect import Effect
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.fit import Fit, fit
+from companion.diagnosis.selection.fit import FlightFit, fit
 from companion.diagnosis.selection.proposals import best_trial, find_proposals
 from companion.diagnosis.selection.screen import Candidate, Screening, candidates_of, screen
 from companion.diagnosis.selection.verdict import Cause
@@ -40,37 +40,37 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class SelectionPath:
     """A model reached by accepting effects one after the other."""
 
-    fitted: Fit
+    fitted: FlightFit
     causes: tuple[Cause, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class _Tried:
+class _Refit:
     candidate: Candidate
-    fitted: Fit
+    fitted: FlightFit
     log_bayes_factor: float
     bic: float
     worth: float
 
 
-class Extension:
+class ForwardSelection:
     """The search on some recordings with some catalogue."""
 
     def __init__(self, models: Sequence[FlightModel], kinds: Sequence[type[Effect]], progress: Progress) -> None:
         self._models, self._kinds, self._progress = models, kinds, progress
         self._channels = sorted({name for model in models for name in model.observations.covariates})
 
-    def screen(self, fitted: Fit) -> Screening:
+    def screen(self, fitted: FlightFit) -> Screening:
         """Score the whole catalogue at a fitted model."""
         terms = candidates_of(self._kinds, self._channels, find_proposals(self._models, fitted))
         return screen(self._models, fitted, terms, lambda fraction: self._progress("screen the catalogue", fraction))
 
-    def search(self, null: Fit, first: Screening, most: int) -> Path:
+    def search(self, null: FlightFit, first: Screening, most: int) -> SelectionPath:
         """The path of at most ``most`` effects with the largest evidence, without effects that it can do without."""
-        beam, best = [Path(null)], Path(null)
+        beam, best = [SelectionPath(null)], SelectionPath(null)
         screenings = [first]
         for step in range(most):
             if step:
@@ -87,14 +87,14 @@ class Extension:
                 best = beam[0]
         return self._unprejudiced(self._pruned(best, null))
 
-    def _screened(self, beam: Sequence[Path]) -> list[Screening]:
+    def _screened(self, beam: Sequence[SelectionPath]) -> list[Screening]:
         """Screenings of the paths; none where the foremost leaves nothing: the others could at best draw level."""
         foremost = self.screen(beam[0].fitted)
         if not any(candidate.z > CERTAIN_Z for candidate in _fresh(beam[0], foremost)):
             return []
         return [foremost, *(self.screen(path.fitted) for path in beam[1:])]
 
-    def _unprejudiced(self, path: Path) -> Path:
+    def _unprejudiced(self, path: SelectionPath) -> SelectionPath:
         """The same causes at the values that the data alone would give them: priors rank, they measure nothing."""
         if not path.causes:
             return path
@@ -103,21 +103,21 @@ class Extension:
             fitted = fit(self._models, path.fitted.terms, path.fitted.values, wider=UNPREJUDICED)
         except (ValueError, FloatingPointError, np.linalg.LinAlgError):
             return path
-        return Path(fitted, restated(path.causes, fitted)) if fitted.converged else path
+        return SelectionPath(fitted, restated(path.causes, fitted)) if fitted.converged else path
 
-    def _grow(self, path: Path, screening: Screening) -> list[Path]:
+    def _grow(self, path: SelectionPath, screening: Screening) -> list[SelectionPath]:
         enough = ENOUGH_MORE if path.causes else ENOUGH
         tried = self._refit(path, screening)
         good = [entry for entry in tried if entry.log_bayes_factor > enough and entry.candidate.z > CERTAIN_Z]
         return [self._step(path, entry, tried, screening) for entry in good]
 
-    def _refit(self, path: Path, screening: Screening) -> list[_Tried]:
+    def _refit(self, path: SelectionPath, screening: Screening) -> list[_Refit]:
         fresh = _fresh(path, screening)
         if not fresh or fresh[0].z <= CERTAIN_Z:
             return []
         enough = max(_WORTH_A_REFIT_Z, _OUT_OF_REACH * fresh[0].z)
         leading = [entry for entry in fresh if entry.z > enough][:_REFITTED]
-        started: list[tuple[Candidate, Fit]] = []
+        started: list[tuple[Candidate, FlightFit]] = []
         for i, candidate in enumerate(leading):
             self._progress(f"refit {candidate.name}", i / len(leading))
             trial = best_trial(self._models, path.fitted, candidate.term)
@@ -135,10 +135,12 @@ class Extension:
             # how many frequencies or instants were looked at is paid for by the prior of the one that was fitted
             factor = fitted.log_evidence - path.fitted.log_evidence
             worth = penalised_log_likelihood(self._models, fitted, path.fitted)
-            tried.append(_Tried(candidate, fitted, factor, self._bic(path.fitted, fitted), worth))
+            tried.append(_Refit(candidate, fitted, factor, self._bic(path.fitted, fitted), worth))
         return sorted(tried, key=lambda entry: -entry.log_bayes_factor)
 
-    def _fitted(self, path: Path, candidate: Candidate, trials: tuple[EffectTerm, ...] = ()) -> Fit | None:
+    def _fitted(
+        self, path: SelectionPath, candidate: Candidate, trials: tuple[EffectTerm, ...] = ()
+    ) -> FlightFit | None:
         """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
         for term in (*trials, *(perturbed_start(candidate, step) for step in _FIRST_STEPS)):
             try:
@@ -147,11 +149,11 @@ class Extension:
                 continue
         return None
 
-    def _bic(self, before: Fit, after: Fit) -> float:
+    def _bic(self, before: FlightFit, after: FlightFit) -> float:
         extra = len(after.values) - len(before.values)
         return -2.0 * (after.log_likelihood - before.log_likelihood) + extra * log_count(self._models)
 
-    def _step(self, path: Path, best: _Tried, tried: Sequence[_Tried], screening: Screening) -> Path:
+    def _step(self, path: SelectionPath, best: _Refit, tried: Sequence[_Refit], screening: Screening) -> SelectionPath:
         size = len(best.fitted.values) - len(path.fitted.values)
         cause = Cause(
             best.fitted.terms[-1],
@@ -162,9 +164,9 @@ class Extension:
             (0.0,) * size,
             (0.0,) * size,
         )
-        return Path(best.fitted, restated((*path.causes, cause), best.fitted))
+        return SelectionPath(best.fitted, restated((*path.causes, cause), best.fitted))
 
-    def _pruned(self, path: Path, null: Fit) -> Path:
+    def _pruned(self, path: SelectionPath, null: FlightFit) -> SelectionPath:
         """Leave out what later effects have made superfluous; restate what each is worth beside the others."""
         pruned = path
         for cause in path.causes if len(path.causes) > 1 else ():
@@ -175,7 +177,7 @@ class Extension:
             factor = pruned.fitted.log_evidence - without.log_evidence
             others = tuple(entry for i, entry in enumerate(pruned.causes) if i != index)
             if factor < ENOUGH_MORE and others:
-                pruned = Path(without, restated(others, without))
+                pruned = SelectionPath(without, restated(others, without))
             else:
                 bic = self._bic(without, pruned.fitted)
                 causes = list(pruned.causes)
@@ -183,7 +185,7 @@ class Extension:
                 causes[index] = Cause(
                     cause_old.term, cause_old.group, factor, bic, cause_old.z, cause_old.values, cause_old.sigmas
                 )
-                pruned = Path(pruned.fitted, tuple(causes))
+                pruned = SelectionPath(pruned.fitted, tuple(causes))
         return pruned
 
 
@@ -192,7 +194,7 @@ def log_count(models: Sequence[FlightModel]) -> float:
     return math.log(sum(len(model.band_hz) * 2 * len(model.observations.sides) for model in models))
 
 
-def penalised_log_likelihood(models: Sequence[FlightModel], fitted: Fit, null: Fit) -> float:
+def penalised_log_likelihood(models: Sequence[FlightModel], fitted: FlightFit, null: FlightFit) -> float:
     """Gain of a fit's terms over ``null`` by half a difference of BIC, with the trials paid for, nat.
 
     How far effects may physically go is left aside: it would weigh the prior of a law that nobody knows against that of
@@ -203,7 +205,7 @@ def penalised_log_likelihood(models: Sequence[FlightModel], fitted: Fit, null: F
     return gained - 0.5 * extra * log_count(models) - sum(term.log_trials for term in fitted.terms)
 
 
-def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
+def restated(causes: Sequence[Cause], final: FlightFit) -> tuple[Cause, ...]:
     """Causes with the values of a fit that has them all, in order."""
     sizes = [len(cause.values) for cause in causes]
     at = len(final.values) - sum(sizes)
@@ -217,14 +219,14 @@ def restated(causes: Sequence[Cause], final: Fit) -> tuple[Cause, ...]:
     return tuple(causes_restated)
 
 
-def _fresh(path: Path, screening: Screening) -> list[Candidate]:
+def _fresh(path: SelectionPath, screening: Screening) -> list[Candidate]:
     names = {cause.term.effect.name for cause in path.causes}
     return [entry for entry in screening.candidates if entry.name not in names]
 
 
-def _foremost(paths: Sequence[Path]) -> list[Path]:
+def _foremost(paths: Sequence[SelectionPath]) -> list[SelectionPath]:
     """The best paths, each set of names once."""
-    best: list[Path] = []
+    best: list[SelectionPath] = []
     names_listed: set[frozenset[tuple[str, str]]] = set()
     for path in sorted(paths, key=lambda entry: -entry.fitted.log_evidence):
         names = frozenset((term.effect.name, term.channel) for term in path.fitted.terms)
@@ -234,7 +236,7 @@ def _foremost(paths: Sequence[Path]) -> list[Path]:
     return best[:_BEAM]
 
 
-def _behind(path: Path, best: Path) -> float:
+def _behind(path: SelectionPath, best: SelectionPath) -> float:
     return best.fitted.log_evidence - path.fitted.log_evidence
 
 
@@ -254,7 +256,7 @@ def perturbed_start(candidate: Candidate, most: float) -> EffectTerm:
     return candidate.term.with_values(values)
 
 
-def _alike(best: _Tried, tried: Sequence[_Tried], screening: Screening) -> tuple[str, ...]:
+def _alike(best: _Refit, tried: Sequence[_Refit], screening: Screening) -> tuple[str, ...]:
     """Names that this recording cannot tell from the best: scores that are one, or evidence too close to call.
 
     So is what the recording itself says for either, where it is the prior of a strength that ranks the two.

@@ -25,13 +25,13 @@ _ENOUGH = 1e-3
 _MOST = 2.0  # prior sigmas in one step
 
 
-def starts(models: Sequence[FlightModel]) -> list[Floats]:
+def initial_values(models: Sequence[FlightModel]) -> list[Floats]:
     """Nuisances from which to fit without effects; either may end in a bad optimum, hardly both."""
     believed = np.zeros(len(models[0].belief.nuisances))
-    return [begin(models, believed), noise_floor_start(models, believed)]
+    return [regressed_start(models, believed), noise_floor_start(models, believed)]
 
 
-def begin(models: Sequence[FlightModel], start: Floats) -> Floats:
+def regressed_start(models: Sequence[FlightModel], start: Floats) -> Floats:
     """Nuisances from which a fit without effects should start, (p,)."""
     belief = models[0].belief
     sigmas = belief.sigmas

@@ -33,7 +33,7 @@ from companion.diagnosis.model.generic_effects import (
     generic_effects,
 )
 from companion.diagnosis.model.scores import Column
-from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.fit import FlightFit
 from companion.diagnosis.selection.peak_scan import peaks
 from companion.diagnosis.selection.screen import efficient, normal_score
 from companion.diagnosis.selection.simulated_scores import DRAWS, score_scatter
@@ -65,7 +65,7 @@ class _Family:
     kurtosis: Floats | None = None
 
 
-def lack_of_fit_tests(models: Sequence[FlightModel], fitted: Fit) -> dict[str, float]:
+def lack_of_fit_tests(models: Sequence[FlightModel], fitted: FlightFit) -> dict[str, float]:
     """Standard deviations of every direction, and of each family as a whole."""
     families = [_spectral(models), _anywhere(models, fitted.expectations), *_laws(models, fitted)]
     families = [family for family in families if family.names]
@@ -171,7 +171,7 @@ def normal_score_of_student(z: float, freedom: int) -> float:
     return math.copysign(normal_score(min(float(t.logsf(abs(z), freedom)) + math.log(2.0), 0.0)), z)
 
 
-def _laws(models: Sequence[FlightModel], fitted: Fit) -> list[_Family]:
+def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_Family]:
     """Forces, sensors and ranges by law."""
     kinds = generic_effects()
     forces = [kind for kind in kinds if issubclass(kind, GenericForce)]
@@ -197,7 +197,9 @@ def _laws(models: Sequence[FlightModel], fitted: Fit) -> list[_Family]:
     return families
 
 
-def _family(models: Sequence[FlightModel], fitted: Fit, kinds: Sequence[type[Effect]], title: str = "") -> _Family:
+def _family(
+    models: Sequence[FlightModel], fitted: FlightFit, kinds: Sequence[type[Effect]], title: str = ""
+) -> _Family:
     columns: list[list[Column]] = [[] for _ in models]
     for kind in kinds:
         effect = kind()

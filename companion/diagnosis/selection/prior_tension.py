@@ -10,14 +10,14 @@ import numpy as np
 from scipy.stats import chi2
 
 from companion.diagnosis.model.belief import Belief
-from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.fit import FlightFit
 from companion.diagnosis.selection.screen import normal_score
 
 _TOLD = 0.1  # share of the prior's variance that the data must take away
 _OF_THE_FILE = (".frequency", ".damping", ".slope", ".scale", ".delay_s", ".bias_mps2", "toe_rad", "focal", "_m")
 
 
-def prior_tension(belief: Belief, fitted: Fit) -> dict[str, float]:
+def prior_tension(belief: Belief, fitted: FlightFit) -> dict[str, float]:
     """Standard deviations of each airframe parameter from its prior, and of all together; levels and noise are free."""
     keys = [entry.key.partition("#")[0] for entry in belief.nuisances]
     index = [i for i, key in enumerate(keys) if key.endswith(_OF_THE_FILE)]

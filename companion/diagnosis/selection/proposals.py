@@ -19,7 +19,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import expect, log_likelihood
-from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.fit import FlightFit
 from companion.diagnosis.spectral_matrices import adjoint, apply
 
 _MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance
@@ -43,7 +43,7 @@ Proposals = Mapping[ResidualPeak, Proposal]
 NO_PROPOSALS: Proposals = MappingProxyType({})
 
 
-def find_proposals(models: Sequence[FlightModel], fitted: Fit) -> Proposals:
+def find_proposals(models: Sequence[FlightModel], fitted: FlightFit) -> Proposals:
     """Peaks of one recording's residual; several recordings share no phase, and give none."""
     if len({model.recording for model in models}) > 1:
         return NO_PROPOSALS
@@ -68,7 +68,7 @@ def _proposed(line: Line | None) -> Proposal | None:
     return Proposal((line.frequency_hz,), line.log_trials)
 
 
-def best_trial(models: Sequence[FlightModel], fitted: Fit, term: EffectTerm) -> EffectTerm | None:
+def best_trial(models: Sequence[FlightModel], fitted: FlightFit, term: EffectTerm) -> EffectTerm | None:
     """The likeliest of the values that the effect wants tried (a mount's resonance); None where none beats none."""
     trials = type(term.effect).trial_values(models[0].belief.airframe.wing.symmetric.frequency_hz.value)
     if not trials:
@@ -81,7 +81,7 @@ def best_trial(models: Sequence[FlightModel], fitted: Fit, term: EffectTerm) -> 
     return replace(terms[best], log_trials=log_trials)
 
 
-def _likelihood_with(models: Sequence[FlightModel], fitted: Fit, term: EffectTerm) -> float:
+def _likelihood_with(models: Sequence[FlightModel], fitted: FlightFit, term: EffectTerm) -> float:
     values = np.append(fitted.values, term.values)
     return log_likelihood(models, expect(models, values, (*fitted.terms, term), fitted.expectations))
 
@@ -130,7 +130,7 @@ def strongest_parametric_excitation(model: FlightModel, expectation: Expectation
     return Line(float(fine[np.argmax(np.abs(turn @ product))]), -float(ratio[best]) + log_trials, log_trials)
 
 
-def _impulses(models: Sequence[FlightModel], fitted: Fit) -> Proposal | None:
+def _impulses(models: Sequence[FlightModel], fitted: FlightFit) -> Proposal | None:
     """The strongest instants of the residual force; three are taken, so three pay for the trials."""
     t_s, strength = [], []
     for model, expectation in zip(models, fitted.expectations, strict=True):

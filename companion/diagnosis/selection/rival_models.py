@@ -15,11 +15,11 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.generic_effects import generic_effects, generic_lines
 from companion.diagnosis.selection.check import Check
-from companion.diagnosis.selection.fit import Fit, fit
+from companion.diagnosis.selection.fit import FlightFit, fit
 from companion.diagnosis.selection.forward_selection import (
     SAME,
     UNPREJUDICED,
-    Path,
+    SelectionPath,
     penalised_log_likelihood,
     perturbed_start,
 )
@@ -49,7 +49,7 @@ class RivalModel:
 
 
 def strongest_rival_model(
-    models: Sequence[FlightModel], null: Fit, before: Sequence[Check], path: Path
+    models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check], path: SelectionPath
 ) -> RivalModel | None:
     """The law that explains most in place of all the names of a path; None where none comes near.
 
@@ -76,7 +76,7 @@ def strongest_rival_model(
     return max(rivals, key=lambda candidate: candidate.ahead, default=None)
 
 
-def _offered(models: Sequence[FlightModel], null: Fit, before: Sequence[Check]) -> list[EffectTerm]:
+def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check]) -> list[EffectTerm]:
     strength = {entry.name: abs(entry.z) for entry in before}
     kinds = generic_effects()
     tested = sorted((kind for kind in kinds if kind.name in strength), key=lambda kind: -strength[kind.name])
@@ -87,7 +87,7 @@ def _offered(models: Sequence[FlightModel], null: Fit, before: Sequence[Check]) 
     return terms + [term for kind in generic_lines() for term in proposed_terms(kind, proposals)]
 
 
-def _refitted(models: Sequence[FlightModel], base: Fit, candidate: Candidate) -> Fit | None:
+def _refitted(models: Sequence[FlightModel], base: FlightFit, candidate: Candidate) -> FlightFit | None:
     try:
         return fit(models, (*base.terms, perturbed_start(candidate, _FIRST_STEP)), base.values, _ROUNDS, UNPREJUDICED)
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):

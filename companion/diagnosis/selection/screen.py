@@ -20,7 +20,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import derivatives, joint_scores
 from companion.diagnosis.model.scores import Column
-from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.fit import FlightFit
 from companion.diagnosis.selection.proposals import NO_PROPOSALS, Proposals, proposed_terms
 from companion.diagnosis.selection.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.records import Floats
@@ -104,7 +104,7 @@ def candidates_of(
 
 def screen(
     models: Sequence[FlightModel],
-    null: Fit,
+    null: FlightFit,
     terms: Sequence[EffectTerm],
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Screening:
@@ -134,7 +134,9 @@ def screen(
     return _ranked(tested, score, information)
 
 
-def efficient(models: Sequence[FlightModel], null: Fit, columns: Sequence[Sequence[Column]]) -> tuple[Floats, Floats]:
+def efficient(
+    models: Sequence[FlightModel], null: FlightFit, columns: Sequence[Sequence[Column]]
+) -> tuple[Floats, Floats]:
     """Score and information of what is beyond the fit's own parameters, with these projected out.
 
     ``columns`` by recording: those of the fit, then d others; gives (d,) and (d, d).
@@ -147,7 +149,7 @@ def efficient(models: Sequence[FlightModel], null: Fit, columns: Sequence[Sequen
     return gradient[p:] - projection.T @ pull, information[p:, p:] - information[p:, :p] @ projection
 
 
-def _score_scatter(models: Sequence[FlightModel], null: Fit, tested: Sequence[_Tested]) -> Floats:
+def _score_scatter(models: Sequence[FlightModel], null: FlightFit, tested: Sequence[_Tested]) -> Floats:
     """Ratio by which each parameter's score scatters beyond its column, (d,): 1 but for nonlinear sensors."""
     wider, at = np.ones(sum(len(candidate.sigmas) for candidate in tested)), 0
     bent: dict[int, Effect] = {}

@@ -16,12 +16,12 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.adequacy import LIMIT, check
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.cross_validation import CrossValidation, cross_validate
-from companion.diagnosis.selection.fit import Fit, fit
-from companion.diagnosis.selection.forward_selection import Extension, Path, Progress
-from companion.diagnosis.selection.initial_values import starts
+from companion.diagnosis.selection.fit import FlightFit, fit
+from companion.diagnosis.selection.forward_selection import ForwardSelection, Progress, SelectionPath
+from companion.diagnosis.selection.initial_values import initial_values
 from companion.diagnosis.selection.rival_models import RivalModel, strongest_rival_model
 from companion.diagnosis.selection.screen import Screening
-from companion.diagnosis.selection.verdict import Cause, Diagnosis, Verdict
+from companion.diagnosis.selection.verdict import Cause, Diagnosis, DiagnosisVerdict
 
 _QUIET_DB = 3.0
 
@@ -37,12 +37,14 @@ def diagnose(
     ``progress`` is told what is being done and the share that is done.
     """
     progress("fit the believed model", 0.0)
-    null = max((fit(models, (), start) for start in starts(models)), key=lambda candidate: candidate.log_evidence)
-    extension = Extension(models, kinds, progress)
+    null = max(
+        (fit(models, (), start) for start in initial_values(models)), key=lambda candidate: candidate.log_evidence
+    )
+    extension = ForwardSelection(models, kinds, progress)
     first = extension.screen(null)
     if not _excited(models, null):
         reason = "the wing hardly moves above its sensors' noise: record in gusts, or excite it"
-        return Diagnosis(Verdict.NOT_IDENTIFIABLE, (), "", (), reason, null, null, first, (), (), None)
+        return Diagnosis(DiagnosisVerdict.NOT_IDENTIFIABLE, (), "", (), reason, null, null, first, (), (), None)
     path = extension.search(null, first, max_causes)
     progress("test what is left", 0.0)
     offered = {kind.name for kind in kinds}
@@ -61,7 +63,7 @@ def diagnose(
     return _conclude(null, path, named, first, before, after, gain, rival)
 
 
-def _excited(models: Sequence[FlightModel], null: Fit) -> bool:
+def _excited(models: Sequence[FlightModel], null: FlightFit) -> bool:
     """Whether the accelerations stand above the sensors' noise anywhere in the band."""
     for expectation in null.expectations:
         power = np.einsum("iif->if", expectation.spectrum).real
@@ -91,8 +93,8 @@ def _strength(defect: SampleDefect) -> float:
 
 
 def _conclude(
-    null: Fit,
-    path: Path,
+    null: FlightFit,
+    path: SelectionPath,
     sample_causes: tuple[Cause, ...],
     first: Screening,
     before: Sequence[Check],
@@ -107,14 +109,16 @@ def _conclude(
     outcome = (null, path.fitted, first, tuple(before), tuple(after), gain)
     if failed:
         reason = "left over: " + "; ".join(f"{entry.name} ({entry.z:+.1f} sigma)" for entry in failed[:4])
-        return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
+        return Diagnosis(DiagnosisVerdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
     if not causes:
-        return Diagnosis(Verdict.ADEQUATE, (), "", (), "the believed airframe explains this recording", *outcome)
+        return Diagnosis(
+            DiagnosisVerdict.ADEQUATE, (), "", (), "the believed airframe explains this recording", *outcome
+        )
     if rival is not None and rival.explains_more:
         reason = f"a law without a name explains it better: {rival.title} (by {rival.ahead:.1f} nat)"
-        return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
+        return Diagnosis(DiagnosisVerdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
     foretold = any(not term.effect.transient for term in path.fitted.terms)
     if gain is not None and foretold and not gain.improves:
         reason = "no extension predicts held-out blocks better"
-        return Diagnosis(Verdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
-    return Diagnosis(Verdict.EXPLAINED, causes, "", (), "", *outcome)
+        return Diagnosis(DiagnosisVerdict.UNEXPLAINED, (), nearest, causes, reason, *outcome)
+    return Diagnosis(DiagnosisVerdict.EXPLAINED, causes, "", (), "", *outcome)

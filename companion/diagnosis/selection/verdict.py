@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.selection.check import Check
 from companion.diagnosis.selection.cross_validation import CrossValidation
-from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.fit import FlightFit
 from companion.diagnosis.selection.screen import Screening
 
 
-class Verdict(enum.StrEnum):
+class DiagnosisVerdict(enum.StrEnum):
     """Outcomes of a diagnosis."""
 
     ADEQUATE = "adequate"
@@ -48,13 +48,13 @@ class Diagnosis:
     nearest to, which is no name.
     """
 
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     causes: tuple[Cause, ...]
     nearest: str
     nearest_causes: tuple[Cause, ...]
     reason: str
-    null: Fit
-    final: Fit
+    null: FlightFit
+    final: FlightFit
     screening: Screening
     before: tuple[Check, ...]
     after: tuple[Check, ...]

@@ -8,7 +8,7 @@ from typing import Any
 
 from companion.diagnosis.json_report import sentence
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.verdict import Diagnosis, Verdict
+from companion.diagnosis.selection.verdict import Diagnosis, DiagnosisVerdict
 from companion.evaluation.pages import diagnosis_figures as figures
 from companion.reporting.blocks import Advice, Answers, Block, Details, Heading, Page, Paragraph, Table
 from companion.reporting.embedding import embed
@@ -32,7 +32,7 @@ def write_report(found: Diagnosis, models: Sequence[FlightModel], plain: dict[st
     if model.observations.toe is not None:
         body.append(embed(figures.ranges(fits, model), "range residuals"))
     body += [*_views(plain), *_gain(found, plain)]
-    if found.verdict is not Verdict.NOT_IDENTIFIABLE:
+    if found.verdict is not DiagnosisVerdict.NOT_IDENTIFIABLE:
         body += [
             Heading("What was tested, and what cannot be told apart"),
             embed(figures.screening(found), "strength of each effect and confusion matrix"),
