@@ -66,7 +66,7 @@ def missing_extra(purpose: str, extra: str) -> str:
 
 
 def described(error: Exception) -> str:
-    """What an exception says and where it was raised, on one line."""
+    """Text of an exception and the place where it was raised, on one line."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     said = " ".join(str(error).split())[:_LONGEST_TEXT]

@@ -1,4 +1,4 @@
-"""What the outside must satisfy. Real devices and simulated ones implement the same protocols."""
+"""Protocols that the outside satisfies. Real devices and simulated ones implement the same protocols."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ class Reject(enum.StrEnum):
 
 
 class Validity(enum.StrEnum):
-    """What a :class:`ModeState` may be used for."""
+    """Uses that a :class:`ModeState` allows."""
 
     TRACKING = "tracking"
     CALM = "calm"
@@ -300,7 +300,7 @@ class MatchSet:
 
 @dataclass(frozen=True, slots=True)
 class ClockState:
-    """What is known of a remote clock: ``remote = host + offset``."""
+    """Estimate of a remote clock: ``remote = host + offset``."""
 
     clock: ClockName
     at_host_ns: int
@@ -394,7 +394,7 @@ class TriggerPlan:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """What the trigger process did with a plan."""
+    """Shot that the trigger process made of a plan."""
 
     plan_id: int
     planned_host_ns: int
@@ -416,7 +416,7 @@ class CameraFeedback:
 
 @dataclass(frozen=True, slots=True)
 class TriggerLatency:
-    """What was learned of the time from the command to the start of the exposure, left and right camera.
+    """Learned time from the command to the start of the exposure, left and right camera.
 
     Attributes
     ----------
@@ -456,7 +456,7 @@ class CorrectedRange:
 
 @dataclass(frozen=True, slots=True)
 class RelativeRotation:
-    """What one pair's matches say about the right camera's rotation against the left, beyond the tracked bend.
+    """Rotation of the right camera against the left beyond the tracked bend, from one pair's matches.
 
     Rotation vectors in the epipolar frame: x along the baseline (pitch), y across it (yaw: the toe of a pair), z where
     the cameras look (roll). Yaw is seen weakly in distant flat scenes; the covariances say how weakly.

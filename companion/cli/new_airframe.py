@@ -161,7 +161,7 @@ def _measured(options: argparse.Namespace) -> Measured:
 
 
 def _check_together(measured: Measured) -> None:
-    """What each number alone does not show."""
+    """Refuse numbers that contradict each other."""
     if measured.wing_mass_kg >= 0.98 * measured.mass_kg:
         raise ConfigError(
             f"wing_mass_kg = {measured.wing_mass_kg:g} kg of mass_kg = {measured.mass_kg:g} kg: at most 98 %; "

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(slots=True)
 class Tally:
-    """What the outputs add up to."""
+    """Counts and digest of the outputs."""
 
     counts: Counter[str] = field(default_factory=Counter)
     validity: Counter[str] = field(default_factory=Counter)
@@ -155,7 +155,7 @@ def _replayed(
 
 
 def _outputs_of(recording: Recording) -> Iterator[Record]:
-    """What was published, up to the first record that is missing."""
+    """Published records, up to the first that is missing."""
     records = recording.records_before_loss() if isinstance(recording, McapRecording) else recording.records()
     return (record for record in records if isinstance(record, _OUTPUTS))
 
@@ -166,7 +166,7 @@ def _lossy(recording: Recording) -> bool:
 
 
 def _loss(recording: Recording) -> dict[str, Any] | None:
-    """What is missing of a recording: where, and how long it lasted as far as the file tells."""
+    """Loss of a recording: where, and how long it lasted as far as the file tells."""
     if not isinstance(recording, McapRecording) or not _lossy(recording):
         return None
     damaged = not recording.replayable and not recording.dropped

@@ -67,7 +67,7 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def service_config(options: argparse.Namespace) -> ServiceConfig:
-    """What the options ask for."""
+    """Configuration that the options ask for."""
     if options.record is not None and not options.record.parent.is_dir():
         raise ConfigError(f"--record {options.record}: no folder {options.record.parent}")
     if options.parameters is None:
@@ -111,7 +111,7 @@ def _latency_file(options: argparse.Namespace) -> Path:
 
 
 def _path(options: argparse.Namespace) -> str:
-    """What the latency belongs to."""
+    """Trigger path that the latency belongs to."""
     return f"{options.trigger} {options.cameras or ''}".strip()
 
 

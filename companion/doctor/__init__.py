@@ -1,1 +1,1 @@
-"""What ``spanwise doctor`` looks at: one file per subject, pure functions from evidence to findings."""
+"""Checks of ``spanwise doctor``: one file per subject, pure functions from evidence to findings."""

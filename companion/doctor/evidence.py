@@ -1,4 +1,4 @@
-"""What was seen of a vehicle, and what a check makes of it."""
+"""Evidence on a vehicle, and the findings of a check."""
 
 from __future__ import annotations
 

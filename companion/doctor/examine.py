@@ -73,7 +73,7 @@ class Examination:
             self._take(record)
 
     def evidence(self) -> Evidence:
-        """What was seen until now."""
+        """Evidence gathered until now."""
         seen, decoder = self._evidence, self.pilot.decoder
         now = self._clock.now_ns()
         seen.seconds = (now - self._began_host_ns) / 1e9

@@ -1,4 +1,4 @@
-"""What the autopilot will do with our ranges: rangefinder, proximity, limits, orientation, rivals."""
+"""Use that the autopilot makes of our ranges: rangefinder, proximity, limits, orientation, rivals."""
 
 from __future__ import annotations
 

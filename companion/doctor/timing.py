@@ -70,7 +70,7 @@ def _rate(seen: Evidence, station: Station, message: str, needed_hz: float, fixe
 
 
 def check_filters(seen: Evidence) -> Iterator[Finding]:
-    """What the autopilot's low-pass filters do to the modes."""
+    """Attenuation of the modes by the autopilot's low-pass filters."""
     names = ("IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF") if seen.px4 else ("INS_ACCEL_FILTER", "INS_GYRO_FILTER")
     for wanted, axis in zip(names, ("accel", "gyro"), strict=True):
         told = seen.parameter(wanted)

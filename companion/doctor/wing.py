@@ -89,7 +89,7 @@ def _lines(seen: Evidence) -> Iterator[Finding]:
 
 
 def _losses(seen: Evidence) -> Iterator[Finding]:
-    """What the nodes themselves say that they lost (tools/wing_node)."""
+    """Losses that the nodes themselves count (tools/wing_node)."""
     for (component, name), count in sorted(seen.node_losses.items()):
         if count and name in _LOSSES:
             yield Finding("wing", Level.FIX, f"node {component}: {count} {_LOSSES[name]}")
@@ -101,7 +101,7 @@ def _needed_baud(sensor: Sensor) -> float:
 
 
 def _bandwidth(seen: Evidence, side: Station) -> str:
-    """What the stream needs of a serial line (1 kHz of HIGHRES_IMU is 750 kbaud), where one is in use."""
+    """Bit rate that the stream needs of a serial line (1 kHz of HIGHRES_IMU is 750 kbaud), where one is in use."""
     sensor = seen.airframe.sensor(side)
     needed = _needed_baud(sensor)
     small = {link: baud for link, baud in seen.serial_baud.items() if baud < needed}
@@ -150,7 +150,7 @@ def _feedback(seen: Evidence) -> Iterator[Finding]:
 
 
 def _planned(counts: dict[str, int]) -> Finding:
-    """Of a recording: what became of the plans to fire, and what to do where too many came to nothing."""
+    """Outcomes of a recording's plans to fire, and the fix where too many came to nothing."""
     text = f"{sum(counts.values())} plans: " + ", ".join(f"{count} {fate}" for fate, count in counts.items())
     tried = sum(counts.get(fate, 0) for fate in (FIRED, LATE, FAILED))
     if counts.get(FAILED, 0) > _LOST * tried:
@@ -161,7 +161,7 @@ def _planned(counts: dict[str, int]) -> Finding:
 
 
 def _pairing(seen: Evidence) -> Finding:
-    """Of a recording: what became of the shots."""
+    """Outcomes of a recording's shots."""
     text = f"{seen.shots} shots, {seen.pairs} matched pairs, {seen.unpaired} images without a partner"
     text += f", {seen.lost} that never came" if seen.lost else ""
     if seen.shots and not seen.pairs:

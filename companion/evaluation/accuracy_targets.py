@@ -1,4 +1,4 @@
-"""What the scores of a flight mean: targets met or missed, honest sigmas, trigger errors, blur."""
+"""Verdicts on a flight's scores: targets met or missed, honest sigmas, trigger errors, blur."""
 
 from __future__ import annotations
 

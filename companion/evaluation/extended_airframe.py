@@ -1,4 +1,4 @@
-"""What a diagnosis found, written into the airframe: named effects, and the values that the fit gave the rest."""
+"""Airframe extended by a diagnosis: named effects, and the values that the fit gave the rest."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ _NO_RANGE = (Reject.FRAME_LOST, Reject.UNPAIRED, Reject.OUT_OF_WINDOW, Reject.QU
 
 @dataclass(slots=True)
 class Flown:
-    """What one run of the pipeline made of the shots."""
+    """Outputs of one run of the pipeline over the shots."""
 
     matches: dict[int, MatchSet] = field(default_factory=dict)
     ranges: dict[int, CorrectedRange] = field(default_factory=dict)
@@ -176,7 +176,7 @@ def collect(records: Iterable[Record]) -> Flown:
 
 
 def replayed(inputs: Iterable[Record], airframe: Airframe, settings: Settings) -> Flown:
-    """What the pipeline makes of these inputs."""
+    """Outputs of the pipeline for these inputs."""
     kept: list[Record] = []
 
     def watched() -> Iterator[Record]:
@@ -323,7 +323,7 @@ def _counts(flown: Flown, shots: Shots) -> dict[str, Any]:
 def _series(
     judge: Judge, flown: Flown, shots: Shots, ways: dict[str, Scored], blur: dict[str, Floats]
 ) -> dict[str, Floats]:
-    """What the picture shows."""
+    """Series that the picture shows."""
     series: dict[str, Floats] = {
         "t_s": shots.t_s,
         "true_toe_rad": np.array([judge.true_toe_rad(flown.matches[pair_id]) for pair_id in shots.ids]),

@@ -147,7 +147,7 @@ def headline(plain: dict[str, Any]) -> str:
 
 
 def error_line(gain: dict[str, Any]) -> str:
-    """What a law is worth on blocks of which it was not fitted."""
+    """Error of a law on blocks that it was not fitted to."""
     low, high = (100.0 * value for value in gain["interval"])
     before, after = (100.0 * value for value in gain["share_of_signal"])
     return (

@@ -1,4 +1,4 @@
-"""What became of the plans to fire: a shot that was planned and not made has a reason, and is counted under it."""
+"""Outcomes of the plans to fire: a shot that was planned and not made is counted under its reason."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _Entry:
     fate: str | None = None
 
     def known(self) -> str:
-        """What became of it now that a newer plan is there."""
+        """Outcome once a newer plan has come."""
         if self.fate is not None:
             return self.fate
         if self.plan.firing is not Firing.SKIP:
@@ -72,6 +72,6 @@ class Fates:
             self._entries[plan_id].fate = fate
 
     def _commanded_before(self, at_host_ns: int) -> int | None:
-        """Of a failure that names no plan: the newest whose command had just been given."""
+        """Newest plan whose command had just been given, for a failure that names none."""
         near = (i for i, e in self._entries.items() if 0 <= at_host_ns - e.plan.command_host_ns <= _ANSWER_NS)
         return max(near, default=None)

@@ -165,7 +165,7 @@ def _changed(settings: Settings) -> str:
 
 
 def _uses(recording: Recording, info: RecordingInfo) -> str:
-    """What the recording serves for."""
+    """Purposes that the recording serves."""
     if not info.streams:
         return "nothing to replay or to diagnose: no inertial samples"
     replay = "replay: as published" if recording.replayable else "replay: estimates anew, not as published"

@@ -39,7 +39,7 @@ def scene_of(flight: Flight) -> Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """What is filmed; picklable. ``belief`` is the airframe that matching goes by, ``actual`` the one that flies."""
+    """Scene and cameras of a flight; picklable. ``belief`` is the airframe that matching goes by, ``actual`` the one that flies."""
 
     belief: Airframe
     actual: Airframe
@@ -80,7 +80,7 @@ class Studio:
         self._vision = VisionState.create(stage.belief, stage.settings)
 
     def shoot(self, pull: Pull) -> Seen:
-        """What vision says of one shot; nothing before take-off and after the end, where there is nothing to see."""
+        """Matches of one shot; none before take-off and after the end, where there is nothing to see."""
         start_ns = self._stage.start_host_ns
         try:
             pair = render_pair(self._renderer, self._shutters, pull.edge_host_ns - start_ns, pull.shot)
@@ -119,14 +119,14 @@ class Studios:
         self._made: dict[int, Seen] = {}
 
     def begin(self, pull: Pull) -> None:
-        """Let the process with the least to do begin a shot."""
+        """Give a shot to the process with the least to do."""
         busy = list(self._given.values())
         worker = min(range(len(self._ends)), key=busy.count)
         self._given[pull.shot] = worker
         _give(self._ends[worker], pull)
 
     def result(self, shot: int) -> Seen:
-        """What came of a shot that was begun; waits for it."""
+        """Matches of a shot that was begun; waits for them."""
         while shot not in self._made:
             try:
                 made, seen = self._ends[self._given[shot]].recv()

@@ -110,7 +110,7 @@ class _Waiting:
         return self.samples >= _RESUMED_SAMPLES and self.newest_ns - self.oldest_ns >= _RESUMED_NS
 
     def add(self, batch: ImuBatch, now_ns: int) -> Iterator[Record]:
-        """Let a batch wait; those before are refused where it does not go on from them, it too if it leaps itself."""
+        """Hold a batch back; those before are refused where it does not go on from them, it too if it leaps itself."""
         steps_ns = np.abs(np.diff(batch.t_ns, prepend=[self.newest_ns] if self.batches else batch.t_ns[:1]))
         if steps_ns[0] > _RESUMED_STEP_NS:
             yield from self.refused(now_ns)

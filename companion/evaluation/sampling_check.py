@@ -1,4 +1,4 @@
-"""What a flight's recording must have to be diagnosed; where it has not, that is the verdict, with what to record."""
+"""Requirements of a diagnosis on a flight's recording; the verdict on one that falls short says what to record."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Timing:
 
     @property
     def problem(self) -> str:
-        """What is missing, "" for nothing."""
+        """Missing requirement in words, "" for none."""
         if not self.has_tip:
             return "no accelerometer on a wing: what the wing does cannot be told from the fuselage alone"
         longest = min((one.longest_stretch_s for one in self.streams), default=0.0)

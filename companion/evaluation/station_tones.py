@@ -54,7 +54,7 @@ class StationAnalysis:
             self.tones[station].append(estimate)
 
     def result(self) -> dict[str, dict[str, Any]]:
-        """By station name: medians over the windows with a tone, or why there is none."""
+        """Medians over the windows with a tone, by station name, or the reason for none."""
         return {station.name.lower(): self._describe(station) for station in Station if self._samples[station]}
 
     def told(self) -> list[str]:

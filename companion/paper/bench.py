@@ -32,7 +32,7 @@ _NOISE_TO_HZ = 200.0
 
 
 class Drive(enum.StrEnum):
-    """What makes the wing move."""
+    """Motion that drives the wing."""
 
     STILL = "at rest"
     SHAKER_SINE = "shaker, sine near the first mode"
@@ -65,7 +65,7 @@ class _Path:
 
 
 def still_plan(duration_s: float) -> FlightPlan:
-    """What the records say of the path: no speed, no wobble."""
+    """Path that the records show: no speed, no wobble."""
     return FlightPlan(duration_s, 0.0, 0.0, (), (), (), 0.0, 0.0, 0.0, 0.0)
 
 

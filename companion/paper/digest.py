@@ -105,7 +105,7 @@ def _least_and_greatest(values: list[float]) -> list[float]:
 
 
 def _published(results: Results) -> str:
-    """What leaves the service: trusted shots, wing and matches together."""
+    """Shots that leave the service: trusted, wing and matches together."""
     own = [results.peaks[key] for key in results.own]
     shots, trusted = (sum(peak[name] for peak in own) for name in ("shots", "trusted"))
     worst = max(
@@ -125,7 +125,7 @@ def _every_draw(results: Results, key: str) -> dict[int, dict[str, Any]]:
 
 
 def weak_points(results: Results) -> dict[str, list[str]]:
-    """What speaks against us, as keys of experiments; a difference within two sigma is none.
+    """Experiments whose result is worse than the paper's, by key; a difference within two sigma is none.
 
     ``than_printed``: more is left than the paper prints, told as it tells it (the median range at diverging peaks) and
     rounded as it rounds. ``than_rigid``: more is left than by a rigid pair that was calibrated in that state.

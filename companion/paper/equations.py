@@ -90,7 +90,7 @@ def _stereo() -> list[Equation]:
 
 
 def convergence() -> dict[str, float]:
-    """What half of Table 3's board angle at each camera does to disparity and range, either way."""
+    """Change that half of Table 3's board angle at each camera does to disparity and range, either way."""
     board = printed.OBJECTS[0]
     slope = 0.5 * toe_rad(board.still_m, board.vibrating_m) / wide_factor(board.still_m)
     still, _ = projected_range_m(board.still_m, 0.0)

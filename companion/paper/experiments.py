@@ -28,7 +28,7 @@ _LAG_S = 0.8  # the smoother needs the samples after a shot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What an experiment gave: its shots, one pair of its images, and how far belief and truth are apart.
+    """Result of an experiment: its shots, one pair of its images, and how far belief and truth are apart.
 
     ``baseline_m`` is the believed distance of the cameras. ``slope_factor_gap`` is the believed slope factor of the
     first symmetric mode over the true one, less 1: the part of the correction that no tracker can mend.

@@ -1,4 +1,4 @@
-"""What an audit section consists of: sentences, tables, pictures, and the numbers behind them."""
+"""Contents of an audit section: sentences, tables, pictures, and the numbers behind them."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def diverging_ranges_m(outcome: Outcome) -> dict[str, float]:
 
 
 def left_m(outcome: Outcome) -> tuple[float, float]:
-    """What the correction leaves at diverging peaks as Table 3 tells it, the median range less the true; its sigma."""
+    """Error that is left at diverging peaks, as Table 3 defines it: median range less the true one; its sigma."""
     shots = [shot for shot in outcome.flown.shots if shot.planned and shot.toe_rad > 0.0]
     ranges = [1.0 / reading.inverse_pm for shot in shots if (reading := shot.whole["corrected"]) is not None]
     if not ranges:

@@ -1,4 +1,4 @@
-"""What the paper prints, copied as it stands, misprints included. Nothing here is computed."""
+"""Values that the paper prints, copied as they stand, misprints included. Nothing here is computed."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def toe_rad(true_m: float, read_m: float, baseline_m: float = printed.BASELINE_M
 
 
 def read_range_m(true_m: float, angle_rad: float, baseline_m: float = printed.BASELINE_M) -> float:
-    """What a pair reads at ``true_m`` when its axes diverge by ``angle_rad``."""
+    """Range that a pair reads at ``true_m`` when its axes diverge by ``angle_rad``."""
     return 1.0 / (1.0 / true_m + angle_rad / baseline_m)
 
 

@@ -1,4 +1,4 @@
-"""What the shots of an experiment come to: errors of every way of ranging, blur, phase, and what did not count."""
+"""Scores of an experiment's shots: errors of every way of ranging, blur, phase, and what did not count."""
 
 from __future__ import annotations
 

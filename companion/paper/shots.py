@@ -23,7 +23,7 @@ Readings = Mapping[str, Reading | None]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the pipeline said of one pair: the range, the wing at both exposures, and what the matches add to it."""
+    """Pipeline's answer to one pair: the range, the wing at both exposures, and what the matches add to it."""
 
     range: CorrectedRange
     left: Deflection

@@ -1,4 +1,4 @@
-"""What the paper did not try: antisymmetric motion, a pair that looks forward, lift, manoeuvres."""
+"""Experiments that the paper did not try: antisymmetric motion, a pair that looks forward, lift, manoeuvres."""
 
 from __future__ import annotations
 

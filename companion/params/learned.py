@@ -1,4 +1,4 @@
-"""What a flight has learned about its trigger, kept for the next one: a small TOML file beside the parameters.
+"""Trigger latencies learned in a flight, kept for the next one in a small TOML file beside the parameters.
 
 Latency belongs to a path: these cameras behind this trigger. The file says which; on another path it is not used. It
 comes back as the airframe's ``latency_s``, so that a recording, which holds the airframe, replays with it.

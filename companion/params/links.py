@@ -21,7 +21,7 @@ _SPELLINGS = (
 
 
 class LinkKind(enum.StrEnum):
-    """What carries the bytes; the value is mavutil's word."""
+    """Carrier of the bytes; the value is mavutil's word."""
 
     UDP_LISTEN = "udpin"
     UDP_CALL = "udpout"

@@ -26,7 +26,7 @@ _LARGEST_BYTES = 65_536
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """What a parameter file gave: values by MAVLink name, and sentences about what was wrong with it."""
+    """Contents of a parameter file: values by MAVLink name, and sentences about what was wrong with it."""
 
     values: dict[str, float]
     problems: tuple[str, ...] = ()
@@ -144,7 +144,7 @@ class Keeper:
         self._newest.put(dict(values))
 
     def problems(self) -> list[str]:
-        """What went wrong since the last call."""
+        """Problems since the last call."""
         taken: list[str] = []
         while not self._problems.empty():
             taken.append(self._problems.get())

@@ -1,4 +1,4 @@
-"""What an aircraft can be: the range of every number of an airframe file, and what its numbers are to each other.
+"""Plausible aircraft: the range of every number of an airframe file, and relations between the numbers.
 
 The ranges are wide: they hold a bench beam of 10 cm and the largest solar aircraft. What is outside is a slip of unit,
 sign or place, and would end in ranges that are wrong or in a tracker that cannot begin.
@@ -177,7 +177,7 @@ def _wing(airframe: Airframe) -> Iterator[str]:
 
 
 def _relative(belief: Uncertain, key: str) -> Iterator[str]:
-    """Of a quantity that is positive by nature the sigma is a share of the value."""
+    """Relative sigma of a quantity that is positive by nature."""
     if belief.sigma > _MOST_RELATIVE_SIGMA * belief.value > 0.0:
         most = _MOST_RELATIVE_SIGMA * belief.value
         yield f"'{key}.sigma' = {belief.sigma:g} is outside 0 to {most:g} ({_MOST_RELATIVE_SIGMA:g} times the value)"

@@ -1,1 +1,1 @@
-"""What every page shares: style sheet, tables, embedded figures, plot style."""
+"""Parts that every page shares: style sheet, tables, embedded figures, plot style."""

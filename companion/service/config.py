@@ -1,4 +1,4 @@
-"""What one run of the service is made of; picklable, so that every process is built from the same record."""
+"""Configuration of one run of the service; picklable, so that every process is built from the same record."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class _Verdict:
 
 
 class TickPace:
-    """Of the inertial loop."""
+    """Pace of the inertial loop."""
 
     def __init__(self) -> None:
         self._verdict = _Verdict("inertial")
@@ -74,7 +74,7 @@ class TickPace:
 
 
 class VisionPace:
-    """Of the vision process."""
+    """Pace of the vision process."""
 
     def __init__(self) -> None:
         self._verdict = _Verdict("vision")

@@ -192,7 +192,7 @@ class Supervisor:
         return sentences
 
     def rest(self, seconds: float) -> None:
-        """Let time pass, but no longer than all processes live."""
+        """Wait, but no longer than all processes live."""
         wait([worker.process.sentinel for worker in self._workers if worker.process and worker.alive()], seconds)
 
     def failed(self) -> list[str]:

@@ -81,7 +81,7 @@ class Service(Supervisor):
         self._say = matches_in
 
     def shown(self) -> list[Record]:
-        """What the inertial process wants to be seen, since the last call."""
+        """Records for the display from the inertial process since the last call."""
         return self._shown.receive()
 
     def tend(self) -> list[str]:
@@ -141,7 +141,7 @@ def _ignore_interrupt() -> None:
 
 
 def _stored(config: ServiceConfig) -> dict[str, float]:
-    """What a ground station has set up to now, by MAVLink name, less what contradicts itself."""
+    """Parameters set from a ground station, by MAVLink name, less those that contradict each other."""
     return {} if config.parameters is None else Settings().agreeing(load_stored(config.parameters).values)[0]
 
 
@@ -196,7 +196,7 @@ def _inertial_process(
 
 
 def compiling_status(begun: int, now_host_ns: int) -> ServiceStatus:
-    """What is shown while the link is not yet open, because the estimator is being compiled."""
+    """Status shown while the estimator is compiled and the link is not yet open."""
     text = f"compiling the estimator, one to two minutes, at the first start only ({begun} functions so far)"
     return ServiceStatus(now_host_ns, Health.BOOT, text, {})
 

@@ -1,1 +1,1 @@
-"""What the commands are made of."""
+"""Steps that commands share."""

@@ -57,7 +57,7 @@ class LockStepCameras:
         self._waiting.take(plan)
 
     def poll(self) -> list[Shot | Rejected]:
-        """What was fired or refused since the last call."""
+        """Shots and refusals since the last call."""
         self._fire_due()
         taken, self._reports = self._reports, []
         return taken
@@ -77,7 +77,7 @@ class LockStepCameras:
         """Nothing to release."""
 
     def matched(self) -> list[Record]:
-        """What vision has said by now."""
+        """Matches that are ready by now."""
         said: list[Record] = []
         now_ns = self._clock.now_ns()
         while self._coming and self._coming[0].matched_host_ns <= now_ns:
@@ -146,7 +146,7 @@ class LockStepService:
         self.studios.__exit__()
 
     def shown(self) -> list[Record]:
-        """What the loop wants to be seen, since the last call."""
+        """Records for the display since the last call."""
         taken = self._shown[:]
         self._shown.clear()
         return taken
@@ -180,5 +180,5 @@ class LockStepService:
         return f"flight {min(flown_s, length_s):3.0f} of {length_s:g} s, {pace:.1f} x real time"
 
     def report(self) -> dict[str, Any]:
-        """What the vehicle saw."""
+        """Counts of what the vehicle received."""
         return self.world.report()

@@ -1,1 +1,1 @@
-"""What a command shows in a terminal: the live view, plain lines, progress, the demo's tables."""
+"""Output of commands in a terminal: the live view, plain lines, progress, the demo's tables."""

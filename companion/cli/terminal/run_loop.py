@@ -19,7 +19,7 @@ class RunningService(Protocol):
     """A service that runs: the live one's processes, or the one in lock-step with its vehicle."""
 
     def shown(self) -> list[Record]:
-        """What is to be seen, since the last call."""
+        """Records for the display since the last call."""
         ...
 
     def tend(self) -> list[str]:
@@ -27,7 +27,7 @@ class RunningService(Protocol):
         ...
 
     def failed(self) -> list[str]:
-        """What cannot be mended."""
+        """Failure that cannot be mended, None while there is none."""
         ...
 
     def __enter__(self) -> object:

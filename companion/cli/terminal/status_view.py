@@ -71,7 +71,7 @@ class View:
         self.unprinted.append(sentence)
 
     def sentences(self) -> list[str]:
-        """What was said since the last call, for who prints lines."""
+        """Sentences since the last call, for printing line by line."""
         taken, self.unprinted = self.unprinted, []
         return taken
 

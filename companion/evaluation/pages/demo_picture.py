@@ -44,7 +44,7 @@ def draw(debrief: Debrief, path: Path) -> None:
 
 
 def _figure_that_counts(plain: dict[str, Any]) -> str:
-    """What the correction makes of the range error, in one line."""
+    """Range error before and after the correction, in one line."""
     removed, errors = plain["targets"]["share_of_error_removed"]["of_rigid"], plain["range_error_m"]
     far = [errors[way].get(_FAR, {}).get("median") for way in ("rigid", "corrected")]
     shots = plain["shots"]

@@ -23,7 +23,7 @@ Fits = Sequence[tuple[Expectation, str, str]]
 
 
 def fits_of(found: Diagnosis) -> list[tuple[Expectation, str, str]]:
-    """What to draw: the believed model fitted, and the extended one where there is one; with colour and label."""
+    """Fits to draw: the believed model, and the extended one where there is one; with colour and label."""
     fits = [(found.null.expectations[0], BEFORE, "believed model, fitted")]
     if len(found.final.terms) > len(found.null.terms):
         fits.append((found.final.expectations[0], AFTER, "extended model"))

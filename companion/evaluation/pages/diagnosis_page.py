@@ -82,7 +82,7 @@ def _views(plain: dict[str, Any]) -> list[Block]:
 
 
 def _change(view: dict[str, Any]) -> float:
-    """By how many standard deviations the causes bring a view nearer to what the model shows."""
+    """Standard deviations by which the causes bring a view nearer to the model."""
     return 0.0 if view["after"] is None else float(abs(view["before"]) - abs(view["after"]))
 
 
@@ -112,7 +112,7 @@ def _advice(cause: dict[str, Any]) -> str:
 
 
 def _left(plain: dict[str, Any]) -> list[Block]:
-    """What an unexplained recording leaves, described and not named."""
+    """Residuals of an unexplained recording, described and not named."""
     residual = plain["residual"]
     if residual is None:
         return []
