@@ -91,6 +91,8 @@ RANGES: dict[str, dict[str, Range]] = {
 }
 _SHORTEST_BASELINE_M = 0.01
 _MOST_RELATIVE_SIGMA = 5.0
+_FLATTEST_RADPM = 0.001  # a cantilever of 50 m semispan has 0.03
+_LOWEST_CORNER_HZ = 0.001
 _BEYOND_TIP = 1.5
 _LETTERS = "xyzpqr"
 _DISTORTION_TERMS = 5
@@ -173,6 +175,14 @@ def _wing(airframe: Airframe) -> Iterator[str]:
         if isinstance(mode, Mode):
             for key in ("frequency_hz", "damping"):
                 yield from _relative(getattr(mode, key), f"wing.{name}.{key}")
+            slope = mode.slope_factor_radpm.value
+            if abs(slope) < _FLATTEST_RADPM:
+                text = f"nearer to 0 than {_FLATTEST_RADPM:g} rad/m: no bending turns its tip so little"
+                yield f"'wing.{name}.slope_factor_radpm' = {slope:g} rad/m is {text}"
+    for index, corner_hz in enumerate(wing.gust.corners_hz):
+        if 0.0 < corner_hz < _LOWEST_CORNER_HZ:
+            text = f"below {_LOWEST_CORNER_HZ:g} Hz; 0 is white"
+            yield f"'wing.gust.corners_hz[{index}]' = {corner_hz:g} Hz is {text}"
     yield from _relative(wing.gust.deflection_rms_m, "wing.gust.deflection_rms_m")
 
 
