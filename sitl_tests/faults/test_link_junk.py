@@ -37,6 +37,7 @@ JUNK = {
     "only 0xFE": megabyte(b"\xfe"),
     "bad MAVLink 2 frames": megabyte(bad_frame(0xFD)),
     "bad MAVLink 1 frames": megabyte(bad_frame(0xFE)),
+    "MAVLink 1 headers in each other": megabyte(b"\xfe\x6e"),
     "heartbeats of 128 bytes": megabyte(b"\xfd\x80\x00\x00\x00"),
 }
 WAYS = ["plain", *(["compiled"] if COMPILED else [])]

@@ -25,6 +25,7 @@ _LAST_BYTE: tuple[int, ...] = tuple(mcrf4xx(bytes([byte]), 0) for byte in range(
 _EXTRA_OF = {identity.to_bytes(3, "little"): extra for identity, extra in CRC_EXTRA.items()}
 # of MAVLink 1, which has no extensions: what is longer is no frame, and its checksum is not worth the time; -1: unknown
 _LONGEST = tuple(payload_size(identity) if identity in CRC_EXTRA else -1 for identity in range(256))
+_EXTRA_1 = tuple(CRC_EXTRA.get(identity, 0) for identity in range(256))
 _LARGEST_1 = _HEADER_1 + 255 + 2
 INCOMPLETE, NO_FRAME, UNKNOWN, DAMAGED = -1, -2, -3, -4
 
@@ -123,16 +124,25 @@ class Scanner:
     def _careful(self, buffer: bytes, start: int, end: int, frames: list[Frame]) -> tuple[int, bool]:
         """Give the place behind the next frame, or the first byte that has to wait and True."""
         counters, search, longest_of, at = self.counters, _CANDIDATE.search, _LONGEST, start
+        crc, last_byte, extra_of, last_1 = mcrf4xx, _LAST_BYTE, _EXTRA_1, end - _LARGEST_1
         while at < end:
-            if buffer[at] == _MAGIC_1 and at + _LARGEST_1 <= end:  # a flood of these is the dearest
-                longest = longest_of[buffer[at + 5]]
-                if buffer[at + 1] > longest:
+            if buffer[at] == _MAGIC_1 and at <= last_1:  # a flood of these is the dearest: frame_end, here
+                size, identity = buffer[at + 1], buffer[at + 5]
+                longest = longest_of[identity]
+                if size > longest:
                     counters.unknown += longest < 0
                     counters.crc_errors += longest >= 0
                     at += 1
                     if buffer[at] != _MAGIC_1:
                         candidate = search(buffer, at)
                         at = candidate.start() if candidate else end
+                    continue
+                stop = at + _HEADER_1 + size
+                state = crc(buffer[at + 1 : stop])
+                if state >> 8 ^ last_byte[state & 255 ^ extra_of[identity]] != buffer[stop] | buffer[stop + 1] << 8:
+                    counters.crc_errors += 1
+                    candidate = search(buffer, at + 1)
+                    at = candidate.start() if candidate else end
                     continue
             after = frame_end(buffer, at)
             if after > 0 or after == INCOMPLETE:
