@@ -26,17 +26,9 @@ from sitl_tests.fuzz import corpora, mutators, structured
 from sitl_tests.fuzz.mutators import Mutator
 from sitl_tests.fuzz.target import LIMIT_S, Ending, Violation
 from sitl_tests.unit import test_recordings_mcap as ours
+from sitl_tests.unit.text_table_mapping import text_table_mapping
 
-TEXT_MAPPING = """
-[table]
-delimiter = "tab"
-header_line = 3
-first_line = 5
-[columns]
-"Time" = { channel = "t_s", unit = "ms" }
-"Acc L" = { channel = "left_z_mps2", unit = "V", scale = -2.0, offset = -9.80665 }
-"Gauge" = { channel = "range_m", unit = "m", optional = true }
-"""
+TEXT_MAPPING = text_table_mapping("range_m m")
 _MATLAB_MAPPING = """
 rate_hz = 500
 [matlab]

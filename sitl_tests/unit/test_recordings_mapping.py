@@ -17,17 +17,9 @@ from companion.adapters.recordings.tables.units import conversion
 from companion.errors import ConfigError, RecordingError, TableError
 from companion.params.files import load_airframe
 from companion.records import Axis, Station
+from sitl_tests.unit.text_table_mapping import text_table_mapping
 
-VOLTS = """
-[table]
-delimiter = "tab"
-header_line = 3
-first_line = 5
-[columns]
-"Time" = { channel = "t_s", unit = "ms" }
-"Acc L" = { channel = "left_z_mps2", unit = "V", scale = -2.0, offset = -9.80665 }
-"Gauge" = { channel = "strain_v", unit = "V", optional = true }
-"""
+VOLTS = text_table_mapping("strain_v V")
 
 
 def table(tmp_path: Path, text: str, name: str = "one.txt") -> Path:
