@@ -219,13 +219,47 @@ def test_two_senders_behind_one_address_are_told(ahead_us: int) -> None:
         router.beat()
         port.run()
         for number in range(600):
-            for node, begin_us in zip(nodes, (100_000_000, 100_000_000 + ahead_us), strict=True):
-                message = mavlink.MAVLink_highres_imu_message(begin_us + 10_000 * number, 0, 0, -9.8, *[0] * 10, 63)
-                router.send(bytes(message.pack(node)))
+            for node, begin_us, z_mps2 in zip(nodes, (100_000_000, 100_000_000 + ahead_us), (-9.8, -3.0), strict=True):
+                message = mavlink.MAVLink_highres_imu_message(begin_us + 10_000 * number, 0, 0, z_mps2, *[0] * 10, 63)
+                if number > 20 or node is nodes[0]:
+                    router.send(bytes(message.pack(node)))
             port.run(0.01)
         told = [text for text in port.texts() if "two senders" in text]
         assert len(told) == 1
         assert f"component {NODE}" in told[0]
+        assert port.samples() == {-9.8: 600}, "the first keeps its place"
+    finally:
+        port.close()
+
+
+def test_a_sender_behind_the_same_address_takes_the_place_of_one_that_is_silent() -> None:
+    port = Port()
+    try:
+        pilot, router = port.talker(PILOT), port.talker(NODE)
+        pilot.beat()
+        port.run()
+        for begin_us, z_mps2 in ((100_000_000, -9.8), (900_000_000, -3.0)):
+            for number in range(300):
+                router.sample(begin_us + 10_000 * number, z_mps2)
+                port.run(0.01)
+        assert port.samples()[-9.8] == 300
+        assert 195 <= port.samples()[-3.0] <= 201, "a second later"
+    finally:
+        port.close()
+
+
+def test_one_stamp_far_ahead_costs_itself_alone() -> None:
+    """It made every sample behind it late, until the clock was taken for one that restarted."""
+    port = Port()
+    try:
+        pilot, node = port.talker(PILOT), port.talker(NODE)
+        pilot.beat()
+        port.run()
+        for number in range(300):
+            node.sample(10_000_000 + 10_000 * number + (500_000_000 if number == 100 else 0))
+            port.run(0.01)
+        assert port.samples() == {-9.8: 299}
+        assert ClockRestart not in {type(record) for record in port.records}
     finally:
         port.close()
 

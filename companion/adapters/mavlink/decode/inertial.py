@@ -13,7 +13,7 @@ from companion.adapters.mavlink.decode.counters import RefusalCounters
 from companion.adapters.mavlink.decode.layouts import LAYOUTS, MessageSamples
 from companion.adapters.mavlink.decode.source_map import MappedSource
 from companion.adapters.mavlink.link.dialect import NAME_OF
-from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockResetDetector
+from companion.adapters.mavlink.vehicle.clock_reset_detector import LEAPS, ClockResetDetector
 from companion.records import Axis, Bools, ClockRestart, Floats, ImuBatch, Ints, Reject
 
 _COLUMNS = np.arange(6)
@@ -81,8 +81,10 @@ class StationReader:
         if verdict.keep is None:
             yield self._batch(t_ns, values, axes, received_host_ns)
             return
-        if verdict.dropped:
-            self._refusals.add(Reject.TIME_BACKWARDS, self.name, verdict.dropped)
+        if verdict.backward:
+            self._refusals.add(Reject.TIME_BACKWARDS, self.name, verdict.backward)
+        if verdict.ahead:
+            self._refusals.add(Reject.INCONSISTENT, self.name + LEAPS, verdict.ahead)
         restart_at = verdict.restart_at
         cut = max(restart_at, 0)
         for epoch in (slice(0, cut), slice(cut, None)):
@@ -94,7 +96,7 @@ class StationReader:
 
     def plain(self, run: SampleRun, received_host_ns: int) -> Iterable[ImuBatch | ClockRestart]:
         """As :meth:`in_time`, of a run; where time goes on, as it nearly always does, there is but one batch."""
-        if self._reset_detector.onward(self._followed, run.oldest_ns, run.newest_ns):
+        if self._reset_detector.onward(self._followed, run.oldest_ns, run.newest_ns, received_host_ns):
             return (self._batch(run.t_ns, run.values, run.source.sends, received_host_ns),)
         return self.in_time(run.t_ns, run.values, run.source.sends, received_host_ns)
 

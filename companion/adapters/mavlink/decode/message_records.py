@@ -13,7 +13,7 @@ import numpy as np
 from companion.adapters.mavlink.decode.counters import RefusalCounters
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT, SourceMap
 from companion.adapters.mavlink.link.dialect import mavlink
-from companion.adapters.mavlink.vehicle.clock_reset_detector import ClockResetDetector, StampHistory
+from companion.adapters.mavlink.vehicle.clock_reset_detector import LEAPS, ClockResetDetector, StampHistory
 from companion.adapters.mavlink.vehicle.vehicle_choice import VehicleChoice
 from companion.params.vehicle import VEHICLE_PARAMETERS
 from companion.records import (
@@ -156,8 +156,12 @@ class Translator:
         if clock not in self._answers:
             self._answers[clock] = self._reset_detector.follow(clock)
         verdict = self._reset_detector.check(self._answers[clock], stamp, heard.received_host_ns, confirmations=1)
-        if verdict.dropped:
-            self._refusals.add(Reject.TIME_BACKWARDS, f"TIMESYNC of component {heard.component}")
+        if verdict.keep is not None and not verdict.keep.any():
+            name = f"TIMESYNC of component {heard.component}"
+            if verdict.ahead:
+                self._refusals.add(Reject.INCONSISTENT, name + LEAPS)
+            else:
+                self._refusals.add(Reject.TIME_BACKWARDS, name)
             return
         if verdict.restart_at >= 0:
             yield ClockRestart(clock, heard.received_host_ns)

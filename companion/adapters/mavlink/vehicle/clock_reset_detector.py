@@ -9,8 +9,12 @@ import numpy as np
 from companion.records import Bools, ClockName, Ints
 
 BACK_NS = 1_000_000_000
+AHEAD_NS = 1_000_000_000
 CONFIRMATIONS = 3
 _ADOPT_NS = 1_000_000_000
+_ALIVE_NS = 1_000_000_000
+LEAPS = ": time leaps"
+"""Ends the name of a source whose stamps were refused because they were ahead."""
 
 
 @dataclass(slots=True)
@@ -27,22 +31,29 @@ class StampHistory:
     newest_ns: int | None = None
     number: int = 0
     backward: int = 0
+    heard_host_ns: int = 0
+
+    def limit_ns(self, received_host_ns: int) -> int:
+        """Give the stamp beyond which a clock cannot be by now that goes on from the newest one."""
+        return (self.newest_ns or 0) + max(received_host_ns - self.heard_host_ns, 0) + AHEAD_NS
 
 
 @dataclass(frozen=True, slots=True)
 class StampVerdict:
     """What to do with the stamps of one batch.
 
-    ``keep`` is None for all, else (n,); ``restart_at`` is the index of the first stamp after a restart, or -1.
+    ``keep`` is None for all, else (n,); ``restart_at`` is the index of the first stamp after a restart, or -1;
+    ``ahead`` of those that are not kept are of a clock that is ahead.
     """
 
     keep: Bools | None = None
     restart_at: int = -1
+    ahead: int = 0
 
     @property
-    def dropped(self) -> int:
-        """Number of stamps that must not be used."""
-        return 0 if self.keep is None else int((~self.keep).sum())
+    def backward(self) -> int:
+        """Number of stamps that must not be used because time went back."""
+        return 0 if self.keep is None else int((~self.keep).sum()) - self.ahead
 
 
 _ALL_GOOD = StampVerdict()
@@ -54,6 +65,9 @@ class ClockResetDetector:
     A stamp more than 1 s behind its source's newest is dropped; the third in a row (the first, for a matched TIMESYNC
     answer, which cannot be an old one) means that the clock restarted. Then stamps of the other sources of that clock
     are dropped until they step back too, for 1 s at most.
+
+    A stamp that has got more than 1 s ahead of the time since the newest is another's, or damaged: it is dropped as
+    long as the source goes on, and believed when that has been silent for 1 s.
     """
 
     def __init__(self) -> None:
@@ -73,17 +87,19 @@ class ClockResetDetector:
     ) -> StampVerdict:
         """Judge the stamps of one batch, in arrival order."""
         stamps = t_ns.tolist()
-        if self.onward(source, min(stamps), max(stamps)):
+        if self.onward(source, min(stamps), max(stamps), received_host_ns):
             return _ALL_GOOD
         return self._check_each(source, stamps, received_host_ns, confirmations)
 
-    def onward(self, source: StampHistory, oldest_ns: int, newest_ns: int) -> bool:
+    def onward(self, source: StampHistory, oldest_ns: int, newest_ns: int, received_host_ns: int) -> bool:
         """Take a batch whose stamps lie between these, if nothing is wrong with any of them."""
-        if source.newest_ns is not None and source.newest_ns > newest_ns:
-            newest_ns = source.newest_ns
+        if source.newest_ns is not None:
+            if newest_ns > source.limit_ns(received_host_ns):
+                return False
+            newest_ns = max(newest_ns, source.newest_ns)
         if source.number != source.epoch.number or oldest_ns < newest_ns - BACK_NS:
             return False
-        source.newest_ns, source.backward = newest_ns, 0
+        source.newest_ns, source.backward, source.heard_host_ns = newest_ns, 0, received_host_ns
         return True
 
     def _check_each(
@@ -91,7 +107,7 @@ class ClockResetDetector:
     ) -> StampVerdict:
         epoch = source.epoch
         keep = np.ones(len(stamps), dtype=np.bool_)
-        restart_at = -1
+        restart_at, ahead = -1, 0
         for index, stamp in enumerate(stamps):
             newest = stamp if source.newest_ns is None else source.newest_ns
             back = stamp < newest - BACK_NS
@@ -100,13 +116,25 @@ class ClockResetDetector:
                 keep[index] = fresh
                 if fresh:
                     source.number, source.newest_ns, source.backward = epoch.number, stamp, 0
+                    source.heard_host_ns = received_host_ns
+            elif self._leaps(source, stamp, received_host_ns):
+                keep[index] = False
+                ahead += 1
             elif not back:
                 source.newest_ns, source.backward = max(newest, stamp), 0
+                source.heard_host_ns = received_host_ns
             else:
                 source.backward += 1
                 keep[index] = confirmed = source.backward >= confirmations
                 if confirmed:
                     epoch.number, epoch.since_host_ns = epoch.number + 1, received_host_ns
                     source.number, source.newest_ns, source.backward = epoch.number, stamp, 0
+                    source.heard_host_ns = received_host_ns
                     restart_at = index
-        return StampVerdict(keep, restart_at)
+        return StampVerdict(keep, restart_at, ahead)
+
+    def _leaps(self, source: StampHistory, stamp: int, received_host_ns: int) -> bool:
+        """Whether a stamp is of a clock that is ahead of a source that lives."""
+        if source.newest_ns is None or received_host_ns - source.heard_host_ns > _ALIVE_NS:
+            return False
+        return stamp > source.limit_ns(received_host_ns)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import TypeGuard
 
+from companion.adapters.mavlink.vehicle.clock_reset_detector import LEAPS
 from companion.rate_limiter import RateLimiter
 from companion.records import ClockRestart, Notice, Record, Reject, Rejected
 from companion.units import Severity
@@ -100,7 +102,7 @@ class Senders:
 
 
 class ClockConflictDetector:
-    """Suspects two senders behind one address or wire: their stamps are of two clocks, and go back again and again.
+    """Suspects two senders behind one address or wire: their stamps are of two clocks, and leap again and again.
 
     A clock that restarts does so once; what is late in a network is a sample or two.
     """
@@ -110,9 +112,9 @@ class ClockConflictDetector:
         self._warnings = RateLimiter(_REPEAT_NS)
 
     def hear(self, record: Record) -> Notice | None:
-        """Look at what the decoder gave; a sentence when the stamps of one source went back in three seconds of ten."""
-        if isinstance(record, Rejected) and record.reason is Reject.TIME_BACKWARDS and record.count >= _CONFIRMATIONS:
-            what, now_host_ns = record.what, record.at_host_ns
+        """Look at what the decoder gave; a sentence when the stamps of one source leapt in three seconds of ten."""
+        if _leapt(record) and record.count >= _CONFIRMATIONS:
+            what, now_host_ns = record.what.removesuffix(LEAPS), record.at_host_ns
         elif isinstance(record, ClockRestart):
             what, now_host_ns = f"{record.clock} clock", record.seen_host_ns
         else:
@@ -124,4 +126,12 @@ class ClockConflictDetector:
             return None
         if not self._warnings.take(now_host_ns, what):
             return None
-        return Notice(Severity.ERROR, f"{what}: time goes back again and again: two senders with one id?", now_host_ns)
+        return Notice(Severity.ERROR, f"{what}: time leaps again and again: two senders with one id?", now_host_ns)
+
+
+def _leapt(record: Record) -> TypeGuard[Rejected]:
+    """Whether these are stamps that were refused because they are behind or ahead of those before."""
+    if not isinstance(record, Rejected):
+        return False
+    ahead = record.reason is Reject.INCONSISTENT and record.what.endswith(LEAPS)
+    return ahead or record.reason is Reject.TIME_BACKWARDS
