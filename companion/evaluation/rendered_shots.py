@@ -39,7 +39,7 @@ def scene_of(flight: Flight) -> Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """Scene and cameras of a flight; picklable. ``belief`` is the airframe that matching goes by, ``actual`` the one that flies."""
+    """Scene and cameras of a flight; picklable. Matching goes by ``belief``, the airframe that flies is ``actual``."""
 
     belief: Airframe
     actual: Airframe
