@@ -19,7 +19,7 @@ from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, Frame, FramePair, Ints, Record, Side, Station, TimesyncReply
 
 _AROUND_NS = 250_000_000
-_LEAST_SAMPLES = 10
+_LEAST_SAMPLES = 10  # for a mean whose noise does not matter beside the bias
 _STILL_MPS2 = 0.3  # standard deviation about the mean, any axis
 _STILL_RADPS = 0.02
 _APART_RAD = 0.05  # less is the same attitude again

@@ -12,7 +12,7 @@ from companion.records import Bytes, Floats, Ints
 
 _DICTIONARY = cv2.aruco.DICT_4X4_250
 _MARKER_FRACTION = 0.75
-LEAST_CORNERS = 12
+LEAST_CORNERS = 12  # four determine a pose; twelve leave residuals to judge it by
 # half window of the saddle point's refinement, in squares: a marker begins an eighth of a square from a corner
 _WINDOW_SQUARES = {"chessboard": 0.25, "charuco": 0.11}
 _WINDOW_PX = (2, 11)

@@ -15,9 +15,9 @@ from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, ImuBatch, Ints, Record, Station, TimesyncReply
 
-_VERTICAL = 2
+_VERTICAL = 2  # column of body z in ImuBatch.values
 _RATE_HZ = 200.0
-_TAPS = 129
+_TAPS = 129  # of the anti-alias filter: its stop band begins within a tenth of the new rate
 _LEAST_S = 20.0
 _GAP_NS = 200_000_000
 

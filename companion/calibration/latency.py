@@ -10,7 +10,7 @@ import numpy as np
 from companion.errors import RecordingError
 from companion.records import ClockName, Floats, MatchSet, Record, Shot
 
-_LEAST_SHOTS = 10
+_LEAST_SHOTS = 10  # for a spread known to a quarter
 _LONGEST_S = 0.2
 _MEDIAN_TO_SIGMA = 1.4826
 

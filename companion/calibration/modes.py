@@ -10,7 +10,7 @@ from companion.calibration.poles import Complex, Pole, stable_poles
 from companion.records import Floats, Ints
 
 _LINK = 0.017  # relative gap between runs within one mode: roving accelerometers shift it as they travel
-_LEAST_RUNS = 0.5
+_LEAST_RUNS = 0.5  # of the runs: what fewer show is no mode of the wing
 _RESOLVED = 4.0  # lines within the half-power bandwidth: with fewer, damping and residue are those of the record
 
 

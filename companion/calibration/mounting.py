@@ -23,8 +23,8 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera
 from companion.records import Floats
 
-LEAST_ATTITUDES = 4
-_ROUNDS = 20
+LEAST_ATTITUDES = 4  # three unknown angles, and one attitude to judge by
+_ROUNDS = 20  # Gauss-Newton steps; they settle in a few
 _LARGEST_SIGMA_RAD = 0.02
 
 

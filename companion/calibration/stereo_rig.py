@@ -18,10 +18,10 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Camera, Uncertain
 from companion.records import Bytes, Floats, Ints, Side
 
-LEAST_VIEWS = 6
+LEAST_VIEWS = 6  # nine lens terms a camera need three views; six leave residuals to judge by
 _OUTLIER = 3.0  # times the median reprojection error of the views
 _HARMLESS_PX = 0.15
-CELLS = 4
+CELLS = 4  # a side, of the grid by which image coverage is judged
 _FAR_M = 60.0
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 

@@ -16,7 +16,7 @@ from companion.params.plausible import problems
 from companion.params.shipped import shipped
 from companion.params.toml import parse_toml, read_text
 
-_LARGEST = 1e300
+_LARGEST = 1e300  # far below the largest float, so that squares do not overflow
 
 
 def shipped_airframes() -> list[str]:

@@ -18,7 +18,7 @@ from companion.params.airframe import Airframe, Uncertain
 from companion.params.persist import write_atomically
 from companion.records import TriggerLatency
 
-_LEAST_SHOTS = 10
+_LEAST_SHOTS = 10  # for a spread known to a quarter
 _LONGEST_S = 0.5
 _SIDES = ("left", "right")
 

@@ -93,9 +93,9 @@ _SHORTEST_BASELINE_M = 0.01
 _MOST_RELATIVE_SIGMA = 5.0
 _FLATTEST_RADPM = 0.001  # a cantilever of 50 m semispan has 0.03
 _LOWEST_CORNER_HZ = 0.001
-_BEYOND_TIP = 1.5
+_BEYOND_TIP = 1.5  # of the semispan: cameras on booms ahead of or beyond the tip
 _LETTERS = "xyzpqr"
-_DISTORTION_TERMS = 5
+_DISTORTION_TERMS = 5  # OpenCV's k1 k2 p1 p2 k3
 
 
 def problems(airframe: Airframe) -> Iterator[str]:

@@ -13,7 +13,7 @@ from typing import Any
 
 from companion.errors import ConfigError
 
-_MAVLINK_NAME_LENGTH = 16
+_MAVLINK_NAME_LENGTH = 16  # characters of PARAM_VALUE.param_id
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from companion.errors import ConfigError
 
-_LARGEST = 1e300
+_LARGEST = 1e300  # far below the largest float, so that squares do not overflow
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from companion.units import GRAVITY_MPS2
 BACKEND_HZ = 1000.0
 MILLI_G_MPS2 = GRAVITY_MPS2 / 1000.0
 MILLI_RADPS = 1e-3
-_WORD = 32768
+_WORD = 32768  # counts of a 16-bit converter, one way
 _BIAS_STEP_S = 0.5
 _COARSE_MESSAGES = ("RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3")
 

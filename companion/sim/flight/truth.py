@@ -19,7 +19,7 @@ STEP_NS = 1_000_000
 
 # columns of a knot: position (NED), velocity (NED), roll pitch yaw, body rate, modal coordinates
 POSITION, VELOCITY, EULER, RATE, MODAL = (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 16))
-COLUMNS = 16
+COLUMNS = 16  # of a knot: position, attitude, modal coordinates and what is integrated with them
 
 
 @dataclass(frozen=True, slots=True)

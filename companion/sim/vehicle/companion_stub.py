@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.sim.vehicle.wire import FrameSender
 
-COMPONENT = 191
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _RATE_NS = 100_000_000
 _BEAT_NS = 1_000_000_000
 _ALIVE, _UNTRUSTED = 90, 1

@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 _TIMEOUT_NS = 500_000_000
-_UNKNOWN = 65535
-_BODY_FRD = 12
+_UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known
+_BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 
 
 class Proximity:

@@ -12,10 +12,10 @@ from companion.sim.vehicle.wire import AUTOPILOT_ID, SYSTEM_ID
 
 _TIMEOUT_NS = 500_000_000
 _CENTIMETRE_M = 0.01
-_SECTORS = 72
-_UNKNOWN = 65535
-_BODY_FRD = 12
-_MOST_PROBLEMS = 50
+_SECTORS = 72  # OBSTACLE_DISTANCE.distances
+_UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known
+_BODY_FRD = 12  # MAV_FRAME_BODY_FRD
+_MOST_PROBLEMS = 50  # that are kept for the report
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from companion.sim.flight.sensors import MILLI_G_MPS2, MILLI_RADPS
 SYSTEM_ID = 1
 AUTOPILOT_ID = 1
 _HEADER = struct.Struct("<BBBBBBBHB")
-_ALL_FIELDS = 0b111111
+_ALL_FIELDS = 0b111111  # HIGHRES_IMU.fields_updated: accelerometers and gyros
 _AXES = "xyz"
 
 

@@ -27,7 +27,7 @@ PULSE = struct.Struct("<qq")
 HEADER = struct.Struct("<IIqqqqII")
 """magic, side, sequence, mid-exposure (host ns), exposure ns, row time ns, rows, columns; then the pixels."""
 
-MAGIC = 0x53574652
+MAGIC = 0x53574652  # "SWFR" in ASCII
 PLAN_UNKNOWN = -1
 """No camera knows which plan opened its shutter; pairing by exposure time is the service's business."""
 

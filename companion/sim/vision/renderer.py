@@ -25,8 +25,8 @@ from companion.sim.vision.shutter import PixelGrid
 from companion.sim.vision.texture import Image32, NoiseTile
 from companion.sim.vision.textured_plane import SurfacePainter
 
-_READ_NOISE = 0.8
-_PHOTON_GAIN = 0.012
+_READ_NOISE = 0.8  # grey levels rms, an 8-bit machine-vision sensor
+_PHOTON_GAIN = 0.012  # grey levels squared per grey level: 85 electrons a level
 _NOISE_SPARE = 512  # pixels by which the noise field is larger than an image, each way
 
 

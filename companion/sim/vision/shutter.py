@@ -81,9 +81,9 @@ class Window:
         return cls(int(start[0]), int(start[1]), int(stop[0] - start[0]), int(stop[1] - start[1]))
 
 
-STEP = 4
-MARGIN_CELLS = 2
-_EVEN = 0.005
+STEP = 4  # px of the coarse grid on which rays are bent
+MARGIN_CELLS = 2  # of the coarse grid, for interpolation at the edge
+_EVEN = 0.005  # px: below it a shift is the same all over the image
 
 
 class PixelGrid:

@@ -20,12 +20,12 @@ from companion.records import Floats
 Image32 = npt.NDArray[np.float32]
 Image16 = npt.NDArray[np.uint16]
 
-PERIOD_TEXELS = 1280
+PERIOD_TEXELS = 1280  # five 256-texel blocks: repeats lie farther apart than a match is sought
 CENTRE_PER_TEXEL = 1.0 / 8.0
 """Centre frequency of the tile's band: low enough for bilinear sampling, high enough for the processor's cache."""
 
 ZERO_LEVEL, LEVELS_PER_RMS = 32768, 6000
-_REPEATS = 3
+_REPEATS = 3  # copies side by side, so that a window never wraps
 
 _COARSEST, _FINEST = -8, 9  # octaves, 2^k cycles per metre: 256 m to 2 mm
 _LENS_SIGMA_PX = 0.45
