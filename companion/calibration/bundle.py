@@ -18,7 +18,7 @@ from companion.records import Floats
 
 LENS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
 SHARED = 2 * LENS + 6
-_ROUNDS = 12  # Gauss-Newton steps; simulated rigs settle in five
+_ROUNDS = 12  # Gauss-Newton steps at most; it ends earlier once settled
 _SETTLED = 1e-9  # relative step at which rounding rules
 _JACOBIAN_COLUMNS = np.r_[
     6:10, 10:15

@@ -17,7 +17,7 @@ from companion.records import ClockName, Floats, ImuBatch, Ints, Record, Station
 
 _VERTICAL = 2  # column of body z in ImuBatch.values
 _RATE_HZ = 200.0
-_TAPS = 129  # of the anti-alias filter: its stop band begins within a tenth of the new rate
+_TAPS = 129  # of the anti-alias low-pass
 _LEAST_S = 20.0
 _GAP_NS = 200_000_000
 

@@ -24,7 +24,7 @@ from companion.params.airframe import Airframe, Camera
 from companion.records import Floats
 
 LEAST_ATTITUDES = 4  # three unknown angles, and one attitude to judge by
-_ROUNDS = 20  # Gauss-Newton steps; they settle in a few
+_ROUNDS = 20  # Gauss-Newton steps at most
 _LARGEST_SIGMA_RAD = 0.02
 
 

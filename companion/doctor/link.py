@@ -11,7 +11,7 @@ from companion.doctor.evidence import Evidence, Finding, Level
 
 _SUBJECT = "link"
 _LEAST_BEATS_HZ = 0.7
-_DAMAGE = 0.01  # share of damaged frames: radios lose fewer, a wrong baud rate more
+_DAMAGE = 0.01  # convention: share of damaged frames worth a warning
 
 
 def check_link(seen: Evidence) -> Iterator[Finding]:

@@ -18,8 +18,8 @@ _LOSSES = {
     "line_bad": "damaged TIMESYNC requests: mend the cable",
 }
 _ENOUGH = 0.75  # of the believed rate: below, the stream does not come as set
-_UNPAIRED = 0.05  # share of frames: one in twenty costs no flight its ranges
-_LOST = 0.05  # share of plans: one in twenty costs no flight its ranges
+_UNPAIRED = 0.05  # convention: share of frames worth a warning
+_LOST = 0.05  # convention: share of plans worth a warning
 _OVERHEAD_BYTES = 12
 _BITS_PER_BYTE = 10
 _LETTERS = "xyzpqr"

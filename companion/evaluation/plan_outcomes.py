@@ -13,7 +13,7 @@ LATE = "came too late to be fired"
 FAILED = "refused by the trigger or the autopilot"
 WITHDRAWN = "withdrawn"
 _SKIPPED = "skipped: "
-_KEPT = 32  # plans still open: a second of them at the highest rate, with room
+_KEPT = 32  # plans that may still be open
 _ANSWER_NS = 1_000_000_000
 
 

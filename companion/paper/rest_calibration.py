@@ -28,7 +28,7 @@ from companion.sim.vision.cameras import Shutters, render_pair
 from companion.sim.vision.renderer import Renderer
 
 _EDGES_NS = (500_000_000, 900_000_000, 1_300_000_000)
-_STEPS = 4  # Newton steps: the residual falls below rounding in three
+_STEPS = 4  # Newton steps
 _DIFFERENCE = np.array([1e-5, 1e-5, 1e-5, 1e-2, 1e-2])
 _ROTATION_SIGMA_RAD = 0.003  # wide: a hanging wing's static bend is in it
 _COMMON_PX = 0.02

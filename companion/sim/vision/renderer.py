@@ -26,7 +26,7 @@ from companion.sim.vision.texture import Image32, NoiseTile
 from companion.sim.vision.textured_plane import SurfacePainter
 
 _READ_NOISE = 0.8  # grey levels rms, an 8-bit machine-vision sensor
-_PHOTON_GAIN = 0.012  # grey levels squared per grey level: 85 electrons a level
+_PHOTON_GAIN = 0.012  # variance of photon noise per grey level: 83 electrons a level
 _NOISE_SPARE = 512  # pixels by which the noise field is larger than an image, each way
 
 

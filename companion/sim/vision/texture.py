@@ -20,7 +20,7 @@ from companion.records import Floats
 Image32 = npt.NDArray[np.float32]
 Image16 = npt.NDArray[np.uint16]
 
-PERIOD_TEXELS = 1280  # five 256-texel blocks: repeats lie farther apart than a match is sought
+PERIOD_TEXELS = 1280  # texels after which the ground repeats
 CENTRE_PER_TEXEL = 1.0 / 8.0
 """Centre frequency of the tile's band: low enough for bilinear sampling, high enough for the processor's cache."""
 
