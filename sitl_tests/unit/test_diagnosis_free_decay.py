@@ -92,7 +92,7 @@ def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
     found = []
     for sweep in (kalman.filter_batch, kalman.filter_each):
         out = np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))
-        sweep(steps.transition, steps.process_noise, steps.H, steps.cross_covariance, steps.variance, y, *out)
+        sweep(steps, y, *out)
         found.append(out)
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)

@@ -10,6 +10,7 @@ what drives the state is also in the sample, and the filter knows it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,17 +48,16 @@ class Filtered:
     ahead: Floats | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Steps:
+class Steps(NamedTuple):
     """A batch in matrices: n states, u and v of each mode.
 
     Attributes
     ----------
-    transition, spread : (t, b, n, n)
+    transition, process_noise : (t, b, n, n)
         Of the state over a step, and the covariance of what the load adds.
-    seen : (t, b, n)
-        How the state before a step shows in its sample.
-    along : (t, b, n)
+    H : (t, b, n)
+        Row by which the state before a step shows in its sample.
+    cross_covariance : (t, b, n)
         Covariance of what the load adds to the state and to the sample.
     variance : (t, b)
         Of the sample given the state before.
@@ -80,33 +80,13 @@ def run(modes: Modes, y: Floats, step_s: float, ahead: int = 0) -> Filtered:
     innovation, variance = np.empty((count, batch)), np.empty((count, batch))
     state = np.empty((count, batch, order))
     kalman_filter = filter_each if COMPILED else filter_batch
-    samples = np.ascontiguousarray(y.T)
-    kalman_filter(
-        steps.transition,
-        steps.process_noise,
-        steps.H,
-        steps.cross_covariance,
-        steps.variance,
-        samples,
-        innovation,
-        variance,
-        state,
-    )
+    kalman_filter(steps, np.ascontiguousarray(y.T), innovation, variance, state)
     return Filtered(innovation.T, variance.T, _ahead(steps, state, ahead) if ahead else None)
 
 
-def filter_batch(
-    transition: Floats,
-    process_noise: Floats,
-    H: Floats,
-    cross_covariance: Floats,
-    noise: Floats,
-    y: Floats,
-    innovation: Floats,
-    variance: Floats,
-    state: Floats,
-) -> None:
+def filter_batch(steps: Steps, y: Floats, innovation: Floats, variance: Floats, state: Floats) -> None:
     """Step by step, all hypotheses at once: numpy's way. Fills the last three, (t, b) and (t, b, n)."""
+    transition, process_noise, H, cross_covariance, noise = steps
     count, batch, order = H.shape
     x, p = np.zeros((batch, order, 1)), np.zeros((batch, order, order))
     p[:, range(order), range(order)] = _AT_REST * noise[0][:, None]
@@ -127,18 +107,9 @@ def filter_batch(
 
 
 @compiled
-def filter_each(
-    transition: Floats,
-    process_noise: Floats,
-    H: Floats,
-    cross_covariance: Floats,
-    noise: Floats,
-    y: Floats,
-    innovation: Floats,
-    variance: Floats,
-    state: Floats,
-) -> None:
+def filter_each(steps: Steps, y: Floats, innovation: Floats, variance: Floats, state: Floats) -> None:
     """Hypothesis by hypothesis: the compiler's way, with the numbers of :func:`filter_batch`."""
+    transition, process_noise, H, cross_covariance, noise = steps
     count, batch, n = H.shape
     for b in range(batch):
         x, moved, ph, gain = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
