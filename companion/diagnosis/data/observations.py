@@ -206,23 +206,11 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
     rate_hz, keep = _coarse(len(fine_t), fine_hz, top_hz)
     sides = tuple(sorted(raw.tips))
     faults = {side: _faults(raw.tips[side], start_s, stop_s, airframe, side) for side in sides}
-    mended = {side: _mended(raw.tips[side], faults[side]) for side in sides}
-    tips = np.stack([_on_grid(mended[side], fine_t) for side in sides], 1)
-    cut = {side: clipped_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides}
-    if any(np.any(clipped) for clipped in cut.values()):
-        tips = _restored(tips, [raw.tips[side] for side in sides], [cut[side] for side in sides], fine_t)
+    tips = _tips_on_grid(raw, faults, fine_t)
     root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
     if raw.root:
         root = undo_lowpass(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
-        felt = rotation_forces(raw.rigid, fine_t, fine_hz, airframe, sides)
-        lateral = lateral_force(raw.rigid, fine_t, fine_hz, airframe)
-        for i, side in enumerate(sides):
-            recorded = raw.tips[side].force_y_mps2
-            if recorded is not None and lateral is not None:
-                lateral_y = _on_grid(RawStream(raw.tips[side].t_s, recorded), fine_t)
-                tips[:, i] = tip_axes_corrected(lateral_y, tips[:, i], lateral + felt[i, 1])
-        turning = felt[:, 2].T
-        tips -= turning
+        tips, turning = _against_rigid(raw, tips, fine_t, fine_hz, airframe)
     up = root[:, None] - tips
     load = -root / GRAVITY_MPS2
     grid_t = start_s + np.arange(keep) / rate_hz
@@ -247,6 +235,32 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         centre_s=0.5 * keep / rate_hz,
         units=units,
     )
+
+
+def _tips_on_grid(raw: RawRecording, faults: Mapping[Side, Sequence[SampleDefect]], t_s: Floats) -> Floats:
+    """Vertical specific force of the tips (m, c) at ``t_s`` (m,), clipped samples drawn beyond their limit."""
+    sides = sorted(faults)
+    tips = np.stack([_on_grid(_mended(raw.tips[side], faults[side]), t_s) for side in sides], 1)
+    clipped = [clipped_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides]
+    if not any(np.any(entry) for entry in clipped):
+        return tips
+    return _restored(tips, [raw.tips[side] for side in sides], clipped, t_s)
+
+
+def _against_rigid(
+    raw: RawRecording, tips: Floats, t_s: Floats, rate_hz: float, airframe: Airframe
+) -> tuple[Floats, Floats]:
+    """Tips (m, c) in the aircraft's axes without what its turning adds, and that, (m, c)."""
+    sides, upright = sorted(raw.tips), tips.copy()
+    felt = rotation_forces(raw.rigid, t_s, rate_hz, airframe, sides)
+    lateral = lateral_force(raw.rigid, t_s, rate_hz, airframe)
+    for i, side in enumerate(sides):
+        recorded = raw.tips[side].force_y_mps2
+        if recorded is not None and lateral is not None:
+            lateral_y = _on_grid(RawStream(raw.tips[side].t_s, recorded), t_s)
+            upright[:, i] = tip_axes_corrected(lateral_y, tips[:, i], lateral + felt[i, 1])
+    turning = felt[:, 2].T
+    return upright - turning, turning
 
 
 def _rate(stream: RawStream) -> float:
