@@ -1,4 +1,4 @@
-"""Style that all pictures share: colours that the colour-blind tell apart, gaps that stay gaps, the figure written on it."""
+"""Style that all pictures share: colours that the colour-blind tell apart, gaps that stay gaps, the headline figure."""
 
 from __future__ import annotations
 
