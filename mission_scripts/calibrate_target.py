@@ -168,7 +168,7 @@ def _mark(flight: Flight) -> list[Group]:
 
 
 def _grouped(ranges: Sequence[Range], reference: Reference, *, level: bool = True) -> Group | None:
-    """What is usable of some ranges, if that is enough."""
+    """Group of the usable ranges; None where they are too few."""
     good = [entry for entry in ranges if _usable(entry, level=level)]
     if len(good) < _LEAST:
         return None

@@ -159,7 +159,7 @@ class Wing:
         self.flown = 0
 
     def begin(self) -> None:
-        """What comes from here on is looked at together."""
+        """Start a new series of bends."""
         self._bends.clear()
 
     def calm(self) -> None:

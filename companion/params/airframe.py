@@ -65,7 +65,7 @@ class Wing:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a sensor's samples come from on the link.
+    """Source of a sensor's samples on the link.
 
     ``axes`` gives, for body x, y, z, the sensor axis that carries it, with sign: ``["y", "-x", "z"]``.
     ``instance`` selects among equal messages: the ``id`` of HIGHRES_IMU, or the name of a DEBUG_FLOAT_ARRAY.

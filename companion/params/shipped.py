@@ -1,4 +1,4 @@
-"""Where the files that travel with Spanwise are: airframes and mappings."""
+"""Paths of the files that travel with Spanwise: airframes and mappings."""
 
 from __future__ import annotations
 

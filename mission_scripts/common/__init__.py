@@ -1,1 +1,1 @@
-"""What the missions share: the link, what is heard on it, who guards the flight, the recording, and how it all ends."""
+"""Common to the missions: the link, the traffic on it, the guard of the flight, the recording, and the exit codes."""

@@ -1,4 +1,4 @@
-"""What to write into the airframe file when a divergence was found that it does not know of."""
+"""Advice for the airframe file when the axes diverge by more than it states."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """What follows.
+    """Convergence offset and scale, with their sigmas.
 
     Attributes
     ----------

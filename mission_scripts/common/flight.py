@@ -70,7 +70,7 @@ class Track:
 
 
 class Flight:
-    """What a mission is given.
+    """Flight in progress, as a mission script drives it.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Flight:
             time.sleep(look_s)
 
     def pause(self, seconds: float) -> None:
-        """Let time pass under guard."""
+        """Wait under guard."""
         ends_s = time.monotonic() + seconds
         self.wait("", lambda: time.monotonic() >= ends_s, seconds + 1.0, look_s=0.02)
 

@@ -17,7 +17,7 @@ _OFF_TRACK_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What may not be left; heights above home.
+    """Bounds of the flight; heights above home.
 
     Attributes
     ----------

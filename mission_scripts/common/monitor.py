@@ -14,7 +14,7 @@ _BANKED_RAD = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """What is still in order.
+    """Tolerance of ranges against their expectation.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ over, nothing was commanded; 130 stopped by Ctrl-C, the vehicle confirmed its sa
 
 
 class Response(enum.Enum):
-    """What the vehicle shall do after an abort."""
+    """Action of the vehicle after an abort."""
 
     HOLD = "hold"
     RETURN = "rtl"

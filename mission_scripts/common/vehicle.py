@@ -88,7 +88,7 @@ class Vehicle:
         return system
 
     def close(self) -> None:
-        """Let go of the link."""
+        """Release the link."""
         self._sdk.destroy()
 
     # ------------------------------------------------------------------------------------------ orders

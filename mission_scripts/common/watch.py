@@ -1,4 +1,4 @@
-"""What is heard on the link: the newest message of each kind that matters, when it came, and every range."""
+"""Traffic on the link: the newest message of each kind that matters, when it came, and every range."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ class Watch:
 
     @property
     def battery(self) -> float | None:
-        """What is left of it, 0 to 1; None where the autopilot does not know."""
+        """Remaining charge, 0 to 1; None where the autopilot does not know."""
         remaining_percent = int(self._fields("SYS_STATUS").get("battery_remaining", -1))
         return remaining_percent * 0.01 if remaining_percent >= 0 else None
 
@@ -230,6 +230,6 @@ class Watch:
             return [entry for entry in self.ranges if entry.at_s >= at_s]
 
     def named_value(self, name: str, within_s: float = 1.0) -> float | None:
-        """What the companion says for a graph, if it is fresh."""
+        """Value that the companion sends for graphs, if it is fresh."""
         at_s, value = self.named.get(name, (-math.inf, math.nan))
         return value if time.monotonic() - at_s < within_s else None

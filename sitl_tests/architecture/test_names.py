@@ -30,9 +30,11 @@ DUPLICATES = {
     "Grid": "core.tracking and diagnosis",
     "Level": "core.tracking and doctor",
     "Motion": "core and diagnosis",
+    "Picture": "paper and reporting",
     "Prior": "core.tracking and diagnosis",
     "Scored": "evaluation and paper",
     "SecondMode": "the effect of the catalogue and the law of a free decay are one phenomenon",
+    "Table": "paper and reporting",
     "Tone": "core.tracking and the effect",
 }
 
@@ -106,3 +108,23 @@ def test_no_variable_is_called_by_an_empty_word(name: str) -> None:
 @pytest.mark.parametrize("name", MODULES)
 def test_no_retired_name_is_back(name: str) -> None:
     assert RETIRED & set(_defined(_tree(MODULES[name]))) == set()
+
+
+# rooms whose docstrings still open so; to be emptied
+PENDING_PROSE = (
+    "companion/calibration/",
+    "companion/cli/",
+    "companion/core/",
+    "companion/diagnosis/",
+    "companion/doctor/",
+    "companion/evaluation/",
+    "companion/paper/",
+    "companion/reporting/",
+)
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if not name.startswith(PENDING_PROSE)])
+def test_no_docstring_opens_with_an_empty_word(name: str) -> None:
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    texts = [ast.get_docstring(node) or "" for node in ast.walk(_tree(MODULES[name])) if isinstance(node, kinds)]
+    assert [text.splitlines()[0] for text in texts if text.startswith(("Of ", "By ", "What ", "Let "))] == []

@@ -82,3 +82,36 @@ def _swing_mps2(folder: Path) -> float:
         names = next(csv.reader(lines))
         table = np.loadtxt(lines, delimiter=",", usecols=[names.index(name) for name in ("left_z_mps2", "root_z_mps2")])
     return float(np.std(table[:, 0] - table[:, 1]))
+
+
+_ENCODER = """
+def mode_vector(record: ModeState, time_boot_ms: int) -> list[Any | None]:
+    return [
+        encode.mavlink.MAVLink_debug_vect_message(b"bend", 1000 * time_boot_ms, *(float(q) for q in record.q_m), 0.0)
+    ]
+
+
+"""
+
+_ROW = "    MessageOutput(ModeState, mode_vector, lambda settings: 10.0),\n"
+
+_PUBLISH_ONE = """
+import numpy as np
+from companion.adapters.mavlink.component.message_outputs import OutputPublisher
+from companion.params.settings import Settings
+from companion.records import ModeState
+state = ModeState.__new__(ModeState)
+for name, value in {"t_host_ns": 2 * 10**9, "q_m": np.array([0.01, -0.002])}.items():
+    object.__setattr__(state, name, value)
+sent = list(OutputPublisher().messages(state, Settings(debug_rate_hz=0.0), 10**9))
+print(*(f"{message.get_type()} {message.time_usec} {message.x:g} {message.y:g}" for message in sent))
+"""
+
+
+@pytest.mark.slow
+def test_a_message_output_is_an_encoder_and_a_row_in_one_file(tree: Path) -> None:
+    file = tree / "companion/adapters/mavlink/component/message_outputs.py"
+    head, table, rows = file.read_text().partition("OUTPUTS: tuple[MessageOutput, ...] = (\n")
+    assert table
+    file.write_text(head + _ENCODER + table + _ROW + rows)
+    assert _run(tree, "-c", _PUBLISH_ONE).strip() == "DEBUG_VECT 3000000 0.01 -0.002"

@@ -36,7 +36,7 @@ class OakSensor:
 
 @dataclass(frozen=True, slots=True)
 class OakTiming:
-    """How a sensor exposes.
+    """Exposure settings of a sensor.
 
     Attributes
     ----------

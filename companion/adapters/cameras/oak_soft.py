@@ -34,7 +34,7 @@ while True:
 
 
 def fire_script(line: SoftLine) -> str:
-    """What the device runs: Python with the device's own ``GPIO`` module and ``node``."""
+    """Script that the device runs: Python with the device's own ``GPIO`` module and ``node``."""
     return _SCRIPT.format(pins=line.pins)
 
 

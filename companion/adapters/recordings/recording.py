@@ -1,4 +1,4 @@
-"""What every reader gives: records in arrival order, the clock they are in, and sentences about what is wrong."""
+"""Protocol of every reader: records in arrival order, the clock they are in, and sentences about what is wrong."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Recording(Protocol):
 
     @property
     def notices(self) -> list[Notice]:
-        """What is wrong or worth knowing."""
+        """Sentences about what is wrong with the recording or worth knowing."""
         ...
 
     @property
@@ -186,7 +186,7 @@ def timed(stream: InertialStream) -> Iterator[tuple[int, ImuBatch]]:
 
 
 class LoggedRecording:
-    """What the readers of foreign logs share; the attributes are those of :class:`Recording`."""
+    """Base of the readers of foreign logs; the attributes are those of :class:`Recording`."""
 
     def __init__(self, path: Path, airframe: Airframe, hub: ClockName) -> None:
         self.path = path
@@ -198,7 +198,7 @@ class LoggedRecording:
 
     @property
     def notices(self) -> list[Notice]:
-        """What is wrong or worth knowing; complete once ``records`` is exhausted."""
+        """Sentences about what is wrong or worth knowing; complete once ``records`` is exhausted."""
         return self.notes.notices
 
     @property

@@ -33,7 +33,7 @@ class WaitingPlan:
         self._last_ns = 0
 
     def take(self, plan: TriggerPlan) -> None:
-        """Let a plan wait in the place of the one before, if the rules allow it."""
+        """Replace the waiting plan by a newer one, if the rules allow it."""
         if plan.plan_id in self._fired_ns:
             return
         if plan.planned_host_ns <= self._last_ns:

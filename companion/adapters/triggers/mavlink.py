@@ -33,7 +33,7 @@ class CaptureCommand:
 
 @dataclass(frozen=True, slots=True)
 class LinkFiring:
-    """What the autopilot is told to do for a shot.
+    """Command that makes the autopilot fire.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class MavlinkTrigger:
 
 
 def link_firing(factory: Callable[[], Trigger] | None) -> LinkFiring | None:
-    """What the autopilot is told by this trigger; None where it is another kind of trigger, or none."""
+    """Command of a trigger that the autopilot fires; None for another kind of trigger, or none."""
     if factory is MavlinkTrigger:
         return CAMERAS
     if isinstance(factory, functools.partial) and factory.func is MavlinkTrigger:

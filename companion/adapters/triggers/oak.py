@@ -41,7 +41,7 @@ class SoftLine:
 
     @property
     def address(self) -> str:
-        """Of the socket, in Linux's abstract name space: it is gone with the process that holds it."""
+        """Address of the socket, in Linux's abstract name space: it is gone with the process that holds it."""
         return f"\0{self.name}"
 
 

@@ -91,7 +91,7 @@ class TriggerLink:
         return [report for report in self._reports() if not isinstance(report, Realtime)]
 
     def warnings(self) -> list[str]:
-        """What the operator should know of the process since the last call: that it was not granted punctuality."""
+        """Warnings for the operator since the last call: that the process was not granted punctuality."""
         taken, self._warnings = self._warnings, []
         return taken
 

@@ -1,4 +1,4 @@
-"""What passes between the service and the trigger process: small checked messages, so that nothing else is believed."""
+"""Wire format between the service and the trigger process: small messages with a checksum."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _IS_PLAN, _IS_SHOT, _IS_REJECTED, _IS_READY = 1, 2, 3, 4
 
 @dataclass(frozen=True, slots=True)
 class Realtime:
-    """What the operating system granted to the trigger process."""
+    """Scheduling rights that the operating system granted to the trigger process."""
 
     fifo: bool
     memory_locked: bool

@@ -63,7 +63,7 @@ class Jolt:
 
 @dataclass(frozen=True, slots=True)
 class FlightPlan:
-    """What is flown. ``wobble`` values are rms of a turbulence made of sines from 0.2 to 1.5 Hz."""
+    """Manoeuvres of a flight. ``wobble`` values are rms of a turbulence made of sines from 0.2 to 1.5 Hz."""
 
     duration_s: float
     airspeed_mps: float = 22.0

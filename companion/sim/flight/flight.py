@@ -90,7 +90,7 @@ class Flight:
         return np.random.default_rng([self.seed, *purpose.encode()])
 
     def streams(self) -> dict[Station, SensorStream]:
-        """What every sensor sends when the rates that the airframe states are granted."""
+        """Stream of every sensor at the rates that the airframe states."""
         sensors = dict(self.nodes)
         for station, imu in self.backends.items():
             sensor = imu.sensor

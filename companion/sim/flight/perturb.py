@@ -23,7 +23,7 @@ _ANTISYMMETRIC_RATIO = 0.6
 
 @dataclass(frozen=True, slots=True)
 class SensorErrors:
-    """What one inertial sensor does wrong, by constants; (3,) arrays are body x, y, z.
+    """Constant errors of one inertial sensor; (3,) arrays are body x, y, z.
 
     A reading is ``(1 + scale) * exp(-[misalignment]x) true + bias``; it shows the instant ``stamp - time_offset_s``.
     """

@@ -83,7 +83,7 @@ def _write_ranges(flight: Flight, path: Path) -> Path:
 
 
 def _mount_toe(flight: Flight, t_s: float) -> float:
-    """What effects on the cameras add to the toe."""
+    """Toe that effects on the cameras add, rad."""
     left, right = (viewed(flight.model.effects, side, t_s) for side in Side)
     return float(right.rotation_rad[1] - left.rotation_rad[1])
 

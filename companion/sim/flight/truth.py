@@ -84,7 +84,7 @@ class TruthSeries:
 
 @dataclass(frozen=True, slots=True)
 class TipShape:
-    """What modal coordinates do at the tip stations: (2, 4) gains, rows left and right."""
+    """Mode shapes at the tip stations: (2, 4) gains, rows left and right."""
 
     lift: Floats
     slope_radpm: Floats

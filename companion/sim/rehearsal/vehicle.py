@@ -67,7 +67,7 @@ class RehearsalVehicle:
 
     @property
     def protocol(self) -> CommandProtocol:
-        """What the vehicle was told, and who flies it."""
+        """Command protocol of the vehicle, with its pilot."""
         assert self.world.autopilot.protocol is not None
         return self.world.autopilot.protocol
 

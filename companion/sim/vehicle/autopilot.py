@@ -86,7 +86,7 @@ class SimAutopilot:
         return VehicleParameters({**default_parameters(airframe), **changed})
 
     def _receiver(self, airframe: Airframe) -> Received:
-        """What listens to ranges, as the parameters say at the start."""
+        """Receiver of ranges, as the parameters say at the start."""
         del airframe
         get = self.parameters.get
         received = Received(int(get("RNGFND1_ORIENT")), get("RNGFND1_MIN"), get("RNGFND1_MAX"))
@@ -209,7 +209,7 @@ class SimAutopilot:
         return payloads(values, source)
 
     def _echo(self, name: str, boot_ms: int) -> Any:
-        """What the rangefinder says, as ArduPilot repeats it to everyone."""
+        """Rangefinder reading, as ArduPilot repeats it to everyone."""
         last = self.received.rangefinder
         assert last is not None
         if name == "RANGEFINDER":

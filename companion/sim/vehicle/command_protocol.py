@@ -1,4 +1,4 @@
-"""What a ground station and the simulated autopilot say to each other about flying: commands, modes, telemetry."""
+"""Flight commands, modes and telemetry between a ground station and the simulated autopilot."""
 
 from __future__ import annotations
 

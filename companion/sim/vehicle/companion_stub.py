@@ -24,7 +24,7 @@ _ALIVE, _UNTRUSTED = 90, 1
 
 @dataclass(slots=True)
 class RangeFaults:
-    """What is wrong with the ranges; may be changed in flight.
+    """Faults of the stub's ranges; may be changed in flight.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class CompanionStub:
         """Nothing to release."""
 
     def drain(self) -> bytes:
-        """What is due by now."""
+        """Messages that are due."""
         now_ns, out = self._now_ns(), b""
         if self.faults.silent:
             return out

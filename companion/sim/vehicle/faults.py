@@ -1,4 +1,4 @@
-"""What may go wrong between the simulated vehicle and its companion."""
+"""Faults of the link between the simulated vehicle and its companion."""
 
 from __future__ import annotations
 

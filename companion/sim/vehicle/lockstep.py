@@ -39,7 +39,7 @@ class LockStepClock:
         return self._now_ns
 
     def sleep_until(self, target_host_ns: int) -> None:
-        """Let the time pass to the target, if it lies ahead."""
+        """Advance the time to the target, if it lies ahead."""
         self._pass_until(max(self._now_ns, target_host_ns))
 
     def _pass_until(self, host_ns: int) -> None:

@@ -68,7 +68,7 @@ class WingNode:
         return self._clock.from_boot(now_boot_ns) - self._lost(origin)
 
     def _lost(self, origin_ns: int) -> int:
-        """What a restart takes off the clock."""
+        """Time that a restart takes off the clock, ns."""
         return self._clock.from_boot(origin_ns) if origin_ns else 0
 
     def _inertial(self, now_boot_ns: int, mute: bool, broken: bool) -> list[bytes]:

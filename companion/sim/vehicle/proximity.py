@@ -28,7 +28,7 @@ class Proximity:
         return self._heard_ns is not None and boot_ns - self._heard_ns <= _TIMEOUT_NS
 
     def nearest_m(self, boot_ns: int) -> dict[int, float]:
-        """What is believed now: bearing in degrees to distance."""
+        """Obstacles that are believed now: bearing in degrees to distance."""
         return dict(self._nearest_m) if self.alive(boot_ns) else {}
 
     def circle(self, message: Any, boot_ns: int) -> None:

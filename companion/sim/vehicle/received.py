@@ -1,4 +1,4 @@
-"""What the simulated flight controller makes of the companion's messages: used, refused, counted, kept for scoring."""
+"""Companion's messages as the simulated flight controller takes them: used, refused, counted, stored for scoring."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Received:
 
     @property
     def rangefinder(self) -> ReceivedRange | None:
-        """What the rangefinder says now: the last range of its orientation, while it is alive."""
+        """Current range of the rangefinder: the last of its orientation, while it is alive."""
         if self._last_range_ns is None:
             return None
         return next((entry for entry in reversed(self.ranges) if entry.orientation == self.orientation), None)

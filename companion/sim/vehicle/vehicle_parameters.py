@@ -50,7 +50,7 @@ class VehicleParameters:
         return (self._boot_values if name in self.reboot_required else self._values)[name]
 
     def reboot(self) -> None:
-        """Let stored values act."""
+        """Put stored values into force."""
         self._boot_values = dict(self._values)
         self._pending = []
 

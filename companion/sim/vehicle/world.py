@@ -168,7 +168,7 @@ class World:
         return bool(self._link.drain())
 
     def report(self) -> dict[str, Any]:
-        """What the vehicle saw of the companion, as plain values."""
+        """Companion's traffic as the vehicle received it, in plain values."""
         received = self.autopilot.received
         sent = {str(self.autopilot.sender.component): dict(self.autopilot.sender.sent)}
         sent.update({str(node.component): dict(node.sender.sent) for node in self.nodes})

@@ -35,7 +35,7 @@ _BENT = (-0.12, 0.05, 0.0004, -0.0003, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class BoardServerConfig:
-    """What is shown, to which cameras, and where the frames are fetched; picklable. ``airframe`` is the true one."""
+    """Board, cameras and address of the frame server; picklable. ``airframe`` is the true one."""
 
     airframe: Airframe
     board: ShownBoard

@@ -30,7 +30,7 @@ _INSIDE = {"chessboard": 1.05, "charuco": 0.8}  # how much of the board has to b
 
 @dataclass(frozen=True, slots=True)
 class ShownBoard:
-    """What is held: "chessboard" or "charuco" (4x4_250, markers of 3/4 of a square), squares across and down."""
+    """Calibration board: "chessboard" or "charuco" (4x4_250, markers of 3/4 of a square), squares across and down."""
 
     kind: str
     squares: tuple[int, int]

@@ -39,7 +39,7 @@ _START_S = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraServerConfig:
-    """What the server renders, and where it is reached; picklable.
+    """Scene that the server renders, and its address; picklable.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class _Job:
 
     @property
     def ready_ns(self) -> int:
-        """When a camera would have read it out."""
+        """Time at which a camera would have read the image out."""
         return self.exposure.mid_boot_ns + self.exposure.exposure_ns // 2 + _READOUT_NS
 
 

@@ -65,7 +65,7 @@ class Renderer:
         self._noise: Image32 = bank.standard_normal((largest + _NOISE_SPARE)[::-1], dtype=np.float32)
 
     def view(self, side: Side, t_boot_ns: int) -> PosedCamera:
-        """Where a camera is and looks at one instant, effects included."""
+        """Pose of a camera at one instant, effects included."""
         return self.views(side, np.array([t_boot_ns], dtype=np.int64))[0]
 
     def views(self, side: Side, t_boot_ns: Ints) -> list[PosedCamera]:

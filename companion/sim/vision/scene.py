@@ -123,7 +123,7 @@ def board(centre_m: Floats, heading_rad: float, size_m: tuple[float, float], sur
 
 
 def ground_scene(seed: int) -> Scene:
-    """What a downward-looking pair flies over."""
+    """Ground below a downward-looking pair."""
     return Scene((ground(),), seed)
 
 
@@ -167,7 +167,7 @@ class PosedCamera:
         return scene.hit(self.centre_ned_m, rays @ self.camera_from_ned)
 
     def points_ned_m(self, scene: Scene, pixels: Floats) -> Floats:
-        """What is seen at distorted pixels (n, 2): points (n, 3) in NED, NaN for the sky."""
+        """Scene points (n, 3) in NED at distorted pixels (n, 2), NaN for the sky."""
         directions = self.camera.lens.unproject(pixels) @ self.camera_from_ned
         stretch = scene.hit(self.centre_ned_m, directions)
         return np.asarray(self.centre_ned_m + np.where(np.isfinite(stretch), stretch, np.nan)[:, None] * directions)

@@ -21,7 +21,7 @@ _MOST_NOTICES = 16
 
 
 class OnboardComponent:
-    """What a good component does beside its work. Told what was heard and sent, asked for what is due."""
+    """Services of a MAVLink component beside its work: takes received messages, and yields the ones that are due."""
 
     def __init__(
         self, parameters: ParameterServer, computer: OnboardComputerStatus | None = None, signing: Signing | None = None

@@ -42,7 +42,7 @@ class Store(Protocol):
         ...
 
     def problems(self) -> list[str]:
-        """What went wrong since the last call."""
+        """Failures since the last call, a sentence each."""
         ...
 
     def close(self) -> None:

@@ -35,7 +35,7 @@ class RangePublisher:
     def messages(
         self, record: CorrectedRange | NoRange | ObstacleSectors, boot_offset_ns: int, now_host_ns: int
     ) -> list[Any]:
-        """What to send for a record; ``boot_offset_ns`` takes host time to the autopilot's."""
+        """Messages of a record; ``boot_offset_ns`` is the autopilot's boot time less host time."""
         limits_m = (self._settings.min_range_m, self._settings.max_range_m)
         if isinstance(record, ObstacleSectors):
             return self._obstacles(record, boot_offset_ns, now_host_ns)

@@ -64,7 +64,7 @@ class SampleRun(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """What is to be read, as plain arrays; what is compiled may rest on nothing else that is said in other files.
+    """Sources to be read, as plain arrays: compiled code may rest on nothing else that is said in other files.
 
     Attributes
     ----------

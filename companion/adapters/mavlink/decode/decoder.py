@@ -62,7 +62,7 @@ _TUNNEL_KIND = TUNNEL_IMU_TYPE.to_bytes(2, "little")
 
 @dataclass(slots=True)
 class Decoded:
-    """What one chunk held: records for the pipeline, and rare messages for the adapter itself."""
+    """Content of one chunk: records for the pipeline, and rare messages for the adapter itself."""
 
     records: list[Record] = field(default_factory=list)
     heard: list[Heard] = field(default_factory=list)

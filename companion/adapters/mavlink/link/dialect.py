@@ -1,4 +1,4 @@
-"""What pymavlink's ``ardupilotmega`` dialect says of every message: id, name, CRC extra, and how to build one."""
+"""Message table of pymavlink's ``ardupilotmega`` dialect: id, name, CRC extra, and how to build a message."""
 
 from __future__ import annotations
 

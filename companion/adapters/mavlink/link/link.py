@@ -1,5 +1,7 @@
 """Links: bytes in and out of UDP, TCP and serial connections, in bulk and without ever blocking.
 
+mavutil's connections block, believe every sender that reaches a UDP port, and stamp a message after parsing it. Ours
+never block, guard who may speak under which id, and stamp bytes as they arrive, which TIMESYNC's accuracy rests on.
 How a link is spelled is told by :mod:`companion.params.links`.
 """
 
@@ -20,7 +22,7 @@ CHUNK_BYTES = 65536
 
 
 class Transport(Protocol):
-    """What carries the bytes. Nothing here blocks; a lost connection is opened again with growing pauses."""
+    """Carrier of the bytes. Nothing here blocks; a lost connection is opened again with growing pauses."""
 
     def fileno(self) -> int:
         """Descriptor to wait on, or -1 while there is none."""

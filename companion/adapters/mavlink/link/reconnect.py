@@ -1,4 +1,4 @@
-"""When to try a lost connection again."""
+"""Exponential back-off of reconnection."""
 
 from __future__ import annotations
 

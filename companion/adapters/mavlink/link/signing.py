@@ -1,7 +1,8 @@
 """MAVLink 2 signing: only frames with our key, fresh and never seen before, get in; everything that we send is signed.
 
 The check sits at the transport, before the recorder and the decoder: a recording holds what was accepted, and replays
-without the key. Refused frames are counted by reason.
+without the key. Refused frames are counted by reason. pymavlink signs and checks inside its message parser and stores
+no timestamps over a restart, so neither is possible there.
 
 A signature's timestamp counts 10 us since 2015. It must increase within a stream (link id, system, component), and a
 new stream may be a minute behind our own time at most (MAVLink 2 signing, "Timestamp handling"). Our time runs with the
@@ -66,7 +67,7 @@ StreamKey = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class SigningTime:
-    """What must outlive a power cycle: our signing time, and the newest timestamp of each stream."""
+    """State that must outlive a power cycle: our signing time, and the newest timestamp of each stream."""
 
     sent: int = 0
     streams: Mapping[StreamKey, int] = field(default_factory=dict)
@@ -194,7 +195,7 @@ class SignedTransport:
 
     @property
     def senders(self) -> Senders | None:
-        """Of the inner transport, where it has many."""
+        """Senders of the inner transport, where many can reach it."""
         return getattr(self._inner, "senders", None)
 
     def fileno(self) -> int:
@@ -277,7 +278,7 @@ def _secret(text: str, path: Path) -> bytes:
 
 
 def _read_stamp(path: Path) -> SigningTime | None:
-    """What was kept: our time in the first line, then a stream in each; None where there is nothing to go by."""
+    """Read the saved state: our time in the first line, then a stream in each; None where the file cannot be read."""
     try:
         first, *lines = path.read_text(encoding="ascii").splitlines()
         sent = int(first)

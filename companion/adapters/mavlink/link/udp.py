@@ -115,7 +115,7 @@ class UdpIn(_Udp):
         return system == 0 or self.senders.system in (None, system)
 
     def _sifted(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> bytes:
-        """What may come in of a datagram."""
+        """Admitted bytes of a datagram."""
         peer = self._peers.get(address)
         usual = peer is not None and not peer.tail and self._counts(peer.system) and self.judge is None
         if peer is not None and usual and self._is_plain(address, data, now_host_ns):
@@ -150,7 +150,7 @@ class UdpIn(_Udp):
         return at == end
 
     def _frame_by_frame(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> tuple[bytes, bytes]:
-        """What may come in of some bytes, and what has to wait for more."""
+        """Admitted frames of some bytes, and the bytes that wait for more."""
         at, end = 0, len(data)
         came: list[bytes] = []
         while at < end:

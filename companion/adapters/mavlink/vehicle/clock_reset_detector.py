@@ -25,7 +25,7 @@ class _Epoch:
 
 @dataclass(slots=True)
 class StampHistory:
-    """What is known of one source's stamps."""
+    """Epoch and newest stamp of one source."""
 
     epoch: _Epoch
     newest_ns: int | None = None
@@ -40,7 +40,7 @@ class StampHistory:
 
 @dataclass(frozen=True, slots=True)
 class StampVerdict:
-    """What to do with the stamps of one batch.
+    """Stamps of one batch that may be used, and where its clock restarted.
 
     ``keep`` is None for all, else (n,); ``restart_at`` is the index of the first stamp after a restart, or -1;
     ``ahead`` of those that are not kept are of a clock that is ahead.

@@ -1,4 +1,4 @@
-"""When to ask the vehicle for its time and for its parameters."""
+"""Schedules of TIMESYNC and parameter requests to the vehicle."""
 
 from __future__ import annotations
 

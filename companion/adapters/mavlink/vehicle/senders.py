@@ -1,4 +1,4 @@
-"""Who speaks under which id: the first address keeps its place while it lives, and two on one wire are told apart."""
+"""Uniqueness of MAVLink ids: the first address keeps its id while it lives; two senders on one wire are told apart."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WINDOW_NS = 10_000_000_000
 
 @dataclass(slots=True)
 class _Place:
-    """Who has an id, when it was heard last, and what it sent of late."""
+    """Holder of an id: its address, when it was heard last, and its latest frames."""
 
     address: Address
     heard_host_ns: int
@@ -84,7 +84,7 @@ class Senders:
         return any(place.address == address for place in self._places.values())
 
     def refusals(self, now_host_ns: int) -> list[Notice | Rejected]:
-        """What was refused, once a second, and a sentence for each id, at most every 30 s."""
+        """Refusals once a second, and a sentence for each id, at most every 30 s."""
         if not self._refused or not self._counts.take(now_host_ns):
             return []
         notices: list[Notice | Rejected] = []

@@ -1,6 +1,8 @@
 """ArduPilot's onboard log format: self-describing binary messages (0xA3 0x95 type body), parsed in bulk with numpy.
 
-Format letters as in AP_Logger's LogStructure.h; scaled letters (c, C, e, E, L) are given in their unit, others raw.
+pymavlink's reader makes a Python object of every message; here a kind of message becomes an array in one pass, which
+logs of millions of samples need. Format letters as in AP_Logger's LogStructure.h; scaled letters (c, C, e, E, L) are
+given in their unit, others raw.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ class TlogRecording(LoggedRecording):
         return int.from_bytes(self._data[at : at + _STAMP], "big")
 
     def records(self) -> Iterator[Record]:
-        """What the frames say, in arrival order, in the autopilot's clock."""
+        """Records of the frames, in arrival order, in the autopilot's clock."""
         decoder = Decoder(self.airframe, component_id=0)
         timeline = _Timeline()
         stamps: dict[Station, list[Ints]] = {station: [] for station in Station}

@@ -20,7 +20,7 @@ _GOOD_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 90]
 
 
 class ImageFormat(enum.StrEnum):
-    """How images are stored."""
+    """Format of stored images."""
 
     PNG = "png"
     JPEG = "jpeg"

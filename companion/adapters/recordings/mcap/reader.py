@@ -126,7 +126,7 @@ class McapRecording:
 
     @property
     def notices(self) -> list[Notice]:
-        """What is wrong or worth knowing."""
+        """Sentences about what is wrong with the recording or worth knowing."""
         return self._notes.notices
 
     @property

@@ -26,7 +26,7 @@ _SMALL_BYTES = 400
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What travels: records in order, how many more were dropped before them, and whether the producer ended."""
+    """Unit of transfer: records in order, how many more were dropped before them, and whether the producer ended."""
 
     records: list[Recordable]
     dropped: int

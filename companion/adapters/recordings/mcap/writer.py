@@ -41,7 +41,7 @@ _CHUNK_BYTES = 4 * 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What a recording is of: everything besides the records that a replay needs."""
+    """Metadata of a recording: everything besides the records that a replay needs."""
 
     airframe_text: str
     settings_text: str
@@ -132,7 +132,7 @@ class McapWriter:
         self._flushed = self._sequence
 
     def abandon(self) -> None:
-        """Let go of a file that cannot be written any further; one without any record in it is removed."""
+        """Close a file that cannot be written any further; one without any record in it is removed."""
         with contextlib.suppress(OSError):
             self._file.close()
         if not self._flushed and self._path.is_file():  # a device is not ours to remove

@@ -24,7 +24,7 @@ _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
 
 class TestKind(enum.StrEnum):
-    """What was done to the wing."""
+    """Excitation of the wing in a test."""
 
     __test__ = False  # no test of pytest's
 

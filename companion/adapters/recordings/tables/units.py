@@ -48,7 +48,7 @@ def unit_of(channel: str) -> str:
 
 
 def conversion(unit: str, wanted: str) -> float | None:
-    """What a number in ``unit`` is multiplied by to be in ``wanted``; None where they are of different kinds.
+    """Factor from ``unit`` to ``wanted``; None where they are of different dimensions.
 
     A unit is written as in the names of columns; upper and lower case are the same.
     """
