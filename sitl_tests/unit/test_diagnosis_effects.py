@@ -104,3 +104,26 @@ def test_a_mode_without_participation_is_no_mode(model: WingModel) -> None:
     assert grown.count == model.count + 1
     assert grown.omega_radps[-1] == pytest.approx(2 * np.pi * 18.0)
     assert grown.structure.lift[:, -1] == pytest.approx(np.sqrt([0.4, 0.4]))
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.starts_at is not None])
+def test_what_begins_at_a_peak_of_the_residual_is_there_and_does_nothing_yet(kind: type[Effect]) -> None:
+    begun = kind.at_peaks((11.0, 12.0, 13.0))
+    values = [getattr(begun, entry.name) for entry in kind.parameters()]
+    assert 11.0 in values
+    assert not any(value for value in values if value not in (11.0, 12.0, 13.0))
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.scan])
+def test_an_effect_at_nothing_changes_no_airframe_value(kind: type[Effect]) -> None:
+    airframe = load_airframe("nadir-2m")
+    assert kind().apply_to_airframe(airframe) in (None, airframe)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.in_samples])
+def test_what_samples_show_is_not_seen_in_good_ones(kind: type[Effect]) -> None:
+    rng = np.random.default_rng(1)
+    t_s = np.arange(8000) / 1000.0
+    force = -9.81 + rng.normal(0.0, 2.0, len(t_s))
+    assert kind.sample_defect(t_s, force, load_airframe("nadir-2m").left) is None
+    assert not kind.clipped(force).any()
