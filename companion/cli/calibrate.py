@@ -19,7 +19,7 @@ from companion.calibration.mounting import airframe_with_mounting, disagreement_
 from companion.calibration.stereo_rig import CELLS, airframe_with_rig, calibrate_rig, find_views
 from companion.cli.steps.calibrate_live import take_views
 from companion.cli.steps.calibrate_rehearsal import Rehearsal, errors_in_sigmas
-from companion.cli.steps.numbers import number, seconds, seed, whole
+from companion.cli.steps.numbers import integer, number, seconds, seed
 from companion.cli.steps.options import make_folder
 from companion.errors import ConfigError
 from companion.evaluation.pages.calibration_page import Pairs, report, rows, verdict
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     stereo.add_argument("--seed", type=seed, default=1, metavar="N", help="with --cameras sim: another board holder")
     stereo.add_argument(
-        "--views", type=whole(1, 1000), default=20, metavar="N", help="with --cameras: how many views to take"
+        "--views", type=integer(1, 1000), default=20, metavar="N", help="with --cameras: how many views to take"
     )
     stereo.add_argument("--for", type=seconds, default=600.0, dest="seconds", metavar="SECONDS", help="and how long")
     mounting = kinds.add_parser("mounting", help="how the cameras sit on their wing sections, by gravity")
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--board", choices=("chessboard", "charuco"), default="charuco", help="charuco: 4x4_250 markers"
         )
         kind.add_argument(
-            "--squares", type=whole(3, 100), nargs=2, default=(10, 7), metavar="N", help="across and down"
+            "--squares", type=integer(3, 100), nargs=2, default=(10, 7), metavar="N", help="across and down"
         )
         kind.add_argument(
             "--square-m", type=number(0.0, 10.0, "m"), required=True, metavar="M", help="side of a square, metres"
@@ -133,7 +133,7 @@ def _read_pairs(folder: Path) -> tuple[Pairs, dict[str, str]]:
 def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:
     board = Board(options.board, tuple(options.squares), options.square_m)
     recording = open_recording(options.recording, base)
-    found = []
+    result = []
     for side in Side:
         attitudes, refused = find_attitudes(recording, base, board, side)
         for name, why in refused.items():
@@ -145,22 +145,22 @@ def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:
             f"{side.name.lower():5s} {len(attitudes)} attitudes, sigma {sigma} mrad (x, y, z of the camera); "
             f"worst {1e3 * mounting.errors_rad[worst]:.2f} mrad at {attitudes[worst].name}"
         )
-        found.append(mounting)
-    apart = disagreement_rad(base, *found)
+        result.append(mounting)
+    apart = disagreement_rad(base, *result)
     print(f"both mountings against the stereo calibration, which is kept between the cameras: {1e3 * apart:.2f} mrad")
-    return airframe_with_mounting(base, *found)
+    return airframe_with_mounting(base, *result)
 
 
 def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:
     if base.left_camera is None or base.right_camera is None:
         raise ConfigError(f"airframe '{base.name}' has no cameras")
-    found = trigger_latency(open_recording(options.recording, base).records())
+    result = trigger_latency(open_recording(options.recording, base).records())
     cameras: list[Camera] = []
     for side, camera in zip(Side, (base.left_camera, base.right_camera), strict=True):
-        median, sigma, p99 = (float(values[side]) for values in (found.median_s, found.sigma_s, found.p99_s))
+        median, sigma, p99 = (float(values[side]) for values in (result.median_s, result.sigma_s, result.p99_s))
         print(
             f"{side.name.lower():5s} median {1e3 * median:.3f} ms, sigma {1e3 * sigma:.3f} ms, p99 {1e3 * p99:.3f} ms"
         )
         cameras.append(dataclasses.replace(camera, latency_s=Uncertain(median, sigma)))
-    print(f"from {found.shots} shots")
+    print(f"from {result.shots} shots")
     return dataclasses.replace(base, left_camera=cameras[0], right_camera=cameras[1])

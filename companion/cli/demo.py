@@ -21,7 +21,7 @@ from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View, live_view_possible
 from companion.core.warmup import warm_up
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
-from companion.evaluation.flight_evaluation import debrief
+from companion.evaluation.flight_evaluation import evaluate_flight
 from companion.evaluation.pages.demo_picture import draw
 from companion.evaluation.rendered_shots import Stage
 from companion.params.files import load_airframe
@@ -63,7 +63,7 @@ def execute(options: argparse.Namespace) -> int:
     start_host_ns, report = _flown(config, flight, options)
     _say("judging the flight by its truth ...")
     stage = Stage.of(flight, config.settings, start_host_ns)
-    summary = debrief(flight, stage, recording, report, compare=not options.no_compare, say=_say)
+    summary = evaluate_flight(flight, stage, recording, report, compare=not options.no_compare, say=_say)
     (options.out / "summary.json").write_text(json.dumps(summary.plain, indent=2) + "\n", encoding="utf-8")
     judged = summary.plain["shots"]["judged"]
     if judged:

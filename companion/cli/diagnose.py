@@ -10,7 +10,7 @@ from typing import Any
 
 from companion.adapters.recordings.tables.mapping import TestKind, load_mapping
 from companion.cli.steps.effect_list import add_effect_list
-from companion.cli.steps.numbers import whole
+from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import check_output
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.json_report import as_json, sentence
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--apply", metavar="FILE", nargs="?", const="", help="write the airframe with the named effects"
     )
     parser.add_argument(
-        "--max-causes", type=whole(0, 10), default=3, metavar="N", help="name at most N effects (default 3)"
+        "--max-causes", type=integer(0, 10), default=3, metavar="N", help="name at most N effects (default 3)"
     )
     add_effect_list(
         parser,
@@ -68,46 +68,48 @@ def execute(options: argparse.Namespace) -> int:
     airframe = airframe_of(options.airframe, options.recordings)
     paths = sampling_check.paths_of(options.recordings, mapping)
     timings = [sampling_check.timing(path, airframe, mapping) for path in paths]
-    if not all(one.can_be_judged for one in timings):
+    if not all(timing.can_be_judged for timing in timings):
         return sampling_check.not_identifiable(timings, options, airframe.name)
     models = models_of(paths, airframe, mapping)
-    found = diagnose(models, list(catalogue().values()), options.max_causes, progress)
-    plain = as_json(found, models, options.recordings, bool(options.json or options.html))
-    plain["notes"] = [*dict.fromkeys([note for one in timings for note in one.notes] + plain["notes"])]
-    plain["tones"] = [tone for one in timings for tone in one.tones]
+    diagnosis = diagnose(models, list(catalogue().values()), options.max_causes, progress)
+    plain = as_json(diagnosis, models, options.recordings, bool(options.json or options.html))
+    plain["notes"] = [*dict.fromkeys([note for timing in timings for note in timing.notes] + plain["notes"])]
+    plain["tones"] = [tone for timing in timings for tone in timing.tones]
     plain["words"] = summary_sentences(plain, plain["tones"])
     if options.json == "-":
         print(json.dumps(plain, indent=2, allow_nan=False))
     else:
-        _tell(found, plain)
+        _tell(diagnosis, plain)
         if options.json:
             Path(options.json).write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
     if options.html:
-        write_report(found, models, plain, Path(options.html))
-    if options.apply is not None and found.causes:
+        write_report(diagnosis, models, plain, Path(options.html))
+    if options.apply is not None and diagnosis.causes:
         path = Path(options.apply or f"{airframe.name}-extended.toml")
         path.write_text(
-            dump_airframe(extended(airframe, models[0].belief, found, models[0].observations.units)), encoding="utf-8"
+            dump_airframe(extended(airframe, models[0].belief, diagnosis, models[0].observations.units)),
+            encoding="utf-8",
         )
         if options.json != "-":
-            print(f"wrote {path}: {airframe.name} with {', '.join(cause.term.effect.name for cause in found.causes)}")
-    return NOTHING_TO_ESTIMATE if found.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE else 0
+            names = ", ".join(cause.term.effect.name for cause in diagnosis.causes)
+            print(f"wrote {path}: {airframe.name} with {names}")
+    return NOTHING_TO_ESTIMATE if diagnosis.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE else 0
 
 
-def _tell(found: Diagnosis, plain: dict[str, Any]) -> None:
-    print(f"verdict: {sentence(found)}")
+def _tell(diagnosis: Diagnosis, plain: dict[str, Any]) -> None:
+    print(f"verdict: {sentence(diagnosis)}")
     for line in plain["words"].values():
         print(f"  {line}")
-    for cause in found.causes:
+    for cause in diagnosis.causes:
         print(f"  {cause.term.effect.name}: log Bayes factor {cause.log_bayes_factor:.1f}, BIC {cause.bic:+.1f}")
         for entry, value, sigma in zip(cause.term.effect.parameters(), cause.values, cause.sigmas, strict=True):
             print(f"    {entry.name} = {value:.5g} ± {sigma:.2g} {entry.unit} ({entry.doc})")
         if cause.group:
             print(f"    cannot be told from {', '.join(cause.group)}: {cause.term.effect.advice or 'record more'}")
-    if found.gain is not None:
-        value, low, high = found.gain.log_score["total"]
+    if diagnosis.gain is not None:
+        value, low, high = diagnosis.gain.log_score["total"]
         print(f"  held-out gain {value:.1f} nat (95 %: {low:.1f} to {high:.1f})")
-        for distance, (before, after) in found.gain.range_rms_m.items():
+        for distance, (before, after) in diagnosis.gain.range_rms_m.items():
             print(f"  range error at {distance:g} m: {before:.2f} -> {after:.2f} m rms")
     for note in plain["notes"]:
         print(f"  note: {note}")
@@ -119,6 +121,6 @@ class _Progress:
     def __init__(self, shown: bool) -> None:
         self._shown = shown and sys.stderr.isatty()
 
-    def __call__(self, what: str, share: float) -> None:
+    def __call__(self, what: str, fraction: float) -> None:
         if self._shown:
-            print(f"\r\033[K{what} {100 * share:3.0f} %", end="\r", file=sys.stderr, flush=True)
+            print(f"\r\033[K{what} {100 * fraction:3.0f} %", end="\r", file=sys.stderr, flush=True)

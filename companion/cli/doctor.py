@@ -82,11 +82,11 @@ def execute(options: argparse.Namespace) -> int:
     return code
 
 
-def diagnose(seen: Evidence) -> Iterator[Finding]:
+def diagnose(evidence: Evidence) -> Iterator[Finding]:
     """All checks; where no autopilot is heard, what it would have told is not asked about."""
     for check in _CHECKS:
-        yield from check(seen)
-        if check is check_link and seen.live and seen.pilot is None:
+        yield from check(evidence)
+        if check is check_link and evidence.live and evidence.pilot is None:
             return
 
 
@@ -128,8 +128,8 @@ def _set(fix: Fix, examination: Examination, clock: Clock) -> bool:
         ends_ns = clock.now_ns() + _ANSWER_NS
         while clock.now_ns() < ends_ns and fix.name not in parameters:
             examination.turn()
-        told = parameters.get(fix.name)
-        if told is not None and abs(told - fix.value) <= 1e-6 * max(1.0, abs(fix.value)):
+        value = parameters.get(fix.name)
+        if value is not None and abs(value - fix.value) <= 1e-6 * max(1.0, abs(fix.value)):
             return True
     return False
 

@@ -58,11 +58,11 @@ def _from_test(options: argparse.Namespace, base: Airframe) -> int:
         print("no mode came back in half of the runs")
         return NOTHING_TO_ESTIMATE
     _print_modes(modes, test)
-    found = bending_modes(modes, test.points)
-    draw_test(test, modes, found, options.out)
+    bending = bending_modes(modes, test.points)
+    draw_test(test, modes, bending, options.out)
     (options.out / "modes.json").write_text(json.dumps([_plain(mode) for mode in modes], indent=2), encoding="utf-8")
-    airframe = airframe_with(base, found)
-    _print_factors(base, airframe, found)
+    airframe = airframe_with(base, bending)
+    _print_factors(base, airframe, bending)
     _write(airframe, options.out)
     return 0
 
@@ -91,8 +91,8 @@ def _print_modes(modes: list[IdentifiedMode], test: VibrationTest) -> None:
         )
 
 
-def _print_factors(base: Airframe, airframe: Airframe, found: list[BendingMode]) -> None:
-    place = stations(base, found)
+def _print_factors(base: Airframe, airframe: Airframe, bending: list[BendingMode]) -> None:
+    place = stations(base, bending)
     for name, mode in (("symmetric", airframe.wing.symmetric), ("antisymmetric", airframe.wing.antisymmetric)):
         print(
             f"{name:13s} {mode.frequency_hz.value:.2f} Hz, at {place.sensor_m:.2f} m per metre there: slope "
@@ -108,7 +108,7 @@ def _print_factors(base: Airframe, airframe: Airframe, found: list[BendingMode])
         print(f"note: {note}")
     wing = airframe.wing
     static = (wing.trim_bend_m, wing.bend_per_g_m, wing.gust.deflection_rms_m)
-    trim, per_g, gusts = (f"{1e3 * known.value:.1f} mm" for known in static)
+    trim, per_g, gusts = (f"{1e3 * belief.value:.1f} mm" for belief in static)
     print(f"note: trim bend {trim}, {per_g} per g, gusts of {gusts}: the base airframe's, brought to this frequency")
     print("note: air adds to the damping; `spanwise identify flight` measures it")
 
@@ -137,10 +137,10 @@ def _from_flight(options: argparse.Namespace, base: Airframe) -> int:
     return 0
 
 
-def _with(mode: Mode, seen: AmbientMode) -> Mode:
-    frequency = Uncertain(round(seen.frequency_hz, 4), round(seen.frequency_sigma_hz, 4))
+def _with(mode: Mode, measured: AmbientMode) -> Mode:
+    frequency = Uncertain(round(measured.frequency_hz, 4), round(measured.frequency_sigma_hz, 4))
     return dataclasses.replace(
-        mode, frequency_hz=frequency, damping=Uncertain(round(seen.damping, 5), round(seen.damping_sigma, 5))
+        mode, frequency_hz=frequency, damping=Uncertain(round(measured.damping, 5), round(measured.damping_sigma, 5))
     )
 
 

@@ -55,10 +55,10 @@ def _module(command: str) -> Any:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; never a traceback for a bad input, a full disk, a closed pipe or Ctrl-C."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    name = given[0] if given and given[0] in _COMMANDS else ""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    name = words[0] if words and words[0] in _COMMANDS else ""
     try:
-        options = build_parser(given[0] if given else "").parse_args(given)
+        options = build_parser(words[0] if words else "").parse_args(words)
         code: int = _module(options.command).execute(options)
         sys.stdout.flush()
     except SpanwiseError as error:

@@ -181,9 +181,9 @@ def _check_together(measured: Measured) -> None:
         )
 
 
-def _number(entry: Question, given: str | None, answers: Answers, terminal: bool, asks: bool) -> float:
-    if given is not None:
-        return entry.checked(given)
+def _number(entry: Question, text: str | None, answers: Answers, terminal: bool, asks: bool) -> float:
+    if text is not None:
+        return entry.checked(text)
     suggestion = entry.suggestion(answers)
     if suggestion is not None and not asks:
         return suggestion

@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from companion.cli.steps.numbers import whole
+from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import check_output, make_folder
 from companion.errors import ConfigError
 from companion.paper.report import make_sections, plain, write
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("out/paper"), metavar="FOLDER", help="default: out/paper")
     parser.add_argument("--quick", action="store_true", help="shorter experiments, with fewer shots")
     parser.add_argument(
-        "--jobs", type=whole(1, 1000), default=os.cpu_count() or 1, metavar="N", help="processes; default: all cores"
+        "--jobs", type=integer(1, 1000), default=os.cpu_count() or 1, metavar="N", help="processes; default: all cores"
     )
     parser.add_argument(
         "--seeds",

@@ -102,14 +102,14 @@ def execute(options: argparse.Namespace) -> int:
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
     settings = read_settings(options) if options.changes or options.settings else recording.settings
-    own = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
+    is_own_format = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
     same_beliefs = airframe is None and settings == recording.settings
     tally = Tally()
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
-    recorded = _outputs_of(recording) if own and same_beliefs else None
+    recorded = _outputs_of(recording) if is_own_format and same_beliefs else None
     progress = progress_of(recording, "replaying", plain=options.plain)
-    for output in _replayed(recording, settings, own, stations, progress):
+    for output in _replayed(recording, settings, is_own_format, stations, progress):
         tally.take(output)
         if writer is not None:
             writer.write(output)
@@ -124,7 +124,7 @@ def execute(options: argparse.Namespace) -> int:
     if tally.first_difference:
         print(f"spanwise replay: not reproduced: {tally.first_difference}", file=sys.stderr)
         return 1
-    return 0 if tally.trusted or tally.last_tracking or stations.found else NOTHING_TO_ESTIMATE
+    return 0 if tally.trusted or tally.last_tracking or stations.has_tone else NOTHING_TO_ESTIMATE
 
 
 def encoded(record: Record) -> bytes:
@@ -138,10 +138,10 @@ def _plain(record: Record | None) -> Any:
 
 
 def _replayed(
-    recording: Recording, settings: Settings, own: bool, stations: StationAnalysis, progress: Progress
+    recording: Recording, settings: Settings, is_own_format: bool, stations: StationAnalysis, progress: Progress
 ) -> Iterator[Record]:
     records = recording.records()
-    inputs = own_inputs(records, recording.airframe, settings) if own else foreign_inputs(records)
+    inputs = own_inputs(records, recording.airframe, settings) if is_own_format else foreign_inputs(records)
     hub = None if recording.hub is ClockName.HOST else recording.hub
 
     def watched() -> Iterator[Record]:
@@ -247,7 +247,7 @@ def _verdict(loss: dict[str, Any] | None) -> str:
 
 
 def _wing_text(wing: dict[str, Any]) -> str:
-    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, share in wing["validity"].items()) or "never seen"
+    shares = ", ".join(f"{name} {100 * fraction:.0f} %" for name, fraction in wing["validity"].items()) or "never seen"
     if wing["symmetric"] is None:
         return f"no mode tracked ({shares})"
     parts = [f"{name} {_mode_text(mode)}" for name, mode in wing.items() if name != "validity"]

@@ -97,12 +97,12 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
 
 
 def _with_kept_latency(airframe: Airframe, options: argparse.Namespace) -> Airframe:
-    kept = load_latency(_latency_file(options))
-    known = with_latency(airframe, kept, _path(options))
-    if kept is not None and known is not airframe:
-        told = " and ".join(f"{1e3 * one.value:.2f} +- {1e3 * one.sigma:.2f} ms" for one in kept.latency_s)
-        print(f"trigger latency of the last flight: {told} ({kept.shots} shots)", file=sys.stderr)
-    return known
+    stored = load_latency(_latency_file(options))
+    learned = with_latency(airframe, stored, _path(options))
+    if stored is not None and learned is not airframe:
+        latencies = " and ".join(f"{1e3 * side.value:.2f} +- {1e3 * side.sigma:.2f} ms" for side in stored.latency_s)
+        print(f"trigger latency of the last flight: {latencies} ({stored.shots} shots)", file=sys.stderr)
+    return learned
 
 
 def _latency_file(options: argparse.Namespace) -> Path:
@@ -136,13 +136,13 @@ class LatencyKeeper:
         if self._newest is None:
             return
         try:
-            kept = keep_latency(self._file, self._path, self._newest)
+            stored = keep_latency(self._file, self._path, self._newest)
         except ConfigError as error:
-            kept = True  # not tried again for a while
+            stored = True  # not tried again for a while
             if not self._told:
                 print(error, file=sys.stderr)
             self._told = True
-        if kept:
+        if stored:
             self._kept_ns = self._newest.at_host_ns
 
 

@@ -62,16 +62,16 @@ def execute(options: argparse.Namespace) -> int:
 
 def _effect(text: str) -> NamedEffect:
     name, equals, value = text.partition("=")
-    known = catalogue()
-    if name not in known:
-        raise ConfigError(f"no effect '{name}'; known: {', '.join(known)}")
-    if known[name].follows_channel:
+    effects = catalogue()
+    if name not in effects:
+        raise ConfigError(f"no effect '{name}'; known: {', '.join(effects)}")
+    if effects[name].follows_channel:
         raise ConfigError(
             f"--effect {text}: {name} follows a recorded channel, and the simulated flight has none that varies; "
             "hide frequency-drift or parametric-stiffness for a frequency that changes, or fly the blind trials "
             f"(python -m tools.trials --only {name}), which record a roller and an airspeed"
         )
-    first = known[name].parameters()[0]
+    first = effects[name].parameters()[0]
     try:
         number = float(value) if equals else first.sigma
     except ValueError as error:

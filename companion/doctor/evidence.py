@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from companion.adapters.mavlink.link.dialect import mavlink
-from companion.evaluation.plan_outcomes import Fates
+from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.params.vehicle import implausible
@@ -100,7 +100,7 @@ class Evidence:
     pairs: int = 0
     unpaired: int = 0
     lost: int = 0
-    fates: Fates = field(default_factory=Fates)
+    plan_outcomes: PlanOutcomes = field(default_factory=PlanOutcomes)
     acknowledged: int = 0
     twice: int = 0
     frames: int = 0
@@ -130,8 +130,8 @@ class Evidence:
 
     def parameter(self, *names: str) -> tuple[str, float] | None:
         """The first of these names that the vehicle has with a value that can be; versions differ in names."""
-        told = ((name, self.parameters[name]) for name in names if name in self.parameters)
-        return next((entry for entry in told if implausible(*entry) is None), None)
+        sentence = ((name, self.parameters[name]) for name in names if name in self.parameters)
+        return next((entry for entry in sentence if implausible(*entry) is None), None)
 
     def missing(self, subject: str, what: str) -> Finding:
         """A finding about something that was not told, or not so that it can be believed."""

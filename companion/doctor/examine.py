@@ -74,41 +74,41 @@ class Examination:
 
     def evidence(self) -> Evidence:
         """Evidence gathered until now."""
-        seen, decoder = self._evidence, self.pilot.decoder
+        evidence, decoder = self._evidence, self.pilot.decoder
         now = self._clock.now_ns()
-        seen.seconds = (now - self._began_host_ns) / 1e9
+        evidence.seconds = (now - self._began_host_ns) / 1e9
         counted_s = (now - self._counting_host_ns) / 1e9
-        seen.system = decoder.system_id
-        seen.realtime = _may_be_realtime()
-        seen.twice = self.pilot.component.identity.foreign
+        evidence.system = decoder.system_id
+        evidence.realtime = _may_be_realtime()
+        evidence.twice = self.pilot.component.identity.foreign
         if counted_s > 0:
-            seen.rate_hz = {station: count / counted_s for station, count in self._counts.items() if count}
-        for clock in {seen.airframe.sensor(station).source.clock for station in Station} - {ClockName.HOST}:
+            evidence.rate_hz = {station: count / counted_s for station, count in self._counts.items() if count}
+        for clock in {evidence.airframe.sensor(station).source.clock for station in Station} - {ClockName.HOST}:
             state = self._clocks.state(clock, now)
-            if state.synced or clock in seen.clocks:
-                seen.clocks[clock] = state
+            if state.synced or clock in evidence.clocks:
+                evidence.clocks[clock] = state
         counters = [decoder.counters(link.number) for link in self._links]
-        seen.frames = sum(entry.frames for entry in counters)
-        seen.crc_errors = sum(entry.crc_errors for entry in counters)
-        seen.skipped_bytes = sum(entry.skipped_bytes for entry in counters)
+        evidence.frames = sum(entry.frames for entry in counters)
+        evidence.crc_errors = sum(entry.crc_errors for entry in counters)
+        evidence.skipped_bytes = sum(entry.skipped_bytes for entry in counters)
         for link in self._links:
             _, comma, baud = link.spelling.partition(",")
             if comma:
-                seen.serial_baud[link.spelling] = int(baud)
-        return seen
+                evidence.serial_baud[link.spelling] = int(baud)
+        return evidence
 
     def _take(self, record: Record) -> None:
-        seen = self._evidence
+        evidence = self._evidence
         if isinstance(record, ImuBatch):
-            seen.axes[record.station] = seen.axes.get(record.station, record.axes) | record.axes
+            evidence.axes[record.station] = evidence.axes.get(record.station, record.axes) | record.axes
             if self._clock.now_ns() >= self._counting_host_ns:
                 self._counts[record.station] += len(record.t_ns)
         elif isinstance(record, TimesyncReply):
-            seen.clocks[record.clock] = self._clocks.exchange(record)
+            evidence.clocks[record.clock] = self._clocks.exchange(record)
         elif isinstance(record, ClockRestart):
             self._clocks.restart(record)
         elif isinstance(record, Rejected) and record.reason is Reject.FOREIGN_SOURCE:
-            seen.foreign_imu[record.what] += record.count
+            evidence.foreign_imu[record.what] += record.count
 
     def _hear(self, heard: Heard) -> None:
         if heard.name == "COMMAND_ACK" and heard.message.target_component == self._evidence.settings.component_id:
@@ -124,26 +124,26 @@ def _may_be_realtime() -> bool:
     return os.geteuid() == 0 or limit > 0 or limit == resource.RLIM_INFINITY
 
 
-def note(seen: Evidence, heard: Heard, system: int | None) -> None:
+def note(evidence: Evidence, heard: Heard, system: int | None) -> None:
     """Keep what one rare message tells."""
     message, sender = heard.message, (heard.system, heard.component)
     if heard.name == "HEARTBEAT":
-        count = seen.beats[sender].count if sender in seen.beats else 0
-        seen.beats[sender] = Beat(message.type, message.autopilot, count + 1)
+        count = evidence.beats[sender].count if sender in evidence.beats else 0
+        evidence.beats[sender] = Beat(message.type, message.autopilot, count + 1)
     elif heard.system != system:
         return
     elif heard.name == "NAMED_VALUE_INT":
-        seen.node_losses[heard.component, message.name] = message.value
+        evidence.node_losses[heard.component, message.name] = message.value
     elif heard.name == "DISTANCE_SENSOR":
-        seen.range_senders[(*sender, message.orientation)] += 1
+        evidence.range_senders[(*sender, message.orientation)] += 1
     elif heard.component != mavlink.MAV_COMP_ID_AUTOPILOT1:
         return
     elif heard.name == "PARAM_VALUE":
-        pilot = seen.beats.get(sender)
+        pilot = evidence.beats.get(sender)
         bytewise = pilot is not None and pilot.autopilot == mavlink.MAV_AUTOPILOT_PX4
-        seen.parameters[message.param_id] = parameter_value(message, bytewise=bytewise)
+        evidence.parameters[message.param_id] = parameter_value(message, bytewise=bytewise)
     elif heard.name == "CAMERA_FEEDBACK":
-        seen.feedback.setdefault(message.cam_idx, set()).add(message.img_idx)
+        evidence.feedback.setdefault(message.cam_idx, set()).add(message.img_idx)
 
 
 def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
@@ -155,7 +155,7 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
         It cannot be read.
     """
     recording = open_recording(path, airframe)
-    seen = Evidence(airframe, settings, live=False)
+    evidence = Evidence(airframe, settings, live=False)
     decoder = Decoder(airframe, settings.component_id, settings.system_id)
     spans: dict[Station, list[int]] = {}
     raw = isinstance(recording, TlogRecording)
@@ -163,47 +163,47 @@ def read_log(path: Path, airframe: Airframe, settings: Settings) -> Evidence:
     first_ns = last_ns = None
     clocks = ClockBank()
     for record in records:
-        found: list[Record] = [record]
+        findings: list[Record] = [record]
         if isinstance(record, RawChunk):
             first_ns, last_ns = first_ns or record.received_host_ns, record.received_host_ns
             decoded = decoder.decode(record)
             for heard in decoded.heard:
-                note(seen, heard, decoder.system_id)
-            raw, found = True, list(decoded.records)
+                note(evidence, heard, decoder.system_id)
+            raw, findings = True, list(decoded.records)
         elif raw and isinstance(record, ImuBatch | TimesyncReply | ClockRestart):
             continue  # decoded from the chunks already
-        for entry in found:
-            _count(seen, spans, entry)
-            _follow_time(seen, clocks, entry)
-    seen.system = decoder.system_id
-    seen.seconds = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
+        for entry in findings:
+            _count(evidence, spans, entry)
+            _follow_time(evidence, clocks, entry)
+    evidence.system = decoder.system_id
+    evidence.seconds = 0.0 if first_ns is None or last_ns is None else (last_ns - first_ns) / 1e9
     for station, (count, start_ns, end_ns) in spans.items():
         if end_ns > start_ns:
-            seen.rate_hz[station] = (count - 1) * 1e9 / (end_ns - start_ns)
-    return seen
+            evidence.rate_hz[station] = (count - 1) * 1e9 / (end_ns - start_ns)
+    return evidence
 
 
-def _count(seen: Evidence, spans: dict[Station, list[int]], record: Record) -> None:
-    seen.fates.take(record)
+def _count(evidence: Evidence, spans: dict[Station, list[int]], record: Record) -> None:
+    evidence.plan_outcomes.take(record)
     if isinstance(record, ImuBatch) and len(record.t_ns):
-        seen.axes[record.station] = seen.axes.get(record.station, record.axes) | record.axes
+        evidence.axes[record.station] = evidence.axes.get(record.station, record.axes) | record.axes
         span = spans.setdefault(record.station, [0, int(record.t_ns[0]), 0])
         span[0] += len(record.t_ns)
         span[2] = int(record.t_ns[-1])
     elif isinstance(record, AutopilotParameter):
-        seen.parameters[record.name] = record.value
+        evidence.parameters[record.name] = record.value
     elif isinstance(record, Shot):
-        seen.shots += 1
+        evidence.shots += 1
     elif isinstance(record, MatchSet):
-        seen.pairs += 1
+        evidence.pairs += 1
     elif isinstance(record, Rejected) and record.reason is Reject.UNPAIRED:
-        seen.unpaired += record.count
+        evidence.unpaired += record.count
     elif isinstance(record, Rejected) and record.reason is Reject.FRAME_LOST:
-        seen.lost += record.count
+        evidence.lost += record.count
 
 
-def _follow_time(seen: Evidence, clocks: ClockBank, record: Record) -> None:
+def _follow_time(evidence: Evidence, clocks: ClockBank, record: Record) -> None:
     if isinstance(record, TimesyncReply):
-        seen.clocks[record.clock] = clocks.exchange(record)
+        evidence.clocks[record.clock] = clocks.exchange(record)
     elif isinstance(record, ClockRestart):
         clocks.restart(record)

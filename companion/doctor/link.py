@@ -14,61 +14,61 @@ _LEAST_BEATS_HZ = 0.7
 _DAMAGE = 0.01  # convention: share of damaged frames worth a warning
 
 
-def check_link(seen: Evidence) -> Iterator[Finding]:
+def check_link(evidence: Evidence) -> Iterator[Finding]:
     """Whether an autopilot is there, heard whole, answers us, and whether our id is ours alone."""
-    pilot = seen.pilot
-    if pilot is None and not seen.live:
+    pilot = evidence.pilot
+    if pilot is None and not evidence.live:
         yield Finding(_SUBJECT, Level.UNKNOWN, "no MAVLink heartbeat is in this log (an autopilot's own log has none)")
         return
     if pilot is None:
-        text = absence_text(seen.beats, junk=bool(seen.skipped_bytes))
+        text = absence_text(evidence.beats, junk=bool(evidence.skipped_bytes))
         yield Finding(_SUBJECT, Level.FIX, text)
         return
-    rate_hz = pilot.count / seen.seconds if seen.seconds else 0.0
+    rate_hz = pilot.count / evidence.seconds if evidence.seconds else 0.0
     name = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}.get(pilot.autopilot, "")
-    slow = seen.live and rate_hz < _LEAST_BEATS_HZ
-    text = f"autopilot {seen.system}/1 {name} beats at {rate_hz:.1f} Hz" + (
+    slow = evidence.live and rate_hz < _LEAST_BEATS_HZ
+    text = f"autopilot {evidence.system}/1 {name} beats at {rate_hz:.1f} Hz" + (
         ": frames are lost on the way" if slow else ""
     )
     yield Finding("heartbeat", Level.FIX if slow else Level.OK, text)
-    yield from _wire(seen)
-    if seen.live:
-        yield from _routing(seen)
-        yield from _ids(seen)
+    yield from _wire(evidence)
+    if evidence.live:
+        yield from _routing(evidence)
+        yield from _ids(evidence)
 
 
-def _wire(seen: Evidence) -> Iterator[Finding]:
-    damaged = seen.crc_errors / max(seen.frames + seen.crc_errors, 1)
+def _wire(evidence: Evidence) -> Iterator[Finding]:
+    damaged = evidence.crc_errors / max(evidence.frames + evidence.crc_errors, 1)
     if damaged > _DAMAGE:
         text = f"{damaged:.1%} of the frames have a wrong checksum: lower the baud rate, or mend the cable"
         yield Finding("wire", Level.FIX, text)
-    elif seen.frames:
-        yield Finding("wire", Level.OK, f"{seen.frames} frames, {damaged:.2%} damaged")
+    elif evidence.frames:
+        yield Finding("wire", Level.OK, f"{evidence.frames} frames, {damaged:.2%} damaged")
 
 
-def _routing(seen: Evidence) -> Iterator[Finding]:
-    if seen.acknowledged or seen.parameters:
-        yield Finding("routing", Level.OK, f"the autopilot answers component {seen.settings.component_id}")
+def _routing(evidence: Evidence) -> Iterator[Finding]:
+    if evidence.acknowledged or evidence.parameters:
+        yield Finding("routing", Level.OK, f"the autopilot answers component {evidence.settings.component_id}")
     else:
         text = (
-            f"the autopilot answers nothing that {seen.system}/{seen.settings.component_id} asks: "
+            f"the autopilot answers nothing that {evidence.system}/{evidence.settings.component_id} asks: "
             "is the link one-way, or signed (--sign-key)?"
         )
         yield Finding("routing", Level.FIX, text)
-    stations = [key for key, beat in seen.beats.items() if beat.kind == mavlink.MAV_TYPE_GCS]
+    stations = [key for key, beat in evidence.beats.items() if beat.kind == mavlink.MAV_TYPE_GCS]
     text = "no ground station is heard on this link: its parameter requests would not arrive"
-    if seen.px4:
+    if evidence.px4:
         text += "; PX4 passes them on where MAV_n_FORWARD is 1"
     if stations:
         text = "ground station " + ", ".join(f"{system}/{component}" for system, component in stations) + " is heard"
     yield Finding("routing", Level.OK if stations else Level.NOTE, text)
 
 
-def check_computer(seen: Evidence) -> Iterator[Finding]:
+def check_computer(evidence: Evidence) -> Iterator[Finding]:
     """Whether this computer lets the trigger be punctual."""
-    if seen.realtime is None or seen.airframe.left_camera is None:
+    if evidence.realtime is None or evidence.airframe.left_camera is None:
         return
-    if seen.realtime:
+    if evidence.realtime:
         yield Finding("computer", Level.OK, "the trigger may take a real-time priority")
     else:
         text = (
@@ -77,16 +77,16 @@ def check_computer(seen: Evidence) -> Iterator[Finding]:
         yield Finding("computer", Level.NOTE, text)
 
 
-def _ids(seen: Evidence) -> Iterator[Finding]:
-    ours = seen.settings.component_id
-    if seen.twice:
-        text = f"another component speaks as {seen.system}/{ours}: stop it (a second spanwise?), or set SW_COMPID"
+def _ids(evidence: Evidence) -> Iterator[Finding]:
+    ours = evidence.settings.component_id
+    if evidence.twice:
+        text = f"another component speaks as {evidence.system}/{ours}: stop it (a second spanwise?), or set SW_COMPID"
         yield Finding("ids", Level.FIX, text)
     else:
-        yield Finding("ids", Level.OK, f"{seen.system}/{ours} is ours alone")
+        yield Finding("ids", Level.OK, f"{evidence.system}/{ours} is ours alone")
     pilots = [
         f"{system}/{component}"
-        for (system, component), beat in sorted(seen.beats.items())
+        for (system, component), beat in sorted(evidence.beats.items())
         if component == 1 and beat.autopilot != mavlink.MAV_AUTOPILOT_INVALID
     ]
     if len(pilots) > 1:

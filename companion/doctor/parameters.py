@@ -8,9 +8,9 @@ from companion.doctor.evidence import Evidence, Finding, Level
 from companion.params.vehicle import VEHICLE_PARAMETERS, implausible
 
 
-def check_parameters(seen: Evidence) -> Iterator[Finding]:
+def check_parameters(evidence: Evidence) -> Iterator[Finding]:
     """Every parameter whose value is outside the range in which the service believes it."""
-    for name in sorted(VEHICLE_PARAMETERS.keys() & seen.parameters.keys()):
-        why = implausible(name, seen.parameters[name])
+    for name in sorted(VEHICLE_PARAMETERS.keys() & evidence.parameters.keys()):
+        why = implausible(name, evidence.parameters[name])
         if why is not None:
             yield Finding("parameter", Level.FIX, f"{why}; correct it on the vehicle")

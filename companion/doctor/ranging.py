@@ -24,71 +24,71 @@ _PROXIMITY_USERS = frozenset(
 )
 
 
-def check_ranging(seen: Evidence) -> Iterator[Finding]:
+def check_ranging(evidence: Evidence) -> Iterator[Finding]:
     """Whether a range of ours would be used."""
-    if seen.airframe.left_camera is None or seen.airframe.right_camera is None:
-        yield Finding("range", Level.NOTE, f"airframe '{seen.airframe.name}' has no camera pair: no ranges go out")
+    if evidence.airframe.left_camera is None or evidence.airframe.right_camera is None:
+        yield Finding("range", Level.NOTE, f"airframe '{evidence.airframe.name}' has no camera pair: no ranges go out")
         return
-    if seen.px4:
+    if evidence.px4:
         yield Finding("range", Level.NOTE, "PX4 takes DISTANCE_SENSOR as it comes; RNGFND1_* are ArduPilot's")
     else:
-        yield from _rangefinder(seen)
-        yield from _proximity(seen)
-    yield from _rivals(seen)
+        yield from _rangefinder(evidence)
+        yield from _proximity(evidence)
+    yield from _rivals(evidence)
 
 
-def _rangefinder(seen: Evidence) -> Iterator[Finding]:
-    kind = seen.parameter("RNGFND1_TYPE")
+def _rangefinder(evidence: Evidence) -> Iterator[Finding]:
+    kind = evidence.parameter("RNGFND1_TYPE")
     if kind is None:
-        yield seen.missing("range", "RNGFND1_TYPE")
+        yield evidence.missing("range", "RNGFND1_TYPE")
         return
     if kind[1] != _MAVLINK_RANGEFINDER:
         text = f"RNGFND1_TYPE is {kind[1]:g}, not {_MAVLINK_RANGEFINDER} (MAVLink): our ranges are not used"
         yield Finding("range", Level.FIX, text, (Fix("RNGFND1_TYPE", _MAVLINK_RANGEFINDER, reboot=True),))
     else:
         yield Finding("range", Level.OK, "RNGFND1_TYPE is 10 (MAVLink)")
-    wanted = seen.airframe.orientation
-    told = seen.parameter("RNGFND1_ORIENT")
-    if told is not None:
-        right = told[1] == wanted
-        text = f"RNGFND1_ORIENT is {told[1]:g}" + ("" if right else f", but the cameras look to {wanted}")
+    wanted = evidence.airframe.orientation
+    value = evidence.parameter("RNGFND1_ORIENT")
+    if value is not None:
+        right = value[1] == wanted
+        text = f"RNGFND1_ORIENT is {value[1]:g}" + ("" if right else f", but the cameras look to {wanted}")
         yield Finding(
             "range", Level.OK if right else Level.FIX, text, () if right else (Fix("RNGFND1_ORIENT", wanted),)
         )
-    yield from _limits(seen)
+    yield from _limits(evidence)
 
 
-def _limits(seen: Evidence) -> Iterator[Finding]:
-    wanted_m = (seen.settings.min_range_m, seen.settings.max_range_m)
+def _limits(evidence: Evidence) -> Iterator[Finding]:
+    wanted_m = (evidence.settings.min_range_m, evidence.settings.max_range_m)
     for names, ours_m, upper in (
         (("RNGFND1_MIN", "RNGFND1_MIN_CM"), wanted_m[0], False),
         (("RNGFND1_MAX", "RNGFND1_MAX_CM"), wanted_m[1], True),
     ):
-        told = seen.parameter(*names)
-        if told is None:
+        value = evidence.parameter(*names)
+        if value is None:
             continue
         # the names that end in _CM are of versions before 4.7
-        scale = 100.0 if told[0].endswith("_CM") else 1.0
-        limit_m = told[1] / scale
+        scale = 100.0 if value[0].endswith("_CM") else 1.0
+        limit_m = value[1] / scale
         if limit_m < ours_m if upper else limit_m > ours_m:
             side = "beyond" if upper else "below"
             border = f"{'to' if upper else 'from'} {ours_m:g} m"
-            text = f"{told[0]} is {told[1]:g}: nothing {side} {limit_m:g} m is used, and we publish {border}"
-            yield Finding("range", Level.FIX, text, (Fix(told[0], ours_m * scale),))
+            text = f"{value[0]} is {value[1]:g}: nothing {side} {limit_m:g} m is used, and we publish {border}"
+            yield Finding("range", Level.FIX, text, (Fix(value[0], ours_m * scale),))
         else:
-            yield Finding("range", Level.OK, f"{told[0]} is {told[1]:g}")
+            yield Finding("range", Level.OK, f"{value[0]} is {value[1]:g}")
 
 
-def _proximity(seen: Evidence) -> Iterator[Finding]:
-    if not seen.airframe.looks_forward or seen.pilot is None:
+def _proximity(evidence: Evidence) -> Iterator[Finding]:
+    if not evidence.airframe.looks_forward or evidence.pilot is None:
         return
-    if seen.pilot.kind not in _PROXIMITY_USERS:
+    if evidence.pilot.kind not in _PROXIMITY_USERS:
         text = "this vehicle has no proximity library: OBSTACLE_DISTANCE is only passed on to ground stations and logs"
         yield Finding("proximity", Level.NOTE, text)
         return
-    kind = seen.parameter("PRX1_TYPE", "PRX_TYPE")
+    kind = evidence.parameter("PRX1_TYPE", "PRX_TYPE")
     if kind is None:
-        yield seen.missing("proximity", "PRX1_TYPE")
+        yield evidence.missing("proximity", "PRX1_TYPE")
     elif kind[1] != _MAVLINK_PROXIMITY:
         text = f"{kind[0]} is {kind[1]:g}, not {_MAVLINK_PROXIMITY} (MAVLink): obstacles are not used"
         yield Finding("proximity", Level.FIX, text, (Fix(kind[0], _MAVLINK_PROXIMITY, reboot=True),))
@@ -96,22 +96,22 @@ def _proximity(seen: Evidence) -> Iterator[Finding]:
         yield Finding("proximity", Level.OK, f"{kind[0]} is {_MAVLINK_PROXIMITY} (MAVLink)")
 
 
-def _rivals(seen: Evidence) -> Iterator[Finding]:
+def _rivals(evidence: Evidence) -> Iterator[Finding]:
     """Two senders on one orientation overwrite each other; the autopilot tells them apart by nothing else."""
-    ours = seen.airframe.orientation
-    for (system, component, orientation), count in sorted(seen.range_senders.items()):
-        if orientation != ours or (component == 1 and _echoes_us(seen)):
+    ours = evidence.airframe.orientation
+    for (system, component, orientation), count in sorted(evidence.range_senders.items()):
+        if orientation != ours or (component == 1 and _echoes_us(evidence)):
             continue
         text = f"{system}/{component} also sends DISTANCE_SENSOR of orientation {ours} ({count} heard): turn one off"
         yield Finding("range", Level.FIX, text)
     for number in range(2, 5):
-        kind, place = seen.parameter(f"RNGFND{number}_TYPE"), seen.parameter(f"RNGFND{number}_ORIENT")
+        kind, place = evidence.parameter(f"RNGFND{number}_TYPE"), evidence.parameter(f"RNGFND{number}_ORIENT")
         if kind is not None and place is not None and kind[1] and place[1] == ours:
             text = f"RNGFND{number} looks to {ours} too: the autopilot may use it in place of ours"
             yield Finding("range", Level.FIX, text, (Fix(f"RNGFND{number}_TYPE", 0, reboot=True),))
 
 
-def _echoes_us(seen: Evidence) -> bool:
+def _echoes_us(evidence: Evidence) -> bool:
     """The autopilot reports its rangefinders with the same message; with our own type it repeats ours."""
-    kind = seen.parameter("RNGFND1_TYPE")
+    kind = evidence.parameter("RNGFND1_TYPE")
     return kind is None or kind[1] == _MAVLINK_RANGEFINDER

@@ -15,25 +15,25 @@ _GOOD_BOUND_NS = 2_000_000
 _ENOUGH = 0.75  # of the rate asked for: below, the stream does not come as set
 
 
-def check_rates(seen: Evidence) -> Iterator[Finding]:
+def check_rates(evidence: Evidence) -> Iterator[Finding]:
     """Whether every sensor wired to the autopilot is fast enough for the wing's modes."""
-    needed_hz = SAMPLES_PER_PERIOD * seen.highest_hz
-    wanted_hz = max(seen.settings.imu_rate_hz, needed_hz) if seen.live else needed_hz
-    pace = _integration(seen, needed_hz) if seen.px4 else _loop(seen, wanted_hz, needed_hz)
-    if seen.live or not seen.px4:  # a log of PX4's own has what it integrated, whatever goes out as messages
+    needed_hz = SAMPLES_PER_PERIOD * evidence.highest_hz
+    wanted_hz = max(evidence.settings.imu_rate_hz, needed_hz) if evidence.live else needed_hz
+    pace = _integration(evidence, needed_hz) if evidence.px4 else _loop(evidence, wanted_hz, needed_hz)
+    if evidence.live or not evidence.px4:  # a log of PX4's own has what it integrated, whatever goes out as messages
         yield pace
     for station in Station:
-        source = seen.airframe.sensor(station).source
+        source = evidence.airframe.sensor(station).source
         if source.component == AUTOPILOT_COMPONENT:
-            yield _rate(seen, station, source.message, needed_hz, pace.fixes)
+            yield _rate(evidence, station, source.message, needed_hz, pace.fixes)
 
 
-def _loop(seen: Evidence, wanted_hz: float, needed_hz: float) -> Finding:
+def _loop(evidence: Evidence, wanted_hz: float, needed_hz: float) -> Finding:
     """ArduPilot sends inertial messages at 0.8 of its loop rate at most."""
-    told = seen.parameter("SCHED_LOOP_RATE")
-    if told is None:
-        return seen.missing("loop", "SCHED_LOOP_RATE")
-    loop_hz = told[1]
+    value = evidence.parameter("SCHED_LOOP_RATE")
+    if value is None:
+        return evidence.missing("loop", "SCHED_LOOP_RATE")
+    loop_hz = value[1]
     if loop_hz >= needed_loop_rate_hz(wanted_hz):
         return Finding("loop", Level.OK, f"SCHED_LOOP_RATE is {loop_hz:g} Hz")
     text = f"SCHED_LOOP_RATE is {loop_hz:g} Hz: inertial messages come at {0.8 * loop_hz:.0f} Hz at most"
@@ -41,12 +41,12 @@ def _loop(seen: Evidence, wanted_hz: float, needed_hz: float) -> Finding:
     return Finding("loop", Level.FIX if 0.8 * loop_hz < needed_hz else Level.NOTE, text, (fix,))
 
 
-def _integration(seen: Evidence, needed_hz: float) -> Finding:
+def _integration(evidence: Evidence, needed_hz: float) -> Finding:
     """PX4 sends a mean for every interval of its integration, and no more."""
-    told = seen.parameter("IMU_INTEG_RATE")
-    if told is None:
-        return seen.missing("loop", "IMU_INTEG_RATE")
-    rate_hz = told[1]
+    value = evidence.parameter("IMU_INTEG_RATE")
+    if value is None:
+        return evidence.missing("loop", "IMU_INTEG_RATE")
+    rate_hz = value[1]
     text = f"IMU_INTEG_RATE is {rate_hz:g} Hz: inertial messages come at that rate at most"
     if rate_hz >= needed_hz:
         return Finding("loop", Level.OK, text)
@@ -54,49 +54,48 @@ def _integration(seen: Evidence, needed_hz: float) -> Finding:
     return Finding("loop", Level.FIX, text, (fix,))
 
 
-def _rate(seen: Evidence, station: Station, message: str, needed_hz: float, fixes: tuple[Fix, ...]) -> Finding:
-    rate_hz = seen.rate_hz.get(station, 0.0)
+def _rate(evidence: Evidence, station: Station, message: str, needed_hz: float, fixes: tuple[Fix, ...]) -> Finding:
+    rate_hz = evidence.rate_hz.get(station, 0.0)
     what = f"{station.name.lower()} {message} at {rate_hz:.0f} Hz"
     if not rate_hz:
         text = f"{station.name.lower()}: no {message} arrives"
         if message == "HIGHRES_IMU":
             text += "; boards with 1 MB of flash do not have it: map RAW_IMU in the airframe file"
         return Finding("rate", Level.FIX, text)
-    mode = f"the {seen.highest_hz:.1f} Hz mode"
+    mode = f"the {evidence.highest_hz:.1f} Hz mode"
     if rate_hz >= needed_hz:
-        return Finding("rate", Level.OK, f"{what}, {rate_hz / seen.highest_hz:.0f} samples a period of {mode}")
+        return Finding("rate", Level.OK, f"{what}, {rate_hz / evidence.highest_hz:.0f} samples a period of {mode}")
     text = f"{what} is too slow for {mode}, which needs {needed_hz:.0f} Hz"
     return Finding("rate", Level.FIX, text if fixes else text + ": raise the baud rate of this link", fixes)
 
 
-def check_filters(seen: Evidence) -> Iterator[Finding]:
+def check_filters(evidence: Evidence) -> Iterator[Finding]:
     """Attenuation of the modes by the autopilot's low-pass filters."""
-    names = ("IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF") if seen.px4 else ("INS_ACCEL_FILTER", "INS_GYRO_FILTER")
+    names = ("IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF") if evidence.px4 else ("INS_ACCEL_FILTER", "INS_GYRO_FILTER")
     for wanted, axis in zip(names, ("accel", "gyro"), strict=True):
-        told = seen.parameter(wanted)
-        if told is None:
-            yield seen.missing("filter", wanted)
+        value = evidence.parameter(wanted)
+        if value is None:
+            yield evidence.missing("filter", wanted)
             continue
-        name, cutoff_hz = told
-        if seen.px4:
+        name, cutoff_hz = value
+        if evidence.px4:
             yield Finding("filter", Level.OK, f"{name} acts behind the messages that PX4 sends: nothing to undo")
             continue
         if cutoff_hz <= 0:
             yield Finding("filter", Level.OK, f"{name} is off")
             continue
-        wanted_hz = 5.0 * math.ceil(4.0 * seen.highest_hz / 5.0)
-        gain, phase_deg = _butterworth(seen.highest_hz / cutoff_hz)
-        text = (
-            f"{name} {cutoff_hz:g} Hz turns the {seen.highest_hz:.1f} Hz mode by {phase_deg:.0f} deg, gain {gain:.2f}"
-        )
-        if cutoff_hz < _FILTER_RATIO * seen.highest_hz:
+        wanted_hz = 5.0 * math.ceil(4.0 * evidence.highest_hz / 5.0)
+        gain, phase_deg = _butterworth(evidence.highest_hz / cutoff_hz)
+        mode = f"{evidence.highest_hz:.1f} Hz mode"
+        text = f"{name} {cutoff_hz:g} Hz turns the {mode} by {phase_deg:.0f} deg, gain {gain:.2f}"
+        if cutoff_hz < _FILTER_RATIO * evidence.highest_hz:
             yield Finding("filter", Level.FIX, text + ": raise it", (Fix(name, max(wanted_hz, 20.0)),))
         else:
             yield Finding("filter", Level.OK, text + f", which is undone ({axis})")
-    notch = seen.parameter("INS_HNTCH_ENABLE")
-    centre = seen.parameter("INS_HNTCH_FREQ")
+    notch = evidence.parameter("INS_HNTCH_ENABLE")
+    centre = evidence.parameter("INS_HNTCH_FREQ")
     if notch is not None and notch[1] and centre is not None:
-        near = centre[1] < 2.0 * seen.highest_hz
+        near = centre[1] < 2.0 * evidence.highest_hz
         text = f"gyro notch at {centre[1]:g} Hz" + (" sits on the wing's modes: raise INS_HNTCH_FREQ" if near else "")
         yield Finding("filter", Level.FIX if near else Level.OK, text)
 
@@ -113,15 +112,15 @@ _WAYS = {
 }
 
 
-def check_clocks(seen: Evidence) -> Iterator[Finding]:
+def check_clocks(evidence: Evidence) -> Iterator[Finding]:
     """Whether every clock that stamps samples is known."""
-    if not seen.live and not seen.clocks:
+    if not evidence.live and not evidence.clocks:
         return  # a log of somebody else, who asked nobody for the time
-    sensors = [seen.airframe.sensor(station) for station in Station]
+    sensors = [evidence.airframe.sensor(station) for station in Station]
     for clock in sorted({sensor.source.clock for sensor in sensors} - {ClockName.HOST}):
-        state = seen.clocks.get(clock)
-        stations = [station for station in Station if seen.airframe.sensor(station).source.clock is clock]
-        axes = seen.axes.get(stations[0], Axis.NONE)
+        state = evidence.clocks.get(clock)
+        stations = [station for station in Station if evidence.airframe.sensor(station).source.clock is clock]
+        axes = evidence.axes.get(stations[0], Axis.NONE)
         way = _WAYS.get(bool(axes & Axis.GYRO)) if axes & (Axis.GYRO | Axis.Z) else None
         if state is None and clock is not ClockName.BOOT and way is not None:
             text = (

@@ -27,13 +27,13 @@ _LETTERS = "xyzpqr"
 _SLOPE_MRAD = {(False, False): 0.47, (True, False): 0.26, (False, True): 0.33, (True, True): 0.24}
 
 
-def check_nodes(seen: Evidence) -> Iterator[Finding]:
+def check_nodes(evidence: Evidence) -> Iterator[Finding]:
     """Both wingtips: alive, fast enough, all axes, enough bandwidth."""
-    alive = [side for side in (Station.LEFT, Station.RIGHT) if seen.rate_hz.get(side)]
+    alive = [side for side in (Station.LEFT, Station.RIGHT) if evidence.rate_hz.get(side)]
     for side in (Station.LEFT, Station.RIGHT):
-        yield from _node(seen, side)
+        yield from _node(evidence, side)
     if len(alive) == 2:
-        yield Finding("wing", Level.OK, _accuracy(seen))
+        yield Finding("wing", Level.OK, _accuracy(evidence))
     elif alive:
         text = (
             f"only the {alive[0].name.lower()} tip is measured: antisymmetric bending cannot be told from symmetric; "
@@ -42,26 +42,26 @@ def check_nodes(seen: Evidence) -> Iterator[Finding]:
         yield Finding("wing", Level.FIX, text)
     else:
         yield Finding("wing", Level.FIX, _NONE)
-    yield from _lines(seen)
-    yield from _losses(seen)
+    yield from _lines(evidence)
+    yield from _losses(evidence)
 
 
-def _node(seen: Evidence, side: Station) -> Iterator[Finding]:
-    sensor = seen.airframe.sensor(side)
-    source, rate_hz, name = sensor.source, seen.rate_hz.get(side, 0.0), side.name.lower()
+def _node(evidence: Evidence, side: Station) -> Iterator[Finding]:
+    sensor = evidence.airframe.sensor(side)
+    source, rate_hz, name = sensor.source, evidence.rate_hz.get(side, 0.0), side.name.lower()
     wired = source.component == AUTOPILOT_COMPONENT
     if not rate_hz:
         if not wired:
-            beats = (seen.system, source.component) in seen.beats
+            beats = (evidence.system, source.component) in evidence.beats
             text = f"{name}: component {source.component} " + (
                 f"beats but sends no {source.message}" if beats else "is silent"
             )
-            others = [what for what in seen.foreign_imu if what.startswith(source.message)]
+            others = [what for what in evidence.foreign_imu if what.startswith(source.message)]
             text += f"; {', '.join(others)} is not mapped: see [{name}].source in the airframe" if others else ""
             yield Finding("wing", Level.FIX, text)
         return
     missing = "".join(
-        letter for bit, letter in enumerate(_LETTERS) if letter in sensor.sends and not seen.axes[side] >> bit & 1
+        letter for bit, letter in enumerate(_LETTERS) if letter in sensor.sends and not evidence.axes[side] >> bit & 1
     )
     if missing:
         text = f"{name}: axes {missing} never come, though the airframe says they do: correct 'sends', or the node"
@@ -71,16 +71,16 @@ def _node(seen: Evidence, side: Station) -> Iterator[Finding]:
         text = f"{name} {source.message} of {source.component} at {rate_hz:.0f} Hz" + (
             f", not {sensor.rate_hz:.0f}" if slow else ""
         )
-        yield Finding("wing", Level.FIX if slow else Level.OK, text + (_bandwidth(seen, side) if slow else ""))
+        yield Finding("wing", Level.FIX if slow else Level.OK, text + (_bandwidth(evidence, side) if slow else ""))
 
 
-def _lines(seen: Evidence) -> Iterator[Finding]:
+def _lines(evidence: Evidence) -> Iterator[Finding]:
     """Serial lines against what one node's stream needs."""
-    streams = [seen.airframe.sensor(side) for side in (Station.LEFT, Station.RIGHT)]
+    streams = [evidence.airframe.sensor(side) for side in (Station.LEFT, Station.RIGHT)]
     needed = max(
         (_needed_baud(sensor) for sensor in streams if sensor.source.component != AUTOPILOT_COMPONENT), default=0
     )
-    for link, baud in seen.serial_baud.items() if needed else ():
+    for link, baud in evidence.serial_baud.items() if needed else ():
         text = f"{link}: a node's stream needs {needed:.0f} baud of {baud}"
         if baud < needed:
             yield Finding("wing", Level.FIX, text + ": raise the baud rate, or lower the node's rate")
@@ -88,9 +88,9 @@ def _lines(seen: Evidence) -> Iterator[Finding]:
             yield Finding("wing", Level.OK, text)
 
 
-def _losses(seen: Evidence) -> Iterator[Finding]:
+def _losses(evidence: Evidence) -> Iterator[Finding]:
     """Losses that the nodes themselves count (tools/wing_node)."""
-    for (component, name), count in sorted(seen.node_losses.items()):
+    for (component, name), count in sorted(evidence.node_losses.items()):
         if count and name in _LOSSES:
             yield Finding("wing", Level.FIX, f"node {component}: {count} {_LOSSES[name]}")
 
@@ -100,40 +100,40 @@ def _needed_baud(sensor: Sensor) -> float:
     return sensor.rate_hz * frame_bytes * _BITS_PER_BYTE
 
 
-def _bandwidth(seen: Evidence, side: Station) -> str:
+def _bandwidth(evidence: Evidence, side: Station) -> str:
     """Bit rate that the stream needs of a serial line (1 kHz of HIGHRES_IMU is 750 kbaud), where one is in use."""
-    sensor = seen.airframe.sensor(side)
+    sensor = evidence.airframe.sensor(side)
     needed = _needed_baud(sensor)
-    small = {link: baud for link, baud in seen.serial_baud.items() if baud < needed}
+    small = {link: baud for link, baud in evidence.serial_baud.items() if baud < needed}
     if not small:
         return ""
     link, baud = next(iter(small.items()))
     return f": {link} has {baud} baud and this stream alone needs {needed:.0f}"
 
 
-def _accuracy(seen: Evidence) -> str:
-    axes = seen.axes[Station.LEFT] & seen.axes[Station.RIGHT]
+def _accuracy(evidence: Evidence) -> str:
+    axes = evidence.axes[Station.LEFT] & evidence.axes[Station.RIGHT]
     lateral, gyro = bool(axes & Axis.Y), bool(axes & Axis.P)
     names = "".join(letter for bit, letter in enumerate(_LETTERS) if axes >> bit & 1)
     text = f"both tips send {names}: relative slope to about {_SLOPE_MRAD[lateral, gyro]:.2f} mrad (5 Hz, 5 mm wing)"
     return text if lateral and gyro else text + "; with lateral axis and gyro 0.24"
 
 
-def check_cameras(seen: Evidence) -> Iterator[Finding]:
+def check_cameras(evidence: Evidence) -> Iterator[Finding]:
     """Whether pictures come in pairs: of the autopilot's cameras, where they are used, and of a recording's shots."""
-    if seen.airframe.left_camera is None:
+    if evidence.airframe.left_camera is None:
         return
-    if seen.feedback:
-        yield from _feedback(seen)
-    if seen.shots or seen.pairs or seen.unpaired:
-        yield _pairing(seen)
-    if counts := seen.fates.counts():
+    if evidence.feedback:
+        yield from _feedback(evidence)
+    if evidence.shots or evidence.pairs or evidence.unpaired:
+        yield _pairing(evidence)
+    if counts := evidence.plan_outcomes.counts():
         yield _planned(counts)
 
 
-def _feedback(seen: Evidence) -> Iterator[Finding]:
+def _feedback(evidence: Evidence) -> Iterator[Finding]:
     # ArduPilot numbers its cameras from 0 here, and from 1 in commands and parameters
-    counts = [len(seen.feedback[number]) for number in sorted(seen.feedback)]
+    counts = [len(evidence.feedback[number]) for number in sorted(evidence.feedback)]
     if len(counts) == 1:
         text = f"CAMERA_FEEDBACK comes of one camera only ({counts[0]} pictures): set CAM2_TYPE like CAM1_TYPE"
         yield Finding("camera", Level.FIX, text)
@@ -141,11 +141,11 @@ def _feedback(seen: Evidence) -> Iterator[Finding]:
         yield Finding("camera", Level.FIX, f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
     else:
         yield Finding("camera", Level.OK, f"CAMERA_FEEDBACK pairs: {counts[0]} and {counts[1]}")
-    shots_hz = seen.settings.trigger_rate_hz
+    shots_hz = evidence.settings.trigger_rate_hz
     for name in ("CAM1_DURATION", "CAM2_DURATION"):
-        told = seen.parameter(name)
-        if told is not None and told[1] * shots_hz >= 1.0:
-            text = f"{name} {told[1]:g} s refuses shots that come faster, and TRG_RATE is {shots_hz:g} Hz"
+        value = evidence.parameter(name)
+        if value is not None and value[1] * shots_hz >= 1.0:
+            text = f"{name} {value[1]:g} s refuses shots that come faster, and TRG_RATE is {shots_hz:g} Hz"
             yield Finding("camera", Level.FIX, text, (Fix(name, round(0.5 / shots_hz, 3)),))
 
 
@@ -160,15 +160,15 @@ def _planned(counts: dict[str, int]) -> Finding:
     return Finding("shots", Level.OK, text)
 
 
-def _pairing(seen: Evidence) -> Finding:
+def _pairing(evidence: Evidence) -> Finding:
     """Outcomes of a recording's shots."""
-    text = f"{seen.shots} shots, {seen.pairs} matched pairs, {seen.unpaired} images without a partner"
-    text += f", {seen.lost} that never came" if seen.lost else ""
-    if seen.shots and not seen.pairs:
+    text = f"{evidence.shots} shots, {evidence.pairs} matched pairs, {evidence.unpaired} images without a partner"
+    text += f", {evidence.lost} that never came" if evidence.lost else ""
+    if evidence.shots and not evidence.pairs:
         return Finding("camera", Level.FIX, text + ": check the trigger line, and that both cameras obey it")
-    if seen.lost > _UNPAIRED * 2 * max(seen.pairs, 1):
+    if evidence.lost > _UNPAIRED * 2 * max(evidence.pairs, 1):
         why = "the cameras, their link or this computer are too slow for so many shots"
         return Finding("camera", Level.FIX, f"{text}: {why}; lower TRG_RATE")
-    if seen.unpaired > _UNPAIRED * 2 * max(seen.pairs, 1):
+    if evidence.unpaired > _UNPAIRED * 2 * max(evidence.pairs, 1):
         return Finding("camera", Level.FIX, text + ": one camera misses shots, or the exposures are too far apart")
     return Finding("camera", Level.OK, text)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from companion.evaluation.metrics import FAST_HZ, Scored, near, slow_part, spread
-from companion.evaluation.true_geometry import Judge
+from companion.evaluation.true_geometry import TrueGeometry
 from companion.records import Firing, Floats, MatchSet, Side
 
 if TYPE_CHECKING:
-    from companion.evaluation.flight_evaluation import Flown, Shots
+    from companion.evaluation.flight_evaluation import PipelineOutputs, Shots
 
 TARGET_FAST_MRAD = 0.15
 TARGET_SHARE = 0.01  # of the rigid error above 0.5 Hz: what is promised
@@ -46,21 +46,21 @@ def targets(ways: Mapping[str, Scored]) -> dict[str, Any]:
     }
 
 
-def honesty(shots: Shots, flown: Flown) -> dict[str, Any]:
+def sigma_calibration(shots: Shots, outputs: PipelineOutputs) -> dict[str, Any]:
     """Errors over their own sigmas: of the slow part, of all shots, and the worst that was published.
 
     The error is a range's, scored as toe, so its sigma is the range's too: near obstacles it is the focal lengths' more
     than the toe's. Mounting and lenses are drawn once a flight: one flight's ratio is little more than one draw.
     """
     corrected = shots.ways["corrected"]
-    ranges = [flown.ranges[pair_id] for pair_id in shots.ids]
+    ranges = [outputs.ranges[pair_id] for pair_id in shots.ids]
     toe_sigma = np.array([entry.toe_sigma_rad for entry in ranges])
     trusted = np.array([entry.trusted for entry in ranges], dtype=bool)
     sigma_m = np.array([entry.sigma_m for entry in ranges])
     range_m = np.array([entry.range_m for entry in ranges])
-    told = sigma_m < range_m  # what is less certain says nothing, and its sigma may be cut off
-    slow = slow_part(corrected.t_s[told], corrected.toe_error_rad[told], FAST_HZ)
-    as_toe = corrected.baseline_m * sigma_m[told] / range_m[told] ** 2
+    certain = sigma_m < range_m  # what is less certain says nothing, and its sigma may be cut off
+    slow = slow_part(corrected.t_s[certain], corrected.toe_error_rad[certain], FAST_HZ)
+    as_toe = corrected.baseline_m * sigma_m[certain] / range_m[certain] ** 2
     over = np.abs(corrected.range_m - corrected.z_true_m) / np.maximum(sigma_m, 1e-9)
     return {
         "toe_sigma_mrad": spread(toe_sigma, 1e3),
@@ -71,11 +71,13 @@ def honesty(shots: Shots, flown: Flown) -> dict[str, Any]:
     }
 
 
-def trigger_summary(judge: Judge, flown: Flown, shots: Shots, blur: Mapping[str, Floats]) -> dict[str, Any]:
+def trigger_summary(
+    geometry: TrueGeometry, outputs: PipelineOutputs, shots: Shots, blur: Mapping[str, Floats]
+) -> dict[str, Any]:
     """How far from the true deflection peaks the peak shots were exposed, and the blur that the wing caused."""
-    errors_s = peak_errors_s(judge, flown, [flown.matches[pair_id] for pair_id in shots.ids])
-    frequency_hz = judge.flight.real.actual.wing.symmetric.frequency_hz.value
-    late = [shot.fired_host_ns - shot.planned_host_ns for shot in flown.shots.values()]
+    errors_s = peak_errors_s(geometry, outputs, [outputs.matches[pair_id] for pair_id in shots.ids])
+    frequency_hz = geometry.flight.real.actual.wing.symmetric.frequency_hz.value
+    late = [shot.fired_host_ns - shot.planned_host_ns for shot in outputs.shots.values()]
     return {
         "errors_ms": spread(errors_s, 1e3),
         "errors_deg": spread(errors_s, 360.0 * frequency_hz),
@@ -84,23 +86,23 @@ def trigger_summary(judge: Judge, flown: Flown, shots: Shots, blur: Mapping[str,
     }
 
 
-def peak_errors_s(judge: Judge, flown: Flown, matches: Iterable[MatchSet]) -> Floats:
+def peak_errors_s(geometry: TrueGeometry, outputs: PipelineOutputs, matches: Iterable[MatchSet]) -> Floats:
     """Mid-exposure minus the nearest true deflection peak, for the shots that were planned at one, (n,)."""
-    peaks = [plan.exposure_host_ns for plan in flown.plans.values() if plan.firing is Firing.PEAK]
+    peaks = [plan.exposure_host_ns for plan in outputs.plans.values() if plan.firing is Firing.PEAK]
     planned = np.sort(np.array(peaks, dtype=np.int64))
     errors = []
     for entry in matches:
         t_ns = int(entry.mid_exposure_ns.mean())
         if len(planned) and np.min(np.abs(planned - t_ns)) < _SAME_SHOT_NS:
-            errors.append(nearest_peak_s(judge, t_ns))
+            errors.append(nearest_peak_s(geometry, t_ns))
     return np.array([error for error in errors if error is not None])
 
 
-def nearest_peak_s(judge: Judge, t_host_ns: int) -> float | None:
+def nearest_peak_s(geometry: TrueGeometry, t_host_ns: int) -> float | None:
     """Signed time from the nearest instant at which the true relative toe stands still; None without one nearby."""
     offsets = np.arange(-_PEAK_SEARCH_S, _PEAK_SEARCH_S, 1e-3)
-    stamps = t_host_ns - judge.start_host_ns + np.rint(offsets * 1e9).astype(np.int64)
-    truth = judge.flight.truth
+    stamps = t_host_ns - geometry.start_host_ns + np.rint(offsets * 1e9).astype(np.int64)
+    truth = geometry.flight.truth
     if stamps[0] < truth.t_boot_ns[0] or stamps[-1] > truth.t_boot_ns[-1]:
         return None
     rate = truth.series(stamps).slope_rate_radps.sum(axis=1)
@@ -111,15 +113,15 @@ def nearest_peak_s(judge: Judge, t_host_ns: int) -> float | None:
     return float(-instants[np.argmin(np.abs(instants))])
 
 
-def wing_blur_px(judge: Judge, matches: Iterable[MatchSet]) -> Floats:
+def wing_blur_px(geometry: TrueGeometry, matches: Iterable[MatchSet]) -> Floats:
     """Image motion over the exposure that the wing's bending alone causes, the worse of both cameras, (n,)."""
-    focal = judge.renderer.rig.left.lens.focal_px
-    found = []
+    focal = geometry.renderer.rig.left.lens.focal_px
+    blurs_px = []
     for entry in matches:
-        stamps = entry.mid_exposure_ns - judge.start_host_ns
-        rates = [judge.flight.truth.at(int(stamps[side])).slope_rate_radps[side] for side in Side]
-        found.append(focal * entry.exposure_ns * 1e-9 * max(abs(rate) for rate in rates))
-    return np.array(found)
+        stamps = entry.mid_exposure_ns - geometry.start_host_ns
+        rates = [geometry.flight.truth.at(int(stamps[side])).slope_rate_radps[side] for side in Side]
+        blurs_px.append(focal * entry.exposure_ns * 1e-9 * max(abs(rate) for rate in rates))
+    return np.array(blurs_px)
 
 
 def _removed(before: Scored, after: Scored) -> float:

@@ -19,7 +19,7 @@ _MODE_KEYS = {"frequency": "frequency_hz", "damping": "damping", "slope": "slope
 def extended(
     airframe: Airframe,
     belief: Belief,
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     units: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> Airframe:
     """The airframe with the named effects in force, and modes, bend and cameras as the same fit has them.
@@ -34,10 +34,10 @@ def extended(
             cause.term.channel,
             *units.get(cause.term.channel, (0.0, 0.0)),
         )
-        for cause in found.causes
+        for cause in diagnosis.causes
     ]
-    deviation = belief.named(found.final.values[: len(belief.nuisances)])
-    spread = {entry.key: math.sqrt(float(found.final.covariance[i, i])) for i, entry in enumerate(belief.nuisances)}
+    deviation = belief.named(diagnosis.final.values[: len(belief.nuisances)])
+    spread = {entry.key: math.sqrt(float(diagnosis.final.covariance[i, i])) for i, entry in enumerate(belief.nuisances)}
     return dataclasses.replace(
         airframe,
         wing=_wing(belief.wing(deviation), spread),
@@ -54,12 +54,12 @@ def _wing(wing: Wing, spread: dict[str, float]) -> Wing:
         mode: Mode | None = getattr(wing, name)
         if mode is None:
             continue
-        known = {
+        fitted = {
             field: Uncertain(getattr(mode, field).value, getattr(mode, field).value * spread[f"{name}.{key}"])
             for key, field in _MODE_KEYS.items()
             if f"{name}.{key}" in spread
         }
-        changes[name] = dataclasses.replace(mode, **known)
+        changes[name] = dataclasses.replace(mode, **fitted)
     for field in ("trim_bend_m", "bend_per_g_m"):
         if field in spread:
             changes[field] = Uncertain(getattr(wing, field).value, spread[field])

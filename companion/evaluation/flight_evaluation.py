@@ -17,12 +17,18 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
-from companion.evaluation.accuracy_targets import honesty, peak_errors_s, targets, trigger_summary, wing_blur_px
+from companion.evaluation.accuracy_targets import (
+    peak_errors_s,
+    sigma_calibration,
+    targets,
+    trigger_summary,
+    wing_blur_px,
+)
 from companion.evaluation.metrics import Scored, range_summary, toe_summary
-from companion.evaluation.plan_outcomes import Fates
-from companion.evaluation.rendered_shots import Pull, Seen, Stage, Studios
+from companion.evaluation.plan_outcomes import PlanOutcomes
+from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studios
 from companion.evaluation.replay import drive, own_inputs
-from companion.evaluation.true_geometry import Judge, Reading
+from companion.evaluation.true_geometry import Reading, TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -53,7 +59,7 @@ _NO_RANGE = (Reject.FRAME_LOST, Reject.UNPAIRED, Reject.OUT_OF_WINDOW, Reject.QU
 
 
 @dataclass(slots=True)
-class Flown:
+class PipelineOutputs:
     """Outputs of one run of the pipeline over the shots."""
 
     matches: dict[int, MatchSet] = field(default_factory=dict)
@@ -63,20 +69,20 @@ class Flown:
     plans: dict[int, TriggerPlan] = field(default_factory=dict)
     shots: dict[int, Shot] = field(default_factory=dict)
     rejected: Counter[str] = field(default_factory=Counter)
-    fates: Fates = field(default_factory=Fates)
+    plan_outcomes: PlanOutcomes = field(default_factory=PlanOutcomes)
 
 
 @dataclass(frozen=True, slots=True)
-class Debrief:
+class FlightEvaluation:
     """``plain`` is summary.json; ``series`` are the arrays that the picture shows."""
 
     plain: dict[str, Any]
     series: dict[str, Floats]
 
 
-def debrief(
+def evaluate_flight(
     flight: Flight, stage: Stage, recording: Path, report: dict[str, Any], *, compare: bool, say: Callable[[str], None]
-) -> Debrief:
+) -> FlightEvaluation:
     """Judge one recorded flight.
 
     Parameters
@@ -95,15 +101,15 @@ def debrief(
         Progress.
     """
     opened, settings = open_recording(recording), stage.settings
-    judge = Judge(flight, stage.renderer(), settings, stage.start_host_ns)
+    geometry = TrueGeometry(flight, stage.renderer(), settings, stage.start_host_ns)
     inputs = list(own_inputs(opened.records(), opened.airframe, settings))
-    flown = collect(opened.records())
-    shots = judged(judge, flown)
+    outputs = collect(opened.records())
+    shots = score_shots(geometry, outputs)
     ways = dict(shots.ways)
-    blur = {"at_plan": wing_blur_px(judge, [flown.matches[pair_id] for pair_id in shots.ids])}
+    blur = {"at_plan": wing_blur_px(geometry, [outputs.matches[pair_id] for pair_id in shots.ids])}
     others: dict[str, Shots] = {}
     if compare:
-        others, blur["at_random"] = _compared(judge, stage, inputs, say)
+        others, blur["at_random"] = _compared(geometry, stage, inputs, say)
         ways |= {name: other.ways["corrected"] for name, other in others.items()}
     plain: dict[str, Any] = {
         "airframe": flight.airframe.name,
@@ -114,13 +120,13 @@ def debrief(
         "range_error_m": {name: range_summary(way) for name, way in ways.items()},
         "against_corrected": {name: paired(shots, other) for name, other in others.items()},
         "targets": targets(ways),
-        "sigma": honesty(shots, flown),
-        "trigger": trigger_summary(judge, flown, shots, blur),
-        "shots": _counts(flown, shots),
+        "sigma": sigma_calibration(shots, outputs),
+        "trigger": trigger_summary(geometry, outputs, shots, blur),
+        "shots": _counts(outputs, shots),
         "published": {key: report.get(key) for key in ("received", "ranges_used", "range_timeouts", "problems")},
-        "refused": dict(sorted(flown.rejected.items())),
+        "refused": dict(sorted(outputs.rejected.items())),
     }
-    return Debrief(json_plain(plain), _series(judge, flown, shots, ways, blur))
+    return FlightEvaluation(json_plain(plain), _series(geometry, outputs, shots, ways, blur))
 
 
 def json_plain(value: Any) -> Any:
@@ -133,61 +139,61 @@ def json_plain(value: Any) -> Any:
 
 
 def _compared(
-    judge: Judge, stage: Stage, inputs: list[Record], say: Callable[[str], None]
+    geometry: TrueGeometry, stage: Stage, inputs: list[Record], say: Callable[[str], None]
 ) -> tuple[dict[str, Shots], Floats]:
     """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result)."""
-    airframe, settings = judge.flight.airframe, judge.settings
+    airframe, settings = geometry.flight.airframe, geometry.settings
     say("replaying with vertical accelerometers alone ...")
-    vertical = judged(judge, replayed(vertical_only(inputs), airframe, settings))
+    vertical = score_shots(geometry, replayed(vertical_only(inputs), airframe, settings))
     say("rendering the same flight at random instants ...")
     with Studios(stage) as studios:
-        extra = matches_of(studios.all(_random_pulls(judge)))
-    random = judged(judge, replayed(with_matches(inputs, extra), airframe, settings))
-    return {"vertical_only": vertical, "random_instants": random}, wing_blur_px(judge, extra)
+        extra = matches_of(studios.all(_random_pulls(geometry)))
+    random = score_shots(geometry, replayed(with_matches(inputs, extra), airframe, settings))
+    return {"vertical_only": vertical, "random_instants": random}, wing_blur_px(geometry, extra)
 
 
 # ------------------------------------------------------------------------------------------------ collecting
 
 
-def collect(records: Iterable[Record]) -> Flown:
+def collect(records: Iterable[Record]) -> PipelineOutputs:
     """Sort one run's records by what they are about."""
-    flown = Flown()
+    outputs = PipelineOutputs()
     bends: dict[int, Deflection] = {}
     for record in records:
-        flown.fates.take(record)
+        outputs.plan_outcomes.take(record)
         if isinstance(record, MatchSet):
-            flown.matches[record.pair_id] = record.features()
+            outputs.matches[record.pair_id] = record.features()
         elif isinstance(record, Deflection):
             bends[record.t_host_ns] = record
         elif isinstance(record, RelativeRotation):
-            flown.turned[record.pair_id] = record
+            outputs.turned[record.pair_id] = record
         elif isinstance(record, CorrectedRange):
-            flown.ranges[record.pair_id] = record
-            left, right = (bends[int(t_ns)] for t_ns in flown.matches[record.pair_id].mid_exposure_ns)
-            flown.bends[record.pair_id] = (left, right)
+            outputs.ranges[record.pair_id] = record
+            left, right = (bends[int(t_ns)] for t_ns in outputs.matches[record.pair_id].mid_exposure_ns)
+            outputs.bends[record.pair_id] = (left, right)
             bends.clear()
         elif isinstance(record, TriggerPlan):
-            flown.plans[record.plan_id] = record
+            outputs.plans[record.plan_id] = record
         elif isinstance(record, Shot):
-            flown.shots[record.plan_id] = record
+            outputs.shots[record.plan_id] = record
         elif isinstance(record, Rejected):
-            flown.rejected[str(record.reason)] += record.count
-    return flown
+            outputs.rejected[str(record.reason)] += record.count
+    return outputs
 
 
-def replayed(inputs: Iterable[Record], airframe: Airframe, settings: Settings) -> Flown:
+def replayed(inputs: Iterable[Record], airframe: Airframe, settings: Settings) -> PipelineOutputs:
     """Outputs of the pipeline for these inputs."""
-    kept: list[Record] = []
+    records_made: list[Record] = []
 
     def watched() -> Iterator[Record]:
         for record in inputs:
             if isinstance(record, MatchSet):
-                kept.append(record)
+                records_made.append(record)
             yield record
 
     for output in drive(watched(), airframe, settings, None):
-        kept.append(output)
-    return collect(kept)
+        records_made.append(output)
+    return collect(records_made)
 
 
 def vertical_only(inputs: Iterable[Record]) -> Iterator[Record]:
@@ -200,13 +206,13 @@ def vertical_only(inputs: Iterable[Record]) -> Iterator[Record]:
         yield record
 
 
-def _random_pulls(judge: Judge) -> list[Pull]:
+def _random_pulls(geometry: TrueGeometry) -> list[Pull]:
     """Pulls of the line at instants that know nothing of the wing."""
-    flight = judge.flight
+    flight = geometry.flight
     rng = np.random.default_rng([flight.seed, _RANDOM_SEED])
     count = max(int((flight.duration_s - SETTLED_S - 1.0) * _RANDOM_RATE_HZ), 0)
     edges_s = SETTLED_S + (np.arange(count) + rng.uniform(0, 1, count)) / _RANDOM_RATE_HZ
-    return pulls(edges_s, judge.start_host_ns)
+    return pulls(edges_s, geometry.start_host_ns)
 
 
 def pulls(edges_s: Floats, start_host_ns: int) -> list[Pull]:
@@ -215,9 +221,9 @@ def pulls(edges_s: Floats, start_host_ns: int) -> list[Pull]:
     return [Pull(shot, edge_ns, edge_ns + _ARRIVAL_NS) for shot, edge_ns in enumerate(edges_ns)]
 
 
-def matches_of(shots: Iterable[Seen]) -> list[MatchSet]:
+def matches_of(shots: Iterable[ShotRecords]) -> list[MatchSet]:
     """The matches of many shots."""
-    return [record for seen in shots for record in seen if isinstance(record, MatchSet)]
+    return [record for shot_records in shots for record in shot_records if isinstance(record, MatchSet)]
 
 
 def with_matches(inputs: Iterable[Record], extra: Iterable[MatchSet]) -> Iterator[Record]:
@@ -243,25 +249,25 @@ class Shots:
     ways: dict[str, Scored]
 
 
-def judged(judge: Judge, flown: Flown) -> Shots:
+def score_shots(geometry: TrueGeometry, outputs: PipelineOutputs) -> Shots:
     """Read every settled shot in all ways; a shot that one way cannot read is left out of all."""
     rows: list[tuple[int, float, dict[str, Reading]]] = []
-    for pair_id in sorted(flown.bends):
-        matches = flown.matches[pair_id]
-        t_s = (float(matches.mid_exposure_ns.mean()) - judge.start_host_ns) * 1e-9
+    for pair_id in sorted(outputs.bends):
+        matches = outputs.matches[pair_id]
+        t_s = (float(matches.mid_exposure_ns.mean()) - geometry.start_host_ns) * 1e-9
         if t_s < SETTLED_S:
             continue
         readings = {
-            "rigid": judge.rigid(matches),
-            "rigid_in_trim": judge.rigid_in_trim(matches),
-            "tilt_only": judge.corrected(matches, *flown.bends[pair_id]),
-            "corrected": judge.corrected(matches, *flown.bends[pair_id], flown.turned.get(pair_id)),
-            "oracle": judge.oracle(matches),
+            "rigid": geometry.rigid(matches),
+            "rigid_in_trim": geometry.rigid_in_trim(matches),
+            "tilt_only": geometry.corrected(matches, *outputs.bends[pair_id]),
+            "corrected": geometry.corrected(matches, *outputs.bends[pair_id], outputs.turned.get(pair_id)),
+            "oracle": geometry.oracle(matches),
         }
         complete = {name: reading for name, reading in readings.items() if reading is not None}
         if len(complete) == len(readings):
             rows.append((pair_id, t_s, complete))
-    return Shots([row[0] for row in rows], np.array([row[1] for row in rows]), _ways(judge, rows))
+    return Shots([row[0] for row in rows], np.array([row[1] for row in rows]), _ways(geometry, rows))
 
 
 def paired(shots: Shots, other: Shots) -> dict[str, Any]:
@@ -272,21 +278,21 @@ def paired(shots: Shots, other: Shots) -> dict[str, Any]:
     """
     _, ours, theirs = np.intersect1d(shots.t_s, other.t_s, assume_unique=True, return_indices=True)
     error, other_error = (run.ways["corrected"].toe_error_rad[at] for run, at in ((shots, ours), (other, theirs)))
-    found: dict[str, Any] = {"n": len(ours), "same": len(ours) == len(shots.ids) == len(other.ids)}
+    comparison: dict[str, Any] = {"n": len(ours), "same": len(ours) == len(shots.ids) == len(other.ids)}
     if len(ours):
-        found["rms_mrad"] = {name: 1e3 * float(np.sqrt(np.mean(e**2))) for name, e in
+        comparison["rms_mrad"] = {name: 1e3 * float(np.sqrt(np.mean(e**2))) for name, e in
                              (("corrected", error), ("other", other_error))}  # fmt: skip
-        found["nearer"] = float(np.mean(np.abs(other_error) < np.abs(error)))
-    return found
+        comparison["nearer"] = float(np.mean(np.abs(other_error) < np.abs(error)))
+    return comparison
 
 
-def _ways(judge: Judge, rows: list[tuple[int, float, dict[str, Reading]]]) -> dict[str, Scored]:
+def _ways(geometry: TrueGeometry, rows: list[tuple[int, float, dict[str, Reading]]]) -> dict[str, Scored]:
     t_s = np.array([row[1] for row in rows])
     ways = {}
     for name in WAYS:
         inverse = np.array([row[2][name].inverse_pm for row in rows])
         true_m = np.array([1.0 / row[2][name].true_inverse_pm for row in rows])
-        ways[name] = Scored(name, judge.baseline_m, t_s, true_m, inverse)
+        ways[name] = Scored(name, geometry.baseline_m, t_s, true_m, inverse)
     return ways
 
 
@@ -304,35 +310,37 @@ def _truth(flight: Flight) -> dict[str, float]:
     }
 
 
-def _counts(flown: Flown, shots: Shots) -> dict[str, Any]:
-    trusted = [entry for entry in flown.ranges.values() if entry.trusted]
-    reasons = Counter(str(entry.reject) for entry in flown.ranges.values() if not entry.trusted)
+def _counts(outputs: PipelineOutputs, shots: Shots) -> dict[str, Any]:
+    trusted = [entry for entry in outputs.ranges.values() if entry.trusted]
+    reasons = Counter(str(entry.reject) for entry in outputs.ranges.values() if not entry.trusted)
     return {
-        "planned": dict(sorted(Counter(str(plan.firing) for plan in flown.plans.values()).items())),
-        "fates": flown.fates.counts(),
-        "fired": len(flown.shots),
-        "pairs": len(flown.matches),
-        "corrected": len(flown.ranges),
+        "planned": dict(sorted(Counter(str(plan.firing) for plan in outputs.plans.values()).items())),
+        "fates": outputs.plan_outcomes.counts(),
+        "fired": len(outputs.shots),
+        "pairs": len(outputs.matches),
+        "corrected": len(outputs.ranges),
         "trusted": len(trusted),
         "not_trusted": dict(sorted(reasons.items())),
-        "no_range": {str(reason): flown.rejected[str(reason)] for reason in _NO_RANGE if flown.rejected[str(reason)]},
+        "no_range": {
+            str(reason): outputs.rejected[str(reason)] for reason in _NO_RANGE if outputs.rejected[str(reason)]
+        },
         "judged": len(shots.ids),
     }
 
 
 def _series(
-    judge: Judge, flown: Flown, shots: Shots, ways: dict[str, Scored], blur: dict[str, Floats]
+    geometry: TrueGeometry, outputs: PipelineOutputs, shots: Shots, ways: dict[str, Scored], blur: dict[str, Floats]
 ) -> dict[str, Floats]:
     """Series that the picture shows."""
     series: dict[str, Floats] = {
         "t_s": shots.t_s,
-        "true_toe_rad": np.array([judge.true_toe_rad(flown.matches[pair_id]) for pair_id in shots.ids]),
-        "toe_rad": np.array([flown.ranges[pair_id].toe_rad for pair_id in shots.ids]),
-        "toe_sigma_rad": np.array([flown.ranges[pair_id].toe_sigma_rad for pair_id in shots.ids]),
-        "peak_error_s": peak_errors_s(judge, flown, [flown.matches[pair_id] for pair_id in shots.ids]),
+        "true_toe_rad": np.array([geometry.true_toe_rad(outputs.matches[pair_id]) for pair_id in shots.ids]),
+        "toe_rad": np.array([outputs.ranges[pair_id].toe_rad for pair_id in shots.ids]),
+        "toe_sigma_rad": np.array([outputs.ranges[pair_id].toe_sigma_rad for pair_id in shots.ids]),
+        "peak_error_s": peak_errors_s(geometry, outputs, [outputs.matches[pair_id] for pair_id in shots.ids]),
     }
     for name, way in ways.items():
         series |= {f"{name}.t_s": way.t_s, f"{name}.z_true_m": way.z_true_m, f"{name}.range_m": way.range_m,
                    f"{name}.toe_error_rad": way.toe_error_rad}  # fmt: skip
-    series["corrected.sigma_m"] = np.array([flown.ranges[pair_id].sigma_m for pair_id in shots.ids])
+    series["corrected.sigma_m"] = np.array([outputs.ranges[pair_id].sigma_m for pair_id in shots.ids])
     return series | {f"blur.{name}": values for name, values in blur.items()}

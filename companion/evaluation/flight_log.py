@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal
 
-from companion.evaluation.plan_outcomes import Fates
+from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.evaluation.recording_info import RecordingInfo
 from companion.records import (
     ClockState,
@@ -65,7 +65,7 @@ class FlightLog:
     """
 
     info: RecordingInfo = field(default_factory=RecordingInfo)
-    outcomes: Fates = field(default_factory=Fates)
+    outcomes: PlanOutcomes = field(default_factory=PlanOutcomes)
     modes: list[ModeState] = field(default_factory=list)
     ranges: list[CorrectedRange] = field(default_factory=list)
     clocks: list[ClockState] = field(default_factory=list)

@@ -30,9 +30,11 @@ def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping |
         One cannot be read, has no wing accelerometer, or no gap-free stretch that is long enough.
     """
     top_hz = top_of(airframe)
-    seen = [observe(load(path, airframe, mapping), airframe, top_hz) for path in paths]
-    belief = belief_for(airframe, seen)
-    return [FlightModel(belief, piece, top_hz, k) for k, whole in enumerate(seen) for piece in _pieces(whole)]
+    recorded = [observe(load(path, airframe, mapping), airframe, top_hz) for path in paths]
+    belief = belief_for(airframe, recorded)
+    return [
+        FlightModel(belief, piece, top_hz, k) for k, recording in enumerate(recorded) for piece in _pieces(recording)
+    ]
 
 
 def top_of(airframe: Airframe) -> float:
@@ -43,18 +45,21 @@ def top_of(airframe: Airframe) -> float:
     return max(_TOP * present[0], 1.6 * max(present))
 
 
-def belief_for(airframe: Airframe, seen: Sequence[Observations]) -> Belief:
+def belief_for(airframe: Airframe, recorded: Sequence[Observations]) -> Belief:
     """The nuisances that any of the recordings has an opinion about."""
-    sides = sorted({side for one in seen for side in one.sides})
-    varies = any(float(one.load_factor.std()) > _LOAD_VARIES for one in seen)
-    inputs = {name: float(values.std()) for one in seen for name, values in one.inputs.items()}
-    with_range, has_root = any(one.toe is not None for one in seen), any(one.has_root for one in seen)
-    return believe(airframe, sides, with_range, varies, len(seen), inputs, has_root)
+    sides = sorted({side for recording in recorded for side in recording.sides})
+    varies = any(float(recording.load_factor.std()) > _LOAD_VARIES for recording in recorded)
+    inputs = {name: float(values.std()) for recording in recorded for name, values in recording.inputs.items()}
+    with_range, has_root = (
+        any(recording.toe is not None for recording in recorded),
+        any(recording.has_root for recording in recorded),
+    )
+    return believe(airframe, sides, with_range, varies, len(recorded), inputs, has_root)
 
 
-def _pieces(whole: Observations) -> list[Observations]:
-    count = math.ceil(whole.duration_s / _LONGEST_S)
+def _pieces(recording: Observations) -> list[Observations]:
+    count = math.ceil(recording.duration_s / _LONGEST_S)
     if count < 2:
-        return [whole]
-    length = whole.duration_s / count
-    return [whole.window(k * length, (k + 1) * length) for k in range(count)]
+        return [recording]
+    length = recording.duration_s / count
+    return [recording.window(k * length, (k + 1) * length) for k in range(count)]

@@ -39,7 +39,7 @@ def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
 def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progress) -> int:
     """Diagnose recordings of one structure jointly; exit codes as those of a flight."""
     tables = tables_of(options.recordings, mapping)
-    diagnosed = _ringing if mapping.test is TestKind.RINGING else _vibration
+    diagnosed = _free_decay if mapping.test is TestKind.RINGING else _vibration
     plain, make_page = diagnosed(tables, mapping, options, progress)
     if options.json == "-":
         print(json.dumps(plain, indent=2, allow_nan=False))
@@ -57,16 +57,16 @@ def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progre
 _Diagnosed = tuple[dict[str, Any], Callable[[], str]]
 
 
-def _ringing(
+def _free_decay(
     tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
 ) -> _Diagnosed:
     band_hz = _band(mapping)
     recordings, scales = prepare([_raw_ringing(table) for table in tables], band_hz)
     frequency_hz, damping = _believed(mapping, options.airframe)
-    found = search(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
-    plain = ringing_json(found, scales, options.airframe)
+    diagnosis = search(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
+    plain = ringing_json(diagnosis, scales, options.airframe)
     plain["notes"] += [note for table in tables for note in table.notes]
-    return plain, lambda: ringing_page(found, scales, plain, mapping.description)
+    return plain, lambda: ringing_page(diagnosis, scales, plain, mapping.description)
 
 
 def _raw_ringing(table: MappedTable) -> RawFreeDecay:
@@ -88,10 +88,10 @@ def _vibration(
     if len({run.frequency_hz.size for run in runs}) > 1:
         raise RecordingError("the runs are of different length or rate: compare runs of one kind")
     progress("fit the modes of every run", 0.0)
-    found = compare(modes_of_runs(runs), [run.constants for run in runs])
-    plain = comparison_json(found, [str(table.path) for table in tables], options.airframe)
+    diagnosis = compare(modes_of_runs(runs), [run.constants for run in runs])
+    plain = comparison_json(diagnosis, [str(table.path) for table in tables], options.airframe)
     plain["notes"] += [note for table in tables for note in table.notes]
-    return plain, lambda: vibration_page(found, runs, plain, mapping.description)
+    return plain, lambda: vibration_page(diagnosis, runs, plain, mapping.description)
 
 
 def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:

@@ -98,8 +98,8 @@ def range_summary(scored: Scored) -> dict[str, object]:
         error = np.abs(scored.range_m[mask] - scored.z_true_m[mask])
         finite = np.isfinite(error)
         entry: dict[str, float | int | None] = {"n": int(mask.sum()), "beyond": int((~finite).sum())}
-        for name, share in (("median", 50), ("p95", 95)):
-            value = float(np.percentile(error, share, method="lower")) if len(error) else float("nan")
+        for name, rank in (("median", 50), ("p95", 95)):
+            value = float(np.percentile(error, rank, method="lower")) if len(error) else float("nan")
             entry[name] = value if np.isfinite(value) else None
         entry["rms"] = float(np.sqrt(np.mean(error**2))) if len(error) and finite.all() else None
         result[f"{distance_m:g}"] = entry

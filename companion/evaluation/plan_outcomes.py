@@ -20,19 +20,19 @@ _ANSWER_NS = 1_000_000_000
 @dataclass(slots=True)
 class _Entry:
     plan: TriggerPlan
-    fate: str | None = None
+    outcome: str | None = None
 
-    def known(self) -> str:
+    def final_outcome(self) -> str:
         """Outcome once a newer plan has come."""
-        if self.fate is not None:
-            return self.fate
+        if self.outcome is not None:
+            return self.outcome
         if self.plan.firing is not Firing.SKIP:
             return REPLACED
         return WITHDRAWN if self.plan.reject is None else _SKIPPED + str(self.plan.reject)
 
 
 @dataclass(slots=True)
-class Fates:
+class PlanOutcomes:
     """Follows plans, shots and refusals in the order in which they were made; one plan is one ``plan_id``."""
 
     _entries: OrderedDict[int, _Entry] = field(default_factory=OrderedDict)
@@ -43,7 +43,7 @@ class Fates:
         if isinstance(record, TriggerPlan):
             self._refine(record)
         elif isinstance(record, Shot) and record.plan_id in self._entries:
-            self._entries[record.plan_id].fate = FIRED
+            self._entries[record.plan_id].outcome = FIRED
         elif isinstance(record, Rejected) and record.reason is Reject.PLAN_EXPIRED:
             self._close(int(record.what.rpartition(" ")[2]), LATE)
         elif isinstance(record, Rejected) and record.reason is Reject.DEVICE_FAILED:
@@ -53,23 +53,25 @@ class Fates:
         """How many plans came to each end, fired first; a newest plan that still waits is left out."""
         total = self._settled.copy()
         for entry in list(self._entries.values())[:-1]:
-            total[entry.known()] += 1
+            total[entry.final_outcome()] += 1
         if self._entries:
             newest = next(reversed(self._entries.values()))
-            if newest.fate is not None:
-                total[newest.fate] += 1
-        order = sorted(total, key=lambda fate: (fate.startswith(_SKIPPED), fate != FIRED, -total[fate], fate))
-        return {fate: total[fate] for fate in order}
+            if newest.outcome is not None:
+                total[newest.outcome] += 1
+        order = sorted(
+            total, key=lambda outcome: (outcome.startswith(_SKIPPED), outcome != FIRED, -total[outcome], outcome)
+        )
+        return {outcome: total[outcome] for outcome in order}
 
     def _refine(self, plan: TriggerPlan) -> None:
         self._entries.setdefault(plan.plan_id, _Entry(plan)).plan = plan
         while len(self._entries) > _KEPT:
             _, oldest = self._entries.popitem(last=False)
-            self._settled[oldest.known()] += 1
+            self._settled[oldest.final_outcome()] += 1
 
-    def _close(self, plan_id: int | None, fate: str) -> None:
+    def _close(self, plan_id: int | None, outcome: str) -> None:
         if plan_id is not None and plan_id in self._entries:
-            self._entries[plan_id].fate = fate
+            self._entries[plan_id].outcome = outcome
 
     def _commanded_before(self, at_host_ns: int) -> int | None:
         """Newest plan whose command had just been given, for a failure that names none."""

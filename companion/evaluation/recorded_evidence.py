@@ -68,19 +68,19 @@ def _streams(recording: Recording) -> dict[Station, tuple[Floats, Floats]]:
     """Times in seconds and values of every station that has a vertical accelerometer."""
     bank = ClockBank()
     bank.identity(recording.hub)
-    found: dict[Station, tuple[list[Ints], list[Floats]]] = {}
+    by_station: dict[Station, tuple[list[Ints], list[Floats]]] = {}
     for record in recording.records():
         if isinstance(record, TimesyncReply):
             bank.exchange(record)
         elif isinstance(record, ClockRestart):
             bank.restart(record)
         elif isinstance(record, ImuBatch) and record.axes & Axis.Z:
-            there = bank.to_host(record.clock, record.t_ns, record.received_host_ns)
-            if not isinstance(there, Reject):
-                times, values = found.setdefault(record.station, ([], []))
-                times.append(there[0])
+            host_stamps = bank.to_host(record.clock, record.t_ns, record.received_host_ns)
+            if not isinstance(host_stamps, Reject):
+                times, values = by_station.setdefault(record.station, ([], []))
+                times.append(host_stamps[0])
                 values.append(record.values)
-    return {station: _ordered(*parts) for station, parts in found.items()}
+    return {station: _ordered(*parts) for station, parts in by_station.items()}
 
 
 def _ordered(times: list[Ints], values: list[Floats]) -> tuple[Floats, Floats]:

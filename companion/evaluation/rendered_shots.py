@@ -27,7 +27,7 @@ from companion.sim.vision.cameras import Shutters, render_pair
 from companion.sim.vision.renderer import Renderer
 from companion.sim.vision.scene import Scene, ground_scene, obstacle_scene
 
-Seen = list[MatchSet | Rejected]
+ShotRecords = list[MatchSet | Rejected]
 _ENDED = "a process that renders the cameras' images has ended; its messages are above"
 _WORKERS = 2  # shots overlap by one at most: a third would wait
 
@@ -79,7 +79,7 @@ class Studio:
         self._shutters = Shutters(stage.actual, stage.seed)
         self._vision = VisionState.create(stage.belief, stage.settings)
 
-    def shoot(self, pull: Pull) -> Seen:
+    def shoot(self, pull: Pull) -> ShotRecords:
         """Matches of one shot; none before take-off and after the end, where there is nothing to see."""
         start_ns = self._stage.start_host_ns
         try:
@@ -87,10 +87,10 @@ class Studio:
         except ValueError:
             return []
         vision = dataclasses.replace(self._vision, pairer=FramePairer(next_id=pull.shot), numbers={})
-        said: Seen = []
+        said: ShotRecords = []
         for frame in (pair.left, pair.right):
-            seen = dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + start_ns)
-            said += vision_step(vision, seen, pull.matched_host_ns)
+            frames = dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + start_ns)
+            said += vision_step(vision, frames, pull.matched_host_ns)
         return said
 
 
@@ -116,7 +116,7 @@ class Studios:
             self._ends.append(ours)
             self._processes.append(process)
         self._given: dict[int, int] = {}
-        self._made: dict[int, Seen] = {}
+        self._made: dict[int, ShotRecords] = {}
 
     def begin(self, pull: Pull) -> None:
         """Give a shot to the process with the least to do."""
@@ -125,18 +125,18 @@ class Studios:
         self._given[pull.shot] = worker
         _give(self._ends[worker], pull)
 
-    def result(self, shot: int) -> Seen:
+    def result(self, shot: int) -> ShotRecords:
         """Matches of a shot that was begun; waits for them."""
         while shot not in self._made:
             try:
-                made, seen = self._ends[self._given[shot]].recv()
+                made, frames = self._ends[self._given[shot]].recv()
             except (EOFError, OSError) as error:
                 raise DeviceError(_ENDED) from error
-            self._made[made] = seen
+            self._made[made] = frames
             del self._given[made]
         return self._made.pop(shot)
 
-    def all(self, pulls: Iterable[Pull]) -> list[Seen]:
+    def all(self, pulls: Iterable[Pull]) -> list[ShotRecords]:
         """Make many shots; what came of each, in their order."""
         listed = list(pulls)
         for pull in listed:

@@ -64,7 +64,7 @@ class Timing:
         """Missing requirement in words, "" for none."""
         if not self.has_tip:
             return "no accelerometer on a wing: what the wing does cannot be told from the fuselage alone"
-        longest = min((one.longest_stretch_s for one in self.streams), default=0.0)
+        longest = min((timing.longest_stretch_s for timing in self.streams), default=0.0)
         if longest < _SHORTEST_S:
             return f"the longest stretch without a gap is {longest:.1f} s"
         return ""
@@ -89,7 +89,9 @@ def timing(path: Path, airframe: Airframe, mapping: TableMapping | None = None) 
             stamps.setdefault(record.station, []).append(record.t_ns)
             has_tip |= record.station is not Station.ROOT and bool(record.axes & Axis.Z)
     streams = tuple(_evenness(station, np.concatenate(parts)) for station, parts in sorted(stamps.items()))
-    return Timing(path, streams, has_tip, tuple(notice.text for notice in recording.notices), tuple(stations.told()))
+    return Timing(
+        path, streams, has_tip, tuple(notice.text for notice in recording.notices), tuple(stations.sentences())
+    )
 
 
 def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
@@ -132,11 +134,11 @@ def not_identifiable(timings: Sequence[Timing], options: argparse.Namespace, air
 
 
 def _plain(timings: Sequence[Timing], airframe: str) -> dict[str, Any]:
-    problems = "; ".join(f"{one.path.name}: {one.problem}" for one in timings if one.problem)
-    streams = [{"recording": one.path.name, **asdict(stream)} for one in timings for stream in one.streams]
+    problems = "; ".join(f"{timing.path.name}: {timing.problem}" for timing in timings if timing.problem)
+    streams = [{"recording": timing.path.name, **asdict(stream)} for timing in timings for stream in timing.streams]
     return {
         "format": 1,
-        "recordings": [str(one.path) for one in timings],
+        "recordings": [str(timing.path) for timing in timings],
         "airframe": airframe,
         "verdict": "not-identifiable",
         "reason": problems,
@@ -147,7 +149,7 @@ def _plain(timings: Sequence[Timing], airframe: str) -> dict[str, Any]:
         "residual": None,
         "timing": streams,
         "advice": [f"record {_NEEDED}"],
-        "notes": [note for one in timings for note in one.notes],
+        "notes": [note for timing in timings for note in timing.notes],
     }
 
 

@@ -33,7 +33,7 @@ class StationAnalysis:
         self._samples: Counter[Station] = Counter()
 
     @property
-    def found(self) -> bool:
+    def has_tone(self) -> bool:
         """Whether any station has a tone."""
         return any(self.tones.values())
 
@@ -57,7 +57,7 @@ class StationAnalysis:
         """Medians over the windows with a tone, by station name, or the reason for none."""
         return {station.name.lower(): self._describe(station) for station in Station if self._samples[station]}
 
-    def told(self) -> list[str]:
+    def sentences(self) -> list[str]:
         """The steady tones, a few words each: of the stations that show one in most windows."""
         words = []
         for station, tones in self.tones.items():

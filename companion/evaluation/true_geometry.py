@@ -31,7 +31,7 @@ class Reading:
     true_inverse_pm: float
 
 
-class Judge:
+class TrueGeometry:
     """Knows the flight's truth; ``start_host_ns`` is the host time of boot time 0."""
 
     def __init__(self, flight: Flight, renderer: Renderer, settings: Settings, start_host_ns: int) -> None:

@@ -98,8 +98,8 @@ def best_fit() -> tuple[float, float, Floats]:
         gap = logs - 2.0 * np.log(characteristic_roots(3, mass_ratio))
         return np.asarray(gap - gap.mean())
 
-    found = minimize_scalar(lambda mu: float(np.sum(left(mu) ** 2)), bounds=(1.5, 3.5), options={"xatol": 1e-9})
-    mass_ratio = float(found.x)
+    minimum = minimize_scalar(lambda mu: float(np.sum(left(mu) ** 2)), bounds=(1.5, 3.5), options={"xatol": 1e-9})
+    mass_ratio = float(minimum.x)
     roots = characteristic_roots(3, mass_ratio)
     scale = float(np.exp(np.mean(logs - 2.0 * np.log(roots))))
     return mass_ratio, scale, np.asarray(np.exp(-left(mass_ratio)) - 1.0)
@@ -107,13 +107,13 @@ def best_fit() -> tuple[float, float, Floats]:
 
 def powers_of_ten() -> tuple[float, int, int]:
     """Best powers of ten for A and I as printed: the worst deviation of three modes that they leave, and the powers."""
-    found = []
+    candidates = []
     for a, i in itertools.product(_POWERS, _POWERS):
         area, moment = printed.AREA_M2 * 10.0**a, printed.SECOND_MOMENT_M4 * 10.0**i
         beam = Beam(printed.YOUNGS_MODULUS, moment, printed.DENSITY_KGPM3, area, printed.LENGTH_M, printed.TIP_MASS)
         gaps = [deviation(m.omega_radps, p.omega_radps) for m, p in zip(beam.modes(3), printed.MODES, strict=True)]
-        found.append((max(abs(gap) for gap in gaps), a, i))
-    return min(found)
+        candidates.append((max(abs(gap) for gap in gaps), a, i))
+    return min(candidates)
 
 
 def section() -> Section:
@@ -182,8 +182,8 @@ def _of_fit(mass_ratio: float, scale_radps: float) -> list[dict[str, float]]:
 
 def _tables(modes: dict[str, list[dict[str, float]]]) -> tuple[Table, ...]:
     rows = []
-    for name, found in modes.items():
-        for n, (mode, row) in enumerate(zip(found, printed.MODES, strict=True), start=1):
+    for name, modes_of_case in modes.items():
+        for n, (mode, row) in enumerate(zip(modes_of_case, printed.MODES, strict=True), start=1):
             rows.append((
                 name if n == 1 else "", str(n), f"{row.root}", number(mode["root"]), percent(mode["root_deviation"]),
                 f"{row.omega_radps}", number(mode["omega_radps"], 6), percent(mode["deviation"]),

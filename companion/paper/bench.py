@@ -113,9 +113,9 @@ def _shaken(setup: Setup, model: WingModel, rng: np.random.Generator) -> Callabl
 def _sine_path(setup: Setup, model: WingModel) -> Callable[[Floats], Floats]:
     """At the believed frequency, which is not quite the real one; as strong as the wanted deflection needs."""
     omega = 2 * np.pi * setup.airframe.wing.symmetric.frequency_hz.value
-    own, zeta = float(model.omega_radps[0]), float(model.zeta[0])
-    gain = abs(1.0 / complex(own**2 - omega**2, 2 * zeta * own * omega))
-    per_mps2 = abs(float(model.structure.static_per_g_m[0])) / GRAVITY_MPS2 * own**2 * gain
+    mode_radps, zeta = float(model.omega_radps[0]), float(model.zeta[0])
+    gain = abs(1.0 / complex(mode_radps**2 - omega**2, 2 * zeta * mode_radps * omega))
+    per_mps2 = abs(float(model.structure.static_per_g_m[0])) / GRAVITY_MPS2 * mode_radps**2 * gain
     accel = setup.amplitude_m / per_mps2
 
     def path(t_s: Floats) -> Floats:
@@ -129,9 +129,9 @@ def _noise_path(setup: Setup, model: WingModel, rng: np.random.Generator) -> Cal
     """Band noise as a sum of many sines, so that height and speed follow exactly."""
     hertz = np.arange(_NOISE_FROM_HZ, _NOISE_TO_HZ, 0.25) + rng.uniform(-0.1, 0.1, int(4 * (_NOISE_TO_HZ - 5.0)))
     omega, phase = 2 * np.pi * hertz, rng.uniform(0, 2 * np.pi, len(hertz))
-    own, zeta = float(model.omega_radps[0]), float(model.zeta[0])
-    gain = np.abs(1.0 / (own**2 - omega**2 + 2j * zeta * own * omega))
-    per_mps2 = abs(float(model.structure.static_per_g_m[0])) / GRAVITY_MPS2 * own**2
+    mode_radps, zeta = float(model.omega_radps[0]), float(model.zeta[0])
+    gain = np.abs(1.0 / (mode_radps**2 - omega**2 + 2j * zeta * mode_radps * omega))
+    per_mps2 = abs(float(model.structure.static_per_g_m[0])) / GRAVITY_MPS2 * mode_radps**2
     accel = setup.amplitude_m / (per_mps2 * float(np.sqrt(np.sum(gain**2) / 2)))
 
     def path(t_s: Floats) -> Floats:

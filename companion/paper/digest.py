@@ -39,7 +39,8 @@ def section(results: Results, dominance: dict[str, Any]) -> Section:
         _frequencies(),
         *_boom(results),
         *(_object(results, key, entry) for key, entry in zip(_TABLE_3, printed.OBJECTS, strict=True)),
-        ("Table 4, error at 60 m", f"{printed.FAR_ERROR_PERCENT} % -> {printed.FAR_LEFT_PERCENT} %", *_given(far)),
+        ("Table 4, error at 60 m", f"{printed.FAR_ERROR_PERCENT} % -> {printed.FAR_LEFT_PERCENT} %",
+         *_error_cells(far)),
         ("share of the error removed at 60 m", f"{printed.FAR_REMOVED_PERCENT} %", percent(far["removed"], 1), "-",
          "-"),
         ("52.8 m from the board's angle", f"{printed.FAR_VIBRATING_M} m",
@@ -62,18 +63,20 @@ def section(results: Results, dominance: dict[str, Any]) -> Section:
 
 def over_seeds(results: Results) -> dict[str, Any]:
     """Least and greatest over the seeds with shots at peaks, by experiment: what README and first page say."""
-    found: dict[str, Any] = {"seeds": [results.seed, *sorted({seed for key in results.draws.values() for seed in key})]}
+    scores: dict[str, Any] = {
+        "seeds": [results.seed, *sorted({seed for key in results.draws.values() for seed in key})]
+    }
     for key in ("boom_1m", "wing_60m"):
         served = [peak for peak in _every_draw(results, key).values() if peak["shots"]]
-        found[key] = {
+        scores[key] = {
             "seeds_served": len(served),
             "removed": _least_and_greatest([peak["removed"] for peak in served]),
             "shots": sum(peak["shots"] for peak in served),
             "trusted": sum(peak["trusted"] for peak in served),
         }
         for way in ("rigid", "corrected", "published_trusted"):
-            found[key][f"{way}_percent"] = _least_and_greatest([peak[way]["rms_percent"] for peak in served])
-    return found
+            scores[key][f"{way}_percent"] = _least_and_greatest([peak[way]["rms_percent"] for peak in served])
+    return scores
 
 
 def sentence(over: dict[str, Any]) -> str:
@@ -106,18 +109,18 @@ def _least_and_greatest(values: list[float]) -> list[float]:
 
 def _published(results: Results) -> str:
     """Shots that leave the service: trusted, wing and matches together."""
-    own = [results.peaks[key] for key in results.own]
-    shots, trusted = (sum(peak[name] for peak in own) for name in ("shots", "trusted"))
+    peaks = [results.peaks[key] for key in results.of_paper]
+    shots, trusted = (sum(peak[name] for peak in peaks) for name in ("shots", "trusted"))
     worst = max(
-        (key for key in results.own if results.peaks[key]["trusted"]),
+        (key for key in results.of_paper if results.peaks[key]["trusted"]),
         key=lambda key: results.peaks[key]["published_trusted"]["rms_percent"],
         default=None,
     )
-    told = f"Published, for they were trusted: {trusted} of {shots} shots at the peaks of the paper's experiments"
+    sentence = f"Published, for they were trusted: {trusted} of {shots} shots at the peaks of the paper's experiments"
     if worst is None:
-        return f"{told}."
+        return f"{sentence}."
     error = percent(results.peaks[worst]["published_trusted"]["rms_percent"] / 100)
-    return f"{told}; their rms error is at most {error} of range ({results.outcomes[worst].trial.title})."
+    return f"{sentence}; their rms error is at most {error} of range ({results.outcomes[worst].trial.title})."
 
 
 def _every_draw(results: Results, key: str) -> dict[int, dict[str, Any]]:
@@ -133,7 +136,7 @@ def weak_points(results: Results) -> dict[str, list[str]]:
     """
     return {
         "than_printed": [key for key, paper in zip(_WING, _print(), strict=True) if _more_left(results, key, paper)],
-        "than_rigid": [key for key, found in results.randoms.items() if _surely_worse(found)],
+        "than_rigid": [key for key, scores in results.randoms.items() if _surely_worse(scores)],
         "not_served": [
             f"{key}, seed {seed}"
             for key in results.draws
@@ -155,18 +158,18 @@ def _more_left(results: Results, key: str, paper: tuple[float, float, float]) ->
     return not abs(ours_m) <= abs(corrected_m - still_m) + half_digit_m + 2.0 * sigma_m
 
 
-def _surely_worse(found: dict[str, Any]) -> bool:
+def _surely_worse(scores: dict[str, Any]) -> bool:
     """An rms over n shots is known to ``1 / sqrt(2 n)`` of itself."""
-    after, before = found["corrected"]["inverse_rms_pm"], found["in_trim"]["inverse_rms_pm"]
-    sigma = math.hypot(after, before) / math.sqrt(2.0 * max(found["corrected"]["n"], 1))
+    after, before = scores["corrected"]["inverse_rms_pm"], scores["in_trim"]["inverse_rms_pm"]
+    sigma = math.hypot(after, before) / math.sqrt(2.0 * max(scores["corrected"]["n"], 1))
     return bool(after - before > 2.0 * sigma)
 
 
 def _where_worse(results: Results, weak: dict[str, list[str]]) -> str:
-    def told(key: str) -> str:
-        found = results.randoms[key]
+    def change(key: str) -> str:
+        scores = results.randoms[key]
         before, after, sent = (
-            percent(found[way]["rms_percent"] / 100) for way in ("in_trim", "corrected", "published_trusted")
+            percent(scores[way]["rms_percent"] / 100) for way in ("in_trim", "corrected", "published_trusted")
         )
         return f"{results.outcomes[key].trial.title} ({before} becomes {after}; published {sent})"
 
@@ -175,7 +178,7 @@ def _where_worse(results: Results, weak: dict[str, list[str]]) -> str:
         return f"{results.outcomes[key].trial.title} ({left:+.1f} ± {sigma:.1f} mm is left at diverging peaks)"
 
     printed_less = ", ".join(map(behind, weak["than_printed"])) or "nothing"
-    rigid_less = ", ".join(map(told, weak["than_rigid"])) or "nothing"
+    rigid_less = ", ".join(map(change, weak["than_rigid"])) or "nothing"
     return (
         f"Worse than the print by more than two sigma: {printed_less}. Worse than a rigid pair that was calibrated in "
         f"that state: {rigid_less}. Not served, for the tracker does not trust itself: "
@@ -190,27 +193,27 @@ def _frequencies() -> tuple[str, ...]:
 
 
 def _boom(results: Results) -> list[tuple[str, ...]]:
-    found: list[tuple[str, ...]] = []
+    scores: list[tuple[str, ...]] = []
     for key in ("boom_1m", "boom_2m"):
         peak, trial = results.peaks[key], results.outcomes[key].trial
         paper = f"> {printed.BEAM_REMOVED_PERCENT:.0f} % removed"
-        found.append((trial.title, paper, *_given(peak, removed=True)))
-    return found
+        scores.append((trial.title, paper, *_error_cells(peak, removed=True)))
+    return scores
 
 
 def _object(results: Results, key: str, entry: printed.PrintedRange) -> tuple[str, ...]:
     left = "~0" if entry.left_percent is None else f"{entry.left_percent}"
-    return f"Table 3, {entry.name.lower()}", f"{entry.error_percent} % -> {left} %", *_given(results.peaks[key])
+    return f"Table 3, {entry.name.lower()}", f"{entry.error_percent} % -> {left} %", *_error_cells(results.peaks[key])
 
 
 def _random(results: Results, key: str, name: str) -> tuple[str, ...]:
-    return f"ranging under random load, {name}", "not tried", *_given(results.peaks[key], removed=True)
+    return f"ranging under random load, {name}", "not tried", *_error_cells(results.peaks[key], removed=True)
 
 
-def _given(peak: dict[str, Any], removed: bool = False) -> tuple[str, str, str]:
+def _error_cells(peak: dict[str, Any], removed: bool = False) -> tuple[str, str, str]:
     """Corrected, published and by the oracle."""
     before, after, oracle = (percent(peak[way]["rms_percent"] / 100) for way in ("rigid", "corrected", "oracle"))
     change = f"{before} -> {after}"
-    told = percent(peak["published_trusted"]["rms_percent"] / 100)
-    published = f"{told} ({peak['trusted']} of {peak['shots']})" if peak["trusted"] else f"none of {peak['shots']}"
+    error = percent(peak["published_trusted"]["rms_percent"] / 100)
+    published = f"{error} ({peak['trusted']} of {peak['shots']})" if peak["trusted"] else f"none of {peak['shots']}"
     return f"{percent(peak['removed'], 1)} removed ({change})" if removed else change, published, oracle

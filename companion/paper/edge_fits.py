@@ -57,14 +57,14 @@ def fit_edges(points: ModalPoints, degree: int = WHOLE_DEGREE) -> Fitted:
 def clamped_factor(points: ModalPoints) -> float:
     """Camera slope per metre of tip deflection, each half fitted alone with its root held, the mean of both."""
     place, tip = (CAMERA_M, 0.5, 1.0), (TIP_M, 0.5, 1.0)
-    found = []
+    slopes = []
     for side in (-1.0, 1.0):
         edges = [_half(edge, side) for edge in (points.leading, points.trailing)]
         fits = [fit_polynomial(edge, CLAMPED_DEGREE, clamped=True) for edge in edges]
-        found.append(WingShape(*fits).factors(place, tip).slope_factor_radpm)
-    return float(np.mean(found))
+        slopes.append(WingShape(*fits).factors(place, tip).slope_factor_radpm)
+    return float(np.mean(slopes))
 
 
 def _half(edge: EdgePoints, side: float) -> EdgePoints:
-    mine = side * edge.span_m > 0.0
-    return EdgePoints(side * edge.span_m[mine], edge.deflection[mine])
+    on_side = side * edge.span_m > 0.0
+    return EdgePoints(side * edge.span_m[on_side], edge.deflection[on_side])

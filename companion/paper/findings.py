@@ -61,13 +61,13 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{value:.{max(digits - 1 - power, 0)}f}"
 
 
-def percent(share: float | None, digits: int = 2) -> str:
+def percent(ratio: float | None, digits: int = 2) -> str:
     """A share as a percentage; beyond a hundredfold as a factor, which says more."""
-    if share is None or not math.isfinite(share):
+    if ratio is None or not math.isfinite(ratio):
         return "-"
-    if share > _AS_FACTOR:
-        return f"factor {number(1.0 + share, 2)}"
-    return f"{round(100.0 * share, digits) + 0.0:.{digits}f}\u00a0%"
+    if ratio > _AS_FACTOR:
+        return f"factor {number(1.0 + ratio, 2)}"
+    return f"{round(100.0 * ratio, digits) + 0.0:.{digits}f}\u00a0%"
 
 
 def deviation(computed: float, printed: float) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from companion.core.pipeline import PipelineState, start, step
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.vision import VisionState
-from companion.evaluation.true_geometry import Judge
+from companion.evaluation.true_geometry import TrueGeometry
 from companion.paper.shots import Answer, Flown, Scored, Usual, score
 from companion.params.settings import Settings
 from companion.records import (
@@ -48,7 +48,7 @@ _PAIR = "pair "
 @dataclass(slots=True)
 class _Run:
     state: PipelineState
-    judge: Judge
+    geometry: TrueGeometry
     vision: VisionState
     renderer: Renderer
     shutters: Shutters
@@ -58,7 +58,7 @@ class _Run:
     shots: dict[int, MatchSet] = field(default_factory=dict)
     bends: list[Deflection] = field(default_factory=list)
     turned: RelativeRotation | None = None
-    found: dict[int, Answer] = field(default_factory=dict)
+    answers: dict[int, Answer] = field(default_factory=dict)
     refused: dict[int, Reject] = field(default_factory=dict)
     plan: TriggerPlan | None = None
     count: int = 0
@@ -73,7 +73,7 @@ class _Run:
             elif isinstance(output, RelativeRotation):
                 self.turned = output
             elif isinstance(output, CorrectedRange):
-                self.found[output.pair_id] = Answer(output, self.bends[0], self.bends[1], self.turned)
+                self.answers[output.pair_id] = Answer(output, self.bends[0], self.bends[1], self.turned)
             elif isinstance(output, Rejected) and output.what.startswith(_PAIR):
                 self.refused[int(output.what.removeprefix(_PAIR))] = output.reason
 
@@ -119,7 +119,7 @@ def fly(
     from_ns, until_ns = (HOST_EPOCH_NS + round(t_s * 1e9) for t_s in counted_s)
     run = _Run(
         start(flight.airframe, settings),
-        Judge(flight, renderer, settings, HOST_EPOCH_NS),
+        TrueGeometry(flight, renderer, settings, HOST_EPOCH_NS),
         VisionState.create(flight.airframe, settings),
         renderer,
         Shutters(flight.real.actual, flight.seed),
@@ -143,9 +143,9 @@ def fly(
 def _counted(run: _Run, from_ns: int) -> Flown:
     """Score every shot that counts; one without an answer is refused, whatever the reason."""
     counted = [pair_id for pair_id, shot in run.shots.items() if shot.mid_exposure_ns[0] >= from_ns]
-    usual = Usual.of(run.judge.flight)
-    shots = tuple(_scored(run, pair_id, usual) for pair_id in counted if pair_id in run.found)
-    refused = Counter(str(run.refused.get(pair_id, "no answer")) for pair_id in counted if pair_id not in run.found)
+    usual = Usual.of(run.geometry.flight)
+    shots = tuple(_scored(run, pair_id, usual) for pair_id in counted if pair_id in run.answers)
+    refused = Counter(str(run.refused.get(pair_id, "no answer")) for pair_id in counted if pair_id not in run.answers)
     return Flown(shots, len(run.shots) - len(counted), dict(refused))
 
 
@@ -155,4 +155,4 @@ def _ticks(flight: Flight) -> Iterator[int]:
 
 def _scored(run: _Run, pair_id: int, usual: Usual) -> Scored:
     matches = run.shots[pair_id]
-    return score(run.judge, usual, matches, run.found[pair_id], matches.plan_id != _RANDOM_PLAN)
+    return score(run.geometry, usual, matches, run.answers[pair_id], matches.plan_id != _RANDOM_PLAN)

@@ -92,15 +92,15 @@ def _ranges() -> list[Misprint]:
 
 def section() -> Section:
     """The list."""
-    found = misprints()
-    certain = sum(entry.sure.startswith("certain") for entry in found)
+    entries = misprints()
+    certain = sum(entry.sure.startswith("certain") for entry in entries)
     findings = (
-        f"{len(found)} places do not hold as printed; {certain} of them beyond doubt, the others by inference. Each is "
-        "worked out in its own section below.",
+        f"{len(entries)} places do not hold as printed; {certain} of them beyond doubt, the others by inference. "
+        "Each is worked out in its own section below.",
         "None of them touches the method: with the misprints repaired, tables and figures follow from the code that "
         "flies. The range that Table 4 claims after correction, however, does not follow from Table 3.",
     )
-    rows = tuple((str(n), e.where, e.says, e.instead, e.shown_by, e.sure) for n, e in enumerate(found, start=1))
+    rows = tuple((str(n), e.where, e.says, e.instead, e.shown_by, e.sure) for n, e in enumerate(entries, start=1))
     table = Table("Misprints", ("", "where", "printed", "instead", "shown by", "sure?"), rows)
     return Section("misprints", "Where the paper disagrees with itself", findings, (table,), (),
-                   {"misprints": [asdict(entry) for entry in found]})  # fmt: skip
+                   {"misprints": [asdict(entry) for entry in entries]})  # fmt: skip

@@ -34,7 +34,7 @@ _WING = ("wing_checker", "wing_bucket", "wing_cone", "wing_60m")
 
 def section(results: Results) -> Section:
     """Both platforms, steady and random."""
-    peaks = {key: results.peaks[key] for key in results.own}
+    peaks = {key: results.peaks[key] for key in results.of_paper}
     boom = [peaks[key]["removed"] for key in ("boom_1m", "boom_2m")]
     far = peaks["wing_60m"]
     ranges = {key: diverging_ranges_m(results.outcomes[key]) for key in _WING}
@@ -74,7 +74,7 @@ def diverging_ranges_m(outcome: Outcome) -> dict[str, float]:
 def left_m(outcome: Outcome) -> tuple[float, float]:
     """Error that is left at diverging peaks, as Table 3 defines it: median range less the true one; its sigma."""
     shots = [shot for shot in outcome.flown.shots if shot.planned and shot.toe_rad > 0.0]
-    ranges = [1.0 / reading.inverse_pm for shot in shots if (reading := shot.whole["corrected"]) is not None]
+    ranges = [1.0 / reading.inverse_pm for shot in shots if (reading := shot.all_features["corrected"]) is not None]
     if not ranges:
         return float("nan"), float("nan")
     sigma_m = _MEDIAN_SIGMA * float(np.std(ranges)) / np.sqrt(len(ranges))
@@ -82,7 +82,7 @@ def left_m(outcome: Outcome) -> tuple[float, float]:
 
 
 def _median_range_m(shots: list[Scored], way: str) -> float:
-    inverse = [reading.inverse_pm for shot in shots if (reading := shot.whole[way]) is not None]
+    inverse = [reading.inverse_pm for shot in shots if (reading := shot.all_features[way]) is not None]
     return float(1.0 / np.median(inverse)) if inverse else float("nan")
 
 
@@ -92,7 +92,7 @@ def _error_table(results: Results) -> Table:
         "shots / trusted",
     )  # fmt: skip
     rows = []
-    for key in results.own:
+    for key in results.of_paper:
         trial, peak = results.outcomes[key].trial, results.peaks[key]
         before, after = trial.paper_before_percent, trial.paper_after_percent
         paper = "-" if before is None else f"{before} %, {after} %"
@@ -159,18 +159,18 @@ def _draws_table(results: Results) -> tuple[Table, ...]:
 
 
 def _bars(results: Results) -> Picture:
-    peaks = [results.peaks[key] for key in results.own]
+    peaks = [results.peaks[key] for key in results.of_paper]
 
     def paint(axes: Any) -> None:
         axis = axes[0, 0]
-        at = np.arange(len(results.own))
+        at = np.arange(len(results.of_paper))
         for i, (way, colour) in enumerate(COLOURS.items()):
             values = np.array([peak[_TOLD.get(way, way)]["rms_percent"] for peak in peaks])
             counts = np.array([peak[_TOLD.get(way, way)]["n"] for peak in peaks])
             sigma = values / np.sqrt(2.0 * np.maximum(counts, 1))  # of an rms over n shots
             axis.bar(at + _STEP * (i - 1.5), values, 0.9 * _STEP, color=colour, label=NAMES[way],
                      yerr=sigma, error_kw={"elinewidth": 0.8, "ecolor": INK})  # fmt: skip
-        for i, key in enumerate(results.own):
+        for i, key in enumerate(results.of_paper):
             trial = results.outcomes[key].trial
             if trial.paper_before_percent:
                 marks = [trial.paper_before_percent, trial.paper_after_percent or np.nan]
@@ -178,7 +178,7 @@ def _bars(results: Results) -> Picture:
                 axis.plot(places, marks, "D", ms=4.5, color=INK, mfc="white",
                           label="the paper, before and after" if key == "wing_60m" else None)  # fmt: skip
         axis.set(yscale="log", ylabel="range error, %", title="rms over the shots at peaks, ±1 sigma")
-        names = [re.sub(", | (?=at |on )", "\n", results.outcomes[key].trial.title) for key in results.own]
+        names = [re.sub(", | (?=at |on )", "\n", results.outcomes[key].trial.title) for key in results.of_paper]
         axis.set_xticks(at, names, fontsize=7)
         axis.legend(ncols=5, loc="upper left")
         axis.set_ylim(top=20 * max(peak["rigid"]["rms_percent"] for peak in peaks))
@@ -221,7 +221,7 @@ def _scatter(outcome: Outcome) -> Picture:
 
 def _read_m(shots: Sequence[Scored], way: str) -> tuple[Floats, Floats]:
     """Ranges of one way and their sigmas (n,), metres; NaN where there is none."""
-    readings = [shot.whole[way] for shot in shots]
+    readings = [shot.all_features[way] for shot in shots]
     read_m = [np.nan if entry is None else 1.0 / entry.inverse_pm for entry in readings]
     return np.array(read_m), np.array([shot.sigma_m.get(way, np.nan) for shot in shots])
 

@@ -73,8 +73,8 @@ def _dominance(shaken: Shaken, response: Response) -> dict[str, Any]:
         "second_over_first_white_deflection": white_share(modes, of_slope=False),
         "second_over_first_white_slope": white_share(modes, of_slope=True),
         "peak_over": float(response.gain[peak]) / beyond,
-        "share_of_deflection_variance": _share(shaken.q_m),
-        "share_of_slope_variance": _share(slopes),
+        "share_of_deflection_variance": _first_mode_ratio(shaken.q_m),
+        "share_of_slope_variance": _first_mode_ratio(slopes),
         "share_of_acceleration_variance": float(spectrum[near].sum() / spectrum[inside].sum()),
         "peak_gain": float(response.gain[peak]),
         "peak_hz": float(response.frequency_hz[peak]),
@@ -88,11 +88,11 @@ def _dominance(shaken: Shaken, response: Response) -> dict[str, Any]:
     }
 
 
-def _rest(share: float) -> str:
-    return f"{number(100.0 * (1.0 - share), 2)} %"
+def _rest(first_mode_ratio: float) -> str:
+    return f"{number(100.0 * (1.0 - first_mode_ratio), 2)} %"
 
 
-def _share(parts: Floats) -> float:
+def _first_mode_ratio(parts: Floats) -> float:
     """Variance of the first column over the sum of both."""
     variance = np.var(parts, axis=0)
     return float(variance[0] / variance.sum())

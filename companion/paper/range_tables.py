@@ -55,12 +55,12 @@ def one_angle() -> tuple[float, Floats]:
 
 def objects() -> list[dict[str, Any]]:
     """Table 3, one entry per object."""
-    found = []
+    entries = []
     for entry in printed.OBJECTS:
         before, after = toe_rad(entry.still_m, entry.vibrating_m), toe_rad(entry.still_m, entry.corrected_m)
         error = 100.0 * abs(entry.vibrating_m - entry.still_m) / entry.still_m
         left = 100.0 * abs(entry.corrected_m - entry.still_m) / entry.still_m
-        found.append(
+        entries.append(
             {
                 "name": entry.name,
                 "toe_rad": before,
@@ -74,7 +74,7 @@ def objects() -> list[dict[str, Any]]:
                 "left_percent_truncated": truncated(left, 2),
             }
         )
-    return found
+    return entries
 
 
 def far() -> dict[str, float]:
@@ -187,13 +187,13 @@ def _far_table(scaled: dict[str, float]) -> Table:
     def line(what: str, printed_m: float, ours_m: float, source: str) -> tuple[str, ...]:
         return what, f"{printed_m} m", f"{ours_m:.2f} m", percent(ours_m / printed_m - 1.0), source
 
-    removed, share = scaled["range_error_removed"], printed.FAR_REMOVED_PERCENT / 100.0
+    removed, printed_ratio = scaled["range_error_removed"], printed.FAR_REMOVED_PERCENT / 100.0
     lines = (
         line("vibrating", printed.FAR_VIBRATING_M, scaled["vibrating_m"], "the board's angle of Table 3: it follows"),
         line("corrected", printed.FAR_CORRECTED_M, scaled["corrected_by_tables_residual_m"],
              "the residual that Table 3 leaves: it does not follow"),
         line("corrected", printed.FAR_CORRECTED_M, scaled["corrected_by_half_m"], "half of the board's correction"),
-        ("error removed", f"{printed.FAR_REMOVED_PERCENT} %", percent(removed), percent(removed / share - 1.0),
+        ("error removed", f"{printed.FAR_REMOVED_PERCENT} %", percent(removed), percent(removed / printed_ratio - 1.0),
          "52.8 and 56.8 m, in range"),
     )  # fmt: skip
     return Table("Table 4: scaled to 60 m", ("", "printed", "computed", "deviation", "if it follows from"), lines)

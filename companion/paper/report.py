@@ -32,7 +32,7 @@ from companion.paper.scores import Results, summary
 from companion.paper.trials import REPEATED, Pace, Trial, trials
 
 
-def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seeds: Sequence[int]) -> list[Section]:
+def make_sections(pace: Pace, jobs: int, say: Callable[[str], None], seeds: Sequence[int]) -> list[Section]:
     """Run the whole audit, the experiments in ``jobs`` processes meanwhile; ``told`` hears what is done.
 
     Everything is run with the first of ``seeds``, what is to be repeated with the others too.
@@ -56,15 +56,15 @@ def make_sections(pace: Pace, jobs: int, told: Callable[[str], None], seeds: Seq
             wing_shapes.section(),
             random,
         ]
-        told("tables, equations and figures")
+        say("tables, equations and figures")
         outcomes: list[Outcome] = []
         for future in running:
             outcomes.append(future.result())
-            told(f"experiment {len(outcomes)} of {len(running)}: {outcomes[-1].trial.title}")
+            say(f"experiment {len(outcomes)} of {len(running)}: {outcomes[-1].trial.title}")
         draws: dict[str, dict[int, dict[str, Any]]] = {}
-        for (key, other), found in again.items():
-            draws.setdefault(key, {})[other] = found.result()
-            told(f"again with seed {other}: {key}")
+        for (key, other), repeated in again.items():
+            draws.setdefault(key, {})[other] = repeated.result()
+            say(f"again with seed {other}: {key}")
     results = Results.of(outcomes, seed, draws)
     return [
         digest.section(results, random.data),

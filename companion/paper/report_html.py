@@ -13,19 +13,19 @@ from companion.reporting.page import render
 
 _SYMBOLS = (
     (r"\bbeta\*l\b", "βl"),
-    (r"\bomega_([123])\b", lambda found: "ω" + "₁₂₃"[int(found[1]) - 1]),
+    (r"\bomega_([123])\b", lambda match: "ω" + "₁₂₃"[int(match[1]) - 1]),
     (r"\bomega\b", "ω"),
     (r"\btheta(?=_|\b)", "θ"),
     (r"\bOmega(?=_|\b)", "Ω"),
     (r"\bmu\b", "μ"),
     (r"\brho\b", "ρ"),
     (r"\bzeta\b", "ζ"),
-    (r"\^([234])", lambda found: "²³⁴"[int(found[1]) - 2]),
+    (r"\^([234])", lambda match: "²³⁴"[int(match[1]) - 2]),
     (r"\^T", "ᵀ"),
     (r"-&gt;", "→"),
     (r"(?<=\d) (?=(?:%|m|mm|Hz|mrad|kg|px|s|±)(?:\W|$))", "\u00a0"),
     (r"± (?=\d)", "±\u00a0"),
-    (r"(?<=\d)e([+-]?)0*(\d+)(?=\D|$)", lambda found: f"·10<sup>{'−' if found[1] == '-' else ''}{found[2]}</sup>"),
+    (r"(?<=\d)e([+-]?)0*(\d+)(?=\D|$)", lambda match: f"·10<sup>{'−' if match[1] == '-' else ''}{match[2]}</sup>"),
     (r"(?<![\w.)])-(?=[\d.])", "−"),
 )
 

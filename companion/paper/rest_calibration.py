@@ -36,20 +36,20 @@ _COMMON_PX = 0.02
 
 def calibrate(setup: Setup, settings: Settings, distances_m: Sequence[float]) -> Airframe:
     """The airframe as the calibration leaves it; ``setup`` names aircraft and seed."""
-    seen = [(_pictures(rested(setup, z), settings_for(settings, z)), z) for z in distances_m]
+    views = [(_pictures(rested(setup, z), settings_for(settings, z)), z) for z in distances_m]
     theta = np.zeros(5)
     for _ in range(_STEPS):
-        residual = _residuals(setup.airframe, seen, theta)
+        residual = _residuals(setup.airframe, views, theta)
         columns = []
         for k, step in enumerate(_DIFFERENCE):
             moved = theta.copy()
             moved[k] += step
-            columns.append((_residuals(setup.airframe, seen, moved) - residual) / step)
+            columns.append((_residuals(setup.airframe, views, moved) - residual) / step)
         jacobian = np.stack(columns, axis=1)
         weight = 1.0 / np.maximum(1.0, np.abs(residual) / 3.0)  # a wrong match counts little
         normal = (jacobian * weight[:, None]).T @ jacobian
         theta = theta - np.linalg.solve(normal, (jacobian * weight[:, None]).T @ residual)
-    return _known(_changed(setup.airframe, theta), np.sqrt(np.diag(np.linalg.inv(normal))))
+    return _with_sigmas(_changed(setup.airframe, theta), np.sqrt(np.diag(np.linalg.inv(normal))))
 
 
 def settings_for(settings: Settings, distance_m: float) -> Settings:
@@ -68,19 +68,19 @@ def _pictures(setup: Setup, settings: Settings) -> list[MatchSet]:
     return [match_pair(pair, rig, search, pair.left.mid_exposure_ns) for pair in pairs]
 
 
-def _residuals(airframe: Airframe, seen: list[tuple[list[MatchSet], float]], theta: Floats) -> Floats:
+def _residuals(airframe: Airframe, views: list[tuple[list[MatchSet], float]], theta: Floats) -> Floats:
     """Depth and parallax errors of every match in sigmas, then the priors."""
     rig = Rig.from_airframe(_changed(airframe, theta))
     sight = range_axis_of_rig(rig, orientation_axis(airframe.orientation))
     focal = rig.left.lens.focal_px
     parts = []
-    for pictures, distance_m in seen:
+    for pictures, distance_m in views:
         for matches in pictures:
             sigma_rad = np.hypot(matches.sigma_px, _COMMON_PX) / focal
             depths = triangulate(match_rays(rig, rest_exposures(rig), matches), sight, sigma_rad)
-            kept = consistent(depths)
-            parts.append((depths.inverse_pm[kept] - 1.0 / distance_m) / depths.sigma_pm[kept])
-            parts.append(depths.parallax_rad[kept] / sigma_rad[kept])
+            consistent_points = consistent(depths)
+            parts.append((depths.inverse_pm[consistent_points] - 1.0 / distance_m) / depths.sigma_pm[consistent_points])
+            parts.append(depths.parallax_rad[consistent_points] / sigma_rad[consistent_points])
     assert airframe.left_camera is not None
     focal_sigma = airframe.left_camera.focal_px.sigma
     parts.append(theta / np.array([*[_ROTATION_SIGMA_RAD] * 3, focal_sigma, focal_sigma]))
@@ -96,7 +96,7 @@ def _changed(airframe: Airframe, theta: Floats) -> Airframe:
     return dataclasses.replace(airframe, left_camera=_refocused(left, float(theta[3])), right_camera=turned)
 
 
-def _known(airframe: Airframe, sigma: Floats) -> Airframe:
+def _with_sigmas(airframe: Airframe, sigma: Floats) -> Airframe:
     """The calibrated airframe with the sigmas (5,) that the pictures leave; the relative rotation has one sigma."""
     left, right = airframe.left_camera, airframe.right_camera
     assert left is not None

@@ -42,20 +42,20 @@ class Results:
         )
 
     @property
-    def own(self) -> list[str]:
+    def of_paper(self) -> list[str]:
         """Keys of the experiments that the paper did."""
-        return [key for key, outcome in self.outcomes.items() if outcome.trial.own]
+        return [key for key, outcome in self.outcomes.items() if outcome.trial.of_paper]
 
     @property
     def untried(self) -> list[str]:
         """Keys of those that it did not."""
-        return [key for key, outcome in self.outcomes.items() if not outcome.trial.own]
+        return [key for key, outcome in self.outcomes.items() if not outcome.trial.of_paper]
 
 
 def summary(outcome: Outcome, planned: bool) -> dict[str, Any]:
     """Scores of the shots at peaks (``planned``), or of those at random instants."""
     shots = [shot for shot in outcome.flown.shots if shot.planned == planned]
-    found: dict[str, Any] = {
+    scores: dict[str, Any] = {
         "shots": len(shots),
         "trusted": sum(shot.reject is None for shot in shots),
         "not_trusted": dict(sorted(Counter(str(shot.reject) for shot in shots if shot.reject is not None).items())),
@@ -64,13 +64,13 @@ def summary(outcome: Outcome, planned: bool) -> dict[str, Any]:
         "phase_median_deg": _median([shot.phase_deg for shot in shots]),
     }
     for way in WAYS:
-        found[way] = errors(shot.whole[way] for shot in shots)
+        scores[way] = errors(shot.all_features[way] for shot in shots)
         if any(shot.upper for shot in shots):
-            found[f"{way}_upper_third"] = errors(shot.upper.get(way) for shot in shots)
-    found["published_trusted"] = errors(shot.whole["published"] for shot in shots if shot.reject is None)
-    found["removed"] = _removed(found["rigid"], found["corrected"])
-    found["removed_of_in_trim"] = _removed(found["in_trim"], found["corrected"])
-    return found
+            scores[f"{way}_upper_third"] = errors(shot.upper.get(way) for shot in shots)
+    scores["published_trusted"] = errors(shot.all_features["published"] for shot in shots if shot.reject is None)
+    scores["removed"] = _removed(scores["rigid"], scores["corrected"])
+    scores["removed_of_in_trim"] = _removed(scores["in_trim"], scores["corrected"])
+    return scores
 
 
 def errors(readings: Iterable[Reading | None]) -> dict[str, Any]:
@@ -79,30 +79,30 @@ def errors(readings: Iterable[Reading | None]) -> dict[str, Any]:
     ``without`` counts shots that this way gives no reading for; ``beyond_infinity`` those whose axes do not meet.
     """
     offered = list(readings)
-    kept = [reading for reading in offered if reading is not None]
-    inverse = np.array([reading.inverse_pm for reading in kept])
-    true = np.array([reading.true_inverse_pm for reading in kept])
+    made = [reading for reading in offered if reading is not None]
+    inverse = np.array([reading.inverse_pm for reading in made])
+    true = np.array([reading.true_inverse_pm for reading in made])
     met = inverse > 0
     percent = 100.0 * np.abs(true[met] / inverse[met] - 1.0)
     return {
-        "n": len(kept),
-        "without": len(offered) - len(kept),
+        "n": len(made),
+        "without": len(offered) - len(made),
         "beyond_infinity": int(np.sum(~met)),
         "rms_percent": rms(percent),
         "median_percent": _median(percent),
         "median_range_m": _median(1.0 / inverse[met]),
         "inverse_rms_pm": rms(inverse - true),
-        "inverse_mean_pm": float(np.mean(inverse - true)) if kept else float("nan"),
+        "inverse_mean_pm": float(np.mean(inverse - true)) if made else float("nan"),
     }
 
 
-def toe_error_mrad(outcome: Outcome, found: Mapping[str, Any]) -> tuple[float, float]:
+def toe_error_mrad(outcome: Outcome, scores: Mapping[str, Any]) -> tuple[float, float]:
     """Mean and spread of a way's error as relative toe, ``B (1/Z_read - 1/Z)``; ``found`` is that way's entry.
 
     The mean over a few seconds is the slow part (trim, tilt bias, calibration), the spread is what moves.
     """
     factor = 1e3 * outcome.baseline_m
-    mean, total = factor * found["inverse_mean_pm"], factor * found["inverse_rms_pm"]
+    mean, total = factor * scores["inverse_mean_pm"], factor * scores["inverse_rms_pm"]
     return mean, float(np.sqrt(max(total**2 - mean**2, 0.0)))
 
 

@@ -86,13 +86,13 @@ def _counts(results: Results) -> Table:
     rows = []
     for key, outcome in results.outcomes.items():
         peaks, randoms = results.peaks[key], results.randoms[key]
-        lost = _told(outcome.flown.refused)
-        distrusted = _told({
+        lost = _counted_reasons(outcome.flown.refused)
+        distrusted = _counted_reasons({
             name: peaks["not_trusted"].get(name, 0) + randoms["not_trusted"].get(name, 0)
             for name in sorted({*peaks["not_trusted"], *randoms["not_trusted"]})
         })  # fmt: skip
-        beyond = sum(found["rigid"]["beyond_infinity"] for found in (peaks, randoms))
-        without = sum(found["corrected"]["without"] for found in (peaks, randoms))
+        beyond = sum(scores["rigid"]["beyond_infinity"] for scores in (peaks, randoms))
+        without = sum(scores["corrected"]["without"] for scores in (peaks, randoms))
         rows.append((
             outcome.trial.title, str(outcome.flown.warm_up), f"{peaks['shots']} + {randoms['shots']}", lost,
             str(without) if without else "-", str(beyond) if beyond else "-", distrusted,
@@ -107,7 +107,7 @@ def _counts(results: Results) -> Table:
     )  # fmt: skip
 
 
-def _told(counts: Mapping[str, int]) -> str:
+def _counted_reasons(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason}" for reason, count in counts.items()) or "-"
 
 

@@ -113,9 +113,11 @@ def closed_gain(frequency_hz: Floats, modes: Sequence[BeamMode], damping: float)
     """
     total = np.ones(len(frequency_hz), dtype=np.complex128)
     for mode in modes:
-        own = mode.frequency_hz
+        mode_hz = mode.frequency_hz
         total += (
-            mode.base_participation() * frequency_hz**2 / (own**2 - frequency_hz**2 + 2j * damping * own * frequency_hz)
+            mode.base_participation()
+            * frequency_hz**2
+            / (mode_hz**2 - frequency_hz**2 + 2j * damping * mode_hz * frequency_hz)
         )
     return np.asarray(np.abs(total))
 

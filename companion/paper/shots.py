@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import correct
-from companion.evaluation.true_geometry import Judge, Reading
+from companion.evaluation.true_geometry import Reading, TrueGeometry
 from companion.records import CorrectedRange, Deflection, Floats, MatchSet, Reject, RelativeRotation, Side
 from companion.sim.flight.flight import Flight
 
@@ -43,7 +43,7 @@ class Scored:
     """
 
     planned: bool
-    whole: Readings
+    all_features: Readings
     upper: Readings
     reject: Reject | None
     tip_rad: tuple[float, float]
@@ -94,40 +94,40 @@ class Usual:
         return float(np.degrees(np.arctan2(speed, place)))
 
 
-def score(judge: Judge, usual: Usual, matches: MatchSet, answer: Answer, planned: bool) -> Scored:
+def score(geometry: TrueGeometry, usual: Usual, matches: MatchSet, answer: Answer, planned: bool) -> Scored:
     """Judge one shot by the truth."""
-    flight, lens = judge.flight, judge.renderer.rig.left.lens
-    samples = [flight.truth.at(int(t_ns) - judge.start_host_ns) for t_ns in matches.mid_exposure_ns]
+    flight, lens = geometry.flight, geometry.renderer.rig.left.lens
+    samples = [flight.truth.at(int(t_ns) - geometry.start_host_ns) for t_ns in matches.mid_exposure_ns]
     slope = np.array([samples[side].slope_rad[side] for side in Side]) - usual.rest_rad
     rate = np.abs([samples[side].slope_rate_radps[side] for side in Side])
     worse = int(np.argmax(rate))
     upper = _upper_third(matches, lens.size_px[1])
     return Scored(
         planned=planned,
-        whole=_readings(judge, matches, answer),
-        upper=_readings(judge, upper, answer) if flight.airframe.looks_forward else {},
+        all_features=_readings(geometry, matches, answer),
+        upper=_readings(geometry, upper, answer) if flight.airframe.looks_forward else {},
         reject=answer.range.reject,
         tip_rad=(float(slope[0]), float(slope[1])),
         blur_px=lens.focal_px * matches.exposure_ns * 1e-9 * float(rate[worse]),
         phase_deg=usual.phase_deg(worse, float(slope[worse]), float(rate[worse])),
-        sigma_m={"corrected": _sensors_sigma_m(judge, matches, answer), "published": answer.range.sigma_m},
+        sigma_m={"corrected": _sensors_sigma_m(geometry, matches, answer), "published": answer.range.sigma_m},
     )
 
 
-def _sensors_sigma_m(judge: Judge, matches: MatchSet, answer: Answer) -> float:
+def _sensors_sigma_m(geometry: TrueGeometry, matches: MatchSet, answer: Answer) -> float:
     """One sigma, in metres, of the range by the wing's sensors alone."""
-    airframe = judge.flight.airframe
+    airframe = geometry.flight.airframe
     rig = Rig.from_airframe(airframe)
-    return correct(matches, answer.left, answer.right, rig, airframe, judge.settings).range.sigma_m
+    return correct(matches, answer.left, answer.right, rig, airframe, geometry.settings).range.sigma_m
 
 
-def _readings(judge: Judge, matches: MatchSet, answer: Answer) -> dict[str, Reading | None]:
+def _readings(geometry: TrueGeometry, matches: MatchSet, answer: Answer) -> dict[str, Reading | None]:
     return {
-        "rigid": judge.rigid(matches),
-        "in_trim": judge.rigid_in_trim(matches),
-        "corrected": judge.corrected(matches, answer.left, answer.right),
-        "published": judge.corrected(matches, answer.left, answer.right, answer.turned),
-        "oracle": judge.oracle(matches),
+        "rigid": geometry.rigid(matches),
+        "in_trim": geometry.rigid_in_trim(matches),
+        "corrected": geometry.corrected(matches, answer.left, answer.right),
+        "published": geometry.corrected(matches, answer.left, answer.right, answer.turned),
+        "oracle": geometry.oracle(matches),
     }
 
 

@@ -56,7 +56,7 @@ class Trial:
     manoeuvres: bool = False
 
     @property
-    def own(self) -> bool:
+    def of_paper(self) -> bool:
         """Whether the paper tried it."""
         return self.key.startswith(("boom", "wing"))
 

@@ -41,26 +41,26 @@ def section(results: Results) -> Section:
 
 
 def _largest_blur(results: Results) -> float:
-    return float(np.nanmax([found["blur_median_px"] for found in results.randoms.values()]))
+    return float(np.nanmax([scores["blur_median_px"] for scores in results.randoms.values()]))
 
 
 def _largest_oracle(results: Results) -> float:
     """Largest rms error of relative toe that is left with the true extrinsics."""
-    scored = [(key, found) for both in (results.peaks, results.randoms) for key, found in both.items()]
+    scored = [(key, scores) for both in (results.peaks, results.randoms) for key, scores in both.items()]
     return float(
-        np.nanmax([math.hypot(*toe_error_mrad(results.outcomes[key], found["oracle"])) for key, found in scored])
+        np.nanmax([math.hypot(*toe_error_mrad(results.outcomes[key], scores["oracle"])) for key, scores in scored])
     )
 
 
 def _table(results: Results) -> Table:
     rows = []
     for key, outcome in results.outcomes.items():
-        for name, found in (("peaks", results.peaks[key]), ("random", results.randoms[key])):
+        for name, scores in (("peaks", results.peaks[key]), ("random", results.randoms[key])):
             rows.append((
-                outcome.trial.title if name == "peaks" else "", name, number(found["blur_median_px"], 2),
-                number(found["phase_median_deg"], 2),
-                *(number(math.hypot(*toe_error_mrad(outcome, found[way])), 2) for way in _WAYS),
-                str(found["shots"]),
+                outcome.trial.title if name == "peaks" else "", name, number(scores["blur_median_px"], 2),
+                number(scores["phase_median_deg"], 2),
+                *(number(math.hypot(*toe_error_mrad(outcome, scores[way])), 2) for way in _WAYS),
+                str(scores["shots"]),
             ))  # fmt: skip
     return Table(
         "Triggered at peaks against random instants",

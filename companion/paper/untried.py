@@ -19,17 +19,17 @@ _WAYS = ("rigid", "in_trim", "corrected", "published", "oracle")
 
 def section(results: Results) -> Section:
     """All that goes beyond the paper, scored at random instants."""
-    found = results.randoms
+    scores = results.randoms
     tips = {key: one_tip_toe_error_mrad(results.outcomes[key].flown.shots) for key in _antisymmetric(results)}
     disparity_px, parallax_px = forward_errors_px()
     findings = (
-        _of_lift(found["lift"]),
-        _of_manoeuvres(found["manoeuvres"]),
-        _of_antisymmetry(found, tips),
-        _of_looking_forward(found["forward"], disparity_px, parallax_px),
+        _of_lift(scores["lift"]),
+        _of_manoeuvres(scores["manoeuvres"]),
+        _of_antisymmetry(scores, tips),
+        _of_looking_forward(scores["forward"], disparity_px, parallax_px),
     )
     data = {
-        "random": {key: found[key] for key in results.untried},
+        "random": {key: scores[key] for key in results.untried},
         "peaks": {key: results.peaks[key] for key in results.untried},
         "forward_disparity_px": disparity_px,
         "forward_parallax_px": parallax_px,
@@ -63,8 +63,8 @@ def _of_manoeuvres(flown: dict[str, Any]) -> str:
     )
 
 
-def _of_antisymmetry(found: Any, tips: dict[str, float]) -> str:
-    vertical, six = found["antisymmetric"], found["antisymmetric_six"]
+def _of_antisymmetry(scores: Any, tips: dict[str, float]) -> str:
+    vertical, six = scores["antisymmetric"], scores["antisymmetric_six"]
     return (
         "Antisymmetric bending turns both cameras the same way, and no toe comes of it: the paper's wing without any "
         f"correction is off by {percent(vertical['rigid']['rms_percent'] / 100)}. Correcting costs "
@@ -92,12 +92,12 @@ def _of_looking_forward(ahead: dict[str, Any], disparity_px: float, parallax_px:
 def _table(results: Results) -> Table:
     rows = []
     for key in results.untried:
-        found = results.randoms[key]
+        scores = results.randoms[key]
         outcome = results.outcomes[key]
-        errors = (_spread(*toe_error_mrad(outcome, found[way])) for way in _WAYS)
-        median = percent(found["published"]["median_percent"] / 100)
-        counts = f"{found['shots']} / {found['trusted']}"
-        rows.append((outcome.trial.title, number(found["toe_rms_mrad"], 3), *errors, median, counts))
+        errors = (_spread(*toe_error_mrad(outcome, scores[way])) for way in _WAYS)
+        median = percent(scores["published"]["median_percent"] / 100)
+        counts = f"{scores['shots']} / {scores['trusted']}"
+        rows.append((outcome.trial.title, number(scores["toe_rms_mrad"], 3), *errors, median, counts))
     return Table(
         "What the paper did not try (random instants): error as relative toe, mrad, mean ± spread",
         ("experiment", "toe beyond 1 g, rms", "rigid", "rigid in trim", "corrected", "published", "oracle",

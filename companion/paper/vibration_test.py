@@ -60,9 +60,9 @@ def simulated_points(airframe: Airframe, seed: int = _SEED, gain_sigma: float = 
         gains = 1.0 + gain_sigma * rng.standard_normal(2)
         runs.append((station, motion[:, None] * gains + noise * rng.standard_normal((len(motion), 2))))
     hertz = actual.wing.symmetric.frequency_hz.value
-    found = [quadrature_peak(felt, readings, (hertz - 1.0, hertz + 1.0)) for _, readings in runs]
+    peaks = [quadrature_peak(felt, readings, (hertz - 1.0, hertz + 1.0)) for _, readings in runs]
     stations = np.array([[station, station] for station, _ in runs])
-    return modal_points(stations, np.array([peak for _, peak in found]), np.array([f for f, _ in found]))
+    return modal_points(stations, np.array([peak for _, peak in peaks]), np.array([f for f, _ in peaks]))
 
 
 def _sweep(count: int) -> Floats:
@@ -78,8 +78,8 @@ def survey(airframe: Airframe) -> dict[str, tuple[float, float]]:
     rows = []
     for seed in range(TESTS):
         points = simulated_points(airframe, seed)
-        whole = [fit_edges(points, degree).slope_factor_radpm(CAMERA_M, tip) for degree in (4, WHOLE_DEGREE)]
-        rows.append([*whole, clamped_factor(points)])
+        whole_span = [fit_edges(points, degree).slope_factor_radpm(CAMERA_M, tip) for degree in (4, WHOLE_DEGREE)]
+        rows.append([*whole_span, clamped_factor(points)])
     gaps = np.array(rows) / truth - 1.0
     names = (
         "whole span, degree 4",

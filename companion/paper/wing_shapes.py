@@ -27,13 +27,13 @@ def section() -> Section:
     camera = np.array([CAMERA_M])
     truth = float(first.slope(camera)[0])
     factor = clamped_factor(simulated.points)
-    whole = simulated.slope_factor_radpm(CAMERA_M, airframe.wing.semispan_m)
+    span_factor = simulated.slope_factor_radpm(CAMERA_M, airframe.wing.semispan_m)
     ways = survey(airframe)
     data: dict[str, Any] = {
         "simulated": {
             **_numbers(simulated),
             "slope_factor_radpm": factor,
-            "whole_span_slope_factor_radpm": whole,
+            "whole_span_slope_factor_radpm": span_factor,
             "true_slope_factor_radpm": truth,
             "deviation": deviation(factor, truth),
             "ways": {name: {"mean": mean, "spread": spread} for name, (mean, spread) in ways.items()},
@@ -43,8 +43,8 @@ def section() -> Section:
     data["deflection_of_table_3_mm"] = scaled
     findings = [
         f"Simulated wing: each half fitted with its root held gives {number(factor)} rad of camera slope per metre of "
-        f"tip deflection ({percent(deviation(factor, truth))}), one polynomial over the whole span {number(whole)} "
-        f"({percent(deviation(whole, truth))}); its truth is {number(truth)}.",
+        f"tip deflection ({percent(deviation(factor, truth))}), one polynomial over the whole span "
+        f"{number(span_factor)} ({percent(deviation(span_factor, truth))}); its truth is {number(truth)}.",
         f"A slope from a fitted polynomial is poor: over {TESTS} tests with accelerometers good to "
         f"{percent(GAIN_SIGMA, 0)} "
         + "; ".join(f"{name}: {percent(mean, 1)} ± {percent(spread, 1)}" for name, (mean, spread) in ways.items())
@@ -52,15 +52,15 @@ def section() -> Section:
         f"Table 3's angles are {', '.join(f'{value:.2f}' for value in scaled)} mm of tip deflection.",
     ]
     pictures = [_draw("simulated wing", simulated, factor, scaled[0] / 1e3, first)]
-    rows = [_row("simulated, 2 m span", simulated, whole)]
+    rows = [_row("simulated, 2 m span", simulated, span_factor)]
     folder = gvt_folder()
     if folder.is_dir():
         real = fit_edges(measured_points(folder))
-        found, text = _measured(real)
-        data["measured"] = found
+        numbers, text = _measured(real)
+        data["measured"] = numbers
         findings.append(text)
-        pictures.append(_draw("measured wing (mAEWing1)", real, found["slope_factor_radpm"], None))
-        rows.append(_row("measured, mAEWing1", real, found["slope_factor_radpm"]))
+        pictures.append(_draw("measured wing (mAEWing1)", real, numbers["slope_factor_radpm"], None))
+        rows.append(_row("measured, mAEWing1", real, numbers["slope_factor_radpm"]))
     else:
         data["measured"] = None
         findings.append("The measured wing was skipped: measured/maewing1-gvt is not here (SPANWISE_DATA).")
@@ -90,20 +90,20 @@ def section() -> Section:
 def _measured(real: Fitted) -> tuple[dict[str, Any], str]:
     reach = real.reach_m
     factor = real.slope_factor_radpm(reach, reach)
-    found = {**_numbers(real), "slope_factor_radpm": factor, "times_semispan": factor * reach, "semispan_m": reach}
+    numbers = {**_numbers(real), "slope_factor_radpm": factor, "times_semispan": factor * reach, "semispan_m": reach}
     low, high = real.points.frequency_hz[[0, -1]].tolist()
     uneven = float(real.points.leading.deflection[-1] / real.points.leading.deflection[0])
-    found["right_over_left"] = uneven
+    numbers["right_over_left"] = uneven
     ends = [WingShape(real.leading, real.trailing).at(side * reach, 0.5, GVT_TIP_CHORD_M) for side in (-1.0, 1.0)]
     twist = sum(end.twist for end in ends) / 2.0 / real.bend(reach)
-    found["twist_factor_radpm"] = twist
+    numbers["twist_factor_radpm"] = twist
     text = (
         f"Measured wing (3 m flying wing, first symmetric bending at {low:.2f} to {high:.2f} Hz as the accelerometers "
         f"rove): slope factor times semispan {number(factor * reach, 3)}, where a uniform cantilever has 1.377; the "
         f"right tip moves {number(uneven, 3)} times as much as the left. The tips twist by {number(twist, 3)} rad "
         "nose-up per metre of bend, which the paper's cameras on the elastic axis leave out."
     )
-    return found, text
+    return numbers, text
 
 
 def _numbers(fitted: Fitted) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import pytest
 from companion.cli.main import main
 from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras
 from companion.errors import DeviceError
-from companion.evaluation.rendered_shots import Pull, Seen, Stage, Studio, Studios
+from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studio, Studios
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Firing, MatchSet, Reject, Rejected, Shot, TriggerPlan
@@ -49,7 +49,7 @@ class Studied:
     def begin(self, pull: Pull) -> None:
         self.begun.append(pull)
 
-    def result(self, shot: int) -> Seen:
+    def result(self, shot: int) -> ShotRecords:
         self.asked_s.append(self.clock.flown_s)
         return [Rejected(Reject.UNPAIRED, f"shot {shot}", self.begun[shot].matched_host_ns)]
 

@@ -12,7 +12,7 @@ from companion.core.stereo.inverse_depth import consistent
 from companion.core.stereo.ranging import orientation_axis
 from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
 from companion.core.stereo.vision import VisionState
-from companion.evaluation.true_geometry import Judge
+from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, FramePair, MatchSet, Side
@@ -25,7 +25,7 @@ from companion.sim.vision.scene import obstacle_scene
 SEED, FIRST_S, LAST_S, PAIRS = 3, 2.0, 9.0, 14
 
 
-def _errors(judge: Judge, matches: MatchSet) -> tuple[np.ndarray, np.ndarray]:
+def _errors(judge: TrueGeometry, matches: MatchSet) -> tuple[np.ndarray, np.ndarray]:
     """Inverse depth over its sigma, match by match, and which matches the range and the sectors would use."""
     truth, middle_ns = judge.flight.truth, int(matches.mid_exposure_ns.mean()) - HOST_EPOCH_NS
     bends = [judge.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns]
@@ -47,7 +47,7 @@ def test_features_and_what_fills_between_them_are_as_right_as_they_say() -> None
     airframe = load_airframe("forward-2m")
     flight = build_flight(airframe, SEED, LAST_S + 1.0)
     scene = obstacle_scene(flight.truth, SEED)
-    judge = Judge(flight, Renderer(flight.real.actual, flight.truth, scene, SEED), Settings(), HOST_EPOCH_NS)
+    judge = TrueGeometry(flight, Renderer(flight.real.actual, flight.truth, scene, SEED), Settings(), HOST_EPOCH_NS)
     shutters, vision = Shutters(flight.real.actual, SEED), VisionState.create(airframe, Settings())
     features, filled = [], []
     for shot, edge_s in enumerate(np.linspace(FIRST_S, LAST_S, PAIRS)):

@@ -11,7 +11,7 @@ import pytest
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.search import trim_search
-from companion.evaluation.true_geometry import Judge
+from companion.evaluation.true_geometry import TrueGeometry
 from companion.paper import experiments, scores, trials
 from companion.paper.bench import Drive, Setup, hang, target
 from companion.paper.rest_calibration import calibrate, settings_for
@@ -73,7 +73,7 @@ def test_a_calibration_at_rest_is_as_good_as_it_says(seed: int) -> None:
         rig = Rig.from_airframe(airframe)
         pair = render_pair(renderer, Shutters(flight.real.actual, seed), 1_000_000_000, 0)
         matches = match_pair(pair, rig, trim_search(rig, airframe, settings), 0)
-        reading = Judge(flight, renderer, settings, 0).rigid(matches)
+        reading = TrueGeometry(flight, renderer, settings, 0).rigid(matches)
         assert reading is not None
         errors.append(abs(1.98 * (reading.inverse_pm - reading.true_inverse_pm)))
     focal = math.sqrt(2) * calibrated.left_camera.focal_px.sigma / 800 * 1.98 / 20.0

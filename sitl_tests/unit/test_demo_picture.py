@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.evaluation.flight_evaluation import Debrief
+from companion.evaluation.flight_evaluation import FlightEvaluation
 from companion.evaluation.pages import demo_picture as picture
 
 GAP_S = (20.0, 32.0)
 
 
-def debrief() -> Debrief:
+def evaluation() -> FlightEvaluation:
     """A minute of shots at 60 m, and none for twelve seconds."""
     rng, t_s = np.random.default_rng(1), np.arange(0.0, 60.0, 0.12)
     t_s = t_s[(t_s < GAP_S[0]) | (t_s > GAP_S[1])]
@@ -42,7 +42,7 @@ def debrief() -> Debrief:
         "range_error_m": {"rigid": {"60": {"n": 9, "median": 18.04}}, "corrected": {"60": {"n": 9, "median": 0.23}}},
         "shots": {"trusted": 300, "corrected": len(t_s)},
     }
-    return Debrief(plain, series)
+    return FlightEvaluation(plain, series)
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     drawn: list[Any] = []
     save = Figure.savefig
     monkeypatch.setattr(Figure, "savefig", lambda self, *a, **k: (drawn.append(self), save(self, *a, **k))[1])
-    picture.draw(debrief(), tmp_path / "summary.png")
+    picture.draw(evaluation(), tmp_path / "summary.png")
     assert (tmp_path / "summary.png").read_bytes()[:4] == b"\x89PNG"
     return drawn[0]
 
@@ -78,7 +78,7 @@ def test_no_line_joins_one_obstacle_to_the_next(tmp_path: Path, monkeypatch: pyt
 
     drawn: list[Any] = []
     monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
-    ahead = debrief()
+    ahead = evaluation()
     ahead.series["oracle.z_true_m"] = 80.0 - 15.0 * (ahead.series["t_s"] % 5.0)
     picture.draw(ahead, tmp_path / "summary.png")
     line = next(line for line in drawn[0].axes[0].lines if line.get_label() == "true range")

@@ -84,7 +84,7 @@ def test_the_tones_of_stations_are_told_where_most_windows_have_one() -> None:
         for first in range(0, len(t_s), 400):
             part = slice(first, first + 400)
             stations.add(ImuBatch(station, ClockName.BOOT, t_ns[part], values[part], Axis.Z, int(t_ns[part][-1])))
-    told = stations.told()
+    told = stations.sentences()
     assert [line.split()[0] for line in told] == ["left", "right"]
     for line in told:
         assert float(line.split()[1]) == pytest.approx(7.3, abs=0.01)

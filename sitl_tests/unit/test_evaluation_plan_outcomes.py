@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from companion.doctor.evidence import Evidence, Level
 from companion.doctor.wing import check_cameras
-from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE, REPLACED, WITHDRAWN, Fates
+from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE, REPLACED, WITHDRAWN, PlanOutcomes
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Firing, Reject, Rejected, Shot, TriggerPlan
@@ -29,32 +29,32 @@ ENDS = (FIRED, REPLACED, LATE, FAILED, WITHDRAWN, "refused after the shot", "ski
 
 @given(st.lists(st.sampled_from(ENDS), max_size=80), st.integers(1, 4))
 def test_each_plan_is_counted_once_under_what_happened_to_it(ends: list[str], versions: int) -> None:
-    fates, expected = Fates(), Counter[str]()
+    outcomes, expected = PlanOutcomes(), Counter[str]()
     for turn, end in enumerate(ends):
         number, at_ms = 5000 + turn, 1000 + 300 * turn
         for _ in range(versions):
-            fates.take(plan(number, at_ms))
+            outcomes.take(plan(number, at_ms))
         if end in (FIRED, "refused after the shot"):
-            fates.take(Shot(number, at_ms * MS, at_ms * MS))
+            outcomes.take(Shot(number, at_ms * MS, at_ms * MS))
         if end == WITHDRAWN:
-            fates.take(plan(number, at_ms, None, Firing.SKIP))
+            outcomes.take(plan(number, at_ms, None, Firing.SKIP))
         if end == "skipped":
-            fates.take(plan(number, at_ms, Reject.PEAK_UNCERTAIN, Firing.SKIP))
+            outcomes.take(plan(number, at_ms, Reject.PEAK_UNCERTAIN, Firing.SKIP))
         if end == LATE:
-            fates.take(Rejected(Reject.PLAN_EXPIRED, f"plan {number}", (at_ms + 11) * MS))
+            outcomes.take(Rejected(Reject.PLAN_EXPIRED, f"plan {number}", (at_ms + 11) * MS))
         if end in (FAILED, "refused after the shot"):
-            fates.take(Rejected(Reject.DEVICE_FAILED, "no camera", (at_ms + 4) * MS))
+            outcomes.take(Rejected(Reject.DEVICE_FAILED, "no camera", (at_ms + 4) * MS))
             end = FAILED
         expected[f"skipped: {Reject.PEAK_UNCERTAIN}" if end == "skipped" else end] += 1
-    fates.take(plan(9999, 999_999))  # one that waits is not counted yet
-    assert fates.counts() == expected
+    outcomes.take(plan(9999, 999_999))  # one that waits is not counted yet
+    assert outcomes.counts() == expected
 
 
 def test_a_shot_stays_a_shot_although_its_plan_was_refined_too_late() -> None:
-    fates = Fates()
+    outcomes = PlanOutcomes()
     for record in (plan(1, 500), Shot(1, 500 * MS, 500 * MS), plan(1, 503), plan(2, 800)):
-        fates.take(record)
-    assert fates.counts() == {FIRED: 1}
+        outcomes.take(record)
+    assert outcomes.counts() == {FIRED: 1}
 
 
 @pytest.mark.parametrize(
@@ -70,11 +70,11 @@ def test_the_doctor_says_how_many_shots_were_not_made_and_why(
 ) -> None:
     evidence = Evidence(load_airframe("nadir-2m"), Settings(), live=False)
     for number in range(100):
-        evidence.fates.take(plan(number, 300 * number))
+        evidence.plan_outcomes.take(plan(number, 300 * number))
         if number < count:
-            evidence.fates.take(Rejected(reason, f"plan {number}", (300 * number + 11) * MS))
+            evidence.plan_outcomes.take(Rejected(reason, f"plan {number}", (300 * number + 11) * MS))
         else:
-            evidence.fates.take(Shot(number, 300 * number * MS, 300 * number * MS))
+            evidence.plan_outcomes.take(Shot(number, 300 * number * MS, 300 * number * MS))
     (finding,) = check_cameras(evidence)
     assert (finding.subject, finding.level) == ("shots", level)
     assert said in finding.text

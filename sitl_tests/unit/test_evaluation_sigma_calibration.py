@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.evaluation.accuracy_targets import honesty
-from companion.evaluation.flight_evaluation import Flown, Shots
+from companion.evaluation.accuracy_targets import sigma_calibration
+from companion.evaluation.flight_evaluation import PipelineOutputs, Shots
 from companion.evaluation.metrics import Scored
 from companion.records import CorrectedRange
 
@@ -22,10 +22,10 @@ def test_a_range_that_is_off_by_its_own_sigma_counts_as_one_though_the_toe_is_kn
     true_m, share = np.linspace(5.0, 60.0, 200), 0.001
     measured_m = true_m * (1.0 + share)
     scored = Scored("corrected", BASELINE_M, np.arange(200) * 0.1, true_m, 1.0 / measured_m)
-    flown = Flown(ranges={i: _range(i, measured_m[i], share * true_m[i]) for i in range(200)})
-    told = honesty(Shots(list(range(200)), scored.t_s, {"corrected": scored}), flown)
-    assert told["slow_error_over_sigma_rms"] == pytest.approx(1.0, abs=0.01)
-    assert told["published_error_over_sigma"]["rms"] == pytest.approx(1.0, abs=1e-6)
+    flown = PipelineOutputs(ranges={i: _range(i, measured_m[i], share * true_m[i]) for i in range(200)})
+    calibration = sigma_calibration(Shots(list(range(200)), scored.t_s, {"corrected": scored}), flown)
+    assert calibration["slow_error_over_sigma_rms"] == pytest.approx(1.0, abs=0.01)
+    assert calibration["published_error_over_sigma"]["rms"] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_what_says_that_it_knows_nothing_is_not_judged_by_a_sigma_that_was_cut_off() -> None:
@@ -34,5 +34,7 @@ def test_what_says_that_it_knows_nothing_is_not_judged_by_a_sigma_that_was_cut_o
     inverse[::2] = 1e-4
     scored = Scored("corrected", BASELINE_M, np.arange(100.0), true_m, inverse)
     ranges = {i: _range(i, 51.0, 1.0) if i % 2 else _range(i, 200.0, 200.0) for i in range(100)}
-    told = honesty(Shots(list(range(100)), scored.t_s, {"corrected": scored}), Flown(ranges=ranges))
-    assert told["slow_error_over_sigma_rms"] == pytest.approx(1.02, abs=0.05)
+    calibration = sigma_calibration(
+        Shots(list(range(100)), scored.t_s, {"corrected": scored}), PipelineOutputs(ranges=ranges)
+    )
+    assert calibration["slow_error_over_sigma_rms"] == pytest.approx(1.02, abs=0.05)

@@ -192,15 +192,15 @@ def test_shots_begin_when_a_user_would_trust_them_and_manoeuvres_fall_among_them
 
 
 def test_what_is_repeated_is_of_the_paper_and_exists() -> None:
-    own = {trial.key for trial in trials() if trial.own}
-    assert set(REPEATED) <= own
+    of_paper = {trial.key for trial in trials() if trial.of_paper}
+    assert set(REPEATED) <= of_paper
     assert len(SEEDS) >= 3
 
 
 def test_keys_are_unique_and_no_experiment_is_left_out_of_a_section() -> None:
     keys = [trial.key for trial in trials()]
     assert len(set(keys)) == len(keys)
-    assert {trial.own for trial in trials()} == {True, False}
+    assert {trial.of_paper for trial in trials()} == {True, False}
 
 
 @pytest.mark.parametrize("given", ["five", "5;6", "", "5,-1"])

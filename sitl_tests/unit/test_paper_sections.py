@@ -105,7 +105,7 @@ def test_dots_and_bars_of_the_experiments_carry_their_sigma(figures: dict[str, A
     bars = next(figure for title, figure in figures.items() if title.startswith("Range errors"))
     rigid = next(entry for entry in bars.axes[0].containers if entry.get_label() == "rigid")
     low, high = np.array(rigid.errorbar.lines[2][0].get_segments())[:, :, 1].T
-    rms = np.array([results.peaks[key]["rigid"]["rms_percent"] for key in results.own])
+    rms = np.array([results.peaks[key]["rigid"]["rms_percent"] for key in results.of_paper])
     np.testing.assert_allclose(high - low, 2.0 * rms / np.sqrt(2.0 * len(TOES_MRAD)))
 
 
@@ -188,7 +188,9 @@ def test_what_is_within_two_sigma_of_the_print_is_not_worse(results: Results) ->
         true = 1.0 / before.trial.distance_m
         reading = [Reading(1.0 / (before.trial.distance_m + 1e-3 * mm), true) for mm in cone_mm]
         made = shot(before.trial, 1.98, 4.0, planned=True)
-        shots = tuple(dataclasses.replace(made, whole={**made.whole, "corrected": each}) for each in reading)
+        shots = tuple(
+            dataclasses.replace(made, all_features=made.all_features | {"corrected": each}) for each in reading
+        )
         flown = dataclasses.replace(before.flown, shots=shots)
         outcomes = {**results.outcomes, "wing_cone": dataclasses.replace(before, flown=flown)}
         return digest.weak_points(Results(5, outcomes, results.peaks, results.randoms))["than_printed"]
@@ -224,7 +226,7 @@ def test_the_sentence_of_the_readme_is_in_the_numbers_with_the_ranges_that_it_te
 def test_the_first_page_tells_what_is_published(results: Results) -> None:
     """Trusted shots alone are published: those of the peaks here, none of the random instants."""
     section = digest.section(results, {"share_of_slope_variance": 0.9999})
-    served = [key for key in results.own if results.peaks[key]["shots"]]
+    served = [key for key in results.of_paper if results.peaks[key]["shots"]]
     assert f"{4 * len(served)} of {4 * len(served)} shots" in section.findings[1]
     row = next(row for row in section.tables[0].rows if row[0] == "Table 4, error at 60 m")
     assert row[3] == f"{percent(results.peaks['wing_60m']['published']['rms_percent'] / 100)} (4 of 4)"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.evaluation.true_geometry import Judge
+from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, MatchSet
@@ -37,7 +37,7 @@ def test_bending_is_toe_of_a_pair_that_looks_down_and_roll_of_one_that_looks_ahe
     name: str, toe_per_slope: float
 ) -> None:
     flight = build_flight(load_airframe(name), 1, 3.0)
-    judge = Judge(flight, Renderer(flight.real.actual, flight.truth, ground_scene(1), 1), Settings(), 0)
+    judge = TrueGeometry(flight, Renderer(flight.real.actual, flight.truth, ground_scene(1), 1), Settings(), 0)
     slope_rad = np.array([judge.true_deflection(round(1e9 * t_s)).slope_rad.sum() for t_s in EXPOSED_S])
     toe_rad = np.array([judge.true_toe_rad(_exposed(t_s)) for t_s in EXPOSED_S])
     assert np.ptp(slope_rad) > 4.0 * MOUNTED_RAD

@@ -17,11 +17,11 @@ import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.lockstep import LockStepService
-from companion.evaluation.flight_evaluation import Shots, collect, judged, replayed, vertical_only
+from companion.evaluation.flight_evaluation import Shots, collect, replayed, score_shots, vertical_only
 from companion.evaluation.metrics import DISTANCES_M, FAST_HZ, near, slow_part
 from companion.evaluation.rendered_shots import Stage
 from companion.evaluation.replay import own_inputs
-from companion.evaluation.true_geometry import Judge
+from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -48,7 +48,7 @@ def one(airframe: Airframe, seed: int, duration_s: float) -> Paired:
     """Fly a seed and judge it both ways."""
     flight, settings = build_flight(airframe, seed, duration_s), Settings()
     stage = Stage.of(flight, settings, EPOCH_NS)
-    judge = Judge(flight, stage.renderer(), settings, EPOCH_NS)
+    judge = TrueGeometry(flight, stage.renderer(), settings, EPOCH_NS)
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "flight.mcap"
         with LockStepService(ServiceConfig(airframe, settings, (), recording=recording), flight) as service:
@@ -57,7 +57,7 @@ def one(airframe: Airframe, seed: int, duration_s: float) -> Paired:
         opened = open_recording(recording)
         flown = collect(opened.records())
         inputs = vertical_only(own_inputs(opened.records(), opened.airframe, settings))
-        shots, alone = judged(judge, flown), judged(judge, replayed(inputs, airframe, settings))
+        shots, alone = score_shots(judge, flown), score_shots(judge, replayed(inputs, airframe, settings))
     _, ours, theirs = np.intersect1d(shots.t_s, alone.t_s, assume_unique=True, return_indices=True)
     toes = [float(judge.true_deflection(int(flown.matches[i].mid_exposure_ns[0])).slope_rad.sum()) for i in shots.ids]
     toe = np.array(toes) - slow_part(shots.t_s, np.array(toes), FAST_HZ)

@@ -21,9 +21,9 @@ from companion.core.pipeline import start, step
 from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import divergence
-from companion.evaluation.flight_evaluation import SETTLED_S, collect, judged, matches_of, pulls
+from companion.evaluation.flight_evaluation import SETTLED_S, collect, matches_of, pulls, score_shots
 from companion.evaluation.rendered_shots import Stage, Studio
-from companion.evaluation.true_geometry import Judge
+from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -66,7 +66,7 @@ def one(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flo
     """One flight."""
     flight = build_flight(airframe, seed, duration_s)
     stage = Stage.of(flight, Settings(), HOST_EPOCH_NS)
-    judge, studio = Judge(flight, stage.renderer(), stage.settings, HOST_EPOCH_NS), Studio(stage)
+    judge, studio = TrueGeometry(flight, stage.renderer(), stage.settings, HOST_EPOCH_NS), Studio(stage)
     edges_s = np.arange(_FIRST_S, duration_s - _LAST_S, 1.0 / rate_hz)
     shots = matches_of(studio.shoot(pull) for pull in pulls(edges_s, HOST_EPOCH_NS))
     state = start(airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
@@ -75,7 +75,7 @@ def one(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flo
         state, outputs = step(state, record)
         records += [record, *outputs] if isinstance(record, MatchSet) else outputs
     flown = collect(records)
-    scored = judged(judge, flown)
+    scored = score_shots(judge, flown)
     ranges = [flown.ranges[pair_id] for pair_id in scored.ids]
     trusted = np.array([entry.trusted for entry in ranges], dtype=bool)
     corrected = scored.ways["corrected"]
@@ -88,7 +88,7 @@ def one(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flo
     )
 
 
-def _true_toe(judge: Judge, matches: MatchSet) -> float:
+def _true_toe(judge: TrueGeometry, matches: MatchSet) -> float:
     """True divergence beyond the believed ground calibration, each camera at its own exposure."""
     bends = [judge.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns]
     moving = exposures(judge.renderer.rig, TipMotion.from_airframe(judge.flight.real.actual), bends[0], bends[1])

@@ -36,11 +36,11 @@ def take_views(
     live, ends, last = LiveViews(board, wanted), time.monotonic() + seconds, ""
     try:
         while time.monotonic() < ends and (not live.taken or live.advice):
-            told = live.add(list(pair.poll(_POLL_S)))
-            if told is not None and told != last:
-                say(_line(live, told))
-                last = told
-            if told is not None and told.startswith("took"):
+            sentence = live.add(list(pair.poll(_POLL_S)))
+            if sentence is not None and sentence != last:
+                say(_line(live, sentence))
+                last = sentence
+            if sentence is not None and sentence.startswith("took"):
                 _keep(live.taken[-1], images, folder / _PREVIEW)
     except KeyboardInterrupt:
         say("stopped: calibrating with what there is")
@@ -51,9 +51,9 @@ def take_views(
     return images
 
 
-def _line(live: LiveViews, told: str) -> str:
+def _line(live: LiveViews, sentence: str) -> str:
     rest = live.advice if live.taken else []
-    return f"{len(live.taken):3d} views  {told}" + (f"; next: {rest[0]}" if rest else "")
+    return f"{len(live.taken):3d} views  {sentence}" + (f"; next: {rest[0]}" if rest else "")
 
 
 def _keep(taken: Taken, images: Path, preview: Path) -> None:

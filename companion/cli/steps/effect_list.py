@@ -17,11 +17,11 @@ def add_effect_list(parser: argparse.ArgumentParser, heading: str) -> None:
 
     The heading says what the names are good for in this command; its ``{count}`` becomes their number.
     """
-    known = catalogue()
-    lines = [*textwrap.wrap(heading.format(count=len(known)), _WIDTH)]
+    effects = catalogue()
+    lines = [*textwrap.wrap(heading.format(count=len(effects)), _WIDTH)]
     for group in Group:
         lines += ["", f"{group}:"]
-        lines += [_row(effect) for effect in known.values() if effect.group is group]
+        lines += [_row(effect) for effect in effects.values() if effect.group is group]
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "\n".join(lines)
 

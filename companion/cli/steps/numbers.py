@@ -28,7 +28,7 @@ def number(above: float, most: float, unit: str) -> Callable[[str], float]:
     return parse
 
 
-def whole(least: int, most: int) -> Callable[[str], int]:
+def integer(least: int, most: int) -> Callable[[str], int]:
     """A whole number in this range; for argparse."""
 
     def parse(text: str) -> int:
@@ -43,4 +43,4 @@ def whole(least: int, most: int) -> Callable[[str], int]:
     return parse
 
 
-seed = whole(0, 2**31 - 1)
+seed = integer(0, 2**31 - 1)

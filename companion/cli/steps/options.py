@@ -57,8 +57,8 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
     for problem in problems:
         print(f"{path}: {problem}", file=sys.stderr)
     if values:
-        told = ", ".join(f"{name} {value:g}" for name, value in sorted(values.items()))
-        print(f"set from a ground station: {told} (kept in {path})", file=sys.stderr)
+        listed = ", ".join(f"{name} {value:g}" for name, value in sorted(values.items()))
+        print(f"set from a ground station: {listed} (kept in {path})", file=sys.stderr)
     return Stored(values).over(settings)
 
 

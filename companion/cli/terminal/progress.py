@@ -56,11 +56,11 @@ class Progress:
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 
     def _line(self, done_s: float, took_s: float) -> str:
-        share = self._share(done_s)
-        percentage = "" if share is None else f"{100.0 * min(1.0, share):3.0f} %, "
+        fraction = self._fraction(done_s)
+        percentage = "" if fraction is None else f"{100.0 * min(1.0, fraction):3.0f} %, "
         return f"{self._what} {percentage}{done_s:.0f} s of flight in {took_s:.0f} s"
 
-    def _share(self, done_s: float) -> float | None:
+    def _fraction(self, done_s: float) -> float | None:
         if self._length_ns:
             return done_s / (1e-9 * self._length_ns)
         return None if self._read_share is None else self._read_share()

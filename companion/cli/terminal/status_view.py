@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.errors import missing_extra
-from companion.evaluation.plan_outcomes import Fates
+from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.records import (
     CorrectedRange,
     Health,
@@ -38,7 +38,7 @@ class View:
     range: CorrectedRange | None = None
     no_range: NoRange | None = None
     status: ServiceStatus | None = None
-    fates: Fates = field(default_factory=Fates)
+    plan_outcomes: PlanOutcomes = field(default_factory=PlanOutcomes)
     ranges: Counter[str] = field(default_factory=Counter)
     recent: list[str] = field(default_factory=list)
     progress: str = ""
@@ -49,7 +49,7 @@ class View:
 
     def take(self, record: Record) -> None:
         """Remember what the next drawing needs."""
-        self.fates.take(record)
+        self.plan_outcomes.take(record)
         if isinstance(record, ModeState):
             self.mode = record
         elif isinstance(record, CorrectedRange):
@@ -109,8 +109,8 @@ class View:
         if self.mode is not None:
             rows.append(("bending", _mode(self.mode.symmetric)))
             rows.append(("antisym.", _mode(self.mode.antisymmetric)))
-        if fates := self.fates.counts():
-            rows.append(("shots", ", ".join(f"{count} {fate}" for fate, count in fates.items())))
+        if plan_outcomes := self.plan_outcomes.counts():
+            rows.append(("shots", ", ".join(f"{count} {outcome}" for outcome, count in plan_outcomes.items())))
         if self.range is not None:
             rows.append(("range", _range(self.range)))
             rows.append(("published", ", ".join(f"{count} {kind}" for kind, count in self.ranges.items())))

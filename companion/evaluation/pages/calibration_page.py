@@ -97,9 +97,9 @@ def _figure(fit: RigFit, used: list[BoardView], shape: tuple[int, ...]) -> Any:
     grid = figure.add_gridspec(2, 2, height_ratios=(1.3, 1.0))
     for column, side in enumerate(Side):
         axis = figure.add_subplot(grid[0, column])
-        seen = [view.left if side is Side.LEFT else view.right for view in used]
+        corners_of_views = [view.left if side is Side.LEFT else view.right for view in used]
         off = [np.linalg.norm(pair[side], axis=1) for pair in fit.bundle.residuals_px]
-        _coverage(axis, seen, np.concatenate(off), shape)
+        _coverage(axis, corners_of_views, np.concatenate(off), shape)
         axis.set_title(f"{side.name.lower()} image: corners of all views; hatched: no corner ever", fontsize=10)
     axis = figure.add_subplot(grid[1, :])
     errors, place = fit.bundle.view_errors_px(), np.arange(len(used))
@@ -115,16 +115,16 @@ def _figure(fit: RigFit, used: list[BoardView], shape: tuple[int, ...]) -> Any:
     return figure
 
 
-def _coverage(axis: Any, seen: list[Corners], off: Floats, shape: tuple[int, ...]) -> None:
+def _coverage(axis: Any, corners_of_views: list[Corners], off: Floats, shape: tuple[int, ...]) -> None:
     from matplotlib.patches import Rectangle
 
     rows_px, columns_px = shape[:2]
     width, height = columns_px / CELLS, rows_px / CELLS
-    filled = {cell for corners in seen for cell in cells(corners, (columns_px, rows_px))}
+    filled = {cell for corners in corners_of_views for cell in cells(corners, (columns_px, rows_px))}
     for column, row in ((c, r) for c in range(CELLS) for r in range(CELLS) if (c, r) not in filled):
         where = (column * width, row * height)
         axis.add_patch(Rectangle(where, width, height, fc="#fbe9e1", ec=VERMILLION, hatch="//", lw=0.0))
-    pixels = np.concatenate([corners.pixels for corners in seen])
+    pixels = np.concatenate([corners.pixels for corners in corners_of_views])
     shown = axis.scatter(pixels[:, 0], pixels[:, 1], c=off, s=6, cmap="viridis", vmax=float(np.percentile(off, 98)))
     axis.figure.colorbar(shown, ax=axis, shrink=0.8, label="residual, px")
     for k in range(1, CELLS):
@@ -151,8 +151,8 @@ def _views(fit: RigFit, pairs: Pairs, board: Board) -> list[Block]:
 
 def _drawn(image: Bytes, board: Board, residuals: Floats | None) -> Bytes:
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-    seen = find_corners(image, board)
-    pixels = np.empty((0, 2)) if seen is None else seen.pixels
+    corners = find_corners(image, board)
+    pixels = np.empty((0, 2)) if corners is None else corners.pixels
     for k, (x, y) in enumerate(pixels):
         cv2.circle(picture, (round(x), round(y)), 3, (0, 200, 0), 1, cv2.LINE_AA)
         if residuals is not None and len(residuals) == len(pixels):

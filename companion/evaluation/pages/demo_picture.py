@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.evaluation.flight_evaluation import Debrief
+from companion.evaluation.flight_evaluation import FlightEvaluation
 from companion.evaluation.metrics import DISTANCES_M, near
 from companion.records import Floats
 from companion.reporting.plotting import BLUE, GREY, INK, ORANGE, VERMILLION, dots, headline, new_figure, with_gaps
@@ -24,10 +24,10 @@ _LABELS = {
 }
 
 
-def draw(debrief: Debrief, path: Path) -> None:
+def draw(evaluation: FlightEvaluation, path: Path) -> None:
     """Draw ``summary.png``."""
     figure = new_figure(13, 8.8)
-    plain = debrief.plain
+    plain = evaluation.plain
     truth = plain["truth"]
     what = (
         f"{plain['airframe']}, seed {plain['seed']}: a {truth['frequency_hz']:.2f} Hz wing that gusts bend by "
@@ -36,10 +36,10 @@ def draw(debrief: Debrief, path: Path) -> None:
     headline(figure, _figure_that_counts(plain), what)
     rows = [["range", "toe"], ["range", "off"], ["errors", "blur"]]
     axes: dict[str, Any] = figure.subplot_mosaic(rows, height_ratios=(1.2, 0.8, 2.0))
-    _ranges(axes["range"], debrief)
-    _toe(axes["toe"], axes["off"], debrief)
-    _errors(axes["errors"], debrief)
-    _blur(axes["blur"], debrief)
+    _ranges(axes["range"], evaluation)
+    _toe(axes["toe"], axes["off"], evaluation)
+    _errors(axes["errors"], evaluation)
+    _blur(axes["blur"], evaluation)
     figure.savefig(path, dpi=110)
 
 
@@ -55,8 +55,8 @@ def _figure_that_counts(plain: dict[str, Any]) -> str:
     return f"{100.0 * removed:.1f} % of the error removed: {change}; {trusted}"
 
 
-def _ranges(axis: Any, debrief: Debrief) -> None:
-    series = debrief.series
+def _ranges(axis: Any, evaluation: FlightEvaluation) -> None:
+    series = evaluation.series
     for name in ("rigid", "rigid_in_trim", "corrected"):
         t_s, range_m = series[f"{name}.t_s"], series[f"{name}.range_m"]
         inside = np.isfinite(range_m) & (range_m < 250)
@@ -77,15 +77,15 @@ def _by_surface(t_s: Floats, range_m: Floats) -> tuple[Floats, Floats]:
     return np.insert(t_s, jumps, np.nan), np.insert(range_m, jumps, np.nan)
 
 
-def _toe(axis: Any, below: Any, debrief: Debrief) -> None:
+def _toe(axis: Any, below: Any, evaluation: FlightEvaluation) -> None:
     """A few seconds, so that single oscillations can be seen; what is wrong with the estimate below it."""
-    series = debrief.series
+    series = evaluation.series
     start = series["t_s"][len(series["t_s"]) // 2] if len(series["t_s"]) else 0.0
     window = (series["t_s"] >= start) & (series["t_s"] <= start + 6)
     t_s, sigma = series["t_s"][window], 2e3 * series["toe_sigma_rad"][window]
-    true, told = 1e3 * series["true_toe_rad"][window], 1e3 * series["toe_rad"][window]
+    true, estimated = 1e3 * series["true_toe_rad"][window], 1e3 * series["toe_rad"][window]
     axis.plot(t_s, true, "o", ms=7, mfc="none", color=INK, label="true")
-    dots(axis, t_s, told, 0.5 * sigma, _COLOURS["corrected"], "estimated, ±1 sigma")
+    dots(axis, t_s, estimated, 0.5 * sigma, _COLOURS["corrected"], "estimated, ±1 sigma")
     axis.set_title("Relative toe at the shots (six seconds)", loc="left")
     axis.set_ylabel("toe, mrad")
     axis.legend(**_BESIDE_TITLE)
@@ -96,18 +96,18 @@ def _toe(axis: Any, below: Any, debrief: Debrief) -> None:
     below.legend(**_BESIDE_TITLE)
 
 
-def _errors(axis: Any, debrief: Debrief) -> None:
+def _errors(axis: Any, evaluation: FlightEvaluation) -> None:
     names = ("rigid", "rigid_in_trim", "corrected", "oracle")
     width = 0.8 / len(names)
     for k, name in enumerate(names):
-        z_true = debrief.series[f"{name}.z_true_m"]
+        z_true = evaluation.series[f"{name}.z_true_m"]
         named = False
-        error = np.abs(debrief.series[f"{name}.range_m"] - z_true)
+        error = np.abs(evaluation.series[f"{name}.range_m"] - z_true)
         for i, distance_m in enumerate(DISTANCES_M):
             some = error[near(z_true, distance_m)]
             if not len(some):
                 continue
-            median, p95 = (float(np.percentile(some, share, method="lower")) for share in (50, 95))
+            median, p95 = (float(np.percentile(some, rank, method="lower")) for rank in (50, 95))
             x = i + (k - 1.5) * width
             axis.bar(x, median, width * 0.9, color=_COLOURS[name], label=None if named else _LABELS[name])
             named = True
@@ -123,14 +123,16 @@ def _errors(axis: Any, debrief: Debrief) -> None:
     axis.legend(fontsize=8)
 
 
-def _blur(axis: Any, debrief: Debrief) -> None:
-    found = {
-        name: debrief.series[f"blur.{name}"] for name in ("at_plan", "at_random") if f"blur.{name}" in debrief.series
+def _blur(axis: Any, evaluation: FlightEvaluation) -> None:
+    below = {
+        name: evaluation.series[f"blur.{name}"]
+        for name in ("at_plan", "at_random")
+        if f"blur.{name}" in evaluation.series
     }
     labels = {"at_plan": "triggered at peaks", "at_random": "triggered at random"}
-    for name, values in found.items():
-        share = np.arange(1, len(values) + 1) / max(len(values), 1)
-        axis.plot(np.sort(values), 100 * share, lw=2, label=labels[name],
+    for name, values in below.items():
+        rank = np.arange(1, len(values) + 1) / max(len(values), 1)
+        axis.plot(np.sort(values), 100 * rank, lw=2, label=labels[name],
                   color=_COLOURS["corrected" if name == "at_plan" else "rigid_in_trim"])  # fmt: skip
     axis.set(title="Blur that the bending wing causes", xlabel="px over the exposure", ylabel="% of the shots below")
     axis.set(xlim=(0, None), ylim=(0, 100))

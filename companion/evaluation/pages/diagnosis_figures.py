@@ -22,11 +22,11 @@ _WIDTHS = {BEFORE: 3.0, AFTER: 1.2}  # one lies on the other where they agree, a
 Fits = Sequence[tuple[Expectation, str, str]]
 
 
-def fits_of(found: Diagnosis) -> list[tuple[Expectation, str, str]]:
+def fits_of(diagnosis: Diagnosis) -> list[tuple[Expectation, str, str]]:
     """Fits to draw: the believed model, and the extended one where there is one; with colour and label."""
-    fits = [(found.null.expectations[0], BEFORE, "believed model, fitted")]
-    if len(found.final.terms) > len(found.null.terms):
-        fits.append((found.final.expectations[0], AFTER, "extended model"))
+    fits = [(diagnosis.null.expectations[0], BEFORE, "believed model, fitted")]
+    if len(diagnosis.final.terms) > len(diagnosis.null.terms):
+        fits.append((diagnosis.final.expectations[0], AFTER, "extended model"))
     return fits
 
 
@@ -56,9 +56,9 @@ def innovations(fits: Fits, model: FlightModel) -> Any:
     """Autocorrelation of what is left, the symmetric mode by amplitude, and the force that is missing."""
     figure, axes = _figure(3.3, 4)
     for fitted, colour, label in fits:
-        found = autocorrelation(model, fitted)
-        axes[0].plot(found.lag_s, found.values.T, color=colour, lw=0.8, label=label)
-        axes[0].axhspan(-found.bound, found.bound, color=DATA, alpha=0.15, lw=0)
+        diagnosis = autocorrelation(model, fitted)
+        axes[0].plot(diagnosis.lag_s, diagnosis.values.T, color=colour, lw=0.8, label=label)
+        axes[0].axhspan(-diagnosis.bound, diagnosis.bound, color=DATA, alpha=0.15, lw=0)
         spine = backbone(model, fitted)
         millimetres = 1e3 * spine.amplitude_m
         axes[1].errorbar(millimetres, spine.frequency_hz, spine.frequency_sigma_hz, color=colour, fmt="o-", ms=3, lw=1)
@@ -99,13 +99,13 @@ def ranges(fits: Fits, model: FlightModel) -> Any:
     return figure
 
 
-def screening(found: Diagnosis) -> Any:
+def screening(diagnosis: Diagnosis) -> Any:
     """Strength of the leading effects, and how far each can be told from the others."""
-    shown = found.screening.candidates[:_SHOWN]
+    shown = diagnosis.screening.candidates[:_SHOWN]
     figure = new_figure(11.5, 4.8)
     bars, matrix = figure.subplots(1, 2, width_ratios=(1.2, 1))
     names = [entry.name + (f" ({entry.term.channel})" if entry.term.channel else "") for entry in shown]
-    named = {cause.term.effect.name for cause in found.causes}
+    named = {cause.term.effect.name for cause in diagnosis.causes}
     bars.barh(range(len(shown)), [e.z for e in shown], color=[AFTER if e.name in named else DATA for e in shown])
     bars.set_yticks(range(len(shown)), names, fontsize=8)
     bars.invert_yaxis()
@@ -113,7 +113,7 @@ def screening(found: Diagnosis) -> Any:
     bars.set_title("Strength of each named effect alone (dashed: needed)", fontsize=10)
     bars.set_xlabel("sigma of its efficient score")
     _plain(bars)
-    corner = np.abs(found.screening.correlation[: len(shown), : len(shown)])
+    corner = np.abs(diagnosis.screening.correlation[: len(shown), : len(shown)])
     image = matrix.imshow(corner, vmin=0, vmax=1, cmap="Blues")
     matrix.set_xticks(range(len(shown)), names, rotation=90, fontsize=7)
     matrix.set_yticks(range(len(shown)), [""] * len(shown))

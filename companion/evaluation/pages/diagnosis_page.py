@@ -18,9 +18,9 @@ _CHECKS = 12  # rows of a legible table
 _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}
 
 
-def write_report(found: Diagnosis, models: Sequence[FlightModel], plain: dict[str, Any], path: Path) -> None:
+def write_report(diagnosis: Diagnosis, models: Sequence[FlightModel], plain: dict[str, Any], path: Path) -> None:
     """Write the page."""
-    fits, model = figures.fits_of(found), models[0]
+    fits, model = figures.fits_of(diagnosis), models[0]
     body: list[Block] = [
         Answers([(_ASKED[key], plain["words"][key]) for key in _ASKED]),
         *_causes(plain),
@@ -31,16 +31,16 @@ def write_report(found: Diagnosis, models: Sequence[FlightModel], plain: dict[st
     ]
     if model.observations.toe is not None:
         body.append(embed(figures.ranges(fits, model), "range residuals"))
-    body += [*_views(plain), *_gain(found, plain)]
-    if found.verdict is not DiagnosisVerdict.NOT_IDENTIFIABLE:
+    body += [*_views(plain), *_gain(diagnosis, plain)]
+    if diagnosis.verdict is not DiagnosisVerdict.NOT_IDENTIFIABLE:
         body += [
             Heading("What was tested, and what cannot be told apart"),
-            embed(figures.screening(found), "strength of each effect and confusion matrix"),
+            embed(figures.screening(diagnosis), "strength of each effect and confusion matrix"),
         ]
     body += [*_advices(plain), *_checks(plain), *_parameters(plain), *_notes(plain)]
     page = Page(
-        title=f"Diagnosis: {found.verdict}", headline=sentence(found), body=body, subject=_what(plain, models),
-        grade=str(found.verdict),
+        title=f"Diagnosis: {diagnosis.verdict}", headline=sentence(diagnosis), body=body, subject=_what(plain, models),
+        grade=str(diagnosis.verdict),
     )  # fmt: skip
     path.write_text(render(page), encoding="utf-8")
 
@@ -57,9 +57,9 @@ def _causes(plain: dict[str, Any]) -> list[Block]:
     if not causes:
         return []
     rows = [_cause_row(cause) for cause in causes]
-    found: list[Block] = [Heading("Causes, strongest first")]
-    found.append(Table(["cause", "parameters", "log Bayes factor", "BIC", "cannot be told from"], rows))
-    return found
+    blocks: list[Block] = [Heading("Causes, strongest first")]
+    blocks.append(Table(["cause", "parameters", "log Bayes factor", "BIC", "cannot be told from"], rows))
+    return blocks
 
 
 def _advices(plain: dict[str, Any]) -> list[Block]:
@@ -68,11 +68,11 @@ def _advices(plain: dict[str, Any]) -> list[Block]:
 
 def _views(plain: dict[str, Any]) -> list[Block]:
     """How far each view lies from what the model itself would show."""
-    views = sorted(plain["views"], key=lambda one: -_change(one))
-    rows = [[one["view"], _sigmas(one["before"]), _sigmas(one["after"]), f"{_change(one):+.1f}"] for one in views]
+    views = sorted(plain["views"], key=lambda view: -_change(view))
+    rows = [[view["view"], _sigmas(view["before"]), _sigmas(view["after"]), f"{_change(view):+.1f}"] for view in views]
     if not rows:
         return []
-    last = [abs(one["before"] if one["after"] is None else one["after"]) for one in views]
+    last = [abs(view["before"] if view["after"] is None else view["after"]) for view in views]
     what = (
         "Each view as a number: standard deviations from recordings simulated from the same model (5: no chance), "
         "those that changed most first; marked is what is left worst."
@@ -117,20 +117,20 @@ def _left(plain: dict[str, Any]) -> list[Block]:
     if residual is None:
         return []
     rows = [[entry["test"], f"{entry['z']:+.1f}"] for entry in residual["failed"]]
-    found: list[Block] = [Heading("What is left over")]
+    blocks: list[Block] = [Heading("What is left over")]
     if plain["nearest_causes"]:
         near = ", ".join(cause["name"] for cause in plain["nearest_causes"])
-        found.append(Paragraph(f"Nearest in the catalogue: {near}. It is not the cause, or not all of it."))
-    found.append(Table(["what the extended model still does not explain", "sigma"], rows))
+        blocks.append(Paragraph(f"Nearest in the catalogue: {near}. It is not the cause, or not all of it."))
+    blocks.append(Table(["what the extended model still does not explain", "sigma"], rows))
     follows = [f"{entry['follows']} ({entry['z']:+.1f} sigma)" for entry in residual["latent_force"]]
     if follows:
-        found.append(Paragraph(f"A force without a name would follow: {', '.join(follows)}."))
-    return found
+        blocks.append(Paragraph(f"A force without a name would follow: {', '.join(follows)}."))
+    return blocks
 
 
-def _gain(found: Diagnosis, plain: dict[str, Any]) -> list[Block]:
+def _gain(diagnosis: Diagnosis, plain: dict[str, Any]) -> list[Block]:
     gain = plain["gain"]
-    if gain is None or found.gain is None:
+    if gain is None or diagnosis.gain is None:
         return []
     rows = [
         [name, f"{entry['after']:+.1f} nat", f"{entry['interval'][0]:.1f} to {entry['interval'][1]:.1f}"]
@@ -138,13 +138,15 @@ def _gain(found: Diagnosis, plain: dict[str, Any]) -> list[Block]:
     ]
     body: list[Block] = [Heading("What it is worth, on blocks that were not fitted")]
     body.append(Table(["prediction log score", "gain", "95 % (block bootstrap)"], rows))
-    if found.gain.toe_rms_rad is not None:
+    if diagnosis.gain.toe_rms_rad is not None:
         metres = [
             [f"{distance} m", f"{entry['before']:.2f} m", f"{entry['after']:.2f} m"]
             for distance, entry in gain["range_rms_m"].items()
         ]
         body.append(Table(["range error at (rms, matching noise included)", "before", "after"], metres))
-        body.append(embed(figures.gains(found.gain.range_rms_m, found.gain.toe_rms_rad), "range error by distance"))
+        body.append(
+            embed(figures.gains(diagnosis.gain.range_rms_m, diagnosis.gain.toe_rms_rad), "range error by distance")
+        )
     return body
 
 

@@ -37,15 +37,15 @@ def verdict(log: FlightLog) -> FlightVerdict:
         return FlightVerdict("not-identifiable", "No wing was tracked: nothing can be said of ranges", ())
     if not total:
         return FlightVerdict("not-identifiable", "No range was measured: the cameras gave no matched pair", ())
-    share = len(published) / total
-    headline = f"{len(published)} of {total} ranges were published ({100 * share:.0f} %)"
+    published_ratio = len(published) / total
+    headline = f"{len(published)} of {total} ranges were published ({100 * published_ratio:.0f} %)"
     if published:
         relative = np.median([entry.sigma_m / entry.range_m for entry in published])
         headline += f", median sigma {100 * relative:.1f} % of the range"
     reasons = tuple(f"{count} withheld: {reason}" for reason, count in log.withheld().most_common())
     silence_s = log.longest_silence_s()
     reasons += (f"longest time without a range {silence_s:.1f} s",) if published else ()
-    key = "adequate" if share >= _USABLE_SHARE and silence_s < _LONG_SILENCE_S else "unexplained"
+    key = "adequate" if published_ratio >= _USABLE_SHARE and silence_s < _LONG_SILENCE_S else "unexplained"
     return FlightVerdict(key, headline, reasons)
 
 
@@ -122,13 +122,17 @@ def _wing(log: FlightLog) -> Iterator[Block]:
 
 def _lines_sentence(log: FlightLog) -> str:
     """Sharp lines of each station, which an engine, a propeller or a loose part makes."""
-    told = []
+    lines_of_stations = []
     for station in Station:
         spectrum = log.spectrum(station)
         lines = spectrum.lines_hz() if spectrum is not None else []
         if lines:
-            told.append(f"{station.name.lower()} {', '.join(f'{line:.1f}' for line in lines)} Hz")
-    return f"Vibration lines: {'; '.join(told)}" if told else "No sharp vibration line at root or tips"
+            lines_of_stations.append(f"{station.name.lower()} {', '.join(f'{line:.1f}' for line in lines)} Hz")
+    return (
+        f"Vibration lines: {'; '.join(lines_of_stations)}"
+        if lines_of_stations
+        else "No sharp vibration line at root or tips"
+    )
 
 
 def _triggers(log: FlightLog) -> Iterator[Block]:

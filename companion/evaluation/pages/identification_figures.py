@@ -17,7 +17,7 @@ from companion.reporting.plotting import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY,
 _LEADING, _TRAILING = BLUE, VERMILLION
 
 
-def draw_test(test: VibrationTest, modes: list[IdentifiedMode], found: list[BendingMode], folder: Path) -> None:
+def draw_test(test: VibrationTest, modes: list[IdentifiedMode], bending: list[BendingMode], folder: Path) -> None:
     """Write ``responses.png``, ``repeatability.png`` and ``shapes.png``."""
     figure = new_figure(11, 5)
     axis = figure.subplots()
@@ -36,8 +36,8 @@ def draw_test(test: VibrationTest, modes: list[IdentifiedMode], found: list[Bend
     headline(figure, f"{len(resolved)} modes that the record resolves: " + _listed(resolved))
     figure.savefig(folder / "responses.png", dpi=110)
     _draw_repeatability([mode for mode in modes if mode.resolved], folder)
-    if found:
-        _draw_shapes(test, found, folder)
+    if bending:
+        _draw_shapes(test, bending, folder)
 
 
 def _listed(modes: list[IdentifiedMode]) -> str:
@@ -70,10 +70,10 @@ def _draw_repeatability(modes: list[IdentifiedMode], folder: Path) -> None:
     figure.savefig(folder / "repeatability.png", dpi=110)
 
 
-def _draw_shapes(test: VibrationTest, found: list[BendingMode], folder: Path) -> None:
-    figure = new_figure(14, 3.3 * len(found))
+def _draw_shapes(test: VibrationTest, bending: list[BendingMode], folder: Path) -> None:
+    figure = new_figure(14, 3.3 * len(bending))
     span = np.array([point.span_m for point in test.points])
-    for axes, each in zip(figure.subplots(len(found), 3, squeeze=False), found, strict=True):
+    for axes, each in zip(figure.subplots(len(bending), 3, squeeze=False), bending, strict=True):
         mode, kind = each.mode, "symmetric" if each.sign > 0 else "antisymmetric"
         folded = relative_to_root(mode, test.points, each.sign)
         for leading, colour, name in ((True, _LEADING, "leading edge"), (False, _TRAILING, "trailing edge")):
@@ -95,7 +95,7 @@ def _draw_shapes(test: VibrationTest, found: list[BendingMode], folder: Path) ->
         for axis, what in zip(axes, ("of the largest", "of the largest", "slope, 1/m"), strict=True):
             axis.set(xlabel="span, m", ylabel=what if what.startswith("slope") else f"deflection, {what}")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="upper right", ncols=2, fontsize=9, frameon=False)
-    headline(figure, "Bending modes: " + _listed([each.mode for each in found]))
+    headline(figure, "Bending modes: " + _listed([each.mode for each in bending]))
     figure.savefig(folder / "shapes.png", dpi=110)
 
 
@@ -112,6 +112,6 @@ def draw_flight(motion: WingMotion, modes: dict[str, list[AmbientMode]], folder:
             title=f"{name} acceleration of the tips", xlabel="frequency, Hz", ylabel="half spectrum, arbitrary scale"
         )
     listed = {name: ", ".join(f"{mode.frequency_hz:.2f}" for mode in family) for name, family in modes.items()}
-    told = [f"{name} {text} Hz" for name, text in listed.items() if text]
-    headline(figure, "Modes of the flight: " + ("; ".join(told) or "none"))
+    listed_modes = [f"{name} {text} Hz" for name, text in listed.items() if text]
+    headline(figure, "Modes of the flight: " + ("; ".join(listed_modes) or "none"))
     figure.savefig(folder / "spectra.png", dpi=110)

@@ -22,36 +22,40 @@ from companion.reporting.plotting import AFTER, BEFORE, DATA, new_figure
 _TWO_PI = 2.0 * np.pi
 
 
-def ringing_page(found: FreeDecayDiagnosis, scales: Mapping[str, Scale], plain: dict[str, Any], what: str) -> str:
+def ringing_page(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], plain: dict[str, Any], what: str) -> str:
     """The page of recordings in which a structure rang."""
     body: list[Block] = [
         *_causes(plain),
         Heading("What was recorded, and where the model has its modes"),
-        embed(_tracks(found), "spectrogram of each recording with the fitted frequencies"),
+        embed(_tracks(diagnosis), "spectrogram of each recording with the fitted frequencies"),
         *[
-            embed(_against_channel(found, name, scale), f"frequency and damping against {name}")
+            embed(_against_channel(diagnosis, name, scale), f"frequency and damping against {name}")
             for name, scale in scales.items()
         ],
-        embed(_backbones(found), "frequency and damping against amplitude"),
+        embed(_backbones(diagnosis), "frequency and damping against amplitude"),
         Heading("What each law is worth alone"),
         Paragraph("Evidence and usefulness are two things: a law can win on likelihood and foretell nothing."),
         _alone(plain),
         Heading("What is left"),
-        embed(_innovations(found), "autocorrelation of the innovations"),
-        embed(_forces(found), "what spring and damper leave, over deflection and speed"),
+        embed(_innovations(diagnosis), "autocorrelation of the innovations"),
+        embed(_forces(diagnosis), "what spring and damper leave, over deflection and speed"),
         *_left(plain),
     ]
-    seconds = sum(float(one.t_s[-1]) for one in found.null.model.recordings)
+    seconds = sum(float(recording.t_s[-1]) for recording in diagnosis.null.model.recordings)
     return _rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, {seconds:.0f} s, fitted jointly", body)
 
 
-def vibration_page(found: Comparison, runs: Sequence[VibrationRun], plain: dict[str, Any], what: str) -> str:
+def vibration_page(diagnosis: Comparison, runs: Sequence[VibrationRun], plain: dict[str, Any], what: str) -> str:
     """The page of a vibration test."""
     body: list[Block] = [
         *[Advice(f"Record: {line}.") for line in plain["advice"]],
         Heading("Frequency by run"),
-        embed(_by_run(found), "frequency of each mode by run"),
-        *([embed(_by_constant(found, runs), "frequency against what was set per run")] if found.changed else []),
+        embed(_by_run(diagnosis), "frequency of each mode by run"),
+        *(
+            [embed(_by_constant(diagnosis, runs), "frequency against what was set per run")]
+            if diagnosis.changed
+            else []
+        ),
         Heading("Responses"),
         embed(_responses(runs), "acceleration over force of every run"),
         Heading("Modes"),
@@ -108,9 +112,9 @@ def _left(plain: dict[str, Any]) -> list[Block]:
         for entry in plain["adequacy"]["after"]
     ]  # fmt: skip
     residual = plain["residual"]
-    told = [Advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
+    needed = [Advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
     heads = ["test (worst recording)", "constant frequency", "extended", ""]
-    return [*told, Table(heads, rows), *[Paragraph(note) for note in plain["notes"]]]
+    return [*needed, Table(heads, rows), *[Paragraph(note) for note in plain["notes"]]]
 
 
 def _kind(entry: dict[str, Any]) -> str:
@@ -118,36 +122,36 @@ def _kind(entry: dict[str, Any]) -> str:
     return str(entry["test"]).partition(" (")[0]
 
 
-def _tracks(found: FreeDecayDiagnosis) -> Any:
-    recordings = found.final.model.recordings
+def _tracks(diagnosis: FreeDecayDiagnosis) -> Any:
+    recordings = diagnosis.final.model.recordings
     columns = min(len(recordings), 3)
     rows = -(-len(recordings) // columns)
     figure = new_figure(11, 2.7 * rows)
     axes = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).ravel()
-    for k, (axis, one) in enumerate(zip(axes, recordings, strict=False)):
-        axis.specgram(one.up_mps2 + 1e-9, NFFT=64, noverlap=56, pad_to=512, Fs=one.rate_hz, cmap="Greys",
+    for k, (axis, recording) in enumerate(zip(axes, recordings, strict=False)):
+        axis.specgram(recording.up_mps2 + 1e-9, NFFT=64, noverlap=56, pad_to=512, Fs=recording.rate_hz, cmap="Greys",
                       vmin=-90, vmax=10)  # fmt: skip
-        modes = found.final.model.modes(found.final.values[None, :], k).omega_radps[0] / _TWO_PI
+        modes = diagnosis.final.model.modes(diagnosis.final.values[None, :], k).omega_radps[0] / _TWO_PI
         for mode, colour in zip(modes.T, (AFTER, BEFORE), strict=False):
-            axis.plot(one.t_s, mode, color=colour, lw=1.0)
-        axis.set(title=one.name, xlabel="time, s", ylabel="frequency, Hz" if k % columns == 0 else "")
+            axis.plot(recording.t_s, mode, color=colour, lw=1.0)
+        axis.set(title=recording.name, xlabel="time, s", ylabel="frequency, Hz" if k % columns == 0 else "")
     for axis in axes[len(recordings) :]:
         axis.set_visible(False)
     return figure
 
 
-def _against_channel(found: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
+def _against_channel(diagnosis: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
     figure = new_figure(11, 3.6)
     frequency, damping = figure.subplots(1, 2)
-    model = found.final.model
-    for k, one in enumerate(model.recordings):
-        track = backbone(one)
+    model = diagnosis.final.model
+    for k, recording in enumerate(model.recordings):
+        track = backbone(recording)
         at = scale.mean + scale.rms * track.channels[name]
         frequency.plot(at, track.frequency_hz, ".", ms=4, color=DATA, label="windows of 0.3 s" if k == 0 else None)
         damping.semilogy(at, np.maximum(track.damping, 1e-4), ".", ms=4, color=DATA)
-        modes = model.modes(found.final.values[None, :], k)
-        order = np.argsort(one.channels[name])
-        channel = scale.mean + scale.rms * one.channels[name][order]
+        modes = model.modes(diagnosis.final.values[None, :], k)
+        order = np.argsort(recording.channels[name])
+        channel = scale.mean + scale.rms * recording.channels[name][order]
         for j, colour in zip(range(modes.zeta.shape[2]), (AFTER, BEFORE), strict=False):
             label = ("first mode", "second mode")[j] if k == 0 else None
             frequency.plot(channel, modes.omega_radps[0, order, j] / _TWO_PI, color=colour, lw=1.2, label=label)
@@ -160,12 +164,12 @@ def _against_channel(found: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
     return figure
 
 
-def _backbones(found: FreeDecayDiagnosis) -> Any:
+def _backbones(diagnosis: FreeDecayDiagnosis) -> Any:
     figure = new_figure(11, 3.2)
     frequency, damping = figure.subplots(1, 2)
-    for one in found.final.model.recordings:
-        track = backbone(one)
-        frequency.semilogx(track.amplitude_mps2, track.frequency_hz, ".", ms=4, label=one.name)
+    for recording in diagnosis.final.model.recordings:
+        track = backbone(recording)
+        frequency.semilogx(track.amplitude_mps2, track.frequency_hz, ".", ms=4, label=recording.name)
         damping.loglog(track.amplitude_mps2, np.maximum(track.damping, 1e-4), ".", ms=4)
     for axis in (frequency, damping):
         axis.minorticks_off()
@@ -176,30 +180,32 @@ def _backbones(found: FreeDecayDiagnosis) -> Any:
     return figure
 
 
-def _innovations(found: FreeDecayDiagnosis) -> Any:
+def _innovations(diagnosis: FreeDecayDiagnosis) -> Any:
     figure = new_figure(11, 3.0)
-    whole, lags = figure.subplots(1, 2, width_ratios=(1.6, 1))
-    recordings = found.final.model.recordings
-    stages: list[tuple[FreeDecayFit, str, str]] = [(found.null, BEFORE, "constant frequency")]
-    stages += [(found.final, AFTER, "extended")] if found.accepted else []
+    series, lags = figure.subplots(1, 2, width_ratios=(1.6, 1))
+    recordings = diagnosis.final.model.recordings
+    stages: list[tuple[FreeDecayFit, str, str]] = [(diagnosis.null, BEFORE, "constant frequency")]
+    stages += [(diagnosis.final, AFTER, "extended")] if diagnosis.accepted else []
     for fitted, colour, label in stages:
         white = whitened(fitted)
-        whole.plot(recordings[0].t_s, white[0].values, color=colour, lw=0.5, label=label)
-        mean = np.mean([autocorrelation(one.values, one.quiet) for one in white], axis=0)
+        series.plot(recordings[0].t_s, white[0].values, color=colour, lw=0.5, label=label)
+        mean = np.mean([autocorrelation(recording.values, recording.quiet) for recording in white], axis=0)
         lags.plot(range(1, len(mean) + 1), mean, ".-", color=colour)
-    bound = 2.0 / np.sqrt(sum(len(one.t_s) for one in recordings))
+    bound = 2.0 / np.sqrt(sum(len(recording.t_s) for recording in recordings))
     lags.axhspan(-bound, bound, color="#00000022", lw=0)
-    whole.set(title=f"Innovations of {recordings[0].name}, in their sigma", xlabel="time, s", ylim=(-12, 12))
+    series.set(title=f"Innovations of {recordings[0].name}, in their sigma", xlabel="time, s", ylim=(-12, 12))
     lags.set(title="Autocorrelation between knocks", xlabel="lag, samples")
-    whole.legend(fontsize=8, loc="upper right")
+    series.legend(fontsize=8, loc="upper right")
     return figure
 
 
-def _forces(found: FreeDecayDiagnosis) -> Any:
+def _forces(diagnosis: FreeDecayDiagnosis) -> Any:
     figure = new_figure(11, 3.8)
     axes = figure.subplots(1, 2)
     image = None
-    for axis, fitted, title in zip(axes, (found.null, found.final), ("constant frequency", "extended"), strict=True):
+    for axis, fitted, title in zip(
+        axes, (diagnosis.null, diagnosis.final), ("constant frequency", "extended"), strict=True
+    ):
         q, v, left = restoring_force(fitted.model, fitted.values, 0)
         image = axis.pcolormesh(q, v, left.T, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
         axis.set(title=f"Left by spring and damper: {title}", xlabel="deflection, rms", ylabel="speed, rms")
@@ -207,8 +213,8 @@ def _forces(found: FreeDecayDiagnosis) -> Any:
     return figure
 
 
-def _by_run(found: Comparison) -> Any:
-    shown = [one.mode for one in found.changed] or list(found.modes)
+def _by_run(diagnosis: Comparison) -> Any:
+    shown = [recording.mode for recording in diagnosis.changed] or list(diagnosis.modes)
     figure = new_figure(11, 3.2)
     axes = np.atleast_1d(figure.subplots(1, min(len(shown), 4)))
     for axis, mode in zip(axes, shown, strict=False):
@@ -220,9 +226,9 @@ def _by_run(found: Comparison) -> Any:
     return figure
 
 
-def _by_constant(found: Comparison, runs: Sequence[VibrationRun]) -> Any:
-    leading = found.changed[0]
-    names = [one.name for one in leading.channels] or ["run_order"]
+def _by_constant(diagnosis: Comparison, runs: Sequence[VibrationRun]) -> Any:
+    leading = diagnosis.changed[0]
+    names = [recording.name for recording in leading.channels] or ["run_order"]
     figure = new_figure(11, 3.2)
     axes = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
     for axis, name in zip(axes, names, strict=True):
