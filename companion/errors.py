@@ -65,6 +65,10 @@ def missing_extra(purpose: str, extra: str) -> str:
     return f"{purpose} need more than the base installation: pip install 'spanwise[{extra}]'"
 
 
+class SetupError(SpanwiseError):
+    """The companion's system cannot be set up as asked; what was done up to there is taken back."""
+
+
 def described(error: Exception) -> str:
     """Text of an exception and the place where it was raised, on one line."""
     frames = traceback.extract_tb(error.__traceback__)

@@ -31,6 +31,7 @@ _COMMANDS = {
     "calibrate": "the stereo rig from images of a board, the cameras' mounting, the trigger latency",
     "identify": "wing modes from a ground vibration test or a flight, written as an airframe",
     "new-airframe": "the first airframe file of an aircraft, from span, frequency, mass and cameras",
+    "setup": "install the service on a companion (Raspberry Pi, Jetson), and take it back",
     "params": "the settings table: show, check or write config/PARAMETERS.md",
 }
 

@@ -55,6 +55,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"diagnosis", "core", "sim", "records", "errors", "params"}),
         frozenset({"numpy", "scipy"}),
     ),
+    "companion.setup": (frozenset({"setup", "params", "errors", "records"}), frozenset()),
     "companion.reporting": (
         frozenset({"reporting", "records", "errors"}),
         frozenset({"numpy", "matplotlib", "jinja2", "markupsafe"}),

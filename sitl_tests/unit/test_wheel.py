@@ -50,8 +50,9 @@ def test_the_wheel_installs_one_package_with_its_configuration_inside(wheel: Pat
     templates = {str(path.relative_to(ROOT)) for path in (ROOT / "companion/reporting/templates").iterdir()}
     assert "companion/reporting/templates/page.html.j2" in templates
     assert templates <= set(names)
-    files = {f"companion/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*.toml")}
-    assert len(files) > 5
+    shipped_files = [*(ROOT / "config").rglob("*.toml"), *(ROOT / "config" / "system").iterdir()]
+    files = {f"companion/{path.relative_to(ROOT)}" for path in shipped_files}
+    assert len(files) > 9
     assert files <= set(names)
 
 

@@ -1,0 +1,83 @@
+"""What the person decides: links, airframe, cameras, trigger, USB ports; kept, so that an upgrade asks nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from companion.errors import LinkError, SetupError
+from companion.params.links import LinkKind, parse_link
+from companion.setup.boards import Board
+from companion.setup.tree import Tree
+
+_NODE_BAUD = 921600
+_ROUTED = "udpin:127.0.0.1:14550"
+_WORD = re.compile(r"[A-Za-z0-9_./:,+@=-]*")
+_ROUTERS = ("usr/bin/mavlink-routerd", "usr/local/bin/mavlink-routerd")
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """Empty ``cameras`` or ``trigger``: none. With ``router`` mavlink-router has the links.
+
+    ``program`` is what the service starts, empty where nobody named it.
+    """
+
+    links: tuple[str, ...]
+    airframe: str = "/etc/spanwise/wing.toml"
+    cameras: str = ""
+    trigger: str = ""
+    serial_left: str = "spanwise-left"
+    serial_right: str = "spanwise-right"
+    serial_trigger: str = "spanwise-trigger"
+    router: bool = False
+    program: str = ""
+
+    def takes(self, device: str) -> bool:
+        """Whether one of the links is on that device."""
+        return any(link.split(",")[0] == device for link in self.links)
+
+    @property
+    def listening(self) -> tuple[str, ...]:
+        """Links of the service itself."""
+        return (_ROUTED,) if self.router else self.links
+
+
+def answered(board: Board, tree: Tree, kept: dict[str, Any], given: dict[str, Any]) -> Answers:
+    """What was given now, else what was kept of the last time, else what fits the board.
+
+    Raises
+    ------
+    SetupError
+        An answer that no file can hold: a blank, a quote, a link that is not one.
+    """
+    nodes = tuple(f"/dev/spanwise-{side},{_NODE_BAUD}" for side in ("left", "right"))
+    fitting = Answers(
+        (f"{board.uart},{_NODE_BAUD}", *nodes), router=any(tree.entry(name) is not None for name in _ROUTERS)
+    )
+    known = {field.name for field in dataclasses.fields(Answers)}
+    said = {name: value for name, value in {**kept, **given}.items() if name in known and value is not None}
+    if "links" in said:
+        said["links"] = tuple(said["links"])
+    answers = dataclasses.replace(fitting, **said)
+    _check(answers)
+    return answers
+
+
+def _check(answers: Answers) -> None:
+    for name, value in dataclasses.asdict(answers).items():
+        for word in value if isinstance(value, tuple) else (value,):
+            if isinstance(word, str) and not _WORD.fullmatch(word):
+                raise SetupError(f"{name} '{word}': letters, digits and _ . / : , + @ = - alone (no blanks, no quotes)")
+    if not answers.links:
+        raise SetupError("links: give one at least")
+    if not answers.airframe:
+        raise SetupError("airframe: give a name, or the path of a file")
+    try:
+        kinds = [parse_link(link).kind for link in answers.links]
+    except LinkError as error:
+        raise SetupError(str(error)) from error
+    if answers.router and kinds[0] is not LinkKind.SERIAL:
+        raise SetupError(f"links: mavlink-router needs the autopilot's serial device first, not {answers.links[0]}")

@@ -1,0 +1,108 @@
+"""What the machine must have, each with the figure that was found."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.setup.boards import Board, model
+from companion.setup.tree import Tree
+
+GROUPS = ("dialout", "gpio", "video", "plugdev")
+_PYTHON = (3, 11)
+_DISK_GB = 2.0
+_MEMORY_GB = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line: what, the figure, and where something is to be mended, what to do."""
+
+    name: str
+    figure: str
+    remedy: str = ""
+
+    @property
+    def passes(self) -> bool:
+        """Whether nothing is to be done."""
+        return not self.remedy
+
+
+def checks(tree: Tree, board: Board, program: str, person: str) -> list[Check]:
+    """All of them; ``person`` is the user who works at the machine, empty where nobody is meant."""
+    return [_board(tree, board), _python(), _disk(tree), _memory(tree), _groups(tree, person), _program(tree, program)]
+
+
+def groups_there(tree: Tree) -> list[str]:
+    """Those of :data:`GROUPS` that the tree has."""
+    return [name for name in GROUPS if name in _groups_of(tree)]
+
+
+def _board(tree: Tree, board: Board) -> Check:
+    said = model(tree)
+    return Check("board", f"{said or board.name}, UART {board.uart}" + (f", as {board.name}" if said else ""))
+
+
+def _python() -> Check:
+    wanted = ".".join(map(str, _PYTHON))
+    figure = f"{platform.python_version()} ({wanted} or newer)"
+    enough = tuple(map(int, platform.python_version_tuple()[:2])) >= _PYTHON
+    return Check("python", figure, "" if enough else f"install Python {wanted}")
+
+
+def _disk(tree: Tree) -> Check:
+    free_gb = shutil.disk_usage(tree.root).free / 1e9
+    remedy = "" if free_gb >= _DISK_GB else "make room: recordings and the compiler's cache need it"
+    return Check("disk", f"{free_gb:.1f} GB free ({_DISK_GB:g} GB wanted)", remedy)
+
+
+def _memory(tree: Tree) -> Check:
+    found = re.search(r"^MemTotal:\s+(\d+) kB", tree.text("proc/meminfo") or "", re.MULTILINE)
+    if found is None:
+        return Check("memory", "not told by this tree")
+    memory_gb = int(found[1]) * 1024 / 1e9
+    remedy = "" if memory_gb >= _MEMORY_GB else "a board with 2 GB or more, or --no-standby in /etc/default/spanwise"
+    return Check("memory", f"{memory_gb:.1f} GB ({_MEMORY_GB:g} GB wanted)", remedy)
+
+
+def _groups_of(tree: Tree) -> dict[str, list[str]]:
+    """Members by group."""
+    rows = [line.split(":") for line in (tree.text("etc/group") or "").splitlines()]
+    return {row[0]: [member for member in row[3].split(",") if member] for row in rows if len(row) == 4}
+
+
+def _groups(tree: Tree, person: str) -> Check:
+    members = _groups_of(tree)
+    there = groups_there(tree)
+    absent = [name for name in GROUPS if name not in there]
+    if absent:
+        add = " && ".join(f"sudo groupadd --system {name}" for name in absent)
+        return Check("groups", f"{len(there)} of {len(GROUPS)} exist, not {', '.join(absent)}", f"{add}, then again")
+    outside = [name for name in there if person and person not in members[name]]
+    figure = f"{', '.join(there)}: all exist"
+    if outside:
+        remedy = f"sudo usermod -aG {','.join(outside)} {person}, then log in again"
+        return Check("groups", f"{figure}, {person} is in {len(there) - len(outside)} of {len(there)}", remedy)
+    return Check("groups", figure)
+
+
+def _program(tree: Tree, program: str) -> Check:
+    """The service runs as a user of its own, who must reach the program."""
+    path = tree.root / program.lstrip("/").split(" ")[0]
+    if not os.access(path, os.X_OK):
+        return Check("program", f"{program}: not there", "install Spanwise there, or give --program")
+    resolved = [path, *path.parents, *path.resolve().parents]
+    closed = [folder for folder in resolved if folder.is_relative_to(tree.root) and not _is_open(folder)]
+    if closed:
+        remedy = "install it where every user may read, as in /opt/spanwise, and run setup from there"
+        return Check("program", f"{program}: {closed[-1]} is closed to other users", remedy)
+    return Check("program", program)
+
+
+def _is_open(path: Path) -> bool:
+    return bool(path.stat().st_mode & stat.S_IXOTH)

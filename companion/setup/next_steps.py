@@ -1,0 +1,60 @@
+"""From the installed service to the first range: one line each, with the command that is typed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.setup.answers import Answers
+
+_AIRFRAME = "my-wing.toml"
+_MISSION_LINK = "udpin:0.0.0.0:14540"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What it is for, and the command."""
+
+    purpose: str
+    command: str
+
+
+def next_steps(answers: Answers, *, here: bool, restart: bool) -> list[Step]:
+    """In their order; ``here``: the tree is this machine's; ``restart``: files of the boot partition were changed."""
+    links = " ".join(f"--connect {link}" for link in answers.listening)
+    cameras, trigger = answers.cameras or "oak:CAM_B,CAM_C", answers.trigger or "serial:/dev/spanwise-trigger"
+    reload = "sudo systemctl daemon-reload && sudo udevadm control --reload && sudo udevadm trigger"
+    eyes = f"--cameras {cameras} --trigger {trigger}"
+    system = [Step("the system reads the new files", reload)] if here else []
+    if restart and here:
+        system.append(Step("the UART is freed at the next start", "sudo reboot"))
+    router = "sudo systemctl enable --now mavlink-router"
+    if answers.router:
+        system.append(Step("the router shares the autopilot out", router))
+    found = [
+        *system,
+        Step("first airframe file", f"spanwise new-airframe --out {_AIRFRAME}"),
+        Step("nodes, rates and clocks: nothing left to fix", f"spanwise doctor {links} --airframe {_AIRFRAME}"),
+        Step(
+            "axes and signs: tap a tip, its row alone moves; lift both tips, the symmetric bend goes up",
+            f"spanwise run {links} --airframe {_AIRFRAME}",
+        ),
+        Step(
+            "both lenses and the rotation between them",
+            f"spanwise calibrate stereo --cameras {cameras} --square-m 0.3 --airframe {_AIRFRAME}",
+        ),
+        Step(
+            "wing modes on the ground: frequency and damping with their spread",
+            f"spanwise identify gvt gvt/ --layout layout.toml --airframe {_AIRFRAME}",
+        ),
+    ]
+    if "/" in answers.airframe:
+        found.append(Step("where the service finds it", f"sudo install -D -m 644 {_AIRFRAME} {answers.airframe}"))
+    return [
+        *found,
+        Step("first range: published, with its sigma", f"spanwise run {links} --airframe {_AIRFRAME} {eyes}"),
+        Step("the service, and its state in words", "sudo systemctl enable --now spanwise; systemctl status spanwise"),
+        Step(
+            "trim flight: the bend of level flight, and what to write",
+            f"python -m mission_scripts.calibrate_target --connect {_MISSION_LINK} --ground 0",
+        ),
+    ]

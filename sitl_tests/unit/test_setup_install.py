@@ -1,0 +1,423 @@
+"""``spanwise setup`` on fake boards: the files as they should be, nothing twice, nothing left after --undo."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.cli.main import build_parser, main
+from companion.setup import install as installing
+from companion.setup import tree as trees
+from sitl_tests.unit.setup_boards import BOARDS, CMDLINE, CONFIG, WANTS, fake_board, snapshot, write
+
+UNIT = "etc/systemd/system/spanwise.service"
+DEFAULTS = "etc/default/spanwise"
+RULES = "etc/udev/rules.d/80-spanwise.rules"
+ROUTER = "etc/mavlink-router/main.conf"
+MANIFEST = "var/lib/spanwise-setup/manifest.json"
+
+
+def setup(root: Path, *options: str) -> int:
+    return main(["setup", "--root", str(root), "--yes", *options])
+
+
+@pytest.fixture(params=BOARDS)
+def board(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
+    root = tmp_path / "root"
+    root.mkdir()
+    return request.param, fake_board(root, request.param)
+
+
+@pytest.fixture
+def pi5(tmp_path: Path) -> Path:
+    root = tmp_path / "pi5"
+    root.mkdir()
+    return fake_board(root, "pi5")
+
+
+def test_the_files_are_there_and_the_checks_show_their_figures(
+    board: tuple[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    kind, root = board
+    assert setup(root) == 0
+    said = capsys.readouterr().out
+    uart = {"pi4": "/dev/ttyAMA0", "pi5": "/dev/ttyAMA0", "jetson": "/dev/ttyTHS1", "plain": "/dev/ttyACM0"}[kind]
+    figures = (
+        f"UART {uart}",
+        "8.4 GB (1.5 GB wanted)",
+        "GB free (2 GB wanted)",
+        "dialout, gpio, video, plugdev: all exist",
+    )
+    for figure in (*figures, "3.11 or newer"):
+        assert figure in said
+    assert "mend" not in said
+    made = set(snapshot(root)) - {"var", "var/lib"}
+    assert {UNIT, DEFAULTS, RULES, MANIFEST} <= made
+    assert ROUTER not in made
+    assert (
+        f'SPANWISE_LINKS="--connect {uart},921600 --connect /dev/spanwise-left,921600' in (root / DEFAULTS).read_text()
+    )
+    assert "SupplementaryGroups=dialout gpio video plugdev\n" in (root / UNIT).read_text()
+    for name in (UNIT, DEFAULTS, RULES):
+        assert stat.S_IMODE((root / name).stat().st_mode) == 0o644
+        assert "@BOARD@" not in (root / name).read_text()
+    assert stat.S_IMODE((root / MANIFEST).stat().st_mode) == 0o600
+
+
+def test_the_uart_is_freed(board: tuple[str, Path]) -> None:
+    kind, root = board
+    setup(root)
+    if kind.startswith("pi"):
+        config = (root / "boot/firmware/config.txt").read_text()
+        assert config.startswith(CONFIG)
+        added = config.removeprefix(CONFIG).splitlines()
+        assert added[1:-1] == [
+            "[all]",
+            "enable_uart=1",
+            {"pi4": "dtoverlay=disable-bt", "pi5": "dtparam=uart0=on"}[kind],
+        ]
+        words = (root / "boot/firmware/cmdline.txt").read_text()
+        assert words == CMDLINE.replace("console=serial0,115200 ", "")
+        assert stat.S_IMODE((root / "boot/firmware/cmdline.txt").stat().st_mode) == 0o755
+    assert (root / WANTS / "hciuart.service").is_symlink() is (kind == "pi5")
+    assert not (root / WANTS / "nvgetty.service").is_symlink()
+
+
+def test_a_uart_that_no_link_uses_stays_as_it_is(pi5: Path) -> None:
+    setup(pi5, "--link", "udpin:0.0.0.0:14550")
+    assert (pi5 / "boot/firmware/config.txt").read_text() == CONFIG
+    assert (pi5 / "boot/firmware/cmdline.txt").read_text() == CMDLINE
+    setup(pi5, "--link", "/dev/ttyAMA0,921600")
+    assert "enable_uart=1" in (pi5 / "boot/firmware/config.txt").read_text()
+    setup(pi5, "--link", "udpin:0.0.0.0:14550")
+    assert (pi5 / "boot/firmware/config.txt").read_text() == CONFIG, "what is needed no more is put back"
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("console=tty1 console=serial0,115200 rootwait\n", "console=tty1 rootwait\n"),
+        ("rootwait console=ttyAMA0,115200n8\n", "rootwait \n"),
+        ("console=tty1 netconsole=serial0 rootwait", "console=tty1 netconsole=serial0 rootwait"),
+        ("console=serial0,9600 console=ttyS0 a=b", "a=b"),
+    ],
+)
+def test_only_words_of_a_console_on_the_uart_leave_the_kernel_s_line(pi5: Path, before: str, after: str) -> None:
+    path = write(pi5, "boot/firmware/cmdline.txt", before)
+    setup(pi5)
+    assert path.read_text() == after
+    setup(pi5, "--undo")
+    assert path.read_text() == before
+
+
+def test_the_boot_files_of_an_older_system_are_found(tmp_path: Path) -> None:
+    root = fake_board(tmp_path, "pi4")
+    os.rename(root / "boot/firmware/config.txt", root / "boot/config.txt")
+    os.rename(root / "boot/firmware/cmdline.txt", root / "boot/cmdline.txt")
+    setup(root)
+    assert "dtoverlay=disable-bt" in (root / "boot/config.txt").read_text()
+
+
+def test_undo_leaves_the_tree_as_it_was(board: tuple[str, Path]) -> None:
+    _, root = board
+    before = snapshot(root)
+    setup(root, "--router", "--cameras", "oak:CAM_B,CAM_C", "--trigger", "serial:/dev/spanwise-trigger")
+    assert snapshot(root) != before
+    assert setup(root, "--undo") == 0
+    assert snapshot(root) == before
+
+
+def test_undo_after_the_service_was_enabled_and_after_an_upgrade(board: tuple[str, Path]) -> None:
+    _, root = board
+    before = snapshot(root)
+    setup(root)
+    setup(root, "--cameras", "oak:CAM_B,CAM_C", "--serial-left", "AB01")
+    (root / WANTS / "spanwise.service").symlink_to(f"/{UNIT}")
+    setup(root, "--undo")
+    assert snapshot(root) == before
+
+
+def test_a_second_run_changes_nothing(board: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    _, root = board
+    setup(root, "--router", "--airframe", "nadir-2m", "--serial-left", "AB01")
+    stamps = {path: path.lstat().st_mtime_ns for path in root.rglob("*")}
+    after = snapshot(root)
+    capsys.readouterr()
+    assert setup(root) == 0, "the answers of the first time are kept"
+    assert snapshot(root) == after
+    assert {path: path.lstat().st_mtime_ns for path in root.rglob("*")} == stamps
+    assert "as they should be" in capsys.readouterr().out
+
+
+def test_a_dry_run_shows_the_lines_and_writes_nothing(pi5: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = snapshot(pi5)
+    assert setup(pi5, "--dry-run") == 0
+    said = capsys.readouterr().out
+    for line in ("+enable_uart=1", "-console=serial0,115200", "+Type=notify", "nothing was written"):
+        assert line in said
+    assert snapshot(pi5) == before
+    setup(pi5)
+    after = snapshot(pi5)
+    setup(pi5, "--undo", "--dry-run")
+    assert snapshot(pi5) == after
+
+
+def test_an_upgrade_keeps_what_the_person_changed_and_lays_the_new_one_beside(
+    pi5: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    setup(pi5)
+    mine = (pi5 / DEFAULTS).read_text().replace('SPANWISE_MORE=""', 'SPANWISE_MORE="--set RNG_MAX=150"')
+    (pi5 / DEFAULTS).write_text(mine)
+    setup(pi5)
+    assert (pi5 / DEFAULTS).read_text() == mine
+    assert not (pi5 / f"{DEFAULTS}.spanwise-new").exists(), "nothing new to lay beside it"
+    capsys.readouterr()
+    setup(pi5, "--cameras", "oak:CAM_B,CAM_C")
+    assert (pi5 / DEFAULTS).read_text() == mine
+    assert 'SPANWISE_CAMERAS="--cameras oak:CAM_B,CAM_C"' in (pi5 / f"{DEFAULTS}.spanwise-new").read_text()
+    assert "ours, beside your spanwise" in capsys.readouterr().out
+    setup(pi5, "--undo")
+    assert (pi5 / f"{DEFAULTS}.spanwise-saved").read_text() == mine
+    assert not (pi5 / DEFAULTS).exists()
+    assert not (pi5 / f"{DEFAULTS}.spanwise-new").exists()
+
+
+def test_a_file_of_before_is_never_overwritten(pi5: Path) -> None:
+    write(pi5, ROUTER, "[General]\n# mine\n")
+    before = snapshot(pi5)
+    setup(pi5, "--router")
+    assert (pi5 / ROUTER).read_text() == "[General]\n# mine\n"
+    assert "BlockSrcCompOut = 200,201" in (pi5 / f"{ROUTER}.spanwise-new").read_text()
+    setup(pi5, "--undo")
+    assert snapshot(pi5) == before
+
+
+def test_undo_takes_the_edit_alone_out_of_a_boot_file_that_was_changed_since(pi5: Path) -> None:
+    setup(pi5)
+    config, words = pi5 / "boot/firmware/config.txt", pi5 / "boot/firmware/cmdline.txt"
+    config.write_text(config.read_text() + "dtparam=i2c_arm=on\n")
+    words.write_text(words.read_text().replace("rootwait", "rootwait quiet"))
+    setup(pi5, "--undo")
+    assert config.read_text() == CONFIG + "dtparam=i2c_arm=on\n"
+    assert words.read_text() == CMDLINE.replace("rootwait", "rootwait quiet")
+
+
+def test_the_router_keeps_the_nodes_off_autopilot_and_radio(pi5: Path) -> None:
+    write(pi5, "usr/bin/mavlink-routerd", "", 0o755)
+    setup(pi5)
+    sections = {part.splitlines()[0]: part for part in (pi5 / ROUTER).read_text().split("\n\n") if part.startswith("[")}
+    text = (pi5 / ROUTER).read_text()
+    for section in ("[UartEndpoint autopilot]", "[UdpEndpoint ground]"):
+        assert "BlockSrcCompOut = 200,201" in text.split(section)[1].split("\n\n")[0]
+    assert "BlockMsgIdOut = 105" in text.split("[UdpEndpoint ground]")[1]
+    assert "Block" not in text.split("[UdpEndpoint spanwise]")[1].split("\n\n")[0], "the service gets everything"
+    assert "Device = /dev/spanwise-left\nBaud = 921600" in sections["[UartEndpoint left]"]
+    assert 'SPANWISE_LINKS="--connect udpin:127.0.0.1:14550"' in (pi5 / DEFAULTS).read_text()
+    setup(pi5, "--link", "/dev/ttyAMA0,460800")
+    text = (pi5 / ROUTER).read_text()
+    assert "Device = /dev/ttyAMA0\nBaud = 460800" in text
+    assert "UartEndpoint left" not in text, "nodes that are not wired to the companion come another way"
+
+
+def test_devices_have_names_by_their_serial_numbers_and_owners_that_exist(pi5: Path) -> None:
+    setup(pi5, "--serial-left", "FT4ABCDE", "--serial-trigger", "E6614103E7")
+    rules = (pi5 / RULES).read_text()
+    (left,) = [line for line in rules.splitlines() if 'SYMLINK+="spanwise-left"' in line]
+    assert 'ATTRS{serial}=="FT4ABCDE"' in left
+    assert 'ATTRS{serial}=="spanwise-right"' in rules
+    assert 'ATTRS{idVendor}=="03e7"' in rules
+    known = ("SUBSYSTEM", "KERNEL", "ATTRS{", "ENV{", "MODE", "GROUP", "SYMLINK")
+    for line in rules.splitlines():
+        for part in line.split(", ") if line and not line.startswith("#") else []:
+            assert part.startswith(known)
+            assert part.count('"') == 2
+    write(pi5, "etc/group", "dialout:x:20:\nvideo:x:44:\n")
+    setup(pi5)
+    assert 'GROUP="gpio"' not in (pi5 / RULES).read_text()
+    assert "SupplementaryGroups=dialout video\n" in (pi5 / UNIT).read_text()
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "figure"),
+    [
+        ("etc/group", "2 of 4 exist, not gpio, plugdev"),
+        ("proc/meminfo", "0.5 GB (1.5 GB wanted)"),
+        ("opt/spanwise/bin/spanwise", "/opt/spanwise/bin/spanwise: not there"),
+        ("opt/spanwise", "is closed to other users"),
+    ],
+)
+def test_what_is_to_be_mended_is_told_with_its_figure(
+    pi5: Path, spoilt: str, figure: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    contents = {"etc/group": "dialout:x:20:\nvideo:x:44:\n", "proc/meminfo": "MemTotal:  500000 kB\n"}
+    if spoilt in contents:
+        write(pi5, spoilt, contents[spoilt])
+    elif spoilt.endswith("bin/spanwise"):
+        (pi5 / spoilt).unlink()
+    else:
+        (pi5 / spoilt).chmod(0o700)
+    assert setup(pi5) == 4
+    said = capsys.readouterr().out
+    assert figure in said
+    assert said.count("  mend ") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--link", "serial"], "'serial' is not a connection"),
+        (["--airframe", "my wing"], "airframe 'my wing': letters"),
+        (["--airframe", 'a";reboot;"'], "letters, digits"),
+        (["--cameras", "oak"], "cameras 'oak': name kind and place"),
+        (["--trigger", "bell"], "--trigger bell: not a trigger"),
+        (["--router", "--link", "udpin:0.0.0.0:14550"], "needs the autopilot's serial device first"),
+        (["--undo"], "nothing to undo"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence_and_nothing_is_written(
+    pi5: Path, options: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = snapshot(pi5)
+    assert setup(pi5, *options) == 1
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.count("\n") == 1
+    assert snapshot(pi5) == before
+
+
+def test_without_a_terminal_nothing_is_written_unless_yes_is_said(
+    pi5: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = snapshot(pi5)
+    assert main(["setup", "--root", str(pi5)]) == 1
+    assert "give --yes" in capsys.readouterr().err
+    assert snapshot(pi5) == before
+
+
+def test_at_a_terminal_it_asks_until_the_answers_fit(pi5: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = iter(["", "nadir-2m", "oak", "-", "", "nadir-2m", "v4l2:/dev/video0,/dev/video2", "-", "y"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", lambda _: next(said))
+    assert main(["setup", "--root", str(pi5)]) == 0
+    assert next(said, None) is None
+    defaults = (pi5 / DEFAULTS).read_text()
+    assert 'SPANWISE_AIRFRAME="nadir-2m"' in defaults
+    assert 'SPANWISE_CAMERAS="--cameras v4l2:/dev/video0,/dev/video2"' in defaults
+
+
+@pytest.mark.parametrize("writes", range(6))  # manifest, three files, two edits
+def test_a_disk_that_fills_up_ends_in_a_sentence_and_the_tree_as_it_was(
+    pi5: Path, writes: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = snapshot(pi5)
+    left = [writes]
+    replace = trees._replace
+
+    def full(path: Path, file: trees.File) -> None:
+        left[0] -= 1
+        if left[0] == -1:  # what is taken back makes room again
+            raise OSError(28, "No space left on device")
+        replace(path, file)
+
+    monkeypatch.setattr(trees, "_replace", full)
+    assert setup(pi5) == 1
+    said = capsys.readouterr().err
+    assert "No space left on device" in said
+    assert said.count("\n") == 1
+    assert snapshot(pi5) == before
+
+
+@pytest.fixture
+def closed_to_us() -> Iterator[Path]:
+    """A tree of root's, looked at by nobody."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = fake_board(Path(folder), "pi5")
+        root.chmod(0o755)
+        is_root = os.geteuid() == 0
+        if not is_root:
+            (root / "etc").chmod(0o555)
+            (root / "var").mkdir(mode=0o555)
+        else:
+            os.seteuid(65534)
+        try:
+            yield root
+        finally:
+            if is_root:
+                os.seteuid(0)
+            else:
+                (root / "etc").chmod(0o755)
+                (root / "var").chmod(0o755)
+
+
+def test_without_permission_it_is_one_sentence(closed_to_us: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if not os.access(closed_to_us / "etc", os.R_OK, effective_ids=True):
+        pytest.skip("temporary folders are closed to other users here")
+    before = snapshot(closed_to_us)
+    assert setup(closed_to_us) == 1
+    said = capsys.readouterr().err
+    assert "permission denied; use sudo" in said
+    assert said.count("\n") == 1
+    assert snapshot(closed_to_us) == before
+
+
+def test_a_link_that_leads_out_of_the_tree_is_refused(pi5: Path, tmp_path: Path, capsys: Any) -> None:
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (pi5 / "etc/default").symlink_to(outside)
+    assert setup(pi5) == 1
+    assert "leads out of" in capsys.readouterr().err
+    assert list(outside.iterdir()) == []
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"format": 99, "done": {}}', '{"format": 1, "done": {"a": 3}}'])
+def test_a_damaged_manifest_is_told(pi5: Path, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    write(pi5, MANIFEST, text)
+    before = snapshot(pi5)
+    assert setup(pi5) == 1
+    said = capsys.readouterr().err
+    assert ("damaged" in said) or ("newer Spanwise" in said)
+    assert snapshot(pi5) == before
+
+
+def test_a_change_interrupted_before_its_end_can_be_undone(pi5: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a power cut leaves it: manifest and some files written, nothing taken back."""
+    before = snapshot(pi5)
+    monkeypatch.setattr(installing, "_take_back", lambda *_: None)
+    replace, left = trees._replace, [3]
+
+    def cut(path: Path, file: trees.File) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        replace(path, file)
+
+    monkeypatch.setattr(trees, "_replace", cut)
+    assert setup(pi5) == 130
+    monkeypatch.setattr(trees, "_replace", replace)
+    assert snapshot(pi5) != before
+    assert setup(pi5, "--undo") == 0
+    after = snapshot(pi5)
+    made = set(after) - set(before)
+    assert made <= {"etc/udev", "etc/udev/rules.d"}, "folders alone"
+    assert {name: after[name] for name in before} == before
+
+
+def test_every_next_step_is_a_command_that_the_program_takes(
+    board: tuple[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, root = board
+    setup(root)
+    lines = [line.strip() for line in capsys.readouterr().out.split("next:")[1].splitlines()]
+    ours = [line for line in lines if line.startswith("spanwise ")]
+    assert [line.split()[1] for line in ours] == ["new-airframe", "doctor", "run", "calibrate", "identify", "run"]
+    for command in ours:
+        words = shlex.split(command)[1:]
+        assert build_parser(words[0]).parse_args(words).command == words[0]
+    assert any(line.startswith("python -m mission_scripts.calibrate_target") for line in lines)
