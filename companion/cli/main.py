@@ -1,8 +1,8 @@
 """``spanwise``: every command behind one name.
 
 Exit codes: 0 done; 1 bad input or a dead device (the message says what to do); 2 wrong usage; 3 done, but there was
-nothing to estimate (no mode, no ranges, nothing to be told from a recording); 4 the doctor found something to fix;
-130 stopped by Ctrl-C before the end.
+nothing to estimate (no mode, no ranges, nothing to be told from a recording); 4 the doctor or the set-up found
+something to mend; 130 stopped by Ctrl-C before the end.
 """
 
 from __future__ import annotations
