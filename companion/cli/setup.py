@@ -12,9 +12,9 @@ from typing import Any
 from companion.adapters.triggers.trigger_factory import trigger_factory
 from companion.errors import SetupError, SpanwiseError
 from companion.setup import manifest
-from companion.setup.answers import Answers, answered
-from companion.setup.boards import BOARDS, Board, board_of
+from companion.setup.boards import BOARDS, CompanionBoard, board_of
 from companion.setup.checks import checks
+from companion.setup.choices import Choices, choices_for
 from companion.setup.install import install, recorded, undo, undone
 from companion.setup.manifest import Manifest
 from companion.setup.next_steps import next_steps
@@ -61,36 +61,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Check, ask, show, write, and say what comes next; 4 where a check found something to mend."""
     tree = Tree(options.root)
-    kept = manifest.load(tree)
+    previous = manifest.load(tree)
     if options.undo:
-        return _undo(tree, kept, options)
-    kept = kept or Manifest()
-    board = board_of(tree, options.board or kept.board or None)
-    program = options.program or kept.answers.get("program") or (_this_program() if _is_here(tree) else _IN_AN_IMAGE)
+        return _undo(tree, previous, options)
+    previous = previous or Manifest()
+    board = board_of(tree, options.board or previous.board or None)
+    program = (
+        options.program or previous.choices.get("program") or (_this_program() if _is_here(tree) else _IN_AN_IMAGE)
+    )
     is_fit = _show_checks(tree, board, program)
-    answers = _answers(tree, board, kept, options)
-    changes = planned(tree, board, answers, program, kept)
+    choices = _answers(tree, board, previous, options)
+    changes = planned(tree, board, choices, program, previous)
     _show(changes, contents=options.dry_run)
     if options.dry_run:
         print("nothing was written (--dry-run)")
     else:
         if any(change.changes for change in changes):
             _confirm(options)
-        install(tree, changes, recorded(tree, changes, kept, answers, board))
-        _show_next(tree, answers, changes)
+        install(tree, changes, recorded(tree, changes, previous, choices, board))
+        _show_next(tree, choices, changes)
     return 0 if is_fit else _TO_MEND
 
 
-def _undo(tree: Tree, kept: Manifest | None, options: argparse.Namespace) -> int:
-    if kept is None:
+def _undo(tree: Tree, previous: Manifest | None, options: argparse.Namespace) -> int:
+    if previous is None:
         raise SetupError(f"nothing to undo: {tree.root / manifest.NAME} is not there")
-    changes = undone(tree, kept)
+    changes = undone(tree, previous)
     _show(changes, contents=options.dry_run)
     if options.dry_run:
         print("nothing was written (--dry-run)")
         return 0
     _confirm(options)
-    for name in undo(tree, changes, kept):
+    for name in undo(tree, changes, previous):
         print(f"  left     {tree.root / name} (the service's own, or yours; sudo rm -r)")
     if _is_here(tree):
         print("then: sudo systemctl stop spanwise; sudo systemctl daemon-reload; a restart gives the UART back")
@@ -106,36 +108,36 @@ def _this_program() -> str:
     return str(script) if script.exists() else f"{sys.executable} -m companion.cli"
 
 
-def _show_checks(tree: Tree, board: Board, program: str) -> bool:
-    found = checks(tree, board, program, os.environ.get("SUDO_USER", "") if _is_here(tree) else "")
-    for check in found:
+def _show_checks(tree: Tree, board: CompanionBoard, program: str) -> bool:
+    results = checks(tree, board, program, os.environ.get("SUDO_USER", "") if _is_here(tree) else "")
+    for check in results:
         print(f"  {'ok' if check.passes else 'mend':8} {check.name:8} {check.figure}")
         if check.remedy:
             print(f"{'':20}{check.remedy}")
-    return all(check.passes for check in found)
+    return all(check.passes for check in results)
 
 
-def _answers(tree: Tree, board: Board, kept: Manifest, options: argparse.Namespace) -> Answers:
-    given: dict[str, Any] = {
+def _answers(tree: Tree, board: CompanionBoard, previous: Manifest, options: argparse.Namespace) -> Choices:
+    overrides: dict[str, Any] = {
         name: "" if value == "-" else value for name, value in vars(options).items() if value is not None
     }
-    answers = _checked(answered(board, tree, kept.answers, given))
+    choices = _checked(choices_for(board, tree, previous.choices, overrides))
     if options.yes or options.dry_run or not sys.stdin.isatty():
-        return answers
+        return choices
     while True:
-        asked = {name: _ask(text, getattr(answers, name)) for name, text in _ASKED.items() if name not in given}
+        asked = {name: _ask(text, getattr(choices, name)) for name, text in _ASKED.items() if name not in overrides}
         try:
-            return _checked(answered(board, tree, kept.answers, {**given, **asked}))
+            return _checked(choices_for(board, tree, previous.choices, {**overrides, **asked}))
         except SpanwiseError as error:
             print(error, file=sys.stderr)
 
 
-def _checked(answers: Answers) -> Answers:
+def _checked(choices: Choices) -> Choices:
     """As ``run`` will read them."""
-    trigger_factory(answers.trigger or "none")
-    if answers.cameras and ":" not in answers.cameras:
-        raise SetupError(f"cameras '{answers.cameras}': name kind and place, as in oak:CAM_B,CAM_C; - for none")
-    return answers
+    trigger_factory(choices.trigger or "none")
+    if choices.cameras and ":" not in choices.cameras:
+        raise SetupError(f"cameras '{choices.cameras}': name kind and place, as in oak:CAM_B,CAM_C; - for none")
+    return choices
 
 
 def _ask(text: str, suggestion: str | tuple[str, ...]) -> str | list[str]:
@@ -159,10 +161,10 @@ def _show(changes: list[Change], *, contents: bool) -> None:
     if not any(change.changes for change in changes):
         print(f"  ok       files    {len(changes)} as they should be")
     for change in changes:
-        if not change.changes and not change.told:
+        if not change.changes and not change.note:
             continue
-        told = f"  ({change.told})" if change.told else ""
-        print(f"  {change.word:8} /{change.name}{told}")
+        note = f"  ({change.note})" if change.note else ""
+        print(f"  {change.word:8} /{change.name}{note}")
         if contents and change.changes:
             for line in _difference(change):
                 print(f"           {line}")
@@ -177,9 +179,9 @@ def _lines(entry: Entry | None) -> list[str]:
     return entry.data.decode(errors="replace").splitlines() if isinstance(entry, File) else []
 
 
-def _show_next(tree: Tree, answers: Answers, changes: list[Change]) -> None:
+def _show_next(tree: Tree, choices: Choices, changes: list[Change]) -> None:
     on_uart = [change for change in changes if change.name.startswith("boot/") or change.word == "disable"]
     restart = any(change.changes for change in on_uart)
     print("next:")
-    for number, step in enumerate(next_steps(answers, here=_is_here(tree), restart=restart), 1):
+    for number, step in enumerate(next_steps(choices, here=_is_here(tree), restart=restart), 1):
         print(f"  {number:2} {step.purpose}\n       {step.command}")

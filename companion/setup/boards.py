@@ -14,7 +14,7 @@ CONSOLE = r"console=(?:serial0|ttyAMA0|ttyS0)[^\s]*"
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class CompanionBoard:
     """A kind of companion.
 
     Attributes
@@ -39,14 +39,14 @@ class Board:
 
 BOARDS = (
     # its good UART serves Bluetooth, and the header has one whose rate follows the core's
-    Board(
+    CompanionBoard(
         "pi4", "Raspberry Pi 4", "/dev/ttyAMA0", ("enable_uart=1", "dtoverlay=disable-bt"), CONSOLE,
         (f"{_WANTS}/hciuart.service",),
     ),
     # Bluetooth has one of its own; the first is the debug connector's unless the header's is asked for
-    Board("pi5", "Raspberry Pi 5", "/dev/ttyAMA0", ("enable_uart=1", "dtparam=uart0=on"), CONSOLE),
-    Board("jetson", "Jetson", "/dev/ttyTHS1", rivals=(f"{_WANTS}/nvgetty.service",)),
-    Board("plain", "a Linux computer", "/dev/ttyACM0"),
+    CompanionBoard("pi5", "Raspberry Pi 5", "/dev/ttyAMA0", ("enable_uart=1", "dtparam=uart0=on"), CONSOLE),
+    CompanionBoard("jetson", "Jetson", "/dev/ttyTHS1", rivals=(f"{_WANTS}/nvgetty.service",)),
+    CompanionBoard("plain", "a Linux computer", "/dev/ttyACM0"),
 )  # fmt: skip
 _WORDS = {"pi4": ("Raspberry Pi 4", "Raspberry Pi Compute Module 4"), "pi5": ("Raspberry Pi 5", "Compute Module 5"),
           "jetson": ("Jetson", "NVIDIA")}  # fmt: skip
@@ -57,7 +57,7 @@ def model(tree: Tree) -> str:
     return (tree.text(_MODEL) or "").rstrip("\0").strip()
 
 
-def board_of(tree: Tree, named: str | None = None) -> Board:
+def board_of(tree: Tree, named: str | None = None) -> CompanionBoard:
     """The board by its name, or by what the tree says of itself.
 
     Raises

@@ -10,7 +10,7 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.setup.boards import Board, model
+from companion.setup.boards import CompanionBoard, model
 from companion.setup.tree import Tree
 
 GROUPS = ("dialout", "gpio", "video", "plugdev")
@@ -20,7 +20,7 @@ _MEMORY_GB = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class SystemCheck:
     """One line: what, the figure, and where something is to be mended, what to do."""
 
     name: str
@@ -33,7 +33,7 @@ class Check:
         return not self.remedy
 
 
-def checks(tree: Tree, board: Board, program: str, person: str) -> list[Check]:
+def checks(tree: Tree, board: CompanionBoard, program: str, person: str) -> list[SystemCheck]:
     """All of them; ``person`` is the user who works at the machine, empty where nobody is meant."""
     return [_board(tree, board), _python(), _disk(tree), _memory(tree), _groups(tree, person), _program(tree, program)]
 
@@ -43,31 +43,31 @@ def groups_there(tree: Tree) -> list[str]:
     return [name for name in GROUPS if name in _groups_of(tree)]
 
 
-def _board(tree: Tree, board: Board) -> Check:
+def _board(tree: Tree, board: CompanionBoard) -> SystemCheck:
     said = model(tree)
-    return Check("board", f"{said or board.name}, UART {board.uart}" + (f", as {board.name}" if said else ""))
+    return SystemCheck("board", f"{said or board.name}, UART {board.uart}" + (f", as {board.name}" if said else ""))
 
 
-def _python() -> Check:
+def _python() -> SystemCheck:
     wanted = ".".join(map(str, _PYTHON))
     figure = f"{platform.python_version()} ({wanted} or newer)"
     enough = tuple(map(int, platform.python_version_tuple()[:2])) >= _PYTHON
-    return Check("python", figure, "" if enough else f"install Python {wanted}")
+    return SystemCheck("python", figure, "" if enough else f"install Python {wanted}")
 
 
-def _disk(tree: Tree) -> Check:
+def _disk(tree: Tree) -> SystemCheck:
     free_gb = shutil.disk_usage(tree.root).free / 1e9
     remedy = "" if free_gb >= _DISK_GB else "make room: recordings and the compiler's cache need it"
-    return Check("disk", f"{free_gb:.1f} GB free ({_DISK_GB:g} GB wanted)", remedy)
+    return SystemCheck("disk", f"{free_gb:.1f} GB free ({_DISK_GB:g} GB wanted)", remedy)
 
 
-def _memory(tree: Tree) -> Check:
-    found = re.search(r"^MemTotal:\s+(\d+) kB", tree.text("proc/meminfo") or "", re.MULTILINE)
-    if found is None:
-        return Check("memory", "not told by this tree")
-    memory_gb = int(found[1]) * 1024 / 1e9
+def _memory(tree: Tree) -> SystemCheck:
+    match = re.search(r"^MemTotal:\s+(\d+) kB", tree.text("proc/meminfo") or "", re.MULTILINE)
+    if match is None:
+        return SystemCheck("memory", "not told by this tree")
+    memory_gb = int(match[1]) * 1024 / 1e9
     remedy = "" if memory_gb >= _MEMORY_GB else "a board with 2 GB or more, or --no-standby in /etc/default/spanwise"
-    return Check("memory", f"{memory_gb:.1f} GB ({_MEMORY_GB:g} GB wanted)", remedy)
+    return SystemCheck("memory", f"{memory_gb:.1f} GB ({_MEMORY_GB:g} GB wanted)", remedy)
 
 
 def _groups_of(tree: Tree) -> dict[str, list[str]]:
@@ -76,32 +76,36 @@ def _groups_of(tree: Tree) -> dict[str, list[str]]:
     return {row[0]: [member for member in row[3].split(",") if member] for row in rows if len(row) == 4}
 
 
-def _groups(tree: Tree, person: str) -> Check:
+def _groups(tree: Tree, person: str) -> SystemCheck:
     members = _groups_of(tree)
-    there = groups_there(tree)
-    absent = [name for name in GROUPS if name not in there]
+    existing = groups_there(tree)
+    absent = [name for name in GROUPS if name not in existing]
     if absent:
         add = " && ".join(f"sudo groupadd --system {name}" for name in absent)
-        return Check("groups", f"{len(there)} of {len(GROUPS)} exist, not {', '.join(absent)}", f"{add}, then again")
-    outside = [name for name in there if person and person not in members[name]]
-    figure = f"{', '.join(there)}: all exist"
+        return SystemCheck(
+            "groups", f"{len(existing)} of {len(GROUPS)} exist, not {', '.join(absent)}", f"{add}, then again"
+        )
+    outside = [name for name in existing if person and person not in members[name]]
+    figure = f"{', '.join(existing)}: all exist"
     if outside:
         remedy = f"sudo usermod -aG {','.join(outside)} {person}, then log in again"
-        return Check("groups", f"{figure}, {person} is in {len(there) - len(outside)} of {len(there)}", remedy)
-    return Check("groups", figure)
+        return SystemCheck(
+            "groups", f"{figure}, {person} is in {len(existing) - len(outside)} of {len(existing)}", remedy
+        )
+    return SystemCheck("groups", figure)
 
 
-def _program(tree: Tree, program: str) -> Check:
+def _program(tree: Tree, program: str) -> SystemCheck:
     """The service runs as a user of its own, who must reach the program."""
     path = tree.root / program.lstrip("/").split(" ")[0]
     if not os.access(path, os.X_OK):
-        return Check("program", f"{program}: not there", "install Spanwise there, or give --program")
+        return SystemCheck("program", f"{program}: not there", "install Spanwise there, or give --program")
     resolved = [path, *path.parents, *path.resolve().parents]
     closed = [folder for folder in resolved if folder.is_relative_to(tree.root) and not _is_open(folder)]
     if closed:
         remedy = "install it where every user may read, as in /opt/spanwise, and run setup from there"
-        return Check("program", f"{program}: {closed[-1]} is closed to other users", remedy)
-    return Check("program", program)
+        return SystemCheck("program", f"{program}: {closed[-1]} is closed to other users", remedy)
+    return SystemCheck("program", program)
 
 
 def _is_open(path: Path) -> bool:

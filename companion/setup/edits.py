@@ -19,7 +19,7 @@ class Edit:
 
     forward: Callable[[str], str]
     backward: Callable[[str, str], str]
-    told: str
+    note: str
 
 
 def block(lines: Sequence[str]) -> Edit:
@@ -37,7 +37,7 @@ def _without_block(text: str, _before: str) -> str:
     return _BLOCK.sub("", text)
 
 
-def without_words(pattern: str, told: str) -> Edit:
+def without_words(pattern: str, note: str) -> Edit:
     """Take the words of a pattern out of ``cmdline.txt``, one line of words with blanks between."""
     word = re.compile(rf"(?:^|(?<=\s)){pattern}(?:[ \t]+|(?=\s|$))", re.MULTILINE)
 
@@ -45,7 +45,7 @@ def without_words(pattern: str, told: str) -> Edit:
         return word.sub("", text)
 
     def backward(text: str, before: str) -> str:
-        removed = [found.strip() for found in word.findall(before)]
-        return "".join(f"{one} " for one in removed if one not in text.split()) + text
+        removed = [match.strip() for match in word.findall(before)]
+        return "".join(f"{removed_word} " for removed_word in removed if removed_word not in text.split()) + text
 
-    return Edit(forward, backward, told)
+    return Edit(forward, backward, note)

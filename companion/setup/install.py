@@ -7,11 +7,11 @@ import dataclasses
 
 from companion.errors import SetupError
 from companion.setup import manifest
-from companion.setup.answers import Answers
-from companion.setup.boards import Board
+from companion.setup.boards import CompanionBoard
+from companion.setup.choices import Choices
 from companion.setup.manifest import Manifest
 from companion.setup.plan import UNIT, Change, put_back
-from companion.setup.tree import Entry, Link, Tree
+from companion.setup.tree import Entry, Symlink, Tree
 
 _ENABLED = "etc/systemd/system/multi-user.target.wants/spanwise.service"
 _LEFT_BEHIND = (
@@ -20,13 +20,15 @@ _LEFT_BEHIND = (
 )  # fmt: skip
 
 
-def recorded(tree: Tree, changes: list[Change], kept: Manifest, answers: Answers, board: Board) -> Manifest:
+def recorded(
+    tree: Tree, changes: list[Change], previous: Manifest, choices: Choices, board: CompanionBoard
+) -> Manifest:
     """The manifest as it is after these changes."""
     done = {change.name: change.done for change in changes if change.done is not None}
     written = [change.name for change in changes if change.changes and change.then is not None]
     made = [folder for name in [*written, manifest.NAME] for folder in tree.missing_folders(name)]
-    folders = tuple(dict.fromkeys((*kept.folders, *made)))
-    return Manifest(done, folders, dataclasses.asdict(answers), board.key)
+    folders = tuple(dict.fromkeys((*previous.folders, *made)))
+    return Manifest(done, folders, dataclasses.asdict(choices), board.key)
 
 
 def install(tree: Tree, changes: list[Change], after: Manifest) -> None:
@@ -43,16 +45,16 @@ def install(tree: Tree, changes: list[Change], after: Manifest) -> None:
     _all_or_nothing(tree, [*([] if file.same(now) else [(manifest.NAME, file)]), *steps])
 
 
-def undone(tree: Tree, kept: Manifest) -> list[Change]:
+def undone(tree: Tree, previous: Manifest) -> list[Change]:
     """What puts the tree back to before the first set-up, the service's being enabled included."""
-    found = [change for name, done in reversed(kept.done.items()) for change in put_back(tree, name, done)]
+    changes = [change for name, done in reversed(previous.done.items()) for change in put_back(tree, name, done)]
     enabled = tree.entry(_ENABLED)
-    if isinstance(enabled, Link) and UNIT in kept.done:
-        found.append(Change(_ENABLED, enabled, None, "remove", None, "it was enabled"))
-    return found
+    if isinstance(enabled, Symlink) and UNIT in previous.done:
+        changes.append(Change(_ENABLED, enabled, None, "remove", None, "it was enabled"))
+    return changes
 
 
-def undo(tree: Tree, changes: list[Change], kept: Manifest) -> list[str]:
+def undo(tree: Tree, changes: list[Change], previous: Manifest) -> list[str]:
     """Put all back; give folders of the service that stay because they hold what is not ours.
 
     Raises
@@ -62,7 +64,7 @@ def undo(tree: Tree, changes: list[Change], kept: Manifest) -> list[str]:
     """
     steps: list[tuple[str, Entry | None]] = [(change.name, change.then) for change in changes if change.changes]
     _all_or_nothing(tree, [*steps, (manifest.NAME, None)])
-    for folder in reversed(kept.folders):
+    for folder in reversed(previous.folders):
         tree.drop_folder(folder)
     return [name for name in _LEFT_BEHIND if (tree.root / name).exists()]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.errors import SetupError
-from companion.setup.tree import Entry, File, Link, Tree
+from companion.setup.tree import Entry, File, Symlink, Tree
 
 NAME = "var/lib/spanwise-setup/manifest.json"
 _FORMAT = 1
@@ -29,7 +29,7 @@ class Manifest:
 
     done: dict[str, Done] = field(default_factory=dict)
     folders: tuple[str, ...] = ()
-    answers: dict[str, Any] = field(default_factory=dict)
+    choices: dict[str, Any] = field(default_factory=dict)
     board: str = ""
 
 
@@ -50,7 +50,7 @@ def load(tree: Tree) -> Manifest | None:
         said = json.loads(entry.data)
         if said["format"] > _FORMAT:
             raise SetupError(f"{tree.root / NAME}: written by a newer Spanwise; update")
-        done = {name: Done(_entry(one["before"]), _entry(one["after"])) for name, one in said["done"].items()}
+        done = {name: Done(_entry(record["before"]), _entry(record["after"])) for name, record in said["done"].items()}
         return Manifest(done, tuple(said["folders"]), dict(said["answers"]), str(said["board"]))
     except (ValueError, KeyError, TypeError, AttributeError, binascii.Error) as error:
         raise SetupError(f"{tree.root / NAME}: damaged ({error!r}); nothing is changed") from error
@@ -61,15 +61,18 @@ def as_file(manifest: Manifest) -> File:
     said = {
         "format": _FORMAT,
         "board": manifest.board,
-        "answers": manifest.answers,
+        "answers": manifest.choices,
         "folders": list(manifest.folders),
-        "done": {name: {"before": _said(one.before), "after": _said(one.after)} for name, one in manifest.done.items()},
+        "done": {
+            name: {"before": _said(record.before), "after": _said(record.after)}
+            for name, record in manifest.done.items()
+        },
     }
     return File(json.dumps(said, indent=1, sort_keys=True).encode() + b"\n", 0o600)
 
 
 def _said(entry: Entry | None) -> dict[str, Any] | None:
-    if isinstance(entry, Link):
+    if isinstance(entry, Symlink):
         return {"link": entry.target}
     return None if entry is None else {"file": base64.b64encode(entry.data).decode(), "mode": entry.mode}
 
@@ -78,5 +81,5 @@ def _entry(said: dict[str, Any] | None) -> Entry | None:
     if said is None:
         return None
     if "link" in said:
-        return Link(str(said["link"]))
+        return Symlink(str(said["link"]))
     return File(base64.b64decode(said["file"], validate=True), said["mode"])

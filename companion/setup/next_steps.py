@@ -4,56 +4,58 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from companion.setup.answers import Answers
+from companion.setup.choices import Choices
 
 _AIRFRAME = "my-wing.toml"
 _MISSION_LINK = "udpin:0.0.0.0:14540"
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class NextStep:
     """What it is for, and the command."""
 
     purpose: str
     command: str
 
 
-def next_steps(answers: Answers, *, here: bool, restart: bool) -> list[Step]:
+def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]:
     """In their order; ``here``: the tree is this machine's; ``restart``: files of the boot partition were changed."""
-    links = " ".join(f"--connect {link}" for link in answers.listening)
-    cameras, trigger = answers.cameras or "oak:CAM_B,CAM_C", answers.trigger or "serial:/dev/spanwise-trigger"
+    links = " ".join(f"--connect {link}" for link in choices.listening)
+    cameras, trigger = choices.cameras or "oak:CAM_B,CAM_C", choices.trigger or "serial:/dev/spanwise-trigger"
     reload = "sudo systemctl daemon-reload && sudo udevadm control --reload && sudo udevadm trigger"
     eyes = f"--cameras {cameras} --trigger {trigger}"
-    system = [Step("the system reads the new files", reload)] if here else []
+    system = [NextStep("the system reads the new files", reload)] if here else []
     if restart and here:
-        system.append(Step("the UART is freed at the next start", "sudo reboot"))
+        system.append(NextStep("the UART is freed at the next start", "sudo reboot"))
     router = "sudo systemctl enable --now mavlink-router"
-    if answers.router:
-        system.append(Step("the router shares the autopilot out", router))
-    found = [
+    if choices.router:
+        system.append(NextStep("the router shares the autopilot out", router))
+    steps = [
         *system,
-        Step("first airframe file", f"spanwise new-airframe --out {_AIRFRAME}"),
-        Step("nodes, rates and clocks: nothing left to fix", f"spanwise doctor {links} --airframe {_AIRFRAME}"),
-        Step(
+        NextStep("first airframe file", f"spanwise new-airframe --out {_AIRFRAME}"),
+        NextStep("nodes, rates and clocks: nothing left to fix", f"spanwise doctor {links} --airframe {_AIRFRAME}"),
+        NextStep(
             "axes and signs: tap a tip, its row alone moves; lift both tips, the symmetric bend goes up",
             f"spanwise run {links} --airframe {_AIRFRAME}",
         ),
-        Step(
+        NextStep(
             "both lenses and the rotation between them",
             f"spanwise calibrate stereo --cameras {cameras} --square-m 0.3 --airframe {_AIRFRAME}",
         ),
-        Step(
+        NextStep(
             "wing modes on the ground: frequency and damping with their spread",
             f"spanwise identify gvt gvt/ --layout layout.toml --airframe {_AIRFRAME}",
         ),
     ]
-    if "/" in answers.airframe:
-        found.append(Step("where the service finds it", f"sudo install -D -m 644 {_AIRFRAME} {answers.airframe}"))
+    if "/" in choices.airframe:
+        steps.append(NextStep("where the service finds it", f"sudo install -D -m 644 {_AIRFRAME} {choices.airframe}"))
     return [
-        *found,
-        Step("first range: published, with its sigma", f"spanwise run {links} --airframe {_AIRFRAME} {eyes}"),
-        Step("the service, and its state in words", "sudo systemctl enable --now spanwise; systemctl status spanwise"),
-        Step(
+        *steps,
+        NextStep("first range: published, with its sigma", f"spanwise run {links} --airframe {_AIRFRAME} {eyes}"),
+        NextStep(
+            "the service, and its state in words", "sudo systemctl enable --now spanwise; systemctl status spanwise"
+        ),
+        NextStep(
             "trim flight: the bend of level flight, and what to write",
             f"python -m mission_scripts.calibrate_target --connect {_MISSION_LINK} --ground 0",
         ),

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from companion.params.links import LinkKind, parse_link
 from companion.params.shipped import shipped
 from companion.setup import boards
-from companion.setup.answers import Answers
-from companion.setup.boards import Board
+from companion.setup.boards import CompanionBoard
 from companion.setup.checks import groups_there
+from companion.setup.choices import Choices
 from companion.setup.edits import Edit, block, without_words
 from companion.setup.manifest import Done, Manifest
 from companion.setup.tree import Entry, File, Tree, same
@@ -32,7 +32,7 @@ class Change:
     then: Entry | None
     word: str
     done: Done | None
-    told: str = ""
+    note: str = ""
 
     @property
     def changes(self) -> bool:
@@ -40,27 +40,27 @@ class Change:
         return not same(self.now, self.then)
 
 
-def planned(tree: Tree, board: Board, answers: Answers, program: str, kept: Manifest) -> list[Change]:
+def planned(tree: Tree, board: CompanionBoard, choices: Choices, program: str, previous: Manifest) -> list[Change]:
     """All changes of a set-up, in their order, those that change nothing too; what it no longer needs is put back."""
-    files = _files(tree, board, answers, program)
-    found = [change for name, data in files.items() for change in _own(tree, name, data, kept)]
-    if answers.takes(board.uart):
-        found += [_edited(tree, name, edit, kept) for name, edit in edits_of(tree, board).items()]
-        found += [_unlinked(tree, name, kept) for name in board.rivals]
-    wanted = {change.name for change in found}
-    unused = [(name, done) for name, done in kept.done.items() if name not in wanted]
-    return found + [change for name, done in unused for change in put_back(tree, name, done)]
+    files = _files(tree, board, choices, program)
+    changes = [change for name, data in files.items() for change in _written(tree, name, data, previous)]
+    if choices.takes(board.uart):
+        changes += [_edited(tree, name, edit, previous) for name, edit in edits_of(tree, board).items()]
+        changes += [_unlinked(tree, name, previous) for name in board.rivals]
+    wanted = {change.name for change in changes}
+    unused = [(name, done) for name, done in previous.done.items() if name not in wanted]
+    return changes + [change for name, done in unused for change in put_back(tree, name, done)]
 
 
-def edits_of(tree: Tree, board: Board) -> dict[str, Edit]:
+def edits_of(tree: Tree, board: CompanionBoard) -> dict[str, Edit]:
     """Files of the boot partition, with what is changed in them."""
-    found = {}
+    edits = {}
     config, words = boards.boot_file(tree, "config.txt"), boards.boot_file(tree, "cmdline.txt")
     if board.boot_lines and config is not None:
-        found[config] = block(board.boot_lines)
+        edits[config] = block(board.boot_lines)
     if board.console and words is not None:
-        found[words] = without_words(board.console, "no console on the UART")
-    return found
+        edits[words] = without_words(board.console, "no console on the UART")
+    return edits
 
 
 def put_back(tree: Tree, name: str, done: Done) -> list[Change]:
@@ -83,81 +83,84 @@ def put_back(tree: Tree, name: str, done: Done) -> list[Change]:
     ]
 
 
-def _files(tree: Tree, board: Board, answers: Answers, program: str) -> dict[str, bytes]:
+def _files(tree: Tree, board: CompanionBoard, choices: Choices, program: str) -> dict[str, bytes]:
     """Files that are ours in full, rendered."""
-    there = groups_there(tree)
+    existing = groups_there(tree)
     values = {
         "BOARD": board.name,
         "PROGRAM": program,
-        "GROUPS": " ".join(there),
-        "LINKS": " ".join(f"--connect {link}" for link in answers.listening),
-        "AIRFRAME": answers.airframe,
-        "CAMERAS": f"--cameras {answers.cameras}" if answers.cameras else "",
-        "TRIGGER": f"--trigger {answers.trigger}" if answers.trigger else "",
-        "SERIAL_LEFT": answers.serial_left,
-        "SERIAL_RIGHT": answers.serial_right,
-        "SERIAL_TRIGGER": answers.serial_trigger,
+        "GROUPS": " ".join(existing),
+        "LINKS": " ".join(f"--connect {link}" for link in choices.listening),
+        "AIRFRAME": choices.airframe,
+        "CAMERAS": f"--cameras {choices.cameras}" if choices.cameras else "",
+        "TRIGGER": f"--trigger {choices.trigger}" if choices.trigger else "",
+        "SERIAL_LEFT": choices.serial_left,
+        "SERIAL_RIGHT": choices.serial_right,
+        "SERIAL_TRIGGER": choices.serial_trigger,
     }
     files = {
         UNIT: _rendered("spanwise.service", values),
         DEFAULTS: _rendered("spanwise.default", values),
-        RULES: _known_groups(_rendered("80-spanwise.rules", values), there),
+        RULES: _known_groups(_rendered("80-spanwise.rules", values), existing),
     }
-    if answers.router:
-        files[ROUTER] = _rendered("mavlink-router.conf", values | _serial_links(answers))
+    if choices.router:
+        files[ROUTER] = _rendered("mavlink-router.conf", values | _serial_links(choices))
     return {name: text.encode() for name, text in files.items()}
 
 
 def _rendered(template: str, values: dict[str, str]) -> str:
     """Fill the marks; a paragraph with a mark that has no value is left out."""
     text = (shipped("system") / template).read_text(encoding="utf-8")
-    paragraphs = [part for part in text.split("\n\n") if set(_MARK.findall(part)) <= values.keys()]
+    paragraphs = [paragraph for paragraph in text.split("\n\n") if set(_MARK.findall(paragraph)) <= values.keys()]
     return _MARK.sub(lambda mark: values[mark[1]], "\n\n".join(paragraphs))
 
 
-def _known_groups(rules: str, there: list[str]) -> str:
+def _known_groups(rules: str, existing: list[str]) -> str:
     """Rules of groups that the tree has: udev would give the others' devices to root alone."""
-    absent = [f'GROUP="{group}"' for group in ("dialout", "gpio", "plugdev") if group not in there]
+    absent = [f'GROUP="{group}"' for group in ("dialout", "gpio", "plugdev") if group not in existing]
     return "".join(f"{line}\n" for line in rules.splitlines() if not any(word in line for word in absent))
 
 
-def _serial_links(answers: Answers) -> dict[str, str]:
+def _serial_links(choices: Choices) -> dict[str, str]:
     """Device and rate of the autopilot and of nodes that are wired to the companion, as mavlink-router has them."""
-    serial = [link for link in map(parse_link, answers.links) if link.kind is LinkKind.SERIAL]
+    serial = [link for link in map(parse_link, choices.links) if link.kind is LinkKind.SERIAL]
     lines = [f"Device = {link.host}\nBaud = {link.port}" for link in serial]
     return dict(zip(("AUTOPILOT", "LEFT", "RIGHT"), lines, strict=False))
 
 
-def _own(tree: Tree, name: str, data: bytes, kept: Manifest) -> list[Change]:
+def _written(tree: Tree, name: str, data: bytes, previous: Manifest) -> list[Change]:
     """Write a file of ours; one that the person has changed, or had before, stays, and ours lies beside it."""
-    now, done = tree.entry(name), kept.done.get(name)
+    now, done = tree.entry(name), previous.done.get(name)
     then = File(data)
     if now is None or (done is not None and same(now, done.after)):
         word = "write" if now is None else "keep" if same(now, then) else "update"
         return [Change(name, now, then, word, Done(None, then))]
     if same(now, then):
         return [Change(name, now, now, "keep", done)]
-    mine = Change(name, now, now, "keep", done, "yours")
+    unchanged = Change(name, now, now, "keep", done, "yours")
     if done is not None and same(done.after, then):
-        return [mine]
+        return [unchanged]
     beside = f"{name}{BESIDE}"
     lies = tree.entry(beside)
     word = "keep" if same(lies, then) else "write"
-    return [mine, Change(beside, lies, then, word, Done(None, then), f"ours, beside your {name.rsplit('/', 1)[1]}")]
+    return [
+        unchanged,
+        Change(beside, lies, then, word, Done(None, then), f"ours, beside your {name.rsplit('/', 1)[1]}"),
+    ]
 
 
-def _edited(tree: Tree, name: str, edit: Edit, kept: Manifest) -> Change:
-    now, done = tree.entry(name), kept.done.get(name)
+def _edited(tree: Tree, name: str, edit: Edit, previous: Manifest) -> Change:
+    now, done = tree.entry(name), previous.done.get(name)
     if not isinstance(now, File):
         return Change(name, now, now, "keep", None, "a link: edit it yourself")
     then = _file(edit.forward(_text(now)), now)
     if same(now, then):
         return Change(name, now, now, "keep", done)
-    return Change(name, now, then, "edit", Done(done.before if done is not None else now, then), edit.told)
+    return Change(name, now, then, "edit", Done(done.before if done is not None else now, then), edit.note)
 
 
-def _unlinked(tree: Tree, name: str, kept: Manifest) -> Change:
-    now, done = tree.entry(name), kept.done.get(name)
+def _unlinked(tree: Tree, name: str, previous: Manifest) -> Change:
+    now, done = tree.entry(name), previous.done.get(name)
     if now is None:
         return Change(name, None, None, "keep", done)
     return Change(name, now, None, "disable", Done(now, None), "it holds the UART")

@@ -28,22 +28,22 @@ class File:
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class Symlink:
     """A symbolic link, to be kept as it is and not followed."""
 
     target: str
 
     def same(self, other: Entry | None) -> bool:
         """Whether both lead to the same name."""
-        return isinstance(other, Link) and other.target == self.target
+        return isinstance(other, Symlink) and other.target == self.target
 
 
-Entry = File | Link
+Entry = File | Symlink
 
 
-def same(one: Entry | None, other: Entry | None) -> bool:
+def same(first: Entry | None, other: Entry | None) -> bool:
     """Whether two names hold the same; None is nothing."""
-    return other is None if one is None else one.same(other)
+    return other is None if first is None else first.same(other)
 
 
 class Tree:
@@ -75,7 +75,7 @@ class Tree:
         path = self.path(name)
         with self._sentence("read", name):
             if path.is_symlink():
-                return Link(str(path.readlink()))
+                return Symlink(str(path.readlink()))
             if not path.exists():
                 return None
             if not path.is_file():
@@ -94,7 +94,7 @@ class Tree:
         with self._sentence("write", name):
             if entry is None:
                 path.unlink(missing_ok=True)
-            elif isinstance(entry, Link):
+            elif isinstance(entry, Symlink):
                 path.unlink(missing_ok=True)
                 path.symlink_to(entry.target)
             else:

@@ -9,7 +9,7 @@ from typing import Any
 
 from companion.errors import LinkError, SetupError
 from companion.params.links import LinkKind, parse_link
-from companion.setup.boards import Board
+from companion.setup.boards import CompanionBoard
 from companion.setup.tree import Tree
 
 _NODE_BAUD = 921600
@@ -19,7 +19,7 @@ _ROUTERS = ("usr/bin/mavlink-routerd", "usr/local/bin/mavlink-routerd")
 
 
 @dataclass(frozen=True, slots=True)
-class Answers:
+class Choices:
     """Empty ``cameras`` or ``trigger``: none. With ``router`` mavlink-router has the links.
 
     ``program`` is what the service starts, empty where nobody named it.
@@ -45,7 +45,7 @@ class Answers:
         return (_ROUTED,) if self.router else self.links
 
 
-def answered(board: Board, tree: Tree, kept: dict[str, Any], given: dict[str, Any]) -> Answers:
+def choices_for(board: CompanionBoard, tree: Tree, previous: dict[str, Any], overrides: dict[str, Any]) -> Choices:
     """What was given now, else what was kept of the last time, else what fits the board.
 
     Raises
@@ -54,30 +54,32 @@ def answered(board: Board, tree: Tree, kept: dict[str, Any], given: dict[str, An
         An answer that no file can hold: a blank, a quote, a link that is not one.
     """
     nodes = tuple(f"/dev/spanwise-{side},{_NODE_BAUD}" for side in ("left", "right"))
-    fitting = Answers(
+    fitting = Choices(
         (f"{board.uart},{_NODE_BAUD}", *nodes), router=any(tree.entry(name) is not None for name in _ROUTERS)
     )
-    known = {field.name for field in dataclasses.fields(Answers)}
-    said = {name: value for name, value in {**kept, **given}.items() if name in known and value is not None}
+    field_names = {field.name for field in dataclasses.fields(Choices)}
+    said = {
+        name: value for name, value in {**previous, **overrides}.items() if name in field_names and value is not None
+    }
     if "links" in said:
         said["links"] = tuple(said["links"])
-    answers = dataclasses.replace(fitting, **said)
-    _check(answers)
-    return answers
+    choices = dataclasses.replace(fitting, **said)
+    _check(choices)
+    return choices
 
 
-def _check(answers: Answers) -> None:
-    for name, value in dataclasses.asdict(answers).items():
+def _check(choices: Choices) -> None:
+    for name, value in dataclasses.asdict(choices).items():
         for word in value if isinstance(value, tuple) else (value,):
             if isinstance(word, str) and not _WORD.fullmatch(word):
                 raise SetupError(f"{name} '{word}': letters, digits and _ . / : , + @ = - alone (no blanks, no quotes)")
-    if not answers.links:
+    if not choices.links:
         raise SetupError("links: give one at least")
-    if not answers.airframe:
+    if not choices.airframe:
         raise SetupError("airframe: give a name, or the path of a file")
     try:
-        kinds = [parse_link(link).kind for link in answers.links]
+        kinds = [parse_link(link).kind for link in choices.links]
     except LinkError as error:
         raise SetupError(str(error)) from error
-    if answers.router and kinds[0] is not LinkKind.SERIAL:
-        raise SetupError(f"links: mavlink-router needs the autopilot's serial device first, not {answers.links[0]}")
+    if choices.router and kinds[0] is not LinkKind.SERIAL:
+        raise SetupError(f"links: mavlink-router needs the autopilot's serial device first, not {choices.links[0]}")
