@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 
-_PR_SET_PDEATHSIG = 1
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LOOK_S = 0.2
 _GRACE_S = 0.6
 

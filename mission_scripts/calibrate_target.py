@@ -29,7 +29,7 @@ from mission_scripts.common.watch import Range
 
 _LEVEL_RAD = math.radians(6.0)
 _HEIGHT_OFF_M = 5.0
-_LEAST = 10
+_LEAST = 10  # ranges of a group: the median of fewer wanders
 _SLOW_RAD = 0.0003
 _LINE_UP_M = 150.0
 

@@ -28,7 +28,7 @@ from mission_scripts.common.watch import Watch
 _SEND_S = 0.04
 _SPEED_OFF_MPS = 1.0
 _HEIGHT_OFF_M, _NEAR_M, _SETTLE_S = 8.0, 200.0, 120.0
-_FAR = 0.4
+_FAR = 0.4  # of the circle's radius
 _USUAL = -2.0  # the autopilot's own cruise speed
 _LEVEL_S, _TRIM_S = 1.5, 4.0
 _PITCH_PER_MPS, _MOST_SLOW_RAD, _SLOWEST = 0.02, 0.08, 0.75

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 _FEEDS_PER_LIMIT = 4  # systemd asks for two
 _EXTENSION_US = 180_000_000
-_LONGEST_STATUS = 200
+_LONGEST_STATUS = 200  # characters that fit a line of systemctl
 
 
 class ServiceManager:

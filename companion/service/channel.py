@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 _BUFFER_BYTES = 4 << 20
-_LARGEST_MESSAGE = 1 << 20
+_LARGEST_MESSAGE = 1 << 20  # bytes
 
 
 @dataclass(slots=True)

@@ -9,7 +9,7 @@ from companion.params.airframe import Airframe
 from companion.units import Orientation
 from mission_scripts.common.convergence import Offset
 
-_PROVEN = 2.0
+_PROVEN = 2.0  # sigmas
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-_APART = 1.4
+_APART = 1.4  # ratio of distances from which toe and scale separate
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,10 +25,11 @@ _SERVICE_S = 60.0
 _RANGES_S = 5.0
 _STREAM_S, _HOME_S = 6.0, 90.0
 _ONTO_S = 15.0
+# message ids (MAVLink common.xml)
 _IDS = {"SCALED_IMU": 26, "RAW_IMU": 27, "HIGHRES_IMU": 105, "SCALED_IMU2": 116, "SCALED_IMU3": 129}
 # ATTITUDE, GLOBAL_POSITION_INT, VFR_HUD, SYS_STATUS, MISSION_CURRENT, HOME_POSITION
 _STREAMS = {30: 0.1, 33: 0.1, 74: 0.2, 1: 1.0, 42: 0.5, 242: 1.0}
-_SLOWER = (1.0, 1.34, 1.67, 3.4, 6.7)
+_SLOWER = (1.0, 1.34, 1.67, 3.4, 6.7)  # factors of the interval that are tried after a denial
 
 
 class Log:

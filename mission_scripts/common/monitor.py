@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from mission_scripts.common.watch import Range
 
-_SIGMAS = 4.0
+_SIGMAS = 4.0  # of a range: more is a contradiction
 _BANKED_RAD = 0.25
 
 

@@ -10,7 +10,7 @@ from mission_scripts.common.sdk import MissionItem
 
 _DEGREE_M = math.pi * 6378137.0 / 180.0
 _RELATIVE_FRAME = 6  # MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-_HOME_FRAME = 5
+_HOME_FRAME = 5  # MAV_FRAME_GLOBAL_INT (MAVLink common.xml)
 WAYPOINT, LOITER, LAND, TAKEOFF, CLIMB_TO = 16, 17, 21, 22, 31
 """CLIMB_TO circles at a place until the height is reached, then leaves toward the next item (param1 = 1)."""
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from companion.params.airframe import Airframe
 
-_V1, _V2 = 0xFE, 0xFD
+_V1, _V2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
 _STOP_S = 20.0
 
 

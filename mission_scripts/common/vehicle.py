@@ -18,12 +18,13 @@ from mission_scripts.common.watch import AUTOPILOT, KINDS, Watch
 
 GUIDED, AUTO, RTL, LOITER = 15, 10, 11, 12  # ArduPlane
 _RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
+# MAV_CMD (MAVLink common.xml)
 _SET_MESSAGE_INTERVAL, _DO_CHANGE_SPEED, _DO_REPOSITION, _DO_SET_MODE = 511, 178, 192, 176
 # ArduPlane takes these from the quaternion, and leaves yaw and throttle alone
 _ROLL, _ROLL_AND_PITCH = 0b11111110, 0b11111100
-_FIXED_WING, _ARDUPILOT = 1, 3
-_RELATIVE_FRAME = 6
-_TRIES = 3
+_FIXED_WING, _ARDUPILOT = 1, 3  # MAV_TYPE, MAV_AUTOPILOT (MAVLink common.xml)
+_RELATIVE_FRAME = 6  # MAV_FRAME_GLOBAL_RELATIVE_ALT_INT (MAVLink common.xml)
+_TRIES = 3  # all orders of ours may be given twice
 _LOOK_S = 0.5
 
 

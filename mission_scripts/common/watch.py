@@ -12,7 +12,7 @@ from typing import Any
 
 from mission_scripts.common.places import Place
 
-AUTOPILOT = 1
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1 (MAVLink common.xml)
 KINDS = (
     "HEARTBEAT",
     "GLOBAL_POSITION_INT",
@@ -27,12 +27,12 @@ KINDS = (
     "HOME_POSITION",
     "STATUSTEXT",
 )
-_NO_RANGE_QUALITY = 1
+_NO_RANGE_QUALITY = 1  # DISTANCE_SENSOR.signal_quality: invalid (MAVLink common.xml)
 _READY = (3, 4)  # MAV_STATE standby and active
-_ARMED = 128
-_PREARM_CHECK = 1 << 28
-_UNKNOWN_COVARIANCE = 255
-_MOST_RANGES = 20_000
+_ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED (MAVLink common.xml)
+_PREARM_CHECK = 1 << 28  # MAV_SYS_STATUS_PREARM_CHECK (MAVLink common.xml)
+_UNKNOWN_COVARIANCE = 255  # UINT8_MAX (MAVLink common.xml)
+_MOST_RANGES = 20_000  # bound of memory: half an hour at 10 Hz
 _LONGEST_CARRY_S = 2.0
 
 

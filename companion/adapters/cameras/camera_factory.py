@@ -24,7 +24,7 @@ SPELLINGS = (
     "oak-replay:LEFT.avi,RIGHT.avi (through DepthAI's replay nodes)",
     "recording:FILE.mcap",
 )
-_FREE_RUN_HZ = 30.0
+_FREE_RUN_HZ = 30.0  # convention: the rate of most cameras
 
 
 def camera_factory(

@@ -14,7 +14,7 @@ from companion.params.airframe import Camera, Uncertain, Vector3
 from companion.records import Floats
 
 _FORWARD_AXES = ("y", "z", "x")
-_RADTAN = 4
+_RADTAN = 4  # number of coefficients of the EuRoC format's radial-tangential model
 
 
 @dataclass(frozen=True, slots=True)

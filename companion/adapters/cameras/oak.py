@@ -22,7 +22,7 @@ from companion.adapters.triggers.oak import SoftLine
 from companion.errors import DeviceError, missing_extra
 from companion.records import ClockName, Frame, Side
 
-PLAN_UNKNOWN = -1
+PLAN_UNKNOWN = -1  # convention of Frame.plan_id: no plan is known
 _POLL_S = 0.001
 
 

@@ -19,8 +19,8 @@ from companion.params.airframe import Camera, Uncertain
 from companion.records import Floats
 
 _M_PER_CM = 0.01
-_OUR_TERMS = 5
-_THEIR_TERMS = 14
+_OUR_TERMS = 5  # k1 k2 p1 p2 k3, OpenCV's five
+_THEIR_TERMS = 14  # length of DepthAI's distortion list
 _AXIS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 

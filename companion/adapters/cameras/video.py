@@ -11,7 +11,7 @@ import numpy as np
 from companion.errors import DeviceError
 from companion.records import Bytes, ClockName, Frame, Side
 
-PLAN_UNKNOWN = -1
+PLAN_UNKNOWN = -1  # convention of Frame.plan_id: no plan is known
 
 
 class CapturePair:

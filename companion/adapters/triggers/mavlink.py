@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from companion.ports import Trigger
 from companion.records import Shot, TriggerPlan
 
-MAV_CMD_IMAGE_START_CAPTURE = 2000
-MAV_CMD_DO_DIGICAM_CONTROL = 203
-MAV_CMD_DO_REPEAT_RELAY = 182
-MAV_CMD_DO_REPEAT_SERVO = 184
-_ALL_CAMERAS = 0.0
-_LARGEST_EXACT_FLOAT32 = 1 << 24
+MAV_CMD_IMAGE_START_CAPTURE = 2000  # MAVLink common.xml
+MAV_CMD_DO_DIGICAM_CONTROL = 203  # MAVLink, as ArduPilot knows it
+MAV_CMD_DO_REPEAT_RELAY = 182  # MAVLink common.xml
+MAV_CMD_DO_REPEAT_SERVO = 184  # MAVLink common.xml
+_ALL_CAMERAS = 0.0  # target of IMAGE_START_CAPTURE (MAVLink common.xml)
+_LARGEST_EXACT_FLOAT32 = 1 << 24  # largest count that a command's float parameter holds exactly
 _PULSE_S = 0.05
 
 

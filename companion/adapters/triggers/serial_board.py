@@ -19,8 +19,8 @@ LEAD_NS = 4_000_000
 """From the call of ``fire`` to the edge: what a slow USB link needs to deliver a line. A constant latency, learned."""
 _ANSWER_S = 0.05
 _WAKE_S = 3.0
-_FIRST_EXCHANGES = 24
-_EXCHANGES = 32
+_FIRST_EXCHANGES = 24  # before the first shot: the quickest of them bounds the offset
+_EXCHANGES = 32  # newest exchanges that the clock rests on
 _DRIFT = 30e-6  # a crystal's skew: what an old exchange loses per second of age
 _WIDTH_US = 1000
 

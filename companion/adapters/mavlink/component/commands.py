@@ -10,8 +10,8 @@ from companion.adapters.mavlink.decode.message_records import Heard
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.params.metadata import GENERAL_FILE, mavlink_crc32, metadata_uri
 
-_MOST_WAITING = 16
-_COMPONENT_METADATA, _AUTOPILOT_VERSION = 397, 148
+_MOST_WAITING = 16  # bound of memory: a flood of commands loses its oldest answers
+_COMPONENT_METADATA, _AUTOPILOT_VERSION = 397, 148  # message ids (MAVLink common.xml)
 
 
 class ComponentMetadata(mavlink.MAVLink_message):  # type: ignore[misc]

@@ -17,7 +17,7 @@ from companion.adapters.mavlink.vehicle.id_conflict import IdConflictDetector
 from companion.params.metadata import GENERAL_FILE, metadata_files
 from companion.records import Notice, ParameterChange
 
-_MOST_NOTICES = 16
+_MOST_NOTICES = 16  # bound of memory
 
 
 class OnboardComponent:

@@ -18,16 +18,18 @@ from companion.params.metadata import mavlink_crc32
 from companion.rate_limiter import RateLimiter
 
 _HEAD = struct.Struct("<HBBBBBBI")
-_DATA_BYTES = 239
-_PAYLOAD_BYTES = 251
+_DATA_BYTES = 239  # payload less the FTP header (MAVLink FTP protocol)
+_PAYLOAD_BYTES = 251  # payload of FILE_TRANSFER_PROTOCOL (MAVLink common.xml)
 _PACE_NS = 10_000_000
-_MOST_CLIENTS = 4
-_MOST_WAITING = 16
-_BURST_PACKETS = 40
+_MOST_CLIENTS = 4  # bound of memory: more ground stations than a vehicle has
+_MOST_WAITING = 16  # bound of memory
+_BURST_PACKETS = 40  # a burst of 9.6 kB: 0.4 s at our pace, then the client asks on
 
+# opcodes (MAVLink FTP protocol)
 _NONE, _TERMINATE, _RESET, _LIST, _OPEN, _READ, _CRC, _BURST = 0, 1, 2, 3, 4, 5, 14, 15
-_WRITES = frozenset(range(6, 14))
-_ACK, _NAK = 128, 129
+_WRITES = frozenset(range(6, 14))  # opcodes that would change a file (MAVLink FTP protocol)
+_ACK, _NAK = 128, 129  # opcodes of answers (MAVLink FTP protocol)
+# error codes (MAVLink FTP protocol)
 _FAIL, _NO_SESSION, _END_OF_FILE, _UNKNOWN_COMMAND, _PROTECTED, _NO_SUCH_FILE = 1, 4, 6, 7, 9, 10
 
 

@@ -10,8 +10,8 @@ from companion.rate_limiter import RateLimiter
 from companion.records import CorrectedRange, NoRange, ObstacleSectors
 from companion.units import Orientation
 
-_CIRCLE, _POINTS = 1, 2
-_RESTARTED_MS = 1000
+_CIRCLE, _POINTS = 1, 2  # values of the tunable OUT_OBSTACLES' setting ``obstacles``
+_RESTARTED_MS = 1000  # a stamp that is a second back is of a clock that begins anew
 _EARLY = 0.7  # of a period: what comes a little early is not dropped, or every other message would be
 
 

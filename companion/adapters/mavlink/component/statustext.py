@@ -10,9 +10,9 @@ from companion.units import Severity
 _SECOND_NS = 1_000_000_000
 _REPEAT_NS = 10 * _SECOND_NS
 _REFILL_NS = _SECOND_NS
-_BURST = 8
-_RESERVED_FOR_ERRORS = 3
-_MOST_TEXTS = 64
+_BURST = 8  # texts at once, a convention
+_RESERVED_FOR_ERRORS = 3  # places of the burst
+_MOST_TEXTS = 64  # bound of memory
 
 
 @dataclass(slots=True)

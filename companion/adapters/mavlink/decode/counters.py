@@ -8,7 +8,7 @@ from companion.rate_limiter import RateLimiter
 from companion.records import Reject, Rejected
 
 _PERIOD_NS = 1_000_000_000
-_MOST_KINDS = 64
+_MOST_KINDS = 64  # bound of memory against invented subjects
 
 
 @dataclass(slots=True)

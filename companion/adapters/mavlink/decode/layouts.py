@@ -24,9 +24,9 @@ from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
 from companion.records import Axis, Floats, Ints
 from companion.units import GRAVITY_MPS2
 
-TUNNEL_IMU_TYPE = 0xA1C0
-BATCH_SAMPLES = 9
-_IMPLAUSIBLE_SEVENTH = 0x20
+TUNNEL_IMU_TYPE = 0xA1C0  # payload type of inertial batches, ours: from 32768 on they are free (MAVLink)
+BATCH_SAMPLES = 9  # as many six-axis int16 samples as TUNNEL's 128 bytes take beside their head
+_IMPLAUSIBLE_SEVENTH = 0x20  # seventh byte of a uint64 in us: from 2^53 on, 285 years
 IMPLAUSIBLE_STAMP_US = _IMPLAUSIBLE_SEVENTH << 48
 _COMPLETE = frozenset(byte for byte in range(256) if byte & Axis.ALL == Axis.ALL)
 _Stamps = np.ndarray[tuple[int], np.dtype[np.uint64]]

@@ -28,9 +28,9 @@ from companion.records import (
 )
 
 PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
-_MOST_REQUESTS = 32
+_MOST_REQUESTS = 32  # TIMESYNC requests that may be under way; bound of memory
 _STATE_PERIOD_MS = 20
-_PIN_TIMES_US = 1 << 32
+_PIN_TIMES_US = 1 << 32  # CAMERA_FEEDBACK of a pin is micros() in 32 bits (AP_Camera)
 INTEGER_TYPES = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
 
 

@@ -13,7 +13,7 @@ from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Source
 from companion.records import Axis, ClockName, Floats, Ints, Station
 
-AUTOPILOT_COMPONENT = 1
+AUTOPILOT_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1 (MAVLink common.xml)
 _LETTERS = "xyzpqr"
 _NANOSECONDS = 1_000_000_000
 

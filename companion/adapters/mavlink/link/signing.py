@@ -37,18 +37,18 @@ from companion.rate_limiter import RateLimiter
 from companion.records import Notice
 from companion.units import Severity
 
-_MAGIC_2 = 0xFD
-_SIGNED = 0x01
+_MAGIC_2 = 0xFD  # first byte of a MAVLink 2 frame
+_SIGNED = 0x01  # incompatibility flag (MAVLink serialization)
 _SIGNATURE_BYTES = 13
 _KEY_BYTES = 32
-_UNIT_NS = 10_000
-_MINUTE = 60 * 100_000
-_SECOND = 100_000
+_UNIT_NS = 10_000  # unit of a signature's timestamp (MAVLink signing)
+_MINUTE = 60 * 100_000  # in units of 10 us: how far behind a new stream may be (MAVLink signing)
+_SECOND = 100_000  # in units of 10 us
 _RESTART = _SECOND
 _SAVE_PERIOD_NS = 500_000_000
 _EPOCH_S = 1_420_070_400  # 2015-01-01
-_LARGEST = (1 << 48) - 1
-_MOST_STREAMS = 1024
+_LARGEST = (1 << 48) - 1  # 48 bits of timestamp (MAVLink signing)
+_MOST_STREAMS = 1024  # bound of memory
 _SAY_PERIOD_NS = 10_000_000_000
 
 

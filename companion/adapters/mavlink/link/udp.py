@@ -14,11 +14,11 @@ from companion.adapters.mavlink.vehicle.senders import Senders
 from companion.errors import LinkError
 
 _RECEIVE_BUFFER_BYTES = 1 << 20
-_LARGEST_DATAGRAM = 65536
-_MOST_PEERS = 16
-_MOST_DATAGRAMS = 4096
-_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
-_SHORTEST = 8
+_LARGEST_DATAGRAM = 65536  # bytes, of UDP
+_MOST_PEERS = 16  # bound of memory
+_MOST_DATAGRAMS = 4096  # bound of the time of one read
+_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
+_SHORTEST = 8  # bytes of a MAVLink 1 frame without payload
 
 
 class _Udp:

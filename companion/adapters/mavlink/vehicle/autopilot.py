@@ -52,11 +52,11 @@ from companion.records import (
 from companion.units import Severity
 
 _SECOND_NS = 1_000_000_000
-_STATE_RATE_HZ = 20.0
-_KNOCK_SYSTEM = 1
-_MOST_ANSWERS = 16
-_MOST_HELD = 16
-_MOST_OTHERS = 8
+_STATE_RATE_HZ = 20.0  # attitude and airspeed, for display and rigid motion
+_KNOCK_SYSTEM = 1  # system id of our first heartbeat; ArduPilot's default
+_MOST_ANSWERS = 16  # TIMESYNC answers in one chunk; bound of the time of one read
+_MOST_HELD = 16  # bound of memory
+_MOST_OTHERS = 8  # bound of memory and of sentences
 
 
 class MavlinkAutopilot:

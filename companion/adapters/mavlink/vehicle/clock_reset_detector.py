@@ -10,7 +10,7 @@ from companion.records import Bools, ClockName, Ints
 
 BACK_NS = 1_000_000_000
 AHEAD_NS = 1_000_000_000
-CONFIRMATIONS = 3
+CONFIRMATIONS = 3  # in a row: a late datagram is a sample or two
 _ADOPT_NS = 1_000_000_000
 _ALIVE_NS = 1_000_000_000
 LEAPS = ": time leaps"

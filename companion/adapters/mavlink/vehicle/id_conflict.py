@@ -14,8 +14,8 @@ from companion.rate_limiter import RateLimiter
 from companion.records import Notice
 from companion.units import Severity
 
-_REMEMBERED = 512
-_CONFIRMATIONS = 3
+_REMEMBERED = 512  # frames that we sent: some seconds of them
+_CONFIRMATIONS = 3  # a frame from before our own restart is one
 _WINDOW_NS = 10_000_000_000
 _REPEAT_NS = 30_000_000_000
 

@@ -7,14 +7,14 @@ from companion.records import ClockName
 _MS_NS = 1_000_000
 _HURRY_PERIOD_NS = 50 * _MS_NS
 _PERIOD_NS = 100 * _MS_NS
-_DITHER = 0.4
-_GOLDEN = 0.6180339887498949
+_DITHER = 0.4  # of a period: lest requests keep step with the autopilot's loop
+_GOLDEN = 0.6180339887498949  # golden ratio less 1: its multiples fill the period evenly
 _HURRY_NS = 5_000 * _MS_NS
 _AWAITED_NS = 15 * _MS_NS
-_MOST_UNANSWERED = 5
+_MOST_UNANSWERED = 5  # requests, then the answer is not waited for
 _ASK_PERIOD_NS = 50 * _MS_NS
 _RETRY_NS = 1_000 * _MS_NS
-_TRIES = 5
+_TRIES = 5  # for each parameter
 _REFRESH_NS = 30_000 * _MS_NS
 
 NEEDED_PARAMETERS = (

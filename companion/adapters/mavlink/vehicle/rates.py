@@ -22,11 +22,11 @@ _ACK_TIMEOUT_NS = 300_000_000
 _SILENT_PAUSE_NS = 5 * _SECOND_NS
 _REFUSED_PAUSE_NS = 30 * _SECOND_NS
 _LONGEST_PAUSE_NS = 10 * _SECOND_NS
-_TRIES = 5
-_ENOUGH = 0.75
-_SLOWER = 1.25
+_TRIES = 5  # before a pause
+_ENOUGH = 0.75  # of the granted rate: ArduPilot truncates intervals to ms, 400 Hz become 333
+_SLOWER = 1.25  # factor of the interval after a denial
 _SLOWEST_US = 200_000
-_SLOW_VERDICTS = 3
+_SLOW_VERDICTS = 3  # seconds in a row
 _SLOW_REPEAT_NS = 60 * _SECOND_NS
 SAMPLES_PER_PERIOD = 10.0
 """Samples that the tracker wants of every period of the fastest mode."""
@@ -56,7 +56,7 @@ class IntervalRequest:
     interval_us: int
 
 
-_INTEGRATION_RATES_HZ = (100, 200, 250, 400, 1000)
+_INTEGRATION_RATES_HZ = (100, 200, 250, 400, 1000)  # values of IMU_INTEG_RATE (PX4 parameter reference)
 
 
 def needed_integration_rate_hz(rate_hz: float) -> int:

@@ -16,8 +16,8 @@ Address = tuple[str, int]
 Key = tuple[int, int]
 
 _ALIVE_NS = 1_500_000_000
-_COPIES = 128
-_CONFIRMATIONS = 3
+_COPIES = 128  # latest frames of a holder, among which a router's copy is looked for
+_CONFIRMATIONS = 3  # a stray frame or two prove nothing
 _REPEAT_NS = 30_000_000_000
 _REPORT_NS = 1_000_000_000
 _WINDOW_NS = 10_000_000_000

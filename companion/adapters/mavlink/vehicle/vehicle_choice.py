@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 _SILENT_NS = 5_000_000_000
-_CONFIRMATIONS = 3
+_CONFIRMATIONS = 3  # heartbeats: a stray frame moves nothing
 
 
 class VehicleChoice:

@@ -18,7 +18,7 @@ from companion.errors import RecordingError
 from companion.records import Ints
 
 MAGIC = b"\xa3\x95\x80"
-_HEAD_1, _HEAD_2, _FMT_TYPE, _FMT_BYTES = 0xA3, 0x95, 128, 89
+_HEAD_1, _HEAD_2, _FMT_TYPE, _FMT_BYTES = 0xA3, 0x95, 128, 89  # AP_Logger's LogStructure.h
 _TEXTS = "anNZ"  # letters of what is no number
 _FMT = struct.Struct("<BB4s16s64s")
 # letter -> (numpy type, factor)

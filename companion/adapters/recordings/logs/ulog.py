@@ -26,8 +26,8 @@ from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints,
 from companion.units import Severity
 
 _LEAST_RATE_HZ = 50.0
-_NO_TIME = 0x7FFFFFFF
-_ARMED = 2
+_NO_TIME = 0x7FFFFFFF  # RELATIVE_TIMESTAMP_INVALID (PX4 msg/SensorCombined.msg)
+_ARMED = 2  # arming_state of vehicle_status (PX4 msg/VehicleStatus.msg)
 _OF_MESSAGES = "IMU_INTEG_RATE"
 _TOPICS = [
     "sensor_accel",

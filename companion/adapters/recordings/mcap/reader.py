@@ -35,7 +35,7 @@ from companion.records import ClockName, Frame, FramePair, Notice, Side
 from companion.units import Severity
 
 MAGIC = b"\x89MCAP0\r\n"
-_HEAD = 9
+_HEAD = 9  # bytes: opcode and length of a record (MCAP specification)
 _INDEXED_OPCODES = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT))
 _MOST_CHUNK_BYTES = 1 << 28
 _LONGEST_CHUNK_S = 60.0

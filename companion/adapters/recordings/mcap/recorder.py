@@ -17,7 +17,7 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
 
 _IDLE_S = 0.25
-_IDLE_ROUNDS = 4
+_IDLE_ROUNDS = 4  # waits without a record before the recorder ends
 _TRY_AGAIN_S = 30.0
 _JOIN_S = 10.0
 

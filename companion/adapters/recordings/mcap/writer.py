@@ -34,7 +34,7 @@ from companion.params.files import dump_airframe
 from companion.params.settings import Settings, tunables
 from companion.records import ClockName, Frame, FramePair
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 1  # of our profile; raised where an old reader would misread
 _CHUNK_NS = 1_000_000_000
 _CHUNK_BYTES = 4 * 1024 * 1024
 

@@ -30,7 +30,7 @@ _INERTIAL = re.compile(r"([a-z]+)_([a-z])_([a-z0-9/^]+)")
 _NEAR = re.compile(r"(?i)(root|left|right)_([xyzpqr])_(.+)")
 _BARE = re.compile(rf"[{_LETTERS}]_[a-z0-9]+")
 _MOST_G = 3.0  # on average
-_FEWEST = 100
+_FEWEST = 100  # samples that gravity is judged by
 _RANGE_OPTIONAL = ("reference_m", "disparity_px", "t_command_s")
 
 

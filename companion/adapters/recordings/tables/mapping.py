@@ -18,8 +18,8 @@ from companion.params.airframe import Uncertain
 from companion.params.shipped import shipped
 from companion.params.toml import parse_toml, read_text
 
-_LARGEST = 1e300
-_MOST_LINES = 1_000_000
+_LARGEST = 1e300  # finite with room for products
+_MOST_LINES = 1_000_000  # header of a table: more is a slip
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
 

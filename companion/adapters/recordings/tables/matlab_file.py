@@ -17,14 +17,16 @@ import numpy as np
 
 from companion.errors import RecordingError
 
-_HEAD = 128
-_MATRIX, _COMPRESSED = 14, 15
-_CELL, _CHARACTER, _FIRST_NUMBER, _LAST_NUMBER = 1, 4, 6, 15
+_HEAD = 128  # bytes of the file's header (MAT-File Level 5 format)
+_MATRIX, _COMPRESSED = 14, 15  # data types (MAT-File Level 5 format)
+_CELL, _CHARACTER, _FIRST_NUMBER, _LAST_NUMBER = 1, 4, 6, 15  # array classes (MAT-File Level 5 format)
+# data types (MAT-File Level 5 format)
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+# data types of text (MAT-File Level 5 format)
 _ENCODINGS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _MOST_INFLATED_BYTES = 400_000_000
-_MOST_NESTED = 4
-_MOST_CELLS = 100_000
+_MOST_NESTED = 4  # depth of cells within cells
+_MOST_CELLS = 100_000  # bound of memory
 
 
 @dataclass(frozen=True, slots=True)
