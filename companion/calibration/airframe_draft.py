@@ -32,7 +32,7 @@ _ORIENTATION = {"down": int(Orientation.DOWN), "forward": int(Orientation.FORWAR
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What the builder knows.
+    """Measurements that the builder of an airframe has at hand.
 
     Attributes
     ----------

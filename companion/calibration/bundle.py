@@ -17,8 +17,8 @@ from companion.calibration.boards import Corners
 from companion.records import Floats
 
 LENS = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
-SHARED = 2 * LENS + 6
-_ROUNDS = 12  # Gauss-Newton steps at most; it ends earlier once settled
+SHARED = 2 * LENS + 6  # two lenses, rotation and translation
+_MAX_STEPS = 12  # Gauss-Newton steps at most; it ends earlier once settled
 _SETTLED = 1e-9  # relative step at which rounding rules
 _JACOBIAN_COLUMNS = np.r_[
     6:10, 10:15
@@ -68,7 +68,7 @@ def adjust(observed: list[tuple[Corners, Corners]], points_m: Floats, shared: Fl
     shared, boards : float64
         Start, as in :class:`Bundle`.
     """
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_STEPS):
         normal, gradient, back = _normal_equations(observed, points_m, shared, boards)
         step = _scaled_solve(normal, gradient)
         moves = np.array([inverse @ (g - cross.T @ step) for inverse, g, cross in back])

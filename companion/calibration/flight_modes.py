@@ -16,10 +16,10 @@ from companion.params.airframe import Airframe
 from companion.records import ClockName, Floats, ImuBatch, Ints, Record, Station, TimesyncReply
 
 _VERTICAL = 2  # column of body z in ImuBatch.values
-_RATE_HZ = 200.0
+_RATE_HZ = 200.0  # twice the band and more
 _TAPS = 129  # of the anti-alias low-pass
-_LEAST_S = 20.0
-_GAP_NS = 200_000_000
+_LEAST_S = 20.0  # a hundred periods of 5 Hz
+_GAP_NS = 200_000_000  # a longer one parts the record
 
 
 @dataclass(frozen=True, slots=True)

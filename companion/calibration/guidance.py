@@ -1,4 +1,4 @@
-"""What is still missing from a set of board views, in words: image coverage, tilts, distances, number."""
+"""Advice on a set of board views: missing image coverage, tilts, distances, number."""
 
 from __future__ import annotations
 

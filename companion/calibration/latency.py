@@ -11,8 +11,8 @@ from companion.errors import RecordingError
 from companion.records import ClockName, Floats, MatchSet, Record, Shot
 
 _LEAST_SHOTS = 10  # for a spread known to a quarter
-_LONGEST_S = 0.2
-_MEDIAN_TO_SIGMA = 1.4826
+_LONGEST_S = 0.2  # a longer one was not that shot
+_MEDIAN_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from companion.calibration.stereo_rig import BoardView
 from companion.records import Bytes, Frame, Side
 
 _SKEW_NS = 50_000_000  # a board that holds still may be seen by cameras that are not synchronised
-_STILL_PX = 0.5
-_LATELY_NS = 1_000_000_000
+_STILL_PX = 0.5  # between two images
+_LATELY_NS = 1_000_000_000  # older images do not show that the board is still
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class LiveViews:
 
     @property
     def advice(self) -> list[str]:
-        """What is missing; empty when done."""
+        """Missing views, in words; empty when done."""
         return advice(self.views, self._board, self.size_px, self._wanted)
 
     def add(self, frames: list[Frame]) -> str | None:

@@ -24,8 +24,8 @@ from companion.params.airframe import Airframe, Camera
 from companion.records import Floats
 
 LEAST_ATTITUDES = 4  # three unknown angles, and one attitude to judge by
-_ROUNDS = 20  # Gauss-Newton steps at most
-_LARGEST_SIGMA_RAD = 0.02
+_MAX_STEPS = 20  # Gauss-Newton steps at most
+_LARGEST_SIGMA_RAD = 0.02  # a worse mounting is not worth having
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ def mount(attitudes: list[Attitude]) -> Mounting:
     felt = np.array([each.up_section for each in attitudes])
     boards = np.array([each.camera_from_board for each in attitudes])
     rotation, up = _start(felt, boards)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_STEPS):
         errors, slope = _errors(rotation, up, felt, boards)
         step: Floats = np.asarray(np.linalg.lstsq(slope, errors, rcond=1e-9)[0], dtype=np.float64)
         rotation = exp_rotation(step[:3]) @ rotation

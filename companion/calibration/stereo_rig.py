@@ -20,9 +20,9 @@ from companion.records import Bytes, Floats, Ints, Side
 
 LEAST_VIEWS = 6  # nine lens terms a camera need three views; six leave residuals to judge by
 _OUTLIER = 3.0  # times the median reprojection error of the views
-_HARMLESS_PX = 0.15
+_HARMLESS_PX = 0.15  # a view that fits so well stays, whatever the others do
 CELLS = 4  # a side, of the grid by which image coverage is judged
-_FAR_M = 60.0
+_FAR_M = 60.0  # where the toe is what counts
 _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 

@@ -1,4 +1,4 @@
-"""What the autopilot does to its inertial data before it sends them, from its own parameters, and how that is undone.
+"""Inverse of the autopilot's own filters (notches, low-pass, integration), from its parameters.
 
 ArduPilot sends samples that have gone through the harmonic notches (gyro) and then a 2nd-order Butterworth low-pass
 (INS_ACCEL_FILTER, INS_GYRO_FILTER). The tracker undoes the low-pass exactly, over the whole band, while it averages.
@@ -36,7 +36,7 @@ NAMES = (
 )
 """The parameters that matter here; no vehicle has all of them."""
 _LOWPASS = {"INS_ACCEL_FILTER": "lowpass_accel_hz", "INS_GYRO_FILTER": "lowpass_gyro_hz"}
-_HARMONICS = 16
+_HARMONICS = 16  # bits of ArduPilot's INS_HNTCH_HMNCS
 _STATIONS = ("root", "left", "right")
 
 

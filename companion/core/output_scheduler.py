@@ -1,4 +1,4 @@
-"""What goes out on the clock, not on an event: the mode for graphs, "alive, no range" in place of an old number."""
+"""Outputs on the timer: the mode state for graphs, and "alive, no range" in place of an old number."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from companion.params.settings import Settings
 from companion.records import CorrectedRange, ModeState, NoRange, OutputRecord, Reject, Validity
 
 _RANGE_STALE_NS = 400_000_000  # under ArduPilot's 500 ms, so that an old number never lingers
-_NEWS_NS = 2_000_000_000
+_NEWS_NS = 2_000_000_000  # an older refusal no longer says why there is no range (choice)
 
 
 @dataclass(slots=True)

@@ -61,8 +61,8 @@ from companion.units import Severity
 
 __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
-_STATUS_PERIOD_NS = 1_000_000_000
-_ERROR_PERIOD_NS = 1_000_000_000
+_STATUS_PERIOD_NS = 1_000_000_000  # MAVLink's heartbeat
+_ERROR_PERIOD_NS = 1_000_000_000  # the heartbeat's: an error that stays is told once in it
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between
 _BY_PIN = "exposures stamped by the autopilot"
 
@@ -195,7 +195,7 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
 
 
 def _align(state: PipelineState, now_ns: int) -> list[OutputRecord]:
-    """Let what the motion tells of silent nodes' clocks count as exchanges."""
+    """Clock exchanges from the motion of nodes that answer no TIMESYNC."""
     said: list[OutputRecord] = []
     for exchange in state.unsynced_nodes.exchanges(now_ns):
         before = state.clocks.state(exchange.clock).synced

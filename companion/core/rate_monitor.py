@@ -1,4 +1,4 @@
-"""What rate the streams really deliver, and when that is so different from the belief that the tracker must know."""
+"""Delivered sample rates of the streams, and which depart so far from the airframe's that the tracker restarts."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from companion.params.airframe import Airframe
 from companion.records import ImuBatch, Ints, Station
 
-_WINDOW_NS = 2_000_000_000
-_ALIKE = 0.15
+_WINDOW_NS = 2_000_000_000  # long enough for 10 samples of the slowest stream
+_ALIKE = 0.15  # two windows of a settled rate differ by less
 _LEAST, _MOST = 0.7, 1.4
-_SLOWEST_HZ = 5.0
+_SLOWEST_HZ = 5.0  # below it no mode is seen
 
 
 @dataclass(slots=True)

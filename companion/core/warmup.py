@@ -19,10 +19,10 @@ from companion.params.settings import Settings
 from companion.records import Axis, ClockName, Floats, ImuBatch, Station, Tick, TimesyncReply, Validity
 from companion.units import GRAVITY_MPS2
 
-_EPOCH_NS = 1_000_000_000_000
+_EPOCH_NS = 1_000_000_000_000  # any host time
 _LENGTH_S = 11.2  # the first fit comes after 1.5 s, the first rate of a drift after 10 s
-_TICK_NS = 20_000_000
-_ROUND_TRIP_NS = 400_000
+_TICK_NS = 20_000_000  # the service's timer
+_ROUND_TRIP_NS = 400_000  # a good link
 
 
 def warm_up(airframe: Airframe, settings: Settings, compiling: Callable[[int], object] = lambda _: None) -> None:

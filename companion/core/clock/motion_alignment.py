@@ -27,26 +27,26 @@ from companion.records import Axis, ClockName, Floats, ImuBatch, Ints, TimesyncR
 
 MOST_DELAY_NS = 60_000_000
 """From a sample to its arrival, at most; a slower link cannot be aligned."""
-SIGMAS = 4.0
+SIGMAS = 4.0  # half width of an exchange made from a lag: false in 6 of 100,000
 LARGEST_SIGMA_S = 0.0025
 """A lag known less well than this is not used: of the mode's phase at 5 Hz it would be 4.5 degrees."""
 _EVERY_S, _COARSE_S = 2.0, 0.5
 _WINDOW_S, _SMOOTH_S = 12.0, 0.8  # a Hann window so long passes a tenth at 1.9 Hz and a thirtieth from 2.5 Hz on
 _HEAVE_WINDOW_S, _HEAVE_SMOOTH_S = 24.0, 1.6
-_CELL_S = 0.02
+_CELL_S = 0.02  # 50 cells a second, far above the smoothing
 _BLOCK = 75  # cells in 1.5 s
-_SEARCH_S = 0.004
+_SEARCH_S = 0.004  # coarse step: Gauss-Newton converges from half of it
 _STAMPS_SIGMA_S = 0.0003  # what the stamps themselves leave open: an autopilot's are of sending, 0.1 to 0.6 ms late
 _HEAVE_FLOOR_S = 0.0006  # how far the wing may give way in step with the manoeuvre and not be told from lag
 _LINK_SIGMA_S = 0.0001  # by how much the least delay of two seconds differs from that of others
-_NEAR_NS = 1_000_000_000
-_GAUSS_NEWTON_STEPS = 4
-_BUFFER_S = 32.0
+_NEAR_NS = 1_000_000_000  # arrivals about an instant, for the least delay
+_GAUSS_NEWTON_STEPS = 4  # after the coarse search (choice)
+_BUFFER_S = 32.0  # the longer window and the largest delay
 
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """By how much a node's series is later than the root's, with its sigma."""
+    """Lag of a node's series behind the root's, s, with its sigma."""
 
     lag_s: float
     sigma_s: float
@@ -54,7 +54,7 @@ class Lag:
 
 @dataclass(slots=True)
 class _Series:
-    """What one sensor felt, (n, 6), with its stamps; several batches, joined when they are needed."""
+    """Samples (n, 6) of one sensor with their stamps; several batches, joined when they are needed."""
 
     stamps: list[Ints] = field(default_factory=list)
     values: list[Floats] = field(default_factory=list)
@@ -122,7 +122,7 @@ class MotionAlignment:
         self._root.add(t_host_ns, values)
 
     def exchanges(self, now_host_ns: int) -> Iterator[TimesyncReply]:
-        """What can be said now, as exchanges."""
+        """Alignments due by now, as exchanges."""
         if now_host_ns >= self._next_coarse_ns and self._arrivals:
             self._next_coarse_ns = now_host_ns + round(_COARSE_S * 1e9)
             stamp_ns, received_ns = self._arrivals[-1]
@@ -241,7 +241,7 @@ def heave_lag(node_s: Floats, node_mps2: Floats, rigid_mps2: Floats, span_s: flo
 
 @dataclass(frozen=True, slots=True)
 class _Reference:
-    """What a node's smoothed series should be but for its lag, its derivative, and what else may be in it."""
+    """Regressors of a node's smoothed series: its values without lag, their derivative, and leakage from other axes."""
 
     values: Floats
     slope: Floats

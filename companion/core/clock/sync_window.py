@@ -10,13 +10,13 @@ import numpy as np
 from companion.core.clock.sync_set import FeasibleLines
 from companion.records import TimesyncReply
 
-WINDOW_NS = 60_000_000_000
-MOST_SKEW = 500e-6
+WINDOW_NS = 60_000_000_000  # drift of the skew loosens older exchanges by more than 0.09 ms (derived)
+MOST_SKEW = 500e-6  # far beyond any crystal (choice)
 ANY_SKEW = (-MOST_SKEW, MOST_SKEW)
 SKEW_DRIFT_PER_S = 5e-8
 """How fast a skew may change: a crystal of 1 ppm/K that warms by 0.05 K/s."""
-_BUCKET_NS = 1_000_000_000
-_ENOUGH = 4
+_BUCKET_NS = 1_000_000_000  # one pair of bounds a second: sixty in all
+_ENOUGH = 4  # exchanges in a second that allow leaving the tightest out
 _CAREFUL_NS = 10_000_000_000
 """As long the tightest upper bound of a second is not believed, where the second has so many exchanges."""
 _TOLERANCES_NS = (2e3, 2e4, 1e5, 5e5, 1e6, 2e6)
@@ -207,7 +207,7 @@ def agree(first: TimesyncReply, second: TimesyncReply) -> bool:
 
 
 def _bounds(reply: TimesyncReply, base_ns: int) -> tuple[_Bound, _Bound]:
-    """What an exchange says of the offset: at most this when it was sent, at least that when it was received."""
+    """Upper bound of the offset at an exchange's sending, and lower bound at its receiving, ns."""
     upper = _Bound(reply.sent_host_ns, reply.remote_ns - reply.sent_host_ns - base_ns)
     return upper, _Bound(reply.received_host_ns, reply.remote_ns - reply.received_host_ns - base_ns)
 

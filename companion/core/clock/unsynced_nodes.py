@@ -50,6 +50,6 @@ class UnsyncedNodes:
             alignment.add_root(t_host_ns, values)
 
     def exchanges(self, now_host_ns: int) -> Iterator[TimesyncReply]:
-        """What the motion tells of their clocks by now, as exchanges."""
+        """Alignments of all unsynced nodes due by now, as exchanges."""
         for alignment in self._alignments.values():
             yield from alignment.exchanges(now_host_ns)

@@ -18,22 +18,23 @@ from companion.records import CorrectedRange, Floats, Reject
 
 KNOCK_RAD = 0.005
 """How far, per axis, a blow or an undetected fault of the tracker may have turned the cameras."""
-_CONSISTENT_SIGMAS = 4.0
-_AGREEING_TO_TRUST = 3
-_FORGET_NS = 2_000_000_000
+_CONSISTENT_SIGMAS = 4.0  # a jump by chance once in 16,000 pairs of Gaussian ranges
+_AGREEING_TO_TRUST = 3  # three in a row: one wrong range never has two accomplices by chance (choice)
+_FORGET_NS = 2_000_000_000  # older ranges say nothing of a surface at flight speed (choice)
 _FRESH_NS = 500_000_000  # how long a trusted range vouches alone for the next one
-_APART_TO_DOUBT = 2
-_SURFACE_NS = 5_000_000_000
+_APART_TO_DOUBT = 2  # one may be a wrong match, two are not (choice)
+_SURFACE_NS = 5_000_000_000  # a knock seldom stays hidden so long where matches are looked at (choice)
 _OUTLIER_SQUARE = 30.7  # of three degrees of freedom: one in a million
-_OUTLIERS_TO_REOPEN = 3
+_OUTLIERS_TO_REOPEN = 3  # a stamp is wrong for one pair, a camera stays turned (choice)
 _ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest
+# threshold of Page's sums (choice; judged by sitl_tests/faults/camera_faults.py)
 _KNOCKED_SIGMAS = 10.0
-_DOUBT_SIGMAS = 2.5
+_DOUBT_SIGMAS = 2.5  # beyond it chance explains one innovation in eighty
 _CARRIED = 0.5  # from pair to pair: stamps that were wrong lately may be so again
 
 
 class MatchVerdict(enum.Enum):
-    """What a pair's matches say of what was believed before."""
+    """Result of the test of a pair's matches against the believed rotation."""
 
     AGREE = enum.auto()
     OUTLIER = enum.auto()
@@ -170,7 +171,7 @@ class RangeGate:
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """What the gate remembers of a range."""
+    """Range, sigma and time of a judged pair, as the gate remembers it."""
 
     t_ns: int
     range_m: float
@@ -186,7 +187,7 @@ class _Moving:
     slack_mps: float
 
     def between_m(self, before: _Level, after: _Level) -> float:
-        """By how much a range misses what an earlier one foretold."""
+        """Absolute difference of a range from the prediction by an earlier one, m."""
         return abs(after.range_m - before.range_m - self.rate_mps * 1e-9 * (after.t_ns - before.t_ns))
 
     def agree(self, before: _Level | None, after: _Level) -> bool:

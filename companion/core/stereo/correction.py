@@ -34,15 +34,15 @@ from companion.records import (
 )
 from companion.units import Severity
 
-_QUEUE_DEPTH = 64
-_SLACK_MPS = 8.0
-_VEHICLES = 64
-_ATTITUDE_NS = 500_000_000
+_QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
+_SLACK_MPS = 8.0  # terrain under a downward pair at flight speed (choice)
+_VEHICLES = 64  # states: some seconds of attitudes at the usual rates
+_ATTITUDE_NS = 500_000_000  # an attitude older than this is not that of the exposure (choice)
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
 
 class BendSource(Protocol):
-    """What tells the bend: the wing tracker."""
+    """Source of the wing's bend at past instants: the wing tracker."""
 
     @property
     def distrust(self) -> Reject | None:
@@ -168,7 +168,7 @@ class Correction:
     def _turned(
         self, matches: MatchSet, bend: tuple[Deflection, Deflection], velocity_mps: Floats, *, use_matches: bool
     ) -> RelativeRotation:
-        """What the matches tell, unless the bend at the stamps, on which they build, is not to be trusted."""
+        """Relative rotation from the matches, or its prediction where the bend at the stamps is not to be trusted."""
         moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, velocity_mps)
         matches = matches.features()
         rays = match_rays(self.rig, moving, matches)

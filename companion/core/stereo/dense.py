@@ -17,19 +17,19 @@ from companion.core.stereo.refine import HALF_WINDOW, refine
 from companion.core.stereo.search import Search
 from companion.records import Bools, Bytes, Floats
 
-_BLOCK = 5
-_STEPS_PER_PX = 16.0
-_LEFT_RIGHT_PX = 1
-_UNIQUENESS_PERCENT = 10
-_SPECKLE_AREA_PX = 60
+_BLOCK = 5  # px; OpenCV's usual block
+_STEPS_PER_PX = 16.0  # OpenCV's fixed point of disparity
+_LEFT_RIGHT_PX = 1  # OpenCV's usual left-right check
+_UNIQUENESS_PERCENT = 10  # OpenCV's usual value
+_SPECKLE_AREA_PX = 60  # smaller islands of disparity are mismatches (choice)
 # Semi-global matching leans toward whole pixels by a quarter of one; that error is common to a surface, so it does not
 # average out, and metric ranges go through `metric_pairs`.
 _SIGMA_PX = 0.35
 # Mean absolute horizontal slope of brightness, per pixel, below which a place has no texture to match.
 _LEAST_TEXTURE = 3.0
-_TEXTURE_WINDOW_PX = 11
-_METRIC_SCORE = 0.85
-_CLOSE_PX = 20.0
+_TEXTURE_WINDOW_PX = 11  # about two matching blocks
+_METRIC_SCORE = 0.85  # as the sparse matches need
+_CLOSE_PX = 20.0  # one refinement window: nearer places show the same texture
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,23 +32,20 @@ from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
 PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, YAW_BIAS = range(9)
-_SLOW = 9
+_SLOW = 9  # states that stay from pair to pair
 _ALL = _SLOW + 6  # with this pair's error of the fast part, and its innovation
 _FAST, _INNOVATION = slice(_SLOW, _SLOW + 3), slice(_SLOW + 3, _ALL)
 _PARALLAX_STATES = 7  # states that the parallax has a column of its own for
-_MIN_MATCHES = 12
-_GAUSS_NEWTON_STEPS = 10
-_STUDENT_DOF = (
-    5.0  # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
-)
-_MAD_TO_SIGMA = 1.4826
+_MIN_MATCHES = 12  # seven columns, and as many again to tell outliers by (choice)
+_GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
+# degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
+_STUDENT_DOF = 5.0
+_MAD_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information
-_FAST_VARIANCE_FACTOR = (
-    3.0  # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
-)
-_PRIOR_REMAINDER = (
-    1e-3  # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
-)
+# the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
+_FAST_VARIANCE_FACTOR = 3.0
+# share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
+_PRIOR_REMAINDER = 1e-3
 
 
 SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
@@ -57,7 +54,7 @@ SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
 
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsPrior:
-    """What is believed of the slow part before any picture.
+    """Prior of the slow relative rotation and of the lenses' differences, before any picture.
 
     Attributes
     ----------
@@ -99,7 +96,7 @@ class ExtrinsicsPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendBelief:
-    """What the wing tracker knows of its own slow error, a slope of both tips.
+    """Slow error of the wing tracker, a slope common to both tips: axis, sigma and correlation time.
 
     Attributes
     ----------
@@ -346,7 +343,7 @@ def _solve(epipolar_rays: Rays, sigma_rad: Floats, slow: Floats, covariance: Flo
 
 
 def _innovation(answer: _Posterior) -> Innovation:
-    """What the matches say of the innovation, its own prior taken out: zero within its covariance, if all is well."""
+    """Innovation with its own prior taken out: zero within its covariance, if all is well."""
     information = np.linalg.inv(answer.covariance[_INNOVATION, _INNOVATION])
     pull = information @ answer.mean[_INNOVATION]
     covariance = np.asarray(

@@ -101,7 +101,7 @@ def with_relative_rotation(
 
 
 def rest_exposures(rig: Rig) -> tuple[CameraExposure, CameraExposure]:
-    """What the ground calibration alone would assume: nothing bends, nothing moves."""
+    """Exposures of the ground calibration: both cameras at rest, nothing bends, nothing moves."""
     still = np.zeros(3)
     return CameraExposure(rig.left.rest, still, still), CameraExposure(rig.right.rest, still, still)
 

@@ -27,7 +27,7 @@ from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Si
 
 _MIN_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is found again, slowly
 _CAMERA_PLACE_SIGMA_M = 0.0005  # how well a camera's place across the baseline is known
-_RADIAL_SIGMA = 0.002
+_RADIAL_SIGMA = 0.002  # difference of k1 between two lenses calibrated alike (choice)
 _YAW_BIAS_PX = 0.01  # what matching and lens model leave in its place from pair to pair, in the corner of the image
 # Obstacles at many distances show what is wrong with the cameras' places (wind, exposures apart) as rotations: half a
 # milliradian of pitch and roll for seconds. Yaw is granted no more than to a pair that looks down: its innovation in
@@ -107,7 +107,7 @@ class ExtrinsicsDriftFilter:
         return RelativeRotation(matches.pair_id, t_host_ns, slow, covariance + fast, slow, covariance, 0, 0.0)
 
     def _belief(self, bend: tuple[Deflection, Deflection], t_host_ns: int) -> BendBelief:
-        """What the tracker knows of its slow error, without the ripple of what it says.
+        """Slow error of the tracker, without the ripple of its stated sigma.
 
         Constants (misalignment, trim) and the load factor make the stated sigma rise and fall by a percent or so in
         every manoeuvre. Nothing is forgotten by that: were every rise taken for fresh error, it would cost the filter
@@ -143,7 +143,7 @@ class ExtrinsicsDriftFilter:
 
 
 def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
-    """What the airframe says of its cameras: mounting and its drift, lenses, places."""
+    """Prior of the extrinsics from the airframe file: mounting and its drift, lenses, places."""
     cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
     mounting = math.sqrt(sum(camera.rotation_sigma_rad**2 + camera.drift_sigma_rad**2 for camera in cameras))
     walk = math.sqrt(sum(2.0 * camera.drift_sigma_rad**2 / camera.drift_time_s for camera in cameras))

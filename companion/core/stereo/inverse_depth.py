@@ -10,18 +10,18 @@ import numpy as np
 from companion.core.stereo.triangulation import Depths
 from companion.records import Bools, Floats, Ints
 
-_ABSOLUTE_STEPS = 8
-_BIWEIGHT_STEPS = 6
-_TUKEY = 4.685
-_MAD_TO_SIGMA = 1.4826
+_ABSOLUTE_STEPS = 8  # reweightings to least absolute deviations: the start of the M-estimate
+_BIWEIGHT_STEPS = 6  # reweightings by the biweight (choice)
+_TUKEY = 4.685  # 95 % efficiency on Gaussian errors (Huber and Ronchetti 2009)
+_MAD_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 # A surface may lie at 45 degrees to the axis (one sigma): enough for rolls and hillsides, and it keeps a fit to few
 # matches from swinging.
 _TILT = 1.0
 # Vertical parallax: what matching leaves, and how much it may grow over the image (roll between the cameras).
 _PARALLAX_RAD = 1e-4
-_PARALLAX_SLOPE = 0.02
-_CLUSTER_SIGMAS = 3.0
-_CENTRE_FRACTION = 0.2
+_PARALLAX_SLOPE = 0.02  # rad per unit tangent: about a degree of roll, one sigma
+_CLUSTER_SIGMAS = 3.0  # members of one thing differ by noise alone
+_CENTRE_FRACTION = 0.2  # of the matches, nearest to the axis (choice)
 
 
 class RangeProduct(enum.IntEnum):

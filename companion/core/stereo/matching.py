@@ -18,22 +18,22 @@ from companion.core.stereo.refine import HALF_WINDOW, Refined, refine
 from companion.core.stereo.search import Band, Search, bands, seek
 from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, Side
 
-_CORNER_QUALITY = 0.01
-_CORNER_SPACING_PX = 14
-_BORDER_PX = HALF_WINDOW + 3
-_COARSE_WIDTH_PX = 320
-_COARSE_SCORE = 0.6
-_FINE_SCORE = 0.85
+_CORNER_QUALITY = 0.01  # OpenCV's usual share of the strongest response
+_CORNER_SPACING_PX = 14  # less than a refinement window apart, features are not independent
+_BORDER_PX = HALF_WINDOW + 3  # a patch and its interpolation taps fit in
+_COARSE_WIDTH_PX = 320  # width of the images of the coarse search: speed
+_COARSE_SCORE = 0.6  # correlation that a right place reaches at the coarse scale (choice)
+_FINE_SCORE = 0.85  # correlation of a patch that is the same texture (choice)
 # Of 1 - correlation: the best must leave this much less unexplained than any other place, and a little in any case.
 _UNIQUENESS = 0.8
-_UNIQUE_MARGIN = 0.02
+_UNIQUE_MARGIN = 0.02  # see _UNIQUENESS
 # How far the way back may miss: patches a fraction of a pixel apart, on a slanted surface, differ by this much.
 _RETURN_PX = 0.1
-_RETURN_SIGMAS = 4.0
-_SLOPE_PX = 5.0
-_LEAST_FOR_ROLL = 12
-_ROLL_IRLS_STEPS = 5
-_COARSE_PX = 0.5
+_RETURN_SIGMAS = 4.0  # both ways have noise of their own
+_SLOPE_PX = 5.0  # half the step of the difference quotient
+_LEAST_FOR_ROLL = 12  # three unknowns, and enough to outvote mismatches (choice)
+_ROLL_IRLS_STEPS = 5  # reweightings; roll only shapes the patch
+_COARSE_PX = 0.5  # accuracy of the coarse search
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +152,7 @@ def expected_slopes(frame: Rectification, rig: Rig, left_px: Ints, right_rectifi
 
 
 def _roll(points_px: Floats, down_px: Floats) -> float:
-    """By how much rectified matches go down per pixel to the right: the roll that was not expected, rad.
+    """Roll that was not expected, rad: slope of the matches' vertical displacement along the rows.
 
     Depth moves a match along its row alone. Least sum of magnitudes: coarse matches are right to half a pixel, some
     are wrong.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from companion.records import Frame, FramePair, Reject, Rejected, Side
 
-_FORGET_NS = 2_000_000_000
+_FORGET_NS = 2_000_000_000  # a frame that waited so long has lost its partner (choice)
 
 
 @dataclass(slots=True)

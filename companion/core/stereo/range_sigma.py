@@ -1,4 +1,4 @@
-"""What uncertain extrinsics, lenses and clocks do to a range: gradients through the geometry, times covariances."""
+"""Error budget of a range: numerical gradients by extrinsics, lenses and stamps, times their covariances."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from companion.core.stereo.triangulation import Rays
 from companion.params.airframe import Airframe, Camera
 from companion.records import Deflection, Floats, Side
 
-_STEP_RAD = 1e-6
-_STEP_M = 1e-5
-_STEP_RELATIVE = 1e-6
+_STEP_RAD = 1e-6  # of the difference quotient
+_STEP_M = 1e-5  # of the difference quotient
+_STEP_RELATIVE = 1e-6  # of the difference quotient
 # modal coordinates and the antisymmetric slope, of [q symmetric, q antisymmetric, slope left, slope right]
 _ANTISYMMETRIC_FROM_TIPS = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.5]])
 _TIPS_FROM_ANTISYMMETRIC = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])

@@ -29,7 +29,7 @@ _INFINITY_PM = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeAnswer:
-    """What one pair gave.
+    """Range of one pair, its sectors, the depths behind it and its error budget.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class _Scene:
         return cls(matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, apart_rad2, range_axis, rays)
 
     def depths(self, matches: MatchSet) -> Depths:
-        """Of matches of this pair, along the range axis."""
+        """Inverse depths of matches of this pair, along the range axis."""
         rays = self.rays if matches is self.matches else match_rays(self.rig, self.moving, matches)
         return triangulate(rays, self.range_axis, matches.sigma_px / self.rig.left.lens.focal_px)
 
@@ -176,7 +176,7 @@ class _Scene:
         return _Toe(toe_between(self.rig, self.moving), sigma_rad)
 
     def inverse_depths(self, rays: Rays) -> Floats:
-        """Of any rays, along the range axis."""
+        """Inverse depths (n,) of any rays, along the range axis, 1/m."""
         return triangulate(rays, self.range_axis, np.ones(len(rays.left))).inverse_pm
 
     def rigid_pm(self) -> Floats:

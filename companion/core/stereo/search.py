@@ -13,15 +13,15 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Bools, Bytes, Floats, Ints, Side
 
-HALF_TEMPLATE = 5
+HALF_TEMPLATE = 5  # px at the coarse scale: 11 x 11 patches (choice)
 # A second peak nearer than this to the best one is the same peak.
 _SAME_PEAK_PX = 3
-_BEND_SIGMAS = 3.0
+_BEND_SIGMAS = 3.0  # of gusts and trim bend, added (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
-    """What is expected of the pair at exposure, and how far it may be off.
+    """Predicted poses of a pair at exposure, their tolerance and the range limits.
 
     Attributes
     ----------

@@ -14,18 +14,18 @@ from companion.core.stereo.triangulation import Depths, RangeAxis
 from companion.params.settings import Settings
 from companion.records import Floats, ObstacleSectors
 
-SECTORS = 72
+SECTORS = 72  # elements of MAVLink's OBSTACLE_DISTANCE
 _WIDTH_RAD = 2.0 * np.pi / SECTORS
 # An obstacle needs this many matches that agree, so that one wrong match is none; a clear sector this many far ones.
 _SUPPORT = 2
-_CLEAR_SUPPORT = 3
-_AGREE_SIGMAS = 3.0
-_AGREE_FRACTION = 0.1
-_SURE_SIGMAS = 2.0
+_CLEAR_SUPPORT = 3  # far matches that clear a sector
+_AGREE_SIGMAS = 3.0  # of the difference of two distances
+_AGREE_FRACTION = 0.1  # depth of one obstacle against its distance (choice)
+_SURE_SIGMAS = 2.0  # a clear sector is beyond the largest range in 97.7 % of cases
 # What is seen steeper than this leaves the height band long before the largest range, so it clears nothing.
 _LEVEL = 0.1
-_ABOVE_M = 5.0
-_BELOW_M = 5.0
+_ABOVE_M = 5.0  # height band of what is in the way (choice)
+_BELOW_M = 5.0  # height band of what is in the way (choice)
 
 
 def matched_sectors(

@@ -14,12 +14,12 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Firing, Frame, FramePair, MatchSet, ParameterChange, Reject, Rejected, Side, TriggerPlan
 
-_MAX_PLANS = 32
+_MAX_PLANS = 32  # more than can be open between two frames
 
 
 @dataclass(slots=True)
 class FrameChoice:
-    """Of cameras that run free, the pair nearest each planned instant.
+    """Choice of the pair nearest each planned instant, for cameras that run free.
 
     A pair is taken when no neighbour can be nearer: within half the time between two pairs.
     """
@@ -86,7 +86,7 @@ class VisionState:
         return matches
 
     def missing(self, frame: Frame) -> list[Rejected]:
-        """What a gap in one camera's numbers tells: exposures whose images were lost on the way, or never made."""
+        """Frames missing in one camera's numbering: exposures whose images were lost on the way, or never made."""
         count = frame.sequence - self.numbers.get(frame.side, frame.sequence)
         self.numbers[frame.side] = frame.sequence + 1
         if count <= 0:

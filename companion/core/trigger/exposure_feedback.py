@@ -23,8 +23,8 @@ _PIN_SIGMA_NS = 50e3
 """From the shutter to the stamp of the pin's interrupt."""
 _NEAR_NS = 20_000_000
 """A pair that no plan is known for has its feedback within this of its own stamp."""
-_LATE_NS = 1_000_000_000
-_MAX_ENTRIES = 64
+_LATE_NS = 1_000_000_000  # an edge that comes so late belongs to an exposure already processed
+_MAX_ENTRIES = 64  # edges and shots that may wait for their pair: seconds at any rate
 
 
 class ExposureFeedback:

@@ -16,7 +16,7 @@ from companion.core.kernels.compiled import compiled
 from companion.core.trigger.blur import BlurForecast
 from companion.records import Floats, Ints
 
-_WORST_SIGMA_NS = 1e9
+_WORST_SIGMA_NS = 1e9  # keeps an unknown time finite
 
 
 @dataclass(frozen=True, slots=True)

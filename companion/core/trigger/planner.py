@@ -18,16 +18,16 @@ from companion.records import Firing, Reject, Shot, TriggerPlan, Validity
 
 HORIZON_NS = 250_000_000
 """How far ahead a forecast should reach: two intervals of the fastest usual rate, and a half period of a slow wing."""
-STEP_NS = 5_000_000
+STEP_NS = 5_000_000  # a tenth of the period at 20 Hz; minima are refined by a parabola
 MARGIN_NS = 3_000_000
 """A plan needs so long to reach the trigger process; within it of the command, a plan is not changed any more."""
 EXPIRY_NS = 10_000_000
 """A command that could not be given within this is not given: the wing would be moving again."""
 _EARLY_FRACTION = 0.3
 """A peak may come before its turn by this share of the interval; on average the rate is never exceeded."""
-_ANY_SPACING_NS = 50_000_000
-_NOT_YET = -1
-_MS_NS = 1_000_000
+_ANY_SPACING_NS = 50_000_000  # of peaks, where fewer than two are forecast: 10 Hz
+_NOT_YET = -1  # before the first call
+_MS_NS = 1_000_000  # nanoseconds in a millisecond
 
 
 class Policy(enum.IntEnum):

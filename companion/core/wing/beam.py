@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 
 from companion.records import Floats
 
-_QUADRATURE_PER_MODE = 12
+_QUADRATURE_PER_MODE = 12  # Gauss-Legendre nodes per half wave (choice)
 
 
 def characteristic(x: float, mass_ratio: float, inertia_ratio: float = 0.0) -> float:

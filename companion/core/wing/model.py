@@ -106,7 +106,7 @@ class WingModel:
     def remembered(
         self, t_s: float, q_m: Floats, qdot_mps: Floats, load_factor: float, before: Memories | None
     ) -> Memories:
-        """What the forces in effect know of an instant at the next one; ``before`` is what they knew at the last."""
+        """Memories of history-dependent forces at an instant, for the next step; ``before`` are those of the last."""
         static = self.q_static(load_factor)
         motion = ModalMotion(t_s, q_m, qdot_mps, static, load_factor, self.structure)
         pairs = zip(self._forcing, before or self._nothing, strict=True)

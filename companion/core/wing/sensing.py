@@ -1,4 +1,4 @@
-"""What an inertial sensor on the wing sees: gravity, rigid motion, heave and tilt of its station.
+"""Sensing equation of an inertial sensor on the wing: gravity, rigid motion, heave and tilt of its station.
 
 With r the station's place from the root sensor, w its upward displacement and phi its rotation against the rest wing
 (left ``(+psi, tau, 0)``, right ``(-psi, tau, 0)``)::
@@ -19,7 +19,7 @@ import numpy as np
 from companion.core.wing.model import WingModel
 from companion.records import Floats, Side
 
-_SLOPE_SIGN = (1.0, -1.0)
+_SLOPE_SIGN = (1.0, -1.0)  # up-bend turns the left tip about +x, the right one about -x
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class ModalPath:
 
 
 def lever_arm_mps2(motion: RigidMotion, position_m: Floats) -> Floats:
-    """What rigid rotation adds to the specific force at ``position_m`` (3,) from the root: (m, 3)."""
+    """Lever-arm acceleration (m, 3) of rigid rotation at ``position_m`` (3,) from the root, m/s^2, body axes."""
     omega = motion.rate_radps
     tangential = np.cross(motion.angular_acceleration_radps2, position_m)
     return np.asarray(tangential + np.cross(omega, np.cross(omega, position_m)))

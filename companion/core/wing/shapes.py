@@ -15,7 +15,7 @@ from scipy.interpolate import BSpline
 
 from companion.records import Floats
 
-_CUBIC = 3
+_CUBIC = 3  # degree of the spline
 _PENALTIES = np.logspace(-9, 3, 49)
 _STRAIGHT = 2  # straight lines have no bending energy
 
