@@ -1,4 +1,4 @@
-"""All rules of trust between pairs: matches against the sensors, and a range against the last ones.
+"""All rules of trust: matches against the sensors, one range and one obstacle by themselves, a range against the last.
 
 What turns a camera unnoticed (a blow, a stamp that is wrong, a tracker misled) shows in two ways. The matches leave an
 innovation: a rotation beyond everything that is believed. And the range jumps. Either reopens the drift filter: the
@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.records import CorrectedRange, Floats, Reject
+from companion.core.stereo.inverse_depth import RangeProduct
+from companion.params.settings import Settings
+from companion.records import Bools, CorrectedRange, Floats, Ints, Reject
 
 KNOCK_RAD = 0.005
 """How far, per axis, a blow or an undetected fault of the tracker may have turned the cameras."""
@@ -30,6 +32,12 @@ _ALLOWED_SIGMAS = 1.0  # Page's test tells shifts of twice this soonest
 # threshold of Page's sums (choice; judged by sitl_tests/faults/camera_faults.py)
 _KNOCKED_SIGMAS = 10.0
 _DOUBT_SIGMAS = 2.5  # beyond it chance explains one innovation in eighty
+_TERRAIN_SLACK_MPS = 8.0  # slope of terrain under a downward pair at flight speed (choice)
+_OBSTACLE_MATCHES = 2  # that agree: one wrong match is no obstacle
+_CLEAR_MATCHES = 3  # far ones that clear a sector (choice)
+_OBSTACLE_SIGMAS = 3.0  # of the difference of two distances
+_OBSTACLE_DEPTH = 0.1  # of one obstacle against its distance (choice)
+_SURE_SIGMAS = 2.0  # a clear sector is beyond the largest range in 97.7 % of cases (derived)
 _CARRIED = 0.5  # from pair to pair: stamps that were wrong lately may be so again
 
 
@@ -198,3 +206,58 @@ class _Moving:
         sigma_m = math.sqrt(max(before.sigma_m**2 + after.sigma_m**2 - 2.0 * shared_m2, 0.0))
         allowed_m = _CONSISTENT_SIGMAS * sigma_m + self.slack_mps * 1e-9 * (after.t_ns - before.t_ns)
         return self.between_m(before, after) <= allowed_m
+
+
+# ------------------------------------------------------------------------------------ one range, one obstacle
+
+
+def range_reject(matches: int, range_m: float, sigma_m: float, settings: Settings) -> Reject | None:
+    """Reason not to trust one range by itself (few matches, out of range, large sigma); None where it is sound."""
+    if matches < settings.min_matches and settings.product != RangeProduct.NEAREST:
+        return Reject.NO_MATCHES
+    if not settings.min_range_m <= range_m <= settings.max_range_m:
+        return Reject.OUT_OF_RANGE
+    if sigma_m > settings.trust_ratio * range_m:
+        return Reject.SIGMA_TOO_LARGE
+    return None
+
+
+def withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:
+    """Range without trust where the wing, the stamps or the matches give a reason."""
+    if reason is None or not measured.trusted:
+        return measured
+    return dataclasses.replace(measured, trusted=False, reject=reason)
+
+
+def range_slack_mps(looks_down: bool, airspeed_mps: float) -> float:
+    """Rate at which a range may change beyond the climb rate, m/s: terrain, and ahead the closing speed."""
+    return _TERRAIN_SLACK_MPS + (0.0 if looks_down else airspeed_mps)
+
+
+def precise(inverse_pm: Floats, sigma_pm: Floats, settings: Settings) -> Bools:
+    """Whether (n,) inverse depths, 1/m, are known to the trust ratio; False where one is not a number."""
+    precise_enough: Bools = sigma_pm <= settings.trust_ratio * inverse_pm
+    return precise_enough
+
+
+def surely_beyond(inverse_pm: Floats, sigma_pm: Floats, slant: Floats, settings: Settings) -> Bools:
+    """Whether (n,) points lie beyond the largest range; ``slant`` is their horizontal distance per unit of depth."""
+    beyond: Bools = (inverse_pm + _SURE_SIGMAS * sigma_pm) * settings.max_range_m < slant
+    return beyond
+
+
+def clears(far_matches: Ints) -> Bools:
+    """Whether counts of far matches clear their sectors."""
+    return far_matches >= _CLEAR_MATCHES
+
+
+def nearest_supported(distance_m: Floats, sigma_m: Floats) -> tuple[float, float]:
+    """Nearest distance that enough points (n,) agree on, and its sigma, m; zeros when there is none."""
+    for index in np.argsort(distance_m, kind="stable"):
+        gap = np.abs(distance_m - distance_m[index])
+        allowed = np.maximum(_OBSTACLE_SIGMAS * np.hypot(sigma_m, sigma_m[index]), _OBSTACLE_DEPTH * distance_m[index])
+        alike = gap <= allowed
+        if np.count_nonzero(alike) >= _OBSTACLE_MATCHES:
+            group, weight = distance_m[alike], sigma_m[alike] ** -2.0
+            return float(np.average(group, weights=weight)), float(sigma_m[alike].min())
+    return 0.0, 0.0

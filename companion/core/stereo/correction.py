@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -10,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate
+from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, range_slack_mps, withheld
 from companion.core.stereo.epipolar import YAW
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
@@ -35,7 +34,6 @@ from companion.records import (
 from companion.units import Severity
 
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
-_SLACK_MPS = 8.0  # terrain under a downward pair at flight speed (choice)
 _VEHICLES = 64  # states: some seconds of attitudes at the usual rates
 _ATTITUDE_NS = 500_000_000  # an attitude older than this is not that of the exposure (choice)
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
@@ -127,11 +125,15 @@ class Correction:
             turned=turned,
             attitude_rad=self._attitude((left.t_host_ns + right.t_host_ns) // 2),
         )
-        slack_mps = _SLACK_MPS + (0.0 if self.airframe.looks_down else airspeed_mps)
         if self.drift_filter.verdict is not MatchVerdict.AGREE:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)
-        judged = self.gate.judge(_withheld(answer.range, reason), climb_mps, slack_mps, lasting_m)
+        judged = self.gate.judge(
+            withheld(answer.range, reason),
+            climb_mps,
+            range_slack_mps(self.airframe.looks_down, airspeed_mps),
+            lasting_m,
+        )
         if judged.trusted:
             self.last_trusted = judged
         yield judged
@@ -174,10 +176,3 @@ class Correction:
         rays = match_rays(self.rig, moving, matches)
         use_matches = use_matches and bool(self.settings.hold_slow)
         return self.drift_filter.update(matches, rays, bend, moving, TIMING_SIGMA_S, use_matches=use_matches)
-
-
-def _withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:
-    """The range without trust where the wing's motion is not known well enough."""
-    if reason is None or not measured.trusted:
-        return measured
-    return dataclasses.replace(measured, trusted=False, reject=reason)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.stereo.consistency_gate import range_reject
 from companion.core.stereo.epipolar import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig, axes_from_body
@@ -189,7 +190,7 @@ def _answer(
 ) -> CorrectedRange:
     range_m = _metres(reading.inverse_pm)
     sigma_m = min(sigma_pm * range_m**2, settings.max_range_m) if range_m > 0.0 else settings.max_range_m
-    reject = _judge(reading, range_m, sigma_m, settings)
+    reject = range_reject(reading.used, range_m, sigma_m, settings)
     return CorrectedRange(
         pair_id=scene.matches.pair_id,
         plan_id=scene.matches.plan_id,
@@ -243,16 +244,6 @@ def _epipolar_y(pair: tuple[CameraExposure, CameraExposure]) -> Floats:
 
 def _metres(inverse_pm: float) -> float:
     return 1.0 / inverse_pm if inverse_pm > _INFINITY_PM else 0.0
-
-
-def _judge(reading: InverseDepthEstimate, range_m: float, sigma_m: float, settings: Settings) -> Reject | None:
-    if reading.used < settings.min_matches and settings.product != RangeProduct.NEAREST:
-        return Reject.NO_MATCHES
-    if not settings.min_range_m <= range_m <= settings.max_range_m:
-        return Reject.OUT_OF_RANGE
-    if sigma_m > settings.trust_ratio * range_m:
-        return Reject.SIGMA_TOO_LARGE
-    return None
 
 
 def _refused(matches: MatchSet, t_host_ns: int, orientation: int, settings: Settings, reject: Reject) -> CorrectedRange:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from companion.core.stereo.consistency_gate import clears, nearest_supported, precise, surely_beyond
 from companion.core.stereo.inverse_depth import consistent
 from companion.core.stereo.triangulation import Depths, RangeAxis
 from companion.params.settings import Settings
@@ -16,12 +17,6 @@ from companion.records import Floats, ObstacleSectors
 
 SECTORS = 72  # elements of MAVLink's OBSTACLE_DISTANCE
 _WIDTH_RAD = 2.0 * np.pi / SECTORS
-# An obstacle needs this many matches that agree, so that one wrong match is none; a clear sector this many far ones.
-_SUPPORT = 2
-_CLEAR_SUPPORT = 3  # far matches that clear a sector
-_AGREE_SIGMAS = 3.0  # of the difference of two distances
-_AGREE_FRACTION = 0.1  # depth of one obstacle against its distance (choice)
-_SURE_SIGMAS = 2.0  # a clear sector is beyond the largest range in 97.7 % of cases
 # What is seen steeper than this leaves the height band long before the largest range, so it clears nothing.
 _LEVEL = 0.1
 _ABOVE_M = 5.0  # height band of what is in the way (choice)
@@ -104,33 +99,21 @@ def sectors_of(
     slant = np.hypot(direction[:, 0], direction[:, 1])
     bearing = np.arctan2(direction[:, 1], direction[:, 0])
     sector = np.rint(bearing / _WIDTH_RAD).astype(np.int64) % SECTORS
-    far = ((inverse_pm + _SURE_SIGMAS * sigma_pm) * settings.max_range_m < slant) & (
-        np.abs(direction[:, 2]) < _LEVEL * slant
-    )
+    far = surely_beyond(inverse_pm, sigma_pm, slant, settings) & (np.abs(direction[:, 2]) < _LEVEL * slant)
     positive = np.where(inverse_pm > 0.0, inverse_pm, np.nan)
     points = origin_m + direction / positive[:, np.newaxis]
     distance = np.hypot(points[:, 0], points[:, 1])
     in_band = (points[:, 2] >= -height_band_m[0]) & (points[:, 2] <= height_band_m[1])
     in_range = (distance >= settings.min_range_m) & (distance <= settings.max_range_m)
-    solid = in_band & in_range & (sigma_pm <= settings.trust_ratio * positive)
+    solid = in_band & in_range & precise(positive, sigma_pm, settings)
     nearest, sigma_m = np.zeros(SECTORS), np.zeros(SECTORS)
     for index in np.unique(sector[solid]):
         here = np.flatnonzero(solid & (sector == index))
-        nearest[index], sigma_m[index] = _nearest(distance[here], distance[here] * sigma_pm[here] / positive[here])
+        nearest[index], sigma_m[index] = nearest_supported(
+            distance[here], distance[here] * sigma_pm[here] / positive[here]
+        )
     occupied = nearest > 0.0
-    far_support = np.bincount(sector[far], minlength=SECTORS) >= _CLEAR_SUPPORT
+    far_support = clears(np.bincount(sector[far], minlength=SECTORS))
     obstructed = np.bincount(sector[in_band & in_range], minlength=SECTORS) > 0
     clear = far_support & ~occupied & ~obstructed
     return ObstacleSectors(t_host_ns, nearest, sigma_m, occupied, clear, settings.min_range_m, settings.max_range_m)
-
-
-def _nearest(distance_m: Floats, sigma_m: Floats) -> tuple[float, float]:
-    """Nearest distance that enough points agree on, and its sigma; zeros when there is none."""
-    for index in np.argsort(distance_m, kind="stable"):
-        gap = np.abs(distance_m - distance_m[index])
-        allowed = np.maximum(_AGREE_SIGMAS * np.hypot(sigma_m, sigma_m[index]), _AGREE_FRACTION * distance_m[index])
-        alike = gap <= allowed
-        if np.count_nonzero(alike) >= _SUPPORT:
-            group, weight = distance_m[alike], sigma_m[alike] ** -2.0
-            return float(np.average(group, weights=weight)), float(sigma_m[alike].min())
-    return 0.0, 0.0
