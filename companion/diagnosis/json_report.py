@@ -12,8 +12,8 @@ from companion.diagnosis.selection.cross_validation import CrossValidation
 from companion.diagnosis.selection.verdict import Cause, Diagnosis, DiagnosisVerdict
 from companion.diagnosis.views import strengths
 
-FORMAT = 1
-_SHOWN_CHECKS = 12
+FORMAT = 1  # version of the JSON
+_SHOWN_CHECKS = 12  # of the failed checks
 
 
 def as_json(

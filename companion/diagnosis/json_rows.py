@@ -8,7 +8,7 @@ from typing import Any
 from companion.diagnosis.selection.block_bootstrap import Interval
 from companion.diagnosis.selection.check import Check
 
-_SIGMAS_95 = 1.959964
+_SIGMAS_95 = 1.959964  # two-sided 95 % of a normal distribution
 
 
 def quantity(value: float, sigma: float, unit: str, meaning: str) -> dict[str, Any]:

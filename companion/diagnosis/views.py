@@ -19,12 +19,12 @@ from companion.diagnosis.spectral_matrices import adjoint, apply
 from companion.records import Floats
 
 _LAGS_S = 1.0
-_CELLS = 13
+_CELLS = 13  # of a map, odd so that one stands at zero
 _REACH = 2.2  # rms
-_FEWEST = 12
-_DRAWS = 40
-_SEED = 20250103
-_PARTS = 12
+_FEWEST = 12  # samples of a cell that is drawn
+_DRAWS = 40  # a bound on the cost of a view
+_SEED = 20250103  # convention: any fixed number
+_PARTS = 12  # of a recording, for the scatter of a coherence
 AUTOCORRELATION = "autocorrelation of the innovations"
 BACKBONE = "frequency by amplitude"
 WORK = "damping by amplitude"

@@ -15,8 +15,8 @@ from scipy.special import log_ndtr, ndtri_exp
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, inverse
 from companion.records import Floats
 
-_SEED = 20250103
-_SWEEPS = 160
+_SEED = 20250103  # convention: any fixed number
+_SWEEPS = 160  # of the Gibbs sampler, a bound on its cost
 _RELEARNT, _LEARNT = 4, 0.3  # every so many sweeps, by that share
 _SETTLED = 60  # sweeps; from then on the spectra are averaged
 _SHARE, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample

@@ -32,7 +32,7 @@ _SHORTEST_S = 8.0
 _LONGEST_GAP_S = 0.02
 _MARGIN_S = 1.0
 _INPUT = "input_"
-_CROWDED = 0.2
+_CROWDED = 0.2  # of the usual step: stamps so close together carry no slope
 
 
 @dataclass(frozen=True, slots=True)

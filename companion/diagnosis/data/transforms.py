@@ -9,7 +9,7 @@ from companion.records import Floats
 
 TAPER = 0.05
 """Share of a recording over which each end fades."""
-_FINER = 2
+_FINER = 2  # zero padding before interpolation
 _POINTS = np.arange(-4.0, 5.0)
 
 

@@ -19,7 +19,7 @@ from companion.records import Floats
 _BLOCK_S = 1.0
 _GUARD_S = 0.1
 _QUIET = 0.02  # of the mean square above the band
-_ROUNDS = 4
+_ROUNDS = 4  # steps from the fit on all blocks, which is near
 
 
 @dataclass(frozen=True, slots=True)

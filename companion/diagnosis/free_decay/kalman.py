@@ -17,7 +17,7 @@ import numpy as np
 from companion.core.kernels.compiled import COMPILED, compiled
 from companion.records import Floats
 
-_AT_REST = 1e-3
+_AT_REST = 1e-3  # initial variance over the noise variance: the wing rests before the first impulse
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from companion.params.airframe import Uncertain
 from companion.records import Floats
 
 _OWN = 3  # nuisances of each recording: impulse to load, noise, impulse to noise
-_SLOWEST = 0.2
+_SLOWEST = 0.2  # of the believed frequency, a bound for the fit
 _ZETA = (1e-5, 0.5)
 
 

@@ -20,8 +20,8 @@ from companion.records import Floats
 _ABOVE = (4.0, 15.0)  # times the band's top: where impulses are seen and modes of interest are not
 _LEAST_S = 2.0
 _GAP_RATIO = 2.5
-_ROOM = 1.3
-_VIBRATES = 0.3
+_ROOM = 1.3  # times the band's upper edge, kept by the anti-alias filter
+_VIBRATES = 0.3  # of the power above the band's lower edge
 _ECHO = 20  # samples
 
 

@@ -19,8 +19,8 @@ from companion.records import Floats
 ENOUGH = 6.0
 """Log Bayes factor above which a law is accepted."""
 _FREQUENCIES = 13  # where the first search begins, over two prior sigmas either way
-_DEEP = 40
-_QUICK = 10
+_DEEP = 40  # steps of a fit that decides
+_QUICK = 10  # steps of a fit that ranks
 _RINGS = 0.15  # a damping ratio above that is no mode
 Progress = Callable[[str, float], None]
 

@@ -15,10 +15,10 @@ from companion.diagnosis.free_decay.record import FreeDecay
 from companion.records import Floats
 
 _WINDOW_S, _STEP_S = 0.3, 0.1
-_FINER = 8
-_QUIET = 0.02
-_LEAST_AMPLITUDE = 0.03
-_CELLS = 21
+_FINER = 8  # zero padding of a spectrum whose peak is interpolated
+_QUIET = 0.02  # of the mean squared impulse
+_LEAST_AMPLITUDE = 0.03  # of the 95th percentile: below, noise rules the envelope
+_CELLS = 21  # of a map, odd so that one stands at zero
 _SPREAD = 2.5  # of the map, in rms
 
 

@@ -26,8 +26,8 @@ CHANGED = 5.0
 _WORTH = 0.002  # smaller relative changes are told, but asked no cause
 _SAME = 0.02  # of a channel's range: values that count as equal
 ORDER = "run_order"
-_LONGEST_UNIT = 5
-_LOG_SMALLEST = -600.0
+_LONGEST_UNIT = 5  # characters of a column's unit suffix
+_LOG_SMALLEST = -600.0  # exponents below underflow
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from companion.records import Floats
 Complexes = npt.NDArray[np.complex128]
 _WIDTH, _LEAST_WIDTH_HZ = 0.03, 0.3
 _REACH = 0.035  # how far a mode may wander from run to run
-_SMOOTHED = 7
+_SMOOTHED = 7  # bins of the moving average in which peaks are sought
 _PROMINENCE = 0.7  # of the logarithm
 _DAMPINGS = (0.003, 0.01, 0.03)
 

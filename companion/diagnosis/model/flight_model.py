@@ -28,8 +28,8 @@ from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, inv
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
-_LOW = 0.15
-_NYQUIST_SHARE = 0.45
+_LOW = 0.15  # of the first symmetric frequency: lower edge of the band
+_NYQUIST_SHARE = 0.45  # of the rate, below the anti-alias filter's roll-off
 
 
 class FlightModel:

@@ -17,7 +17,7 @@ from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, inverse, product
 from companion.records import Floats
 
-_PASSES = 2
+_PASSES = 2  # of smoothing and nonlinear correction in turn
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,12 +24,12 @@ from companion.diagnosis.spectral_matrices import Complexes, apply
 from companion.records import Floats, Side, Station
 from companion.units import GRAVITY_MPS2
 
-_BANDS = 60
-_BUMP = 1e-3
+_BANDS = 60  # of the gain over frequency
+_BUMP = 1e-3  # of the standard deviation, for a difference quotient
 _BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings
-_INVERSIONS = 6
-_FLATTEST = 0.3
-_INVERTED = 1e-9
+_INVERSIONS = 6  # Newton steps
+_FLATTEST = 0.3  # slope of a sensor's law that can be inverted
+_INVERTED = 1e-9  # residual at which Newton's method ends
 _KEPT = 4  # most parameters that a fit moves bend nothing
 _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 

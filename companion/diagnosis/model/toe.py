@@ -21,7 +21,7 @@ from companion.diagnosis.model.motion import SmoothedMotion
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, product
 from companion.records import Floats, Side
 
-_FINER = 8
+_FINER = 8  # grid points a sample of the correlation function
 _FOLLOWED = 3  # modes
 
 

@@ -29,14 +29,14 @@ from companion.records import Floats
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-_SIMULATED = 400
-_BLOCKS = 12
-_NARROW = 50
-_FEWEST = 10
-_MANY = 24
-_FEWEST_EXPOSURES = 20
-_AROUND = 1.35
-_SWINGS = 3
+_SIMULATED = 400  # draws, which tell a statistic's spread to 4 %
+_BLOCKS = 12  # of a recording, for a change of its noise
+_NARROW = 50  # bands of a spectrum
+_FEWEST = 10  # bins of a band
+_MANY = 24  # bins from which a mean is near normal
+_FEWEST_EXPOSURES = 20  # for a test of the measured toe
+_AROUND = 1.35  # times the first frequencies, either way
+_SWINGS = 3  # harmonics of the recording's length that a slow change shows in
 LIMIT = 5.0
 """Standard deviations beyond which a test is not chance: safe with a hundred tests in hundreds of flights."""
 LIMIT_OF_NAMES = 4.2

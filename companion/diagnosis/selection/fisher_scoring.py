@@ -16,7 +16,7 @@ import numpy as np
 from companion.records import Floats
 
 _ENOUGH = 0.02  # nats gained by a step, below which it is the last
-_TRIES = 9
+_TRIES = 9  # of one step, each more damped than the last
 _DAMPED_TRIES = 2  # then the step is shortened as well
 _DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
 _FARTHEST = 3.0  # prior sigmas in one step

@@ -25,13 +25,13 @@ CERTAIN_Z = 4.4
 """Its strength must also be beyond what forty candidates reach by chance in hundreds of recordings."""
 SAME = 0.95
 """Correlation of efficient scores from which two effects are one group."""
-_BEAM = 2
+_BEAM = 2  # models that go on side by side
 _WITHIN = 25.0  # nats behind the best path: a further effect will not make up for more
-_REFITTED = 5
+_REFITTED = 5  # candidates a round, a bound on its cost
 _AT_FIRST, _TO_THE_END = 5, 10  # scoring steps: of every refit, and of those that are not far behind
-_WORTH_A_REFIT_Z = 3.5
-_TOO_CLOSE = 2.0
-_CONCEIVABLE = 6.0
+_WORTH_A_REFIT_Z = 3.5  # sigmas: half of those that a name needs in likelihood
+_TOO_CLOSE = 2.0  # nat: odds of 7 to 1
+_CONCEIVABLE = 6.0  # nat: odds of 400 to 1
 _FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
 UNPREJUDICED = 5.0
 """How much wider the priors of effects are where values are measured, and names not ranked."""

@@ -16,12 +16,12 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.linear_spectra import STATIONS
 from companion.records import Floats
 
-_CHUNK = 8
-_PARTS = 14
-_STEP = 1e-3
-_ROUNDS = 12
+_CHUNK = 8  # bins whose mean power is near normal
+_PARTS = 14  # bands of a spectrum
+_STEP = 1e-3  # of a prior sigma, for a difference quotient
+_ROUNDS = 12  # Gauss-Newton steps at most
 _CLOSE = 1.6  # mean square of residuals in units of what chance makes
-_ENOUGH = 1e-3
+_ENOUGH = 1e-3  # gain in likelihood a point at which the steps end
 _MOST = 2.0  # prior sigmas in one step
 
 

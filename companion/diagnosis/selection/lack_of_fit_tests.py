@@ -39,7 +39,7 @@ from companion.diagnosis.selection.screen import efficient, normal_score
 from companion.diagnosis.selection.simulated_scores import DRAWS, score_scatter
 from companion.records import Floats
 
-_BANDS = 14
+_BANDS = 14  # of a spectrum
 _KNOWN = 1e-3  # share of a direction's information that must be left once the fit is projected out
 _ITS_OWN = 0.03  # of a family: what is less than this beside its other members shows their errors, and nothing else
 _STRAIGHT = 1e-3  # skewness that is none

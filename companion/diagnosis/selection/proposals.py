@@ -24,10 +24,10 @@ from companion.diagnosis.spectral_matrices import adjoint, apply
 
 _MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance
 _APART_S = 0.15
-_IMPULSES = 3
-_SLOWEST_CYCLES = 6.0
-_FEWEST_BINS = 32
-_NEIGHBOURS = 40
+_IMPULSES = 3  # that one proposal holds
+_SLOWEST_CYCLES = 6.0  # in the recording: a slower line is drift
+_FEWEST_BINS = 32  # of a band in which a line is sought
+_NEIGHBOURS = 40  # bins either side that tell a line's background
 _FASTEST = 2.3  # of the first mode, for parametric excitation
 
 

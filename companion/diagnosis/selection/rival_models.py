@@ -29,9 +29,9 @@ from companion.diagnosis.selection.screen import Candidate, screen
 BETTER = 2.0
 """Nats by which a law without a name must surpass the names: one that lies d sigmas from the truth does so by chance
 with Phi(-d/2 - 2/d), 2 % at most."""
-_REFITTED = 3
+_REFITTED = 3  # candidates, a bound on the cost
 _OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep
-_ROUNDS = 8
+_ROUNDS = 8  # steps of a fit that ranks
 _FIRST_STEP = 0.5  # prior sigmas
 
 

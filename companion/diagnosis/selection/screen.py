@@ -25,9 +25,9 @@ from companion.diagnosis.selection.proposals import NO_PROPOSALS, Proposals, pro
 from companion.diagnosis.selection.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.records import Floats
 
-_BARELY = 1e-9
+_BARELY = 1e-9  # of the largest eigenvalue: rounding
 _UNIT = 1e-3  # prior sigmas
-_SMALLEST = -500_000.0
+_SMALLEST = -500_000.0  # exponent at which a normal quantile can still be computed
 
 
 @dataclass(frozen=True, slots=True)

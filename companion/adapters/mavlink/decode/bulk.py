@@ -26,7 +26,7 @@ except ImportError:  # everything goes the plain way
     njit = None
 
 COMPILED = njit is not None
-_NO_SYSTEM = -1
+_NO_SYSTEM = -1  # convention: no system id is negative
 _HIGHRES, _RAW, _SCALED = range(3)
 _FORMS = {
     "HIGHRES_IMU": _HIGHRES,
@@ -38,8 +38,8 @@ _FORMS = {
 _FORM_OF = {ID_OF[name]: form for name, form in _FORMS.items()}
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD
 _COUNTED = 5  # position, frames, checksum errors, unknown, skipped bytes
-_LARGEST = 255
-_SHORTEST = 8
+_LARGEST = 255  # bytes of a MAVLink payload
+_SHORTEST = 8  # bytes of a MAVLink 1 frame without payload
 
 _Bytes = np.ndarray[tuple[int], np.dtype[np.uint8]]
 # what a byte leaves in the checksum, alone and with one to three zeros behind it: four bytes are taken at once
