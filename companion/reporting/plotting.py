@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ BLUE, VERMILLION, ORANGE, GREEN, SKY, PURPLE = "#0072B2", "#D55E00", "#E69F00", 
 GREY, INK, PALE = "#7F868D", "#20262D", "#D9DEE3"
 BEFORE, AFTER, DATA = VERMILLION, BLUE, GREY  # a model before and after a cause is named, and the recording
 
+_LETTERS_PER_IN = 11.0  # of a title of 12.5 points in matplotlib's own typeface; measured on a rendered figure
 _GAP_RATIO = 3.0  # usual steps; a convention
 _REPORT_LIBRARIES = ("matplotlib", "jinja2", "rich")
 
@@ -65,4 +67,6 @@ def dots(axis: Any, x: Floats, y: Floats, sigma: Floats, colour: str, label: str
 
 def headline(figure: Any, text: str, what: str = "") -> None:
     """The figure that counts, above the picture; ``what`` stands smaller beneath it."""
-    figure.suptitle(f"{text}\n{what}" if what else text, fontsize=12.5, x=0.01, ha="left", color=INK)
+    letters = int(_LETTERS_PER_IN * figure.get_figwidth())
+    lines = [line for block in (text, what) for part in block.split("\n") for line in textwrap.wrap(part, letters)]
+    figure.suptitle("\n".join(lines), fontsize=12.5, x=0.01, ha="left", color=INK)

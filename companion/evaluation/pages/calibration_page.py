@@ -111,7 +111,7 @@ def _figure(fit: RigFit, used: list[BoardView], shape: tuple[int, ...]) -> Any:
     axis.set_title("Each view used", fontsize=10)
     axis.legend(fontsize=8, ncols=3, loc="upper right")
     axis.set_ylim(top=1.25 * float(errors.max()))
-    headline(figure, verdict(fit)[1].replace(": ", ":\n", 1))
+    headline(figure, verdict(fit)[1])
     return figure
 
 

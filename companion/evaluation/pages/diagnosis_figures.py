@@ -12,7 +12,7 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.verdict import Diagnosis
 from companion.diagnosis.views import autocorrelation, backbone, force_map
 from companion.records import Floats
-from companion.reporting.plotting import AFTER, BEFORE, DATA, INK, VERMILLION, dots, new_figure
+from companion.reporting.plotting import AFTER, BEFORE, DATA, INK, VERMILLION, dots, headline, new_figure
 
 _NEEDED_Z = 4.4  # one in 10^5, the level that the screen asks for
 _SHOWN = 16  # candidates that are legible side by side
@@ -71,7 +71,7 @@ def innovations(fits: Fits, model: FlightModel) -> Any:
     edges = missing.edges
     image = axes[3].pcolormesh(edges, edges, missing.force, cmap="RdBu_r", vmin=-reach, vmax=reach)
     axes[3].set(title="Force that is missing", xlabel="deflection, rms", ylabel="speed, rms")
-    figure.colorbar(image, ax=axes[3], shrink=0.85)
+    figure.colorbar(image, ax=axes[3], shrink=0.85, label="of the force's rms")
     return figure
 
 
@@ -94,8 +94,9 @@ def ranges(fits: Fits, model: FlightModel) -> Any:
     for axis, name in zip(axes, names, strict=False):
         axis.set(xlabel=name)
     axes[0].set(ylabel="range residual as toe, mrad")
-    axes[0].legend(fontsize=8, frameon=False, loc="upper right")
-    figure.suptitle("Range residual as relative toe", fontsize=11)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=len(labels), fontsize=8, frameon=False)
+    headline(figure, "Range residual as relative toe, ±1 sigma")
     return figure
 
 
