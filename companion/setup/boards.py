@@ -53,7 +53,7 @@ _WORDS = {"pi4": ("Raspberry Pi 4", "Raspberry Pi Compute Module 4"), "pi5": ("R
 
 
 def model(tree: Tree) -> str:
-    """What the board calls itself; empty where it does not say."""
+    """Model name from the device tree; empty where there is none."""
     return (tree.text(_MODEL) or "").rstrip("\0").strip()
 
 

@@ -1,4 +1,4 @@
-"""What the machine must have, each with the figure that was found."""
+"""Checks of the machine, each with the figure that it measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the person decides: links, airframe, cameras, trigger, USB ports; kept, so that an upgrade asks nothing."""
+"""Choices of the person: links, airframe, cameras, trigger, USB ports; stored, so that an upgrade asks nothing."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Choices:
 
 
 def choices_for(board: CompanionBoard, tree: Tree, previous: dict[str, Any], overrides: dict[str, Any]) -> Choices:
-    """What was given now, else what was kept of the last time, else what fits the board.
+    """The choices of now, else those of the last set-up, else the board's defaults.
 
     Raises
     ------

@@ -46,7 +46,7 @@ def install(tree: Tree, changes: list[Change], after: Manifest) -> None:
 
 
 def undone(tree: Tree, previous: Manifest) -> list[Change]:
-    """What puts the tree back to before the first set-up, the service's being enabled included."""
+    """The changes that put the tree back to before the first set-up; they disable the service too."""
     changes = [change for name, done in reversed(previous.done.items()) for change in put_back(tree, name, done)]
     enabled = tree.entry(_ENABLED)
     if isinstance(enabled, Symlink) and UNIT in previous.done:

@@ -1,4 +1,4 @@
-"""What a set-up has done, kept in the tree: each name with what it held before and after; by it all is put back."""
+"""The record of a set-up, stored in the tree: each name with its content before and after, by which all is put back."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def load(tree: Tree) -> Manifest | None:
 
 
 def as_file(manifest: Manifest) -> File:
-    """What the manifest's file holds; for root alone, because what was before may have been secret."""
+    """The manifest's file, readable by root alone: a file of before may have been secret."""
     said = {
         "format": _FORMAT,
         "board": manifest.board,

@@ -12,7 +12,7 @@ _MISSION_LINK = "udpin:0.0.0.0:14540"
 
 @dataclass(frozen=True, slots=True)
 class NextStep:
-    """What it is for, and the command."""
+    """A purpose and the command for it."""
 
     purpose: str
     command: str

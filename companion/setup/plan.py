@@ -1,4 +1,4 @@
-"""What is to be changed: each name of the tree with what it holds, what it shall hold, and in a word why."""
+"""The changes of a set-up: each name of the tree with its present and its wanted content, and in a word why."""
 
 from __future__ import annotations
 

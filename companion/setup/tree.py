@@ -71,7 +71,7 @@ class Tree:
         return folder / path.name
 
     def entry(self, name: str) -> Entry | None:
-        """What a name holds; None where nothing is."""
+        """The content of a name; None where nothing is."""
         path = self.path(name)
         with self._sentence("read", name):
             if path.is_symlink():
