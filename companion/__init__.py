@@ -28,24 +28,24 @@ def _keep_machine_code_by_its_sources() -> None:
     home = beside if _writable(beside) or _writable(here) else next(filter(_ours, _elsewhere()), None)
     if home is None:
         return
-    kept = home / name
-    os.environ["NUMBA_CACHE_DIR"] = str(kept)
-    if not kept.exists():
+    cache = home / name
+    os.environ["NUMBA_CACHE_DIR"] = str(cache)
+    if not cache.exists():
         for folder in sorted(home.glob("machine-code-*"), key=_written_s)[:-_OLDER_STATES]:
             shutil.rmtree(folder, ignore_errors=True)
         if home is not beside and (beside / name).is_dir():  # who installed it has compiled it
             with suppress(OSError):
-                shutil.copytree(beside / name, kept)
+                shutil.copytree(beside / name, cache)
     if home is not beside:
         os.environ.setdefault("MPLCONFIGDIR", str(home / "matplotlib"))
 
 
 def _elsewhere() -> Iterator[Path]:
     """Where a user's caches belong: as systemd says, by the XDG rules, or among the temporary files."""
-    if given := os.environ.get("CACHE_DIRECTORY"):
-        yield Path(given.split(":")[0]) / "spanwise"
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        yield Path(given) / "spanwise"
+    if parent := os.environ.get("CACHE_DIRECTORY"):
+        yield Path(parent.split(":")[0]) / "spanwise"
+    if parent := os.environ.get("XDG_CACHE_HOME"):
+        yield Path(parent) / "spanwise"
     with suppress(RuntimeError):  # a user without a home
         yield Path.home() / ".cache" / "spanwise"
     with suppress(OSError):  # no folder for temporary files either
@@ -56,11 +56,11 @@ def _ours(folder: Path) -> bool:
     """Whether the folder is there, or can be made, and nobody else can put code into it."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = folder.lstat()
+        status = folder.lstat()
     except OSError:
         return False
-    private = found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    return stat.S_ISDIR(found.st_mode) and private and _writable(folder)
+    private = status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISDIR(status.st_mode) and private and _writable(folder)
 
 
 def _writable(folder: Path) -> bool:

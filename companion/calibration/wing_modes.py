@@ -93,16 +93,16 @@ def bending_modes(modes: list[IdentifiedMode], points: list[Point]) -> list[Bend
 def half_shape(mode: IdentifiedMode, points: list[Point], sign: float) -> WingShape:
     """Both edges as polynomials in the span station, halves averaged, rigid motion of the root taken out."""
     span = np.array([abs(point.span_m) for point in points])
-    folded = relative_to_root(mode, points, sign)
+    mirrored = relative_to_root(mode, points, sign)
     leading = np.array([point.leading for point in points])
-    edges = [fit_polynomial(EdgePoints(span[some], folded[some]), _DEGREE) for some in (leading, ~leading)]
+    edges = [fit_polynomial(EdgePoints(span[some], mirrored[some]), _DEGREE) for some in (leading, ~leading)]
     return WingShape(edges[0], edges[1])
 
 
 def relative_to_root(mode: IdentifiedMode, points: list[Point], sign: float) -> Floats:
     """(points,) the shape with both halves on the right, less the rigid motion of the root section."""
-    folded = np.where(np.array([point.span_m > 0.0 for point in points]), 1.0, sign) * mode.shape
-    return folded - _rigid(points, folded, sign)
+    mirrored = np.where(np.array([point.span_m > 0.0 for point in points]), 1.0, sign) * mode.shape
+    return mirrored - _rigid(points, mirrored, sign)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,13 +213,13 @@ def _chords(points: list[Point]) -> Floats:
     return np.stack([spans, np.interp(spans, *lines[1]) - np.interp(spans, *lines[0])])
 
 
-def _rigid(points: list[Point], folded: Floats, sign: float) -> Floats:
+def _rigid(points: list[Point], mirrored: Floats, sign: float) -> Floats:
     """Motion of the root section, as its innermost points show it: heave and pitch; roll if antisymmetric."""
     span = np.array([abs(point.span_m) for point in points])
     aft = np.array([point.aft_m for point in points])
     leading = np.array([point.leading for point in points])
     inner = [edge & (span < span[edge].min() + 1e-3) for edge in (leading, ~leading)]
-    moved, at = ([float(np.mean(values[some])) for some in inner] for values in (folded, aft))
+    moved, at = ([float(np.mean(values[some])) for some in inner] for values in (mirrored, aft))
     if sign > 0.0:
         nose_up = (moved[0] - moved[1]) / (at[1] - at[0])
         return moved[0] - nose_up * (aft - at[0])

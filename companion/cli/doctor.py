@@ -17,7 +17,7 @@ from companion.adapters.mavlink.link.link import open_link
 from companion.adapters.mavlink.link.signing import load_signing
 from companion.cli.steps.numbers import seconds
 from companion.cli.steps.options import add_settings, read_settings
-from companion.doctor.evidence import Evidence, Finding, Fix, Level
+from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 from companion.doctor.examine import Examination, read_log
 from companion.doctor.link import check_computer, check_link
 from companion.doctor.parameters import check_parameters
@@ -75,7 +75,7 @@ def execute(options: argparse.Namespace) -> int:
         if options.fix:
             ask = (lambda _: True) if options.yes else _ask
             left = apply([fix for entry in findings for fix in entry.fixes], examination, clock, ask)
-            by_hand = any(entry.level is Level.FIX and not entry.fixes for entry in findings)
+            by_hand = any(entry.level is FindingLevel.FIX and not entry.fixes for entry in findings)
             code = TO_FIX if left or by_hand else 0
     finally:
         examination.pilot.close()
@@ -139,7 +139,7 @@ def _ask(fix: Fix) -> bool:
 
 
 def _report(findings: list[Finding], *, as_json: bool) -> int:
-    wrong = [entry for entry in findings if entry.level is Level.FIX]
+    wrong = [entry for entry in findings if entry.level is FindingLevel.FIX]
     if as_json:
         print(json.dumps([dataclasses.asdict(entry) for entry in findings], indent=2))
     else:

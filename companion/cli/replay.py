@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass(slots=True)
-class Tally:
+class OutputTally:
     """Counts and digest of the outputs."""
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -104,7 +104,7 @@ def execute(options: argparse.Namespace) -> int:
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     is_own_format = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
     same_beliefs = airframe is None and settings == recording.settings
-    tally = Tally()
+    tally = OutputTally()
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
     recorded = _outputs_of(recording) if is_own_format and same_beliefs else None
@@ -174,14 +174,14 @@ def _loss(recording: Recording) -> dict[str, Any] | None:
     return {"where": where, "missing_s": recording.missing_s, "dropped": recording.dropped}
 
 
-def _left_over(tally: Tally, recorded: Iterator[Record] | None) -> None:
+def _left_over(tally: OutputTally, recorded: Iterator[Record] | None) -> None:
     """The live service may have been stopped between an input and its outputs, but never made more than the replay."""
     if recorded is not None and not tally.behind_loss:
         for extra in itertools.islice(recorded, 1):
             tally.compare(extra, None)
 
 
-def _result(recording: Recording, tally: Tally, stations: StationAnalysis, compared: bool) -> dict[str, Any]:
+def _result(recording: Recording, tally: OutputTally, stations: StationAnalysis, compared: bool) -> dict[str, Any]:
     return {
         "recording": str(recording.path),
         "airframe": recording.airframe.name,
@@ -207,7 +207,7 @@ def _sentence(notice: Notice) -> str:
     return notice.text
 
 
-def _wing(tally: Tally) -> dict[str, Any]:
+def _wing(tally: OutputTally) -> dict[str, Any]:
     total = sum(tally.validity.values())
     shares = {name: round(count / total, 4) for name, count in sorted(tally.validity.items())}
     mode = tally.last_tracking

@@ -14,7 +14,7 @@ from companion.params.vehicle import implausible
 from companion.records import Axis, ClockName, ClockState, Station
 
 
-class Level(enum.StrEnum):
+class FindingLevel(enum.StrEnum):
     """How bad a finding is."""
 
     OK = "ok"
@@ -40,7 +40,7 @@ class Finding:
     """One line of the doctor's report; ``fixes`` can be applied to the autopilot."""
 
     subject: str
-    level: Level
+    level: FindingLevel
     text: str
     fixes: tuple[Fix, ...] = ()
 
@@ -136,7 +136,7 @@ class Evidence:
     def missing(self, subject: str, what: str) -> Finding:
         """A finding about something that was not told, or not so that it can be believed."""
         if what in self.parameters:
-            return Finding(subject, Level.UNKNOWN, f"{what}: not known, for {self.parameters[what]:g} cannot be")
+            return Finding(subject, FindingLevel.UNKNOWN, f"{what}: not known, for {self.parameters[what]:g} cannot be")
         return Finding(
-            subject, Level.UNKNOWN, f"{what}: not " + ("answered by the autopilot" if self.live else "logged")
+            subject, FindingLevel.UNKNOWN, f"{what}: not " + ("answered by the autopilot" if self.live else "logged")
         )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.adapters.mavlink.vehicle.absence import absence_text
-from companion.doctor.evidence import Evidence, Finding, Level
+from companion.doctor.evidence import Evidence, Finding, FindingLevel
 
 _SUBJECT = "link"
 _LEAST_BEATS_HZ = 0.7
@@ -18,11 +18,13 @@ def check_link(evidence: Evidence) -> Iterator[Finding]:
     """Whether an autopilot is there, heard whole, answers us, and whether our id is ours alone."""
     pilot = evidence.pilot
     if pilot is None and not evidence.live:
-        yield Finding(_SUBJECT, Level.UNKNOWN, "no MAVLink heartbeat is in this log (an autopilot's own log has none)")
+        yield Finding(
+            _SUBJECT, FindingLevel.UNKNOWN, "no MAVLink heartbeat is in this log (an autopilot's own log has none)"
+        )
         return
     if pilot is None:
         text = absence_text(evidence.beats, junk=bool(evidence.skipped_bytes))
-        yield Finding(_SUBJECT, Level.FIX, text)
+        yield Finding(_SUBJECT, FindingLevel.FIX, text)
         return
     rate_hz = pilot.count / evidence.seconds if evidence.seconds else 0.0
     name = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT_PX4: "PX4"}.get(pilot.autopilot, "")
@@ -30,7 +32,7 @@ def check_link(evidence: Evidence) -> Iterator[Finding]:
     text = f"autopilot {evidence.system}/1 {name} beats at {rate_hz:.1f} Hz" + (
         ": frames are lost on the way" if slow else ""
     )
-    yield Finding("heartbeat", Level.FIX if slow else Level.OK, text)
+    yield Finding("heartbeat", FindingLevel.FIX if slow else FindingLevel.OK, text)
     yield from _wire(evidence)
     if evidence.live:
         yield from _routing(evidence)
@@ -41,27 +43,27 @@ def _wire(evidence: Evidence) -> Iterator[Finding]:
     damaged = evidence.crc_errors / max(evidence.frames + evidence.crc_errors, 1)
     if damaged > _DAMAGE:
         text = f"{damaged:.1%} of the frames have a wrong checksum: lower the baud rate, or mend the cable"
-        yield Finding("wire", Level.FIX, text)
+        yield Finding("wire", FindingLevel.FIX, text)
     elif evidence.frames:
-        yield Finding("wire", Level.OK, f"{evidence.frames} frames, {damaged:.2%} damaged")
+        yield Finding("wire", FindingLevel.OK, f"{evidence.frames} frames, {damaged:.2%} damaged")
 
 
 def _routing(evidence: Evidence) -> Iterator[Finding]:
     if evidence.acknowledged or evidence.parameters:
-        yield Finding("routing", Level.OK, f"the autopilot answers component {evidence.settings.component_id}")
+        yield Finding("routing", FindingLevel.OK, f"the autopilot answers component {evidence.settings.component_id}")
     else:
         text = (
             f"the autopilot answers nothing that {evidence.system}/{evidence.settings.component_id} asks: "
             "is the link one-way, or signed (--sign-key)?"
         )
-        yield Finding("routing", Level.FIX, text)
+        yield Finding("routing", FindingLevel.FIX, text)
     stations = [key for key, beat in evidence.beats.items() if beat.kind == mavlink.MAV_TYPE_GCS]
     text = "no ground station is heard on this link: its parameter requests would not arrive"
     if evidence.px4:
         text += "; PX4 passes them on where MAV_n_FORWARD is 1"
     if stations:
         text = "ground station " + ", ".join(f"{system}/{component}" for system, component in stations) + " is heard"
-    yield Finding("routing", Level.OK if stations else Level.NOTE, text)
+    yield Finding("routing", FindingLevel.OK if stations else FindingLevel.NOTE, text)
 
 
 def check_computer(evidence: Evidence) -> Iterator[Finding]:
@@ -69,21 +71,21 @@ def check_computer(evidence: Evidence) -> Iterator[Finding]:
     if evidence.realtime is None or evidence.airframe.left_camera is None:
         return
     if evidence.realtime:
-        yield Finding("computer", Level.OK, "the trigger may take a real-time priority")
+        yield Finding("computer", FindingLevel.OK, "the trigger may take a real-time priority")
     else:
         text = (
             "no real-time priority for this user: shots may be late by milliseconds; LimitRTPRIO=60 in the service unit"
         )
-        yield Finding("computer", Level.NOTE, text)
+        yield Finding("computer", FindingLevel.NOTE, text)
 
 
 def _ids(evidence: Evidence) -> Iterator[Finding]:
     ours = evidence.settings.component_id
     if evidence.twice:
         text = f"another component speaks as {evidence.system}/{ours}: stop it (a second spanwise?), or set SW_COMPID"
-        yield Finding("ids", Level.FIX, text)
+        yield Finding("ids", FindingLevel.FIX, text)
     else:
-        yield Finding("ids", Level.OK, f"{evidence.system}/{ours} is ours alone")
+        yield Finding("ids", FindingLevel.OK, f"{evidence.system}/{ours} is ours alone")
     pilots = [
         f"{system}/{component}"
         for (system, component), beat in sorted(evidence.beats.items())
@@ -91,4 +93,4 @@ def _ids(evidence: Evidence) -> Iterator[Finding]:
     ]
     if len(pilots) > 1:
         text = f"several autopilots on this link ({', '.join(pilots)}): {pilots[0]} may not be the one meant"
-        yield Finding("ids", Level.NOTE, text)
+        yield Finding("ids", FindingLevel.NOTE, text)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.vehicle.rates import SAMPLES_PER_PERIOD, needed_integration_rate_hz, needed_loop_rate_hz
-from companion.doctor.evidence import Evidence, Finding, Fix, Level
+from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 from companion.records import Axis, ClockName, Station
 
 _FILTER_RATIO = 2.5
@@ -35,10 +35,10 @@ def _loop(evidence: Evidence, wanted_hz: float, needed_hz: float) -> Finding:
         return evidence.missing("loop", "SCHED_LOOP_RATE")
     loop_hz = value[1]
     if loop_hz >= needed_loop_rate_hz(wanted_hz):
-        return Finding("loop", Level.OK, f"SCHED_LOOP_RATE is {loop_hz:g} Hz")
+        return Finding("loop", FindingLevel.OK, f"SCHED_LOOP_RATE is {loop_hz:g} Hz")
     text = f"SCHED_LOOP_RATE is {loop_hz:g} Hz: inertial messages come at {0.8 * loop_hz:.0f} Hz at most"
     fix = Fix("SCHED_LOOP_RATE", needed_loop_rate_hz(wanted_hz), reboot=True)
-    return Finding("loop", Level.FIX if 0.8 * loop_hz < needed_hz else Level.NOTE, text, (fix,))
+    return Finding("loop", FindingLevel.FIX if 0.8 * loop_hz < needed_hz else FindingLevel.NOTE, text, (fix,))
 
 
 def _integration(evidence: Evidence, needed_hz: float) -> Finding:
@@ -49,9 +49,9 @@ def _integration(evidence: Evidence, needed_hz: float) -> Finding:
     rate_hz = value[1]
     text = f"IMU_INTEG_RATE is {rate_hz:g} Hz: inertial messages come at that rate at most"
     if rate_hz >= needed_hz:
-        return Finding("loop", Level.OK, text)
+        return Finding("loop", FindingLevel.OK, text)
     fix = Fix("IMU_INTEG_RATE", needed_integration_rate_hz(needed_hz), reboot=True)
-    return Finding("loop", Level.FIX, text, (fix,))
+    return Finding("loop", FindingLevel.FIX, text, (fix,))
 
 
 def _rate(evidence: Evidence, station: Station, message: str, needed_hz: float, fixes: tuple[Fix, ...]) -> Finding:
@@ -61,12 +61,14 @@ def _rate(evidence: Evidence, station: Station, message: str, needed_hz: float, 
         text = f"{station.name.lower()}: no {message} arrives"
         if message == "HIGHRES_IMU":
             text += "; boards with 1 MB of flash do not have it: map RAW_IMU in the airframe file"
-        return Finding("rate", Level.FIX, text)
+        return Finding("rate", FindingLevel.FIX, text)
     mode = f"the {evidence.highest_hz:.1f} Hz mode"
     if rate_hz >= needed_hz:
-        return Finding("rate", Level.OK, f"{what}, {rate_hz / evidence.highest_hz:.0f} samples a period of {mode}")
+        return Finding(
+            "rate", FindingLevel.OK, f"{what}, {rate_hz / evidence.highest_hz:.0f} samples a period of {mode}"
+        )
     text = f"{what} is too slow for {mode}, which needs {needed_hz:.0f} Hz"
-    return Finding("rate", Level.FIX, text if fixes else text + ": raise the baud rate of this link", fixes)
+    return Finding("rate", FindingLevel.FIX, text if fixes else text + ": raise the baud rate of this link", fixes)
 
 
 def check_filters(evidence: Evidence) -> Iterator[Finding]:
@@ -79,25 +81,25 @@ def check_filters(evidence: Evidence) -> Iterator[Finding]:
             continue
         name, cutoff_hz = value
         if evidence.px4:
-            yield Finding("filter", Level.OK, f"{name} acts behind the messages that PX4 sends: nothing to undo")
+            yield Finding("filter", FindingLevel.OK, f"{name} acts behind the messages that PX4 sends: nothing to undo")
             continue
         if cutoff_hz <= 0:
-            yield Finding("filter", Level.OK, f"{name} is off")
+            yield Finding("filter", FindingLevel.OK, f"{name} is off")
             continue
         wanted_hz = 5.0 * math.ceil(4.0 * evidence.highest_hz / 5.0)
         gain, phase_deg = _butterworth(evidence.highest_hz / cutoff_hz)
         mode = f"{evidence.highest_hz:.1f} Hz mode"
         text = f"{name} {cutoff_hz:g} Hz turns the {mode} by {phase_deg:.0f} deg, gain {gain:.2f}"
         if cutoff_hz < _FILTER_RATIO * evidence.highest_hz:
-            yield Finding("filter", Level.FIX, text + ": raise it", (Fix(name, max(wanted_hz, 20.0)),))
+            yield Finding("filter", FindingLevel.FIX, text + ": raise it", (Fix(name, max(wanted_hz, 20.0)),))
         else:
-            yield Finding("filter", Level.OK, text + f", which is undone ({axis})")
+            yield Finding("filter", FindingLevel.OK, text + f", which is undone ({axis})")
     notch = evidence.parameter("INS_HNTCH_ENABLE")
     centre = evidence.parameter("INS_HNTCH_FREQ")
     if notch is not None and notch[1] and centre is not None:
         near = centre[1] < 2.0 * evidence.highest_hz
         text = f"gyro notch at {centre[1]:g} Hz" + (" sits on the wing's modes: raise INS_HNTCH_FREQ" if near else "")
-        yield Finding("filter", Level.FIX if near else Level.OK, text)
+        yield Finding("filter", FindingLevel.FIX if near else FindingLevel.OK, text)
 
 
 def _butterworth(ratio: float) -> tuple[float, float]:
@@ -127,15 +129,21 @@ def check_clocks(evidence: Evidence) -> Iterator[Finding]:
                 f"{clock}: TIMESYNC is not answered; it will be aligned by {way} (tools/wing_node has a firmware that "
                 "answers: 0.1 ms)"
             )
-            yield Finding("clock", Level.NOTE, text)
+            yield Finding("clock", FindingLevel.NOTE, text)
         elif state is None:
             text = f"{clock}: TIMESYNC is not answered; its samples cannot be used"
             yield Finding(
-                "clock", Level.FIX, text + ("" if clock is ClockName.BOOT else ": node firmware without TIMESYNC?")
+                "clock",
+                FindingLevel.FIX,
+                text + ("" if clock is ClockName.BOOT else ": node firmware without TIMESYNC?"),
             )
         elif not state.synced:
-            yield Finding("clock", Level.FIX, f"{clock}: answers contradict each other; a second sender of its id?")
+            yield Finding(
+                "clock", FindingLevel.FIX, f"{clock}: answers contradict each other; a second sender of its id?"
+            )
         else:
             good = state.bound_ns <= _GOOD_BOUND_NS
             text = f"{clock} known to {state.bound_ns / 1e6:.2f} ms, runs {state.skew_ppm:+.0f} ppm"
-            yield Finding("clock", Level.OK if good else Level.NOTE, text + ("" if good else ": slow round trips"))
+            yield Finding(
+                "clock", FindingLevel.OK if good else FindingLevel.NOTE, text + ("" if good else ": slow round trips")
+            )

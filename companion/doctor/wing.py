@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, payload_size
-from companion.doctor.evidence import Evidence, Finding, Fix, Level
+from companion.doctor.evidence import Evidence, Finding, FindingLevel, Fix
 from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE
 from companion.params.airframe import Sensor
 from companion.records import Axis, Station
@@ -33,15 +33,15 @@ def check_nodes(evidence: Evidence) -> Iterator[Finding]:
     for side in (Station.LEFT, Station.RIGHT):
         yield from _node(evidence, side)
     if len(alive) == 2:
-        yield Finding("wing", Level.OK, _accuracy(evidence))
+        yield Finding("wing", FindingLevel.OK, _accuracy(evidence))
     elif alive:
         text = (
             f"only the {alive[0].name.lower()} tip is measured: antisymmetric bending cannot be told from symmetric; "
             "ranges go out with the larger sigma that this leaves, and are trusted where it is small enough"
         )
-        yield Finding("wing", Level.FIX, text)
+        yield Finding("wing", FindingLevel.FIX, text)
     else:
-        yield Finding("wing", Level.FIX, _NONE)
+        yield Finding("wing", FindingLevel.FIX, _NONE)
     yield from _lines(evidence)
     yield from _losses(evidence)
 
@@ -58,20 +58,22 @@ def _node(evidence: Evidence, side: Station) -> Iterator[Finding]:
             )
             others = [what for what in evidence.foreign_imu if what.startswith(source.message)]
             text += f"; {', '.join(others)} is not mapped: see [{name}].source in the airframe" if others else ""
-            yield Finding("wing", Level.FIX, text)
+            yield Finding("wing", FindingLevel.FIX, text)
         return
     missing = "".join(
         letter for bit, letter in enumerate(_LETTERS) if letter in sensor.sends and not evidence.axes[side] >> bit & 1
     )
     if missing:
         text = f"{name}: axes {missing} never come, though the airframe says they do: correct 'sends', or the node"
-        yield Finding("wing", Level.FIX, text)
+        yield Finding("wing", FindingLevel.FIX, text)
     if not wired:
         slow = rate_hz < _ENOUGH * sensor.rate_hz
         text = f"{name} {source.message} of {source.component} at {rate_hz:.0f} Hz" + (
             f", not {sensor.rate_hz:.0f}" if slow else ""
         )
-        yield Finding("wing", Level.FIX if slow else Level.OK, text + (_bandwidth(evidence, side) if slow else ""))
+        yield Finding(
+            "wing", FindingLevel.FIX if slow else FindingLevel.OK, text + (_bandwidth(evidence, side) if slow else "")
+        )
 
 
 def _lines(evidence: Evidence) -> Iterator[Finding]:
@@ -83,16 +85,16 @@ def _lines(evidence: Evidence) -> Iterator[Finding]:
     for link, baud in evidence.serial_baud.items() if needed else ():
         text = f"{link}: a node's stream needs {needed:.0f} baud of {baud}"
         if baud < needed:
-            yield Finding("wing", Level.FIX, text + ": raise the baud rate, or lower the node's rate")
+            yield Finding("wing", FindingLevel.FIX, text + ": raise the baud rate, or lower the node's rate")
         else:
-            yield Finding("wing", Level.OK, text)
+            yield Finding("wing", FindingLevel.OK, text)
 
 
 def _losses(evidence: Evidence) -> Iterator[Finding]:
     """Losses that the nodes themselves count (tools/wing_node)."""
     for (component, name), count in sorted(evidence.node_losses.items()):
         if count and name in _LOSSES:
-            yield Finding("wing", Level.FIX, f"node {component}: {count} {_LOSSES[name]}")
+            yield Finding("wing", FindingLevel.FIX, f"node {component}: {count} {_LOSSES[name]}")
 
 
 def _needed_baud(sensor: Sensor) -> float:
@@ -136,17 +138,17 @@ def _feedback(evidence: Evidence) -> Iterator[Finding]:
     counts = [len(evidence.feedback[number]) for number in sorted(evidence.feedback)]
     if len(counts) == 1:
         text = f"CAMERA_FEEDBACK comes of one camera only ({counts[0]} pictures): set CAM2_TYPE like CAM1_TYPE"
-        yield Finding("camera", Level.FIX, text)
+        yield Finding("camera", FindingLevel.FIX, text)
     elif abs(counts[0] - counts[1]) > 1:
-        yield Finding("camera", Level.FIX, f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
+        yield Finding("camera", FindingLevel.FIX, f"CAMERA_FEEDBACK does not pair: {counts[0]} left, {counts[1]} right")
     else:
-        yield Finding("camera", Level.OK, f"CAMERA_FEEDBACK pairs: {counts[0]} and {counts[1]}")
+        yield Finding("camera", FindingLevel.OK, f"CAMERA_FEEDBACK pairs: {counts[0]} and {counts[1]}")
     shots_hz = evidence.settings.trigger_rate_hz
     for name in ("CAM1_DURATION", "CAM2_DURATION"):
         value = evidence.parameter(name)
         if value is not None and value[1] * shots_hz >= 1.0:
             text = f"{name} {value[1]:g} s refuses shots that come faster, and TRG_RATE is {shots_hz:g} Hz"
-            yield Finding("camera", Level.FIX, text, (Fix(name, round(0.5 / shots_hz, 3)),))
+            yield Finding("camera", FindingLevel.FIX, text, (Fix(name, round(0.5 / shots_hz, 3)),))
 
 
 def _planned(counts: dict[str, int]) -> Finding:
@@ -154,10 +156,10 @@ def _planned(counts: dict[str, int]) -> Finding:
     text = f"{sum(counts.values())} plans: " + ", ".join(f"{count} {fate}" for fate, count in counts.items())
     tried = sum(counts.get(fate, 0) for fate in (FIRED, LATE, FAILED))
     if counts.get(FAILED, 0) > _LOST * tried:
-        return Finding("shots", Level.FIX, text + ": is a camera set up on that line, and free at TRG_RATE?")
+        return Finding("shots", FindingLevel.FIX, text + ": is a camera set up on that line, and free at TRG_RATE?")
     if counts.get(LATE, 0) > _LOST * tried:
-        return Finding("shots", Level.FIX, text + ": the computer is too busy, or has no real-time priority")
-    return Finding("shots", Level.OK, text)
+        return Finding("shots", FindingLevel.FIX, text + ": the computer is too busy, or has no real-time priority")
+    return Finding("shots", FindingLevel.OK, text)
 
 
 def _pairing(evidence: Evidence) -> Finding:
@@ -165,10 +167,12 @@ def _pairing(evidence: Evidence) -> Finding:
     text = f"{evidence.shots} shots, {evidence.pairs} matched pairs, {evidence.unpaired} images without a partner"
     text += f", {evidence.lost} that never came" if evidence.lost else ""
     if evidence.shots and not evidence.pairs:
-        return Finding("camera", Level.FIX, text + ": check the trigger line, and that both cameras obey it")
+        return Finding("camera", FindingLevel.FIX, text + ": check the trigger line, and that both cameras obey it")
     if evidence.lost > _UNPAIRED * 2 * max(evidence.pairs, 1):
         why = "the cameras, their link or this computer are too slow for so many shots"
-        return Finding("camera", Level.FIX, f"{text}: {why}; lower TRG_RATE")
+        return Finding("camera", FindingLevel.FIX, f"{text}: {why}; lower TRG_RATE")
     if evidence.unpaired > _UNPAIRED * 2 * max(evidence.pairs, 1):
-        return Finding("camera", Level.FIX, text + ": one camera misses shots, or the exposures are too far apart")
-    return Finding("camera", Level.OK, text)
+        return Finding(
+            "camera", FindingLevel.FIX, text + ": one camera misses shots, or the exposures are too far apart"
+        )
+    return Finding("camera", FindingLevel.OK, text)

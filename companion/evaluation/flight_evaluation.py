@@ -28,7 +28,7 @@ from companion.evaluation.metrics import Scored, range_summary, toe_summary
 from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studios
 from companion.evaluation.replay import drive, own_inputs
-from companion.evaluation.true_geometry import Reading, TrueGeometry
+from companion.evaluation.true_geometry import TrueGeometry, TrueReading
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -251,7 +251,7 @@ class Shots:
 
 def score_shots(geometry: TrueGeometry, outputs: PipelineOutputs) -> Shots:
     """Read every settled shot in all ways; a shot that one way cannot read is left out of all."""
-    rows: list[tuple[int, float, dict[str, Reading]]] = []
+    rows: list[tuple[int, float, dict[str, TrueReading]]] = []
     for pair_id in sorted(outputs.bends):
         matches = outputs.matches[pair_id]
         t_s = (float(matches.mid_exposure_ns.mean()) - geometry.start_host_ns) * 1e-9
@@ -286,7 +286,7 @@ def paired(shots: Shots, other: Shots) -> dict[str, Any]:
     return comparison
 
 
-def _ways(geometry: TrueGeometry, rows: list[tuple[int, float, dict[str, Reading]]]) -> dict[str, Scored]:
+def _ways(geometry: TrueGeometry, rows: list[tuple[int, float, dict[str, TrueReading]]]) -> dict[str, Scored]:
     t_s = np.array([row[1] for row in rows])
     ways = {}
     for name in WAYS:

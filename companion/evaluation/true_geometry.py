@@ -24,7 +24,7 @@ from companion.sim.vision.renderer import Renderer
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class TrueReading:
     """One way's inverse range of a shot (1/m), and the truth for the same features."""
 
     inverse_pm: float
@@ -49,11 +49,11 @@ class TrueGeometry:
         """Believed distance of the cameras."""
         return self._belief.baseline_m
 
-    def rigid(self, matches: MatchSet) -> Reading | None:
+    def rigid(self, matches: MatchSet) -> TrueReading | None:
         """The ground calibration, unmodified."""
         return self._read(matches, self._belief, rest_exposures(self._belief))
 
-    def rigid_in_trim(self, matches: MatchSet) -> Reading | None:
+    def rigid_in_trim(self, matches: MatchSet) -> TrueReading | None:
         """Rigid stereo that was calibrated in level flight: the believed trim bend, and nothing that moves."""
         wing = self.flight.airframe.wing
         still = _deflection(int(matches.mid_exposure_ns[0]), wing.trim_bend_m.value, self.flight.airframe)
@@ -61,14 +61,14 @@ class TrueGeometry:
 
     def corrected(
         self, matches: MatchSet, left: Deflection, right: Deflection, turned: RelativeRotation | None = None
-    ) -> Reading | None:
+    ) -> TrueReading | None:
         """The estimate's own extrinsics: the tracked bend, and what the matches told of the rotation beyond it."""
         moving = exposures(self._belief, self._tips, left, right)
         if turned is not None:
             moving = with_relative_rotation(moving, epipolar_frame(self._belief).T @ turned.rotation_rad)
         return self._read(matches, self._belief, moving)
 
-    def oracle(self, matches: MatchSet) -> Reading | None:
+    def oracle(self, matches: MatchSet) -> TrueReading | None:
         """The true extrinsics and lenses."""
         left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         rig = self.renderer.rig
@@ -97,7 +97,7 @@ class TrueGeometry:
             slow_slope_sigma_rad=0.0,
         )
 
-    def _read(self, matches: MatchSet, rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> Reading | None:
+    def _read(self, matches: MatchSet, rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> TrueReading | None:
         sight = range_axis_of_rig(self._belief, self._axis)
         depths = triangulate(match_rays(rig, moving, matches), sight, matches.sigma_px / rig.left.lens.focal_px)
         reading = robust_inverse_depth(depths, RangeProduct(self.settings.product), self.settings.min_matches)
@@ -107,7 +107,7 @@ class TrueGeometry:
         counted = np.isfinite(true_inverse) & (reading.weights != 0)
         if not np.array_equal(counted, reading.weights != 0):
             return None
-        return Reading(reading.inverse_pm, float(reading.weights[counted] @ true_inverse[counted]))
+        return TrueReading(reading.inverse_pm, float(reading.weights[counted] @ true_inverse[counted]))
 
     def _true_inverse(self, matches: MatchSet) -> Floats:
         """Inverse depth along the range axis of what each left pixel really showed, (n,)."""

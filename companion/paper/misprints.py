@@ -72,12 +72,12 @@ def _beam() -> list[Misprint]:
 
 def _ranges() -> list[Misprint]:
     rows, far = range_tables.objects(), range_tables.far()
-    angle, misfit = range_tables.one_angle()
+    angle, deviation = range_tables.one_angle()
     board = printed.OBJECTS[0]
     return [
         Misprint("Table 3", "one correction angle", "three", "divergence "
                  + ", ".join(f"{1e3 * row['toe_rad']:.3f}" for row in rows) + " mrad; the best one angle, "
-                 f"{1e3 * angle:.3f}, misses by up to {1e3 * max(abs(misfit)):.1f} mm", "certain"),
+                 f"{1e3 * angle:.3f}, misses by up to {1e3 * max(abs(deviation)):.1f} mm", "certain"),
         Misprint("Table 3, errors", f"{board.error_percent} % (board)", f"{rows[0]['error_percent']:.2f} %",
                  "all are cut off, not rounded", "likely; rounding of the millimetres would allow it"),
         Misprint("Table 4, corrected", f"{printed.FAR_CORRECTED_M} m", f"{far['corrected_by_tables_residual_m']:.2f} m",

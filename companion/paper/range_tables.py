@@ -99,10 +99,10 @@ def far() -> dict[str, float]:
 def section() -> Section:
     """Tables 3 and 4 audited."""
     rows, scaled = objects(), far()
-    angle, misfit = one_angle()
+    angle, deviation = one_angle()
     data: dict[str, Any] = {
         "objects": rows,
-        "one_angle": {"toe_rad": angle, "misfit_m": misfit.tolist()},
+        "one_angle": {"toe_rad": angle, "misfit_m": deviation.tolist()},
         "far": scaled,
     }
     toes = ", ".join(f"{1e3 * row['toe_rad']:.3f}" for row in rows)
@@ -110,7 +110,7 @@ def section() -> Section:
     findings = (
         f"Shorter ranges mean divergence: {toes} mrad for board, bucket and cone. The text speaks of convergence.",
         f"No single angle gives all three rows: the best, {1e3 * angle:.3f} mrad, misses by "
-        f"{', '.join(f'{1e3 * m:+.1f}' for m in misfit)} mm where the print is good to 0.5 mm.",
+        f"{', '.join(f'{1e3 * m:+.1f}' for m in deviation)} mm where the print is good to 0.5 mm.",
         "After correction " + ", ".join(f"{1e3 * row['left_rad']:+.3f}" for row in rows) + " mrad are left: "
         "each row was corrected by an angle of its own.",
         "The usual formula is not exact for a 1.98 m pair at 4 m, where each camera looks 14 degrees aside: the true "

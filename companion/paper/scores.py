@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.evaluation.true_geometry import Reading
+from companion.evaluation.true_geometry import TrueReading
 from companion.paper.experiments import Outcome
 from companion.paper.shots import WAYS, Scored
 from companion.records import Floats, Side
@@ -73,7 +73,7 @@ def summary(outcome: Outcome, planned: bool) -> dict[str, Any]:
     return scores
 
 
-def errors(readings: Iterable[Reading | None]) -> dict[str, Any]:
+def errors(readings: Iterable[TrueReading | None]) -> dict[str, Any]:
     """Range errors in percent where there is a range, and in inverse range, which never ends.
 
     ``without`` counts shots that this way gives no reading for; ``beyond_infinity`` those whose axes do not meet.

@@ -10,7 +10,7 @@ import numpy as np
 
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import correct
-from companion.evaluation.true_geometry import Reading, TrueGeometry
+from companion.evaluation.true_geometry import TrueGeometry, TrueReading
 from companion.records import CorrectedRange, Deflection, Floats, MatchSet, Reject, RelativeRotation, Side
 from companion.sim.flight.flight import Flight
 
@@ -18,7 +18,7 @@ WAYS = ("rigid", "in_trim", "corrected", "published", "oracle")
 """Ways of ranging: the calibration unmodified; that of level flight; the wing's sensors (the paper's way); with what
 the matched features tell as well, as the service publishes it; the true extrinsics."""
 
-Readings = Mapping[str, Reading | None]
+Readings = Mapping[str, TrueReading | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ def _sensors_sigma_m(geometry: TrueGeometry, matches: MatchSet, answer: Answer) 
     return correct(matches, answer.left, answer.right, rig, airframe, geometry.settings).range.sigma_m
 
 
-def _readings(geometry: TrueGeometry, matches: MatchSet, answer: Answer) -> dict[str, Reading | None]:
+def _readings(geometry: TrueGeometry, matches: MatchSet, answer: Answer) -> dict[str, TrueReading | None]:
     return {
         "rigid": geometry.rigid(matches),
         "in_trim": geometry.rigid_in_trim(matches),

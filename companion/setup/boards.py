@@ -25,7 +25,7 @@ class CompanionBoard:
         Lines of ``config.txt`` that lay the UART on the header's pins 8 and 10.
     console
         Words of ``cmdline.txt`` that give it to a console, as a pattern; empty: no such file.
-    rivals
+    other_services
         Links that start another service on it.
     """
 
@@ -34,7 +34,7 @@ class CompanionBoard:
     uart: str
     boot_lines: tuple[str, ...] = ()
     console: str = ""
-    rivals: tuple[str, ...] = ()
+    other_services: tuple[str, ...] = ()
 
 
 BOARDS = (
@@ -45,7 +45,7 @@ BOARDS = (
     ),
     # Bluetooth has one of its own; the first is the debug connector's unless the header's is asked for
     CompanionBoard("pi5", "Raspberry Pi 5", "/dev/ttyAMA0", ("enable_uart=1", "dtparam=uart0=on"), CONSOLE),
-    CompanionBoard("jetson", "Jetson", "/dev/ttyTHS1", rivals=(f"{_WANTS}/nvgetty.service",)),
+    CompanionBoard("jetson", "Jetson", "/dev/ttyTHS1", other_services=(f"{_WANTS}/nvgetty.service",)),
     CompanionBoard("plain", "a Linux computer", "/dev/ttyACM0"),
 )  # fmt: skip
 _WORDS = {"pi4": ("Raspberry Pi 4", "Raspberry Pi Compute Module 4"), "pi5": ("Raspberry Pi 5", "Compute Module 5"),

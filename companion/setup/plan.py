@@ -46,7 +46,7 @@ def planned(tree: Tree, board: CompanionBoard, choices: Choices, program: str, p
     changes = [change for name, data in files.items() for change in _written(tree, name, data, previous)]
     if choices.takes(board.uart):
         changes += [_edited(tree, name, edit, previous) for name, edit in edits_of(tree, board).items()]
-        changes += [_unlinked(tree, name, previous) for name in board.rivals]
+        changes += [_unlinked(tree, name, previous) for name in board.other_services]
     wanted = {change.name for change in changes}
     unused = [(name, done) for name, done in previous.done.items() if name not in wanted]
     return changes + [change for name, done in unused for change in put_back(tree, name, done)]

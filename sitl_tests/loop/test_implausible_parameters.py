@@ -12,7 +12,7 @@ from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETE
 from companion.cli.doctor import diagnose
 from companion.core.autopilot_filters import NAMES
 from companion.core.pipeline import start, step
-from companion.doctor.evidence import Evidence, Level
+from companion.doctor.evidence import Evidence, FindingLevel
 from companion.doctor.examine import WANTED
 from companion.doctor.parameters import check_parameters
 from companion.params.files import load_airframe
@@ -108,7 +108,7 @@ def test_the_doctor_goes_by_no_value_that_cannot_be(name: str, value: float) -> 
     px4 = {"IMU_ACCEL_CUTOFF": 30.0, "IMU_GYRO_CUTOFF": 30.0} if name.startswith("IMU_") else {}
     seen = Evidence(load_airframe("nadir-2m"), Settings(), live=True, parameters={**px4, name: value})
     (finding,) = check_parameters(seen)
-    assert finding.level is Level.FIX
+    assert finding.level is FindingLevel.FIX
     assert name in finding.text
     assert seen.parameter(name) is None
     for entry in diagnose(seen):

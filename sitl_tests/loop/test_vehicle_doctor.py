@@ -16,7 +16,7 @@ from companion.adapters.mavlink.decode.message_records import Heard
 from companion.adapters.mavlink.link.link import Link
 from companion.cli import doctor
 from companion.cli.doctor import apply, diagnose
-from companion.doctor.evidence import Beat, Evidence, Finding, Fix, Level
+from companion.doctor.evidence import Beat, Evidence, Finding, FindingLevel, Fix
 from companion.doctor.examine import Examination, note, read_log
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -105,7 +105,7 @@ def flight() -> Flight:
 
 
 def wrong(findings: list[Finding]) -> dict[str, list[str]]:
-    return {entry.text: [str(fix) for fix in entry.fixes] for entry in findings if entry.level is Level.FIX}
+    return {entry.text: [str(fix) for fix in entry.fixes] for entry in findings if entry.level is FindingLevel.FIX}
 
 
 def fixes(findings: list[Finding]) -> set[str]:
@@ -115,7 +115,7 @@ def fixes(findings: list[Finding]) -> set[str]:
 def test_a_vehicle_that_is_set_up_well_has_nothing_to_fix(flight: Flight) -> None:
     findings = Ward(flight).listen()
     assert wrong(findings) == {}
-    subjects = {entry.subject for entry in findings if entry.level is Level.OK}
+    subjects = {entry.subject for entry in findings if entry.level is FindingLevel.OK}
     assert {"heartbeat", "wire", "routing", "ids", "loop", "rate", "filter", "clock", "wing", "range"} <= subjects
     assert any("0.24 mrad" in entry.text for entry in findings)
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.doctor.evidence import Evidence, Level
+from companion.doctor.evidence import Evidence, FindingLevel
 from companion.doctor.wing import check_cameras
 from companion.evaluation.plan_outcomes import FAILED, FIRED, LATE, REPLACED, WITHDRAWN, PlanOutcomes
 from companion.params.files import load_airframe
@@ -60,13 +60,13 @@ def test_a_shot_stays_a_shot_although_its_plan_was_refined_too_late() -> None:
 @pytest.mark.parametrize(
     ("reason", "count", "level", "said"),
     [
-        (Reject.PLAN_EXPIRED, 2, Level.OK, "2 came too late"),
-        (Reject.PLAN_EXPIRED, 9, Level.FIX, "real-time priority"),
-        (Reject.DEVICE_FAILED, 9, Level.FIX, "is a camera set up"),
+        (Reject.PLAN_EXPIRED, 2, FindingLevel.OK, "2 came too late"),
+        (Reject.PLAN_EXPIRED, 9, FindingLevel.FIX, "real-time priority"),
+        (Reject.DEVICE_FAILED, 9, FindingLevel.FIX, "is a camera set up"),
     ],
 )
 def test_the_doctor_says_how_many_shots_were_not_made_and_why(
-    reason: Reject, count: int, level: Level, said: str
+    reason: Reject, count: int, level: FindingLevel, said: str
 ) -> None:
     evidence = Evidence(load_airframe("nadir-2m"), Settings(), live=False)
     for number in range(100):

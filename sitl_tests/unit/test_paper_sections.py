@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.evaluation.true_geometry import Reading
+from companion.evaluation.true_geometry import TrueReading
 from companion.paper import digest, own_experiments, report, setups, triggering, untried
 from companion.paper.experiments import Outcome
 from companion.paper.findings import Section, percent
@@ -31,8 +31,8 @@ def shot(trial: Trial, baseline_m: float, toe_mrad: float, planned: bool) -> Sco
     true = 1.0 / trial.distance_m
     error = 1e-3 * toe_mrad / baseline_m
 
-    def reading(share: float) -> Reading:
-        return Reading(true + share * error, true)
+    def reading(share: float) -> TrueReading:
+        return TrueReading(true + share * error, true)
 
     whole: Readings = {
         "rigid": reading(1.0),
@@ -186,7 +186,7 @@ def test_what_is_within_two_sigma_of_the_print_is_not_worse(results: Results) ->
     def left_at(cone_mm: list[float]) -> list[str]:
         before = results.outcomes["wing_cone"]
         true = 1.0 / before.trial.distance_m
-        reading = [Reading(1.0 / (before.trial.distance_m + 1e-3 * mm), true) for mm in cone_mm]
+        reading = [TrueReading(1.0 / (before.trial.distance_m + 1e-3 * mm), true) for mm in cone_mm]
         made = shot(before.trial, 1.98, 4.0, planned=True)
         shots = tuple(
             dataclasses.replace(made, all_features=made.all_features | {"corrected": each}) for each in reading

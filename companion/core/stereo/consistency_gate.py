@@ -112,9 +112,9 @@ class RangeGate:
 
     closing_mps_per_climb: float
     lasting_surface: bool = True
-    _last: _Level | None = None
-    _trusted: _Level | None = None
-    _departed: _Level | None = None  # first range that left the last trusted one
+    _last: _RangeAt | None = None
+    _trusted: _RangeAt | None = None
+    _departed: _RangeAt | None = None  # first range that left the last trusted one
     _agreeing: int = 0
     _apart: int = 0  # ranges since then that have not come back
     _reopened: bool = False
@@ -146,7 +146,7 @@ class RangeGate:
         """
         if not measured.trusted:
             return measured
-        level = _Level(measured.t_host_ns, measured.range_m, measured.sigma_m, min(lasting_m, measured.sigma_m))
+        level = _RangeAt(measured.t_host_ns, measured.range_m, measured.sigma_m, min(lasting_m, measured.sigma_m))
         moving = _Moving(self.closing_mps_per_climb * climb_mps, slack_mps)
         follows = self._last is not None and level.t_ns - self._last.t_ns < _FORGET_NS
         agrees = follows and moving.agree(self._last, level)
@@ -157,7 +157,7 @@ class RangeGate:
         self._trusted, self._departed, self._apart, self._reopened = level, None, 0, False
         return measured
 
-    def _trustworthy(self, level: _Level, moving: _Moving) -> bool:
+    def _trustworthy(self, level: _RangeAt, moving: _Moving) -> bool:
         several = self._agreeing >= _AGREEING_TO_TRUST
         if self._trusted is None:
             return several
@@ -170,7 +170,7 @@ class RangeGate:
         stayed = level.t_ns - self._departed.t_ns >= _SURFACE_NS
         return several and (not self.lasting_surface or self._reopened or stayed)
 
-    def _stays_apart(self, level: _Level, moving: _Moving) -> bool:
+    def _stays_apart(self, level: _RangeAt, moving: _Moving) -> bool:
         """Whether a range goes on from those that departed: the slack, which grows with time, does not excuse them."""
         if self._departed is None or self._trusted is None:
             return False
@@ -178,7 +178,7 @@ class RangeGate:
 
 
 @dataclass(frozen=True, slots=True)
-class _Level:
+class _RangeAt:
     """Range, sigma and time of a judged pair, as the gate remembers it."""
 
     t_ns: int
@@ -194,11 +194,11 @@ class _Moving:
     rate_mps: float
     slack_mps: float
 
-    def between_m(self, before: _Level, after: _Level) -> float:
+    def between_m(self, before: _RangeAt, after: _RangeAt) -> float:
         """Absolute difference of a range from the prediction by an earlier one, m."""
         return abs(after.range_m - before.range_m - self.rate_mps * 1e-9 * (after.t_ns - before.t_ns))
 
-    def agree(self, before: _Level | None, after: _Level) -> bool:
+    def agree(self, before: _RangeAt | None, after: _RangeAt) -> bool:
         """Whether both may be of one surface, seen by cameras that stay as they are."""
         if before is None or after.t_ns <= before.t_ns:
             return False

@@ -111,7 +111,7 @@ class Correction:
         yield left
         yield right
         velocity_mps = np.array([airspeed_mps, 0.0, -climb_mps])
-        self._doubt(tracker.distrust)
+        self._doubtful(tracker.distrust)
         turned = self._turned(matches, (left, right), velocity_mps, use_matches=reason is None)
         yield turned
         answer: RangeAnswer = correct(
@@ -148,7 +148,7 @@ class Correction:
         """The part of a range's sigma that its neighbours share: the slow toe's."""
         return range_m**2 / self.rig.baseline_m * float(np.sqrt(turned.slow_covariance[YAW, YAW]))
 
-    def _doubt(self, reason: Reject | None) -> None:
+    def _doubtful(self, reason: Reject | None) -> None:
         """After a time of distrust the tracker may be wrong by more than it says: the matches have to tell anew."""
         if reason is None and self._distrusted and self.drift_filter.has_matches:
             self._reopen()

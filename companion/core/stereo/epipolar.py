@@ -206,13 +206,13 @@ class EpipolarFilter:
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
         answer = _solve(epipolar_rays, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
-        verdict, doubt = self._test.take(
+        verdict, granted_rad2 = self._test.take(
             _innovation(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast_covariance)
         )
         if verdict is MatchVerdict.KNOCKED:
             predicted[:3, :3] += KNOCK_RAD**2 * np.eye(3)
             answer = _solve(epipolar_rays, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
-        answer = _bound(answer, doubt)
+        answer = _bound(answer, granted_rad2)
         self._mean, self._covariance, self._updated_ns = (
             answer.mean[:_SLOW],
             answer.covariance[:_SLOW, :_SLOW],
@@ -352,11 +352,11 @@ def _innovation(answer: _Posterior) -> Innovation:
     return Innovation(np.asarray(covariance @ pull, dtype=np.float64), covariance)
 
 
-def _bound(answer: _Posterior, doubt: Floats) -> _Posterior:
+def _bound(answer: _Posterior, granted_rad2: Floats) -> _Posterior:
     """The answer with ``doubt`` (3, 3) in place of the innovation's wide prior: zero binds it to what is believed."""
     block, innovation = answer.covariance[_INNOVATION, _INNOVATION], _innovation(answer)
-    gain = np.linalg.solve(innovation.covariance + doubt, doubt).T
-    mean, covariance = gain @ innovation.rotation_rad, doubt - gain @ doubt
+    gain = np.linalg.solve(innovation.covariance + granted_rad2, granted_rad2).T
+    mean, covariance = gain @ innovation.rotation_rad, granted_rad2 - gain @ granted_rad2
     follow = np.linalg.solve(block, answer.covariance[_INNOVATION]).T
     return dataclasses.replace(
         answer,

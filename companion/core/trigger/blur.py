@@ -85,7 +85,7 @@ class BlurModel:
         nearness = 1.0 / motion.range_m if motion.range_m > 0 else 0.0
         rates, covariance = forecast.slope_rate_radps, forecast.slope_rate_covariance
         rigid = (forecast.body_rate_radps, motion.velocity_body_mps, nearness)
-        image, per_rate, acceleration, rms = _smeared(
+        image, per_rate, acceleration, rms = _streak_px(
             self._eyes, rates, covariance, step_s, latency.shifts_ns(), latency.sigmas_ns(), *rigid
         )
         return BlurForecast(
@@ -157,7 +157,7 @@ def _cross(vector: Floats) -> Floats:
 
 
 @compiled
-def _smeared(
+def _streak_px(
     eyes: _Eyes,
     rates: Floats,
     covariance: Floats,

@@ -138,10 +138,10 @@ def _raw_shape(xi: Floats, x: float, mass_ratio: float, inertia_ratio: float, or
 
     The growing exponential's coefficient a + b is a small difference of large numbers; it is formed in closed form.
     """
-    a, b, growing = _coefficients(x, mass_ratio, inertia_ratio)
+    a, b, increasing = _coefficients(x, mass_ratio, inertia_ratio)
     z = x * xi
     even = 1.0 if order % 2 == 0 else -1.0
-    hyperbolic = 0.5 * (growing * np.exp(z - x) + even * (a - b) * np.exp(-z))
+    hyperbolic = 0.5 * (increasing * np.exp(z - x) + even * (a - b) * np.exp(-z))
     circular_cos = np.cos(z + 0.5 * math.pi * order)
     circular_sin = np.sin(z + 0.5 * math.pi * order)
     return np.asarray(hyperbolic - a * circular_cos - b * circular_sin)

@@ -1,4 +1,4 @@
-"""What a named effect may change: the extension point of the one super-model.
+"""Hooks of a named effect: the extension point of the one super-model.
 
 An effect is a frozen dataclass in a file of its own under ``companion/core/wing/effects``. It names itself, declares
 its parameters with unit, prior sigma and meaning, and overrides the hooks that it needs; the others are neutral. The
@@ -102,7 +102,7 @@ class ModalMotion:
 
 @dataclass(frozen=True, slots=True)
 class CameraView:
-    """What the effects have made of a camera: extra rotation vector (camera axes) and shift (body), focal, time.
+    """Camera as the effects have changed it: extra rotation vector (camera axes) and shift (body), focal, time.
 
     The mount follows the tip station's slope ``slope_gain`` times, ``lag_s`` late (first order), through a resonance at
     ``1/sqrt(softness_s2)`` rad/s; the image is the mean over a readout of ``readout2_s2`` seconds squared; ``jitter_s``
@@ -188,7 +188,7 @@ class Effect:
         return None
 
     def remember(self, motion: ModalMotion) -> Floats | None:
-        """What a force that depends on history must know of this instant at the next, or None for nothing."""
+        """Memory that a force with history takes from this instant to the next, or None."""
         del motion
         return None
 
@@ -209,12 +209,12 @@ class Effect:
         return t_s
 
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
-        """What the sensor makes of true ``values`` (m, 6), m/s^2 and rad/s, before noise and quantisation."""
+        """Sensor's output for true ``values`` (m, 6), m/s^2 and rad/s, before noise and quantisation."""
         del station, t_s
         return values
 
     def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:
-        """What becomes of a camera's view."""
+        """View of a camera under this effect."""
         del side, t_s
         return view
 
@@ -268,10 +268,10 @@ class Effect:
     @classmethod
     def from_values(cls, values: dict[str, float]) -> Effect:
         """Build the effect; raise :class:`ConfigError` naming a parameter that it does not have."""
-        known = [entry.name for entry in cls.parameters()]
+        names = [entry.name for entry in cls.parameters()]
         for key in values:
-            if key not in known:
-                raise ConfigError(f"effect '{cls.name}' has no parameter '{key}'; it has: {', '.join(known)}")
+            if key not in names:
+                raise ConfigError(f"effect '{cls.name}' has no parameter '{key}'; it has: {', '.join(names)}")
         return cls(**values)
 
 
@@ -283,7 +283,7 @@ def sensed(effects: Iterable[Effect], station: Station, t_s: Floats, values: Flo
 
 
 def viewed(effects: Iterable[Effect], side: Side, t_s: float) -> CameraView:
-    """What all effects together make of a camera."""
+    """View of a camera under all effects together."""
     view = CameraView()
     for effect in effects:
         view = effect.camera(side, t_s, view)

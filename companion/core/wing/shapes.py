@@ -142,8 +142,8 @@ def fit_spline(points: EdgePoints, intervals: int = 8) -> EdgeFit:
 
 def _noise_sigma(points: EdgePoints, rows: Floats, coefficients: Floats) -> float:
     """The noise as likelihood sees it: penalised misfit over the points that straight lines leave."""
-    misfit = float(points.deflection @ (points.deflection - rows @ coefficients))
-    return math.sqrt(max(misfit, 0.0) / (len(points.deflection) - _STRAIGHT))
+    residual = float(points.deflection @ (points.deflection - rows @ coefficients))
+    return math.sqrt(max(residual, 0.0) / (len(points.deflection) - _STRAIGHT))
 
 
 def _restricted_likelihood(points: EdgePoints, rows: Floats, penalty: float, roughness: Floats) -> float:
@@ -151,11 +151,11 @@ def _restricted_likelihood(points: EdgePoints, rows: Floats, penalty: float, rou
     penalised = rows.T @ rows + penalty * roughness
     coefficients = np.linalg.solve(penalised, rows.T @ points.deflection)
     determinant = float(np.linalg.slogdet(penalised)[1]) - (len(penalised) - _STRAIGHT) * math.log(penalty)
-    misfit = float(points.deflection @ (points.deflection - rows @ coefficients))
+    residual = float(points.deflection @ (points.deflection - rows @ coefficients))
     if points.sigma is not None:
-        return misfit / points.sigma**2 + determinant
+        return residual / points.sigma**2 + determinant
     tiny = np.finfo(np.float64).eps * float(points.deflection @ points.deflection)
-    return (len(rows) - _STRAIGHT) * math.log(max(misfit, tiny, np.finfo(np.float64).tiny)) + determinant
+    return (len(rows) - _STRAIGHT) * math.log(max(residual, tiny, np.finfo(np.float64).tiny)) + determinant
 
 
 def _roughness(spline: BSpline, inner: Floats) -> Floats:

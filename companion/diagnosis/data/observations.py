@@ -141,7 +141,7 @@ class Observations:
     fine_mps2: Floats | None = None
     fine_hz: float = 0.0
     sample_defects: tuple[SampleDefect, ...] = ()
-    share: float = 1.0
+    used_ratio: float = 1.0
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
     centre_s: float = 0.0
@@ -173,7 +173,7 @@ class Observations:
             turning_mps2=None if self.turning_mps2 is None else self.turning_mps2[first:last],
             inputs={name: values[first:last] for name, values in self.inputs.items()},
             fine_mps2=self._fine(first, last),
-            share=self.share * (last - first) / len(self.up_mps2),
+            used_ratio=self.used_ratio * (last - first) / len(self.up_mps2),
             toe=toe,
             start_s=self.start_s + first / self.rate_hz,
         )
@@ -244,7 +244,7 @@ def _tips_on_grid(raw: RawRecording, faults: Mapping[Side, Sequence[SampleDefect
     clipped = [clipped_sides(raw.tips[side].force_z_mps2, faults[side]) for side in sides]
     if not any(np.any(entry) for entry in clipped):
         return tips
-    return _restored(tips, [raw.tips[side] for side in sides], clipped, t_s)
+    return _imputed(tips, [raw.tips[side] for side in sides], clipped, t_s)
 
 
 def _against_rigid(
@@ -302,7 +302,7 @@ def _mended(stream: RawStream, faults: Sequence[SampleDefect]) -> RawStream:
     return RawStream(stream.t_s, interpolate_clipped(stream.t_s, stream.force_z_mps2, faults))
 
 
-def _restored(tips: Floats, streams: Sequence[RawStream], cut: Sequence[Floats], t_s: Floats) -> Floats:
+def _imputed(tips: Floats, streams: Sequence[RawStream], cut: Sequence[Floats], t_s: Floats) -> Floats:
     """Tips (m, c) on their grid with what was cut drawn anew."""
     limits, beyond = tips.T.copy(), np.zeros(tips.T.shape)
     for i, (stream, clipped) in enumerate(zip(streams, cut, strict=True)):

@@ -47,7 +47,7 @@ class PredictionError:
     """
 
     rms_mps2: float
-    share: float
+    variance_ratio: float
     ahead_s: float
     log_score: float
     squares: Floats

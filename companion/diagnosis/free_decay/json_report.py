@@ -171,7 +171,7 @@ def _gain(before: PredictionError, after: PredictionError) -> dict[str, Any]:
             "after": after.rms_mps2,
             "unit": "m/s^2",
             "what": f"acceleration {1e3 * after.ahead_s:.0f} ms ahead, between knocks",
-            "share_of_signal": [before.share, after.share],
+            "share_of_signal": [before.variance_ratio, after.variance_ratio],
             "share_of_square_gone": gone,
             "interval": [gone_low, gone_high],
         },

@@ -50,7 +50,7 @@ class FreeDecayLikelihood:
         height, gradient, information = 0.0, np.zeros(count), np.zeros((count, count))
         moved = [_around(model, values, k) for k in range(len(model.recordings))]
         for k, (filtered, mask) in enumerate(zip(filter_all(model, moved), self._masks, strict=True)):
-            places = [*range(model.shared), *model.own(k)]
+            places = [*range(model.shared), *model.own_indices(k)]
             height += float(_log_likelihood(filtered, mask)[0])
             e, s = filtered.innovation[0, mask], filtered.variance[0, mask]
             step = (_STEP * model.sigmas[places])[:, None]
@@ -130,7 +130,7 @@ def _log_likelihood(filtered: Filtered, mask: Mask) -> Floats:
 
 def _around(model: FreeDecayModel, values: Floats, recording: int) -> Floats:
     """The vector, and it with a small step in everything that concerns a recording."""
-    places = [*range(model.shared), *model.own(recording)]
+    places = [*range(model.shared), *model.own_indices(recording)]
     rows = np.tile(values, (len(places) + 1, 1))
     rows[range(1, len(rows)), places] += _STEP * model.sigmas[places]
     return rows

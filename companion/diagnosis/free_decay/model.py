@@ -49,7 +49,7 @@ class FreeDecayModel:
         """Place of a parameter."""
         return [entry.key for entry in self.parameters].index(key)
 
-    def own(self, recording: int) -> list[int]:
+    def own_indices(self, recording: int) -> list[int]:
         """Places of a recording's nuisances."""
         first = self.shared + _OWN * recording
         return list(range(first, first + _OWN))

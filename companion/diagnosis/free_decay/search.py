@@ -66,7 +66,7 @@ def search(
     damping: Uncertain,
     band_hz: tuple[float, float],
     most: int = 5,
-    progress: Progress = lambda _what, _share: None,
+    progress: Progress = lambda _what, _ratio: None,
 ) -> FreeDecayDiagnosis:
     """Judge recordings of one structure jointly, with what is one recording's own fitted to it alone.
 

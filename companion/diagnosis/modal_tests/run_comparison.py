@@ -137,11 +137,11 @@ def disagreement(values: Floats, sigmas: Floats) -> float:
     if len(values) < 2:
         return 0.0
     weight = 1.0 / sigmas**2
-    misfit = float(np.sum(weight * (values - np.sum(weight * values) / weight.sum()) ** 2))
-    tail = float(chi2.logsf(misfit, len(values) - 1))
+    deviation = float(np.sum(weight * (values - np.sum(weight * values) / weight.sum()) ** 2))
+    tail = float(chi2.logsf(deviation, len(values) - 1))
     if tail > _LOG_SMALLEST:
         return float(norm.isf(math.exp(tail)))
-    return math.sqrt(-2.0 * tail) if math.isfinite(tail) else math.sqrt(misfit)
+    return math.sqrt(-2.0 * tail) if math.isfinite(tail) else math.sqrt(deviation)
 
 
 def _end_of_steady(f_hz: Floats, sigma: Floats) -> int:

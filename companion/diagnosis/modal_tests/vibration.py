@@ -39,13 +39,13 @@ class VibrationRun:
 
 @dataclass(frozen=True, slots=True)
 class ModeOfRun:
-    """A mode as one run shows it; ``misfit`` is what the model leaves of the responses, as a share."""
+    """A mode as one run shows it; ``deviation`` is what the model leaves of the responses, as a share."""
 
     frequency_hz: float
     frequency_sigma_hz: float
     damping: float
     damping_sigma: float
-    misfit: float
+    deviation: float
 
 
 @dataclass(frozen=True, slots=True)

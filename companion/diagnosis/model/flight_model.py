@@ -101,8 +101,8 @@ class FlightModel:
     def log_scores(self, expectation: Expectation) -> dict[str, float]:
         """Log likelihood by channel: accelerations, toe given them, and the sensors' mean."""
         spread = float(np.sum(log_determinant(expectation.spectrum)))
-        misfit = quadratic_form(expectation.inverse, expectation.residual)
-        scores = {"acceleration": -self.weight * (spread + misfit)}
+        toe_residual = quadratic_form(expectation.inverse, expectation.residual)
+        scores = {"acceleration": -self.weight * (spread + toe_residual)}
         if len(expectation.toe_residual_rad):
             factor = cho_factor(expectation.toe_covariance, lower=True, check_finite=False)
             whitened = expectation.toe_residual_rad @ cho_solve(
@@ -214,4 +214,4 @@ class FlightModel:
             mean_residual[i] += deviation.get("root.bias_mps2", 0.0) - GRAVITY_MPS2 * deviation.get("root.scale", 0.0)
         # without a root sensor the mean load factor itself is in doubt, on both sides alike
         mean_sigma_mps2 = 1e-3 if self.observations.has_root else 3e-3 * GRAVITY_MPS2
-        return mean_residual, np.full(len(mean_residual), mean_sigma_mps2**2 / self.observations.share)
+        return mean_residual, np.full(len(mean_residual), mean_sigma_mps2**2 / self.observations.used_ratio)

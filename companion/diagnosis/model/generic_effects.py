@@ -129,11 +129,11 @@ class GenericToeVariance(Effect):
     only_toe_variance: ClassVar[bool] = True
     grows_with: ClassVar[str]
 
-    share: float = parameter("", 2.0, "of the variance that is there anyway")
+    load_ratio: float = parameter("", 2.0, "of the variance that is there anyway")
 
     def growth(self, offered: Mapping[str, Floats]) -> Floats | float:
         """Share of the variance that is added, (k,)."""
-        return max(self.share, 0.0) * offered[self.grows_with] if self.grows_with in offered else 0.0
+        return max(self.load_ratio, 0.0) * offered[self.grows_with] if self.grows_with in offered else 0.0
 
 
 @dataclass(frozen=True, slots=True)

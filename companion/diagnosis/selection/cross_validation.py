@@ -60,7 +60,7 @@ def cross_validate(
     models: Sequence[FlightModel],
     before: FlightFit,
     after: FlightFit,
-    progress: Callable[[float], None] = lambda _share: None,
+    progress: Callable[[float], None] = lambda _ratio: None,
     most: int = 6,
 ) -> CrossValidation:
     """Fit both models on every other block and score them on the blocks between, and the other way round.

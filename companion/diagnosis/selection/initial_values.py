@@ -43,21 +43,21 @@ def regressed_start(models: Sequence[FlightModel], start: Floats) -> Floats:
         return np.asarray((measured - np.concatenate([_logarithms(power) for power in modelled])) * np.sqrt(_CHUNK))
 
     values = start.copy()
-    misfit = residual(values)
-    if not len(misfit) or np.mean(misfit**2) < _CLOSE:
+    deviation = residual(values)
+    if not len(deviation) or np.mean(deviation**2) < _CLOSE:
         return values
-    values, misfit = min(
+    values, deviation = min(
         ((candidate, residual(candidate)) for candidate in (values, noise_floor_start(models, values))),
         key=lambda power: _penalised_squares(power[1], power[0], sigmas),
     )
     for _ in range(_ROUNDS):
-        slopes = np.stack([(residual(_moved(values, i, sigmas)) - misfit) / (_STEP * sigmas[i]) for i in free], 1)
-        better = _step(residual, values, misfit, slopes, free, sigmas)
+        slopes = np.stack([(residual(_moved(values, i, sigmas)) - deviation) / (_STEP * sigmas[i]) for i in free], 1)
+        better = _step(residual, values, deviation, slopes, free, sigmas)
         if better is None:
             break
-        gained = _penalised_squares(misfit, values, sigmas) - _penalised_squares(better[1], better[0], sigmas)
-        values, misfit = better
-        if gained < _ENOUGH * len(misfit):
+        gained = _penalised_squares(deviation, values, sigmas) - _penalised_squares(better[1], better[0], sigmas)
+        values, deviation = better
+        if gained < _ENOUGH * len(deviation):
             break
     return values
 
@@ -81,14 +81,14 @@ def noise_floor_start(models: Sequence[FlightModel], start: Floats) -> Floats:
 def _step(
     residual: Callable[[Floats], Floats],
     values: Floats,
-    misfit: Floats,
+    deviation: Floats,
     slopes: Floats,
     free: list[int],
     sigmas: Floats,
 ) -> tuple[Floats, Floats] | None:
     """One step of damped Gauss and Newton that lowers the sum of squares with the priors; None where there is none."""
     prior = 1.0 / sigmas[free] ** 2
-    normal, pull = slopes.T @ slopes + np.diag(prior), -slopes.T @ misfit - prior * values[free]
+    normal, pull = slopes.T @ slopes + np.diag(prior), -slopes.T @ deviation - prior * values[free]
     for damping in (1e-3, 1e-1, 1.0, 10.0, 100.0):
         move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), pull)
         candidate = values.copy()
@@ -97,13 +97,13 @@ def _step(
             after = residual(candidate)
         except (ValueError, FloatingPointError, np.linalg.LinAlgError):
             continue
-        if _penalised_squares(after, candidate, sigmas) < _penalised_squares(misfit, values, sigmas):
+        if _penalised_squares(after, candidate, sigmas) < _penalised_squares(deviation, values, sigmas):
             return candidate, after
     return None
 
 
-def _penalised_squares(misfit: Floats, values: Floats, sigmas: Floats) -> float:
-    return float(np.sum(misfit**2) + np.sum((values / sigmas) ** 2))
+def _penalised_squares(deviation: Floats, values: Floats, sigmas: Floats) -> float:
+    return float(np.sum(deviation**2) + np.sum((values / sigmas) ** 2))
 
 
 def _moved(values: Floats, i: int, sigmas: Floats) -> Floats:

@@ -48,7 +48,7 @@ _SMALL = 0.5  # sigmas below which a tail is the normal one
 
 
 @dataclass(frozen=True, slots=True)
-class _Family:
+class _TestFamily:
     """Directions that belong together.
 
     ``columns`` by recording; ``skewness`` and excess ``kurtosis`` of each score by chance, and how much ``wider`` it
@@ -84,7 +84,7 @@ def lack_of_fit_tests(models: Sequence[FlightModel], fitted: FlightFit) -> dict[
     return strengths
 
 
-def _strengths(family: _Family, score: Floats, information: Floats) -> dict[str, float]:
+def _strengths(family: _TestFamily, score: Floats, information: Floats) -> dict[str, float]:
     spread = np.diag(information)
     positive = spread[spread > 0.0]
     telling = spread > _KNOWN * (float(np.median(positive)) if len(positive) else 0.0) * 1e-6
@@ -115,7 +115,7 @@ def _strengths(family: _Family, score: Floats, information: Floats) -> dict[str,
     return strengths
 
 
-def _best(family: _Family, z: Floats, index: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> dict[str, float]:
+def _best(family: _TestFamily, z: Floats, index: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> dict[str, float]:
     if not len(index):
         return {}
     best = int(index[np.argmax(np.abs(z[index]))])
@@ -171,7 +171,7 @@ def normal_score_of_student(z: float, freedom: int) -> float:
     return math.copysign(normal_score(min(float(t.logsf(abs(z), freedom)) + math.log(2.0), 0.0)), z)
 
 
-def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_Family]:
+def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]:
     """Forces, sensors and ranges by law."""
     kinds = generic_effects()
     forces = [kind for kind in kinds if issubclass(kind, GenericForce)]
@@ -199,7 +199,7 @@ def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_Family]:
 
 def _family(
     models: Sequence[FlightModel], fitted: FlightFit, kinds: Sequence[type[Effect]], title: str = ""
-) -> _Family:
+) -> _TestFamily:
     columns: list[list[Column]] = [[] for _ in models]
     for kind in kinds:
         effect = kind()
@@ -209,10 +209,10 @@ def _family(
             models, values, (*fitted.terms, EffectTerm(effect)), fitted.expectations, sigmas, [len(fitted.values)]
         )
         columns = [[*before, *new] for before, new in zip(columns, new_columns, strict=True)]
-    return _Family([kind.name for kind in kinds], columns, title)
+    return _TestFamily([kind.name for kind in kinds], columns, title)
 
 
-def _skewness(family: _Family, expectations: Sequence[Expectation]) -> Floats:
+def _skewness(family: _TestFamily, expectations: Sequence[Expectation]) -> Floats:
     """Skewness of the scores of the toe's variance."""
     cubes, squares = np.zeros(len(family.names)), np.zeros(len(family.names))
     for recording_columns, expectation in zip(family.columns, expectations, strict=True):
@@ -225,12 +225,12 @@ def _skewness(family: _Family, expectations: Sequence[Expectation]) -> Floats:
     return np.asarray(cubes / np.maximum(squares, 1e-100) ** 1.5)
 
 
-def _anywhere(models: Sequence[FlightModel], expectations: Sequence[Expectation]) -> _Family:
+def _anywhere(models: Sequence[FlightModel], expectations: Sequence[Expectation]) -> _TestFamily:
     names, columns, skewness = peaks(models, expectations)
-    return _Family(names, columns, "", skewness, None, True)
+    return _TestFamily(names, columns, "", skewness, None, True)
 
 
-def _spectral(models: Sequence[FlightModel]) -> _Family:
+def _spectral(models: Sequence[FlightModel]) -> _TestFamily:
     """Indicator of a band in each entry of the whitened spectral matrix."""
     names: list[str] = []
     skewness: list[float] = []
@@ -252,7 +252,7 @@ def _spectral(models: Sequence[FlightModel]) -> _Family:
                 packed = np.zeros(len(_entries(model)) * len(inside))
                 packed[k * len(inside) : (k + 1) * len(inside)] = inside
                 recording_columns.append(Column(power=packed))
-    return _Family(names, columns, "all spectra together", np.array(skewness), kurtosis=np.array(kurtosis))
+    return _TestFamily(names, columns, "all spectra together", np.array(skewness), kurtosis=np.array(kurtosis))
 
 
 def _inside(model: FlightModel, low: float, high: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

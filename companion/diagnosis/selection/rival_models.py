@@ -68,12 +68,12 @@ def strongest_rival_model(
         for candidate, rho in zip(screening.candidates, alike, strict=True)
         if candidate.log_odds > enough and rho < SAME
     ]
-    rivals = [
+    competing_models = [
         RivalModel(candidate.name, penalised_log_likelihood(models, fitted, null) - worth)
         for candidate in sorted(leading, key=lambda entry: -entry.log_odds)[:_REFITTED]
         if (fitted := _refitted(models, null, candidate)) is not None
     ]
-    return max(rivals, key=lambda candidate: candidate.ahead, default=None)
+    return max(competing_models, key=lambda candidate: candidate.ahead, default=None)
 
 
 def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check]) -> list[EffectTerm]:

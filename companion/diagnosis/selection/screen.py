@@ -106,7 +106,7 @@ def screen(
     models: Sequence[FlightModel],
     null: FlightFit,
     terms: Sequence[EffectTerm],
-    progress: Callable[[float], None] = lambda _share: None,
+    progress: Callable[[float], None] = lambda _ratio: None,
 ) -> Screening:
     """Score every part at a fitted model ``null``, which may hold effects that have been accepted.
 

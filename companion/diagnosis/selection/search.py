@@ -30,7 +30,7 @@ def diagnose(
     models: Sequence[FlightModel],
     kinds: Sequence[type[Effect]],
     max_causes: int = 3,
-    progress: Progress = lambda _what, _share: None,
+    progress: Progress = lambda _what, _ratio: None,
 ) -> Diagnosis:
     """Judge recordings that share one belief by a catalogue, or a part of it; name at most ``max_causes`` effects.
 

@@ -75,12 +75,12 @@ def _draw_shapes(test: VibrationTest, bending: list[BendingMode], folder: Path) 
     span = np.array([point.span_m for point in test.points])
     for axes, each in zip(figure.subplots(len(bending), 3, squeeze=False), bending, strict=True):
         mode, kind = each.mode, "symmetric" if each.sign > 0 else "antisymmetric"
-        folded = relative_to_root(mode, test.points, each.sign)
+        mirrored = relative_to_root(mode, test.points, each.sign)
         for leading, colour, name in ((True, _LEADING, "leading edge"), (False, _TRAILING, "trailing edge")):
             some = np.array([point.leading is leading for point in test.points])
             two_sigma = 2.0 * mode.shape_sigma[some]
             axes[0].errorbar(span[some], mode.shape[some], two_sigma, fmt="o", ms=4, color=colour, label=name)
-            axes[1].errorbar(np.abs(span[some]), folded[some], two_sigma, fmt="o", ms=3, color=colour)
+            axes[1].errorbar(np.abs(span[some]), mirrored[some], two_sigma, fmt="o", ms=3, color=colour)
             edge = each.shape.leading if leading else each.shape.trailing
             y = np.linspace(*edge.span_m, 60)
             for axis, derivative in ((axes[1], 0), (axes[2], 1)):

@@ -237,9 +237,9 @@ class MavlinkAutopilot:
             if self._listener is not None:
                 self._listener(heard)
         for record in decoded.records:
-            doubt = self._two_clocks.hear(record)
-            if doubt is not None:
-                self._said.append(doubt)
+            notice_of_clocks = self._two_clocks.hear(record)
+            if notice_of_clocks is not None:
+                self._said.append(notice_of_clocks)
             if isinstance(record, AutopilotParameter) and implausible(record.name, record.value) is None:
                 if record.name == "SCHED_LOOP_RATE":
                     self.rates.loop_rate(record.value)

@@ -17,8 +17,8 @@ from companion.params.airframe import Airframe, NamedEffect
 @functools.cache
 def catalogue() -> Mapping[str, type[Effect]]:
     """Every effect by its stable name, in alphabetical order."""
-    found = [kind for module in pkgutil.walk_packages(__path__, f"{__name__}.") for kind in _effects_in(module.name)]
-    return MappingProxyType({kind.name: kind for kind in sorted(found, key=lambda kind: kind.name)})
+    kinds = [kind for module in pkgutil.walk_packages(__path__, f"{__name__}.") for kind in _effects_in(module.name)]
+    return MappingProxyType({kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.name)})
 
 
 def make_effects(named: Iterable[NamedEffect]) -> tuple[Effect, ...]:
@@ -34,10 +34,10 @@ def make_effects(named: Iterable[NamedEffect]) -> tuple[Effect, ...]:
 
 def make_effect(named: NamedEffect) -> Effect:
     """Build one effect; errors as :func:`make_effects`."""
-    known = catalogue()
-    if named.name not in known:
-        raise ConfigError(f"no effect '{named.name}'; known: {', '.join(known)}")
-    return known[named.name].from_values(named.parameters)
+    kinds_by_name = catalogue()
+    if named.name not in kinds_by_name:
+        raise ConfigError(f"no effect '{named.name}'; known: {', '.join(kinds_by_name)}")
+    return kinds_by_name[named.name].from_values(named.parameters)
 
 
 def apply_to_airframe(airframe: Airframe) -> Airframe:

@@ -29,7 +29,7 @@ class Hysteresis(Effect):
     yield_m: float = parameter("m", 0.003, "deflection at which it slips", default=0.0025)
 
     def force(self, motion: ModalMotion) -> Floats:
-        """What slipping takes off the spring, half by half."""
+        """Spring force that slipping takes away, half by half."""
         stiffness = float(motion.structure.stiffness_radps2[0, 0])
         return from_halves(motion, self.share * stiffness * (halves(motion.offset_m) - self._held(motion)))
 
