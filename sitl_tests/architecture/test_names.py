@@ -121,6 +121,7 @@ PENDING_PROSE = (
     "companion/evaluation/",
     "companion/paper/",
     "companion/reporting/",
+    "companion/setup/",
 )
 
 
