@@ -8,8 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import companion
+import pytest
 
+import companion
+from companion.core.kernels.compiled import COMPILED
+
+ROOT = Path(companion.__file__).resolve().parents[1]
 PRINT = "import os, companion; print(os.environ['NUMBA_CACHE_DIR'])"
 
 
@@ -51,3 +55,25 @@ def test_a_new_state_clears_all_but_the_newest_old_ones_away(tmp_path: Path) -> 
     others[5].mkdir()
     _cache(tmp_path)
     assert others[5].exists(), "nothing is searched for where the code is already there"
+
+
+@pytest.mark.skipif(not COMPILED, reason="nothing is compiled without numba")
+def test_code_that_is_cached_for_a_type_of_an_earlier_version_is_compiled_anew(tmp_path: Path) -> None:
+    """Where the folder is set from outside, it holds the code of all versions."""
+    source = (
+        "from typing import NamedTuple\n"
+        "from companion.core.kernels.compiled import compiled\n"
+        "class Old(NamedTuple):\n    value: float\n"
+        "@compiled\ndef doubled(pair):\n    return 2.0 * pair.value\n"
+        "print(doubled(Old(2.0)))\n"
+    )
+    for text in (source, source.replace("Old", "New")):
+        (tmp_path / "module.py").write_text(text)
+        run = subprocess.run(
+            [sys.executable, "-c", "import module"],
+            cwd=tmp_path,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "code"), "PYTHONPATH": f"{tmp_path}:{ROOT}"},
+            capture_output=True,
+            text=True,
+        )
+        assert (run.stdout, run.returncode) == ("4.0\n", 0), run.stderr

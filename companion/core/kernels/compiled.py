@@ -1,7 +1,7 @@
-"""The optional accelerator: inner loops are compiled by numba where it is installed, and run as they stand where not.
+"""Just-in-time compilation of the inner loops: by numba where it is installed; elsewhere they run as they stand.
 
-What is :func:`compiled` uses nothing that numpy does not do as well by itself, and gives the same numbers to rounding.
-The machine code is kept beside the source or in the user's cache, so that only the first start after an update
+Functions under :func:`compiled` use nothing that numpy does not do as well by itself, and give the same numbers to
+rounding. The machine code is cached beside the source or in the user's cache: only the first start after an update
 pays for the compiler.
 """
 
@@ -14,8 +14,9 @@ from typing import Any, TypeVar, cast
 try:
     from numba import njit
     from numba.core import event
+    from numba.core.caching import IndexDataCacheFile
 except ImportError:  # the plain fall-back
-    njit = event = None
+    njit = event = IndexDataCacheFile = None
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Array = TypeVar("_Array", bound=Any)
@@ -23,16 +24,36 @@ _Array = TypeVar("_Array", bound=Any)
 COMPILED = njit is not None
 
 
+def _recompile_after_renames() -> None:
+    """Make numba compile anew where its cache names types of an earlier version.
+
+    It unpickles a cache's index before it compares the source's time stamp: a named tuple that has been renamed since
+    would end the program at its first start after an update.
+    """
+    load = IndexDataCacheFile._load_index
+
+    def load_or_empty(cache: Any) -> Any:
+        try:
+            return load(cache)
+        except (AttributeError, ImportError):
+            return {}
+
+    IndexDataCacheFile._load_index = load_or_empty
+
+
+if COMPILED:
+    _recompile_after_renames()
+
+
 def compiled(function: _Function) -> _Function:
-    """Compile a function of arrays and named tuples of arrays, if that can be done here."""
+    """Compile a function of arrays and named tuples of arrays, where possible; the order of sums is kept."""
     return _compiled(function)
 
 
 def compiled_loops(function: _Function) -> _Function:
-    """Compile plain loops, sums in any order: faster than numpy on small arrays, and unbearable where not compiled.
+    """Compile plain loops, sums in any order: faster than numpy on small arrays, and slow where not compiled.
 
-    Whoever uses it keeps a numpy version beside it, and a test that both agree. Not-a-number and infinity stay what
-    they are.
+    Each user has a numpy version beside it, and a test that both agree. Not-a-number and infinity stay what they are.
     """
     return _compiled(function, fastmath={"reassoc", "contract", "nsz"})
 
@@ -47,23 +68,23 @@ def _compiled(function: _Function, **options: Any) -> _Function:
 
 
 def watched(begins: Callable[[str], None]) -> AbstractContextManager[object]:
-    """While inside, ``begins`` hears the name of each function as it begins to be compiled: none whose code is kept."""
+    """Context that calls ``begins`` with the name of each function whose compilation begins; cached ones: never."""
     if event is None:
         return nullcontext()
 
     class Watcher(event.Listener):  # type: ignore[misc]
-        def on_start(self, told: Any) -> None:
-            begins(str(told.data["dispatcher"].py_func.__name__))
+        def on_start(self, event: Any) -> None:
+            begins(str(event.data["dispatcher"].py_func.__name__))
 
-        def on_end(self, told: Any) -> None:
-            """Nobody asks."""
+        def on_end(self, event: Any) -> None:
+            """Ignore: only beginnings are asked for."""
 
     return cast(AbstractContextManager[object], event.install_listener("numba:compile", Watcher()))
 
 
 def plain(array: _Array) -> _Array:
-    """The array, or a copy of one that is a view with gaps or may not be written.
+    """The array, or a contiguous writable copy of a view with gaps or a read-only array.
 
-    What is compiled would be compiled anew for such an array, which takes seconds, in flight.
+    Another memory layout is another type, for which a compiled function would be compiled anew: seconds, in flight.
     """
     return array if array.flags.carray else cast(_Array, array.copy())
