@@ -1,4 +1,4 @@
-"""The rig tracker on an oscillator whose frequency moves: integrated here, with a stronger resonance on top."""
+"""The single-sensor filter on an oscillator whose frequency moves: integrated here, a stronger resonance on top."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.records import Floats, Reject
-from tools.bench.single_sensor_ekf import Resonance, RigPhase, RigTracker
+from tools.bench.single_sensor_ekf import PhaseEstimate, Resonance, SingleSensorModeEkf
 
 RATE_HZ = 1000.0
 FINE = 20  # of the integration, per sample
@@ -43,14 +43,14 @@ def _truth(moving: bool = True) -> tuple[Floats, Floats, Floats]:
 
 
 @functools.cache
-def _answers() -> dict[int, list[RigPhase | Reject]]:
+def _answers() -> dict[int, list[PhaseEstimate | Reject]]:
     """What is said at each sample of the phase now and ten samples later."""
     return _follow(_truth()[0], (0, 10))
 
 
-def _follow(acceleration: Floats, leads: tuple[int, ...] = (0,)) -> dict[int, list[RigPhase | Reject]]:
-    tracker = RigTracker(BELIEF, RATE_HZ, NOISE_MPS2)
-    answers: dict[int, list[RigPhase | Reject]] = {lead: [] for lead in leads}
+def _follow(acceleration: Floats, leads: tuple[int, ...] = (0,)) -> dict[int, list[PhaseEstimate | Reject]]:
+    tracker = SingleSensorModeEkf(BELIEF, RATE_HZ, NOISE_MPS2)
+    answers: dict[int, list[PhaseEstimate | Reject]] = {lead: [] for lead in leads}
     for value in acceleration + NOISE_MPS2 * np.random.default_rng(1).standard_normal(len(acceleration)):
         tracker.add(float(value))
         for lead in leads:
@@ -58,12 +58,12 @@ def _follow(acceleration: Floats, leads: tuple[int, ...] = (0,)) -> dict[int, li
     return answers
 
 
-def _error_rad(answers: list[RigPhase | Reject], q: Floats, v: Floats, lead: int, moving: bool) -> Floats:
+def _error_rad(answers: list[PhaseEstimate | Reject], q: Floats, v: Floats, lead: int, moving: bool) -> Floats:
     """Against the phase that displacement and velocity themselves have; NaN where refused."""
     t: Floats = np.asarray(np.arange(1, len(q) + 1) / RATE_HZ, dtype=np.float64)
     omega = 2 * np.pi * (_frequency_hz(t) if moving else np.full(len(t), 29.0))
     true = np.arctan2(-v / omega, q)[lead:]
-    said = np.array([a.phase_rad if isinstance(a, RigPhase) else np.nan for a in answers])[: len(true)]
+    said = np.array([a.phase_rad if isinstance(a, PhaseEstimate) else np.nan for a in answers])[: len(true)]
     return np.angle(np.exp(1j * (said - true)))
 
 
@@ -81,7 +81,7 @@ def test_frequency_is_where_the_support_has_put_it() -> None:
     answers = _answers()[0]
     for at_s in (1.2, 2.6, 4.2):
         answer = answers[round(at_s * RATE_HZ)]
-        assert isinstance(answer, RigPhase)
+        assert isinstance(answer, PhaseEstimate)
         assert answer.frequency_hz == pytest.approx(float(_frequency_hz(np.array(at_s))), rel=0.02)
         assert abs(answer.frequency_hz - float(_frequency_hz(np.array(at_s)))) < 3 * answer.frequency_sigma_hz
 
@@ -91,7 +91,7 @@ def test_errors_stay_within_the_sigma_that_is_given() -> None:
     _, q, v = _truth()
     answers = _answers()[0]
     error = np.abs(_error_rad(answers, q, v, 0, moving=True))[500:]
-    sigma = np.array([a.phase_sigma_rad if isinstance(a, RigPhase) else np.nan for a in answers])[500:]
+    sigma = np.array([a.phase_sigma_rad if isinstance(a, PhaseEstimate) else np.nan for a in answers])[500:]
     t = np.arange(501, len(q) + 1) / RATE_HZ
     both = np.isfinite(error) & ((t + 0.5) % 0.7 > 0.05)
     assert np.mean(error[both] < sigma[both]) > 0.68
@@ -100,13 +100,13 @@ def test_errors_stay_within_the_sigma_that_is_given() -> None:
 
 def test_a_later_lead_and_a_later_sensor_are_less_certain() -> None:
     acceleration, _, _ = _truth()
-    tracker = RigTracker(BELIEF, RATE_HZ, NOISE_MPS2)
+    tracker = SingleSensorModeEkf(BELIEF, RATE_HZ, NOISE_MPS2)
     for value in acceleration[:1000]:
         tracker.add(float(value))
     now, soon, later = (tracker.phase(lead_s) for lead_s in (0.0, 0.005, 0.02))
-    assert isinstance(now, RigPhase)
-    assert isinstance(soon, RigPhase)
-    assert isinstance(later, RigPhase)
+    assert isinstance(now, PhaseEstimate)
+    assert isinstance(soon, PhaseEstimate)
+    assert isinstance(later, PhaseEstimate)
     assert now.phase_sigma_rad < soon.phase_sigma_rad < later.phase_sigma_rad
     turned = 2 * np.pi * now.frequency_hz * 0.005
     assert np.angle(np.exp(1j * (soon.phase_rad - now.phase_rad - turned))) == pytest.approx(0.0, abs=0.02)
@@ -116,11 +116,11 @@ def test_a_later_lead_and_a_later_sensor_are_less_certain() -> None:
 def test_a_sensor_that_reads_late_is_made_good_for() -> None:
     """Samples of 3 ms ago, said to be so, give the phase of now."""
     acceleration, q, v = _truth(moving=False)
-    tracker, errors = RigTracker(BELIEF, RATE_HZ, NOISE_MPS2, sensor_lag_s=0.003), []
+    tracker, errors = SingleSensorModeEkf(BELIEF, RATE_HZ, NOISE_MPS2, sensor_lag_s=0.003), []
     for k in range(3, 2500):
         tracker.add(float(acceleration[k - 3]))
         answer = tracker.phase()
-        if isinstance(answer, RigPhase) and k > 800:
+        if isinstance(answer, PhaseEstimate) and k > 800:
             true = np.arctan2(-v[k] / (2 * np.pi * 29.0), q[k])
             errors.append(abs(np.angle(np.exp(1j * (answer.phase_rad - true)))))
     assert np.degrees(np.median(errors)) < 1.0
@@ -136,5 +136,5 @@ def test_a_reading_that_is_no_number_only_lets_time_pass() -> None:
     holed[1000:1010] = np.nan
     answers = _follow(holed)[0]
     error = np.degrees(np.abs(_error_rad(answers, q[:1100], v[:1100], 0, moving=False)))
-    assert all(np.isfinite(a.phase_rad) for a in answers if isinstance(a, RigPhase))
+    assert all(np.isfinite(a.phase_rad) for a in answers if isinstance(a, PhaseEstimate))
     assert np.nanmedian(error[1000:]) < 4.0

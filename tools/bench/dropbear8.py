@@ -33,7 +33,7 @@ import numpy.typing as npt
 from scipy.signal import butter, hilbert, sosfiltfilt
 
 from companion.records import Floats, Reject
-from tools.bench.single_sensor_ekf import Resonance, RigTracker
+from tools.bench.single_sensor_ekf import Resonance, SingleSensorModeEkf
 
 DATA = Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared")) / "measured" / "dropbear8"
 # first, second and third bending, over the whole travel of the roller; the same for every file
@@ -114,7 +114,7 @@ def follow(trial: Trial, resonances: tuple[Resonance, ...] = RESONANCES, every: 
     steps = len(trial.acceleration_mps2) // _AVERAGE
     averaged = trial.acceleration_mps2[: steps * _AVERAGE].reshape(steps, _AVERAGE).mean(axis=1)
     late_s = 0.5 * (_AVERAGE - 1) / trial.rate_hz + _SENSOR_LAG_S
-    tracker = RigTracker(resonances, trial.rate_hz / _AVERAGE, _NOISE_MPS2, sensor_lag_s=late_s)
+    tracker = SingleSensorModeEkf(resonances, trial.rate_hz / _AVERAGE, _NOISE_MPS2, sensor_lag_s=late_s)
     said = np.full((3, steps, len(LEADS_S)), np.nan)
     for step, value in enumerate(averaged):
         tracker.add(float(value))
