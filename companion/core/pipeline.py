@@ -242,14 +242,14 @@ def _on_timesync(state: PipelineState, reply: TimesyncReply) -> list[OutputRecor
     before, restarts = state.clocks.synced(reply.clock), state.clocks.restarts(reply.clock)
     after = state.clocks.exchange(reply)
     if state.clocks.restarts(reply.clock) != restarts:  # nothing announced it: the exchanges show it
-        state.tracker.restarted(_tips_on_clock(state.airframe, reply.clock))
+        state.tracker.clock_restarted(_tips_on_clock(state.airframe, reply.clock))
     return [after] if after.synced != before else []
 
 
 def _on_restart(state: PipelineState, restart: ClockRestart) -> list[OutputRecord]:
     state.clocks.restart(restart)
     state.unsynced_nodes.restarted(restart.clock)
-    state.tracker.restarted(_tips_on_clock(state.airframe, restart.clock))
+    state.tracker.clock_restarted(_tips_on_clock(state.airframe, restart.clock))
     return [Notice(Severity.WARNING, f"{restart.clock} clock restarted; waiting for sync", restart.seen_host_ns)]
 
 
@@ -349,7 +349,7 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         state.next_track_ns = now_ns + _TRACK_PERIOD_NS
         outputs += _take_samples(state)
         outputs += [*_adapt_to_delivery(state, now_ns), *_align(state, now_ns)]
-        state.validity = state.tracker.turn(now_ns) or state.validity
+        state.validity = state.tracker.process_until(now_ns) or state.validity
     if state.scheduling is not None and now_ns >= state.scheduling.next_plan_ns:
         outputs += state.scheduling.tick(state.tracker, state.validity, _motion(state), now_ns)
     if state.correction is not None:

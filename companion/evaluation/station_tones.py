@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.core.tracking.tone import Tone, ToneTracker
+from companion.core.tracking.tone import ToneEstimate, ToneTracker
 from companion.params.airframe import Airframe
 from companion.records import ImuBatch, Reject, Station
 
@@ -28,7 +28,7 @@ class StationAnalysis:
             station: ToneTracker(station, airframe.sensor(station), _SEARCH_HZ, _WINDOW_S) for station in Station
         }
         self._next_ns: dict[Station, int] = {}
-        self.tones: dict[Station, list[Tone]] = {station: [] for station in Station}
+        self.tones: dict[Station, list[ToneEstimate]] = {station: [] for station in Station}
         self._refused: dict[Station, Counter[str]] = {station: Counter() for station in Station}
         self._samples: Counter[Station] = Counter()
 
@@ -89,7 +89,7 @@ class StationAnalysis:
         return {"tone": tone, "windows": windows, "text": text}
 
 
-def _medians(tones: list[Tone]) -> tuple[float, float]:
+def _medians(tones: list[ToneEstimate]) -> tuple[float, float]:
     """Frequency, Hz, and amplitude, m/s^2."""
     frequency_hz = float(np.median([tone.frequency_hz for tone in tones]))
     return frequency_hz, float(np.median([tone.amplitude_mps2 for tone in tones]))

@@ -25,25 +25,18 @@ ON_DISK = {("companion/records.py", "known")}
 DUPLICATES = {
     "Backbone": "diagnosis",
     "Check": "diagnosis",
-    "Fit": "core.tracking and diagnosis",
     "Flown": "evaluation and paper",
-    "Grid": "core.tracking and diagnosis",
-    "Level": "core.tracking and doctor",
     "Motion": "core and diagnosis",
     "Picture": "paper and reporting",
-    "Prior": "core.tracking and diagnosis",
     "Scored": "evaluation and paper",
     "SecondMode": "the effect of the catalogue and the law of a free decay are one phenomenon",
     "Table": "paper and reporting",
-    "Tone": "core.tracking and the effect",
 }
 
 # rooms that still have variables of empty words; to be emptied
 PENDING = (
     "companion/__init__.py",
     "companion/cli/",
-    "companion/core/kernels/",
-    "companion/core/tracking/",
     "companion/core/wing/effect.py",
     "companion/core/wing/effects/",
     "companion/diagnosis/",
@@ -56,19 +49,28 @@ PENDING = (
 # what things were called before they had the field's name
 RETIRED = frozenset(
     (
+        "Cells",
         "ClockWatch",
         "Delivery",
+        "FrontEnd",
         "IdentityWatch",
         "Inlet",
         "Outlet",
         "OwnComponent",
         "Publishing",
         "RangeStandIn",
+        "RigTracker",
         "SilentNodes",
         "SlowPrior",
         "SlowRotation",
+        "StepModel",
+        "Stretch",
         "TwoClocks",
+        "cell_means",
+        "likeliest",
+        "smeared",
         "turned_apart",
+        "when_evened",
         "whole_frame",
     )
 )

@@ -52,7 +52,7 @@ def raise_between(monkeypatch: pytest.MonkeyPatch, from_s: float, until_s: float
             raise ZeroDivisionError("a defect\nmade on purpose")
         return turn(tracker, now_host_ns)
 
-    monkeypatch.setattr(WingTracker, "turn", raising)
+    monkeypatch.setattr(WingTracker, "process_until", raising)
     return raised
 
 

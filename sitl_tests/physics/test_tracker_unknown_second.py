@@ -28,4 +28,4 @@ def test_what_contradicts_the_filter_is_looked_for_and_found(cell: Cell) -> None
         for batch in batches:
             tracker.add(batch)
         tracker.advance(EPOCH_HOST_NS + round(end_s * 1e9))
-    assert tracker.surprise < 2.0  # 8 to 33 without the mode
+    assert tracker.nis < 2.0  # 8 to 33 without the mode

@@ -19,7 +19,7 @@ from companion.adapters.recordings.logs.bin import raw_accelerometer
 from companion.adapters.recordings.logs.dataflash import DataflashLog
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
-from companion.core.tracking.tone import Tone
+from companion.core.tracking.tone import ToneEstimate
 from companion.evaluation.replay import drive, foreign_inputs
 from companion.evaluation.station_tones import StationAnalysis
 from companion.params.files import load_airframe
@@ -150,11 +150,11 @@ def wrapped(angle_rad: float) -> float:
     return float(np.angle(np.exp(1j * angle_rad)))
 
 
-def raw_phase(t_ns: np.ndarray, z: np.ndarray, tone: Tone) -> float:
+def raw_phase(t_ns: np.ndarray, z: np.ndarray, tone: ToneEstimate) -> float:
     return raw_sine(t_ns, z, tone)[1]
 
 
-def raw_sine(t_ns: np.ndarray, z: np.ndarray, tone: Tone) -> tuple[float, float]:
+def raw_sine(t_ns: np.ndarray, z: np.ndarray, tone: ToneEstimate) -> tuple[float, float]:
     """Amplitude and phase at the tone's instant of its frequency in the raw samples of the same window."""
     first, last = np.searchsorted(t_ns, tone.t_ns + np.array([-1, 1]) * round(WINDOW_S * 0.5e9))
     t_s = (t_ns[first:last] - tone.t_ns) * 1e-9

@@ -15,7 +15,7 @@ from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS
 from companion.core.autopilot_filters import NAMES, VehicleFilters
 from companion.core.pipeline import PipelineState, start, step
-from companion.core.tracking.streams import Stream
+from companion.core.tracking.streams import SampleBuffer
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, ImuBatch, Notice, RawChunk, Station
@@ -85,7 +85,7 @@ def test_the_low_pass_is_undone_in_gain_and_phase_over_the_band(frequency_hz: fl
     told(state, "INS_ACCEL_FILTER", cutoff_hz)  # a live change
     told(state, "INS_GYRO_FILTER", cutoff_hz)
     t_ns, y = sent(frequency_hz, lambda x: lowpassed(x, cutoff_hz))
-    stream = Stream(state.airframe.root)
+    stream = SampleBuffer(state.airframe.root)
     stream.add(batch(t_ns, y, y), -1)
     edges = 1_000_000_000 + CELL_NS * np.arange(501, dtype=np.int64)
     middle_s = (edges[:-1] + CELL_NS // 2) * 1e-9

@@ -10,7 +10,7 @@ import pytest
 
 from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.parameters import prior_parameters
-from companion.core.tracking.rigid_body import Cells
+from companion.core.tracking.rigid_body import Epochs
 from companion.core.tracking.states import ROWS, Z_LEFT, Z_RIGHT, make_layout, make_noise
 from sitl_tests.unit.tracking_samples import plain_airframe
 
@@ -27,14 +27,14 @@ def _adaptation() -> Adaptation:
     return Adaptation(LAYOUT, noise, prior, (-1.0, 1.0), STEP_S)
 
 
-def _cells(seconds: float, away_s: tuple[float, float] = (0.0, 0.0), drift_per_s: float = 0.0) -> Cells:
+def _epochs(seconds: float, away_s: tuple[float, float] = (0.0, 0.0), drift_per_s: float = 0.0) -> Epochs:
     """Both tips' vertical acceleration in a symmetric mode under white load, and noise; the right tip may be away."""
     n, rng = round(seconds / STEP_S), np.random.default_rng(5)
     w = 2 * math.pi * TRUE_HZ
     q, v, acceleration = 0.0, 0.0, np.zeros(n)
-    for k, load in enumerate(rng.normal(size=n) * 0.005 * math.sqrt(4 * ZETA * w**3 / STEP_S)):
+    for k, load_g in enumerate(rng.normal(size=n) * 0.005 * math.sqrt(4 * ZETA * w**3 / STEP_S)):
         w *= math.exp(drift_per_s * STEP_S)
-        acceleration[k] = load - 2 * ZETA * w * v - w**2 * q
+        acceleration[k] = load_g - 2 * ZETA * w * v - w**2 * q
         v += STEP_S * acceleration[k]
         q += STEP_S * v
     rows, present = np.zeros((n, ROWS)), np.ones((n, ROWS), dtype=bool)
@@ -42,104 +42,104 @@ def _cells(seconds: float, away_s: tuple[float, float] = (0.0, 0.0), drift_per_s
         rows[:, side] = acceleration + 0.02 * rng.normal(size=n)
     away = slice(*(round(s / STEP_S) for s in away_s))
     rows[away, Z_RIGHT], present[away, Z_RIGHT] = 0.0, False
-    two, constants = np.zeros((n, 2)), len(LAYOUT.constants)
-    return Cells(
+    two, bias_parameters = np.zeros((n, 2)), len(LAYOUT.bias_parameters)
+    return Epochs(
         start_ns=4_000_000 * np.arange(n),
         rows=rows,
         present=present,
-        vertical=two - 9.80665,
-        lateral=two,
-        tilted=two,
+        vertical_mps2=two - 9.80665,
+        lateral_mps2=two,
+        slope_rate_gain=two,
         lateral_gain=two,
-        load=0.1 * rng.normal(size=n),
-        rate=np.zeros((n, 3)),
-        sensitivity=rng.normal(size=(n, ROWS, constants)),
-        cut=two,
-        shaken=np.zeros((n, 3)),
+        load_g=0.1 * rng.normal(size=n),
+        body_rate_radps=np.zeros((n, 3)),
+        sensitivity=rng.normal(size=(n, ROWS, bias_parameters)),
+        aliasing_noise=two,
+        root_motion_variance=np.zeros((n, 3)),
     )
 
 
-def _fed(adaptation: Adaptation, cells: Cells) -> list[float]:
-    """Feed cells; give the seconds, counted from the first of them, at which new parameters came."""
+def _fed(adaptation: Adaptation, epochs: Epochs) -> list[float]:
+    """Feed epochs; give the seconds, counted from the first of them, at which new parameters came."""
     came, at = [], 0
-    for part in adaptation.split(cells):
-        at += len(part)
-        if adaptation.take(part):
+    for segment in adaptation.split(epochs):
+        at += segment.length
+        if adaptation.add_epochs(segment):
             came.append(at * STEP_S)
     return came
 
 
 def _logs(adaptation: Adaptation) -> np.ndarray:
-    return np.concatenate([family.logs() for family in adaptation.parameters])
+    return np.concatenate([family.log_params() for family in adaptation.parameters])
 
 
 def test_what_was_learned_stays_when_its_owner_changes_the_array() -> None:
-    cells = _cells(1.5)
-    constants = 0.01 * np.arange(len(LAYOUT.constants))
-    kept, changed = _adaptation(), _adaptation()
-    kept.learn(constants.copy(), 0.01)
-    changed.learn(constants, 0.01)
-    constants += 1.0
-    assert _fed(kept, cells) == _fed(changed, cells) == [1.5]
-    np.testing.assert_array_equal(_logs(changed), _logs(kept))
+    epochs = _epochs(1.5)
+    bias_parameters = 0.01 * np.arange(len(LAYOUT.bias_parameters))
+    copied, changed = _adaptation(), _adaptation()
+    copied.set_bias_parameters(bias_parameters.copy(), 0.01)
+    changed.set_bias_parameters(bias_parameters, 0.01)
+    bias_parameters += 1.0
+    assert _fed(copied, epochs) == _fed(changed, epochs) == [1.5]
+    np.testing.assert_array_equal(_logs(changed), _logs(copied))
 
 
 def test_constants_that_are_known_late_correct_what_was_measured_before() -> None:
     """The errors of a scale or a stamp move with the wing: half corrected they are a jump in the middle."""
-    clean = _cells(1.5)
-    error = np.random.default_rng(8).normal(size=len(LAYOUT.constants)) * 0.2
+    clean = _epochs(1.5)
+    error = np.random.default_rng(8).normal(size=len(LAYOUT.bias_parameters)) * 0.2
     shown = clean.rows.copy()
     shown[:, :2] += clean.sensitivity[:, :2] @ error
-    dirty = Cells(*(shown if name == "rows" else getattr(clean, name) for name in Cells.__slots__))
+    dirty = Epochs(*(shown if name == "rows" else getattr(clean, name) for name in Epochs._fields))
     right, late, never = _adaptation(), _adaptation(), _adaptation()
     assert _fed(right, clean) == [1.5]
-    half = len(clean) // 2
+    half = clean.length // 2
     assert _fed(late, dirty.span(0, half)) == []
-    late.learn(error, 0.0)
-    _fed(late, dirty.span(half, len(dirty)))
+    late.set_bias_parameters(error, 0.0)
+    _fed(late, dirty.span(half, dirty.length))
     np.testing.assert_allclose(_logs(late), _logs(right), atol=1e-9)
     _fed(never, dirty)
     assert np.abs(_logs(never) - _logs(right)).max() > 0.01, "errors of this size matter"
 
 
 @pytest.fixture(scope="module")
-def settled() -> tuple[Adaptation, Cells]:
+def settled() -> tuple[Adaptation, Epochs]:
     """Seven seconds of both tips, and eight more with the right one away from 8 to 10 s."""
-    cells, adaptation = _cells(16.0, away_s=(8.0, 10.0)), _adaptation()
-    assert _fed(adaptation, cells.span(0, round(7.0 / STEP_S))) == [1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
-    return adaptation, cells.span(round(7.0 / STEP_S), len(cells))
+    epochs, adaptation = _epochs(16.0, away_s=(8.0, 10.0)), _adaptation()
+    assert _fed(adaptation, epochs.span(0, round(7.0 / STEP_S))) == [1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    return adaptation, epochs.span(round(7.0 / STEP_S), epochs.length)
 
 
 def test_after_a_hole_there_are_no_new_parameters_until_both_tips_were_there_for_long_enough(
-    settled: tuple[Adaptation, Cells],
+    settled: tuple[Adaptation, Epochs],
 ) -> None:
     adaptation = copy.deepcopy(settled[0])
     assert [7.0 + came_s for came_s in _fed(adaptation, settled[1])] == [8.0, 14.0, 15.0, 16.0]
 
 
-def test_a_single_lost_cell_is_no_hole(settled: tuple[Adaptation, Cells]) -> None:
-    adaptation, cells = copy.deepcopy(settled[0]), settled[1].span(0, round(1.0 / STEP_S))
-    present = cells.present.copy()
+def test_a_single_lost_cell_is_no_hole(settled: tuple[Adaptation, Epochs]) -> None:
+    adaptation, epochs = copy.deepcopy(settled[0]), settled[1].span(0, round(1.0 / STEP_S))
+    present = epochs.present.copy()
     present[::40, Z_RIGHT] = False
-    holed = Cells(*(present if name == "present" else getattr(cells, name) for name in Cells.__slots__))
+    holed = Epochs(*(present if name == "present" else getattr(epochs, name) for name in Epochs._fields))
     assert _fed(adaptation, holed) == [1.0]
 
 
-def test_where_one_tip_never_comes_the_other_is_fitted(settled: tuple[Adaptation, Cells]) -> None:
-    adaptation, cells = _adaptation(), _cells(8.0, away_s=(0.0, 8.0))
-    assert _fed(adaptation, cells)[-3:] == [6.0, 7.0, 8.0]
-    found_hz = adaptation.parameters[0].frequency_hz
+def test_where_one_tip_never_comes_the_other_is_fitted(settled: tuple[Adaptation, Epochs]) -> None:
+    adaptation, epochs = _adaptation(), _epochs(8.0, away_s=(0.0, 8.0))
+    assert _fed(adaptation, epochs)[-3:] == [6.0, 7.0, 8.0]
+    estimated_hz = adaptation.parameters[0].frequency_hz
     # the asymptotic limit: a mode locks to sqrt(zeta / (omega T)) = 1.1 % in 8 s; three of that, and believed 7 % off
-    assert found_hz == pytest.approx(TRUE_HZ, rel=3 * math.sqrt(ZETA / (2 * math.pi * TRUE_HZ * 8.0)))
+    assert estimated_hz == pytest.approx(TRUE_HZ, rel=3 * math.sqrt(ZETA / (2 * math.pi * TRUE_HZ * 8.0)))
 
 
 def test_a_drift_is_followed_beyond_what_was_believed_possible() -> None:
     seconds, drift_per_s = 45.0, 0.01
     adaptation = _adaptation()
-    _fed(adaptation, _cells(seconds, drift_per_s=drift_per_s))
+    _fed(adaptation, _epochs(seconds, drift_per_s=drift_per_s))
     now_hz, prior_hz = TRUE_HZ * math.exp(drift_per_s * seconds), _adaptation().parameters[0]
     assert now_hz > prior_hz.frequency_hz * math.exp(6 * prior_hz.log_sigma[0])
     # unfollowed, the middle of the last 20 s is fitted: 10 % late. With its rate to be found too, a line's end is known
     # half as well as its mean, which locks to sqrt(zeta / (omega T)); three of that
-    known = 2.0 * math.sqrt(ZETA / (2.0 * math.pi * now_hz * 20.0))
-    assert adaptation.parameters[0].frequency_hz == pytest.approx(now_hz, rel=3.0 * known)
+    bound = 2.0 * math.sqrt(ZETA / (2.0 * math.pi * now_hz * 20.0))
+    assert adaptation.parameters[0].frequency_hz == pytest.approx(now_hz, rel=3.0 * bound)

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.tracking.resampling import bridged, bridged_shares, cell_means, cell_means_unfiltered, cut_shares
+from companion.core.tracking.resampling import (
+    edge_aliasing,
+    epoch_averages,
+    epoch_averages_deconvolved,
+    gap_aliasing,
+    interpolate_lost,
+)
 
 H = 0.004
 
@@ -19,7 +25,7 @@ def test_aligned_samples_are_averaged_exactly_whatever_they_are() -> None:
     t = np.arange(200) * 1e-3 + 0.5e-3
     y = np.random.default_rng(1).normal(size=(200, 6))
     edges = 0.008 + H * np.arange(40)
-    mean, moment = cell_means(t, y, edges)
+    mean, moment = epoch_averages(t, y, edges)
     first = 8
     grouped = y[first : first + 156].reshape(39, 4, 6)
     np.testing.assert_allclose(mean, grouped.mean(axis=1), atol=1e-12)
@@ -31,21 +37,21 @@ def test_aligned_samples_are_averaged_exactly_whatever_they_are() -> None:
 def test_lost_samples_are_bridged_by_what_is_beside_them() -> None:
     """Exact for a parabola; of a second mode at 30 Hz a twentieth is left of what losing costs; outages stay."""
     t = np.arange(200) * 1e-3 + 0.5e-3
-    kept = np.ones(200, dtype=bool)
-    kept[[40, 71, 72, 110]] = False
+    received = np.ones(200, dtype=bool)
+    received[[40, 71, 72, 110]] = False
     parabola = np.repeat((3.0 - 20.0 * t + 500.0 * t**2)[:, None], 6, axis=1)
-    whole_t, whole_y = bridged(t[kept], parabola[kept], 1e-3, 0.012)
-    np.testing.assert_allclose(whole_t, t, atol=1e-12)
-    np.testing.assert_allclose(whole_y, parabola, atol=1e-12)
+    filled_t, filled_y = interpolate_lost(t[received], parabola[received], 1e-3, 0.012)
+    np.testing.assert_allclose(filled_t, t, atol=1e-12)
+    np.testing.assert_allclose(filled_y, parabola, atol=1e-12)
 
     y, edges = np.repeat(np.sin(2 * np.pi * 30.0 * t)[:, None], 6, axis=1), 0.0085 + H * np.arange(40)
-    true, _ = cell_means(t, y, edges)
-    torn, _ = cell_means(t[kept], y[kept], edges)
-    mended, _ = cell_means(*bridged(t[kept], y[kept], 1e-3, 0.012), edges)
+    true, _ = epoch_averages(t, y, edges)
+    torn, _ = epoch_averages(t[received], y[received], edges)
+    mended, _ = epoch_averages(*interpolate_lost(t[received], y[received], 1e-3, 0.012), edges)
     assert np.abs(mended - true).max() < 0.05 * np.abs(torn - true).max()
 
-    kept[120:140] = False
-    out_t, out_y = bridged(t[kept], y[kept], 1e-3, 0.012)
+    received[120:140] = False
+    out_t, out_y = interpolate_lost(t[received], y[received], 1e-3, 0.012)
     assert len(out_t) == len(out_y) == 180
     assert not ((out_t > t[119] + 1e-4) & (out_t < t[140] - 1e-4)).any()
 
@@ -56,7 +62,7 @@ def test_mean_and_moment_of_a_sine_for_any_phase_of_the_grid(shift: float, frequ
     knots = np.arange(301) * 1e-3
     y = np.repeat(_averages_of_sine(frequency, knots)[:, None], 6, axis=1)
     edges = 0.02 + shift + H * np.arange(60)
-    mean, moment = cell_means(0.5 * (knots[1:] + knots[:-1]), y, edges)
+    mean, moment = epoch_averages(0.5 * (knots[1:] + knots[:-1]), y, edges)
     w, middle = 2 * np.pi * frequency, 0.5 * (edges[1:] + edges[:-1])
     a = w * H / 2
     bound = 0.01 * (w * 1e-3) ** 2  # second order in the sample time, and only at the cell's two ends
@@ -74,7 +80,7 @@ def test_a_butterworth_low_pass_is_undone_in_gain_and_phase(frequency: float) ->
     response = 1 / (1 + np.sqrt(2) * s + s * s)
     y = np.repeat(np.imag(response * np.exp(1j * w * t))[:, None], 6, axis=1)
     edges = 0.1 + H * np.arange(200)
-    mean = cell_means_unfiltered(t, y, edges, np.array([cutoff] * 3 + [0.0] * 3))
+    mean = epoch_averages_deconvolved(t, y, edges, np.array([cutoff] * 3 + [0.0] * 3))
     true = _averages_of_sine(frequency, edges)
     assert np.abs(mean[:, 0] - true).max() < 0.015
     fit = np.linalg.lstsq(np.stack([np.cos(w * edges[:-1]), np.sin(w * edges[:-1])], axis=1), mean[:, 3], rcond=None)[0]
@@ -87,7 +93,7 @@ def test_the_inverse_follows_uneven_stamps() -> None:
     w, s = 2 * np.pi * 4.0, 1j * 4.0 / 20.0
     y = np.repeat(np.imag(np.exp(1j * w * t) / (1 + np.sqrt(2) * s + s * s))[:, None], 6, axis=1)
     edges = 0.1 + H * np.arange(200)
-    mean = cell_means_unfiltered(t, y, edges, np.full(6, 20.0))
+    mean = epoch_averages_deconvolved(t, y, edges, np.full(6, 20.0))
     error = mean[:, 0] - _averages_of_sine(4.0, edges)
     assert np.sqrt(np.mean(error**2)) < 0.01
 
@@ -103,9 +109,11 @@ def test_what_cut_and_lost_samples_cost_a_cell_of_white_load(off: float) -> None
     edges = (16 + off + np.arange(3) * 4) * period
     begin = round((16 + off) * fine)
     truth = path[:, begin : begin + 8 * fine].reshape(seconds, 2, -1).mean(axis=2)
-    kept = np.arange(40) != 18
-    full_t, full_y = bridged(t[kept], y.T[kept], period, 0.012)
-    error = np.array([cell_means(full_t, np.repeat(column[:, None], 6, axis=1), edges)[0][:, 0] for column in full_y.T])
-    told = (cut_shares(full_t, edges) + bridged_shares(t[kept], edges, period)) * period / (3 * H**2)
-    assert told[0] > 3 * told[1]
-    np.testing.assert_allclose(np.mean((error - truth) ** 2, axis=0), told, rtol=0.25, atol=1e-9)
+    received = np.arange(40) != 18
+    full_t, full_y = interpolate_lost(t[received], y.T[received], period, 0.012)
+    error = np.array(
+        [epoch_averages(full_t, np.repeat(column[:, None], 6, axis=1), edges)[0][:, 0] for column in full_y.T]
+    )
+    predicted = (edge_aliasing(full_t, edges) + gap_aliasing(t[received], edges, period)) * period / (3 * H**2)
+    assert predicted[0] > 3 * predicted[1]
+    np.testing.assert_allclose(np.mean((error - truth) ** 2, axis=0), predicted, rtol=0.25, atol=1e-9)

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.core.tracking.filter import Kalman
-from companion.core.tracking.model import Parameters, build_model
+from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.model import WingParameters, build_model
 from companion.core.tracking.parameters import prior_parameters
-from companion.core.tracking.rigid_body import Cells
+from companion.core.tracking.rigid_body import Epochs
 from companion.core.tracking.states import ROWS, make_layout, make_noise
 from companion.params.files import load_airframe
 
@@ -19,34 +19,34 @@ AIRFRAME = load_airframe("nadir-2m")
 STEP_S = 0.004
 LAYOUT = make_layout(AIRFRAME)
 NOISE = make_noise(AIRFRAME, LAYOUT, STEP_S)
-OLD: Parameters = (
+OLD: WingParameters = (
     prior_parameters(LAYOUT.symmetric, AIRFRAME.wing.gust),
     prior_parameters(LAYOUT.antisymmetric, AIRFRAME.wing.gust),
 )
-NEW: Parameters = (
+NEW: WingParameters = (
     replace(OLD[0], frequency_hz=1.12 * OLD[0].frequency_hz, damping=1.6 * OLD[0].damping),
     replace(OLD[1], frequency_hz=0.9 * OLD[1].frequency_hz, frequency_2_hz=1.1 * OLD[1].frequency_2_hz),
 )
 
 
-def _filter() -> Kalman:
+def _filter() -> SeparatedBiasFilter:
     wing, rng = AIRFRAME.wing, np.random.default_rng(2)
     model = build_model(LAYOUT, NOISE, OLD, (-0.99, 0.99), STEP_S)
-    kalman = Kalman(LAYOUT, NOISE, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, 8)
-    kalman.columns[:, 0] = rng.normal(size=LAYOUT.size + 1)
+    kalman = SeparatedBiasFilter(LAYOUT, NOISE, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, 8)
+    kalman.state_and_sensitivity[:, 0] = rng.normal(size=LAYOUT.size + 1)
     root = rng.normal(size=(LAYOUT.size, LAYOUT.size))
     kalman.covariance[:] = root @ root.T
     return kalman
 
 
-def _acceleration_rows(parameters: Parameters) -> np.ndarray:
-    """Acceleration of every mode: load less damper less spring, which is at rest at the static bend; (4, n + 1)."""
+def _acceleration_rows(parameters: WingParameters) -> np.ndarray:
+    """Acceleration of every mode: load less damper less spring, which is at others at the static bend; (4, n + 1)."""
     rows = np.zeros((4, LAYOUT.size + 1))
     for k, (family, p) in enumerate(zip(LAYOUT.families, parameters, strict=True)):
-        for turn, (q, hz, zeta) in enumerate(
+        for mode, (q, hz, zeta) in enumerate(
             ((family.q, p.frequency_hz, p.damping), (family.q2, p.frequency_2_hz, p.damping_2))
         ):
-            omega, row = 2.0 * math.pi * hz, rows[2 * k + turn]
+            omega, row = 2.0 * math.pi * hz, rows[2 * k + mode]
             row[q], row[q + 1], row[q + 3] = -(omega**2), -2.0 * zeta * omega, 1.0
     rows[0, LAYOUT.size] = -rows[0, LAYOUT.symmetric.q]
     return rows
@@ -55,42 +55,48 @@ def _acceleration_rows(parameters: Parameters) -> np.ndarray:
 def test_other_springs_and_dampers_change_neither_motion_nor_acceleration_nor_how_well_they_are_known() -> None:
     kalman = _filter()
     before, after, n = _acceleration_rows(OLD), _acceleration_rows(NEW), LAYOUT.size
-    columns, covariance = kalman.columns.copy(), kalman.covariance.copy()
-    kalman.use(build_model(LAYOUT, NOISE, NEW, (-0.99, 0.99), STEP_S))
-    np.testing.assert_allclose(after @ kalman.columns, before @ columns, rtol=1e-9, atol=1e-6)
-    known, was = (
+    state_and_sensitivity, covariance = kalman.state_and_sensitivity.copy(), kalman.covariance.copy()
+    kalman.switch_model(build_model(LAYOUT, NOISE, NEW, (-0.99, 0.99), STEP_S))
+    np.testing.assert_allclose(
+        after @ kalman.state_and_sensitivity, before @ state_and_sensitivity, rtol=1e-9, atol=1e-6
+    )
+    after_change, before_change = (
         rows[:, :n] @ spread @ rows[:, :n].T for rows, spread in ((after, kalman.covariance), (before, covariance))
     )
-    np.testing.assert_allclose(known, was, rtol=1e-7, atol=1e-6 * np.abs(was).max())
+    np.testing.assert_allclose(after_change, before_change, rtol=1e-7, atol=1e-6 * np.abs(before_change).max())
     loads = [q + 2 + k for family in LAYOUT.families for q in (family.q, family.q2) for k in (0, 1)]
-    rest = np.delete(np.arange(n), loads)
-    np.testing.assert_array_equal(kalman.columns[rest], columns[rest])
-    np.testing.assert_array_equal(kalman.covariance[np.ix_(rest, rest)], covariance[np.ix_(rest, rest)])
+    others = np.delete(np.arange(n), loads)
+    np.testing.assert_array_equal(kalman.state_and_sensitivity[others], state_and_sensitivity[others])
+    np.testing.assert_array_equal(kalman.covariance[np.ix_(others, others)], covariance[np.ix_(others, others)])
 
 
 def test_the_same_wing_again_changes_nothing() -> None:
     kalman = _filter()
-    columns, covariance = kalman.columns.copy(), kalman.covariance.copy()
-    kalman.use(build_model(LAYOUT, NOISE, OLD, (-0.99, 0.99), STEP_S))
-    np.testing.assert_array_equal(kalman.columns, columns)
+    state_and_sensitivity, covariance = kalman.state_and_sensitivity.copy(), kalman.covariance.copy()
+    kalman.switch_model(build_model(LAYOUT, NOISE, OLD, (-0.99, 0.99), STEP_S))
+    np.testing.assert_array_equal(kalman.state_and_sensitivity, state_and_sensitivity)
     np.testing.assert_allclose(kalman.covariance, covariance, rtol=1e-12)
 
 
 def test_what_was_learned_of_a_wandering_bias_ages_and_what_cannot_move_stays_learned() -> None:
-    wing, restless = AIRFRAME.wing, replace(NOISE, bias_time_s=1.0)
-    model = build_model(LAYOUT, restless, OLD, (-0.99, 0.99), STEP_S)
-    kalman = Kalman(LAYOUT, restless, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, 8)
-    sigma = LAYOUT.constant_sigma
-    kalman._memory.information[1:, 1:] = np.diag(100.0 / sigma**2)
-    kalman._memory.information[0, 1:] = kalman._memory.information[1:, 0] = -100.0 / sigma  # each is one sigma
-    ages = np.array([name in ("root.bp", "root.br") for name in LAYOUT.constants])
-    stays = ~np.array([name.startswith("root.") for name in LAYOUT.constants])  # those of the root are not learned
+    wing, othersless = AIRFRAME.wing, replace(NOISE, bias_time_s=1.0)
+    model = build_model(LAYOUT, othersless, OLD, (-0.99, 0.99), STEP_S)
+    kalman = SeparatedBiasFilter(LAYOUT, othersless, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, 8)
+    sigma = LAYOUT.bias_parameter_sigma
+    kalman._filter_state.information[1:, 1:] = np.diag(100.0 / sigma**2)
+    kalman._filter_state.information[0, 1:] = kalman._filter_state.information[1:, 0] = (
+        -100.0 / sigma
+    )  # each is one sigma
+    ages = np.array([name in ("root.bp", "root.br") for name in LAYOUT.bias_parameters])
+    stays = ~np.array(
+        [name.startswith("root.") for name in LAYOUT.bias_parameters]
+    )  # those of the root are not learned
     assert ages.sum() == 2
     blind = _nothing_measured(500)
     for first, last in ((0, 25), (25, 50), (50, 75), (75, 325), (325, 500)):
         kalman.run(blind.span(first, last))
         age_s = (last - 25) * STEP_S  # since what was learned was first used
-        estimate, spread = kalman.constants / sigma, np.diag(kalman.constants_covariance) / sigma**2
+        estimate, spread = kalman.bias_parameters / sigma, np.diag(kalman.bias_parameter_covariance) / sigma**2
         np.testing.assert_allclose(estimate[stays], 100.0 / 101.0, rtol=1e-9)
         np.testing.assert_allclose(spread[stays], 1.0 / 101.0, rtol=1e-9)
         # a stationary Ornstein-Uhlenbeck process that was seen once
@@ -100,34 +106,34 @@ def test_what_was_learned_of_a_wandering_bias_ages_and_what_cannot_move_stays_le
 
 def test_a_state_that_hangs_on_a_bias_is_neither_moved_nor_made_surer_when_the_bias_ages() -> None:
     kalman = _filter()
-    column = LAYOUT.constants.index("root.bp") + 1
-    sigma = LAYOUT.constant_sigma[column - 1]
-    kalman.columns[:, 1:] = 0.0
-    kalman.columns[3, column] = 2.0 / sigma
-    kalman._memory.information[column, column] = 100.0 / sigma**2
-    kalman._memory.information[0, column] = kalman._memory.information[column, 0] = -100.0 / sigma
-    kalman._solve()
+    column = LAYOUT.bias_parameters.index("root.bp") + 1
+    sigma = LAYOUT.bias_parameter_sigma[column - 1]
+    kalman.state_and_sensitivity[:, 1:] = 0.0
+    kalman.state_and_sensitivity[3, column] = 2.0 / sigma
+    kalman._filter_state.information[column, column] = 100.0 / sigma**2
+    kalman._filter_state.information[0, column] = kalman._filter_state.information[column, 0] = -100.0 / sigma
+    kalman._solve_bias_parameters()
     state, variance = kalman.state[3], kalman.total_covariance[3, 3]
     for _ in range(50):
-        kalman._age()
-    kalman._solve()
+        kalman._age_wandering()
+    kalman._solve_bias_parameters()
     assert kalman.state[3] == pytest.approx(state, rel=1e-9)
     assert kalman.total_covariance[3, 3] == pytest.approx(variance, rel=1e-9)
 
 
-def _nothing_measured(count: int) -> Cells:
+def _nothing_measured(count: int) -> Epochs:
     per_row, per_side = np.zeros((count, ROWS)), np.zeros((count, 2))
-    return Cells(
+    return Epochs(
         start_ns=np.arange(count, dtype=np.int64) * 4_000_000,
         rows=per_row,
         present=np.zeros((count, ROWS), dtype=np.bool_),
-        vertical=per_side,
-        lateral=per_side,
-        tilted=per_side,
+        vertical_mps2=per_side,
+        lateral_mps2=per_side,
+        slope_rate_gain=per_side,
         lateral_gain=per_side,
-        load=np.zeros(count),
-        rate=np.zeros((count, 3)),
-        sensitivity=np.zeros((count, ROWS, len(LAYOUT.constants))),
-        cut=per_side,
-        shaken=np.zeros((count, 3)),
+        load_g=np.zeros(count),
+        body_rate_radps=np.zeros((count, 3)),
+        sensitivity=np.zeros((count, ROWS, len(LAYOUT.bias_parameters))),
+        aliasing_noise=per_side,
+        root_motion_variance=np.zeros((count, 3)),
     )

@@ -5,15 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.tracking.adaptation.frequency_drift import at_end, evened, likeliest, when_evened
-from companion.core.tracking.adaptation.periodogram import make_stretch, make_stretches
-from companion.core.tracking.adaptation.whittle import Prior, fit
+from companion.core.tracking.adaptation.frequency_drift import (
+    estimate_drift_rate,
+    time_warped,
+    to_segment_end,
+    to_warped_time,
+)
+from companion.core.tracking.adaptation.periodogram import make_periodogram, make_periodograms
+from companion.core.tracking.adaptation.whittle import LogNormalPrior, fit
 from companion.core.tracking.parameters import FREQUENCY, FREQUENCY_2, LIMITS, PARAMETERS, prior_parameters
 from companion.core.tracking.states import make_layout
 from companion.records import Floats
 from sitl_tests.unit.tracking_samples import plain_airframe
 
-STEP_S, LENGTH_S, PIECE_S = 0.004, 20.0, 4.0
+STEP_S, LENGTH_S, SEGMENT_S = 0.004, 20.0, 4.0
 BAND_HZ = (0.25, 11.0, 120.0)
 SENSOR_MPS2 = 0.02
 TIME_S = (np.arange(round(LENGTH_S / STEP_S)) + 0.5) * STEP_S
@@ -25,28 +30,30 @@ def test_a_growing_frequency_becomes_a_steady_one_and_the_parameters_go_along(
     rate_per_s: float, frequency_hz: float
 ) -> None:
     phase = 2.0 * np.pi * frequency_hz * np.expm1(rate_per_s * TIME_S) / rate_per_s
-    logs = np.zeros(PARAMETERS)
-    logs[FREQUENCY] = np.log(frequency_hz) + rate_per_s * LENGTH_S
-    steady_hz = np.exp(when_evened(logs, rate_per_s, LENGTH_S)[FREQUENCY])
-    found = evened(np.sin(phase), rate_per_s, STEP_S)
+    log_params = np.zeros(PARAMETERS)
+    log_params[FREQUENCY] = np.log(frequency_hz) + rate_per_s * LENGTH_S
+    steady_hz = np.exp(to_warped_time(log_params, rate_per_s, LENGTH_S)[FREQUENCY])
+    warped = time_warped(np.sin(phase), rate_per_s, STEP_S)
     inside = slice(20, -20)  # the ends have no neighbours; the taper takes them away
-    np.testing.assert_allclose(found[inside], np.sin(2.0 * np.pi * steady_hz * TIME_S)[inside], atol=0.004)
+    np.testing.assert_allclose(warped[inside], np.sin(2.0 * np.pi * steady_hz * TIME_S)[inside], atol=0.004)
 
 
 @pytest.mark.parametrize("rate_per_s", [0.0, 1e-9, 0.02, -0.02])
 def test_there_and_back_is_where_it_began_and_only_frequencies_move(rate_per_s: float) -> None:
-    logs = np.random.default_rng(3).normal(size=2 * PARAMETERS)
-    moved = at_end(logs, rate_per_s, LENGTH_S)
-    np.testing.assert_allclose(when_evened(moved, rate_per_s, LENGTH_S), logs, atol=1e-12)
+    log_params = np.random.default_rng(3).normal(size=2 * PARAMETERS)
+    moved = to_segment_end(log_params, rate_per_s, LENGTH_S)
+    np.testing.assert_allclose(to_warped_time(moved, rate_per_s, LENGTH_S), log_params, atol=1e-12)
     frequencies = [first + k for first in (0, PARAMETERS) for k in (FREQUENCY, FREQUENCY_2)]
     # a line's end lies half its length beyond its middle
-    np.testing.assert_allclose((moved - logs)[frequencies], 0.5 * rate_per_s * LENGTH_S, atol=(rate_per_s * 20) ** 2)
-    np.testing.assert_array_equal(np.delete(moved, frequencies), np.delete(logs, frequencies))
+    np.testing.assert_allclose(
+        (moved - log_params)[frequencies], 0.5 * rate_per_s * LENGTH_S, atol=(rate_per_s * 20) ** 2
+    )
+    np.testing.assert_array_equal(np.delete(moved, frequencies), np.delete(log_params, frequencies))
 
 
 def test_what_does_not_drift_stays_as_it_is() -> None:
     samples = np.random.default_rng(4).normal(size=1000)
-    assert evened(samples, 0.0, STEP_S) is samples
+    assert time_warped(samples, 0.0, STEP_S) is samples
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -59,16 +66,18 @@ def test_lines_that_beat_stay_where_they_are(seed: int, apart_hz: float) -> None
     airframe = plain_airframe()
     family = prior_parameters(make_layout(airframe).symmetric, airframe.wing.gust)
     low, high = np.log(LIMITS)
-    prior = Prior(family.logs(), family.log_sigma, low, high, np.array([family.reference_hz]))
-    pieces = make_stretches(samples.reshape(-1, round(PIECE_S / STEP_S)), STEP_S, BAND_HZ, floor)
-    logs, rate = family.logs(), 0.0
+    prior = LogNormalPrior(family.log_params(), family.log_sigma, low, high, np.array([family.reference_hz]))
+    segments = make_periodograms(samples.reshape(-1, round(SEGMENT_S / STEP_S)), STEP_S, BAND_HZ, noise_density)
+    log_params, rate = family.log_params(), 0.0
     for _ in range(8):
-        even = make_stretch(evened(samples, rate, STEP_S), STEP_S, BAND_HZ, floor)
-        logs = at_end(fit(even, prior, when_evened(logs, rate, LENGTH_S), 6).logs, rate, LENGTH_S)
-        assert np.exp(logs[FREQUENCY]) == pytest.approx(5.0 + 0.5 * apart_hz, abs=2.0 / LENGTH_S), "two bins"
-        rate, _ = likeliest(pieces, PIECE_S, prior, when_evened(logs, rate, LENGTH_S), rate)
+        even = make_periodogram(time_warped(samples, rate, STEP_S), STEP_S, BAND_HZ, noise_density)
+        log_params = to_segment_end(
+            fit(even, prior, to_warped_time(log_params, rate, LENGTH_S), 6).log_params, rate, LENGTH_S
+        )
+        assert np.exp(log_params[FREQUENCY]) == pytest.approx(5.0 + 0.5 * apart_hz, abs=2.0 / LENGTH_S), "two bins"
+        rate, _ = estimate_drift_rate(segments, SEGMENT_S, prior, to_warped_time(log_params, rate, LENGTH_S), rate)
 
 
-def floor(frequency_hz: Floats) -> Floats:
+def noise_density(frequency_hz: Floats) -> Floats:
     """Of a sensor with white noise."""
     return np.full(len(frequency_hz), 2.0 * STEP_S * SENSOR_MPS2**2)

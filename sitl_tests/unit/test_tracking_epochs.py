@@ -1,4 +1,4 @@
-"""Averaging cells: when a tip's first moment tells something of its bending."""
+"""Averaging epochs: when a tip's first moment tells something of its bending."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from companion.core.tracking.model import build_model
 from companion.core.tracking.parameters import prior_parameters
-from companion.core.tracking.rigid_body import FrontEnd
+from companion.core.tracking.rigid_body import MeasurementBuilder
 from companion.core.tracking.states import (
     M_LEFT,
     M_RIGHT,
@@ -17,11 +17,11 @@ from companion.core.tracking.states import (
     Y_RIGHT,
     Z_LEFT,
     Z_RIGHT,
-    Layout,
+    StateLayout,
     make_layout,
     make_noise,
 )
-from companion.core.tracking.streams import Stream
+from companion.core.tracking.streams import SampleBuffer
 from companion.params.airframe import Airframe
 from companion.records import Axis, Station
 from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
@@ -29,24 +29,26 @@ from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe
 STEP_NS = 4 * MS
 
 
-def _front_end(airframe: Airframe, layout: Layout, streams: tuple[Stream, ...]) -> FrontEnd:
-    return FrontEnd(layout, make_noise(airframe, layout, STEP_NS * 1e-9), (streams[0], streams[1], streams[2]))
+def _builder(airframe: Airframe, layout: StateLayout, streams: tuple[SampleBuffer, ...]) -> MeasurementBuilder:
+    return MeasurementBuilder(
+        layout, make_noise(airframe, layout, STEP_NS * 1e-9), (streams[0], streams[1], streams[2])
+    )
 
 
-@pytest.mark.parametrize(("shaken_hz", "share"), [(0.0, 1.0), (2.0, 1.0), (90.0, 0.2)])
-def test_moments_count_where_the_root_moves_as_its_means_say(shaken_hz: float, share: float) -> None:
-    """A support that shakes faster than cells resolve moves the wing inside a cell; a slow or quiet one does not."""
+@pytest.mark.parametrize(("shaken_hz", "heard_most"), [(0.0, 1.0), (2.0, 1.0), (90.0, 0.2)])
+def test_moments_count_where_the_root_moves_as_its_means_say(shaken_hz: float, heard_most: float) -> None:
+    """A support that shakes faster than epochs resolve moves the wing inside one; a slow or quiet one does not."""
     airframe = plain_airframe()
     t, values = swinging(1.2, 0.005)
-    streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+    streams = tuple(SampleBuffer(airframe.sensor(station)) for station in Station)
     for station, v in values.items():
         v[:, 2] += 3.0 * np.sin(2 * np.pi * shaken_hz * (t - EPOCH_NS) * 1e-9)
         streams[station].add(batch(station, t, v), 0)
     layout = make_layout(airframe)
-    cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 250)
-    assert cells.present[:, [Z_LEFT, Z_RIGHT]].all()
-    heard = cells.present[:, [M_LEFT, M_RIGHT]].mean()
-    assert heard == 1.0 if share == 1.0 else heard < share
+    epochs = _builder(airframe, layout, streams).epochs(EPOCH_NS + 25 * STEP_NS, STEP_NS, 250)
+    assert epochs.present[:, [Z_LEFT, Z_RIGHT]].all()
+    heard = epochs.present[:, [M_LEFT, M_RIGHT]].mean()
+    assert heard == 1.0 if heard_most == 1.0 else heard < heard_most
 
 
 def test_an_axis_that_is_not_sent_leaks_as_the_rigid_wings() -> None:
@@ -54,7 +56,7 @@ def test_an_axis_that_is_not_sent_leaks_as_the_rigid_wings() -> None:
     airframe = plain_airframe()
     layout = make_layout(airframe)
     t, values = swinging(0.6, 0.0)
-    streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+    streams = tuple(SampleBuffer(airframe.sensor(station)) for station in Station)
     side_mps2, roll_radps = 2.0, 0.8
     for station, v in values.items():
         v[:, 1], v[:, 3] = side_mps2, roll_radps
@@ -63,11 +65,11 @@ def test_an_axis_that_is_not_sent_leaks_as_the_rigid_wings() -> None:
             hidden = v * np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
             sent = dataclasses.replace(sent, axes=Axis.Z, values=hidden)
         streams[station].add(sent, 0)
-    cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
-    column = layout.constants.index("left.mx")
+    epochs = _builder(airframe, layout, streams).epochs(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
+    column = layout.bias_parameters.index("left.mx")
     lever_m = airframe.left.position_m[1] - airframe.root.position_m[1]
     leaking = side_mps2 - lever_m * roll_radps**2
-    np.testing.assert_allclose(cells.sensitivity[:, Z_LEFT, column], -leaking, rtol=0.02)
+    np.testing.assert_allclose(epochs.sensitivity[:, Z_LEFT, column], -leaking, rtol=0.02)
 
 
 @pytest.mark.parametrize(("axis", "name"), [(3, "root.bp"), (5, "root.br")])
@@ -81,20 +83,20 @@ def test_a_bias_of_the_root_s_rates_shows_as_the_tips_centripetal_force(axis: in
     airframe = dataclasses.replace(airframe, **swept)
     layout, bias_radps = make_layout(airframe), 1e-4
 
-    def seen(bias_radps: float) -> tuple[np.ndarray, np.ndarray]:
+    def measured(bias_radps: float) -> tuple[np.ndarray, np.ndarray]:
         t, values = swinging(0.6, 0.0)
-        streams = tuple(Stream(airframe.sensor(station)) for station in Station)
+        streams = tuple(SampleBuffer(airframe.sensor(station)) for station in Station)
         for station, v in values.items():
             v[:, 3:] = 0.8, -0.3, 0.5
             v[:, axis] += bias_radps if station is Station.ROOT else 0.0
             streams[station].add(batch(station, t, v), 0)
-        cells = _front_end(airframe, layout, streams).cells(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
-        return cells.rows[:, [Z_LEFT, Z_RIGHT, Y_LEFT, Y_RIGHT]], cells.sensitivity[:, [0, 1, 4, 5]]
+        epochs = _builder(airframe, layout, streams).epochs(EPOCH_NS + 25 * STEP_NS, STEP_NS, 100)
+        return epochs.rows[:, [Z_LEFT, Z_RIGHT, Y_LEFT, Y_RIGHT]], epochs.sensitivity[:, [0, 1, 4, 5]]
 
-    (with_bias, _), (without, sensitivity) = seen(bias_radps), seen(0.0)
-    found = (with_bias - without) / bias_radps
-    np.testing.assert_allclose(sensitivity[:, :, layout.constants.index(name)], found, rtol=0.02, atol=1e-3)
-    assert np.abs(found).max(axis=0).min() > 0.01
+    (with_bias, _), (without, sensitivity) = measured(bias_radps), measured(0.0)
+    jacobian = (with_bias - without) / bias_radps
+    np.testing.assert_allclose(sensitivity[:, :, layout.bias_parameters.index(name)], jacobian, rtol=0.02, atol=1e-3)
+    assert np.abs(jacobian).max(axis=0).min() > 0.01
 
 
 def test_what_is_lost_between_samples_is_each_tips_own() -> None:
@@ -104,10 +106,11 @@ def test_what_is_lost_between_samples_is_each_tips_own() -> None:
     loud, still = (prior_parameters(family, gust) for family in layout.families)
     still = dataclasses.replace(still, load=1e-9 * still.load, load_2=1e-9 * still.load_2)
     noise = make_noise(airframe, layout, 0.004)
-    whole = dataclasses.replace(noise, sample_s=0.0)
+    without_gaps = dataclasses.replace(noise, sample_s=0.0)
     rows = slice(M_LEFT, Y_LEFT)
     with_loss, without = (
-        build_model(layout, kind, (loud, still), (-1.0, 1.0), 0.004).measured[rows, rows] for kind in (noise, whole)
+        build_model(layout, kind, (loud, still), (-1.0, 1.0), 0.004).process_noise_in_rows[rows, rows]
+        for kind in (noise, without_gaps)
     )
     lost = with_loss - without
     alike, apart = (0.5 * np.array([1.0, sign]) @ lost @ np.array([1.0, sign]) for sign in (1.0, -1.0))

@@ -1,4 +1,4 @@
-"""What keeps a wrong model from being believed: surprise, trial of parameters, stamps of held-up sends, warming up."""
+"""What keeps a wrong model from being believed: NIS, trial of parameters, stamps of held-up sends, warming up."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from companion.core.kernels.compiled import COMPILED
 from companion.core.pipeline import start, step
-from companion.core.tracking.filter import Kalman
+from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.streams import respaced
 from companion.core.tracking.tracker import WingTracker
 from companion.params.files import load_airframe
@@ -45,10 +45,10 @@ def flight() -> Flight:
 
 
 def _flown(flight: Flight, spoil: bool) -> list[tuple[float, Validity, Reject | None, float]]:
-    """Time, validity, distrust and surprise; with ``spoil`` the left tip's lateral axis shows the vertical one's."""
+    """Time, validity, distrust and NIS; with ``spoil`` the left tip's lateral axis shows the vertical one's."""
     state = start(flight.airframe, Settings())
     state.scheduling = state.correction = None
-    seen, now_ns = [], HOST_EPOCH_NS
+    history, now_ns = [], HOST_EPOCH_NS
     for record in flight_records(flight):
         while now_ns <= getattr(record, "received_host_ns", 0):
             state, _ = step(state, Tick(now_ns))
@@ -56,34 +56,34 @@ def _flown(flight: Flight, spoil: bool) -> list[tuple[float, Validity, Reject | 
             if state.validity is not None:
                 tracker = state.tracker
                 t_s = (now_ns - HOST_EPOCH_NS) * 1e-9
-                seen.append((t_s, state.validity, tracker.distrust, tracker.surprise))
+                history.append((t_s, state.validity, tracker.distrust, tracker.nis))
         if isinstance(record, ImuBatch) and record.station is Station.LEFT and spoil:
             t_s = (record.received_host_ns - HOST_EPOCH_NS) * 1e-9
             if BROKEN_S <= t_s < MENDED_S:
                 record.values[:, 1] = 0.2 * record.values[:, 2]
         state, _ = step(state, record)
-    return seen
+    return history
 
 
 @pytest.mark.slow
-def test_the_right_model_is_not_surprised_and_is_trusted_once_it_has_learned(flight: Flight) -> None:
-    seen = _flown(flight, spoil=False)
-    late = [entry for entry in seen if entry[0] > 12.0]
+def test_the_right_model_has_a_nis_near_one_and_is_trusted_once_it_has_learned(flight: Flight) -> None:
+    history = _flown(flight, spoil=False)
+    late = [entry for entry in history if entry[0] > 12.0]
     assert all(distrust is None for _, _, distrust, _ in late)
     # the rigid roll may have 3 rad/s^2 and has little here: two of nine rows lie inside a tenth of their variance
-    assert 0.6 < float(np.median([surprise for *_, surprise in late])) < 1.4
-    early = [entry for entry in seen if entry[0] < 9.0]
+    assert 0.6 < float(np.median([nis for *_, nis in late])) < 1.4
+    early = [entry for entry in history if entry[0] < 9.0]
     assert {distrust for _, _, distrust, _ in early} == {Reject.NOT_SETTLED}
 
 
 @pytest.mark.slow
 def test_sensors_that_contradict_the_model_cost_the_trust_and_give_it_back(flight: Flight) -> None:
-    seen = _flown(flight, spoil=True)
-    during = [entry for entry in seen if BROKEN_S + 0.3 < entry[0] < MENDED_S]
+    history = _flown(flight, spoil=True)
+    during = [entry for entry in history if BROKEN_S + 0.3 < entry[0] < MENDED_S]
     assert all(distrust is Reject.CONTRADICTED for _, _, distrust, _ in during)
     assert all(validity is Validity.INCONSISTENT for _, validity, _, _ in during)
-    assert seen[-1][2] is None
-    assert all(np.isfinite(surprise) for *_, surprise in seen)
+    assert history[-1][2] is None
+    assert all(np.isfinite(nis) for *_, nis in history)
 
 
 _COLD = """
@@ -123,19 +123,19 @@ def test_nothing_is_left_to_the_compiler_after_warming_up() -> None:
     names = ["nadir-2m", "sitl-plane"]  # nodes of their own; all sensors on the autopilot's link
     run = subprocess.run([sys.executable, "-c", _COLD, *names], capture_output=True, text=True, check=True)
     for name, line in zip(names, run.stdout.splitlines(), strict=True):
-        told, count, *late = line.split(maxsplit=2)
-        assert told == name
+        reported, count, *late = line.split(maxsplit=2)
+        assert reported == name
         assert int(count) > 10
         assert not late
 
 
-def _known(kalman: Kalman, keep: list[int]) -> tuple[np.ndarray, ...]:
+def _knowledge(kalman: SeparatedBiasFilter, others: list[int]) -> tuple[np.ndarray, ...]:
     """State, its covariance, and of the constants to keep their means and covariance."""
     return (
         kalman.state,
         kalman.total_covariance,
-        kalman.constants[keep],
-        kalman.constants_covariance[np.ix_(keep, keep)],
+        kalman.bias_parameters[others],
+        kalman.bias_parameter_covariance[np.ix_(others, others)],
     )
 
 
@@ -152,18 +152,18 @@ def test_a_constant_that_is_reopened_is_unknown_again_and_nothing_else_is(flight
             break
         state, _ = step(state, record)
     kalman = state.tracker._kalman
-    kalman.reopen([])  # solves, so that all that was gathered is in the answer
-    names = kalman.layout.constants
+    kalman.reset_bias_parameters([])  # solves, so that all that was gathered is in the answer
+    names = kalman.layout.bias_parameters
     at = names.index("left.tau")
-    keep = [k for k in range(len(names)) if k != at]
-    before, sigma = _known(kalman, keep), kalman.layout.constant_sigma[at]
-    assert kalman.constants_covariance[at, at] < 0.9 * sigma**2  # something had been learned
-    kalman.reopen(["left.tau"])
-    for old, new in zip(before, _known(kalman, keep), strict=True):
+    others = [k for k in range(len(names)) if k != at]
+    before, sigma = _knowledge(kalman, others), kalman.layout.bias_parameter_sigma[at]
+    assert kalman.bias_parameter_covariance[at, at] < 0.9 * sigma**2  # something had been learned
+    kalman.reset_bias_parameters(["left.tau"])
+    for old, new in zip(before, _knowledge(kalman, others), strict=True):
         np.testing.assert_allclose(new, old, rtol=1e-6, atol=1e-9 * np.abs(old).max())
-    assert kalman.constants[at] == 0.0
-    np.testing.assert_allclose(kalman.constants_covariance[at, keep], 0.0, atol=1e-12 * sigma)
-    assert kalman.constants_covariance[at, at] == pytest.approx(sigma**2)
+    assert kalman.bias_parameters[at] == 0.0
+    np.testing.assert_allclose(kalman.bias_parameter_covariance[at, others], 0.0, atol=1e-12 * sigma)
+    assert kalman.bias_parameter_covariance[at, at] == pytest.approx(sigma**2)
 
 
 def test_a_tracker_that_has_seen_nothing_is_not_trusted() -> None:

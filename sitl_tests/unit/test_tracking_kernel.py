@@ -9,8 +9,8 @@ import pytest
 
 from companion.core.kernels import filter_loops as kernel_loops
 from companion.core.kernels import filter_numpy as kernel_numpy
-from companion.core.kernels.arrays import Data, Fixed, History, Memory, Step
-from companion.core.tracking.filter import Kalman
+from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants, FilterState, History
+from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import build_model
 from companion.core.tracking.parameters import prior_parameters
 from companion.core.tracking.states import ROWS, Y_LEFT, make_layout, make_noise
@@ -25,77 +25,84 @@ STEP_S = 0.004
 STEPS = 60
 
 
-def _filter(airframe: Airframe = AIRFRAME) -> Kalman:
+def _filter(airframe: Airframe = AIRFRAME) -> SeparatedBiasFilter:
     layout, wing = make_layout(airframe), airframe.wing
     noise = make_noise(airframe, layout, STEP_S)
     parameters = (prior_parameters(layout.symmetric, wing.gust), prior_parameters(layout.antisymmetric, wing.gust))
     model = build_model(layout, noise, parameters, (-0.99, 0.99), STEP_S)
-    return Kalman(layout, noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, STEPS)
+    return SeparatedBiasFilter(layout, noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, STEPS)
 
 
-def _cells(constants: int, missing: float) -> Data:
+def _epochs(parameters: int, missing: float) -> Epochs:
     """Rows as of a calm wing, a tenth of them far beyond the gate, a share missing, at every step others."""
     rng = np.random.default_rng(7)
     size = np.array([0.1, 0.1, 0.01, 0.01, 0.001, 0.001, 0.003, 0.003, 0.003])
     size = size * np.where(rng.random((STEPS, ROWS)) < 0.1, 6.0, 1.0)
     present = rng.random((STEPS, ROWS)) >= missing
-    return Data(
+    return Epochs(
+        start_ns=4_000_000 * np.arange(STEPS),
         rows=np.where(present, size * rng.standard_normal((STEPS, ROWS)), 0.0),
         present=present,
-        vertical=-9.8 + rng.standard_normal((STEPS, 2)),
-        lateral=0.3 * rng.standard_normal((STEPS, 2)),
-        tilted=1e-3 * rng.standard_normal((STEPS, 2)),
+        vertical_mps2=-9.8 + rng.standard_normal((STEPS, 2)),
+        lateral_mps2=0.3 * rng.standard_normal((STEPS, 2)),
+        slope_rate_gain=1e-3 * rng.standard_normal((STEPS, 2)),
         lateral_gain=np.array([-0.1, 0.1]) * (1.0 + 0.1 * rng.standard_normal((STEPS, 2))),
-        load=0.2 * rng.standard_normal(STEPS),
-        sensitivity=present[:, :, None] * rng.standard_normal((STEPS, ROWS, constants)),
-        cut=rng.random((STEPS, 2)),
-        shaken=np.where(rng.random((STEPS, 1)) < 0.2, np.array([1.0, 0.1, 0.01]), 0.0),
+        load_g=0.2 * rng.standard_normal(STEPS),
+        body_rate_radps=np.zeros((STEPS, 3)),
+        sensitivity=present[:, :, None] * rng.standard_normal((STEPS, ROWS, parameters)),
+        aliasing_noise=rng.random((STEPS, 2)),
+        root_motion_variance=np.where(rng.random((STEPS, 1)) < 0.2, np.array([1.0, 0.1, 0.01]), 0.0),
     )
 
 
-def _parts(kalman: Kalman) -> tuple[Fixed, Step, Memory, History]:
-    return kalman._fixed, kalman._step, kalman._memory, kalman.history
+def _kernel_arguments(kalman: SeparatedBiasFilter) -> tuple[FilterConstants, DiscreteModel, FilterState, History]:
+    return kalman._constants, kalman._discrete_model, kalman._filter_state, kalman.history
 
 
-@pytest.mark.parametrize("rough", [False, True])
+@pytest.mark.parametrize("moments_beside_gyro", [False, True])
 @pytest.mark.parametrize("missing", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("airframe", [AIRFRAME, EXACT_SCALES], ids=["uncertain scales", "exact scales"])
-def test_compiled_loops_and_numpy_agree(airframe: Airframe, missing: float, rough: bool) -> None:
-    one, other = _filter(airframe), _filter(airframe)
-    data = _cells(len(one.constants), missing)
-    for kalman, kernel in ((one, kernel_loops), (other, kernel_numpy)):
-        fixed, step, memory, history = _parts(kalman)
-        assert kernel.run_cells(fixed, step._replace(rough=rough), data, memory, history, 0, STEPS, 0)
-    for name in Memory._fields:
-        found, wanted = getattr(one._memory, name), getattr(other._memory, name)
-        np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-10 * np.abs(wanted).max(), err_msg=name)
-    np.testing.assert_array_equal(one.history.used, other.history.used)
-    for at, used in enumerate(one.history.used):
-        for name in ("seen", "innovation", "drawn"):
-            found, wanted = getattr(one.history, name)[at, :used], getattr(other.history, name)[at, :used]
-            np.testing.assert_allclose(found, wanted, atol=1e-9 * max(np.abs(wanted).max(initial=0.0), 1e-6))
+def test_compiled_loops_and_numpy_agree(airframe: Airframe, missing: float, moments_beside_gyro: bool) -> None:
+    compiled, plain = _filter(airframe), _filter(airframe)
+    epochs = _epochs(len(compiled.bias_parameters), missing)
+    for kalman, kernel in ((compiled, kernel_loops), (plain, kernel_numpy)):
+        const, model, filter_state, history = _kernel_arguments(kalman)
+        assert kernel.filter_epochs(
+            const, model._replace(moments_beside_gyro=moments_beside_gyro), epochs, filter_state, history, 0, STEPS, 0
+        )
+    for name in FilterState._fields:
+        result, expected = getattr(compiled._filter_state, name), getattr(plain._filter_state, name)
+        np.testing.assert_allclose(result, expected, rtol=1e-7, atol=1e-10 * np.abs(expected).max(), err_msg=name)
+    np.testing.assert_array_equal(compiled.history.row_count, plain.history.row_count)
+    for at, row_count in enumerate(compiled.history.row_count):
+        for name in ("whitened_H", "whitened_innovation", "whitened_cross_cov"):
+            result, expected = (
+                getattr(compiled.history, name)[at, :row_count],
+                getattr(plain.history, name)[at, :row_count],
+            )
+            np.testing.assert_allclose(result, expected, atol=1e-9 * max(np.abs(expected).max(initial=0.0), 1e-6))
 
 
-def test_a_bias_of_the_vertical_force_turns_every_slope_that_is_seen() -> None:
+def test_a_bias_of_the_vertical_force_turns_every_measured_slope() -> None:
     """The lateral axis shows the slope as ``arctan(y / z)``, with the bias in ``z``."""
     kalman = _filter(EXACT_SCALES)
-    fixed, step, _, _ = _parts(kalman)
-    data = _cells(len(kalman.constants), 0.0)
+    const, model, _, _ = _kernel_arguments(kalman)
+    epochs = _epochs(len(kalman.bias_parameters), 0.0)
     state = 0.01 * np.random.default_rng(3).standard_normal(kalman.layout.size + 1)
-    measured, sense = np.zeros((ROWS, 1 + len(kalman.constants))), np.zeros((ROWS, kalman.layout.size + 1))
-    kernel_numpy._turn(fixed, step, data, 5, state, measured, sense)
+    measured, H = np.zeros((ROWS, 1 + len(kalman.bias_parameters))), np.zeros((ROWS, kalman.layout.size + 1))
+    kernel_numpy._linearise(const, model, epochs, 5, state, measured, H)
     left, right, root = 0.011, -0.007, 0.004  # biases
     sensors = (EXACT_SCALES.left, EXACT_SCALES.right, EXACT_SCALES.root)
     weight = np.array([sensor.accel_bias_sigma_mps2**-2 for sensor in sensors])
     common = weight @ (left, right, root) / weight.sum()
-    for side, own in enumerate((left, right)):
-        slope, z = (step.watch @ state)[side], data.vertical[5, side]
+    for side, bias in enumerate((left, right)):
+        slope, z = (model.linearisation_rows @ state)[side], epochs.vertical_mps2[5, side]
         assert abs(slope) > 1e-3
-        turned = np.arctan(z * np.tan(slope) / (z + own)) - slope
+        tilted = np.arctan(z * np.tan(slope) / (z + bias)) - slope
         row = Y_LEFT + side
-        found = sense[row, fixed.vertical_bias] @ (left - root, right - root)
-        found -= measured[row, kalman.layout.column("bz")] * common  # prediction less reading
-        assert found == pytest.approx(turned, rel=3e-3)
+        result = H[row, const.vertical_bias_state] @ (left - root, right - root)
+        result -= measured[row, kalman.layout.column("bz")] * common  # prediction less reading
+        assert result == pytest.approx(tilted, rel=3e-3)
 
 
 def test_a_scale_as_uncertain_as_the_bias_says_the_same() -> None:
@@ -105,24 +112,24 @@ def test_a_scale_as_uncertain_as_the_bias_says_the_same() -> None:
 @pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])
 def test_the_history_knows_the_motion_of_every_step_however_often_it_changes(kernel: object) -> None:
     kalman = _filter()
-    data = _cells(len(kalman.constants), 0.0)
+    epochs = _epochs(len(kalman.bias_parameters), 0.0)
     layout, noise, believed = kalman.layout, kalman.noise, kalman.model.parameters
     motions = []
-    for step in range(STEPS):
-        faster = tuple(replace(p, frequency_hz=p.frequency_hz * (1.0 + 0.01 * step)) for p in believed)
-        kalman.use(build_model(layout, noise, (faster[0], faster[1]), (-0.99, 0.99), STEP_S))
-        fixed, taken, memory, history = _parts(kalman)
-        assert kernel.run_cells(fixed, taken, data, memory, history, step, step + 1, step)  # type: ignore[attr-defined]
+    for model in range(STEPS):
+        faster = tuple(replace(p, frequency_hz=p.frequency_hz * (1.0 + 0.01 * model)) for p in believed)
+        kalman.switch_model(build_model(layout, noise, (faster[0], faster[1]), (-0.99, 0.99), STEP_S))
+        const, taken, filter_state, history = _kernel_arguments(kalman)
+        assert kernel.filter_epochs(const, taken, epochs, filter_state, history, model, model + 1, model)  # type: ignore[attr-defined]
         motions.append(kalman.model.transition[:, : layout.size])
     history = kalman.history
-    for step, motion in enumerate(motions):
-        np.testing.assert_array_equal(history.transition[history.by[step]], motion)
+    for model, transition in enumerate(motions):
+        np.testing.assert_array_equal(history.transition[history.transition_index[model]], transition)
 
 
 @pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])
 def test_numbers_that_have_run_away_stop_the_filter(kernel: object) -> None:
     kalman = _filter()
-    data = _cells(len(kalman.constants), 0.0)
+    epochs = _epochs(len(kalman.bias_parameters), 0.0)
     kalman.covariance[0, 0] = np.inf
-    fixed, step, memory, history = _parts(kalman)
-    assert not kernel.run_cells(fixed, step, data, memory, history, 0, STEPS, 0)  # type: ignore[attr-defined]
+    const, model, filter_state, history = _kernel_arguments(kalman)
+    assert not kernel.filter_epochs(const, model, epochs, filter_state, history, 0, STEPS, 0)  # type: ignore[attr-defined]

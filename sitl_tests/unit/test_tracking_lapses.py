@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.tracking.sample_outliers import BESIDE, lapses
-from companion.core.tracking.streams import Stream, within_range
+from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers
+from companion.core.tracking.streams import SampleBuffer, within_range
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Reject, Station
 
@@ -26,11 +26,13 @@ def _swing(vibration_mps2: float = 0.0) -> np.ndarray:
 
 
 def _judged(values: np.ndarray) -> np.ndarray:
-    return np.flatnonzero(lapses(T_NS, values, 0, np.full(6, 1.4 * NOISE), float(MS)))
+    return np.flatnonzero(find_outliers(T_NS, values, 0, np.full(6, 1.4 * NOISE), float(MS)))
 
 
 @given(
-    st.integers(2 * BESIDE, COUNT - 2 * BESIDE), st.integers(0, 5), st.sampled_from([-4.0, -1.0, 1.0, 2.0, 8.0, 1e6])
+    st.integers(2 * NEIGHBOURS, COUNT - 2 * NEIGHBOURS),
+    st.integers(0, 5),
+    st.sampled_from([-4.0, -1.0, 1.0, 2.0, 8.0, 1e6]),
 )
 def test_a_sample_that_lies_is_told_and_no_other(at: int, channel: int, lie_mps2: float) -> None:
     values = _swing()
@@ -49,7 +51,7 @@ def test_slope_times_force_is_seldom_taken_for_a_lapse() -> None:
     t_ns = MS * np.arange(40_000, dtype=np.int64)
     values = NOISE * rng.standard_normal((len(t_ns), 6))
     values[:, 1] += 0.15 * np.sin(2 * np.pi * 10.0 * 1e-9 * t_ns) * rng.standard_normal(len(t_ns))
-    assert np.count_nonzero(lapses(t_ns, values, 0, np.full(6, 1.4 * NOISE), float(MS))) <= 2
+    assert np.count_nonzero(find_outliers(t_ns, values, 0, np.full(6, 1.4 * NOISE), float(MS))) <= 2
 
 
 @pytest.mark.parametrize("length_s", [0.005, 0.02])
@@ -66,33 +68,33 @@ def _batch(t_ns: np.ndarray, values: np.ndarray) -> ImuBatch:
 
 
 def test_a_stream_refuses_the_lapse_as_soon_as_it_has_its_neighbours_and_says_so_with_the_next_batch() -> None:
-    clean, struck = Stream(LEFT), Stream(LEFT)
+    clean, struck = SampleBuffer(LEFT), SampleBuffer(LEFT)
     values = _swing()
     lying = values.copy()
     lying[60, 2] += 5.0
     for stream, samples in ((clean, values), (struck, lying)):
         refused = []
         for first in range(0, COUNT, 20):
-            part = slice(first, first + 20)
-            refused += stream.add(_batch(T_NS[part], samples[part]), -1)
+            chunk = slice(first, first + 20)
+            refused += stream.add(_batch(T_NS[chunk], samples[chunk]), -1)
             stream.samples()
         assert [(r.reason, r.count) for r in refused] == ([] if stream is clean else [(Reject.LAPSED, 1)])
     assert len(struck.samples()[0]) == COUNT - 1
     edges = 4 * MS * np.arange(5, 25, dtype=np.int64)
     np.testing.assert_allclose(struck.average(edges).mean, clean.average(edges).mean, atol=0.05)
-    # nobody knows yet whether the newest samples lie: cells that can do without them do
-    young = Stream(LEFT)
+    # nobody knows yet whether the newest samples lie: epochs that can do without them do
+    young = SampleBuffer(LEFT)
     young.add(_batch(T_NS[:62], lying[:62]), -1)
     np.testing.assert_allclose(young.average(edges[:9]).mean, clean.average(edges[:9]).mean, atol=1e-9)
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False, width=32))
 def test_no_value_beyond_the_range_gets_into_a_stream(value: float) -> None:
-    stream, values = Stream(LEFT), _swing()
+    stream, values = SampleBuffer(LEFT), _swing()
     values[60, 2] = value
     refused = stream.add(_batch(T_NS, values), -1)
     assert np.abs(stream.samples()[1]).max() <= 1.05 * LEFT.accel_range_mps2
     reasons = {record.reason for record in refused}
     assert (Reject.BEYOND_RANGE in reasons) == (abs(value) > 1.05 * LEFT.accel_range_mps2)
-    kept, counted = within_range(_batch(T_NS, values), LEFT)
-    assert len(kept.t_ns) + sum(r.count for r in counted) == COUNT
+    valid, counted = within_range(_batch(T_NS, values), LEFT)
+    assert len(valid.t_ns) + sum(r.count for r in counted) == COUNT

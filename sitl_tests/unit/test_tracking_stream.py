@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.tracking.streams import Stream
+from companion.core.tracking.streams import SampleBuffer
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Reject, Station
 
@@ -28,7 +28,7 @@ def _edges() -> np.ndarray:
 
 
 def test_bad_samples_are_refused_and_counted_and_the_rest_is_kept() -> None:
-    stream = Stream(LEFT)
+    stream = SampleBuffer(LEFT)
     values = np.zeros((6, 6))
     values[1, 0], values[2, 4], values[3, 2] = np.nan, np.inf, -LEFT.accel_range_mps2
     refused = stream.add(_batch(np.arange(6.0), values), SECOND)
@@ -40,18 +40,18 @@ def test_bad_samples_are_refused_and_counted_and_the_rest_is_kept() -> None:
 
 @given(st.permutations(range(8)))
 def test_the_order_of_arrival_does_not_matter(order: list[int]) -> None:
-    straight, shuffled = Stream(LEFT), Stream(LEFT)
+    straight, shuffled = SampleBuffer(LEFT), SampleBuffer(LEFT)
     t = np.arange(0.5, 200.0)
     straight.add(_batch(t), 0)
-    for part in order:
-        shuffled.add(_batch(t[part * 25 : part * 25 + 25]), 0)
+    for chunk in order:
+        shuffled.add(_batch(t[chunk * 25 : chunk * 25 + 25]), 0)
     a, b = straight.average(_edges()), shuffled.average(_edges())
     np.testing.assert_array_equal(a.mean, b.mean)
     np.testing.assert_array_equal(a.covered, b.covered)
 
 
 def test_equal_stamps_are_averaged() -> None:
-    stream = Stream(LEFT)
+    stream = SampleBuffer(LEFT)
     t = np.repeat(np.arange(0.5, 200.0), 2)
     values = np.ones((len(t), 6))
     values[::2] = 3.0
@@ -60,7 +60,7 @@ def test_equal_stamps_are_averaged() -> None:
 
 
 def test_a_gap_uncovers_the_cells_that_touch_it_and_no_others() -> None:
-    stream = Stream(LEFT)
+    stream = SampleBuffer(LEFT)
     t = np.arange(0.5, 200.0)
     stream.add(_batch(t[(t < 80) | (t > 110)]), 0)
     covered = stream.average(_edges()).covered
@@ -70,7 +70,7 @@ def test_a_gap_uncovers_the_cells_that_touch_it_and_no_others() -> None:
 
 
 def test_a_few_lost_samples_are_bridged() -> None:
-    stream = Stream(LEFT)
+    stream = SampleBuffer(LEFT)
     t = np.arange(0.5, 200.0)
     keep = np.random.default_rng(0).random(len(t)) > 0.1
     w = 2 * np.pi * 5e-3
@@ -80,13 +80,13 @@ def test_a_few_lost_samples_are_bridged() -> None:
 
 
 def test_a_slow_stream_makes_no_moment() -> None:
-    slow = Stream(dataclasses.replace(LEFT, rate_hz=333.0))
+    slow = SampleBuffer(dataclasses.replace(LEFT, rate_hz=333.0))
     slow.add(_batch(np.arange(0.0, 200.0, 3.0)), 0)
     assert not slow.average(_edges()).resolved.any()
 
 
 def test_views_and_read_only_arrays_are_taken_like_any_other() -> None:
-    plain, strided, frozen = Stream(LEFT), Stream(LEFT), Stream(LEFT)
+    plain, strided, frozen = SampleBuffer(LEFT), SampleBuffer(LEFT), SampleBuffer(LEFT)
     t = np.arange(0.5, 200.0)
     batch = _batch(t)
     table = np.zeros((len(t), 8))

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from companion.core.pipeline import PipelineState, start, step
-from companion.core.tracking.validity import SURPRISED
+from companion.core.tracking.validity import NIS_LIMIT
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ImuBatch, OutputRecord, Reject, Rejected, Station, Tick
@@ -29,22 +29,22 @@ Alter = Callable[[ImuBatch, float], None]
 
 @dataclass
 class Flown:
-    """What was seen every 20 ms: relative slope's error and sigma (rad), surprise, why it was not trusted."""
+    """Every 20 ms: relative slope's error and sigma (rad), NIS, reason of distrust."""
 
     t_s: list[float] = dataclasses.field(default_factory=list)
     error: list[float] = dataclasses.field(default_factory=list)
     sigma: list[float] = dataclasses.field(default_factory=list)
-    surprise: list[float] = dataclasses.field(default_factory=list)
+    nis: list[float] = dataclasses.field(default_factory=list)
     distrust: list[Reject | None] = dataclasses.field(default_factory=list)
     refused: list[Rejected] = dataclasses.field(default_factory=list)
 
-    def judge(self) -> None:
-        """Nothing is out of three sigmas, nothing is a surprise and nothing costs trust."""
+    def check(self) -> None:
+        """Nothing is out of three sigmas, no NIS is above its limit and nothing costs trust."""
         ratio = np.abs(np.array(self.error)) / np.array(self.sigma)
         assert len(ratio) > 100
         assert np.all(np.isfinite(ratio))
         assert ratio.max() < 3.0
-        assert max(self.surprise) < SURPRISED
+        assert max(self.nis) < NIS_LIMIT
         assert set(self.distrust) == {None}
 
 
@@ -86,7 +86,7 @@ class Following:
         flown.t_s.append((self.now_ns - HOST_EPOCH_NS) * 1e-9)
         flown.error.append(float(bend.slope_rad.sum() - truth.slope_rad.sum()))
         flown.sigma.append(float(np.sqrt(bend.covariance[4:, 4:].sum())))
-        flown.surprise.append(state.tracker.surprise)
+        flown.nis.append(state.tracker.nis)
         flown.distrust.append(state.tracker.distrust)
 
 
@@ -135,7 +135,7 @@ def _copied(following: Following) -> Following:
 @pytest.mark.parametrize("station", [Station.ROOT, Station.LEFT])
 def test_one_lying_sample_changes_nothing_that_matters(followed: Following, station: Station, value: float) -> None:
     flown = _copied(followed).fly(END_S, _lie(station, 2, value))
-    flown.judge()
+    flown.check()
     reasons = {record.reason: record.count for record in flown.refused}
     assert reasons == {Reject.LAPSED if abs(value) <= 100.0 else Reject.BEYOND_RANGE: 1}
 
@@ -144,7 +144,7 @@ def test_one_lying_sample_changes_nothing_that_matters(followed: Following, stat
 @pytest.mark.parametrize("value", [0.5, 10.0])
 @pytest.mark.parametrize("station", [Station.ROOT, Station.RIGHT])
 def test_one_lying_rate_changes_nothing_that_matters(followed: Following, station: Station, value: float) -> None:
-    _copied(followed).fly(END_S, _lie(station, 3, value)).judge()
+    _copied(followed).fly(END_S, _lie(station, 3, value)).check()
 
 
 @pytest.mark.slow
@@ -162,7 +162,7 @@ def test_one_lying_rate_changes_nothing_that_matters(followed: Following, statio
 def test_a_burst_of_20_ms_costs_no_trust(
     followed: Following, station: Station, columns: tuple[int, ...], amplitude: float
 ) -> None:
-    _copied(followed).fly(END_S, _burst(station, columns, amplitude)).judge()
+    _copied(followed).fly(END_S, _burst(station, columns, amplitude)).check()
 
 
 @pytest.mark.slow
@@ -171,7 +171,7 @@ def test_a_blow_that_the_wing_answers_costs_no_trust(peak_mps2: float) -> None:
     plan = dataclasses.replace(demo_plan(END_S + 1.0), jolts=(Jolt(STRUCK_S, peak_mps2),))
     following = Following(build_flight(load_airframe("nadir-2m"), 6, END_S + 1.0, plan=plan))
     following.fly(STRUCK_S - 0.05)
-    following.fly(END_S).judge()
+    following.fly(END_S).check()
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from companion.core.tracking.tone import Tone, ToneTracker
+from companion.core.tracking.tone import ToneEstimate, ToneTracker
 from companion.params.files import load_airframe
 from companion.records import Axis, ClockName, ImuBatch, Reject, Station
 
@@ -37,26 +37,26 @@ def test_frequency_amplitude_and_phase_ahead_of_the_low_pass(lowpass_hz: float) 
     z = -9.8 + amplitude * np.real(response * np.exp(1j * (2 * np.pi * frequency * t + phase)))
     tracker = _listen(z + _noise(len(t), 1, 0.3), t, lowpass_hz)
     for at_s in (2.0, 3.1, float(t[-1])):
-        found = tracker.estimate(EPOCH_NS + round(at_s * 1e9))
-        assert isinstance(found, Tone)
-        assert found.frequency_hz == pytest.approx(frequency, abs=4 * found.frequency_sigma_hz)
-        assert found.frequency_sigma_hz < 0.01
-        assert found.amplitude_mps2 == pytest.approx(amplitude, abs=4 * found.amplitude_sigma_mps2)
-        error = np.angle(np.exp(1j * (found.phase_rad - (2 * np.pi * frequency * at_s + phase))))
-        assert abs(error) < 4 * found.phase_sigma_rad
-        assert found.phase_sigma_rad < np.radians(1.5)
+        tone = tracker.estimate(EPOCH_NS + round(at_s * 1e9))
+        assert isinstance(tone, ToneEstimate)
+        assert tone.frequency_hz == pytest.approx(frequency, abs=4 * tone.frequency_sigma_hz)
+        assert tone.frequency_sigma_hz < 0.01
+        assert tone.amplitude_mps2 == pytest.approx(amplitude, abs=4 * tone.amplitude_sigma_mps2)
+        error = np.angle(np.exp(1j * (tone.phase_rad - (2 * np.pi * frequency * at_s + phase))))
+        assert abs(error) < 4 * tone.phase_sigma_rad
+        assert tone.phase_sigma_rad < np.radians(1.5)
 
 
 def test_the_sigma_is_that_of_the_errors() -> None:
     t = np.arange(1400) / 333.0
     pulls = []
     for seed in range(60):
-        found = _listen(np.cos(2 * np.pi * 7.3 * t) + _noise(len(t), seed, 0.4), t, 0.0).estimate(
+        tone = _listen(np.cos(2 * np.pi * 7.3 * t) + _noise(len(t), seed, 0.4), t, 0.0).estimate(
             EPOCH_NS + 2_100_000_000
         )
-        assert isinstance(found, Tone)
-        error = np.angle(np.exp(1j * (found.phase_rad - 2 * np.pi * 7.3 * 2.1)))
-        pulls.append(error / found.phase_sigma_rad)
+        assert isinstance(tone, ToneEstimate)
+        error = np.angle(np.exp(1j * (tone.phase_rad - 2 * np.pi * 7.3 * 2.1)))
+        pulls.append(error / tone.phase_sigma_rad)
     assert (
         0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.4
     )  # 60 draws: 1 +- 0.09 each way, with room for the noise estimate
@@ -64,10 +64,10 @@ def test_the_sigma_is_that_of_the_errors() -> None:
 
 def test_noise_turbulence_and_silence_hold_no_tone() -> None:
     t = np.arange(1400) / 333.0
-    rough = np.zeros(len(t))
+    moments_beside_gyro = np.zeros(len(t))
     for k, kick in enumerate(_noise(len(t), 3, 1.0)[1:], 1):  # gusts through a pole at 3 Hz
-        rough[k] = rough[k - 1] * np.exp(-2 * np.pi * 3 / 333.0) + kick
-    for z in (_noise(len(t), 2, 0.05), rough, np.zeros(len(t))):
+        moments_beside_gyro[k] = moments_beside_gyro[k - 1] * np.exp(-2 * np.pi * 3 / 333.0) + kick
+    for z in (_noise(len(t), 2, 0.05), moments_beside_gyro, np.zeros(len(t))):
         assert _listen(z - 9.8, t).estimate(EPOCH_NS + 2_100_000_000) is Reject.NO_MODE
 
 

@@ -21,9 +21,9 @@ def _run(
     tracker, states = WingTracker(plain_airframe(), Settings(adapt=adapt)), []
     for first in range(0, len(t), every_ms):
         for station, v in values.items():
-            part = slice(first, min(first + every_ms, (until_ms or {}).get(station, len(t))))
-            if part.stop > part.start:
-                tracker.add(batch(station, t[part], v[part]))
+            chunk = slice(first, min(first + every_ms, (until_ms or {}).get(station, len(t))))
+            if chunk.stop > chunk.start:
+                tracker.add(batch(station, t[chunk], v[chunk]))
         state = tracker.advance(EPOCH_NS + (first + every_ms) * MS)
         if state is not None:
             states.append(state)
@@ -65,9 +65,9 @@ def test_late_samples_inside_the_window_are_as_good_as_punctual_ones(
     tracker, states = WingTracker(plain_airframe(), Settings()), []
     for first in range(0, 2000, 40):
         for station, v in values.items():
-            parts = [slice(first, first + 20), slice(first + 20, first + 40)]
-            for part in parts[::-1]:
-                assert tracker.add(batch(station, t[part], v[part])) == []
+            chunks = [slice(first, first + 20), slice(first + 20, first + 40)]
+            for chunk in chunks[::-1]:
+                assert tracker.add(batch(station, t[chunk], v[chunk])) == []
         states.append(tracker.advance(EPOCH_NS + (first + 40) * MS))
     assert states[-1] is not None
     np.testing.assert_array_equal(states[-1].q_m, punctual[-1].q_m)
@@ -112,12 +112,12 @@ def test_a_root_that_stops_makes_everything_stale(moving: tuple[np.ndarray, dict
 
 
 def test_a_tip_that_stops_is_missed_in_the_sigma_only(moving: tuple[np.ndarray, dict[Station, np.ndarray]]) -> None:
-    _, whole = _run(*moving, adapt=0)
+    _, both = _run(*moving, adapt=0)
     _, half = _run(*moving, until_ms={Station.RIGHT: 2500}, adapt=0)
     assert half[-1].validity is Validity.TRACKING
     assert half[-1].stations == (Station.ROOT, Station.LEFT)
-    assert (half[-1].q_sigma_m > 1.05 * whole[-1].q_sigma_m).all()
-    assert (np.abs(half[-1].q_m - whole[-1].q_m) < 4 * half[-1].q_sigma_m).all()
+    assert (half[-1].q_sigma_m > 1.05 * both[-1].q_sigma_m).all()
+    assert (np.abs(half[-1].q_m - both[-1].q_m) < 4 * half[-1].q_sigma_m).all()
 
 
 def test_a_saturated_sensor_is_told_and_forgotten(moving: tuple[np.ndarray, dict[Station, np.ndarray]]) -> None:
@@ -125,8 +125,8 @@ def test_a_saturated_sensor_is_told_and_forgotten(moving: tuple[np.ndarray, dict
     values = values | {Station.LEFT: values[Station.LEFT].copy()}
     values[Station.LEFT][2500:2504, 2] = 157.0
     _, states = _run(t, values)
-    told = {(s.t_host_ns - EPOCH_NS) // MS: s.validity for s in states}
-    assert any(v is Validity.SATURATED for ms, v in told.items() if 2500 <= ms < 2700)
+    validities = {(s.t_host_ns - EPOCH_NS) // MS: s.validity for s in states}
+    assert any(v is Validity.SATURATED for ms, v in validities.items() if 2500 <= ms < 2700)
     assert states[-1].validity is Validity.TRACKING
 
 

@@ -1,4 +1,4 @@
-"""What the tracker keeps for trying new parameters: a filter, and the cells since; as many as a trial needs."""
+"""What the tracker keeps for trying new parameters: a filter, and the epochs since; as many as a trial needs."""
 
 from __future__ import annotations
 
@@ -26,36 +26,36 @@ def _flown(tracker: WingTracker, seconds: float, holes: bool, from_s: float = 0.
     """Feed a tracker with tips that lose samples where ``holes``; give the time after each call."""
     t, values = swinging(seconds, 0.005)
     for first in range(round(from_s * 1000), len(t), EVERY_MS):
-        part = slice(first, first + EVERY_MS)
+        batch_slice = slice(first, first + EVERY_MS)
         for station, v in values.items():
-            there = ~LOST if holes and station is not Station.ROOT else slice(None)
-            tracker.add(batch(station, t[part][there], v[part][there]))
+            sent = ~LOST if holes and station is not Station.ROOT else slice(None)
+            tracker.add(batch(station, t[batch_slice][sent], v[batch_slice][sent]))
         tracker.advance(EPOCH_NS + (first + EVERY_MS) * MS)
         yield 1e-3 * (first + EVERY_MS)
 
 
-def _kept_s(tracker: WingTracker) -> float:
-    return sum(map(len, tracker._recent)) / Settings().track_rate_hz
+def _stored_s(tracker: WingTracker) -> float:
+    return sum(epochs.length for epochs in tracker._trial_epochs) / Settings().track_rate_hz
 
 
-def test_cells_for_a_trial_do_not_pile_up_where_no_fit_can_be_made() -> None:
+def test_epochs_for_a_trial_do_not_pile_up_where_no_fit_can_be_made() -> None:
     tracker = WingTracker(plain_airframe(), Settings())
-    kept_s = [(at_s, _kept_s(tracker)) for at_s in _flown(tracker, 15.0, holes=True)]
+    stored_s = [(at_s, _stored_s(tracker)) for at_s in _flown(tracker, 15.0, holes=True)]
     assert tracker._adaptation.fits == 0
-    assert max(s for at_s, s in kept_s if at_s > 10.5) <= 1.5 + 1e-3 * EVERY_MS
-    assert max(s for at_s, s in kept_s if at_s <= 10.0) > 9.0, "early on the whole history is wanted"
+    assert max(s for at_s, s in stored_s if at_s > 10.5) <= 1.5 + 1e-3 * EVERY_MS
+    assert max(s for at_s, s in stored_s if at_s <= 10.0) > 9.0, "early on the whole history is wanted"
 
 
 @pytest.mark.parametrize("holes", [True, False], ids=["no fits", "fits"])
-def test_the_filter_that_is_kept_comes_to_where_the_tracker_stands_by_the_cells_that_are_kept(holes: bool) -> None:
-    """A trial judges new parameters on these cells; if they did not belong together, it would judge a jump."""
+def test_the_trial_filter_reaches_the_tracker_s_state_by_the_trial_epochs(holes: bool) -> None:
+    """A trial judges new parameters on these epochs; if they did not belong together, it would judge a jump."""
     tracker = WingTracker(plain_airframe(), Settings())
     compared = 0
     for at_s in _flown(tracker, 12.8, holes):
-        if at_s < 10.5 or not tracker._recent:
+        if at_s < 10.5 or not tracker._trial_epochs:
             continue
-        again = tracker._begun.fork(tracker._kalman.model)
-        again.run(join(tracker._recent))
+        again = tracker._trial_filter.fork(tracker._kalman.model)
+        again.run(join(tracker._trial_epochs))
         sigma = np.sqrt(np.diag(tracker._kalman.total_covariance))
         np.testing.assert_allclose(again.state / sigma, tracker._kalman.state / sigma, atol=1e-6)
         compared += 1
@@ -71,29 +71,29 @@ def test_adaptation_that_is_switched_on_in_flight_leaves_time_where_it_is() -> N
         pass
     assert tracker._adaptation.fits > 0
     middle_ns = tracker._next_ns - 500 * MS
-    found = tracker.smooth(middle_ns)
-    assert isinstance(found, Deflection)
+    deflection = tracker.smooth(middle_ns)
+    assert isinstance(deflection, Deflection)
     truth_m = 0.005 * np.cos(2 * np.pi * 5.0 * (middle_ns - EPOCH_NS) * 1e-9)
-    assert abs(found.q_m[0] - 0.0149 - truth_m) < 4 * np.sqrt(found.covariance[0, 0])
+    assert abs(deflection.q_m[0] - 0.0149 - truth_m) < 4 * np.sqrt(deflection.covariance[0, 0])
 
 
 @pytest.mark.parametrize(
     ("changes", "taken"),
     [({LOAD: math.log(1.5)}, True), ({LOAD: math.log(1e-4), FREQUENCY: math.log(1.5)}, False)],
-    ids=["as good", "a surprise"],
+    ids=["as good", "inconsistent"],
 )
-def test_new_parameters_are_taken_unless_they_make_the_measurements_a_surprise(
+def test_new_parameters_are_taken_unless_they_make_the_measurements_inconsistent(
     changes: dict[int, float], taken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tracker = WingTracker(plain_airframe(), Settings())
     for _ in _flown(tracker, 1.4, holes=False):
         pass
     before = tracker._kalman.model.parameters
-    logs = [family.logs() for family in before]
+    log_params = [family.log_params() for family in before]
     for index, change in changes.items():
-        for family in logs:
+        for family in log_params:
             family[index] += change
-    offered = tuple(old.with_logs(new, old.log_sigma) for old, new in zip(before, logs, strict=True))
+    offered = tuple(old.with_log_params(new, old.log_sigma) for old, new in zip(before, log_params, strict=True))
 
     contradicted = []
 
@@ -115,17 +115,17 @@ def test_a_filter_that_contradicts_its_sensors_for_seconds_begins_anew() -> None
     tracker = WingTracker(plain_airframe(), Settings(adapt=0))
     t, values = swinging(9.0, 0.005)
     values[Station.LEFT][2500:, 1] = 0.2 * values[Station.LEFT][2500:, 2]
-    told = {}
+    validities = {}
     for first in range(0, len(t), EVERY_MS):
-        part = slice(first, first + EVERY_MS)
+        batch_slice = slice(first, first + EVERY_MS)
         for station, v in values.items():
-            tracker.add(batch(station, t[part], v[part]))
+            tracker.add(batch(station, t[batch_slice], v[batch_slice]))
         state = tracker.advance(EPOCH_NS + (first + EVERY_MS) * MS)
         if state is not None:
-            told[1e-3 * (first + EVERY_MS)] = state.validity
-    assert told[2.5] is Validity.TRACKING
-    assert {told[at_s] for at_s in told if 3.0 < at_s < 7.0} == {Validity.INCONSISTENT}
-    assert Validity.SETTLING in {told[at_s] for at_s in told if at_s > 7.4}
+            validities[1e-3 * (first + EVERY_MS)] = state.validity
+    assert validities[2.5] is Validity.TRACKING
+    assert {validities[at_s] for at_s in validities if 3.0 < at_s < 7.0} == {Validity.INCONSISTENT}
+    assert Validity.SETTLING in {validities[at_s] for at_s in validities if at_s > 7.4}
     assert tracker._kalman.steps < 2.0 * Settings().track_rate_hz
 
 
@@ -137,7 +137,7 @@ def test_behind_the_restart_of_a_tip_s_clock_nothing_is_smoothed() -> None:
     restarted_ns = tracker._next_ns
     before_ns, after_ns = restarted_ns - 20 * MS, restarted_ns + 20 * MS
     assert isinstance(tracker.smooth(before_ns), Deflection)
-    tracker.restarted([Station.LEFT])
+    tracker.clock_restarted([Station.LEFT])
     for _ in _flown(tracker, 10.8, holes=True, from_s=10.5):
         pass
     assert tracker.smooth(before_ns) is Reject.OUT_OF_WINDOW
@@ -154,12 +154,12 @@ def test_an_uncertain_slope_factor_makes_the_forecast_of_the_slope_rate_uncertai
     column = kalman.layout.column("slope.symmetric")
     assert column is not None
     more = 0.05**2
-    kalman.constants_covariance[column - 1, column - 1] += more
+    kalman.bias_parameter_covariance[column - 1, column - 1] += more
     unsure = tracker.forecast(200 * MS, 5 * MS)
     assert isinstance(sure, Forecast)
     assert isinstance(unsure, Forecast)
     slope_rate, added = sure.slope_rate_radps.mean(axis=1), unsure.slope_rate_covariance - sure.slope_rate_covariance
-    modal_rate = slope_rate / (1.39 + kalman.constants[column - 1])
+    modal_rate = slope_rate / (1.39 + kalman.bias_parameters[column - 1])
     assert np.abs(modal_rate).max() > 0.1, "5 mm at 5 Hz: 0.16 m/s"
     for side in (0, 1):
         assert np.all(added[:, side, side] >= 0.99 * more * modal_rate**2 - 1e-12)

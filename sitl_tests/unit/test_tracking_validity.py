@@ -11,7 +11,7 @@ import pytest
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters, prior_parameters
 from companion.core.tracking.states import make_layout
 from companion.core.tracking.tracker import WingTracker
-from companion.core.tracking.validity import judge
+from companion.core.tracking.validity import classify_validity
 from companion.params.settings import Settings
 from companion.records import Axis, Station, Validity
 from sitl_tests.unit.tracking_samples import EPOCH_NS, MS, batch, plain_airframe, swinging
@@ -20,7 +20,7 @@ GOOD = {
     "stale": False,
     "saturated": False,
     "settled": True,
-    "surprise": 1.0,
+    "nis": 1.0,
     "rms_m": np.array([0.004, 0.001]),
     "calm_rms_m": 0.0002,
     "ambiguous": False,
@@ -28,14 +28,14 @@ GOOD = {
 WORSE = [
     (Validity.STALE, {"stale": True}),
     (Validity.SATURATED, {"saturated": True}),
-    (Validity.INCONSISTENT, {"surprise": 3.1}),
+    (Validity.INCONSISTENT, {"nis": 3.1}),
     (Validity.SETTLING, {"settled": False}),
     (Validity.CALM, {"rms_m": np.array([0.00011, 0.00011]), "calm_rms_m": 0.0002}),
     (Validity.AMBIGUOUS, {"ambiguous": True}),
 ]
 
 
-def _known(relative: tuple[float, float]) -> tuple[ModeParameters, ModeParameters]:
+def _with_frequency_sigma(relative: tuple[float, float]) -> tuple[ModeParameters, ModeParameters]:
     """Both families' beliefs with a relative sigma of their frequencies."""
     airframe = plain_airframe()
     families = []
@@ -53,21 +53,26 @@ def test_the_gravest_reason_wins(first: int) -> None:
     for _, change in WORSE[:first:-1]:
         together |= change
     wanted, change = WORSE[first]
-    assert judge(**(together | change), parameters=_known((0.01, 0.01))) is wanted
+    assert classify_validity(**(together | change), parameters=_with_frequency_sigma((0.01, 0.01))) is wanted
 
 
 def test_a_mode_is_tracked_where_its_frequency_is_known_to_a_fifth_and_its_twin_does_not_matter() -> None:
-    assert judge(**GOOD, parameters=_known((0.19, 0.5))) is Validity.TRACKING
-    assert judge(**GOOD, parameters=_known((0.21, 0.01))) is Validity.AMBIGUOUS
+    assert classify_validity(**GOOD, parameters=_with_frequency_sigma((0.19, 0.5))) is Validity.TRACKING
+    assert classify_validity(**GOOD, parameters=_with_frequency_sigma((0.21, 0.01))) is Validity.AMBIGUOUS
     swapped = GOOD | {"rms_m": GOOD["rms_m"][::-1]}
-    assert judge(**swapped, parameters=_known((0.01, 0.21))) is Validity.AMBIGUOUS
+    assert classify_validity(**swapped, parameters=_with_frequency_sigma((0.01, 0.21))) is Validity.AMBIGUOUS
 
 
 def test_calm_is_judged_by_both_modes_together() -> None:
     each = 0.00015  # 0.21 mm together
-    both, one = np.array([each, each]), np.array([each, 0.0])
-    assert judge(**(GOOD | {"rms_m": both}), parameters=_known((0.01, 0.01))) is Validity.TRACKING
-    assert judge(**(GOOD | {"rms_m": one}), parameters=_known((0.01, 0.01))) is Validity.CALM
+    both, single = np.array([each, each]), np.array([each, 0.0])
+    assert (
+        classify_validity(**(GOOD | {"rms_m": both}), parameters=_with_frequency_sigma((0.01, 0.01)))
+        is Validity.TRACKING
+    )
+    assert (
+        classify_validity(**(GOOD | {"rms_m": single}), parameters=_with_frequency_sigma((0.01, 0.01))) is Validity.CALM
+    )
 
 
 @pytest.mark.parametrize("amplitude_m", [0.0015, 0.005])

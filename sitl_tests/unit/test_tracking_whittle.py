@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.tracking.adaptation.frequency_drift import evened, likeliest
-from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_slopes, make_grid
-from companion.core.tracking.adaptation.periodogram import Stretch, make_stretch, make_stretches
-from companion.core.tracking.adaptation.whittle import Prior, expected_power, fit, seek_peak
+from companion.core.tracking.adaptation.frequency_drift import estimate_drift_rate, time_warped
+from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_gradient, make_grid
+from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram, make_periodograms
+from companion.core.tracking.adaptation.whittle import LogNormalPrior, expected_power, find_unmodelled_peak, fit
 from companion.core.tracking.discretise import stationary_covariance, van_loan
 
 STEP_S = 0.004
@@ -18,9 +18,9 @@ COHERENCE = -0.4
 LOGS = np.append(np.log([5.0, 0.04, 0.2, 2.0, 20.0, 27.0, 0.02, 3e-3]), np.arctanh(COHERENCE))
 
 
-def _system(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _system(log_params: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mode and its gust's two poles, second mode and its own, in part the same, written out anew."""
-    f, zeta, load, c1, c2, f2, zeta2, load2 = np.exp(logs[:8])
+    f, zeta, load, c1, c2, f2, zeta2, load2 = np.exp(log_params[:8])
     w, w2, k1, k2 = (2 * np.pi * x for x in (f, f2, c1, c2))
     a = np.zeros((8, 8))
     a[0, 1], a[1, 0], a[1, 1], a[1, 3] = 1, -w * w, -2 * zeta * w, 1
@@ -49,28 +49,28 @@ def _simulate(seconds: float, seed: int) -> np.ndarray:
     return out + rng.normal(0, 0.008, len(out))
 
 
-def _floor(frequency_hz: np.ndarray) -> np.ndarray:
+def _noise_density(frequency_hz: np.ndarray) -> np.ndarray:
     return np.full_like(frequency_hz, 0.008**2 * 2 * STEP_S)
 
 
-def _stretch(seconds: float, seed: int) -> Stretch:
-    return make_stretch(_simulate(seconds, seed), STEP_S, (0.25, 11.0, 120.0), _floor)
+def _periodogram(seconds: float, seed: int) -> Periodogram:
+    return make_periodogram(_simulate(seconds, seed), STEP_S, (0.25, 11.0, 120.0), _noise_density)
 
 
-def _prior(sigma: float = 2.0) -> Prior:
+def _prior(sigma: float = 2.0) -> LogNormalPrior:
     spread = np.array([0.1, 0.7, 2.5, sigma, sigma, 0.1, 0.7, 3.0, 1.0])
     mean = LOGS + np.array([0.07, 0.5, 1.0, 1.0, 1.0, -0.08, 0.5, -1.0, 0.4])
-    return Prior(mean, spread, mean - 4 * spread, mean + 4 * spread, np.array([5.0]))
+    return LogNormalPrior(mean, spread, mean - 4 * spread, mean + 4 * spread, np.array([5.0]))
 
 
 def test_a_piece_among_others_tells_what_it_tells_alone() -> None:
-    pieces = np.stack([_simulate(4.0, seed) for seed in range(3)])
-    together = make_stretches(pieces, STEP_S, (0.25, 11.0, 120.0), _floor)
-    assert len(together) == len(pieces)
-    for piece, found in zip(pieces, together, strict=True):
-        alone = make_stretch(piece.copy(), STEP_S, (0.25, 11.0, 120.0), _floor)
-        for name in ("power", "frequency_hz", "weight", "floor", "kernel"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name), err_msg=name)
+    segments = np.stack([_simulate(4.0, seed) for seed in range(3)])
+    together = make_periodograms(segments, STEP_S, (0.25, 11.0, 120.0), _noise_density)
+    assert len(together) == len(segments)
+    for segment, result in zip(segments, together, strict=True):
+        alone = make_periodogram(segment.copy(), STEP_S, (0.25, 11.0, 120.0), _noise_density)
+        for name in ("power", "frequency_hz", "weight", "noise_density", "kernel"):
+            np.testing.assert_array_equal(getattr(result, name), getattr(alone, name), err_msg=name)
 
 
 def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -> None:
@@ -86,19 +86,21 @@ def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -
 
 @given(st.lists(st.floats(-0.7, 0.7), min_size=9, max_size=9))
 def test_the_slopes_of_the_density_are_its_differences(off: list[float]) -> None:
-    logs, grid, small = LOGS + np.array(off), make_grid(np.linspace(0.5, 115.0, 300), STEP_S), 1e-5
-    density, *slopes = acceleration_slopes(logs, grid, 5.0)
-    np.testing.assert_allclose(density, acceleration_density(logs, grid, 5.0), rtol=1e-9)
-    for k, slope in enumerate(slopes):
-        ahead, behind = (acceleration_density(logs + turn * small * np.eye(9)[k], grid, 5.0) for turn in (1, -1))
-        np.testing.assert_allclose(slope, (ahead - behind) / (2 * small), rtol=1e-5, atol=1e-6 * density.max())
+    log_params, grid, small = LOGS + np.array(off), make_grid(np.linspace(0.5, 115.0, 300), STEP_S), 1e-5
+    density, *gradients = acceleration_gradient(log_params, grid, 5.0)
+    np.testing.assert_allclose(density, acceleration_density(log_params, grid, 5.0), rtol=1e-9)
+    for k, gradient in enumerate(gradients):
+        ahead, behind = (
+            acceleration_density(log_params + sense * small * np.eye(9)[k], grid, 5.0) for sense in (1, -1)
+        )
+        np.testing.assert_allclose(gradient, (ahead - behind) / (2 * small), rtol=1e-5, atol=1e-6 * density.max())
 
 
 @pytest.mark.slow
 def test_the_periodogram_is_expected_without_bias() -> None:
-    stretches = [_stretch(8.0, seed) for seed in range(40)]
-    ratio = np.mean([s.power / expected_power(s, _prior(), LOGS) for s in stretches], axis=0)
-    weight, f = stretches[0].weight, stretches[0].frequency_hz
+    periodograms = [_periodogram(8.0, seed) for seed in range(40)]
+    ratio = np.mean([s.power / expected_power(s, _prior(), LOGS) for s in periodograms], axis=0)
+    weight, f = periodograms[0].weight, periodograms[0].frequency_hz
     for low, high in ((0.8, 3.0), (3.0, 4.5), (4.5, 5.5), (5.5, 8.0), (8.0, 20.0), (20.0, 35.0), (35.0, 110.0)):
         band = (f > low) & (f < high)
         mean = np.average(ratio[band], weights=weight[band])
@@ -109,33 +111,33 @@ def test_a_fit_finds_the_parameters_within_its_sigma() -> None:
     pulls = []
     for seed in range(6):
         prior = _prior()
-        found = fit(_stretch(20.0, 100 + seed), prior, prior.mean, 25)
-        told = [0, 1, 2, 5, 8]
-        pulls.append((found.logs - LOGS)[told] / found.log_sigma[told])
-        assert abs(found.logs[0] - LOGS[0]) < 3 * np.sqrt(0.04 / (2 * np.pi * 5 * 20))
+        result = fit(_periodogram(20.0, 100 + seed), prior, prior.mean, 25)
+        identifiable = [0, 1, 2, 5, 8]
+        pulls.append((result.log_params - LOGS)[identifiable] / result.log_sigma[identifiable])
+        assert abs(result.log_params[0] - LOGS[0]) < 3 * np.sqrt(0.04 / (2 * np.pi * 5 * 20))
     assert np.sqrt(np.mean(np.square(pulls))) < 1.8
 
 
 def test_a_peak_that_the_model_has_not_is_found() -> None:
-    prior, stretch = _prior(), _stretch(10.0, 3)
+    prior, periodogram = _prior(), _periodogram(10.0, 3)
     without = LOGS.copy()
     without[7] -= 12.0
     without[5] -= 0.2
-    moved, gain = seek_peak(stretch, prior, without, 5)
+    moved, gain = find_unmodelled_peak(periodogram, prior, without, 5)
     assert gain > 20
     assert moved[5] == pytest.approx(LOGS[5], abs=0.05)
-    _, nothing = seek_peak(stretch, prior, LOGS, 5)
-    assert nothing < 8
+    _, no_gain = find_unmodelled_peak(periodogram, prior, LOGS, 5)
+    assert no_gain < 8
 
 
 @pytest.mark.parametrize("rate_per_s", [0.01, -0.01, 0.0])
 def test_the_rate_of_a_drift_is_found_and_none_where_there_is_none(rate_per_s: float) -> None:
     """Steady samples on a time that runs ever faster (which all but the load notices), from a believed rate of none."""
     for seed in range(3):
-        samples = evened(_simulate(24.0, seed), -rate_per_s, STEP_S)
-        pieces = make_stretches(samples.reshape(6, -1), STEP_S, (0.25, 11.0, 120.0), _floor)
+        samples = time_warped(_simulate(24.0, seed), -rate_per_s, STEP_S)
+        segments = make_periodograms(samples.reshape(6, -1), STEP_S, (0.25, 11.0, 120.0), _noise_density)
         rate = 0.0
         for _ in range(6):
-            rate, sigma = likeliest(pieces, 4.0, _prior(), LOGS, rate)
+            rate, sigma = estimate_drift_rate(segments, 4.0, _prior(), LOGS, rate)
         assert rate == pytest.approx(rate_per_s, abs=max(4.0 * sigma, 1e-3))
         assert 1e-5 < sigma < 4e-3

@@ -1,200 +1,256 @@
-"""What the filter's inner loop takes and leaves: see :mod:`companion.core.tracking.filter` for its equations.
+"""Array types of the filter's inner loop: constants, discrete model, measurements, state and history.
 
-The loop itself exists twice: :mod:`companion.core.kernels.filter_loops` is compiled, and
-:mod:`companion.core.kernels.filter_numpy` runs where that cannot be. Both use the rows that were measured alone, and
-whiten them: with ``S = L L^T`` the history holds ``L^-1 G``, ``L^-1 e`` and ``L^-1 C^T``, from which gain, likelihood
-and smoother follow by products.
+The equations are in :mod:`companion.core.tracking.filter`. The loop exists twice: :mod:`filter_loops` is compiled,
+:mod:`filter_numpy` is its readable twin and runs where nothing can be compiled. Both process the rows that were
+measured and whiten them: with ``S = L L^T`` the history holds ``L^-1 H``, ``L^-1 e`` and ``L^-1 C^T``, from which gain,
+likelihood and smoother follow as products.
 
-Both noises have heavy tails. Where a vertical row's innovation lies beyond the gate, the wing may have been struck, or
-its sensor lies: either way the process noise of this step is raised until the innovation is no surprise, so that the
-state follows and knows that it is uncertain. Another row that lies beyond the gate even so counts as noisier, so that
-its pull is that of a row at the gate (Huber). The constants learn nothing from such a step. How surprising it is counts
-as if nothing had been raised, but bounded: a blow of 20 ms is no contradiction, and what goes on for longer is.
+Process and measurement noise have heavy tails. An innovation of a vertical row beyond the gate raises the process noise
+of that step until the innovation lies on the gate: the state follows a blow, and its covariance says so. Any other row
+beyond the gate is given the variance that puts it on the gate (Huber). The bias parameters learn nothing from such a
+step. Its normalised innovation squared (NIS) is counted as without the inflation, but bounded: a blow of 20 ms is no
+contradiction of the model, a lasting one is.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from companion.records import Bools, Floats, Ints
 
-LOAD_TIME_S = 0.1
-GATE = 5.0  # sigmas
-LIFTED = 2.0  # share of the variance of the root's force that drives the wing, by the load factor's bend
-MOST_STIR = 1e6  # of the process noise
-MOST_SURPRISE = 200.0  # of a step: the sum of its rows' squares
-_MOTIONS = 8  # more than a history holds, for parameters change once a second
+LOAD_FACTOR_TIME_S = 0.1  # chosen: keeps the load factor's noise out of the sensitivity to bend per g
+GATE_SIGMAS = 5.0  # convention: a Gaussian innovation lies beyond once in 1.7 million
+LOAD_VARIANCE_RATIO = 2.0  # chosen: variance of the wing's load per variance of a shaken root's vertical force
+MAX_NOISE_INFLATION = 1e6  # numerical: bound on the process noise's factor
+MAX_STEP_NIS = 200.0  # chosen: a 20 ms blow (5 steps) then stays below validity.NIS_LIMIT over a second
+_TRANSITIONS = 8  # derived: parameters change once a second, and a history holds little more than one second
 
 
-class Fixed(NamedTuple):
-    """What never changes of a wing.
+class Epochs(NamedTuple):
+    """Measurements of all sensors over consecutive averaging epochs: made in ``rigid_body``, filtered in the kernel.
 
     Attributes
     ----------
-    step_s, trim_m, bend_per_g_m, root_z, root_y : float
-    trim, bend : int
-        Columns of these constants, 0 where they are certain.
-    own : (9,) float64
-        Sensor noise variances.
-    lateral_bias : (2,) int64
-        States that hold the lateral biases; -1 where there is none.
-    leaning : (2,) int64
-        Columns of the tips' misalignment about the body's x axis, 0 where it is certain.
-    vertical_bias : (2,) int64
-        States that hold the vertical biases; -1 where there is none.
-    own_bias : (2, 2) float64
-        See :class:`companion.core.tracking.states.Noise`.
-    force_bias : int
-        Column of what the vertical biases have in common, 0 where it tells nothing.
-    factor_rows, factor_columns : (f,) int64
-        Where the slope factors show.
-    own_rows, own_columns : (s,) int64
-    own_signs : (s,) float64
-        Sensitivities that are to be taken at the prediction instead of at the measurement, which holds the innovation.
+    start_ns : (n,) int64
+        Beginning of each epoch, host clock.
+    rows : (n, 9) float64
+        Measurements z in the order of :mod:`companion.core.tracking.states`; 0 where absent.
+    present : (n, 9) bool
+        Rows that were measured.
+    vertical_mps2, lateral_mps2 : (n, 2) float64
+        Sensed vertical and rigid lateral specific force at the left and right tip, lateral signed for the side. A tip's
+        slope ``psi`` adds ``-(vertical psi^2 / 2 + lateral psi)`` to its vertical row.
+    slope_rate_gain : (n, 2) float64
+        Coefficient of a tip's slope rate in its slope row, s: slope and force change together inside the epoch.
+    lateral_gain : (n, 2) float64
+        Inverse of the vertical specific force, signed for the side, s^2/m: slope row per lateral error.
+    load_g : (n,) float64
+        Load factor less one.
+    body_rate_radps : (n, 3) float64
+        Body rate at the end of the epoch, FRD.
+    sensitivity : (n, 9, c) float64
+        Jacobian of the rows with respect to the bias parameters, as far as data alone give it.
+    aliasing_noise : (n, 2) float64
+        Multiple of ``DiscreteModel.aliasing_variance`` in each vertical mean, by edges of the epoch that cut samples.
+    root_motion_variance : (n, 3) float64
+        Variance of the rigid vertical and lateral force, (m/s^2)^2, and of the roll rate, (rad/s)^2, where the root
+        moved faster than its filtered samples resolve; 0 in steady flight.
+    """
+
+    start_ns: Ints
+    rows: Floats
+    present: Bools
+    vertical_mps2: Floats
+    lateral_mps2: Floats
+    slope_rate_gain: Floats
+    lateral_gain: Floats
+    load_g: Floats
+    body_rate_radps: Floats
+    sensitivity: Floats
+    aliasing_noise: Floats
+    root_motion_variance: Floats
+
+    @property
+    def length(self) -> int:
+        """Number of epochs."""
+        return len(self.start_ns)
+
+    def span(self, first: int, last: int) -> Epochs:
+        """Epochs ``first:last``, as views."""
+        if first == 0 and last == self.length:
+            return self
+        columns: Any = (column[first:last] for column in self)
+        return Epochs(*columns)
+
+
+class FilterConstants(NamedTuple):
+    """Constants of one airframe in the filter.
+
+    Attributes
+    ----------
+    step_s, trim_m, bend_per_g_m : float
+    root_z_variance, root_y_variance : float
+        Noise of the root's accelerometer, common to both tips' rows, (m/s^2)^2.
+    trim_column, bend_column : int
+        Columns of the bias parameters ``trim`` and ``bend_per_g``, 0 where they are certain.
+    sensor_variance : (9,) float64
+        Variance of each row by the tip's own sensor.
+    lateral_bias_state, vertical_bias_state : (2,) int64
+        States that hold the tips' accelerometer biases; -1 where there is none.
+    roll_misalignment_column : (2,) int64
+        Columns of the tips' misalignment about body x, 0 where it is certain.
+    bias_projection : (2, 2) float64
+        See :class:`companion.core.tracking.states.SensorNoise`.
+    common_bias_column : int
+        Column of the common part of the vertical biases, 0 where it is not estimated.
+    slope_factor_rows, slope_factor_columns : (f,) int64
+        Entries of the sensitivity that depend on the state through the slope factors.
+    regressor_rows, regressor_columns : (s,) int64
+    regressor_signs : (s,) float64
+        Entries of the sensitivity that contain the row's own measurement, which the prediction replaces: a regression
+        on the measurement's own noise would be biased towards zero (errors in variables).
     """
 
     step_s: float
     trim_m: float
     bend_per_g_m: float
-    root_z: float
-    root_y: float
-    trim: int
-    bend: int
-    own: Floats
-    lateral_bias: Ints
-    leaning: Ints
-    vertical_bias: Ints
-    own_bias: Floats
-    force_bias: int
-    factor_rows: Ints
-    factor_columns: Ints
-    own_rows: Ints
-    own_columns: Ints
-    own_signs: Floats
+    root_z_variance: float
+    root_y_variance: float
+    trim_column: int
+    bend_column: int
+    sensor_variance: Floats
+    lateral_bias_state: Ints
+    roll_misalignment_column: Ints
+    vertical_bias_state: Ints
+    bias_projection: Floats
+    common_bias_column: int
+    slope_factor_rows: Ints
+    slope_factor_columns: Ints
+    regressor_rows: Ints
+    regressor_columns: Ints
+    regressor_signs: Floats
 
 
-class Step(NamedTuple):
-    """The model of one step as plain arrays: see :class:`companion.core.tracking.model.StepModel`.
+class DiscreteModel(NamedTuple):
+    """One step of wing and sensors as plain arrays: see :class:`companion.core.tracking.model.DiscreteWingModel`.
 
     Attributes
     ----------
-    motion : (n, n) float64
-        The transition without the static bend.
-    static : (n,) float64
-        What the static bend adds.
-    to, of : (t,) int64
-    share : (t,) float64
-        What is not zero of the motion (a tenth), row after row: ``motion[to, of] = share``.
-    number : int
-        Where the history keeps the motion.
-    cross : (9, n) float64
-        Transposed.
-    watch : (4 + f, n + 1) float64
-        Tip slopes, tip slope rates and what multiplies the slope factors.
+    transition : (n, n) float64
+        ``A``.
+    static_input : (n,) float64
+        ``b``: input column of the static bend.
+    row, col : (t,) int64
+    value : (t,) float64
+        Non-zero entries of ``A`` (a tenth of it), row after row: ``transition[row, col] = value``.
+    transition_index : int
+        Slot of ``A`` in the history.
+    H : (9, n + 1) float64
+        Measurement matrix on the state before the step, static bend last.
+    Q : (n, n) float64
+        Process noise.
+    cross_cov : (9, n) float64
+        ``H1 Q``: covariance of the rows' noise with the process noise.
+    process_noise_in_rows : (9, 9) float64
+        ``H1 Q H1^T``.
+    linearisation_rows : (4 + f, n + 1) float64
+        Rows that give tip slopes (2), tip slope rates (2) and the regressors of the slope factors (f) from a state.
+    aliasing_variance : float
+        Variance of a vertical mean, on average, by edges that cut samples, (m/s^2)^2.
+    moments_beside_gyro : bool
+        Whether first moments are used even where the tip has a gyro.
     """
 
-    motion: Floats
-    static: Floats
-    to: Ints
-    of: Ints
-    share: Floats
-    number: int
-    sense: Floats
-    noise: Floats
-    cross: Floats
-    measured: Floats
-    watch: Floats
-    cut: float
-    rough: bool
+    transition: Floats
+    static_input: Floats
+    row: Ints
+    col: Ints
+    value: Floats
+    transition_index: int
+    H: Floats
+    Q: Floats
+    cross_cov: Floats
+    process_noise_in_rows: Floats
+    linearisation_rows: Floats
+    aliasing_variance: float
+    moments_beside_gyro: bool
 
 
-class Data(NamedTuple):
-    """A run of cells as plain arrays: see :class:`companion.core.tracking.rigid_body.Cells`."""
-
-    rows: Floats
-    present: Bools
-    vertical: Floats
-    lateral: Floats
-    tilted: Floats
-    lateral_gain: Floats
-    load: Floats
-    sensitivity: Floats
-    cut: Floats
-    shaken: Floats
-
-
-class Memory(NamedTuple):
-    """What one step leaves for the next: see :class:`companion.core.tracking.filter.Kalman`.
+class FilterState(NamedTuple):
+    """What one step hands to the next: see :class:`companion.core.tracking.filter.SeparatedBiasFilter`.
 
     Attributes
     ----------
-    columns : (n + 1, 1 + c) float64
+    state_and_sensitivity : (n + 1, 1 + c) float64
+        ``[x | V]``, static bend in the last row.
     covariance : (n, n) float64
     information : (1 + c, 1 + c) float64
-    weights : (1 + c,) float64
-        One and the constants.
-    surprise : (2,) float64
-        Fading sums of squared normalised innovations, bounded in each step, and of their number.
+        Sum of ``[e | D]^T S^-1 [e | D]`` over the steps.
+    one_and_bias : (1 + c,) float64
+        ``[1; bias parameters]``.
+    nis_sums : (2,) float64
+        Sums, fading over a second, of the NIS (bounded in each step) and of the number of rows.
     """
 
-    columns: Floats
+    state_and_sensitivity: Floats
     covariance: Floats
     information: Floats
-    weights: Floats
-    surprise: Floats
+    one_and_bias: Floats
+    nis_sums: Floats
 
 
 class History(NamedTuple):
-    """What the smoother needs of each step, in rings; slot ``k % size`` is step ``k``.
+    """Filter quantities that the smoother needs, in rings; slot ``k % size`` is step ``k``.
 
     Attributes
     ----------
     state : (size, n, 1 + c) float64
-        At the start of the step.
+        ``[x | V]`` at the start of the step.
     covariance : (size, n, n) float64
     transition : (m, n, n) float64
-        The few that there were.
-    by : (size,) int64
-        Which of these each step was.
-    used : (size,) int64
+        The few transitions that the history spans.
+    transition_index : (size,) int64
+        Which of these each step used.
+    row_count : (size,) int64
         How many rows were used; as many rows of the next three are valid.
-    seen : (size, 9, n) float64
-        ``L^-1 G``.
-    innovation : (size, 9, 1 + c) float64
-        ``L^-1`` times the innovation.
-    drawn : (size, 9, n) float64
+    whitened_H : (size, 9, n) float64
+        ``L^-1 H``.
+    whitened_innovation : (size, 9, 1 + c) float64
+        ``L^-1 [e | D]``.
+    whitened_cross_cov : (size, 9, n) float64
         ``L^-1 C^T``.
     static_m : (size, 1 + c) float64
-    excess : (size, 9) float64
-        What of a row teaches nothing: by how much a lapse's innovation exceeds the gate, or all of it where most of its
-        variance is a shaken root's; else 0.
+        Static bend and its sensitivity.
+    gate_excess : (size, 9) float64
+        Part of each row that teaches nothing: by how much an innovation exceeds the gate, or all of it where most of
+        its variance is a shaken root's; else 0.
     """
 
     state: Floats
     covariance: Floats
     transition: Floats
-    by: Ints
-    used: Ints
-    seen: Floats
-    innovation: Floats
-    drawn: Floats
+    transition_index: Ints
+    row_count: Ints
+    whitened_H: Floats
+    whitened_innovation: Floats
+    whitened_cross_cov: Floats
     static_m: Floats
-    excess: Floats
+    gate_excess: Floats
 
 
-def make_history(size: int, states: int, constants: int, rows: int) -> History:
-    """Empty rings for ``size`` steps."""
+def make_history(size: int, states: int, parameters: int, rows: int) -> History:
+    """Empty rings for ``size`` steps of a filter with so many states, bias parameters and measurement rows."""
     return History(
-        state=np.zeros((size, states, 1 + constants)),
+        state=np.zeros((size, states, 1 + parameters)),
         covariance=np.zeros((size, states, states)),
-        transition=np.zeros((_MOTIONS, states, states)),
-        by=np.zeros(size, np.int64),
-        used=np.zeros(size, np.int64),
-        seen=np.zeros((size, rows, states)),
-        innovation=np.zeros((size, rows, 1 + constants)),
-        drawn=np.zeros((size, rows, states)),
-        static_m=np.zeros((size, 1 + constants)),
-        excess=np.zeros((size, rows)),
+        transition=np.zeros((_TRANSITIONS, states, states)),
+        transition_index=np.zeros(size, np.int64),
+        row_count=np.zeros(size, np.int64),
+        whitened_H=np.zeros((size, rows, states)),
+        whitened_innovation=np.zeros((size, rows, 1 + parameters)),
+        whitened_cross_cov=np.zeros((size, rows, states)),
+        static_m=np.zeros((size, 1 + parameters)),
+        gate_excess=np.zeros((size, rows)),
     )

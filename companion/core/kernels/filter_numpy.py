@@ -1,4 +1,7 @@
-"""The filter's inner loop by numpy's own products, for where nothing can be compiled; see its compiled twin."""
+"""Readable twin of the filter's inner loop, in numpy's matrix products; runs where nothing can be compiled.
+
+One function per equation of :mod:`companion.core.tracking.filter`; ``test_tracking_kernel`` holds both to one result.
+"""
 
 from __future__ import annotations
 
@@ -6,176 +9,258 @@ import numpy as np
 from scipy.linalg import lapack
 
 from companion.core.kernels.arrays import (
-    GATE,
-    LIFTED,
-    LOAD_TIME_S,
-    MOST_STIR,
-    MOST_SURPRISE,
-    Data,
-    Fixed,
+    GATE_SIGMAS,
+    LOAD_FACTOR_TIME_S,
+    LOAD_VARIANCE_RATIO,
+    MAX_NOISE_INFLATION,
+    MAX_STEP_NIS,
+    DiscreteModel,
+    Epochs,
+    FilterConstants,
+    FilterState,
     History,
-    Memory,
-    Step,
 )
 from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT
 from companion.records import Bools, Floats, Ints
 
 
-def run_cells(
-    fixed: Fixed, step: Step, data: Data, memory: Memory, history: History, first: int, last: int, steps: int
+def filter_epochs(
+    const: FilterConstants,
+    model: DiscreteModel,
+    epochs: Epochs,
+    filter_state: FilterState,
+    history: History,
+    first: int,
+    last: int,
+    steps: int,
 ) -> bool:
-    """See :func:`companion.core.kernels.filter_loops.run_cells`."""
+    """Filter the epochs ``first:last``: see :func:`companion.core.kernels.filter_loops.filter_epochs`."""
     size = len(history.state)
     with np.errstate(over="ignore", invalid="ignore"):  # what has run away is found, and said
-        return all(_one(fixed, step, data, memory, history, k, (steps + k - first) % size) for k in range(first, last))
+        return all(
+            _filter_step(const, model, epochs, filter_state, history, k, (steps + k - first) % size)
+            for k in range(first, last)
+        )
 
 
-def _one(fixed: Fixed, step: Step, data: Data, memory: Memory, history: History, k: int, at: int) -> bool:
-    columns, covariance, weights = memory.columns, memory.covariance, memory.weights
+def _filter_step(
+    const: FilterConstants,
+    model: DiscreteModel,
+    epochs: Epochs,
+    filter_state: FilterState,
+    history: History,
+    k: int,
+    slot: int,
+) -> bool:
+    """Predict, gate, update and propagate through epoch ``k``; False where the numbers have run away."""
+    state_and_sensitivity, covariance, one_and_bias = (
+        filter_state.state_and_sensitivity,
+        filter_state.covariance,
+        filter_state.one_and_bias,
+    )
     n = len(covariance)
-    _static_bend(fixed, columns[n], data.load[k])
-    history.state[at], history.covariance[at] = columns[:n], covariance
-    history.by[at], history.static_m[at] = step.number, columns[n]
-    measured = np.concatenate([data.rows[k][:, None], -data.sensitivity[k]], axis=1)
-    sense = step.sense.copy()
-    _turn(fixed, step, data, k, columns @ weights, measured, sense)
-    use = _used(step, data, k)
-    g = sense[use, :n]
-    spread = g @ covariance
-    innovation = measured[use] - sense[use] @ columns
-    _at_prediction(fixed, use, innovation, innovation @ weights)
-    plain, swept = innovation @ weights, spread @ g.T
-    stir = min(1.0 + LIFTED * float(data.shaken[k, 0]) / float(step.measured[Z_LEFT, Z_LEFT]), MOST_STIR)
-    variance = swept + _sensor(fixed, step, data, k, stir)[np.ix_(use, use)]
-    root = _cholesky(variance)
-    if root is None:
+    _static_bend(const, state_and_sensitivity[n], epochs.load_g[k])
+    history.state[slot], history.covariance[slot] = state_and_sensitivity[:n], covariance
+    history.transition_index[slot], history.static_m[slot] = model.transition_index, state_and_sensitivity[n]
+    residual_columns = np.concatenate([epochs.rows[k][:, None], -epochs.sensitivity[k]], axis=1)
+    H = model.H.copy()
+    _linearise(const, model, epochs, k, state_and_sensitivity @ one_and_bias, residual_columns, H)
+    used = _select_rows(model, epochs, k)
+    H_used = H[used, :n]
+    HP = H_used @ covariance
+    innovation = residual_columns[used] - H[used] @ state_and_sensitivity
+    _regress_on_prediction(const, used, innovation, innovation @ one_and_bias)
+    row_innovation, HPHT = innovation @ one_and_bias, HP @ H_used.T
+    noise_inflation = min(
+        1.0
+        + LOAD_VARIANCE_RATIO
+        * float(epochs.root_motion_variance[k, 0])
+        / float(model.process_noise_in_rows[Z_LEFT, Z_LEFT]),
+        MAX_NOISE_INFLATION,
+    )
+    S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation)[np.ix_(used, used)]
+    cholesky = _cholesky(S)
+    if cholesky is None:
         return False
-    surprise = _solved(root, plain)
-    beyond = np.abs(surprise) > GATE
-    excess, expected = np.zeros(len(use)), np.diag(variance)
-    if beyond.any():
-        stir = _stir(step, use, beyond, plain, expected, stir)
-        excess = _excess(beyond, plain, expected)
-        variance = swept + _sensor(fixed, step, data, k, stir)[np.ix_(use, use)]
-        root = _doubting_root(variance, plain)
-        if root is None:
+    whitened = _whiten(cholesky, row_innovation)
+    gated = np.abs(whitened) > GATE_SIGMAS
+    gate_excess, predicted_variance = np.zeros(len(used)), np.diag(S)
+    if gated.any():
+        noise_inflation = _inflate_process_noise(
+            model, used, gated, row_innovation, predicted_variance, noise_inflation
+        )
+        gate_excess = _gate_excess(gated, row_innovation, predicted_variance)
+        S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation)[np.ix_(used, used)]
+        cholesky = _robust_cholesky(S, row_innovation)
+        if cholesky is None:
             return False
-    shaken = np.zeros(ROWS)
-    shaken[Z_LEFT:M_LEFT], shaken[P_ROOT] = (1.0 + LIFTED) * data.shaken[k, 0], data.shaken[k, 2]
-    excess = np.where(shaken[use] > 0.5 * expected, plain, excess)
-    drawn = spread @ step.motion.T + stir * step.cross[use]
-    g, innovation, drawn = (_solved(root, rows) for rows in (g, innovation, drawn))
-    _remember(history, at, g, innovation, drawn)
-    history.excess[at] = 0.0
-    history.excess[at, use] = excess
-    fade = 1.0 - fixed.step_s
-    memory.surprise[0] = fade * memory.surprise[0] + min(float(np.sum(surprise**2)), MOST_SURPRISE)
-    memory.surprise[1] = fade * memory.surprise[1] + len(use)
-    if not beyond.any():
-        memory.information[:] += innovation.T @ innovation
-    columns[:n] = step.motion @ columns[:n] + np.outer(step.static, columns[n]) + drawn.T @ innovation
-    grown = step.motion @ covariance @ step.motion.T + stir * step.noise - drawn.T @ drawn
-    covariance[:] = 0.5 * (grown + grown.T)
+    by_root = np.zeros(ROWS)
+    by_root[Z_LEFT:M_LEFT], by_root[P_ROOT] = (
+        (1.0 + LOAD_VARIANCE_RATIO) * epochs.root_motion_variance[k, 0],
+        epochs.root_motion_variance[k, 2],
+    )
+    gate_excess = np.where(by_root[used] > 0.5 * predicted_variance, row_innovation, gate_excess)
+    whitened_cross_cov = HP @ model.transition.T + noise_inflation * model.cross_cov[used]
+    H_used, innovation, whitened_cross_cov = (
+        _whiten(cholesky, rows) for rows in (H_used, innovation, whitened_cross_cov)
+    )
+    _store(history, slot, H_used, innovation, whitened_cross_cov)
+    history.gate_excess[slot] = 0.0
+    history.gate_excess[slot, used] = gate_excess
+    fade = 1.0 - const.step_s
+    filter_state.nis_sums[0] = fade * filter_state.nis_sums[0] + min(float(np.sum(whitened**2)), MAX_STEP_NIS)
+    filter_state.nis_sums[1] = fade * filter_state.nis_sums[1] + len(used)
+    if not gated.any():
+        filter_state.information[:] += innovation.T @ innovation
+    state_and_sensitivity[:n] = (
+        model.transition @ state_and_sensitivity[:n]
+        + np.outer(model.static_input, state_and_sensitivity[n])
+        + whitened_cross_cov.T @ innovation
+    )
+    covariance_after = (
+        model.transition @ covariance @ model.transition.T
+        + noise_inflation * model.Q
+        - whitened_cross_cov.T @ whitened_cross_cov
+    )
+    covariance[:] = 0.5 * (covariance_after + covariance_after.T)
     return True
 
 
-def _cholesky(variance: Floats) -> Floats | None:
-    """Lower root; None where there is none."""
-    if not np.isfinite(variance.sum()):
+def _cholesky(S: Floats) -> Floats | None:
+    """Lower Cholesky factor; None if the matrix is not positive definite."""
+    if not np.isfinite(S.sum()):
         return None
-    root, failed = lapack.dpotrf(variance, lower=1)
-    return None if failed else root
+    cholesky, failed = lapack.dpotrf(S, lower=1)
+    return None if failed else cholesky
 
 
-def _solved(root: Floats, rows: Floats) -> Floats:
-    """``L^-1`` times the rows; LAPACK complains aloud of a system without any."""
-    return np.asarray(lapack.dtrtrs(root, rows, lower=1)[0]).reshape(rows.shape) if len(rows) else rows
+def _whiten(cholesky: Floats, rows: Floats) -> Floats:
+    """``L^-1`` times the rows; LAPACK prints a complaint about a system without any."""
+    return np.asarray(lapack.dtrtrs(cholesky, rows, lower=1)[0]).reshape(rows.shape) if len(rows) else rows
 
 
-def _stir(step: Step, use: Ints, beyond: Bools, plain: Floats, variance: Floats, before: float) -> float:
-    """By what the process noise must be raised so that what the vertical rows say lies inside the gate."""
-    vertical = beyond & (use < M_LEFT)
-    missing = plain**2 - GATE**2 * variance
-    needed = missing[vertical] / np.diag(step.measured)[use[vertical]]
-    return min(before + float(np.max(needed, initial=0.0)), MOST_STIR)
+def _inflate_process_noise(
+    model: DiscreteModel, used: Ints, gated: Bools, row_innovation: Floats, predicted_variance: Floats, before: float
+) -> float:
+    """Factor on the process noise that puts the innovations of the gated vertical rows on the gate."""
+    vertical = gated & (used < M_LEFT)
+    uncovered = row_innovation**2 - GATE_SIGMAS**2 * predicted_variance
+    needed = uncovered[vertical] / np.diag(model.process_noise_in_rows)[used[vertical]]
+    return min(before + float(np.max(needed, initial=0.0)), MAX_NOISE_INFLATION)
 
 
-def _excess(lapsed: Bools, plain: Floats, variance: Floats) -> Floats:
-    return np.where(lapsed, np.sign(plain) * np.maximum(np.abs(plain) - GATE * np.sqrt(variance), 0.0), 0.0)
+def _gate_excess(gated: Bools, row_innovation: Floats, predicted_variance: Floats) -> Floats:
+    """Signed part of each gated innovation beyond the gate."""
+    return np.where(
+        gated,
+        np.sign(row_innovation) * np.maximum(np.abs(row_innovation) - GATE_SIGMAS * np.sqrt(predicted_variance), 0.0),
+        0.0,
+    )
 
 
-def _doubting_root(variance: Floats, plain: Floats) -> Floats | None:
-    """Cholesky's root row by row, of a covariance in which each row that lies beyond the gate is noisier."""
-    count = len(plain)
-    root, white = np.zeros((count, count)), np.zeros(count)
+def _robust_cholesky(S: Floats, row_innovation: Floats) -> Floats | None:
+    """Cholesky factor, row by row, with the pivot of each row beyond the gate raised until it lies on it (Huber)."""
+    count = len(row_innovation)
+    cholesky, whitened = np.zeros((count, count)), np.zeros(count)
     for r in range(count):
         for q in range(r):
-            root[r, q] = (variance[r, q] - root[r, :q] @ root[q, :q]) / root[q, q]
-        own, innovation = variance[r, r] - root[r, :r] @ root[r, :r], plain[r] - root[r, :r] @ white[:r]
-        if not 0.0 < own < np.inf:
+            cholesky[r, q] = (S[r, q] - cholesky[r, :q] @ cholesky[q, :q]) / cholesky[q, q]
+        pivot, innovation = (
+            S[r, r] - cholesky[r, :r] @ cholesky[r, :r],
+            row_innovation[r] - cholesky[r, :r] @ whitened[:r],
+        )
+        if not 0.0 < pivot < np.inf:
             return None
-        own = max(own, abs(innovation) * np.sqrt(own) / GATE)
-        root[r, r], white[r] = np.sqrt(own), innovation / np.sqrt(own)
-    return root
+        pivot = max(pivot, abs(innovation) * np.sqrt(pivot) / GATE_SIGMAS)
+        cholesky[r, r], whitened[r] = np.sqrt(pivot), innovation / np.sqrt(pivot)
+    return cholesky
 
 
-def _remember(history: History, at: int, g: Floats, innovation: Floats, drawn: Floats) -> None:
-    count = len(g)
-    history.used[at] = count
-    history.seen[at, :count], history.innovation[at, :count], history.drawn[at, :count] = g, innovation, drawn
+def _store(history: History, slot: int, H_used: Floats, innovation: Floats, whitened_cross_cov: Floats) -> None:
+    """Whitened matrices of this step into the history."""
+    count = len(H_used)
+    history.row_count[slot] = count
+    (
+        history.whitened_H[slot, :count],
+        history.whitened_innovation[slot, :count],
+        history.whitened_cross_cov[slot, :count],
+    ) = H_used, innovation, whitened_cross_cov
 
 
-def _static_bend(fixed: Fixed, last: Floats, load: float) -> None:
-    last[0] = fixed.trim_m + fixed.bend_per_g_m * load
-    if fixed.trim:
-        last[fixed.trim] = 1.0
-    if fixed.bend:
-        last[fixed.bend] += fixed.step_s / LOAD_TIME_S * (load - last[fixed.bend])
+def _static_bend(const: FilterConstants, static_bend: Floats, load_g: float) -> None:
+    """Static bend over the coming step and its sensitivities, in place."""
+    static_bend[0] = const.trim_m + const.bend_per_g_m * load_g
+    if const.trim_column:
+        static_bend[const.trim_column] = 1.0
+    if const.bend_column:
+        static_bend[const.bend_column] += const.step_s / LOAD_FACTOR_TIME_S * (load_g - static_bend[const.bend_column])
 
 
-def _turn(fixed: Fixed, step: Step, data: Data, k: int, state: Floats, measured: Floats, sense: Floats) -> None:
-    seen = step.watch @ state
-    vertical, slope, rate = data.vertical[k], seen[:2], seen[2:4]
+def _linearise(
+    const: FilterConstants,
+    model: DiscreteModel,
+    epochs: Epochs,
+    k: int,
+    state: Floats,
+    residual_columns: Floats,
+    H: Floats,
+) -> None:
+    """Terms of innovation, sensitivity and ``H`` that depend on the predicted state, in place."""
+    linearised = model.linearisation_rows @ state
+    vertical_mps2, slope, rate = epochs.vertical_mps2[k], linearised[:2], linearised[2:4]
     up, across = slice(Z_LEFT, Z_LEFT + 2), slice(Y_LEFT, Y_LEFT + 2)
-    measured[up, 0] -= 0.5 * vertical * slope**2
-    for side, column in enumerate(fixed.leaning.tolist()):
-        if column and not data.present[k, Y_LEFT + side]:
-            # gravity along the lateral axis, by the believed tilt: the axis itself would have told it
-            measured[Z_LEFT + side, column] += (1.0 - 2.0 * side) * vertical[side] * slope[side]
-    measured[across, 0] += data.tilted[k] * rate
-    for side in (0, 1) if fixed.force_bias else ():
-        if data.present[k, Y_LEFT + side]:
+    residual_columns[up, 0] -= 0.5 * vertical_mps2 * slope**2
+    for side, column in enumerate(const.roll_misalignment_column.tolist()):
+        if column and not epochs.present[k, Y_LEFT + side]:
+            # gravity along the lateral axis, by the predicted tilt: the axis itself would have measured it
+            residual_columns[Z_LEFT + side, column] += (1.0 - 2.0 * side) * vertical_mps2[side] * slope[side]
+    residual_columns[across, 0] += epochs.slope_rate_gain[k] * rate
+    for side in (0, 1) if const.common_bias_column else ():
+        if epochs.present[k, Y_LEFT + side]:
             # the slope seen is lateral over vertical force
-            measured[Y_LEFT + side, fixed.force_bias] += slope[side] / vertical[side]
-            sense[Y_LEFT + side, fixed.vertical_bias] -= slope[side] / vertical[side] * fixed.own_bias[side]
-    sense[up] -= (vertical * slope + data.lateral[k])[:, None] * step.watch[:2]
-    for side, bias in enumerate(fixed.lateral_bias.tolist()):
+            residual_columns[Y_LEFT + side, const.common_bias_column] += slope[side] / vertical_mps2[side]
+            H[Y_LEFT + side, const.vertical_bias_state] -= (
+                slope[side] / vertical_mps2[side] * const.bias_projection[side]
+            )
+    H[up] -= (vertical_mps2 * slope + epochs.lateral_mps2[k])[:, None] * model.linearisation_rows[:2]
+    for side, bias in enumerate(const.lateral_bias_state.tolist()):
         if bias >= 0:
-            sense[Y_LEFT + side, bias] = data.lateral_gain[k, side]
-    measured[fixed.factor_rows, fixed.factor_columns] = seen[4:]
+            H[Y_LEFT + side, bias] = epochs.lateral_gain[k, side]
+    residual_columns[const.slope_factor_rows, const.slope_factor_columns] = linearised[4:]
 
 
-def _used(step: Step, data: Data, k: int) -> Ints:
-    use = data.present[k].copy()
-    if not step.rough:
-        use[M_LEFT:Y_LEFT] &= ~use[P_LEFT : P_LEFT + 2]
-    return np.flatnonzero(use)
+def _select_rows(model: DiscreteModel, epochs: Epochs, k: int) -> Ints:
+    """Measured rows; first moments only where they add to a gyro."""
+    used = epochs.present[k].copy()
+    if not model.moments_beside_gyro:
+        used[M_LEFT:Y_LEFT] &= ~used[P_LEFT : P_LEFT + 2]
+    return np.flatnonzero(used)
 
 
-def _sensor(fixed: Fixed, step: Step, data: Data, k: int, stir: float) -> Floats:
-    out = stir * step.measured
-    own, gain, shaken = fixed.own.copy(), data.lateral_gain[k], data.shaken[k]
-    own[Y_LEFT:P_LEFT] *= gain**2
-    own[Z_LEFT:M_LEFT] += stir * step.cut * data.cut[k]
-    own[P_ROOT] += shaken[2]
-    out[range(ROWS), range(ROWS)] += own
-    out[Z_LEFT:M_LEFT, Z_LEFT:M_LEFT] += fixed.root_z + shaken[0]
-    out[Y_LEFT:P_LEFT, Y_LEFT:P_LEFT] += (fixed.root_y + shaken[1]) * np.outer(gain, gain)
+def _measurement_noise(
+    const: FilterConstants, model: DiscreteModel, epochs: Epochs, k: int, noise_inflation: float
+) -> Floats:
+    """Covariance (9, 9) of the rows by inflated process noise, sensors, aliasing and root motion."""
+    out = noise_inflation * model.process_noise_in_rows
+    variance, gain, root_motion_variance = (
+        const.sensor_variance.copy(),
+        epochs.lateral_gain[k],
+        epochs.root_motion_variance[k],
+    )
+    variance[Y_LEFT:P_LEFT] *= gain**2
+    variance[Z_LEFT:M_LEFT] += noise_inflation * model.aliasing_variance * epochs.aliasing_noise[k]
+    variance[P_ROOT] += root_motion_variance[2]
+    out[range(ROWS), range(ROWS)] += variance
+    out[Z_LEFT:M_LEFT, Z_LEFT:M_LEFT] += const.root_z_variance + root_motion_variance[0]
+    out[Y_LEFT:P_LEFT, Y_LEFT:P_LEFT] += (const.root_y_variance + root_motion_variance[1]) * np.outer(gain, gain)
     return out
 
 
-def _at_prediction(fixed: Fixed, use: Ints, innovation: Floats, plain: Floats) -> None:
-    place = {row: at for at, row in enumerate(use.tolist())}
-    for row, column, sign in zip(fixed.own_rows.tolist(), fixed.own_columns.tolist(), fixed.own_signs, strict=True):
-        if row in place:
-            innovation[place[row], column] += sign * plain[place[row]]
+def _regress_on_prediction(const: FilterConstants, used: Ints, innovation: Floats, row_innovation: Floats) -> None:
+    """Replace the measurement by its prediction in the sensitivities that contain it, in place."""
+    position = {row: at for at, row in enumerate(used.tolist())}
+    for row, column, sign in zip(
+        const.regressor_rows.tolist(), const.regressor_columns.tolist(), const.regressor_signs, strict=True
+    ):
+        if row in position:
+            innovation[position[row], column] += sign * row_innovation[position[row]]

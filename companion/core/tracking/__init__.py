@@ -1,1 +1,1 @@
-"""Tracking the bending modes: causal filter, fixed-lag smoother, adaptation, phase, validity."""
+"""Tracking of the bending modes: filter, smoother, adaptation, prediction, validity; theory in README.md."""

@@ -1,4 +1,4 @@
-"""Exact discretisation of a linear model under white noise and a constant input over the step."""
+"""Exact discretisation of a linear model under white noise and a constant input over the step (Van Loan 1978)."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def van_loan(system: Floats, intensity: Floats, step_s: float) -> tuple[Floats, 
     """
     n = len(system)
     halvings = max(0, int(np.ceil(np.log2(max(np.abs(np.diag(system)).max() * step_s, 1e-9)))) + 1)
-    piece_s = step_s / 2**halvings  # a stiff pole would overflow exp(-F h)
+    substep_s = step_s / 2**halvings  # a stiff pole would overflow exp(-F h)
     block = np.zeros((2 * n, 2 * n))
-    block[:n, :n] = -system * piece_s
-    block[:n, n:] = intensity * piece_s
-    block[n:, n:] = system.T * piece_s
+    block[:n, :n] = -system * substep_s
+    block[:n, n:] = intensity * substep_s
+    block[n:, n:] = system.T * substep_s
     power = _exponential(block)
     transition = power[n:, n:].T
     noise = transition @ power[:n, n:]
@@ -48,7 +48,7 @@ _TERMS = 14  # of the series; the last one is below 1e-18 at a norm of a half
 
 @compiled
 def _exponential(matrix: Floats) -> Floats:
-    """Matrix exponential by scaling, Taylor's series and squaring: for small systems, ten times scipy's speed."""
+    """Matrix exponential by scaling, Taylor series and squaring: for small systems, ten times scipy's speed."""
     norm = np.abs(matrix).sum(axis=1).max()
     squarings = max(0, int(np.ceil(np.log2(max(norm, 1e-30) / 0.5))))
     small = matrix / 2.0**squarings
@@ -61,18 +61,29 @@ def _exponential(matrix: Floats) -> Floats:
 
 
 def stationary_covariance(transition: Floats, noise: Floats) -> Floats:
-    """Covariance that ``P = A P A^T + Q`` settles at, by doubling; ``A`` must be stable.
+    """Solution of ``P = A P A^T + Q`` by doubling; ``A`` must be stable.
+
+    Parameters
+    ----------
+    transition : (n, n) float64
+        ``A``.
+    noise : (n, n) float64
+        ``Q``.
+
+    Returns
+    -------
+    (n, n) float64
 
     Raises
     ------
     ValueError
-        If it does not settle.
+        If the iteration does not converge.
     """
     power, total = transition.copy(), noise.copy()
     for _ in range(64):
-        grown = total + power @ total @ power.T
+        summed = total + power @ total @ power.T
         power = power @ power
-        if np.allclose(grown, total, rtol=1e-12, atol=0.0):
-            return grown
-        total = grown
+        if np.allclose(summed, total, rtol=1e-12, atol=0.0):
+            return summed
+        total = summed
     raise ValueError("the model is not stable: it has no stationary covariance")

@@ -1,4 +1,4 @@
-"""From a state with covariance to what is published: phase, amplitude, instantaneous frequency, slopes."""
+"""Published quantities of a state with covariance: phase, amplitude, instantaneous frequency, slopes."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import numpy as np
 
 from companion.core.kernels.compiled import compiled
 from companion.core.tracking.parameters import DAMPING, FREQUENCY, ModeParameters
-from companion.core.tracking.states import Family, Layout
+from companion.core.tracking.states import ModeFamily, StateLayout
 from companion.records import Floats, ModeEstimate
 
 
 @dataclass(frozen=True, slots=True)
-class Tips:
-    """Modal coordinates and slopes: ``[q (2), q' (2), slope (2)]`` with covariance.
+class TipEstimate:
+    """Modal coordinates, rates and tip slopes: ``[q (2), q' (2), slope (2)]``, m, m/s, rad, with covariance.
 
     Attributes
     ----------
     values : (6,) float64
     covariance : (6, 6) float64
     slow_slope_sigma_rad : float
-        Sigma of one tip's symmetric slope by constants and biases.
+        Sigma of one tip's symmetric slope by bias parameters and drifting biases.
     """
 
     values: Floats
@@ -29,8 +29,20 @@ class Tips:
     slow_slope_sigma_rad: float
 
 
-def tip_rows(layout: Layout, slope: Floats) -> Floats:
-    """Rows that give ``[q_sym, q_anti, q_sym', q_anti', slope_left, slope_right]`` from a state, (6, n)."""
+def tip_output_matrix(layout: StateLayout, slope: Floats) -> Floats:
+    """Rows that give ``[q_sym, q_anti, q_sym', q_anti', slope_left, slope_right]`` from a state.
+
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    slope : (2, n) float64
+        From :func:`companion.core.tracking.model.slope_rows`.
+
+    Returns
+    -------
+    (6, n) float64
+    """
     rows = np.zeros((6, layout.size))
     for at, family in enumerate(layout.families):
         rows[at, family.q] = rows[2 + at, family.v] = 1.0
@@ -38,58 +50,103 @@ def tip_rows(layout: Layout, slope: Floats) -> Floats:
     return rows
 
 
-def slope_by_factor(layout: Layout, state: Floats, index: str = "q") -> Floats:
-    """Derivative of the tip slopes (``index`` "q") or slope rates ("v") by the constants, (2, c)."""
-    rows = np.zeros((2, len(layout.constants)))
-    for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
-        first, second = (family.q, family.q2) if index == "q" else (family.v, family.v2)
-        for key, at in ((f"slope.{name}", first), (f"slope.second_{name}", second)):
-            column = layout.column(key)
-            if column is not None:
-                rows[:, column - 1] += np.array(family.sign) * state[at]
+def slope_factor_jacobian(layout: StateLayout, state: Floats) -> Floats:
+    """Derivative of the left and right tip slope with respect to the bias parameters through the slope factors.
+
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    state : (n,) float64
+        About which the product of slope factor and deflection is linearised.
+
+    Returns
+    -------
+    (2, c) float64
+        rad per unit of each parameter.
+    """
+    rows = np.zeros((2, len(layout.bias_parameters)))
+    for column, q, _, sign in layout.slope_factors:
+        rows[:, column - 1] += np.array(sign) * state[q]
     return rows
 
 
-def tips(
-    layout: Layout,
+def tip_estimate(
+    layout: StateLayout,
     rows: Floats,
     state: Floats,
     covariance: Floats,
-    by_constants: Floats,
-    constants: Floats,
-    constants_covariance: Floats,
-) -> Tips:
-    """Modal coordinates, rates and slopes of a state, everything unknown in their covariance.
+    bias_sensitivity: Floats,
+    bias_parameters: Floats,
+    bias_parameter_covariance: Floats,
+) -> TipEstimate:
+    """Modal coordinates, rates and slopes of a state, with the covariance of state and bias parameters.
 
-    ``rows`` come from :func:`tip_rows`; ``covariance`` (n, n) is the state's given the constants, ``by_constants``
-    (n, c) the state's derivative by them.
+    Parameters
+    ----------
+    layout : StateLayout
+        State vector of the airframe.
+    rows : (6, n) float64
+        From :func:`tip_output_matrix`.
+    state : (n,) float64
+        State vector.
+    covariance : (n, n) float64
+        Of the state, given the bias parameters.
+    bias_sensitivity : (n, c) float64
+        Derivative of the state by the bias parameters.
+    bias_parameters : (c,) float64
+        Estimates.
+    bias_parameter_covariance : (c, c) float64
+        Their covariance.
+
+    Returns
+    -------
+    TipEstimate
     """
-    factor = slope_by_factor(layout, state)
+    factor = slope_factor_jacobian(layout, state)
     values = rows @ state
-    values[4:] += factor @ constants
-    turned = rows @ by_constants
-    turned[4:] += factor
-    total = rows @ covariance @ rows.T + turned @ constants_covariance @ turned.T
+    values[4:] += factor @ bias_parameters
+    bias_jacobian = rows @ bias_sensitivity
+    bias_jacobian[4:] += factor
+    total = rows @ covariance @ rows.T + bias_jacobian @ bias_parameter_covariance @ bias_jacobian.T
     mean = 0.5 * (rows[4] + rows[5])
-    shared = covariance[layout.biases, layout.biases]
-    leak = mean @ covariance[:, layout.biases]
-    slow = leak @ np.linalg.solve(shared, leak) + 0.25 * float(
-        (turned[4] + turned[5]) @ constants_covariance @ (turned[4] + turned[5])
+    bias_covariance = covariance[layout.bias_states, layout.bias_states]
+    bias_gain = mean @ covariance[:, layout.bias_states]
+    slow = bias_gain @ np.linalg.solve(bias_covariance, bias_gain) + 0.25 * float(
+        (bias_jacobian[4] + bias_jacobian[5]) @ bias_parameter_covariance @ (bias_jacobian[4] + bias_jacobian[5])
     )
-    return Tips(values, 0.5 * (total + total.T), float(np.sqrt(max(slow, 0.0))))
+    return TipEstimate(values, 0.5 * (total + total.T), float(np.sqrt(max(slow, 0.0))))
 
 
 def mode_estimate(
-    family: Family, parameters: ModeParameters, state: Floats, covariance: Floats, static_m: float, rms_m: float
+    family: ModeFamily, parameters: ModeParameters, state: Floats, covariance: Floats, static_m: float, rms_m: float
 ) -> ModeEstimate:
     """Describe one mode as ``q = static + amplitude cos(phase)``, ``q' = -omega amplitude sin(phase)``.
 
-    ``covariance`` is of the deflection less the static bend. The instantaneous frequency is the phase's rate by the
-    modal equation, gust load included.
+    The instantaneous frequency is the phase's rate by the modal equation, gust load included.
+
+    Parameters
+    ----------
+    family : ModeFamily
+        Which modes.
+    parameters : ModeParameters
+        Modal and gust parameters of each family.
+    state : (n,) float64
+        State vector.
+    covariance : (n, n) float64
+        With the deflection measured from the static bend.
+    static_m : float
+        Static bend, m.
+    rms_m : float
+        Activity of the mode, m.
+
+    Returns
+    -------
+    ModeEstimate
     """
     relative = parameters.log_sigma
     frequency_sigma = parameters.frequency_hz * float(relative[FREQUENCY])
-    amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = _swing(
+    amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = _oscillation(
         state,
         covariance,
         (family.q, family.v, family.gust_2),
@@ -114,7 +171,7 @@ def mode_estimate(
 
 
 @compiled
-def _swing(
+def _oscillation(
     state: Floats,
     covariance: Floats,
     index: tuple[int, int, int],
@@ -128,25 +185,26 @@ def _swing(
     omega = 2.0 * np.pi * frequency_hz
     s = v / omega
     square = q * q + s * s
-    floor = max(square, 1e-18)
+    power = max(square, 1e-18)
     pull = -2.0 * damping * omega * v - omega**2 * q + load
-    rate = (v * s - q * pull / omega) / floor
-    by_state = np.array([q, s / omega, 0.0]) / np.sqrt(floor)
-    by_phase = np.array([s, -q / omega, 0.0]) / floor
-    by_rate = _rate_gradient(q, v, omega, damping, pull, rate, floor)
-    turns = 2.0 * np.pi
+    rate = (v * s - q * pull / omega) / power
+    by_state = np.array([q, s / omega, 0.0]) / np.sqrt(power)
+    by_phase = np.array([s, -q / omega, 0.0]) / power
+    by_rate = _rate_gradient(q, v, omega, damping, pull, rate, power)
+    two_pi = 2.0 * np.pi
     return (
         np.sqrt(square),
         np.sqrt(max(_variance(by_state, covariance, index), 0.0)),
         np.arctan2(-s, q),
         np.sqrt(max(_variance(by_phase, covariance, index), 0.0)),
-        rate / turns,
-        np.sqrt(_variance(by_rate, covariance, index) + (turns * frequency_sigma_hz) ** 2) / turns,
+        rate / two_pi,
+        np.sqrt(_variance(by_rate, covariance, index) + (two_pi * frequency_sigma_hz) ** 2) / two_pi,
     )
 
 
 @compiled
 def _variance(by: Floats, covariance: Floats, index: tuple[int, int, int]) -> float:
+    """Variance ``g^T P g`` over three states."""
     total = 0.0
     for i in range(3):
         for j in range(3):
@@ -156,6 +214,7 @@ def _variance(by: Floats, covariance: Floats, index: tuple[int, int, int]) -> fl
 
 @compiled
 def _rate_gradient(q: float, v: float, omega: float, damping: float, pull: float, rate: float, square: float) -> Floats:
+    """Gradient of the phase rate with respect to deflection, rate and load."""
     by_q = (-pull / omega + q * omega - 2.0 * q * rate) / square
     by_v = (2.0 * v / omega + 2.0 * damping * q - 2.0 * v / omega**2 * rate) / square
     return np.array([by_q, by_v, -q / omega / square])

@@ -1,10 +1,10 @@
-"""The filter: one fused step per cell, for the state and its sensitivity to every constant at once.
+"""Kalman filter with separated bias: one fused step per epoch for the state and its sensitivity to the bias parameters.
 
-With ``x1 = A x0 + b u + w`` and ``z = H1 x1 + H0 x0 + D c + e``, put ``G = H1 A + H0``, ``C = A P G^T + Q H1^T`` and
-``S = G P G^T + H1 Q H1^T + R``. Then ``K = C S^-1``, ``x1 = A x0 + b u + K (z - G x0)``, ``P1 = A P A^T + Q - K
-C^T``: exact for noise that is in the process and in the measurement alike. Column 0 of ``X`` is the state if all
-constants were zero, the others are its derivative by each constant: the same linear filter, run on ``-D`` (Friedland
-1969). What the innovations say about the constants is summed in information form and solved a few times a second.
+With ``x1 = A x0 + b u + w`` and ``z = H1 x1 + H0 x0 + D c + e``, put ``H = H1 A + H0``, ``C = A P H^T + Q H1^T`` and
+``S = H P H^T + H1 Q H1^T + R``. Then ``K = C S^-1``, ``x1 = A x0 + b u + K (z - H x0)``, ``P1 = A P A^T + Q - K C^T``:
+exact for noise that is in the process and in the measurement alike. Column 0 of ``X = [x | V]`` is the state if all
+bias parameters were zero, the others are its derivative by each: the same linear filter, run on ``-D`` (Friedland, IEEE
+TAC 14, 1969). The innovations' information about the parameters is summed and solved a few times a second.
 """
 
 from __future__ import annotations
@@ -16,33 +16,41 @@ import numpy as np
 
 from companion.core.kernels import filter_loops as kernel_loops
 from companion.core.kernels import filter_numpy as kernel_numpy
-from companion.core.kernels.arrays import Data, Fixed, Memory, Step, make_history
+from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants, FilterState, make_history
 from companion.core.kernels.compiled import COMPILED, compiled
-from companion.core.tracking.error_jacobians import own_scales
-from companion.core.tracking.model import Parameters, StepModel, stationary
-from companion.core.tracking.rigid_body import Cells
-from companion.core.tracking.states import P_LEFT, ROOT_ERRORS, ROWS, SENSOR_ERRORS, Y_LEFT, Z_LEFT, Layout, Noise
+from companion.core.tracking.error_jacobians import measured_regressors
+from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
+from companion.core.tracking.states import (
+    P_LEFT,
+    ROOT_ERRORS,
+    ROWS,
+    SENSOR_ERRORS,
+    Y_LEFT,
+    Z_LEFT,
+    SensorNoise,
+    StateLayout,
+)
 from companion.records import Floats, Ints
 
 kernel = kernel_loops if COMPILED else kernel_numpy
-_SOLVE_EVERY = 25
+_SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
-# that is not white, and what that would teach about its scale is wrong. The biases of its rates are learned.
+# that is not white, and a scale estimated from it is wrong. The biases of its rates are estimated.
 _CONSIDERED = frozenset(f"root.{error}" for error in SENSOR_ERRORS)
-_WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)  # what was learned of them ages
+_WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)  # first-order processes
 
 
-class Kalman:
-    """State, covariance and constants; see the module's equations.
+class SeparatedBiasFilter:
+    """State, covariance and bias parameters; see the module's equations.
 
     Attributes
     ----------
-    columns : (n + 1, 1 + c) float64
-        ``[x | dx/dc]``; the last row is the static bend over the coming step.
+    state_and_sensitivity : (n + 1, 1 + c) float64
+        ``[x | V]``, ``V = dx/dc``; the last row is the static bend over the coming step.
     covariance : (n, n) float64
-        Of the state, given the constants.
-    constants : (c,) float64
-    constants_covariance : (c, c) float64
+        Of the state, given the bias parameters.
+    bias_parameters : (c,) float64
+    bias_parameter_covariance : (c, c) float64
     steps : int
         Steps done.
     finite : bool
@@ -50,198 +58,210 @@ class Kalman:
     """
 
     def __init__(
-        self, layout: Layout, noise: Noise, model: StepModel, trim_m: float, bend_per_g_m: float, keep: int
+        self,
+        layout: StateLayout,
+        noise: SensorNoise,
+        model: DiscreteWingModel,
+        trim_m: float,
+        bend_per_g_m: float,
+        history_length: int,
     ) -> None:
         self.layout, self.noise, self.model = layout, noise, model
-        n, c = layout.size, len(layout.constants)
-        self.columns = np.zeros((n + 1, 1 + c))
-        self.columns[layout.symmetric.q, 0] = trim_m
-        self._bend_per_g_m, self._bend = bend_per_g_m, layout.column("bend_per_g")
-        if (trim := layout.column("trim")) is not None:
-            self.columns[layout.symmetric.q, trim] = 1.0
+        n, c = layout.size, len(layout.bias_parameters)
+        self.state_and_sensitivity = np.zeros((n + 1, 1 + c))
+        self.state_and_sensitivity[layout.symmetric.q, 0] = trim_m
+        self._bend_per_g_m, self._bend_column = bend_per_g_m, layout.column("bend_per_g")
+        if (trim_column := layout.column("trim")) is not None:
+            self.state_and_sensitivity[layout.symmetric.q, trim_column] = 1.0
         self.covariance = stationary(layout, noise, model)
-        self.constants = np.zeros(c)
-        self.constants_covariance = np.diag(layout.constant_sigma**2)
-        self._prior = np.diag(1.0 / layout.constant_sigma**2)
-        estimated = np.array([name not in _CONSIDERED for name in layout.constants], dtype=bool)
+        self.bias_parameters = np.zeros(c)
+        self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
+        self._prior = np.diag(1.0 / layout.bias_parameter_sigma**2)
+        estimated = np.array([name not in _CONSIDERED for name in layout.bias_parameters], dtype=bool)
         self._estimated, self._considered = np.flatnonzero(estimated), np.flatnonzero(~estimated)
         wandering = [column for name in _WANDERING if (column := layout.column(name)) is not None]
         self._wandering = np.array(wandering, np.int64)
-        self._retained = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
-        self._weights = np.concatenate([[1.0], self.constants])
-        self._unsolved = self.steps = 0
+        self._autocorrelation = float(np.exp(-_SOLVE_EVERY * model.step_s / noise.bias_time_s))
+        self._one_and_bias = np.concatenate([[1.0], self.bias_parameters])
+        self._steps_since_solution = self.steps = 0
         self.finite = True
-        self._memory = Memory(self.columns, self.covariance, np.zeros((1 + c, 1 + c)), self._weights, np.zeros(2))
-        self.history = make_history(keep, n, c, ROWS)
-        self._fixed = _fixed(layout, noise, model.step_s, trim_m, bend_per_g_m)
-        self.use(model)
+        self._filter_state = FilterState(
+            self.state_and_sensitivity, self.covariance, np.zeros((1 + c, 1 + c)), self._one_and_bias, np.zeros(2)
+        )
+        self.history = make_history(history_length, n, c, ROWS)
+        self._constants = _constants(layout, noise, model.step_s, trim_m, bend_per_g_m)
+        self.switch_model(model)
 
-    def fork(self, model: StepModel) -> Kalman:
-        """Another filter that knows what this one knows and goes on with ``model``; it remembers a single step."""
+    def fork(self, model: DiscreteWingModel) -> SeparatedBiasFilter:
+        """Copy that goes on with ``model``; its history holds a single step."""
         other = copy.copy(self)
-        other.columns, other.covariance = self.columns.copy(), self.covariance.copy()
-        other.constants, other.constants_covariance = self.constants.copy(), self.constants_covariance.copy()
-        other._weights = self._weights.copy()
-        gathered = self._memory.information.copy()
-        other._memory = Memory(other.columns, other.covariance, gathered, other._weights, np.zeros(2))
-        other.history = make_history(1, self.layout.size, len(self.constants), ROWS)
+        other.state_and_sensitivity, other.covariance = self.state_and_sensitivity.copy(), self.covariance.copy()
+        other.bias_parameters, other.bias_parameter_covariance = (
+            self.bias_parameters.copy(),
+            self.bias_parameter_covariance.copy(),
+        )
+        other._one_and_bias = self._one_and_bias.copy()
+        accumulated = self._filter_state.information.copy()
+        other._filter_state = FilterState(
+            other.state_and_sensitivity, other.covariance, accumulated, other._one_and_bias, np.zeros(2)
+        )
+        other.history = make_history(1, self.layout.size, len(self.bias_parameters), ROWS)
         other.steps = 0
         if model is not self.model:
-            other.use(model)
+            other.switch_model(model)
         else:
-            other._step = self._step._replace(number=other._kept_motion(self._step.motion))
+            other._discrete_model = self._discrete_model._replace(
+                transition_index=other._store_transition(self._discrete_model.transition)
+            )
         return other
 
-    def reopen(self, names: Collection[str]) -> None:
-        """Forget what is known of some constants: from here on they are others, as uncertain as in the beginning.
+    def reset_bias_parameters(self, names: Collection[str]) -> None:
+        """Return bias parameters to their priors: from here on they are others.
 
-        What the state owes to the old ones stays in it, with their uncertainty: they are integrated out.
+        The state's dependence on the old ones is marginalised: their uncertainty becomes the state's.
         """
-        self._solve()
+        self._solve_bias_parameters()
         for name in names:
             column = self.layout.column(name)
             if column is not None and name not in _CONSIDERED:
-                self._integrate_out(column)
-        self._solve()
+                self._marginalise(column)
+        self._solve_bias_parameters()
 
-    def _integrate_out(self, column: int) -> None:
-        gathered = self._memory.information
-        rest = np.flatnonzero(np.arange(len(gathered)) != column)
-        strength = gathered[column, column] + self._prior[column - 1, column - 1]
-        shares = gathered[column, rest] / strength  # with minus sign: how the constant follows from the rest
-        gathered[np.ix_(rest, rest)] -= strength * np.outer(shares, shares)
-        gathered[column, :], gathered[:, column] = 0.0, 0.0
-        owed = self.columns[:-1, column].copy()
-        self.columns[:-1, rest] -= np.outer(owed, shares)
-        self.covariance += np.outer(owed, owed) / strength
-        self.columns[:, column] = 0.0
+    def _marginalise(self, column: int) -> None:
+        """Integrate one bias parameter out of information, sensitivities and covariance."""
+        accumulated = self._filter_state.information
+        others = np.flatnonzero(np.arange(len(accumulated)) != column)
+        strength = accumulated[column, column] + self._prior[column - 1, column - 1]
+        regression = accumulated[column, others] / strength  # with minus sign: how the constant follows from the others
+        accumulated[np.ix_(others, others)] -= strength * np.outer(regression, regression)
+        accumulated[column, :], accumulated[:, column] = 0.0, 0.0
+        sensitivity_column = self.state_and_sensitivity[:-1, column].copy()
+        self.state_and_sensitivity[:-1, others] -= np.outer(sensitivity_column, regression)
+        self.covariance += np.outer(sensitivity_column, sensitivity_column) / strength
+        self.state_and_sensitivity[:, column] = 0.0
 
     @property
-    def kept(self) -> int:
-        """How many steps the history holds at most."""
+    def history_length(self) -> int:
+        """Number of steps that the history holds at most."""
         return len(self.history.state)
 
     @property
     def state(self) -> Floats:
-        """The best estimate of the state, (n,)."""
-        state: Floats = self.columns[:-1] @ self._weights
+        """State at the estimated bias parameters, (n,)."""
+        state: Floats = self.state_and_sensitivity[:-1] @ self._one_and_bias
         return state
 
     @property
-    def weights(self) -> Floats:
-        """One and the constants: what the columns are summed with, (1 + c,)."""
-        return self._weights
+    def one_and_bias(self) -> Floats:
+        """``[1; bias parameters]``: what the columns of ``[x | V]`` are summed with, (1 + c,)."""
+        return self._one_and_bias
 
     @property
     def static_m(self) -> float:
-        """Static bend over the newest step, constants included."""
-        return float(self.columns[-1] @ self._weights)
+        """Static bend over the newest step at the estimated bias parameters, m."""
+        return float(self.state_and_sensitivity[-1] @ self._one_and_bias)
 
     @property
     def bend_per_g_m(self) -> float:
-        """Bend per g as known by now."""
-        return self._bend_per_g_m + (float(self.constants[self._bend - 1]) if self._bend is not None else 0.0)
+        """Estimated bend per g, m."""
+        return self._bend_per_g_m + (
+            float(self.bias_parameters[self._bend_column - 1]) if self._bend_column is not None else 0.0
+        )
 
     @property
     def total_covariance(self) -> Floats:
-        """Covariance of the state with that of the constants folded in."""
-        v = self.columns[:-1, 1:]
-        total: Floats = self.covariance + v @ self.constants_covariance @ v.T
+        """Covariance of the state with that of the bias parameters, ``P + V P_c V^T``, (n, n)."""
+        v = self.state_and_sensitivity[:-1, 1:]
+        total: Floats = self.covariance + v @ self.bias_parameter_covariance @ v.T
         return total
 
     @property
-    def swing_covariance(self) -> Floats:
-        """The same with the symmetric deflection counted from the static bend: what is unknown of this is no swing."""
-        v = self.columns[:-1, 1:].copy()
-        v[self.layout.symmetric.q] -= self.columns[-1, 1:]
-        total: Floats = self.covariance + v @ self.constants_covariance @ v.T
+    def dynamic_covariance(self) -> Floats:
+        """Total covariance (n, n) with the symmetric deflection measured from the static bend."""
+        v = self.state_and_sensitivity[:-1, 1:].copy()
+        v[self.layout.symmetric.q] -= self.state_and_sensitivity[-1, 1:]
+        total: Floats = self.covariance + v @ self.bias_parameter_covariance @ v.T
         return total
 
     @property
-    def surprise(self) -> float:
-        """Mean square of the last second's normalised innovations, steps bounded: one where the model is right."""
-        square, count = self._memory.surprise
+    def nis(self) -> float:
+        """Mean normalised innovation squared of a row over the last second, steps bounded.
+
+        1 where the model is right (Bar-Shalom, Li, Kirubarajan 2001, section 5.4, as a ratio per row).
+        """
+        square, count = self._filter_state.nis_sums
         return float(square / count) if count > 0.0 else 1.0
 
-    def excess(self, count: int) -> Floats:
-        """What of the newest ``count`` steps' rows teaches nothing, (count, 9): see the history."""
-        excess: Floats = self.history.excess[np.arange(self.steps - count, self.steps) % self.kept]
-        return excess
+    def gate_excess(self, count: int) -> Floats:
+        """Part of the newest ``count`` steps' rows that teaches nothing, (count, 9)."""
+        gate_excess: Floats = self.history.gate_excess[np.arange(self.steps - count, self.steps) % self.history_length]
+        return gate_excess
 
-    def run(self, cells: Cells) -> None:
-        """Take a run of cells."""
-        data = Data(
-            cells.rows,
-            cells.present,
-            cells.vertical,
-            cells.lateral,
-            cells.tilted,
-            cells.lateral_gain,
-            cells.load,
-            cells.sensitivity,
-            cells.cut,
-            cells.shaken,
-        )
+    def run(self, epochs: Epochs) -> None:
+        """Filter a run of epochs."""
         first = 0
-        while first < len(cells) and self.finite:
-            last = min(len(cells), first + _SOLVE_EVERY - self._unsolved)
-            self.finite = kernel.run_cells(
-                self._fixed, self._step, data, self._memory, self.history, first, last, self.steps
+        while first < epochs.length and self.finite:
+            last = min(epochs.length, first + _SOLVE_EVERY - self._steps_since_solution)
+            self.finite = kernel.filter_epochs(
+                self._constants, self._discrete_model, epochs, self._filter_state, self.history, first, last, self.steps
             )
             self.steps += last - first
-            self._unsolved += last - first
-            if self._unsolved >= _SOLVE_EVERY:
-                self._solve()
-                self._age()
+            self._steps_since_solution += last - first
+            if self._steps_since_solution >= _SOLVE_EVERY:
+                self._solve_bias_parameters()
+                self._age_wandering()
             first = last
 
-    def use(self, model: StepModel) -> None:
+    def switch_model(self, model: DiscreteWingModel) -> None:
         """Go on with another model of the same wing."""
         if model is not self.model:
-            self._keep_acceleration(model.parameters)
+            self._preserve_acceleration(model.parameters)
         self.model = model
         n = self.layout.size
         ahead, now = model.transition, np.eye(n, n + 1)
         middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s
-        watch = [model.slope @ middle, model.slope @ rate]
-        for _, q, sign in _slope_terms(self.layout):
-            for side, turn in ((0, 1.0), (1, -1.0)):
-                watch += [-sign[side] * middle[q : q + 1], -turn * sign[side] * rate[q : q + 1]]
-        motion = np.ascontiguousarray(model.transition[:, :n])
-        to, of = (np.ascontiguousarray(index) for index in np.nonzero(motion))
-        self._step = Step(
-            motion=motion,
-            static=np.ascontiguousarray(model.transition[:, n]),
-            to=to,
-            of=of,
-            share=motion[to, of],
-            number=self._kept_motion(motion),
-            sense=np.ascontiguousarray(model.sense),
-            noise=np.ascontiguousarray(model.noise),
-            cross=np.ascontiguousarray(model.cross.T),
-            measured=np.ascontiguousarray(model.measured),
-            watch=np.ascontiguousarray(np.concatenate(watch)),
-            cut=model.cut,
-            rough=model.rough,
+        linearisation_rows = [model.slope @ middle, model.slope @ rate]
+        for _, q, _, sign in self.layout.slope_factors:
+            for side, sense_of_rotation in ((0, 1.0), (1, -1.0)):
+                linearisation_rows += [
+                    -sign[side] * middle[q : q + 1],
+                    -sense_of_rotation * sign[side] * rate[q : q + 1],
+                ]
+        transition = np.ascontiguousarray(model.transition[:, :n])
+        row, col = (np.ascontiguousarray(index) for index in np.nonzero(transition))
+        self._discrete_model = DiscreteModel(
+            transition=transition,
+            static_input=np.ascontiguousarray(model.transition[:, n]),
+            row=row,
+            col=col,
+            value=transition[row, col],
+            transition_index=self._store_transition(transition),
+            H=np.ascontiguousarray(model.H),
+            Q=np.ascontiguousarray(model.noise),
+            cross_cov=np.ascontiguousarray(model.cross_cov.T),
+            process_noise_in_rows=np.ascontiguousarray(model.process_noise_in_rows),
+            linearisation_rows=np.ascontiguousarray(np.concatenate(linearisation_rows)),
+            aliasing_variance=model.aliasing_variance,
+            moments_beside_gyro=model.moments_beside_gyro,
         )
 
-    def _kept_motion(self, motion: Floats) -> int:
-        """Put a motion where the history has it for its steps; give its number."""
-        kept = self.history.transition
-        free = np.setdiff1d(np.arange(len(kept)), self.history.by)
+    def _store_transition(self, transition: Floats) -> int:
+        """Put a transition into a slot of the history that no step refers to; its number."""
+        stored = self.history.transition
+        free = np.setdiff1d(np.arange(len(stored)), self.history.transition_index)
         if not len(free):
-            self.history = self.history._replace(transition=np.concatenate([kept, np.empty_like(kept)]))
-            return self._kept_motion(motion)
-        self.history.transition[free[0]] = motion
+            self.history = self.history._replace(transition=np.concatenate([stored, np.empty_like(stored)]))
+            return self._store_transition(transition)
+        self.history.transition[free[0]] = transition
         return int(free[0])
 
-    def _keep_acceleration(self, parameters: Parameters) -> None:
-        """Give the loads what other springs and dampers take from the tips.
+    def _preserve_acceleration(self, parameters: WingParameters) -> None:
+        """Shift the loads by the change of spring and damping forces, so that the modal acceleration stays.
 
-        What is known well is the acceleration, load less spring, and hardly the slow bend. Were the load kept, the
-        difference between two stiffnesses would pass for a measurement of the bend.
+        The acceleration, load less spring, is known well, the slow bend hardly. Were the load kept, the difference
+        between two stiffnesses would pass for a measurement of the bend.
         """
-        n, turn = self.layout.size, np.eye(self.layout.size + 1)
+        n, transform = self.layout.size, np.eye(self.layout.size + 1)
         for family, old, new in zip(self.layout.families, self.model.parameters, parameters, strict=True):
             corner = 2.0 * np.pi * new.corner_2_hz
             for q, before, after in (
@@ -250,109 +270,119 @@ class Kalman:
             ):
                 stiffer = 4.0 * np.pi**2 * (after[0] ** 2 - before[0] ** 2)
                 damped = 4.0 * np.pi * (after[0] * after[1] - before[0] * before[1])
-                turn[q + 2, q : q + 2] += stiffer, damped + stiffer / corner
-                turn[q + 3, q : q + 2] += stiffer, damped
+                transform[q + 2, q : q + 2] += stiffer, damped + stiffer / corner
+                transform[q + 3, q : q + 2] += stiffer, damped
                 if q == self.layout.symmetric.q:
-                    turn[q + 2 : q + 4, n] -= stiffer
-        state = turn[:n, :n]
-        self.columns[:] = turn @ self.columns
-        self.covariance[:] = state @ self.covariance @ state.T
-        if self.steps:  # the smoother comes back this way
-            at = (self.steps - 1) % self.kept
-            turned = state @ self.history.transition[self.history.by[at]]
-            self.history.by[at] = self._kept_motion(turned)
-            self.history.drawn[at] = self.history.drawn[at] @ state.T
+                    transform[q + 2 : q + 4, n] -= stiffer
+        state_transform = transform[:n, :n]
+        self.state_and_sensitivity[:] = transform @ self.state_and_sensitivity
+        self.covariance[:] = state_transform @ self.covariance @ state_transform.T
+        if self.steps:  # the smoother's adjoint passes through it
+            at = (self.steps - 1) % self.history_length
+            carried = state_transform @ self.history.transition[self.history.transition_index[at]]
+            self.history.transition_index[at] = self._store_transition(carried)
+            self.history.whitened_cross_cov[at] = self.history.whitened_cross_cov[at] @ state_transform.T
 
-    def _age(self) -> None:
-        sigma = self.layout.constant_sigma
-        _wander(self._memory.information, self.columns, self.covariance, self._wandering, sigma, self._retained)
+    def _age_wandering(self) -> None:
+        """Let the wandering bias parameters age by one solution period."""
+        sigma = self.layout.bias_parameter_sigma
+        _age_information(
+            self._filter_state.information,
+            self.state_and_sensitivity,
+            self.covariance,
+            self._wandering,
+            sigma,
+            self._autocorrelation,
+        )
 
-    def _solve(self) -> None:
-        self._unsolved = 0
-        if not len(self.constants):
+    def _solve_bias_parameters(self) -> None:
+        """Estimate the bias parameters from the information of all steps and the prior."""
+        self._steps_since_solution = 0
+        if not len(self.bias_parameters):
             return
-        _solve_constants(
-            self._memory.information,
-            self.layout.constant_sigma,
+        _solve_parameters(
+            self._filter_state.information,
+            self.layout.bias_parameter_sigma,
             self._estimated,
             self._considered,
-            self.constants,
-            self.constants_covariance,
+            self.bias_parameters,
+            self.bias_parameter_covariance,
         )
-        self._weights[1:] = self.constants
+        self._one_and_bias[1:] = self.bias_parameters
 
 
 @compiled
-def _wander(gathered: Floats, columns: Floats, covariance: Floats, those: Ints, sigma: Floats, r: float) -> None:
-    """Let what wanders have wandered since the last solution: of old it was ``r`` times the new, and some noise.
-
-    The noise is integrated out of what was gathered; what the state owes to it becomes the state's own variance.
-    """
-    for column in those:
-        noise = (1.0 - r * r) * sigma[column - 1] ** 2
-        known, owed = gathered[column].copy(), columns[:-1, column].copy()
-        gain = noise / (1.0 + noise * known[column])
-        columns[:-1] -= gain * np.outer(owed, known)
-        covariance += gain * np.outer(owed, owed)
-        gathered -= gain * np.outer(known, known)
-        gathered[column, :] *= r
-        gathered[:, column] *= r
-        columns[:-1, column] *= r
-
-
-@compiled
-def _solve_constants(
-    gathered: Floats, sigma: Floats, known: Ints, left: Ints, constants: Floats, covariance: Floats
+def _age_information(
+    accumulated: Floats,
+    state_and_sensitivity: Floats,
+    covariance: Floats,
+    wandering: Ints,
+    sigma: Floats,
+    autocorrelation: float,
 ) -> None:
-    """The constants and their covariance from what was gathered, in place; ``left`` are those that stay as they are."""
-    information = gathered[known + 1][:, known + 1] + np.diag(1.0 / sigma[known] ** 2)
-    inner = np.linalg.inv(information)
-    inner = 0.5 * (inner + inner.T)
-    turned = -inner @ gathered[known + 1][:, left + 1]
-    loose = turned * sigma[left] ** 2
-    outer = inner + loose @ turned.T
-    constants[known] = -inner @ np.ascontiguousarray(gathered[known + 1, 0])
-    for i in range(len(known)):
-        for j in range(len(known)):
-            covariance[known[i], known[j]] = outer[i, j]
-        for j in range(len(left)):
-            covariance[known[i], left[j]] = loose[i, j]
-            covariance[left[j], known[i]] = loose[i, j]
+    """Time update of the wandering bias parameters, in information form and in place.
+
+    A first-order process: ``c_old = r c_new + noise``. The noise is marginalised; the state's dependence on it becomes
+    its own variance.
+    """
+    for column in wandering:
+        noise = (1.0 - autocorrelation * autocorrelation) * sigma[column - 1] ** 2
+        learned, sensitivity_column = accumulated[column].copy(), state_and_sensitivity[:-1, column].copy()
+        gain = noise / (1.0 + noise * learned[column])
+        state_and_sensitivity[:-1] -= gain * np.outer(sensitivity_column, learned)
+        covariance += gain * np.outer(sensitivity_column, sensitivity_column)
+        accumulated -= gain * np.outer(learned, learned)
+        accumulated[column, :] *= autocorrelation
+        accumulated[:, column] *= autocorrelation
+        state_and_sensitivity[:-1, column] *= autocorrelation
 
 
-def _fixed(layout: Layout, noise: Noise, step_s: float, trim_m: float, bend_per_g_m: float) -> Fixed:
-    biases = dict(layout.bias)
+@compiled
+def _solve_parameters(
+    accumulated: Floats, sigma: Floats, estimated: Ints, considered: Ints, bias_parameters: Floats, covariance: Floats
+) -> None:
+    """Bias parameters and their covariance, in place; ``considered`` ones stay at their priors (Schmidt)."""
+    information = accumulated[estimated + 1][:, estimated + 1] + np.diag(1.0 / sigma[estimated] ** 2)
+    estimated_covariance = np.linalg.inv(information)
+    estimated_covariance = 0.5 * (estimated_covariance + estimated_covariance.T)
+    consider_map = -estimated_covariance @ accumulated[estimated + 1][:, considered + 1]
+    consider_gain = consider_map * sigma[considered] ** 2
+    estimated_total = estimated_covariance + consider_gain @ consider_map.T
+    bias_parameters[estimated] = -estimated_covariance @ np.ascontiguousarray(accumulated[estimated + 1, 0])
+    for i in range(len(estimated)):
+        for j in range(len(estimated)):
+            covariance[estimated[i], estimated[j]] = estimated_total[i, j]
+        for j in range(len(considered)):
+            covariance[estimated[i], considered[j]] = consider_gain[i, j]
+            covariance[considered[j], estimated[i]] = consider_gain[i, j]
+
+
+def _constants(
+    layout: StateLayout, noise: SensorNoise, step_s: float, trim_m: float, bend_per_g_m: float
+) -> FilterConstants:
+    """Constants of the kernel."""
+    bias_states = dict(layout.row_bias_states)
     factors = [
-        (row + side, column) for column, _, _ in _slope_terms(layout) for side in (0, 1) for row in (Y_LEFT, P_LEFT)
+        (row + side, column) for column, _, _, _ in layout.slope_factors for side in (0, 1) for row in (Y_LEFT, P_LEFT)
     ]
-    own = own_scales(layout)
-    return Fixed(
+    regressors = measured_regressors(layout)
+    return FilterConstants(
         step_s=step_s,
         trim_m=trim_m,
         bend_per_g_m=bend_per_g_m,
-        root_z=noise.root_z,
-        root_y=noise.root_y,
-        trim=layout.column("trim") or 0,
-        bend=layout.column("bend_per_g") or 0,
-        own=noise.own,
-        lateral_bias=np.array([biases.get(Y_LEFT + side, -1) for side in (0, 1)], np.int64),
-        leaning=np.array([layout.column(f"{place}.mx") or 0 for place in ("left", "right")], np.int64),
-        vertical_bias=np.array([biases.get(Z_LEFT + side, -1) for side in (0, 1)], np.int64),
-        own_bias=noise.own_bias,
-        force_bias=layout.column("bz") or 0,
-        factor_rows=np.array([row for row, _ in factors], np.int64),
-        factor_columns=np.array([column for _, column in factors], np.int64),
-        own_rows=np.array([row for row, _, _ in own], np.int64),
-        own_columns=np.array([column for _, column, _ in own], np.int64),
-        own_signs=np.array([sign for _, _, sign in own], np.float64),
+        root_z_variance=noise.root_z_variance,
+        root_y_variance=noise.root_y_variance,
+        trim_column=layout.column("trim") or 0,
+        bend_column=layout.column("bend_per_g") or 0,
+        sensor_variance=noise.sensor_variance,
+        lateral_bias_state=np.array([bias_states.get(Y_LEFT + side, -1) for side in (0, 1)], np.int64),
+        roll_misalignment_column=np.array([layout.column(f"{place}.mx") or 0 for place in ("left", "right")], np.int64),
+        vertical_bias_state=np.array([bias_states.get(Z_LEFT + side, -1) for side in (0, 1)], np.int64),
+        bias_projection=noise.bias_projection,
+        common_bias_column=layout.column("bz") or 0,
+        slope_factor_rows=np.array([row for row, _ in factors], np.int64),
+        slope_factor_columns=np.array([column for _, column in factors], np.int64),
+        regressor_rows=np.array([row for row, _, _ in regressors], np.int64),
+        regressor_columns=np.array([column for _, column, _ in regressors], np.int64),
+        regressor_signs=np.array([sign for _, _, sign in regressors], np.float64),
     )
-
-
-def _slope_terms(layout: Layout) -> list[tuple[int, int, tuple[float, float]]]:
-    terms = []
-    for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
-        for key, q in ((f"slope.{name}", family.q), (f"slope.second_{name}", family.q2)):
-            column = layout.column(key)
-            if column is not None:
-                terms.append((column, q, family.sign))
-    return terms

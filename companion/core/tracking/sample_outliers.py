@@ -1,8 +1,8 @@
-"""Single samples of a stream that contradict all their neighbours: a value hit on its way, not a motion.
+"""Outliers among the samples of a stream: single values that contradict all their neighbours, altered on their way.
 
-A sample is predicted by the cubic through two neighbours on either side. It is a lapse where it misses that by many
-times what the samples around it do, and where its neighbours, once it is replaced, agree among themselves. Vibration
-raises what all samples miss, and a blow takes several samples: neither is a lapse.
+A sample is predicted by the cubic through two neighbours on either side. It is an outlier where its residual is many
+times the sensor's noise and the median residual around it, and where its neighbours, once it is replaced, agree among
+themselves. Vibration raises all residuals, and a blow takes several samples: neither is an outlier.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ import numpy as np
 from companion.core.kernels.compiled import compiled
 from companion.records import Bools, Floats, Ints
 
-BESIDE = 3  # samples on either side that a verdict needs
-_CLEARLY = 8.0  # sigmas of the sensor's noise
-_STANDING_OUT = 12.0  # sigmas of what is usual: a lateral axis shows slope times force, whose tails are long
-_ALONE = 0.3  # of what it misses: its neighbours miss less once it is replaced
-_STEEP = 0.5  # of the span of its neighbours: what bends that sharply is moving
-_AROUND = 16  # samples on either side tell how much is usual
-_NORMAL = 1.4826  # sigmas in a median of magnitudes
-_CLOSE, _FAR = 0.2, 2.5  # periods between neighbours; beyond these they say nothing
+NEIGHBOURS = 3  # derived: two for the cubic, one more for the cubic of a neighbour
+_NOISE_SIGMAS = 8.0  # chosen: of the sensor's noise; Gaussian noise exceeds it once in 1e15
+_MEDIAN_SIGMAS = 12.0  # chosen: a lateral axis shows slope times force, whose tails are long
+_NEIGHBOUR_RATIO = 0.3  # chosen: residual of the neighbours over the sample's, once this is replaced
+_SPAN_RATIO = 0.5  # chosen: residual over the span of the neighbours; a smaller one is motion
+_WINDOW = 16  # chosen: samples on either side for the median residual
+_SIGMAS_PER_MEDIAN = 1.4826  # derived: standard deviation over the median magnitude of a Gaussian
+_MIN_GAP_PERIODS, _MAX_GAP_PERIODS = 0.2, 2.5  # chosen: a cubic through samples farther or closer says nothing
 
 
 @compiled
-def lapses(t_ns: Ints, values: Floats, first: int, floor: Floats, period_ns: float) -> Bools:
-    """Tell which samples are lapses.
+def find_outliers(t_ns: Ints, values: Floats, first: int, noise_sigma: Floats, period_ns: float) -> Bools:
+    """Outliers of a stream.
 
     Parameters
     ----------
     t_ns : (s,) int64
         In order.
     values : (s, channels) float64
-        What was sampled.
+        Samples.
     first : int
-        The first one to judge; those without neighbours are none.
-    floor : (channels,) float64
-        Standard deviation that the sensor's own noise makes a prediction miss.
+        First sample to test; those without neighbours are none.
+    noise_sigma : (channels,) float64
+        Standard deviation of the residual by the sensor's own noise.
     period_ns : float
         Usual time between samples.
 
@@ -45,27 +45,29 @@ def lapses(t_ns: Ints, values: Floats, first: int, floor: Floats, period_ns: flo
     """
     count, channels = values.shape
     out = np.zeros(count, np.bool_)
-    misses = np.zeros(count)
+    residual = np.zeros(count)
     for channel in range(channels):
-        own = np.ascontiguousarray(values[:, channel])
+        series = np.ascontiguousarray(values[:, channel])
         largest = 0.0
-        for i in range(max(first - _AROUND, 2), count - 2):
-            misses[i] = np.abs(_missed(t_ns, own, i, period_ns))
+        for i in range(max(first - _WINDOW, 2), count - 2):
+            residual[i] = np.abs(_interpolation_residual(t_ns, series, i, period_ns))
             if i >= first:
-                largest = max(largest, misses[i])
-        if largest <= _CLEARLY * floor[channel]:
+                largest = max(largest, residual[i])
+        if largest <= _NOISE_SIGMAS * noise_sigma[channel]:
             continue
-        for i in range(max(first, BESIDE), count - BESIDE):
-            if misses[i] > _CLEARLY * floor[channel] and _alone(t_ns, own, i, misses[i], period_ns):
-                out[i] |= misses[i] > _STANDING_OUT * _NORMAL * _usual(misses, i)
+        for i in range(max(first, NEIGHBOURS), count - NEIGHBOURS):
+            if residual[i] > _NOISE_SIGMAS * noise_sigma[channel] and _isolated(
+                t_ns, series, i, residual[i], period_ns
+            ):
+                out[i] |= residual[i] > _MEDIAN_SIGMAS * _SIGMAS_PER_MEDIAN * _median_residual(residual, i)
     return out
 
 
 @compiled
-def _missed(t_ns: Ints, y: Floats, i: int, period_ns: float) -> float:
-    """By how much a sample misses the cubic through its neighbours; 0 where they are too far or too close."""
+def _interpolation_residual(t_ns: Ints, y: Floats, i: int, period_ns: float) -> float:
+    """Residual of a sample from the cubic through its neighbours; 0 where they are too far or too close."""
     for k in range(i - 2, i + 2):
-        if not _CLOSE * period_ns < t_ns[k + 1] - t_ns[k] < _FAR * period_ns:
+        if not _MIN_GAP_PERIODS * period_ns < t_ns[k + 1] - t_ns[k] < _MAX_GAP_PERIODS * period_ns:
             return 0.0
     a, b = float(t_ns[i - 2] - t_ns[i]), float(t_ns[i - 1] - t_ns[i])
     c, d = float(t_ns[i + 1] - t_ns[i]), float(t_ns[i + 2] - t_ns[i])
@@ -77,21 +79,21 @@ def _missed(t_ns: Ints, y: Floats, i: int, period_ns: float) -> float:
 
 
 @compiled
-def _alone(t_ns: Ints, y: Floats, i: int, missed: float, period_ns: float) -> bool:
-    """Whether its neighbours lie close to each other beside it, and fit once it is replaced by what they predict."""
+def _isolated(t_ns: Ints, y: Floats, i: int, residual_here: float, period_ns: float) -> bool:
+    """Whether a sample stands clear of the span of its neighbours, and these fit once it is replaced."""
     lowest, highest = min(y[i - 2], y[i - 1], y[i + 1], y[i + 2]), max(y[i - 2], y[i - 1], y[i + 1], y[i + 2])
-    if missed < _STEEP * (highest - lowest):
+    if residual_here < _SPAN_RATIO * (highest - lowest):
         return False
-    kept = y[i]
-    y[i] -= _missed(t_ns, y, i, period_ns)
-    before = np.abs(_missed(t_ns, y, i - 1, period_ns))
-    after = np.abs(_missed(t_ns, y, i + 1, period_ns))
-    y[i] = kept
-    return bool(max(before, after) < _ALONE * missed)
+    original = y[i]
+    y[i] -= _interpolation_residual(t_ns, y, i, period_ns)
+    before = np.abs(_interpolation_residual(t_ns, y, i - 1, period_ns))
+    after = np.abs(_interpolation_residual(t_ns, y, i + 1, period_ns))
+    y[i] = original
+    return bool(max(before, after) < _NEIGHBOUR_RATIO * residual_here)
 
 
 @compiled
-def _usual(misses: Floats, i: int) -> float:
-    """Median miss of the samples around one, those left out that it spoils itself."""
-    before, after = misses[max(i - _AROUND, 2) : i - 2], misses[i + 3 : len(misses) - 2][: _AROUND - 2]
+def _median_residual(residual: Floats, i: int) -> float:
+    """Median residual of the samples around one, without those that it affects itself."""
+    before, after = residual[max(i - _WINDOW, 2) : i - 2], residual[i + 3 : len(residual) - 2][: _WINDOW - 2]
     return float(np.median(np.concatenate((before, after)))) if len(before) + len(after) else 0.0

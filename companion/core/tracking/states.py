@@ -1,12 +1,19 @@
-"""Where each state and each constant error lives, and the constants' priors.
+"""State vector, measurement rows and bias parameters of the filter, with units, P0, R and the row that each shows in.
 
-The *fast* state is what moves (modes, gust loads, rigid roll, drifting biases); the *constants* are errors that do not
-move in a flight (scale, misalignment, stamp offset, slope factor, trim; the biases of the root's rates wander slowly,
-and what is known of them ages). The filter carries the fast state together with its exact sensitivity to every constant
-(Friedland's separated bias estimation, IEEE TAC 14, 1969), so that a constant costs one column instead of one state.
+*States* move: modes, gust loads, rigid roll, drifting sensor biases. *Bias parameters* stay constant in a flight:
+scale, misalignment, stamp offset, slope factor, trim (the biases of the root's rates wander slowly, and what is known
+of them ages). The filter carries the states together with their exact sensitivity to every bias parameter (separated
+bias estimation; Friedland, IEEE TAC 14, 1969), so that a parameter costs one column instead of one state.
 
-Rows of a measurement: of both tips the mean and the first moment of the vertical axis, the bending slope seen by the
-lateral axis and the roll rate; then the root's roll rate.
+| state | unit | P0 | Q |
+|---|---|---|---|
+| ``q``, ``v`` of each mode | m, m/s | stationary | through the load, :mod:`companion.core.tracking.model` |
+| ``gust_1``, ``gust_2`` of each mode | m/s^2 | stationary | white noise through two real poles |
+| ``roll_rate``, ``roll_accel`` | rad/s, rad/s^2 | 3^2, 3^2 | first-order process, 3 rad/s^2, 5 Hz |
+| ``row_bias_states`` | m/s^2, rad/s | ``bias_prior_covariance`` | first-order process, ``bias_time_s`` |
+
+Measurement rows: of both tips the mean and the first moment of the vertical axis (m/s^2), the bending slope seen by the
+lateral axis (rad) and the roll rate (rad/s); then the root's roll rate. R: :class:`SensorNoise`.
 """
 
 from __future__ import annotations
@@ -21,22 +28,22 @@ from companion.units import GRAVITY_MPS2
 
 ROWS = 9
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
-FAMILY_STATES = 8
+FAMILY_STATES = 8  # two modes of deflection, rate and two load states
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
-ROOT_ERRORS = ("bp", "br")  # biases of its rates: the tips' centripetal force is reckoned from them
+ROOT_ERRORS = ("bp", "br")  # biases of its rates, which the tips' centripetal force is computed from
 
-_ABSENT_MPS2 = 10.0  # sigma of the root's force along an axis that it does not send
-_SECOND_RATIO = 5.5  # of an unknown second mode's frequency: 6.3 for a bare cantilever, less with a tip mass
-_SECOND_SPREAD = 0.3
-_STAMP_JITTER_S = 3e-4  # of an autopilot that stamps at the instant of sending
-_USUAL_TURN_RADPS2 = 1.0  # roll acceleration
+_ABSENT_AXIS_SIGMA_MPS2 = 10.0  # chosen, 1 g: sigma of the root's force along an axis that it does not send
+_SECOND_FREQUENCY_RATIO = 5.5  # derived: a cantilever's is 6.27 (Euler-Bernoulli), less with a tip mass
+_SECOND_FREQUENCY_SIGMA = 0.3  # chosen, relative: covers bare cantilevers and heavy tips
+_STAMP_JITTER_S = 3e-4  # chosen: of an autopilot that stamps at the instant of sending
+_TYPICAL_ROLL_ACCEL_RADPS2 = 1.0  # chosen: turns stamp jitter into an error of the rate
 
 
 @dataclass(frozen=True, slots=True)
-class Family:
-    """Indices of the modes that move both tips alike (``sign`` = +1, +1) or against each other (-1, +1).
+class ModeFamily:
+    """Modes that move both tips alike (``sign`` = +1, +1) or against each other (-1, +1): indices and beliefs.
 
-    The states are deflection and rate, the gust's two poles, and the same of the second mode.
+    Deflection ``q`` (m at the tip, up), rate ``v``, the two poles of the gust load, and the same of the second mode.
     """
 
     q: int
@@ -51,42 +58,44 @@ class Family:
 
     @property
     def span(self) -> slice:
-        """All its states."""
+        """All states of the family."""
         return slice(self.q, self.q + FAMILY_STATES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
-    """The map of the state vector; each is itself alone, so that what hangs on it can be kept.
+class StateLayout:
+    """Map of the state vector; compared by identity, so that what depends on it can be cached.
 
     Attributes
     ----------
+    symmetric, antisymmetric : ModeFamily
     size : int
-        Number of fast states.
-    roll, turn : int
-        Rigid roll rate and roll acceleration.
-    bias : tuple of (row, index)
-        The rows that have a bias, relative to the root's where that matters, and the state that holds it.
-    constants : tuple of str
-        Names, ``left.kz`` and so on.
-    constant_sigma : (c,) float64
+        Number of states n.
+    roll_rate, roll_accel : int
+        Indices of the rigid roll rate and acceleration.
+    row_bias_states : tuple of (row, index)
+        Measurement rows with a drifting bias, relative to the root's where that matters, and the state that holds it.
+    bias_parameters : tuple of str
+        Names, ``left.kz`` and so on, (c,).
+    bias_parameter_sigma : (c,) float64
+        Prior standard deviations.
     """
 
-    symmetric: Family
-    antisymmetric: Family
+    symmetric: ModeFamily
+    antisymmetric: ModeFamily
     size: int
-    roll: int
-    turn: int
-    bias: tuple[tuple[int, int], ...]
-    constants: tuple[str, ...]
-    constant_sigma: Floats
+    roll_rate: int
+    roll_accel: int
+    row_bias_states: tuple[tuple[int, int], ...]
+    bias_parameters: tuple[str, ...]
+    bias_parameter_sigma: Floats
 
     def column(self, name: str) -> int | None:
-        """Column of a constant in ``[state | sensitivities]``, None where its prior has no width."""
-        return self.constants.index(name) + 1 if name in self.constants else None
+        """Column of a bias parameter in ``[x | V]``; None where its prior has no width."""
+        return self.bias_parameters.index(name) + 1 if name in self.bias_parameters else None
 
     @property
-    def families(self) -> tuple[Family, Family]:
+    def families(self) -> tuple[ModeFamily, ModeFamily]:
         """Symmetric, antisymmetric."""
         return self.symmetric, self.antisymmetric
 
@@ -96,54 +105,67 @@ class Layout:
         return [pair for family in self.families for pair in ((family.q, family.v), (family.q2, family.v2))]
 
     @property
-    def biases(self) -> slice:
-        """All bias states."""
-        return slice(self.turn + 1, self.size)
+    def slope_factors(self) -> list[tuple[int, int, int, tuple[float, float]]]:
+        """Uncertain slope factors: column, deflection and rate state of the mode, sign at left and right tip."""
+        terms = []
+        for name, family in zip(("symmetric", "antisymmetric"), self.families, strict=True):
+            for key, q, v in ((f"slope.{name}", family.q, family.v), (f"slope.second_{name}", family.q2, family.v2)):
+                column = self.column(key)
+                if column is not None:
+                    terms.append((column, q, v, family.sign))
+        return terms
+
+    @property
+    def bias_states(self) -> slice:
+        """All drifting biases."""
+        return slice(self.roll_accel + 1, self.size)
 
 
-def make_layout(airframe: Airframe) -> Layout:
-    """Lay out the states that this airframe needs."""
+def make_layout(airframe: Airframe) -> StateLayout:
+    """State vector, measurement rows with biases and bias parameters that an airframe needs."""
     wing = airframe.wing
-    symmetric = _family(0, (1.0, 1.0), wing.symmetric, wing.second_symmetric)
-    antisymmetric = _family(FAMILY_STATES, (-1.0, 1.0), wing.antisymmetric, wing.second_antisymmetric)
+    symmetric = _mode_family(0, (1.0, 1.0), wing.symmetric, wing.second_symmetric)
+    antisymmetric = _mode_family(FAMILY_STATES, (-1.0, 1.0), wing.antisymmetric, wing.second_antisymmetric)
     rows = [
         first + side
         for first, axis in ((Z_LEFT, "z"), (Y_LEFT, "y"), (P_LEFT, "p"))
         for side, sensor in ((0, airframe.left), (1, airframe.right))
         if axis in sensor.sends
     ]
-    roll = 2 * FAMILY_STATES
-    bias = tuple((row, roll + 2 + at) for at, row in enumerate(rows))
-    named = [(name, sigma) for name, sigma in _constants(airframe) if sigma > 0.0]
-    return Layout(
+    roll_rate = 2 * FAMILY_STATES
+    row_bias_states = tuple((row, roll_rate + 2 + at) for at, row in enumerate(rows))
+    named = [(name, sigma) for name, sigma in _bias_parameters(airframe) if sigma > 0.0]
+    return StateLayout(
         symmetric=symmetric,
         antisymmetric=antisymmetric,
-        size=roll + 2 + len(bias),
-        roll=roll,
-        turn=roll + 1,
-        bias=bias,
-        constants=tuple(name for name, _ in named),
-        constant_sigma=np.array([sigma for _, sigma in named]),
+        size=roll_rate + 2 + len(row_bias_states),
+        roll_rate=roll_rate,
+        roll_accel=roll_rate + 1,
+        row_bias_states=row_bias_states,
+        bias_parameters=tuple(name for name, _ in named),
+        bias_parameter_sigma=np.array([sigma for _, sigma in named]),
     )
 
 
-def _family(at: int, sign: tuple[float, float], mode: Mode, second: Mode | None) -> Family:
-    return Family(at, at + 1, at + 2, at + 3, at + 4, at + 5, sign, mode, second or unknown_second(mode))
+def _mode_family(at: int, sign: tuple[float, float], mode: Mode, second: Mode | None) -> ModeFamily:
+    """Family whose states begin at index ``at``."""
+    return ModeFamily(at, at + 1, at + 2, at + 3, at + 4, at + 5, sign, mode, second or unknown_second(mode))
 
 
 def unknown_second(mode: Mode) -> Mode:
-    """A second mode about which nothing was said: it is there, somewhere, and has to be found."""
-    ratio = _SECOND_RATIO
+    """Prior of a second mode that the airframe does not describe: a cantilever's, with wide sigmas."""
+    ratio = _SECOND_FREQUENCY_RATIO
     frequency = ratio * mode.frequency_hz.value
     slope = mode.slope_factor_radpm.value * 3.4  # of a cantilever with a tip mass; it hardly bends the tip
     return Mode(
-        frequency_hz=Uncertain(frequency, _SECOND_SPREAD * frequency),
+        frequency_hz=Uncertain(frequency, _SECOND_FREQUENCY_SIGMA * frequency),
         damping=Uncertain(0.02, 0.015),
         slope_factor_radpm=Uncertain(slope, 0.3 * slope),
     )
 
 
-def _constants(airframe: Airframe) -> list[tuple[str, float]]:
+def _bias_parameters(airframe: Airframe) -> list[tuple[str, float]]:
+    """Names and prior sigmas of all bias parameters; sigma 0 where a parameter does not exist."""
     wing = airframe.wing
     named = [
         ("trim", wing.trim_bend_m.sigma),
@@ -164,21 +186,22 @@ def _constants(airframe: Airframe) -> list[tuple[str, float]]:
 
 
 def _common_bias_sigma(airframe: Airframe) -> float:
-    """Of what the vertical biases have in common, their mean weighted by how well each is known; 0 where not wanted.
+    """Sigma of the inverse-variance mean of the three z biases, m/s^2; 0 without lateral axes or a certain scale.
 
     The lateral axis shows slope times force, so that a tip's vertical bias makes every slope too large. The states hold
-    biases against the root; with their common part they are each one's own. A scale error that is as uncertain says
-    the same already.
+    biases against the root; with their common part they give each sensor's own. A scale error that is as uncertain has
+    the same signature already.
     """
     tips = (airframe.left, airframe.right)
-    told = all("y" in tip.sends and "z" in tip.sends for tip in tips)
+    lateral_and_vertical = all("y" in tip.sends and "z" in tip.sends for tip in tips)
     sigmas = [sensor.accel_bias_sigma_mps2 for sensor in (*tips, airframe.root)]
-    if not told or min(sigmas) <= max(tip.accel_scale_sigma for tip in tips) * GRAVITY_MPS2:
+    if not lateral_and_vertical or min(sigmas) <= max(tip.accel_scale_sigma for tip in tips) * GRAVITY_MPS2:
         return 0.0
     return float(np.sum(np.power(sigmas, -2.0)) ** -0.5)
 
 
 def _error_sigma(sensor: Sensor, error: str) -> float:
+    """Prior sigma of one sensor's error; 0 where the axis is not sent."""
     axis = error[-1]
     if error == "tau":
         return sensor.time_offset_sigma_s
@@ -190,59 +213,75 @@ def _error_sigma(sensor: Sensor, error: str) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
-    """Noise of the cell averages.
+class SensorNoise:
+    """Noise of the averaged measurement rows.
 
     Attributes
     ----------
-    own : (9,) float64
+    sensor_variance : (9,) float64
         Variance of each row by its own sensor.
-    root_z, root_y : float
-        Variance that the root's accelerometer adds to both tips at once.
-    bias_prior : (b, b) float64
-        Prior covariance of the biases.
-    own_bias : (2, 2) float64
-        Of each tip's own vertical bias beside what all three have in common, the shares of the states that hold left's
-        and right's against the root.
+    root_z_variance, root_y_variance : float
+        Variance that the root's accelerometer adds to both tips at once, (m/s^2)^2.
+    bias_prior_covariance : (b, b) float64
+        Prior covariance of the drifting biases.
+    bias_projection : (2, 2) float64
+        A tip's own vertical bias is the common bias plus this matrix times the tips' biases against the root.
     bias_time_s : float
-        Their correlation time.
+        Correlation time of the drifting biases.
     sample_s : float
         Time between two samples of a tip.
     """
 
-    own: Floats
-    root_z: float
-    root_y: float
-    bias_prior: Floats
-    own_bias: Floats
+    sensor_variance: Floats
+    root_z_variance: float
+    root_y_variance: float
+    bias_prior_covariance: Floats
+    bias_projection: Floats
     bias_time_s: float
     sample_s: float
 
 
-def make_noise(airframe: Airframe, layout: Layout, step_s: float) -> Noise:
-    """Noise per cell: a one-sided density S averaged over ``step_s`` has variance S / (2 step).
+def make_noise(airframe: Airframe, layout: StateLayout, step_s: float) -> SensorNoise:
+    """Noise of the rows averaged over epochs of ``step_s``.
 
-    Its first moment, ``integral (t - middle) n dt / step^2``, has a twelfth of that.
+    A one-sided density S averaged over h has variance ``S / (2 h)``;
+    its first moment, ``integral (t - middle) n dt / h^2``, has a twelfth of that.
+
+    Parameters
+    ----------
+    airframe : Airframe
+        Its sensors.
+    layout : StateLayout
+        State vector of the airframe.
+    step_s : float
+        Epoch h.
+
+    Returns
+    -------
+    SensorNoise
     """
     root, tips = airframe.root, (airframe.left, airframe.right)
-    per_cell = 1.0 / (2.0 * step_s)
-    accel = [sensor.accel_noise_mps2_rthz**2 * per_cell for sensor in tips]
-    gyro = [sensor.gyro_noise_radps_rthz**2 * per_cell for sensor in (*tips, root)]
-    root_accel = root.accel_noise_mps2_rthz**2 * per_cell
-    gyro[-1] += _undone_gain(root, step_s) * (_STAMP_JITTER_S * _USUAL_TURN_RADPS2) ** 2
-    return Noise(
-        own=np.array([*accel, accel[0] / 12.0, accel[1] / 12.0, *accel, *gyro]),
-        root_z=root_accel if "z" in root.sends else _ABSENT_MPS2**2,
-        root_y=root_accel if "y" in root.sends else _ABSENT_MPS2**2,
-        bias_prior=_bias_prior(airframe, layout),
-        own_bias=_own_bias(airframe),
+    per_epoch = 1.0 / (2.0 * step_s)
+    accel = [sensor.accel_noise_mps2_rthz**2 * per_epoch for sensor in tips]
+    gyro = [sensor.gyro_noise_radps_rthz**2 * per_epoch for sensor in (*tips, root)]
+    root_accel = root.accel_noise_mps2_rthz**2 * per_epoch
+    gyro[-1] += _deconvolution_gain(root, step_s) * (_STAMP_JITTER_S * _TYPICAL_ROLL_ACCEL_RADPS2) ** 2
+    return SensorNoise(
+        sensor_variance=np.array([*accel, accel[0] / 12.0, accel[1] / 12.0, *accel, *gyro]),
+        root_z_variance=root_accel if "z" in root.sends else _ABSENT_AXIS_SIGMA_MPS2**2,
+        root_y_variance=root_accel if "y" in root.sends else _ABSENT_AXIS_SIGMA_MPS2**2,
+        bias_prior_covariance=_bias_prior(airframe, layout),
+        bias_projection=_bias_projection(airframe),
         bias_time_s=max(min(sensor.bias_time_s for sensor in (root, *tips)), step_s),
         sample_s=1.0 / min(sensor.rate_hz for sensor in tips),
     )
 
 
-def _own_bias(airframe: Airframe) -> Floats:
-    """``b_left = common + (w_right + w_root) (b_left - b_root) - w_right (b_right - b_root)``, and so for the right."""
+def _bias_projection(airframe: Airframe) -> Floats:
+    """Matrix (2, 2) from the tips' biases against the root to each tip's deviation from the inverse-variance mean.
+
+    ``b_left = mean + (w_right + w_root) (b_left - b_root) - w_right (b_right - b_root)``, and so for the right.
+    """
     sigmas = np.array([sensor.accel_bias_sigma_mps2 for sensor in (airframe.left, airframe.right, airframe.root)])
     if not sigmas.all():
         return np.zeros((2, 2))
@@ -250,10 +289,10 @@ def _own_bias(airframe: Airframe) -> Floats:
     return np.array([[right + root, -right], [-left, left + root]])
 
 
-def _undone_gain(root: Sensor, step_s: float) -> float:
-    """By how much undoing the root's low-pass raises the variance of what is wrong with single samples.
+def _deconvolution_gain(root: Sensor, step_s: float) -> float:
+    """Factor by which undoing the root's low-pass raises the variance of errors of single samples.
 
-    That is ``|1/H|^2 = 1 + (f/cutoff)^4`` over what smoothing and averaging over the cells let through.
+    The mean of ``|1/H|^2 = 1 + (f/cutoff)^4`` over what smoothing and averaging over the epochs let through.
     """
     if root.lowpass_gyro_hz <= 0.0:
         return 0.0
@@ -262,19 +301,20 @@ def _undone_gain(root: Sensor, step_s: float) -> float:
     return float(np.mean((1.0 + (f / root.lowpass_gyro_hz) ** 4) * passed))
 
 
-def _bias_prior(airframe: Airframe, layout: Layout) -> Floats:
-    """Vertical and lateral rows are differences to the root and share its bias.
+def _bias_prior(airframe: Airframe, layout: StateLayout) -> Floats:
+    """Prior covariance (b, b) of the drifting biases.
 
-    So do the roll rates: the rigid roll rate of the state is the one that the root's gyro shows, bias included.
+    Vertical and lateral rows are differences to the root and share its bias. So do the roll rates: the rigid roll rate
+    of the state is the one that the root's gyro shows, bias included.
     """
-    prior = np.zeros((len(layout.bias), len(layout.bias)))
+    prior = np.zeros((len(layout.row_bias_states), len(layout.row_bias_states)))
     root, tips = airframe.root, (airframe.left, airframe.right)
-    for i, (row, _) in enumerate(layout.bias):
+    for i, (row, _) in enumerate(layout.row_bias_states):
         gyro = row >= P_LEFT
         sensor = tips[row % 2]
         prior[i, i] = (sensor.gyro_bias_sigma_radps if gyro else sensor.accel_bias_sigma_mps2) ** 2
         shared = root.gyro_bias_sigma_radps if gyro else root.accel_bias_sigma_mps2
-        for j, (other, _) in enumerate(layout.bias):
+        for j, (other, _) in enumerate(layout.row_bias_states):
             if other // 2 == row // 2:
                 prior[i, j] += shared**2
     return prior

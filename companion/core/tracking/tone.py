@@ -1,10 +1,11 @@
-"""A steady tone in one accelerometer: frequency, amplitude and phase with sigma, for a station that stands alone.
+"""Steady tone in one accelerometer: frequency, amplitude and phase with sigma, for a station that stands alone.
 
 For recordings in which every sensor is a station of its own (a shaker, a simulator's injected sine): no rigid-body
 subtraction, no wing model. Over a sliding window of T the vertical axis is fitted with ``c + d t + a cos + b sin``;
-with noise of one-sided density S and amplitude A the errors are those of the Cramer-Rao bound, ``var(phase at tau
-from the window's middle) = S/(A^2 T) (1 + 12 (tau/T)^2)`` and ``var(f) = 12 S / ((2 pi)^2 A^2 T^3)``. The source's
-2nd-order Butterworth low-pass is undone by its closed-form gain and phase at the frequency found.
+with noise of one-sided density S and amplitude A the errors are those of the Cramer-Rao bound, ``var(phase at tau from
+the window's middle) = S/(A^2 T) (1 + 12 (tau/T)^2)`` and ``var(f) = 12 S / ((2 pi)^2 A^2 T^3)`` (Rife and Boorstyn,
+IEEE TIT 20, 1974). The source's 2nd-order Butterworth low-pass is undone by its closed-form gain and phase at the
+tone's frequency.
 """
 
 from __future__ import annotations
@@ -13,22 +14,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.tracking.streams import Stream
+from companion.core.tracking.streams import SampleBuffer
 from companion.params.airframe import Sensor
 from companion.records import Floats, ImuBatch, Reject, Rejected, Station
 
-_VERTICAL = 2
-_LEAST_FILLED = 0.9  # of the window
-_BESIDE_HZ = 1.5  # where the noise around the tone is judged
-_LEAST_EXPLAINED = 0.85  # share of the power around the tone that a tone must explain: turbulence explains a third
-_LEAST_RATIO = 40.0  # of the tone's line to the density around it times 1/T: chance exceeds it once in 1e17
-_SCAN_PER_BIN = 4
-_ROUNDS = 6
+_VERTICAL = 2  # channel
+_MIN_FILL = 0.9  # chosen: of the window
+_NOISE_BAND_HZ = 1.5  # chosen: on either side of the tone, for the noise density
+_MIN_EXPLAINED = 0.85  # chosen: of the power around the tone; turbulence explains a third
+_MIN_LINE_RATIO = 40.0  # derived: line over the density around it times 1/T; chance exceeds it once in 1e17
+_SCAN_PER_BIN = 4  # numerical: scallop loss 1 %
+_GAUSS_NEWTON_STEPS = 6  # numerical: convergence is quadratic from the scan on
 
 
 @dataclass(frozen=True, slots=True)
-class Tone:
-    """A tone as it was ahead of the source's low-pass: ``f_z(t) = amplitude cos(phase(t))``.
+class ToneEstimate:
+    """Tone ahead of the source's low-pass: ``f_z(t) = amplitude cos(phase(t))``.
 
     Attributes
     ----------
@@ -37,8 +38,8 @@ class Tone:
     amplitude_mps2, amplitude_sigma_mps2 : float
     phase_rad, phase_sigma_rad : float
         In (-pi, pi].
-    share : float
-        Of the power around the tone that the tone explains.
+    explained : float
+        Ratio of the power around the tone that the tone explains.
     """
 
     station: Station
@@ -49,7 +50,7 @@ class Tone:
     amplitude_sigma_mps2: float
     phase_rad: float
     phase_sigma_rad: float
-    share: float
+    explained: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,38 +58,44 @@ class _Line:
     frequency_hz: float
     coefficients: Floats  # a, b about the window's middle
     density: float
-    share: float
+    explained: float
     ratio: float
 
 
 class ToneTracker:
-    """Follow the tone of one station through a sliding window."""
+    """Tone of one station through a sliding window."""
 
     def __init__(
         self, station: Station, sensor: Sensor, frequency_hz: tuple[float, float], window_s: float = 4.0
     ) -> None:
         """Search between the two frequencies."""
         self._station, self._search_hz, self._window_s = station, frequency_hz, window_s
-        self._stream = Stream(sensor)
+        self._stream = SampleBuffer(sensor)
         self._cutoff_hz = sensor.lowpass_accel_hz
 
     def add(self, batch: ImuBatch) -> list[Rejected]:
-        """Take samples; say which were refused."""
+        """Take samples; refusals."""
         refused = self._stream.add(batch, -(2**62))
         if self._stream.newest_ns is not None:
             self._stream.forget(self._stream.newest_ns - round(2.0 * self._window_s * 1e9))
         return refused
 
-    def estimate(self, t_ns: int) -> Tone | Reject:
-        """The tone at ``t_ns``, from the window centred on it or, near an end of what is at hand, the nearest one."""
+    def estimate(self, t_ns: int) -> ToneEstimate | Reject:
+        """Tone at ``t_ns``, from the window centred on it or, near an end of what is at hand, the nearest one.
+
+        Returns
+        -------
+        ToneEstimate or Reject
+            ``NOT_SETTLED`` without enough samples, ``OUT_OF_WINDOW`` far from them, ``NO_MODE`` without a clear tone.
+        """
         t, z, middle_ns = self._window(t_ns)
         span = t[-1] - t[0] if len(t) > 1 else 0.0
-        if span < _LEAST_FILLED * self._window_s or len(t) < _LEAST_FILLED * span * self._stream.sensor.rate_hz * 0.7:
+        if span < _MIN_FILL * self._window_s or len(t) < _MIN_FILL * span * self._stream.sensor.rate_hz * 0.7:
             return Reject.NOT_SETTLED
         if abs(t_ns - middle_ns) > self._window_s * 1e9:
             return Reject.OUT_OF_WINDOW
         line = self._line(t, z)
-        if line.share < _LEAST_EXPLAINED or line.ratio < _LEAST_RATIO:
+        if line.explained < _MIN_EXPLAINED or line.ratio < _MIN_LINE_RATIO:
             return Reject.NO_MODE
         return self._describe(line, t_ns, (t_ns - middle_ns) * 1e-9)
 
@@ -121,36 +128,36 @@ class ToneTracker:
             square * span / (4.0 * max(density, 1e-30)),
         )
 
-    def _describe(self, line: _Line, t_ns: int, from_middle_s: float) -> Tone:
+    def _describe(self, line: _Line, t_ns: int, from_middle_s: float) -> ToneEstimate:
         gain, lag = _butterworth(line.frequency_hz, self._cutoff_hz)
         a, b = line.coefficients
-        seen = float(np.hypot(a, b))
+        measured = float(np.hypot(a, b))
         window, omega = self._window_s, 2.0 * np.pi * line.frequency_hz
-        unit = line.density / (seen**2 * window)
+        unit = line.density / (measured**2 * window)
         phase = float(np.arctan2(-b, a)) + omega * from_middle_s - lag
-        return Tone(
+        return ToneEstimate(
             station=self._station,
             t_ns=t_ns,
             frequency_hz=line.frequency_hz,
             frequency_sigma_hz=float(np.sqrt(12.0 * unit) / (2.0 * np.pi * window)),
-            amplitude_mps2=seen / gain,
-            amplitude_sigma_mps2=float(np.sqrt(unit)) * seen / gain,
+            amplitude_mps2=measured / gain,
+            amplitude_sigma_mps2=float(np.sqrt(unit)) * measured / gain,
             phase_rad=float(np.angle(np.exp(1j * phase))),
             phase_sigma_rad=float(np.sqrt(unit * (1.0 + 12.0 * (from_middle_s / window) ** 2))),
-            share=line.share,
+            explained=line.explained,
         )
 
 
 def _refine(t: Floats, z: Floats, frequency_hz: float, limits_hz: tuple[float, float]) -> tuple[float, Floats, Floats]:
     """Gauss-Newton least squares of ``c + d t + a cos(w t) + b sin(w t)`` in all five."""
-    for _ in range(_ROUNDS):
+    for _ in range(_GAUSS_NEWTON_STEPS):
         omega = 2.0 * np.pi * frequency_hz
         cos, sin = np.cos(omega * t), np.sin(omega * t)
         base = np.stack([np.ones_like(t), t, cos, sin], axis=1)
         linear, *_ = np.linalg.lstsq(base, z, rcond=None)
         residual = z - base @ linear
-        turned = t * (linear[3] * cos - linear[2] * sin)
-        moved, *_ = np.linalg.lstsq(np.column_stack([base, turned]), residual, rcond=None)
+        by_omega = t * (linear[3] * cos - linear[2] * sin)
+        moved, *_ = np.linalg.lstsq(np.column_stack([base, by_omega]), residual, rcond=None)
         step = float(moved[4]) / (2.0 * np.pi)
         if not np.isfinite(step) or abs(step) < 1e-7:
             break
@@ -160,11 +167,11 @@ def _refine(t: Floats, z: Floats, frequency_hz: float, limits_hz: tuple[float, f
 
 def _density_around(t: Floats, residual: Floats, frequency_hz: float, span_s: float) -> tuple[float, float]:
     """One-sided density of what the tone leaves around its frequency, and its power within that band."""
-    beside = np.arange(max(frequency_hz - _BESIDE_HZ, 1.0 / span_s), frequency_hz + _BESIDE_HZ, 1.0 / span_s)
-    spectrum = np.exp(-2j * np.pi * beside[:, None] * t) @ residual
+    around_hz = np.arange(max(frequency_hz - _NOISE_BAND_HZ, 1.0 / span_s), frequency_hz + _NOISE_BAND_HZ, 1.0 / span_s)
+    spectrum = np.exp(-2j * np.pi * around_hz[:, None] * t) @ residual
     density = 2.0 * span_s * np.abs(spectrum / len(t)) ** 2
     mean = float(density.mean())
-    return mean, mean * len(beside) / span_s
+    return mean, mean * len(around_hz) / span_s
 
 
 def _butterworth(frequency_hz: float, cutoff_hz: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What the estimate may be used for, and how strong the motion is."""
+"""Validity of the estimate, and the activity of the modes."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from collections import deque
 import numpy as np
 
 from companion.core.kernels.compiled import compiled
-from companion.core.tracking.filter import Kalman
-from companion.core.tracking.model import StepModel
+from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.model import DiscreteWingModel
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters
-from companion.core.tracking.states import Layout
+from companion.core.tracking.states import StateLayout
 from companion.records import Floats, Ints, Validity
 
-_BLOCK_S = 1.0
-_BLOCKS = 5
-_SETTLE_S = 2.0
-_LEARN_S = 10.0  # until then the parameters move by much, and the history is run again with them
-_VAGUE = 0.2  # relative sigma of the frequency beyond which it is not known which mode is followed
-SURPRISED = 3.0  # mean square of normalised innovations; with the right model it stays below 2
+_BLOCK_S = 1.0  # chosen: several periods of the slowest wing
+_BLOCKS = 5  # chosen: their median outlives a gust of two seconds
+_SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
+_LEARN_S = 10.0  # as adaptation: until then parameters move by much, and the history is filtered again
+_MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
+NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
 
 
-class Level:
-    """Mean square of both modes' swing: the median of the last seconds' blocks.
+class ModalActivity:
+    """Root mean square vibration of both families' first modes: the median over blocks of the last seconds.
 
-    The swing is told by the rate of the deflection over the mode's circular frequency, which is the deflection itself
-    where a mode swings. A jump of the static bend, as at take-off, moves the deflection far, but slowly: no swing.
+    The vibration is the rate of the deflection over the mode's circular frequency, which is the deflection itself where
+    a mode oscillates. A step of the static bend, as at take-off, moves the deflection far, but slowly: no vibration.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class Level:
         The parameters have been learned, once.
     """
 
-    def __init__(self, layout: Layout) -> None:
-        self._rates = np.array([family.v for family in layout.families])
-        self._model: StepModel | None = None
+    def __init__(self, layout: StateLayout) -> None:
+        self._rate_states = np.array([family.v for family in layout.families])
+        self._model: DiscreteWingModel | None = None
         self._stiffness: Floats = np.ones(2)  # of its modes: circular frequencies squared
         self._blocks: deque[Floats] = deque(maxlen=_BLOCKS)
         self._sum, self._count = np.zeros(2), 0
@@ -46,13 +46,15 @@ class Level:
         self.settled_s = 0.0
         self.learned = False
 
-    def update(self, kalman: Kalman, count: int, step_s: float) -> None:
+    def update(self, kalman: SeparatedBiasFilter, count: int, step_s: float) -> None:
         """Take the newest ``count`` steps."""
-        taken = min(count, kalman.kept)
+        taken = min(count, kalman.history_length)
         if kalman.model is not self._model:
             omega = 2.0 * np.pi * np.array([mode.frequency_hz for mode in kalman.model.parameters])
             self._model, self._stiffness = kalman.model, omega**2
-        squares = _rate_squares(kalman.history.state, kalman.steps - taken, taken, self._rates, kalman.weights)
+        squares = _rate_squares(
+            kalman.history.state, kalman.steps - taken, taken, self._rate_states, kalman.one_and_bias
+        )
         self._sum = self._sum + squares / self._stiffness
         self._count += taken
         self.settled_s += count * step_s
@@ -66,41 +68,41 @@ class Level:
 
     @property
     def settled(self) -> bool:
-        """Whether it has followed the wing for long enough to be believed."""
+        """Whether the filter's transient is over."""
         return self.settled_s >= _SETTLE_S
 
     def rms_m(self) -> Floats:
-        """Root mean square, symmetric and antisymmetric."""
+        """Root mean square vibration, symmetric and antisymmetric, m at the tip, (2,)."""
         return self._rms
 
 
 @compiled
-def _rate_squares(states: Floats, first: int, count: int, rates: Ints, weights: Floats) -> Floats:
-    """Sum of the squares of both modes' rates over ``count`` steps of the history from ``first`` on, (2,)."""
-    total = np.zeros(len(rates))
+def _rate_squares(states: Floats, first: int, count: int, rate_states: Ints, one_and_bias: Floats) -> Floats:
+    """Sum of squares of both families' rates over ``count`` steps of the history from ``first`` on, (2,)."""
+    total = np.zeros(len(rate_states))
     for k in range(first, first + count):
-        for family in range(len(rates)):
-            total[family] += np.dot(states[k % len(states), rates[family]], weights) ** 2
+        for family in range(len(rate_states)):
+            total[family] += np.dot(states[k % len(states), rate_states[family]], one_and_bias) ** 2
     return total
 
 
-def judge(
+def classify_validity(
     *,
     stale: bool,
     saturated: bool,
     settled: bool,
-    surprise: float,
+    nis: float,
     rms_m: Floats,
     calm_rms_m: float,
     parameters: tuple[ModeParameters, ModeParameters],
     ambiguous: bool,
 ) -> Validity:
-    """Say what the estimate may be used for; the gravest reason wins."""
+    """Validity of the estimate; the gravest reason wins."""
     if stale:
         return Validity.STALE
     if saturated:
         return Validity.SATURATED
-    if surprise > SURPRISED:
+    if nis > NIS_LIMIT:
         return Validity.INCONSISTENT
     if not settled:
         return Validity.SETTLING
@@ -108,6 +110,6 @@ def judge(
     if math.sqrt(symmetric_m * symmetric_m + antisymmetric_m * antisymmetric_m) < calm_rms_m:
         return Validity.CALM
     strongest = parameters[int(antisymmetric_m > symmetric_m)]
-    if ambiguous or strongest.log_sigma[FREQUENCY] > _VAGUE:
+    if ambiguous or strongest.log_sigma[FREQUENCY] > _MAX_FREQUENCY_SIGMA:
         return Validity.AMBIGUOUS
     return Validity.TRACKING

@@ -1,8 +1,8 @@
-"""On-line adaptation: once a second the parameters that make the last seconds of vertical acceleration most likely.
+"""On-line adaptation: once a second the most probable parameters for the last seconds of vertical acceleration.
 
-A long stretch tells the gust's colour, and so the slow bend; where the wing drifts, it is fitted in the time in which
-the vibration is steady (:mod:`companion.core.tracking.adaptation.frequency_drift`). In the first ten seconds the
-parameters move by much; whoever filters should then start again from the beginning, or early errors stay in the biases.
+A long segment tells the gust's corners, and so the slow bend; where the wing drifts, it is fitted in the time in which
+the vibration is stationary (:mod:`companion.core.tracking.adaptation.frequency_drift`). In the first ten seconds the
+parameters move by much; the filter then starts again from the beginning, or early errors stay in the biases.
 """
 
 from __future__ import annotations
@@ -13,12 +13,26 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.channels import COLUMNS, ROLL, STATIC, Channels
-from companion.core.tracking.adaptation.frequency_drift import at_end, evened, growing, likeliest, when_evened
-from companion.core.tracking.adaptation.noise_psd import Floor
-from companion.core.tracking.adaptation.periodogram import Stretch, make_stretch, make_stretches
-from companion.core.tracking.adaptation.whittle import Fit, Prior, fit, misfit, scan, seek_peak
-from companion.core.tracking.model import Parameters
+from companion.core.tracking.adaptation.frequency_drift import (
+    estimate_drift_rate,
+    frequency_mask,
+    time_warped,
+    to_segment_end,
+    to_warped_time,
+)
+from companion.core.tracking.adaptation.noise_psd import NoiseSpectrum
+from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram, make_periodograms
+from companion.core.tracking.adaptation.whittle import (
+    LogNormalPrior,
+    WhittleFit,
+    find_unmodelled_peak,
+    fit,
+    neg_log_likelihood,
+    scan,
+)
+from companion.core.tracking.model import WingParameters
 from companion.core.tracking.parameters import (
     CORNER_1,
     CORNER_2,
@@ -30,28 +44,27 @@ from companion.core.tracking.parameters import (
     PARAMETERS,
     ModeParameters,
 )
-from companion.core.tracking.rigid_body import Cells
-from companion.core.tracking.states import P_ROOT, Layout, Noise
+from companion.core.tracking.states import P_ROOT, SensorNoise, StateLayout
 from companion.records import Bools, Floats
 
-_LONG_S = 20.0
-_PIECE_S = 4.0
-_EARLY_S = 10.0
-_FIRST_S = 1.5
-_PERIOD_S = 1.0
-_SCAN_UNTIL_S = 6.0
-_PEAK_EVIDENCE = 8.0
-_SECOND_EVIDENCE = 3.0
-_IDLE = 1e-7  # of the first mode's load
-_CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))
-_ROUNDS = 6
-_CLEARLY = 1.0
-_LOWEST_HZ = 0.25  # a stiff wing's slow bend, though the tip hardly feels it, is told by the gust's colour down there
-_REACH = 4.0
-_FARTHEST = np.log(2.0)  # a wing that is loaded or iced drifts far beyond what was believed of it at rest
-_CUT_MEMORY_S = 5.0
-_LEAST_PRESENT = 0.98
-_HOLE_CELLS = 11
+_LONG_S = 20.0  # chosen: five periods of the lowest frequency that is fitted
+_SEGMENT_S = 4.0  # chosen: short, so that a drifting peak is hardly broadened
+_EARLY_S = 10.0  # chosen: until then the filter starts again with new parameters
+_FIRST_S = 1.5  # chosen: seven periods at 5 Hz for the first fit
+_PERIOD_S = 1.0  # chosen: between fits
+_SCAN_UNTIL_S = 6.0  # chosen: until then every fit scans the frequency
+_PEAK_EVIDENCE = 8.0  # chosen, log likelihood: pays for looking at many frequencies
+_SECOND_EVIDENCE = 3.0  # chosen, log likelihood: about one for each of its parameters
+_PRUNED_LOAD_RATIO = 1e-7  # chosen: of the first mode's load, invisible
+_CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))  # chosen: slow, usual, one pole, white
+_MAX_SCORING_STEPS = 6  # numerical: scoring converges in fewer from a good start
+_MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
+_MIN_FREQUENCY_HZ = 0.25  # chosen: down there the gust's corners show, which set a stiff wing's slow bend
+_PRIOR_SIGMAS = 4.0  # convention: bounds of the parameters
+_MAX_LOG_DRIFT = np.log(2.0)  # chosen: a loaded or iced wing drifts far beyond the prior at rest
+_ALIASING_MEMORY_S = 5.0  # chosen: of the mean aliasing noise
+_MIN_PRESENT = 0.98  # chosen: of the epochs of a segment
+_GAP_EPOCHS = 11  # chosen, odd: mostly absent over so many epochs is a gap, a lost sample is none
 
 _Ring = TypeVar("_Ring", bound=Any)
 
@@ -63,65 +76,72 @@ class Adaptation:
     ----------
     parameters : (symmetric, antisymmetric)
     ambiguous : bool
-        The last fit had two answers that were about as good.
+        The last fit had two local optima of about the same posterior.
     refilter : bool
         The last fit happened early enough for the filter to start again.
     """
 
     def __init__(
-        self, layout: Layout, noise: Noise, prior: Parameters, levers_m: tuple[float, float], step_s: float
+        self,
+        layout: StateLayout,
+        noise: SensorNoise,
+        prior: WingParameters,
+        levers_m: tuple[float, float],
+        step_s: float,
     ) -> None:
         self._channels, self._step_s = Channels(layout, noise, levers_m, step_s), step_s
         self._prior = prior
-        self.parameters: Parameters = prior
-        self._constants, self._bend_per_g_m = np.zeros(len(layout.constants)), 0.0
+        self.parameters: WingParameters = prior
+        self._bias_parameters, self._bend_per_g_m = np.zeros(len(layout.bias_parameters)), 0.0
         self.ambiguous = False
         self.refilter = False
-        size, self._piece = round(_LONG_S / step_s), round(_PIECE_S / step_s)
-        self._rows, self._seen = np.zeros((size, COLUMNS)), np.zeros((size, 2), dtype=bool)
-        self._sensitivity = np.zeros((size, 2, len(layout.constants)))
+        size, self._segment_epochs = round(_LONG_S / step_s), round(_SEGMENT_S / step_s)
+        self._rows, self._present = np.zeros((size, COLUMNS)), np.zeros((size, 2), dtype=bool)
+        self._sensitivity = np.zeros((size, 2, len(layout.bias_parameters)))
         self._count = 0
         self._next = round(_FIRST_S / step_s)
         self.fits = 0
-        self._cut = 0.0  # how much the edges of the last cells cut samples
+        self._aliasing_noise = 0.0  # by edges of the last epochs that cut samples
         self._contradicted = False
         self._rates = [(0.0, 0.0), (0.0, 0.0)]  # of both families' frequencies, 1/s, and their sigmas
-        self._only = 0  # the tip that is there, where one is missing
+        self._single_tip = 0  # the present tip, where the other is absent
 
     @property
     def early(self) -> bool:
-        """Whether the history is still to be kept."""
+        """Whether the history is still to be stored."""
         return self._count < round(_EARLY_S / self._step_s)
 
-    def split(self, cells: Cells) -> Iterator[Cells]:
-        """Cut a run where the parameters may change, so that this does not depend on how calls are spaced."""
+    def split(self, epochs: Epochs) -> Iterator[Epochs]:
+        """Cut a run where parameters may change, so that the spacing of calls changes nothing."""
         at = 0
-        while at < len(cells):
-            end = min(len(cells), at + max(self._next - self._count, 1))
-            yield cells.span(at, end)
+        while at < epochs.length:
+            end = min(epochs.length, at + max(self._next - self._count, 1))
+            yield epochs.span(at, end)
             at = end
 
-    def learn(self, constants: Floats, bend_per_g_m: float) -> None:
-        """Take over the sensor errors and the bend per g as they are known by now; all that is kept is seen by them."""
-        self._constants, self._bend_per_g_m = constants.copy(), bend_per_g_m
+    def set_bias_parameters(self, bias_parameters: Floats, bend_per_g_m: float) -> None:
+        """Bias parameters and bend per g as estimated; they correct the whole stored history."""
+        self._bias_parameters, self._bend_per_g_m = bias_parameters.copy(), bend_per_g_m
 
-    def take(self, cells: Cells, contradicted: bool = False) -> bool:
-        """Take cells; say whether there are new parameters.
+    def add_epochs(self, epochs: Epochs, contradicted: bool = False) -> bool:
+        """Take epochs; whether there are new parameters.
 
-        ``contradicted``: the filter cannot explain what it measures, or could not with the parameters found last. A
-        second mode then needs no evidence from the vertical axes: a gyro, which the fit does not see, shows one a
-        hundred times better.
+        ``contradicted``: the filter cannot explain its measurements, or could not with the last parameters. A second
+        mode then needs no evidence from the vertical axes: a gyro, which the fit does not use, shows one a hundred
+        times better.
         """
         self._contradicted = contradicted
         size = len(self._rows)
-        first, last = self._count % size, self._count % size + len(cells)
+        first, last = self._count % size, self._count % size + epochs.length
         slots = slice(first, last) if last <= size else np.arange(first, last) % size
-        self._rows[slots, :2], self._sensitivity[slots] = cells.rows[:, :2], cells.sensitivity[:, :2]
-        self._rows[slots, ROLL], self._rows[slots, STATIC] = cells.rows[:, P_ROOT], cells.load
-        self._seen[slots] = cells.present[:, :2]
-        self._cut += min(1.0, len(cells) * self._step_s / _CUT_MEMORY_S) * (_mean(cells.cut) - self._cut)
+        self._rows[slots, :2], self._sensitivity[slots] = epochs.rows[:, :2], epochs.sensitivity[:, :2]
+        self._rows[slots, ROLL], self._rows[slots, STATIC] = epochs.rows[:, P_ROOT], epochs.load_g
+        self._present[slots] = epochs.present[:, :2]
+        self._aliasing_noise += min(1.0, epochs.length * self._step_s / _ALIASING_MEMORY_S) * (
+            _mean(epochs.aliasing_noise) - self._aliasing_noise
+        )
         self.refilter = self.early
-        self._count += len(cells)
+        self._count += epochs.length
         if self._count < self._next:
             return False
         elapsed = self._count * self._step_s
@@ -129,16 +149,17 @@ class Adaptation:
         return self._fit_all(elapsed)
 
     def _fit_all(self, elapsed_s: float) -> bool:
-        rows, seen = self._kept()
-        since = self._last_hole(seen)
-        if since and len(rows) - since < self._piece:
+        """Fit every family for which enough of the history is present; whether there are new parameters."""
+        rows, present = self._corrected_history()
+        since = self._last_gap(present)
+        if since and len(rows) - since < self._segment_epochs:
             return False
-        rows, seen = rows[since:], seen[since:]
-        tips = seen.mean(axis=0) >= _LEAST_PRESENT
+        rows, present = rows[since:], present[since:]
+        tips = present.mean(axis=0) >= _MIN_PRESENT
         if not tips.any():
             return False
         self.fits += 1
-        self._only = int(np.argmax(tips))
+        self._single_tip = int(np.argmax(tips))
         self.ambiguous = False
         if tips.all():
             families = [self._fit_family(rows, (k,), elapsed_s)[0] for k in (0, 1)]
@@ -147,109 +168,125 @@ class Adaptation:
         self.parameters = (families[0], families[1])
         return True
 
-    def _last_hole(self, seen: Bools) -> int:
-        """Where the newest stretch with both tips begins, if one of them was away for a while; 0 where it always was.
+    def _last_gap(self, present: Bools) -> int:
+        """Beginning of the newest segment with both tips, if one of them was absent for a while; 0 where neither was.
 
-        What only one tip says of both families is not worth leaving what both have said.
+        What one tip alone says of both families is worth less than what both have said before.
         """
-        both = seen[:, 0] & seen[:, 1]
-        if both.mean() >= _LEAST_PRESENT or not both.any():
+        both = present[:, 0] & present[:, 1]
+        if both.mean() >= _MIN_PRESENT or not both.any():
             return 0
-        present = np.convolve(both, np.ones(_HOLE_CELLS), mode="same") > 0.5
-        missing = np.flatnonzero(~present)
-        return int(missing[-1]) + 1 + _HOLE_CELLS // 2 if len(missing) else 0
+        mostly = np.convolve(both, np.ones(_GAP_EPOCHS), mode="same") > 0.5
+        missing = np.flatnonzero(~mostly)
+        return int(missing[-1]) + 1 + _GAP_EPOCHS // 2 if len(missing) else 0
 
-    def _kept(self) -> tuple[Floats, Bools]:
-        """Everything that is kept, oldest first, seen by the constants as known now."""
+    def _corrected_history(self) -> tuple[Floats, Bools]:
+        """Stored rows (n, COLUMNS), oldest first, corrected for bias, and their presence (n, 2)."""
         count = min(self._count, len(self._rows))
         first = (self._count - count) % len(self._rows)
-        rows, seen = _in_order(self._rows, first, count).copy(), _in_order(self._seen, first, count)
-        known = _in_order(self._sensitivity, first, count)
-        rows[:, :2] -= (known.reshape(2 * count, -1) @ self._constants).reshape(count, 2)
+        rows, present = _in_order(self._rows, first, count).copy(), _in_order(self._present, first, count)
+        sensitivity = _in_order(self._sensitivity, first, count)
+        rows[:, :2] -= (sensitivity.reshape(2 * count, -1) @ self._bias_parameters).reshape(count, 2)
         rows[:, STATIC] *= self._bend_per_g_m
-        return rows, seen
+        return rows, present
 
     def _fit_family(self, rows: Floats, which: tuple[int, ...], elapsed_s: float) -> list[ModeParameters]:
-        known = (self.parameters, self._cut, self._bend_per_g_m)
-        samples, floor = self._channels.of(rows, which, self._only, *known)
+        """Parameters of one family, or of both where only one tip is present."""
+        estimates = (self.parameters, self._aliasing_noise, self._bend_per_g_m)
+        samples, noise_spectrum = self._channels.channel(rows, which, self._single_tip, *estimates)
         prior = _join([self._prior[k] for k in which])
-        start = np.concatenate([self.parameters[k].logs() for k in which])
+        start = np.concatenate([self.parameters[k].log_params() for k in which])
         band = self._band(which)
         length_s = len(samples) * self._step_s
         rate, rate_sigma = self._rates[which[0]]
         if elapsed_s > _EARLY_S:
-            rate, rate_sigma = self._drifting(samples, band, floor, prior, start, rate)
+            rate, rate_sigma = self._estimate_drift(samples, band, noise_spectrum, prior, start, rate)
         for k in which:
             self._rates[k] = rate, rate_sigma
         long, start = (
-            make_stretch(evened(samples, rate, self._step_s), self._step_s, band, floor),
-            when_evened(start, rate, length_s),
+            make_periodogram(time_warped(samples, rate, self._step_s), self._step_s, band, noise_spectrum),
+            to_warped_time(start, rate, length_s),
         )
         if elapsed_s <= _SCAN_UNTIL_S:
             best = self._search(long, prior, self._scanned(long, prior, start))
         else:
             best = self._improved(long, prior, start, which[0])
-        best = _without_idle_seconds(long, prior, best, -np.inf if self._contradicted else _SECOND_EVIDENCE)
-        by_rate = 0.5 * length_s * rate_sigma * growing(len(start))
-        best = Fit(at_end(best.logs, rate, length_s), np.hypot(best.log_sigma, by_rate), best.cost)
+        best = _prune_insignificant_second_mode(long, prior, best, -np.inf if self._contradicted else _SECOND_EVIDENCE)
+        by_rate = 0.5 * length_s * rate_sigma * frequency_mask(len(start))
+        best = WhittleFit(
+            to_segment_end(best.log_params, rate, length_s), np.hypot(best.log_sigma, by_rate), best.neg_log_posterior
+        )
         out, at = [], 0
         for k in which:
-            piece = slice(at, at + PARAMETERS)
-            out.append(self._prior[k].with_logs(best.logs[piece], best.log_sigma[piece]))
+            segment = slice(at, at + PARAMETERS)
+            out.append(self._prior[k].with_log_params(best.log_params[segment], best.log_sigma[segment]))
             at += PARAMETERS
         return out
 
-    def _drifting(
-        self, samples: Floats, band: tuple[float, float, float], floor: Floor, prior: Prior, start: Floats, rate: float
+    def _estimate_drift(
+        self,
+        samples: Floats,
+        band: tuple[float, float, float],
+        noise_spectrum: NoiseSpectrum,
+        prior: LogNormalPrior,
+        start: Floats,
+        rate: float,
     ) -> tuple[float, float]:
-        """Rate of the frequencies, one step on from the one that was believed, and its sigma."""
-        count = len(samples) // self._piece
-        newest = samples[len(samples) - count * self._piece :].reshape(count, self._piece)
-        pieces = make_stretches(newest, self._step_s, band, floor)
-        length_s = count * _PIECE_S
-        return likeliest(pieces, _PIECE_S, prior, when_evened(start, rate, length_s), rate)
+        """Drift rate one scoring step on from the last one, 1/s, and its sigma."""
+        count = len(samples) // self._segment_epochs
+        newest = samples[len(samples) - count * self._segment_epochs :].reshape(count, self._segment_epochs)
+        segments = make_periodograms(newest, self._step_s, band, noise_spectrum)
+        length_s = count * _SEGMENT_S
+        return estimate_drift_rate(segments, _SEGMENT_S, prior, to_warped_time(start, rate, length_s), rate)
 
-    def _improved(self, stretch: Stretch, prior: Prior, start: Floats, family: int) -> Fit:
-        """Go on from where the last fit ended; in turns try another colour of the gust, or a peak that it has not.
+    def _improved(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats, family: int) -> WhittleFit:
+        """Fit from the last optimum; in turns also from other gust corners or with a second mode at a peak.
 
-        Such a try costs more than all the rest: the families have it by turns.
+        Such a trial costs more than all the rest: the families take turns.
         """
-        best = fit(stretch, prior, start, 3)
+        best = fit(periodogram, prior, start, 3)
         if self.fits % 2 != family:
             return best
-        turn = self.fits // 2 % (1 + len(_CORNERS_HZ))
-        tried = _recoloured(best.logs, _CORNERS_HZ[turn - 1]) if turn else self._with_second(stretch, prior, best.logs)
-        if np.array_equal(tried, best.logs):
+        trial = self.fits // 2 % (1 + len(_CORNERS_HZ))
+        tried = (
+            _with_corners(best.log_params, _CORNERS_HZ[trial - 1])
+            if trial
+            else self._with_second(periodogram, prior, best.log_params)
+        )
+        if np.array_equal(tried, best.log_params):
             return best
-        other = fit(stretch, prior, tried, 2 * _ROUNDS)
-        return other if other.cost < best.cost - _CLEARLY else best
+        other = fit(periodogram, prior, tried, 2 * _MAX_SCORING_STEPS)
+        return other if other.neg_log_posterior < best.neg_log_posterior - _MIN_GAIN else best
 
-    def _search(self, stretch: Stretch, prior: Prior, start: Floats) -> Fit:
-        """Fit from gusts of several colours: a wrong one holds on to its own local answer."""
-        best: Fit | None = None
+    def _search(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> WhittleFit:
+        """Fit from gusts with several pairs of corners: a wrong one has its own local optimum."""
+        best: WhittleFit | None = None
         for corners_hz in (None, *_CORNERS_HZ):
-            tried = start if corners_hz is None else _recoloured(start, corners_hz)
-            found = fit(stretch, prior, self._with_second(stretch, prior, tried), _ROUNDS)
-            if best is None or found.cost < best.cost:
-                best = found
+            tried = start if corners_hz is None else _with_corners(start, corners_hz)
+            result = fit(periodogram, prior, self._with_second(periodogram, prior, tried), _MAX_SCORING_STEPS)
+            if best is None or result.neg_log_posterior < best.neg_log_posterior:
+                best = result
         assert best is not None
-        return fit(stretch, prior, best.logs, _ROUNDS)
+        return fit(periodogram, prior, best.log_params, _MAX_SCORING_STEPS)
 
-    def _with_second(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
-        least = 0.0 if self._contradicted else _PEAK_EVIDENCE
+    def _with_second(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
+        """Start with each second mode moved to an unmodelled peak, where there is enough evidence."""
+        least_evidence = 0.0 if self._contradicted else _PEAK_EVIDENCE
         for at in range(FREQUENCY_2, len(start), PARAMETERS):
-            moved, gain = seek_peak(stretch, prior, start, at)
-            start = moved if gain > least else start
+            moved, gain = find_unmodelled_peak(periodogram, prior, start, at)
+            start = moved if gain > least_evidence else start
         return start
 
     def _band(self, which: tuple[int, ...]) -> tuple[float, float, float]:
+        """Lowest frequency, first grouped frequency and highest frequency of a family's fit, Hz."""
         highest = 0.48 / self._step_s
-        return _LOWEST_HZ, min(2.2 * max(self._prior[k].frequency_hz for k in which), 0.8 * highest), highest
+        return _MIN_FREQUENCY_HZ, min(2.2 * max(self._prior[k].frequency_hz for k in which), 0.8 * highest), highest
 
-    def _scanned(self, stretch: Stretch, prior: Prior, start: Floats) -> Floats:
+    def _scanned(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
+        """Start with each first frequency at the best of a scan; notes two local optima."""
         for at in range(0, len(start), PARAMETERS):
             reach = min(3.0 * prior.sigma[at], 0.7)
-            costs, starts = scan(stretch, prior, start, at, np.linspace(-reach, reach, 21))
+            costs, starts = scan(periodogram, prior, start, at, np.linspace(-reach, reach, 21))
             best = int(np.argmin(costs))
             start = starts[best]
             self.ambiguous |= _two_answers(costs)
@@ -257,47 +294,52 @@ class Adaptation:
 
 
 def _mean(values: Floats) -> float:
-    """What ``mean`` says, at a third of its price for a few numbers."""
+    """Mean, at a third of the price of numpy's for a few numbers."""
     return float(np.add.reduce(values, axis=None)) / values.size
 
 
 def _in_order(ring: _Ring, first: int, count: int) -> _Ring:
-    """The ``count`` entries from ``first`` on; as they lie there where that is possible."""
+    """The ``count`` entries of a ring from ``first`` on; as they lie where possible."""
     return cast(_Ring, np.concatenate([ring[first:], ring[:first]]) if first else ring[:count])
 
 
-def _join(families: list[ModeParameters]) -> Prior:
-    logs = [family.logs() for family in families]
-    mean, sigma = np.concatenate(logs), np.concatenate([family.log_sigma for family in families])
+def _join(families: list[ModeParameters]) -> LogNormalPrior:
+    """Prior of several families' parameters, with bounds."""
+    log_params = [family.log_params() for family in families]
+    mean, sigma = np.concatenate(log_params), np.concatenate([family.log_sigma for family in families])
     low, high = (np.tile(np.log(limit), len(families)) for limit in LIMITS)
-    lowest = np.maximum(low, mean - _REACH * sigma)
-    highest = np.minimum(high, mean + _REACH * sigma)
+    lowest = np.maximum(low, mean - _PRIOR_SIGMAS * sigma)
+    highest = np.minimum(high, mean + _PRIOR_SIGMAS * sigma)
     lowest[LOAD_2::PARAMETERS] = low[LOAD_2::PARAMETERS]
-    own = slice(FREQUENCY, None, PARAMETERS)
-    lowest[own] = np.minimum(lowest[own], mean[own] - _FARTHEST)
-    highest[own] = np.maximum(highest[own], mean[own] + _FARTHEST)
-    return Prior(mean, sigma, lowest, highest, np.array([family.reference_hz for family in families]))
+    frequency = slice(FREQUENCY, None, PARAMETERS)
+    lowest[frequency] = np.minimum(lowest[frequency], mean[frequency] - _MAX_LOG_DRIFT)
+    highest[frequency] = np.maximum(highest[frequency], mean[frequency] + _MAX_LOG_DRIFT)
+    return LogNormalPrior(mean, sigma, lowest, highest, np.array([family.reference_hz for family in families]))
 
 
-def _recoloured(start: Floats, corners_hz: tuple[float, float]) -> Floats:
+def _with_corners(start: Floats, corners_hz: tuple[float, float]) -> Floats:
+    """Start with other corners of the gust."""
     moved = start.copy()
     moved[CORNER_1::PARAMETERS], moved[CORNER_2::PARAMETERS] = np.log(corners_hz)
     return moved
 
 
-def _without_idle_seconds(stretch: Stretch, prior: Prior, found: Fit, least_evidence: float) -> Fit:
-    """Silence a second mode without evidence: its share of a white load could not be told from the first mode's."""
-    logs, value = found.logs.copy(), misfit(stretch, prior, found.logs)
-    for at in range(0, len(logs), PARAMETERS):
-        tried = logs.copy()
-        tried[at + LOAD_2] = max(tried[at + LOAD] + np.log(_IDLE), prior.low[at + LOAD_2])
-        without = misfit(stretch, prior, tried)
-        if without - value < least_evidence:
-            logs, value = tried, without
-    return dataclasses.replace(found, logs=logs)
+def _prune_insignificant_second_mode(
+    periodogram: Periodogram, prior: LogNormalPrior, result: WhittleFit, least_evidence: float
+) -> WhittleFit:
+    """Remove a second mode without evidence: under a white load it cannot be told from the first."""
+    log_params, reference = result.log_params.copy(), neg_log_likelihood(periodogram, prior, result.log_params)
+    for at in range(0, len(log_params), PARAMETERS):
+        tried = log_params.copy()
+        tried[at + LOAD_2] = max(tried[at + LOAD] + np.log(_PRUNED_LOAD_RATIO), prior.low[at + LOAD_2])
+        without = neg_log_likelihood(periodogram, prior, tried)
+        if without - reference < least_evidence:
+            log_params, reference = tried, without
+    return dataclasses.replace(result, log_params=log_params)
 
 
 def _two_answers(costs: Floats) -> bool:
+    """Whether a scan has two local optima within 2 of each other in negative log posterior."""
     inner = (costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:])
     lows = np.sort(costs[1:-1][inner])
     return len(lows) > 1 and bool(lows[1] - lows[0] < 2.0)

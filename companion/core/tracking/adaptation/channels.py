@@ -1,90 +1,108 @@
-"""What a family is fitted to: one channel of the vertical readings, and the density of all that is not the wing's."""
+"""Samples that a family is fitted to, and the density of everything in them that is not the wing's."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from companion.core.tracking.adaptation.model_spectrum import load_density
-from companion.core.tracking.adaptation.noise_psd import DERIVATIVE, EDGE, Bend, Floor
-from companion.core.tracking.model import Parameters
-from companion.core.tracking.states import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, Layout, Noise
+from companion.core.tracking.adaptation.noise_psd import DERIVATIVE, EDGE, NoiseSpectrum, StaticBendResponse
+from companion.core.tracking.model import WingParameters
+from companion.core.tracking.states import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, SensorNoise, StateLayout
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
 COLUMNS, ROLL, STATIC = 4, 2, 3  # of the rows: both vertical ones, root roll rate, bend by the load factor
 
-_MEAN, _HALF_DIFFERENCE = (1.0, 1.0), (-1.0, 1.0)  # twice the share of the left and right row
+_MEAN, _HALF_DIFFERENCE = (1.0, 1.0), (-1.0, 1.0)  # twice the weights of the left and right row
 
 
 class Channels:
-    """The mean of both tips for the symmetric family, half their difference for the other, one tip for both."""
+    """Mean of both tips for the symmetric family, half their difference for the other, one tip for both."""
 
-    def __init__(self, layout: Layout, noise: Noise, levers_m: tuple[float, float], step_s: float) -> None:
+    def __init__(self, layout: StateLayout, noise: SensorNoise, levers_m: tuple[float, float], step_s: float) -> None:
         self._layout, self._noise, self._step_s = layout, noise, step_s
         self._lever_m = 0.5 * (levers_m[1] - levers_m[0])
-        self._tips = noise.own[[Z_LEFT, Z_RIGHT]] * 2.0 * step_s
-        self._root = noise.root_z * 2.0 * step_s
-        self._roll = noise.own[P_ROOT] * 2.0 * step_s * self._lever_m**2
+        self._tips = noise.sensor_variance[[Z_LEFT, Z_RIGHT]] * 2.0 * step_s
+        self._root = noise.root_z_variance * 2.0 * step_s
+        self._roll = noise.sensor_variance[P_ROOT] * 2.0 * step_s * self._lever_m**2
 
-    def of(
-        self, rows: Floats, families: tuple[int, ...], tip: int, parameters: Parameters, cut: float, bend_per_g_m: float
-    ) -> tuple[Floats, Floor]:
-        """Samples (n,) and their floor.
+    def channel(
+        self,
+        rows: Floats,
+        families: tuple[int, ...],
+        tip: int,
+        parameters: WingParameters,
+        aliasing_noise: float,
+        bend_per_g_m: float,
+    ) -> tuple[Floats, NoiseSpectrum]:
+        """Samples of a family's channel and the spectrum of their noise.
 
         Parameters
         ----------
         rows : (n, COLUMNS) float64
-            All that is kept, seen by the constants as known.
+            Stored history, corrected by the bias parameters.
         families : tuple of int
-            Both where only one tip is there.
+            Both where only one tip is present.
         tip : int
-            The one that is there.
+            The tip that is present.
         parameters : (symmetric, antisymmetric)
-            As known by now.
-        cut : float
-            How much the edges of cells cut samples.
+            As estimated by now.
+        aliasing_noise : float
+            Mean of ``Epochs.aliasing_noise``.
         bend_per_g_m : float
-            As known by now.
+            As estimated by now.
+
+        Returns
+        -------
+        samples : (n,) float64
+            m/s^2.
+        noise_spectrum : NoiseSpectrum
         """
-        cut_density, step_s = self._cut_density(parameters, cut), self._step_s
-        bend = Bend(parameters[0].frequency_hz, parameters[0].damping, bend_per_g_m / GRAVITY_MPS2)
+        aliasing_density, step_s = self._aliasing_density(parameters, aliasing_noise), self._step_s
+        bend = StaticBendResponse(parameters[0].frequency_hz, parameters[0].damping, bend_per_g_m / GRAVITY_MPS2)
         if families == (0,):
-            known = _answer(rows[:, STATIC], bend, step_s)
+            load_response = _static_bend_reading(rows[:, STATIC], bend, step_s)
             white = float(self._tips.sum() / 4.0)
-            floor = Floor(white, self._root, bend, 0.0, 0.5 * cut_density, self._wander(_MEAN), step_s)
-            return 0.5 * (rows[:, 0] + rows[:, 1]) - known, floor
-        lift = self._lever_m * np.convolve(rows[:, ROLL], DERIVATIVE / step_s, mode="same")  # of the rigid roll
-        lift[:EDGE], lift[-EDGE:] = 0.0, 0.0
+            noise_spectrum = NoiseSpectrum(
+                white, self._root, bend, 0.0, 0.5 * aliasing_density, self._drift_density(_MEAN), step_s
+            )
+            return 0.5 * (rows[:, 0] + rows[:, 1]) - load_response, noise_spectrum
+        roll_lift = self._lever_m * np.convolve(rows[:, ROLL], DERIVATIVE / step_s, mode="same")  # of the rigid roll
+        roll_lift[:EDGE], roll_lift[-EDGE:] = 0.0, 0.0
         if families == (1,):
             white = float(self._tips.sum() / 4.0)
-            floor = Floor(white, 0.0, bend, self._roll, 0.5 * cut_density, self._wander(_HALF_DIFFERENCE), step_s)
-            return 0.5 * (rows[:, 1] - rows[:, 0]) - lift, floor
-        known = _answer(rows[:, STATIC], bend, step_s)
+            noise_spectrum = NoiseSpectrum(
+                white, 0.0, bend, self._roll, 0.5 * aliasing_density, self._drift_density(_HALF_DIFFERENCE), step_s
+            )
+            return 0.5 * (rows[:, 1] - rows[:, 0]) - roll_lift, noise_spectrum
+        load_response = _static_bend_reading(rows[:, STATIC], bend, step_s)
         alone = (2.0, 0.0) if tip == 0 else (0.0, 2.0)
-        floor = Floor(float(self._tips[tip]), self._root, bend, self._roll, cut_density, self._wander(alone), step_s)
-        return rows[:, tip] - known - (2 * tip - 1) * lift, floor
+        noise_spectrum = NoiseSpectrum(
+            float(self._tips[tip]), self._root, bend, self._roll, aliasing_density, self._drift_density(alone), step_s
+        )
+        return rows[:, tip] - load_response - (2 * tip - 1) * roll_lift, noise_spectrum
 
-    def _wander(self, signs: tuple[float, float]) -> float:
+    def _drift_density(self, signs: tuple[float, float]) -> float:
         """Density at 1 Hz of the drifting biases in half the signed sum of both vertical rows; it falls with f^2."""
-        at = [index for index, (row, _) in enumerate(self._layout.bias) if row < M_LEFT]
+        at = [index for index, (row, _) in enumerate(self._layout.row_bias_states) if row < M_LEFT]
         if len(at) < len(signs):
             return 0.0
         half = 0.5 * np.array(signs)
-        variance = float(half @ self._noise.bias_prior[np.ix_(at, at)] @ half)
+        variance = float(half @ self._noise.bias_prior_covariance[np.ix_(at, at)] @ half)
         return variance / (np.pi**2 * self._noise.bias_time_s)
 
-    def _cut_density(self, parameters: Parameters, cut: float) -> float:
-        """Density that edges which cut samples add to one tip: the load's inside a sample is not known.
+    def _aliasing_density(self, parameters: WingParameters, aliasing_noise: float) -> float:
+        """Density by epoch edges that cut samples, for one tip: the load's path inside a sample is unknown.
 
-        ``S T / (3 h) (1 - cos(2 pi f h))`` for samples of ``T`` in cells of ``h``.
+        ``S T / (3 h) (1 - cos(2 pi f h))`` for samples of ``T`` in epochs of ``h``.
         """
         highest = (0.5 / self._step_s) ** 2
-        load = sum(load_density(np.exp(p.logs()), highest, p.reference_hz) for p in parameters)
-        return cut * load * self._noise.sample_s / (3.0 * self._step_s)
+        load = sum(load_density(np.exp(p.log_params()), highest, p.reference_hz) for p in parameters)
+        return aliasing_noise * load * self._noise.sample_s / (3.0 * self._step_s)
 
 
-def _answer(static_m: Floats, bend: Bend, step_s: float) -> Floats:
-    """Vertical reading that the load factor's known bend brings about."""
+def _static_bend_reading(static_m: Floats, bend: StaticBendResponse, step_s: float) -> Floats:
+    """Vertical reading of the estimated static bend, (n,) m/s^2."""
     ramp = np.linspace(static_m[0], static_m[-1], len(static_m))
     frequency_hz: Floats = np.asarray(np.fft.rfftfreq(len(static_m), step_s), dtype=np.float64)
     lifted = bend.reading(frequency_hz) * np.fft.rfft(static_m - ramp)

@@ -1,8 +1,8 @@
 """Debiased Whittle fit: modal and gust parameters from a few seconds of vertical acceleration.
 
-The tapered periodogram ``I_j`` of a stretch has expectation ``E_j = (S * |W|^2)(f_j)`` and is nearly exponential; the
+The tapered periodogram ``I_j`` of a segment has expectation ``E_j = (S * |W|^2)(f_j)`` and is nearly exponential; the
 fit minimises ``sum ln E_j + I_j / E_j`` plus the prior's quadratic (Sykulski et al., Biometrika 106, 2019) by Fisher
-scoring. A family that moves both tips alike is read from their mean, the other from half their difference; with one
+scoring. The symmetric family is read from the tips' mean, the antisymmetric one from half their difference; with one
 tip, both are fitted to it at once.
 """
 
@@ -14,28 +14,28 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.compiled import compiled
-from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_slopes
-from companion.core.tracking.adaptation.periodogram import Stretch, smeared
+from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_gradient
+from companion.core.tracking.adaptation.periodogram import Periodogram, window_convolved
 from companion.core.tracking.parameters import PARAMETERS
 from companion.records import Floats
 
-_PEAK_WIDTH = 0.03
-_LARGEST_STEP = 1.0
-_CONVERGED = 0.02
-_GIVE_UP = 1e4
-_LEAST_EXPECTED = 1e-12
+_PEAK_WIDTH = 0.03  # chosen, relative half width: of a lightly damped mode
+_MAX_LOG_STEP = 1.0  # numerical: a factor of e in one step
+_CONVERGED = 0.02  # numerical, log posterior: far below one sigma
+_MAX_DAMPING = 1e4  # numerical: Levenberg-Marquardt gives up
+_MIN_EXPECTED = 1e-12  # numerical, (m/s^2)^2/Hz: below any sensor's noise
 
 
-class Prior(NamedTuple):
+class LogNormalPrior(NamedTuple):
     """Normal prior of the logarithms of one or two families' parameters.
 
     Attributes
     ----------
     mean, sigma : (p,) float64
     low, high : (p,) float64
-        Beyond these a parameter no longer means what it is called: a second mode that is all damping is no mode.
+        Bounds beyond which a parameter loses its meaning: a second mode that is all damping is no mode.
     reference_hz : (families,) float64
-        Where each family's load is told.
+        Frequency at which each family's load is stated.
     """
 
     mean: Floats
@@ -46,140 +46,221 @@ class Prior(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
-    """Where the fit ended.
+class WhittleFit:
+    """End of the iteration.
 
     Attributes
     ----------
-    logs, log_sigma : (p,) float64
-    cost : float
-        Negative log posterior, up to a constant.
+    log_params, log_sigma : (p,) float64
+    neg_log_posterior : float
+        Up to a constant.
     """
 
-    logs: Floats
+    log_params: Floats
     log_sigma: Floats
-    cost: float
+    neg_log_posterior: float
 
 
 @compiled
-def expected_power(stretch: Stretch, prior: Prior, logs: Floats) -> Floats:
-    """Expected periodogram at the parameters ``logs``."""
-    density = stretch.floor.copy()
+def expected_power(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> Floats:
+    """Expected periodogram at the parameters.
+
+    Parameters
+    ----------
+    periodogram : Periodogram
+        Measured.
+    prior : LogNormalPrior
+        Of the parameters.
+    log_params : (p,) float64
+        Logarithms of the parameters.
+
+    Returns
+    -------
+    (b,) float64
+        (m/s^2)^2/Hz.
+    """
+    density = periodogram.noise_density.copy()
     for family in range(len(prior.reference_hz)):
-        own = logs[family * PARAMETERS : (family + 1) * PARAMETERS]
-        density += acceleration_density(own, stretch.grid, prior.reference_hz[family])
-    return np.maximum(smeared(stretch, density), _LEAST_EXPECTED)
+        family_params = log_params[family * PARAMETERS : (family + 1) * PARAMETERS]
+        density += acceleration_density(family_params, periodogram.grid, prior.reference_hz[family])
+    return np.maximum(window_convolved(periodogram, density), _MIN_EXPECTED)
 
 
 @compiled
-def misfit(stretch: Stretch, prior: Prior, logs: Floats) -> float:
-    """Negative log likelihood of the stretch."""
-    expected = expected_power(stretch, prior, logs)
-    return float(np.sum(stretch.weight * (np.log(expected) + stretch.power / expected)))
+def neg_log_likelihood(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> float:
+    """Whittle's negative log likelihood of the periodogram at ``log_params`` (p,)."""
+    expected = expected_power(periodogram, prior, log_params)
+    return float(np.sum(periodogram.weight * (np.log(expected) + periodogram.power / expected)))
 
 
 @compiled
-def cost(stretch: Stretch, prior: Prior, logs: Floats) -> float:
-    """Negative log posterior."""
-    return misfit(stretch, prior, logs) + 0.5 * float(np.sum(((logs - prior.mean) / prior.sigma) ** 2))
+def neg_log_posterior(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> float:
+    """Negative log posterior at ``log_params`` (p,), up to a constant."""
+    return neg_log_likelihood(periodogram, prior, log_params) + 0.5 * float(
+        np.sum(((log_params - prior.mean) / prior.sigma) ** 2)
+    )
 
 
-def fit(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> Fit:
-    """Improve ``start`` by at most ``rounds`` of Fisher scoring, damped as Levenberg and Marquardt do."""
-    logs, best, information = _improve(stretch, prior, start, rounds)
+def fit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats, rounds: int) -> WhittleFit:
+    """Improve ``start`` (p,) by at most ``rounds`` steps of Fisher scoring with Levenberg-Marquardt damping.
+
+    Returns
+    -------
+    WhittleFit
+        ``log_sigma`` is from the inverse Fisher information at the end.
+    """
+    log_params, best, information = _improve(periodogram, prior, start, rounds)
     spread: Floats = np.sqrt(np.diag(np.asarray(np.linalg.inv(information), dtype=np.float64)))
-    return Fit(logs, spread, float(best))
+    return WhittleFit(log_params, spread, float(best))
 
 
 @compiled
-def _improve(stretch: Stretch, prior: Prior, start: Floats, rounds: int) -> tuple[Floats, float, Floats]:
-    """Where the rounds end, its cost and the information there."""
-    logs, best, damping = start.copy(), cost(stretch, prior, start), 1e-3
-    gradient, information = slopes(stretch, prior, logs)
+def _improve(
+    periodogram: Periodogram, prior: LogNormalPrior, start: Floats, rounds: int
+) -> tuple[Floats, float, Floats]:
+    """Parameters after the rounds, their negative log posterior and the information there."""
+    log_params, best, damping = start.copy(), neg_log_posterior(periodogram, prior, start), 1e-3
+    gradient, information = gradient_and_fisher(periodogram, prior, log_params)
     for _ in range(rounds):
         value, promised = best, np.inf
-        while value >= best and promised > _CONVERGED and damping < _GIVE_UP:  # a step is cheap beside a slope
-            tried = _moved(prior, logs, gradient, information, damping)
-            promised = -0.5 * float(gradient @ (tried - logs))
-            value = cost(stretch, prior, tried)
+        while value >= best and promised > _CONVERGED and damping < _MAX_DAMPING:  # a step is cheap beside a slope
+            tried = _moved(prior, log_params, gradient, information, damping)
+            promised = -0.5 * float(gradient @ (tried - log_params))
+            value = neg_log_posterior(periodogram, prior, tried)
             damping = 0.2 * damping if value < best else max(8.0 * damping, 1e-2)
         if value >= best:
             break
         done = best - value < _CONVERGED
-        logs, best = tried, value
-        gradient, information = slopes(stretch, prior, logs)
+        log_params, best = tried, value
+        gradient, information = gradient_and_fisher(periodogram, prior, log_params)
         if done:
             break
-    return logs, best, information
+    return log_params, best, information
 
 
 @compiled
-def _moved(prior: Prior, logs: Floats, gradient: Floats, information: Floats, damping: float) -> Floats:
-    """One step, parameters at their limits held where the step would push them out."""
-    held = ((logs <= prior.low) & (gradient > 0.0)) | ((logs >= prior.high) & (gradient < 0.0))
+def _moved(prior: LogNormalPrior, log_params: Floats, gradient: Floats, information: Floats, damping: float) -> Floats:
+    """One damped step; parameters at a bound are held where the step would push them out."""
+    at_limit = ((log_params <= prior.low) & (gradient > 0.0)) | ((log_params >= prior.high) & (gradient < 0.0))
     pushed, reduced = -gradient, information.copy()
-    for k in range(len(logs)):
+    for k in range(len(log_params)):
         reduced[k, k] *= 1.0 + damping
-    for k in range(len(logs)):
-        if held[k]:
+    for k in range(len(log_params)):
+        if at_limit[k]:
             pushed[k] = 0.0
             reduced[k, :] = 0.0
             reduced[:, k] = 0.0
             reduced[k, k] = 1.0
-    step = np.minimum(np.maximum(np.linalg.solve(reduced, pushed), -_LARGEST_STEP), _LARGEST_STEP)
-    moved: Floats = np.minimum(np.maximum(logs + step, prior.low), prior.high)
+    step = np.minimum(np.maximum(np.linalg.solve(reduced, pushed), -_MAX_LOG_STEP), _MAX_LOG_STEP)
+    moved: Floats = np.minimum(np.maximum(log_params + step, prior.low), prior.high)
     return moved
 
 
 @compiled
-def slopes(stretch: Stretch, prior: Prior, logs: Floats) -> tuple[Floats, Floats]:
-    """Gradient and Fisher information of the cost."""
-    jacobian = np.empty((len(logs), len(stretch.power)))
-    density = stretch.floor.copy()
+def gradient_and_fisher(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> tuple[Floats, Floats]:
+    """Gradient and Fisher information of the negative log posterior.
+
+    Parameters
+    ----------
+    periodogram : Periodogram
+        Measured.
+    prior : LogNormalPrior
+        Of the parameters.
+    log_params : (p,) float64
+        Logarithms of the parameters.
+
+    Returns
+    -------
+    gradient : (p,) float64
+    information : (p, p) float64
+        Expected, prior included.
+    """
+    jacobian = np.empty((len(log_params), len(periodogram.power)))
+    density = periodogram.noise_density.copy()
     for family in range(len(prior.reference_hz)):
         first = family * PARAMETERS
-        own = logs[first : first + PARAMETERS]
-        rows = acceleration_slopes(own, stretch.grid, prior.reference_hz[family])
+        family_params = log_params[first : first + PARAMETERS]
+        rows = acceleration_gradient(family_params, periodogram.grid, prior.reference_hz[family])
         density += rows[0]
         for k in range(PARAMETERS):
-            jacobian[first + k] = smeared(stretch, rows[1 + k])
-    expected = np.maximum(smeared(stretch, density), _LEAST_EXPECTED)
+            jacobian[first + k] = window_convolved(periodogram, rows[1 + k])
+    expected = np.maximum(window_convolved(periodogram, density), _MIN_EXPECTED)
     jacobian /= expected
-    pull = (logs - prior.mean) / prior.sigma**2
-    gradient = jacobian @ (stretch.weight * (1.0 - stretch.power / expected)) + pull
-    information = (stretch.weight * jacobian) @ jacobian.T + np.diag(1.0 / prior.sigma**2)
+    pull = (log_params - prior.mean) / prior.sigma**2
+    gradient = jacobian @ (periodogram.weight * (1.0 - periodogram.power / expected)) + pull
+    information = (periodogram.weight * jacobian) @ jacobian.T + np.diag(1.0 / prior.sigma**2)
     return gradient, information
 
 
-def scan(stretch: Stretch, prior: Prior, start: Floats, which: int, offsets: Floats) -> tuple[Floats, Floats]:
-    """Cost with one parameter at ``prior.mean + offsets`` and its family's load rescaled to fit: costs and starts."""
+def scan(
+    periodogram: Periodogram, prior: LogNormalPrior, start: Floats, which: int, offsets: Floats
+) -> tuple[Floats, Floats]:
+    """Negative log posterior with one parameter at ``prior.mean + offsets`` and its family's load rescaled to fit.
+
+    Parameters
+    ----------
+    periodogram : Periodogram
+        Measured.
+    prior : LogNormalPrior
+        Of the parameters.
+    start : (p,) float64
+        Log parameters to begin from.
+    which : int
+        Index of the parameter; two behind it is its load.
+    offsets : (m,) float64
+        Offsets of the parameter's logarithm.
+
+    Returns
+    -------
+    costs : (m,) float64
+    starts : (m, p) float64
+    """
     load = which + 2
     starts = np.tile(start, (len(offsets), 1))
     starts[:, which] = prior.mean[which] + offsets
     costs = np.empty(len(offsets))
-    for k, logs in enumerate(starts):
+    for k, log_params in enumerate(starts):
         for _ in range(2):
-            expected = expected_power(stretch, prior, logs)
-            logs[load] += np.log(max(float(stretch.weight @ (stretch.power / expected) / stretch.weight.sum()), 1e-9))
-        costs[k] = cost(stretch, prior, logs)
+            expected = expected_power(periodogram, prior, log_params)
+            log_params[load] += np.log(
+                max(float(periodogram.weight @ (periodogram.power / expected) / periodogram.weight.sum()), 1e-9)
+            )
+        costs[k] = neg_log_posterior(periodogram, prior, log_params)
     return costs, starts
 
 
-def seek_peak(stretch: Stretch, prior: Prior, start: Floats, which: int) -> tuple[Floats, float]:
-    """Look for a peak that the model at ``start`` has not: the start moved there, and the log likelihood it may gain.
+def find_unmodelled_peak(
+    periodogram: Periodogram, prior: LogNormalPrior, start: Floats, which: int
+) -> tuple[Floats, float]:
+    """Peak of the periodogram that the model at ``start`` does not explain, as a place for a second mode.
 
-    ``which`` is the index of the frequency to move; its damping and load follow it.
+    Parameters
+    ----------
+    periodogram : Periodogram
+        Measured.
+    prior : LogNormalPrior
+        Of the parameters.
+    start : (p,) float64
+        Log parameters to begin from.
+    which : int
+        Index of the frequency to move; its damping and load follow it.
+
+    Returns
+    -------
+    moved : (p,) float64
+    gain : float
+        Log likelihood that it may gain.
     """
-    expected = expected_power(stretch, prior, start)
-    f, w = stretch.frequency_hz, stretch.weight
+    expected = expected_power(periodogram, prior, start)
+    f, w = periodogram.frequency_hz, periodogram.weight
     middle, reach = prior.mean[which], 2.5 * prior.sigma[which]
     tried = np.exp(np.arange(middle - reach, middle + reach + 1e-9, _PEAK_WIDTH))
     tried = tried[(tried > f[0]) & (tried < 0.98 * f[-1])]
     if not len(tried):
         return start, 0.0
-    summed, weighed = (np.concatenate([[0.0], np.cumsum(x)]) for x in (w * stretch.power / expected, w))
-    low, high = (np.searchsorted(f, tried * (1.0 + turn * _PEAK_WIDTH)) for turn in (-1, 1))
-    count = np.maximum(weighed[high] - weighed[low], 1e-9)
+    summed, weights_sum = (np.concatenate([[0.0], np.cumsum(x)]) for x in (w * periodogram.power / expected, w))
+    low, high = (np.searchsorted(f, tried * (1.0 + sense * _PEAK_WIDTH)) for sense in (-1, 1))
+    count = np.maximum(weights_sum[high] - weights_sum[low], 1e-9)
     excess = np.maximum((summed[high] - summed[low]) / count, 1.0)
     gain = count * (excess - 1.0 - np.log(excess)) - 0.5 * ((np.log(tried) - middle) / prior.sigma[which]) ** 2
     best = int(np.argmax(gain))
