@@ -28,7 +28,7 @@ UNSHIPPED = re.compile(r"\b(?:DESIGN|FACTS|GLOSSARY|BRIEF)\b|\b[Ii]ssue #?\d+\b"
 _PAGE = re.compile(r"(?<![\w/])[\w./-]*[\w-]\.md\b")
 _PATH = re.compile(
     r"(?<![\w/.~<{-])(?:companion|sitl_tests|tools|config|mission_scripts)(?:/[\w*-]+)+"
-    r"(?:\.(?:py|md|toml|c|h|png|html|css|service|rules))?(?![\w<{])"
+    r"(?:\.(?:py|md|toml|c|h|png|html\.j2|html|css|service|rules))?(?![\w<{])"
 )
 _MODULE = re.compile(
     r":(?:mod|class|func|data|meth|attr):`~?((?:companion|mission_scripts|tools|sitl_tests)(?:\.\w+)+)`"
