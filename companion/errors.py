@@ -16,7 +16,7 @@ import traceback
 from collections.abc import Iterable
 from pathlib import Path
 
-_LONGEST_TEXT = 200
+_LONGEST_TEXT = 200  # characters: two lines of a terminal
 
 
 class SpanwiseError(Exception):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.triggers.trigger_factory import trigger_factory
-from companion.errors import SetupError, SpanwiseError
+from companion.errors import TO_FIX, SetupError, SpanwiseError
 from companion.setup import manifest
 from companion.setup.boards import BOARDS, CompanionBoard, board_of
 from companion.setup.checks import checks
@@ -21,7 +21,6 @@ from companion.setup.next_steps import next_steps
 from companion.setup.plan import Change, planned
 from companion.setup.tree import Entry, File, Tree
 
-_TO_MEND = 4
 _IN_AN_IMAGE = "/opt/spanwise/bin/spanwise"
 _ASKED = {
     "links": "MAVLink links, the autopilot's first, with blanks between",
@@ -80,7 +79,7 @@ def execute(options: argparse.Namespace) -> int:
             _confirm(options)
         install(tree, changes, recorded(tree, changes, previous, choices, board))
         _show_next(tree, choices, changes)
-    return 0 if is_fit else _TO_MEND
+    return 0 if is_fit else TO_FIX
 
 
 def _undo(tree: Tree, previous: Manifest | None, options: argparse.Namespace) -> int:

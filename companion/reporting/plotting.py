@@ -68,5 +68,5 @@ def dots(axis: Any, x: Floats, y: Floats, sigma: Floats, colour: str, label: str
 def headline(figure: Any, text: str, what: str = "") -> None:
     """The figure that counts, above the picture; ``what`` stands smaller beneath it."""
     letters = int(_LETTERS_PER_IN * figure.get_figwidth())
-    lines = [line for block in (text, what) for part in block.split("\n") for line in textwrap.wrap(part, letters)]
+    lines = [line for block in (text, what) for row in block.split("\n") for line in textwrap.wrap(row, letters)]
     figure.suptitle("\n".join(lines), fontsize=12.5, x=0.01, ha="left", color=INK)

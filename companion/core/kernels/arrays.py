@@ -179,7 +179,7 @@ class DiscreteModel(NamedTuple):
 
 
 class FilterState(NamedTuple):
-    """What one step hands to the next: see :class:`companion.core.tracking.filter.SeparatedBiasFilter`.
+    """State that one step hands to the next: see :class:`companion.core.tracking.filter.SeparatedBiasFilter`.
 
     Attributes
     ----------

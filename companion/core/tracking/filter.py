@@ -284,7 +284,7 @@ class SeparatedBiasFilter:
             self.history.whitened_cross_cov[at] = self.history.whitened_cross_cov[at] @ state_transform.T
 
     def _age_wandering(self) -> None:
-        """Let the wandering bias parameters age by one solution period."""
+        """Age the wandering bias parameters by one solution period."""
         sigma = self.layout.bias_parameter_sigma
         _age_information(
             self._filter_state.information,

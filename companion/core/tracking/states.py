@@ -26,7 +26,7 @@ from companion.params.airframe import Airframe, Mode, Sensor, Uncertain
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
-ROWS = 9
+ROWS = 9  # measurements of one epoch, in the order of the next line
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
 FAMILY_STATES = 8  # two modes of deflection, rate and two load states
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")

@@ -52,8 +52,8 @@ def make_grid(frequency_hz: Floats, step_s: float) -> SpectralGrid:
     coarse = np.linspace(frequency_hz[0], frequency_hz[-1], _COARSE_POINTS)
     place = (frequency_hz - coarse[0]) / (coarse[1] - coarse[0])
     before = np.minimum(place, _COARSE_POINTS - 2.0).astype(np.int64)
-    folded = np.concatenate([coarse + order / step_s for order in _ALIAS_ORDERS])
-    return SpectralGrid(_points(frequency_hz, step_s), _points(folded, step_s), before, place - before)
+    aliased = np.concatenate([coarse + order / step_s for order in _ALIAS_ORDERS])
+    return SpectralGrid(_points(frequency_hz, step_s), _points(aliased, step_s), before, place - before)
 
 
 def _points(frequency_hz: Floats, step_s: float) -> GridPoints:
