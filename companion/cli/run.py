@@ -122,7 +122,7 @@ class LatencyKeeper:
         self._file, self._path = file, path
         self._newest: TriggerLatency | None = None
         self._kept_ns = 0
-        self._told = False
+        self._is_told = False
 
     def take(self, record: Record) -> None:
         """Look at a record; write at most every half minute."""
@@ -139,9 +139,9 @@ class LatencyKeeper:
             stored = keep_latency(self._file, self._path, self._newest)
         except ConfigError as error:
             stored = True  # not tried again for a while
-            if not self._told:
+            if not self._is_told:
                 print(error, file=sys.stderr)
-            self._told = True
+            self._is_told = True
         if stored:
             self._kept_ns = self._newest.at_host_ns
 

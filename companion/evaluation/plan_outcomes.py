@@ -13,7 +13,7 @@ LATE = "came too late to be fired"
 FAILED = "refused by the trigger or the autopilot"
 WITHDRAWN = "withdrawn"
 _SKIPPED = "skipped: "
-_KEPT = 32  # plans that may still be open
+_OPEN_PLANS = 32  # plans that may still be open
 _ANSWER_NS = 1_000_000_000
 
 
@@ -65,7 +65,7 @@ class PlanOutcomes:
 
     def _refine(self, plan: TriggerPlan) -> None:
         self._entries.setdefault(plan.plan_id, _Entry(plan)).plan = plan
-        while len(self._entries) > _KEPT:
+        while len(self._entries) > _OPEN_PLANS:
             _, oldest = self._entries.popitem(last=False)
             self._settled[oldest.final_outcome()] += 1
 

@@ -115,25 +115,25 @@ class Studios:
             _give(ours, stage)
             self._ends.append(ours)
             self._processes.append(process)
-        self._given: dict[int, int] = {}
+        self._worker_of_shot: dict[int, int] = {}
         self._made: dict[int, ShotRecords] = {}
 
     def begin(self, pull: Pull) -> None:
         """Give a shot to the process with the least to do."""
-        busy = list(self._given.values())
+        busy = list(self._worker_of_shot.values())
         worker = min(range(len(self._ends)), key=busy.count)
-        self._given[pull.shot] = worker
+        self._worker_of_shot[pull.shot] = worker
         _give(self._ends[worker], pull)
 
     def result(self, shot: int) -> ShotRecords:
         """Matches of a shot that was begun; waits for them."""
         while shot not in self._made:
             try:
-                made, frames = self._ends[self._given[shot]].recv()
+                made, frames = self._ends[self._worker_of_shot[shot]].recv()
             except (EOFError, OSError) as error:
                 raise DeviceError(_ENDED) from error
             self._made[made] = frames
-            del self._given[made]
+            del self._worker_of_shot[made]
         return self._made.pop(shot)
 
     def all(self, pulls: Iterable[Pull]) -> list[ShotRecords]:

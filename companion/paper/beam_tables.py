@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from companion.core.wing.beam import Beam, characteristic_roots
 from companion.paper import printed
-from companion.paper.findings import Section, Table, deviation, number, percent
+from companion.paper.findings import Section, SectionTable, deviation, number, percent
 from companion.records import Floats
 
 STRIP_WIDTH_M = 0.0507
@@ -180,7 +180,7 @@ def _of_fit(mass_ratio: float, scale_radps: float) -> list[dict[str, float]]:
     return _against_table_2(roots, [scale_radps * root**2 for root in roots])
 
 
-def _tables(modes: dict[str, list[dict[str, float]]]) -> tuple[Table, ...]:
+def _tables(modes: dict[str, list[dict[str, float]]]) -> tuple[SectionTable, ...]:
     rows = []
     for name, modes_of_case in modes.items():
         for n, (mode, row) in enumerate(zip(modes_of_case, printed.MODES, strict=True), start=1):
@@ -197,10 +197,10 @@ def _tables(modes: dict[str, list[dict[str, float]]]) -> tuple[Table, ...]:
         for p in properties()
     )
     return (
-        Table(
+        SectionTable(
             "Table 1: printed against corrected", ("", "printed", "ours", "printed / ours", "because", "sure?"), lines
         ),
-        Table(
+        SectionTable(
             "Table 2: printed against computed",
             header,
             tuple(rows),

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from companion.paper import beam_tables, printed, range_tables
-from companion.paper.findings import Section, Table, percent
+from companion.paper.findings import Section, SectionTable, percent
 from companion.paper.own_experiments import left_m
 from companion.paper.scores import Results
 
@@ -56,7 +56,8 @@ def section(results: Results, dominance: dict[str, Any]) -> Section:
     )
     if results.draws:
         note += " The same with the other seeds stands with the experiments."
-    table = Table("Claims", ("claim", "the paper", "corrected", "published (trusted shots)", "oracle"), rows, note)
+    heads = ("claim", "the paper", "corrected", "published (trusted shots)", "oracle")
+    table = SectionTable("Claims", heads, rows, note)
     data = {"more_than_the_paper_claims": claims, "worse": weak, "over_seeds": over, "sentence": sentence(over)}
     return Section("digest", "In short", findings, (table,), (), data)
 

@@ -6,7 +6,7 @@ import io
 from collections.abc import Callable
 from typing import Any
 
-from companion.paper.findings import Picture
+from companion.paper.findings import SectionPicture
 from companion.reporting.plotting import BLUE, GREEN, GREY, ORANGE, VERMILLION, headline
 
 __all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "draw"]
@@ -31,7 +31,7 @@ _STYLE = {
 
 def draw(
     title: str, rows: int, columns: int, paint: Callable[[Any], None], height_in: float = 3.2, *, said: str
-) -> Picture:
+) -> SectionPicture:
     """Figure of ``rows`` x ``columns`` axes, which ``paint`` fills; it is given the array of axes.
 
     ``said`` is the number that counts, in a sentence: it is written on the picture, which is seen without its caption.
@@ -48,4 +48,4 @@ def draw(
         headline(figure, said)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
-    return Picture(title, text.getvalue())
+    return SectionPicture(title, text.getvalue())

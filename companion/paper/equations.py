@@ -17,7 +17,7 @@ from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, t
 from companion.core.wing.beam import BeamMode, characteristic
 from companion.paper import printed
 from companion.paper.beam_tables import corrected_beam
-from companion.paper.findings import Section, Table, number
+from companion.paper.findings import Section, SectionTable, number
 from companion.paper.range_tables import toe_rad, wide_factor
 from companion.params.files import load_airframe
 from companion.records import ClockName, Floats, MatchSet, Side
@@ -250,7 +250,7 @@ def section() -> Section:
     return Section("equations", "Equations 1 to 12", findings, (_table(equations),), (), data)
 
 
-def _table(equations: list[Equation]) -> Table:
+def _table(equations: list[Equation]) -> SectionTable:
     rows = tuple(
         (
             entry.label,
@@ -263,7 +263,7 @@ def _table(equations: list[Equation]) -> Table:
         )
         for entry in equations
     )
-    return Table(
+    return SectionTable(
         "Equation by equation",
         ("eq.", "says", "implementation (companion.)", "check", "error of ours", "as printed", "remark"),
         rows,

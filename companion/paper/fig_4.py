@@ -9,7 +9,7 @@ import numpy as np
 from companion.core.wing.beam import BeamMode
 from companion.paper.beam_tables import corrected_beam
 from companion.paper.drawing import BLUE, RED, draw
-from companion.paper.findings import Picture, Section, number, percent
+from companion.paper.findings import Section, SectionPicture, number, percent
 from companion.records import Floats
 
 
@@ -38,7 +38,7 @@ def section() -> Section:
     return Section("fig_4", "Fig. 4: first mode of the boom", findings, (), (_draw_mode(station, mode),), data)
 
 
-def _draw_mode(station: Floats, mode: BeamMode) -> Picture:
+def _draw_mode(station: Floats, mode: BeamMode) -> SectionPicture:
     def paint(axes: Any) -> None:
         shape, slope = axes[0]
         shape.plot(1e3 * station, mode.shape(station), color=BLUE)

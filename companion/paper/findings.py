@@ -10,7 +10,7 @@ _AS_FACTOR = 100.0  # convention: a ratio beyond it reads better as a factor tha
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class SectionTable:
     """Cells are ready to print; ``note`` says what a reader might stumble over."""
 
     title: str
@@ -20,7 +20,7 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class SectionPicture:
     """A drawn figure as the text of an SVG."""
 
     title: str
@@ -44,8 +44,8 @@ class Section:
     key: str
     title: str
     findings: tuple[str, ...]
-    tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
+    tables: tuple[SectionTable, ...] = ()
+    pictures: tuple[SectionPicture, ...] = ()
     data: dict[str, Any] = field(default_factory=dict)
 
 

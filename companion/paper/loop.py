@@ -13,7 +13,7 @@ from companion.core.pipeline import PipelineState, start, step
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.vision import VisionState
 from companion.evaluation.true_geometry import TrueGeometry
-from companion.paper.shots import Answer, Flown, Scored, Usual, score
+from companion.paper.shots import Answer, Flown, ScoredShot, Usual, score
 from companion.params.settings import Settings
 from companion.records import (
     ClockName,
@@ -153,6 +153,6 @@ def _ticks(flight: Flight) -> Iterator[int]:
     yield from range(HOST_EPOCH_NS + _TICK_NS, HOST_EPOCH_NS + round(flight.duration_s * 1e9), _TICK_NS)
 
 
-def _scored(run: _Run, pair_id: int, usual: Usual) -> Scored:
+def _scored(run: _Run, pair_id: int, usual: Usual) -> ScoredShot:
     matches = run.shots[pair_id]
     return score(run.geometry, usual, matches, run.answers[pair_id], matches.plan_id != _RANDOM_PLAN)

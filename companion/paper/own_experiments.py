@@ -12,9 +12,9 @@ import numpy as np
 from companion.paper import printed
 from companion.paper.drawing import BLUE, GREEN, GREY, RED, draw
 from companion.paper.experiments import Outcome
-from companion.paper.findings import Picture, Section, Table, number, percent
+from companion.paper.findings import Section, SectionPicture, SectionTable, number, percent
 from companion.paper.scores import Results
-from companion.paper.shots import Scored
+from companion.paper.shots import ScoredShot
 from companion.records import Floats, Side
 from companion.reporting.plotting import INK, dots
 
@@ -25,7 +25,7 @@ NAMES = {
     "published": "published",
     "oracle": "true extrinsics (oracle)",
 }
-_TOLD = {"published": "published_trusted"}  # what leaves the service
+_PUBLISHED_WAY = {"published": "published_trusted"}  # what leaves the service
 _TOLD_APART = {"corrected": -0.002, "published": 0.002}  # of the axis: dots of one shot lie beside each other
 _STEP = 0.2  # drawing: bar width, in groups
 _MEDIAN_SIGMA = 1.2533  # of a median over that of a mean, normal errors
@@ -81,12 +81,12 @@ def left_m(outcome: Outcome) -> tuple[float, float]:
     return float(np.median(ranges)) - outcome.trial.distance_m, float(sigma_m)
 
 
-def _median_range_m(shots: list[Scored], way: str) -> float:
+def _median_range_m(shots: list[ScoredShot], way: str) -> float:
     inverse = [reading.inverse_pm for shot in shots if (reading := shot.all_features[way]) is not None]
     return float(1.0 / np.median(inverse)) if inverse else float("nan")
 
 
-def _error_table(results: Results) -> Table:
+def _error_table(results: Results) -> SectionTable:
     header = (
         "experiment", "paper: before, after", "toe, mrad rms", "rigid", "corrected", "removed", "published", "oracle",
         "shots / trusted",
@@ -110,10 +110,10 @@ def _error_table(results: Results) -> Table:
         "what leaves the service, which also asks the matched features. The paper prints no distances for the boom. "
         "Trusted: sigma within 3 % of the range and consistent with the last ones."
     )
-    return Table("Triggered at peaks: range error, rms over the shots", header, tuple(rows), note)
+    return SectionTable("Triggered at peaks: range error, rms over the shots", header, tuple(rows), note)
 
 
-def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> Table:
+def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> SectionTable:
     entries = [(entry.name, entry.still_m, entry.vibrating_m, entry.corrected_m) for entry in printed.OBJECTS]
     entries.append(("60 m (Table 4)", printed.FAR_M, printed.FAR_VIBRATING_M, printed.FAR_CORRECTED_M))
     rows = []
@@ -125,7 +125,7 @@ def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> Table:
             f"{ours['corrected']:.{digits}f}", f"{ours['oracle']:.{digits}f}",
             f"{100 * (corrected / still - 1):+.2f} / {100 * (ours['corrected'] / still - 1):+.2f} %",
         ))  # fmt: skip
-    return Table(
+    return SectionTable(
         "Tables 3 and 4 again: metres at diverging peaks, median",
         ("object", "still", "vibrating: paper", "ours", "corrected: paper", "ours", "oracle", "left: paper / ours"),
         tuple(rows),
@@ -135,7 +135,7 @@ def _range_table(ranges: Mapping[str, Mapping[str, float]]) -> Table:
     )
 
 
-def _draws_table(results: Results) -> tuple[Table, ...]:
+def _draws_table(results: Results) -> tuple[SectionTable, ...]:
     """None where nothing was repeated."""
     rows = []
     for key, others in results.draws.items():
@@ -152,21 +152,21 @@ def _draws_table(results: Results) -> tuple[Table, ...]:
         "Every seed is another boom and another wing, drawn from the airframe's sigmas, with other drives and sensors. "
         "No shots at peaks: the tracker said that it does not follow this wing, and the trigger did not fire."
     )
-    return (Table("The same with other seeds, at peaks", header, tuple(rows), note),) if rows else ()
+    return (SectionTable("The same with other seeds, at peaks", header, tuple(rows), note),) if rows else ()
 
 
 # ------------------------------------------------------------------------------------------------ pictures
 
 
-def _bars(results: Results) -> Picture:
+def _bars(results: Results) -> SectionPicture:
     peaks = [results.peaks[key] for key in results.of_paper]
 
     def paint(axes: Any) -> None:
         axis = axes[0, 0]
         at = np.arange(len(results.of_paper))
         for i, (way, colour) in enumerate(COLOURS.items()):
-            values = np.array([peak[_TOLD.get(way, way)]["rms_percent"] for peak in peaks])
-            counts = np.array([peak[_TOLD.get(way, way)]["n"] for peak in peaks])
+            values = np.array([peak[_PUBLISHED_WAY.get(way, way)]["rms_percent"] for peak in peaks])
+            counts = np.array([peak[_PUBLISHED_WAY.get(way, way)]["n"] for peak in peaks])
             sigma = values / np.sqrt(2.0 * np.maximum(counts, 1))  # of an rms over n shots
             axis.bar(at + _STEP * (i - 1.5), values, 0.9 * _STEP, color=colour, label=NAMES[way],
                      yerr=sigma, error_kw={"elinewidth": 0.8, "ecolor": INK})  # fmt: skip
@@ -192,7 +192,7 @@ def _bars(results: Results) -> Picture:
     return draw(title, 1, 1, paint, 3.8, said=said)
 
 
-def _scatter(outcome: Outcome) -> Picture:
+def _scatter(outcome: Outcome) -> SectionPicture:
     shots, z = outcome.flown.shots, outcome.trial.distance_m
 
     def paint(axes: Any) -> None:
@@ -219,14 +219,14 @@ def _scatter(outcome: Outcome) -> Picture:
     return draw("Every shot of the 60 m experiment: range against the toe of that instant", 2, 1, paint, 2.8, said=said)
 
 
-def _read_m(shots: Sequence[Scored], way: str) -> tuple[Floats, Floats]:
+def _read_m(shots: Sequence[ScoredShot], way: str) -> tuple[Floats, Floats]:
     """Ranges of one way and their sigmas (n,), metres; NaN where there is none."""
     readings = [shot.all_features[way] for shot in shots]
     read_m = [np.nan if entry is None else 1.0 / entry.inverse_pm for entry in readings]
     return np.array(read_m), np.array([shot.sigma_m.get(way, np.nan) for shot in shots])
 
 
-def _images(outcome: Outcome) -> Picture:
+def _images(outcome: Outcome) -> SectionPicture:
     """The pair as PNG inside an SVG: lossless and small."""
     import cv2
 
@@ -240,4 +240,4 @@ def _images(outcome: Outcome) -> Picture:
             f'<image x="{side * (width + 20)}" width="{width}" height="{height}" href="data:image/png;base64,{text}"/>'
         )
     svg = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * width + 20} {height}">{"".join(parts)}</svg>'
-    return Picture(f"One rendered pair, left and right: {outcome.trial.title}", svg)
+    return SectionPicture(f"One rendered pair, left and right: {outcome.trial.title}", svg)

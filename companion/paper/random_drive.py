@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.paper import printed
 from companion.paper.drawing import BLUE, GREY, RED, draw
-from companion.paper.findings import Picture, Section, Table, number, percent
+from companion.paper.findings import Section, SectionPicture, SectionTable, number, percent
 from companion.paper.shaken_boom import WINDOW_S, Response, Shaken, respond, shake, white_share
 from companion.params.files import load_airframe
 from companion.records import Floats
@@ -40,7 +40,7 @@ def section() -> Section:
         f"{number(data['least_coherence_hz'], 3)} Hz, with {response.averages} averages of {WINDOW_S:g} s. The "
         "notch at the resonance is the window's resolution, not the beam: a longer window fills it.",
     )
-    table = Table(
+    table = SectionTable(
         "Dominance of the first mode under random drive",
         ("share of variance that is not mode 1", "0-200 Hz, this run", "no upper limit, closed form"),
         (
@@ -98,7 +98,7 @@ def _first_mode_ratio(parts: Floats) -> float:
     return float(variance[0] / variance.sum())
 
 
-def _draw_time(shaken: Shaken, data: dict[str, Any]) -> Picture:
+def _draw_time(shaken: Shaken, data: dict[str, Any]) -> SectionPicture:
     shown = round(_SHOWN_S * shaken.rate_hz)
     t_s = np.arange(shown) / shaken.rate_hz
 
@@ -115,7 +115,7 @@ def _draw_time(shaken: Shaken, data: dict[str, Any]) -> Picture:
     return draw("Fig. 11: random input (top) and the tip's response (bottom)", 2, 1, paint, 1.9, said=said)
 
 
-def _draw_response(response: Response, data: dict[str, Any]) -> Picture:
+def _draw_response(response: Response, data: dict[str, Any]) -> SectionPicture:
     def paint(axes: Any) -> None:
         top, bottom = axes[:, 0]
         top.plot(response.frequency_hz, response.coherence, color=GREY, lw=0.9)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.paper import printed
-from companion.paper.findings import Section, Table, percent
+from companion.paper.findings import Section, SectionTable, percent
 from companion.records import Floats
 
 _ROUNDING_M = 0.0005  # the paper prints millimetres
@@ -126,11 +126,11 @@ def section() -> Section:
     return Section("tables_3_4", "Tables 3 and 4: the flying wing", findings, _tables(rows, scaled, angle), (), data)
 
 
-def _tables(rows: list[dict[str, Any]], scaled: dict[str, float], angle_rad: float) -> tuple[Table, ...]:
+def _tables(rows: list[dict[str, Any]], scaled: dict[str, float], angle_rad: float) -> tuple[SectionTable, ...]:
     return _angles(rows), _percentages(rows), _one_angle_table(angle_rad), _far_table(scaled)
 
 
-def _angles(rows: list[dict[str, Any]]) -> Table:
+def _angles(rows: list[dict[str, Any]]) -> SectionTable:
     header = ("object", "still / vibrating / corrected, m", "divergence, mrad", "exact, mrad",
               "correction applied, mrad", "left, mrad")  # fmt: skip
     lines = tuple(
@@ -145,10 +145,10 @@ def _angles(rows: list[dict[str, Any]]) -> Table:
         for entry, row in zip(printed.OBJECTS, rows, strict=True)
     )
     note = "± is what the printed millimetres leave open. theta = B (1/Z' - 1/Z), B = 1.98 m."
-    return Table("Table 3: the angles its ranges imply", header, lines, note)
+    return SectionTable("Table 3: the angles its ranges imply", header, lines, note)
 
 
-def _percentages(rows: list[dict[str, Any]]) -> Table:
+def _percentages(rows: list[dict[str, Any]]) -> SectionTable:
     header = ("object", "error printed", "computed", "cut off", "left printed", "computed", "cut off")
     lines = tuple(
         (
@@ -162,7 +162,7 @@ def _percentages(rows: list[dict[str, Any]]) -> Table:
         )
         for entry, row in zip(printed.OBJECTS, rows, strict=True)
     )
-    return Table(
+    return SectionTable(
         "Table 3: its percentages",
         header,
         lines,
@@ -170,20 +170,20 @@ def _percentages(rows: list[dict[str, Any]]) -> Table:
     )
 
 
-def _one_angle_table(angle_rad: float) -> Table:
+def _one_angle_table(angle_rad: float) -> SectionTable:
     lines = []
     for entry in printed.OBJECTS:
         ours = read_range_m(entry.still_m, angle_rad)
         gap = 1e3 * (ours - entry.vibrating_m)
         lines.append((entry.name, f"{entry.vibrating_m:.3f}", f"{ours:.3f}", f"{gap:+.1f} mm"))
-    return Table(
+    return SectionTable(
         f"Table 3, were it one angle ({1e3 * angle_rad:.3f} mrad)",
         ("object", "vibrating, printed, m", "computed, m", "deviation"),
         tuple(lines),
     )
 
 
-def _far_table(scaled: dict[str, float]) -> Table:
+def _far_table(scaled: dict[str, float]) -> SectionTable:
     def line(what: str, printed_m: float, ours_m: float, source: str) -> tuple[str, ...]:
         return what, f"{printed_m} m", f"{ours_m:.2f} m", percent(ours_m / printed_m - 1.0), source
 
@@ -196,4 +196,6 @@ def _far_table(scaled: dict[str, float]) -> Table:
         ("error removed", f"{printed.FAR_REMOVED_PERCENT} %", percent(removed), percent(removed / printed_ratio - 1.0),
          "52.8 and 56.8 m, in range"),
     )  # fmt: skip
-    return Table("Table 4: scaled to 60 m", ("", "printed", "computed", "deviation", "if it follows from"), lines)
+    return SectionTable(
+        "Table 4: scaled to 60 m", ("", "printed", "computed", "deviation", "if it follows from"), lines
+    )

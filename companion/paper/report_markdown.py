@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from companion.paper.findings import Section, Table
+from companion.paper.findings import Section, SectionTable
 
 TITLE = "The paper, reproduced and audited"
 SUBTITLE = (
@@ -25,7 +25,7 @@ def markdown(sections: Iterable[Section]) -> str:
     return "\n".join(lines)
 
 
-def _table(table: Table) -> list[str]:
+def _table(table: SectionTable) -> list[str]:
     lines = [f"**{table.title}**", "", _row(table.header), _row(["---"] * len(table.header))]
     lines += [_row(row) for row in table.rows]
     return [*lines, "", table.note] if table.note else lines

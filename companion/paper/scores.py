@@ -11,7 +11,7 @@ import numpy as np
 
 from companion.evaluation.true_geometry import TrueReading
 from companion.paper.experiments import Outcome
-from companion.paper.shots import WAYS, Scored
+from companion.paper.shots import WAYS, ScoredShot
 from companion.records import Floats, Side
 
 
@@ -106,7 +106,7 @@ def toe_error_mrad(outcome: Outcome, scores: Mapping[str, Any]) -> tuple[float, 
     return mean, float(np.sqrt(max(total**2 - mean**2, 0.0)))
 
 
-def one_tip_toe_error_mrad(shots: Sequence[Scored]) -> float:
+def one_tip_toe_error_mrad(shots: Sequence[ScoredShot]) -> float:
     """Rms of what a correction by one tip alone, taken for symmetric, would get wrong (the paper's assumption)."""
     return rms([1e3 * (2.0 * shot.tip_rad[Side.RIGHT] - shot.toe_rad) for shot in shots])
 

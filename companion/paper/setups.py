@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from companion.paper import printed
-from companion.paper.findings import Section, Table
+from companion.paper.findings import Section, SectionTable
 from companion.paper.loop import WARM_UP_S
 from companion.paper.scores import Results
 from companion.paper.trials import BOOM_PEAK_M, SETTLE_S, wing_amplitude_m
@@ -33,7 +33,7 @@ def section(results: Results) -> Section:
         "--seeds): every row of one platform has the same errors of belief.",
     )
     tables = (
-        Table("What differs from the paper", ("", "the paper", "here", "because"), _differences(boom, wing)),
+        SectionTable("What differs from the paper", ("", "the paper", "here", "because"), _differences(boom, wing)),
         _counts(results),
     )
     return Section("setups", "Set-ups: what differs, what did not count", findings, tables, (), _data(results))
@@ -82,7 +82,7 @@ def _pm(belief: Uncertain) -> str:
     return f"{belief.value:g} ± {belief.sigma:g}"
 
 
-def _counts(results: Results) -> Table:
+def _counts(results: Results) -> SectionTable:
     rows = []
     for key, outcome in results.outcomes.items():
         peaks, randoms = results.peaks[key], results.randoms[key]
@@ -97,7 +97,7 @@ def _counts(results: Results) -> Table:
             outcome.trial.title, str(outcome.flown.warm_up), f"{peaks['shots']} + {randoms['shots']}", lost,
             str(without) if without else "-", str(beyond) if beyond else "-", distrusted,
         ))  # fmt: skip
-    return Table(
+    return SectionTable(
         "Shots, and what became of them",
         ("experiment", "warm-up", "scored: peaks + random", "refused", "no reading", "rigid beyond infinity",
          "scored, not trusted"),

@@ -32,7 +32,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Scored:
+class ScoredShot:
     """One shot: what triggered it, what every way reads (None: no reading), and what the wing did.
 
     ``upper`` is the same from the upper third of the image alone, for pairs that look forward (else empty).
@@ -65,7 +65,7 @@ class Flown:
     all, by reason.
     """
 
-    shots: tuple[Scored, ...]
+    shots: tuple[ScoredShot, ...]
     warm_up: int
     refused: Mapping[str, int]
 
@@ -94,7 +94,7 @@ class Usual:
         return float(np.degrees(np.arctan2(speed, place)))
 
 
-def score(geometry: TrueGeometry, usual: Usual, matches: MatchSet, answer: Answer, planned: bool) -> Scored:
+def score(geometry: TrueGeometry, usual: Usual, matches: MatchSet, answer: Answer, planned: bool) -> ScoredShot:
     """Judge one shot by the truth."""
     flight, lens = geometry.flight, geometry.renderer.rig.left.lens
     samples = [flight.truth.at(int(t_ns) - geometry.start_host_ns) for t_ns in matches.mid_exposure_ns]
@@ -102,7 +102,7 @@ def score(geometry: TrueGeometry, usual: Usual, matches: MatchSet, answer: Answe
     rate = np.abs([samples[side].slope_rate_radps[side] for side in Side])
     worse = int(np.argmax(rate))
     upper = _upper_third(matches, lens.size_px[1])
-    return Scored(
+    return ScoredShot(
         planned=planned,
         all_features=_readings(geometry, matches, answer),
         upper=_readings(geometry, upper, answer) if flight.airframe.looks_forward else {},

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.paper.drawing import BLUE, ORANGE, draw
-from companion.paper.findings import Picture, Section, Table, number, percent
+from companion.paper.findings import Section, SectionPicture, SectionTable, number, percent
 from companion.paper.scores import Results, toe_error_mrad
 
 _WAYS = ("rigid", "corrected", "oracle")
@@ -52,7 +52,7 @@ def _largest_oracle(results: Results) -> float:
     )
 
 
-def _table(results: Results) -> Table:
+def _table(results: Results) -> SectionTable:
     rows = []
     for key, outcome in results.outcomes.items():
         for name, scores in (("peaks", results.peaks[key]), ("random", results.randoms[key])):
@@ -62,7 +62,7 @@ def _table(results: Results) -> Table:
                 *(number(math.hypot(*toe_error_mrad(outcome, scores[way])), 2) for way in _WAYS),
                 str(scores["shots"]),
             ))  # fmt: skip
-    return Table(
+    return SectionTable(
         "Triggered at peaks against random instants",
         ("experiment", "fired at", "blur, px", "phase, deg", "error, mrad: rigid", "corrected", "oracle", "shots"),
         tuple(rows),
@@ -73,7 +73,7 @@ def _table(results: Results) -> Table:
     )
 
 
-def _blur(results: Results) -> Picture:
+def _blur(results: Results) -> SectionPicture:
     outcome = results.outcomes["wing_random"]
     before, after = (scores["wing_random"]["blur_median_px"] for scores in (results.randoms, results.peaks))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
-from companion.paper.findings import Section, Table, number, percent
+from companion.paper.findings import Section, SectionTable, number, percent
 from companion.paper.scores import Results, one_tip_toe_error_mrad, toe_error_mrad
 from companion.params.files import load_airframe
 from companion.records import Side
@@ -89,7 +89,7 @@ def _of_looking_forward(ahead: dict[str, Any], disparity_px: float, parallax_px:
     )
 
 
-def _table(results: Results) -> Table:
+def _table(results: Results) -> SectionTable:
     rows = []
     for key in results.untried:
         scores = results.randoms[key]
@@ -98,7 +98,7 @@ def _table(results: Results) -> Table:
         median = percent(scores["published"]["median_percent"] / 100)
         counts = f"{scores['shots']} / {scores['trusted']}"
         rows.append((outcome.trial.title, number(scores["toe_rms_mrad"], 3), *errors, median, counts))
-    return Table(
+    return SectionTable(
         "What the paper did not try (random instants): error as relative toe, mrad, mean ± spread",
         ("experiment", "toe beyond 1 g, rms", "rigid", "rigid in trim", "corrected", "published", "oracle",
          "published, median of range", "shots / trusted"),

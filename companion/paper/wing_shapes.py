@@ -11,7 +11,7 @@ from companion.core.wing.shapes import WingShape
 from companion.paper import printed
 from companion.paper.drawing import BLUE, GREY, ORANGE, RED, draw
 from companion.paper.edge_fits import CAMERA_M, WHOLE_DEGREE, Fitted, clamped_factor, fit_edges
-from companion.paper.findings import Picture, Section, Table, deviation, number, percent
+from companion.paper.findings import Section, SectionPicture, SectionTable, deviation, number, percent
 from companion.paper.modal_peaks import GVT_TIP_CHORD_M, gvt_folder, measured_points
 from companion.paper.range_tables import toe_rad, wide_factor
 from companion.paper.vibration_test import GAIN_SIGMA, STATIONS_M, TESTS, simulated_points, survey, true_shapes
@@ -64,7 +64,7 @@ def section() -> Section:
     else:
         data["measured"] = None
         findings.append("The measured wing was skipped: measured/maewing1-gvt is not here (SPANWISE_DATA).")
-    compared = Table(
+    compared = SectionTable(
         "What a polynomial makes of the slope at the camera",
         ("fit", "mean deviation", "spread"),
         tuple((name, percent(mean, 1), percent(spread, 1)) for name, (mean, spread) in ways.items()),
@@ -82,7 +82,7 @@ def section() -> Section:
         f"Polynomials of degree {WHOLE_DEGREE} over both halves, as the paper fits them; deflection counts from the "
         "root, as the cameras' pose does."
     )
-    table = Table("Polynomial fits of modal peaks", header, tuple(rows), note)
+    table = SectionTable("Polynomial fits of modal peaks", header, tuple(rows), note)
     title = "Figs. 9 and 10: mode shape of the flying wing"
     return Section("figs_9_10", title, tuple(findings), (table, compared), tuple(pictures), data)
 
@@ -141,7 +141,7 @@ def _scaled_mm(factor_radpm: float) -> list[float]:
 
 def _draw(
     name: str, fitted: Fitted, factor_radpm: float, tip_m: float | None, truth: BeamMode | None = None
-) -> Picture:
+) -> SectionPicture:
     def paint(axes: Any) -> None:
         _paint_edges(axes[:, 0], fitted)
         _paint_shape(axes[:, 1], fitted, tip_m)

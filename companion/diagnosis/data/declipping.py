@@ -19,7 +19,7 @@ _SEED = 20250103  # convention: any fixed number
 _SWEEPS = 160  # of the Gibbs sampler, a bound on its cost
 _RELEARNT, _LEARNT = 4, 0.3  # every so many sweeps, by that share
 _SETTLED = 60  # sweeps; from then on the spectra are averaged
-_SHARE, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample
+_WHITE_RATIO, _MOST = 0.8, 0.95  # of the faintest band: that much is called white, and drawn sample by sample
 _BAND = 40  # bins
 _FAINTEST = 1e-9  # of all power: what a spectrum has at least, where channels without noise are alike
 _WIDTH = 0.02  # of a frequency, to either side: what is smoothed over
@@ -75,17 +75,17 @@ class _Split:
         precision = inverse(spectra + floor * np.eye(len(spectra))[..., None])[affected]
         largest = np.linalg.eigvalsh(np.moveaxis(precision[:, affected], -1, 0))[:, -1]
         bands = np.array_split(largest, max(len(largest) // _BAND, 1))
-        self.white = _SHARE / max(float(np.mean(band)) for band in bands)
+        self.white = _WHITE_RATIO / max(float(np.mean(band)) for band in bands)
         precision = precision * np.minimum(1.0, _MOST / (self.white * largest))
-        self._affected, self._share = affected, self.white * precision
-        remaining = np.eye(len(affected))[..., None] - self._share[:, affected]
+        self._affected, self._gain = affected, self.white * precision
+        remaining = np.eye(len(affected))[..., None] - self._gain[:, affected]
         self._spread = cholesky(self.white * 0.5 * (remaining + adjoint(remaining)))
 
     def draw(self, spectrum: Complexes, rng: np.random.Generator) -> Complexes:
         """The rest from its posterior, given the spectrum of all channels, (a, f)."""
         noise = rng.standard_normal((2, len(self._affected), spectrum.shape[1]))
         white = np.sqrt(0.5) * (noise[0] + 1j * noise[1])
-        return np.asarray(spectrum[self._affected] - apply(self._share, spectrum) + apply(self._spread, white))
+        return np.asarray(spectrum[self._affected] - apply(self._gain, spectrum) + apply(self._spread, white))
 
 
 def _beyond(limit: Floats, side: Floats, middle: Floats, spread: float, rng: np.random.Generator) -> Floats:

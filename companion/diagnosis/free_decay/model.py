@@ -14,7 +14,7 @@ from companion.diagnosis.selection.fisher_scoring import Parameter
 from companion.params.airframe import Uncertain
 from companion.records import Floats
 
-_OWN = 3  # nuisances of each recording: impulse to load, noise, impulse to noise
+_NUISANCES = 3  # nuisances of each recording: impulse to load, noise, impulse to noise
 _SLOWEST = 0.2  # of the believed frequency, a bound for the fit
 _ZETA = (1e-5, 0.5)
 
@@ -33,7 +33,7 @@ class FreeDecayModel:
         self.frequency_hz, self.damping = frequency_hz, damping
         self.extensions = tuple(extensions)
         self.parameters = tuple(self._parameters())
-        self.shared = len(self.parameters) - _OWN * len(self.recordings)
+        self.shared = len(self.parameters) - _NUISANCES * len(self.recordings)
 
     @property
     def centres(self) -> Floats:
@@ -51,8 +51,8 @@ class FreeDecayModel:
 
     def own_indices(self, recording: int) -> list[int]:
         """Places of a recording's nuisances."""
-        first = self.shared + _OWN * recording
-        return list(range(first, first + _OWN))
+        first = self.shared + _NUISANCES * recording
+        return list(range(first, first + _NUISANCES))
 
     def values_from(self, other: FreeDecayModel, values: Floats) -> Floats:
         """A vector of this model with what another one has in common with it."""

@@ -28,7 +28,7 @@ _UNKNOWN_NOISE = 3.0  # of a sensor's noise: data sheets say nothing of how it i
 _CORNER_SIGMA = 1.0  # of its logarithm: what colour a day's gusts have is nobody's error
 _COHERENCE = 1.2  # of asinh atanh: anything from -1 to 1
 _MATCH_SIGMA_PX = 0.3
-_OWN = "#"
+_RECORDING_MARK = "#"
 _GAIN = "gain:"
 _CHANGING = (".level", ".noise", ".bias_mps2", "match")
 _RANGE_ONLY = frozenset({"toe_rad", "focal", "match", "trim_bend_m", "bend_per_g_m"})
@@ -61,14 +61,14 @@ class Belief:
         """Deviations by key as one recording has them: its own, and those that all share."""
         deviations_by_key = {}
         for entry, value in zip(self.nuisances, deviations, strict=True):
-            key, _, owner = entry.key.partition(_OWN)
+            key, _, owner = entry.key.partition(_RECORDING_MARK)
             if not owner or int(owner) == recording:
                 deviations_by_key[key] = float(value)
         return deviations_by_key
 
     def concerns(self, index: int, recording: int) -> bool:
         """Whether a nuisance has a say in a recording."""
-        _, _, owner = self.nuisances[index].key.partition(_OWN)
+        _, _, owner = self.nuisances[index].key.partition(_RECORDING_MARK)
         return not owner or int(owner) == recording
 
     def wing(self, deviation: dict[str, float]) -> Wing:
@@ -144,7 +144,7 @@ def input_gains(deviation: Mapping[str, float]) -> dict[str, float]:
 def _for_each(entry: Nuisance, recordings: int) -> list[Nuisance]:
     if not (entry.key.startswith("corner") or entry.key.endswith(_CHANGING)):
         return [entry]
-    return [dataclasses.replace(entry, key=f"{entry.key}{_OWN}{k}") for k in range(recordings)]
+    return [dataclasses.replace(entry, key=f"{entry.key}{_RECORDING_MARK}{k}") for k in range(recordings)]
 
 
 def _of_mode(mode: Mode | None, name: str, with_range: bool) -> list[Nuisance]:

@@ -30,7 +30,7 @@ _BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its sur
 _INVERSIONS = 6  # Newton steps
 _FLATTEST = 0.3  # slope of a sensor's law that can be inverted
 _INVERTED = 1e-9  # residual at which Newton's method ends
-_KEPT = 4  # most parameters that a fit moves bend nothing
+_CACHE_SIZE = 4  # most parameters that a fit moves bend nothing
 _RIGID_COLUMNS = {"x": 0, "y": 1, "p": 3, "q": 4, "r": 5}
 
 
@@ -53,7 +53,7 @@ class SensorLineariser:
         self._signs = _signs(len(self._weight))  # up and down alike, so that a law's curvature is no slope
         self._fine = _Fine(observations, self._weight)
         self._rigid = _rigid_mps2(observations)
-        self._kept: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
+        self._cache: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
 
     @property
     def recorded_mps2(self) -> Floats:
@@ -194,12 +194,12 @@ class SensorLineariser:
 
     def _bent_by(self, effects: tuple[Effect, ...]) -> tuple[Floats, Floats]:
         """Sum that effects have added to the channels (c, m), and the scales they amount to (c,); the last are kept."""
-        if effects not in self._kept:
-            if len(self._kept) >= _KEPT:
-                self._kept.pop(next(iter(self._kept)))
+        if effects not in self._cache:
+            if len(self._cache) >= _CACHE_SIZE:
+                self._cache.pop(next(iter(self._cache)))
             bent = [self._bent(effects, side, i) for i, side in enumerate(self._observations.sides)]
-            self._kept[effects] = np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
-        return self._kept[effects]
+            self._cache[effects] = np.stack([entry[0] for entry in bent]), np.array([entry[1] for entry in bent])
+        return self._cache[effects]
 
     def _bent(self, effects: Sequence[Effect], side: Side, channel: int) -> tuple[Floats, float]:
         """Sum that effects, in their order, have added to a station's reading, (m,), and the scale they amount to."""

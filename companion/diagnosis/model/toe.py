@@ -40,7 +40,7 @@ class ToeModel:
         place = np.abs(np.subtract.outer(toe.t_s, toe.t_s)) * (_FINER / transforms.dt_s)
         self._lag = place.astype(np.int32)
         self._beyond = place - self._lag
-        self._kept: tuple[SmoothedMotion, object, Floats] | None = None
+        self._cached: tuple[SmoothedMotion, object, Floats] | None = None
 
     def residual(
         self, wing: WingModel, effects: Sequence[Effect], deviation: Mapping[str, float], motion: SmoothedMotion
@@ -109,11 +109,11 @@ class ToeModel:
         """Toe of the smoothed bending at the exposures; kept, for most camera parameters leave it as it is."""
         steady = row.shape[-1] == 1
         key = (row.tobytes(), late_s)
-        if steady and self._kept is not None and self._kept[0] is motion and self._kept[1] == key:
-            return self._kept[2]
+        if steady and self._cached is not None and self._cached[0] is motion and self._cached[1] == key:
+            return self._cached[2]
         bending_rad = self._transforms.at(np.sum(row * motion.modal, axis=0), self._toe.t_s + late_s)
         if steady:
-            self._kept = (motion, key, bending_rad)
+            self._cached = (motion, key, bending_rad)
         return bending_rad
 
     def _slope(self, wing: WingModel, views: Sequence[CameraView]) -> Complexes:

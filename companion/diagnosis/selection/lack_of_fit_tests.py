@@ -40,7 +40,7 @@ from companion.diagnosis.selection.simulated_scores import DRAWS, score_scatter
 from companion.records import Floats
 
 _BANDS = 14  # of a spectrum
-_KNOWN = 1e-3  # share of a direction's information that must be left once the fit is projected out
+_INFORMATION_LEFT = 1e-3  # share of a direction's information that must be left once the fit is projected out
 _ITS_OWN = 0.03  # of a family: what is less than this beside its other members shows their errors, and nothing else
 _STRAIGHT = 1e-3  # skewness that is none
 _LAPLACE, _EXPONENTIAL = 3.0, 6.0  # excess kurtosis of one product of two complex normals, and of a square
@@ -87,7 +87,7 @@ def lack_of_fit_tests(models: Sequence[FlightModel], fitted: FlightFit) -> dict[
 def _strengths(family: _TestFamily, score: Floats, information: Floats) -> dict[str, float]:
     spread = np.diag(information)
     positive = spread[spread > 0.0]
-    telling = spread > _KNOWN * (float(np.median(positive)) if len(positive) else 0.0) * 1e-6
+    telling = spread > _INFORMATION_LEFT * (float(np.median(positive)) if len(positive) else 0.0) * 1e-6
     telling &= spread > 0.0
     z = score / np.sqrt(np.where(telling, spread, 1.0))
     if family.skewness is not None:

@@ -13,7 +13,7 @@ from companion.diagnosis.model.belief import Belief
 from companion.diagnosis.selection.fit import FlightFit
 from companion.diagnosis.selection.screen import normal_score
 
-_TOLD = 0.1  # share of the prior's variance that the data must take away
+_INFORMED = 0.1  # share of the prior's variance that the data must take away
 _OF_THE_FILE = (".frequency", ".damping", ".slope", ".scale", ".delay_s", ".bias_mps2", "toe_rad", "focal", "_m")
 
 
@@ -30,10 +30,10 @@ def prior_tension(belief: Belief, fitted: FlightFit) -> dict[str, float]:
     tensions = {
         f"{belief.nuisances[i].key} beyond its prior": float(moved[k] / np.sqrt(variances[k]))
         for k, i in enumerate(index)
-        if variances[k] > _TOLD
+        if variances[k] > _INFORMED
     }
     values, vectors = np.linalg.eigh(spread)
-    informed = values > _TOLD
+    informed = values > _INFORMED
     if informed.sum() > 1:
         along = vectors[:, informed].T @ moved
         tail = float(chi2.logsf(np.sum(along**2 / values[informed]), int(informed.sum())))
