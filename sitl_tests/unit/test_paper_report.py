@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from companion.cli.main import main
-from companion.evaluation.true_geometry import Reading
+from companion.evaluation.true_geometry import TrueReading
 from companion.paper import beam_tables, equations, fig_4, misprints, printed, range_tables, report
 from companion.paper.findings import Section, number, percent
 from companion.paper.scores import errors, rms
@@ -134,7 +134,7 @@ def test_table_1_s_repairs_are_factors_of_the_print() -> None:
 
 def test_errors_of_a_worked_example() -> None:
     """10 m read as 8 and as 12.5 m, one beyond infinity, one without reading."""
-    readings = [Reading(1 / 8, 0.1), Reading(1 / 12.5, 0.1), Reading(-0.02, 0.1), None]
+    readings = [TrueReading(1 / 8, 0.1), TrueReading(1 / 12.5, 0.1), TrueReading(-0.02, 0.1), None]
     found = errors(readings)
     assert (found["n"], found["without"], found["beyond_infinity"]) == (3, 1, 1)
     assert found["rms_percent"] == pytest.approx(math.sqrt((20**2 + 25**2) / 2))

@@ -16,7 +16,7 @@ from companion.paper import digest, own_experiments, report, setups, triggering,
 from companion.paper.experiments import Outcome
 from companion.paper.findings import Section, percent
 from companion.paper.scores import Results, one_tip_toe_error_mrad, toe_error_mrad
-from companion.paper.shots import Flown, Readings, Scored
+from companion.paper.shots import Flown, Readings, ScoredShot
 from companion.paper.trials import Trial, trials
 from companion.records import Reject
 
@@ -26,7 +26,7 @@ TOES_MRAD = (4.0, -4.0, 3.0, -3.0)
 SIGMA_M = {"corrected": 0.3, "published": 0.2}
 
 
-def shot(trial: Trial, baseline_m: float, toe_mrad: float, planned: bool) -> Scored:
+def shot(trial: Trial, baseline_m: float, toe_mrad: float, planned: bool) -> ScoredShot:
     """Symmetric bending by ``toe_mrad``, read by every way with its own share of the error."""
     true = 1.0 / trial.distance_m
     error = 1e-3 * toe_mrad / baseline_m
@@ -45,7 +45,7 @@ def shot(trial: Trial, baseline_m: float, toe_mrad: float, planned: bool) -> Sco
     half = 0.5e-3 * toe_mrad
     reject = None if planned else Reject.SIGMA_TOO_LARGE
     blur_px, phase_deg = (0.05, 2.0) if planned else (0.2, 45.0)
-    return Scored(planned, whole, upper, reject, (half, half), blur_px, phase_deg, SIGMA_M)
+    return ScoredShot(planned, whole, upper, reject, (half, half), blur_px, phase_deg, SIGMA_M)
 
 
 def outcome(trial: Trial) -> Outcome:
@@ -129,7 +129,7 @@ def test_one_tip_sees_symmetric_bending_rightly_and_antisymmetric_doubly(results
     trial = results.outcomes["lift"].trial
     symmetric = [shot(trial, 1.98, toe, True) for toe in TOES_MRAD]
     assert one_tip_toe_error_mrad(symmetric) == pytest.approx(0.0, abs=1e-12)
-    twisted = [Scored(True, {}, {}, None, (-0.001, 0.001), 0.0, 0.0, SIGMA_M)]
+    twisted = [ScoredShot(True, {}, {}, None, (-0.001, 0.001), 0.0, 0.0, SIGMA_M)]
     assert one_tip_toe_error_mrad(twisted) == pytest.approx(2.0)
 
 
