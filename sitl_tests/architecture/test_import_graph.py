@@ -1,0 +1,46 @@
+"""The graph of imports when modules are loaded: no circle anywhere in the package."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+FILES = {_module_name(path): path for path in sorted((ROOT / "companion").rglob("*.py"))}
+
+
+def _imported_modules(path: Path) -> set[str]:
+    """Modules of ours that a file imports when it is loaded; what a function imports later is no edge."""
+    edges: set[str] = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Import):
+            edges |= {alias.name for alias in node.names if alias.name in FILES}
+        elif isinstance(node, ast.ImportFrom) and node.module in FILES:
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            submodules = inner & FILES.keys()
+            edges |= submodules or {node.module}
+    return edges - {_module_name(path)}
+
+
+GRAPH = {name: _imported_modules(path) for name, path in FILES.items()}
+
+
+def test_no_module_imports_itself_by_a_detour() -> None:
+    done: set[str] = set()
+
+    def visit(name: str, trail: tuple[str, ...]) -> None:
+        assert name not in trail, f"circle: {' -> '.join((*trail[trail.index(name) :], name))}"
+        if name not in done:
+            for other in GRAPH[name]:
+                visit(other, (*trail, name))
+            done.add(name)
+
+    for name in GRAPH:
+        visit(name, ())
