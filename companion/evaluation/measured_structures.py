@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ from companion.diagnosis.modal_tests.run_comparison import as_json as comparison
 from companion.diagnosis.modal_tests.run_comparison import compare
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, RecordingError
+from companion.evaluation.findings_output import write_findings
 from companion.evaluation.pages.measured_pages import ringing_page, vibration_page
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
@@ -41,14 +41,7 @@ def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progre
     tables = tables_of(options.recordings, mapping)
     diagnosed = _free_decay if mapping.test is TestKind.RINGING else _vibration
     plain, make_page = diagnosed(tables, mapping, options, progress)
-    if options.json == "-":
-        print(json.dumps(plain, indent=2, allow_nan=False))
-    else:
-        _tell(plain)
-        if options.json:
-            Path(options.json).write_text(json.dumps(plain, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    if options.html:
-        Path(options.html).write_text(make_page(), encoding="utf-8")
+    write_findings(plain, options.json, options.html, _tell, make_page)
     if options.apply is not None:
         print("--apply: what was found here is of a structure on the bench; no airframe was written", file=sys.stderr)
     return NOTHING_TO_ESTIMATE if plain["verdict"] == "not-identifiable" else 0

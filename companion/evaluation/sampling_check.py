@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +15,8 @@ from companion.adapters.recordings.recording_factory import open_recording
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapped_table import files_of
 from companion.adapters.recordings.tables.mapping import TableMapping
+from companion.errors import NOTHING_TO_ESTIMATE
+from companion.evaluation.findings_output import write_findings
 from companion.evaluation.station_tones import StationAnalysis
 from companion.params.airframe import Airframe
 from companion.records import Axis, Floats, ImuBatch, Ints, Station
@@ -24,7 +25,6 @@ from companion.reporting.page import render
 
 _SHORTEST_S = 8.0
 _GAP_RATIO = 2.5
-_NOTHING = 3  # exit code: done, but there was nothing to estimate
 _FEWEST = 10  # samples: of fewer there is no usual step
 _NEEDED = "an accelerometer at each wing tip (left_z, right_z) for at least 8 s without a gap"
 
@@ -122,15 +122,8 @@ def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
 def not_identifiable(timings: Sequence[Timing], options: argparse.Namespace, airframe: str) -> int:
     """Say what these recordings lack and how evenly they were sampled; invent nothing."""
     plain = _plain(timings, airframe)
-    if options.json == "-":
-        print(json.dumps(plain, indent=2, allow_nan=False))
-    else:
-        _tell(plain)
-        if options.json:
-            Path(options.json).write_text(json.dumps(plain, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    if options.html:
-        Path(options.html).write_text(_page(plain), encoding="utf-8")
-    return _NOTHING
+    write_findings(plain, options.json, options.html, _tell, lambda: _page(plain))
+    return NOTHING_TO_ESTIMATE
 
 
 def _plain(timings: Sequence[Timing], airframe: str) -> dict[str, Any]:

@@ -77,13 +77,7 @@ class TcpClient:
         """Read, or go on with connecting again."""
         if self._stream is None:
             self._call(now_host_ns)
-        if self._stream is None:
-            return b""
-        data = self._stream.receive(limit)
-        if data is None:
-            self._stream.close()
-            self._stream = None
-            return b""
+        data, self._stream = _read(self._stream, limit)
         return data
 
     def send(self, data: bytes) -> bool:
@@ -146,13 +140,7 @@ class TcpServer:
             with contextlib.suppress(OSError):
                 connection, _ = self._listener.accept()
                 self._stream = _BufferedSocket(connection)
-        if self._stream is None:
-            return b""
-        data = self._stream.receive(limit)
-        if data is None:
-            self._stream.close()
-            self._stream = None
-            return b""
+        data, self._stream = _read(self._stream, limit)
         return data
 
     def send(self, data: bytes) -> bool:
@@ -164,3 +152,14 @@ class TcpServer:
         if self._stream is not None:
             self._stream.close()
         self._listener.close()
+
+
+def _read(stream: _BufferedSocket | None, limit: int) -> tuple[bytes, _BufferedSocket | None]:
+    """Bytes of a connection, and the connection while it lives."""
+    if stream is None:
+        return b"", None
+    data = stream.receive(limit)
+    if data is None:
+        stream.close()
+        return b"", None
+    return data, stream
