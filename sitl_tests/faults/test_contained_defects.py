@@ -43,14 +43,14 @@ S = 1_000_000_000
 
 
 def raise_between(monkeypatch: pytest.MonkeyPatch, from_s: float, until_s: float, most: int = 1000) -> list[int]:
-    """Let the tracker raise at every turn between two instants of the flight, so often at most; give when it did."""
-    turn, raised = WingTracker.turn, []
+    """Let the tracker raise at every step between two instants of the flight, so often at most; give when it did."""
+    process_until, raised = WingTracker.process_until, []
 
     def raising(tracker: WingTracker, now_host_ns: int) -> Any:
         if from_s <= (now_host_ns - EPOCH_NS) * 1e-9 < until_s and len(raised) < most:
             raised.append(now_host_ns)
             raise ZeroDivisionError("a defect\nmade on purpose")
-        return turn(tracker, now_host_ns)
+        return process_until(tracker, now_host_ns)
 
     monkeypatch.setattr(WingTracker, "process_until", raising)
     return raised

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,29 +44,39 @@ JUNK = {
 WAYS = ["plain", *(["compiled"] if COMPILED else [])]
 
 
-def cost_s(begun_s: float) -> float:
-    return time.process_time() - begun_s
+def cheapest_s(run: Callable[[], None]) -> float:
+    """Processor time of a run: the least of at most three, for what else the machine does only adds to it."""
+    costs: list[float] = []
+    while len(costs) < 3 and (not costs or min(costs) >= MOST_S):
+        begun_s = time.process_time()
+        run()
+        costs.append(time.process_time() - begun_s)
+    return min(costs)
 
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("kind", JUNK)
 def test_in_the_scanner(kind: str, way: str) -> None:
-    bulk = BulkDecoder(build_mapping(load_airframe("nadir-2m")).sources) if way == "compiled" else None
-    scanner, begun_s = Scanner(bulk), time.process_time()
-    frames = [frame for at in range(0, MB, CHUNK) for frame in scanner.scan(JUNK[kind][at : at + CHUNK], 1).frames]
-    assert cost_s(begun_s) < MOST_S
-    assert len(frames) < 10
-    assert scanner.counters.skipped_bytes > 0.99 * MB
+    def run() -> None:
+        bulk = BulkDecoder(build_mapping(load_airframe("nadir-2m")).sources) if way == "compiled" else None
+        scanner = Scanner(bulk)
+        frames = [frame for at in range(0, MB, CHUNK) for frame in scanner.scan(JUNK[kind][at : at + CHUNK], 1).frames]
+        assert len(frames) < 10
+        assert scanner.counters.skipped_bytes > 0.99 * MB
+
+    assert cheapest_s(run) < MOST_S
 
 
 @pytest.mark.parametrize("kind", JUNK)
 def test_on_a_signed_link(kind: str) -> None:
-    clock, wire = TurnedClock(), Wire()
-    transport, begun_s = SignedTransport(wire, Signing(bytes(32), clock), 0), time.process_time()
-    for at in range(0, MB, CHUNK):
-        wire.inbox += JUNK[kind][at : at + CHUNK]
-        assert transport.receive(CHUNK, 0) == b""
-    assert cost_s(begun_s) < MOST_S
+    def run() -> None:
+        clock, wire = TurnedClock(), Wire()
+        transport = SignedTransport(wire, Signing(bytes(32), clock), 0)
+        for at in range(0, MB, CHUNK):
+            wire.inbox += JUNK[kind][at : at + CHUNK]
+            assert transport.receive(CHUNK, 0) == b""
+
+    assert cheapest_s(run) < MOST_S
 
 
 @pytest.mark.parametrize("kind", JUNK)
@@ -74,7 +85,9 @@ def test_in_a_log(kind: str, tmp_path: Path) -> None:
     good = (1_700_000_000_000_000).to_bytes(8, "big") + beat
     path = tmp_path / "flight.tlog"
     path.write_bytes(good + JUNK[kind] + good)
-    begun_s = time.process_time()
-    recording = TlogRecording(path, load_airframe("sitl-plane"))
-    assert [frame for _, frame in recording.frames()] == [beat, beat]
-    assert cost_s(begun_s) < MOST_S
+
+    def run() -> None:
+        recording = TlogRecording(path, load_airframe("sitl-plane"))
+        assert [frame for _, frame in recording.frames()] == [beat, beat]
+
+    assert cheapest_s(run) < MOST_S

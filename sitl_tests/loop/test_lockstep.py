@@ -77,7 +77,7 @@ def test_time_passes_by_looking_and_sleeping_alone_and_the_vehicle_lives_every_m
     clock: LockStepClock, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     turns: list[tuple[int, int]] = []
-    monkeypatch.setattr(clock.world, "turn", lambda boot_ns, host_ns: turns.append((boot_ns, host_ns)))
+    monkeypatch.setattr(clock.world, "run_once", lambda boot_ns, host_ns: turns.append((boot_ns, host_ns)))
     first = clock.now_ns()
     assert 0 < clock.now_ns() - first < MS, "a look costs microseconds, however long the machine took"
     sleep_until(clock, 25)

@@ -197,7 +197,7 @@ def test_the_command_reads_folders_and_writes_airframe_and_report(tmp_path: Path
     first = report.split("<h1", 1)[1].split("</h1>")[0]
     assert re.search(r"leaves [\d.]+ mrad of toe, [\d.]+ m at 60 m", first)
     assert "parts of the images never saw a corner" in first, "and where is hatched in the picture"
-    assert "<td>5</td><td>only one camera has this image</td>" in report
+    assert re.search(r"<td[^>]*>5</td>\s*<td[^>]*>only one camera has this image</td>", report)
     assert report.count("<img") >= 6
     assert (tmp_path / "out" / "report.png").read_bytes()[:4] == b"\x89PNG"
     Rig.from_airframe(load_airframe(str(tmp_path / "out" / "airframe.toml")))

@@ -169,7 +169,7 @@ class Listener:
         self.heard.append(batch)
         return []
 
-    def turn(self, now_host_ns: int) -> None:
+    def process_until(self, now_host_ns: int) -> None:
         """No state of the wing."""
 
     def describe(self) -> None:

@@ -209,7 +209,7 @@ def test_a_port_that_is_not_there_and_a_library_that_is_missing(monkeypatch: pyt
     line = triggers.trigger_factory("gpio:/dev/gpiochip9,1")
     assert line is not None
     monkeypatch.setitem(sys.modules, "gpiod", None)
-    with pytest.raises(DeviceError, match="gpiod"):
+    with pytest.raises(DeviceError, match=r"spanwise\[gpio\]"):
         line()
 
 
