@@ -16,6 +16,7 @@ from scipy.io import savemat
 from companion.adapters.cameras.folder import read_grey
 from companion.adapters.recordings.logs.bin import BinRecording
 from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.recording import Notes
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapping import parse_mapping
@@ -299,3 +300,11 @@ def test_a_damaged_stamp_is_not_flown_through(
     assert main(["replay", str(tmp_path / "a.BIN"), "--airframe", "sitl-plane"]) in (0, 3)
     assert time.process_time() - began < 10.0
     assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("steps_ns", [(-5, -5, -5), (0, 0, 9), (-5, -5, 40)])
+def test_stamps_that_mostly_go_back_or_repeat_are_told_and_have_no_gaps(steps_ns: tuple[int, ...]) -> None:
+    notes = Notes()
+    notes.gaps("left", np.cumsum(np.array((100, *steps_ns), dtype=np.int64)))
+    assert len(notes.notices) == 1
+    assert re.search(r"stamps (go back|repeat)", notes.notices[0].text)

@@ -158,6 +158,8 @@ class Notes:
         for problem, count in (("repeat the one before", int((steps == 0).sum())), ("go back", int((steps < 0).sum()))):
             if count:
                 self.add(f"{name}: {count} of {t_ns.size} stamps {problem}", int(t_ns[0]))
+        if usual <= 0.0:  # most stamps repeat or go back, which is said above: there is no usual step
+            return
         wide = np.flatnonzero(steps > _GAP_RATIO * usual)
         low, high = np.percentile(np.delete(steps, wide), (1, 99))
         if high - low > _JITTER_RATIO * usual:
