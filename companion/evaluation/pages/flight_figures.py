@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from companion.evaluation.flight_log import FlightLog
+from companion.evaluation.flight_log import FlightLog, Spectrum
 from companion.records import ClockName, Floats, ModeEstimate, ModeState, Station, Validity
 from companion.reporting.plotting import (
     BLUE,
@@ -91,14 +92,14 @@ def _band(
     axis.fill_between(t_s, values - sigma, values + sigma, color=colour, alpha=0.2, lw=0)
 
 
-def spectra(log: FlightLog, text: str) -> Any:
+def spectra(log: FlightLog, by_station: Mapping[Station, Spectrum], text: str) -> Any:
     """Vertical acceleration of root and tips; the tracked modes and sharp lines are marked."""
     figure = _figure(4.2)
     headline(figure, text)
     axis = figure.subplots()
     top_hz = 1.0
     for station, colour in _STATIONS.items():
-        spectrum = log.spectrum(station)
+        spectrum = by_station.get(station)
         if spectrum is None:
             continue
         shown = (spectrum.f_hz > 0.0) & (spectrum.f_hz <= _TOP_HZ)
@@ -151,10 +152,10 @@ def clocks(log: FlightLog, text: str) -> Any:
 
 def refusals(log: FlightLog, text: str) -> Any:
     """Every refusal and every withheld range at its time, one row a reason."""
-    figure = _figure(0.9 + 0.28 * max(len(_by_reason(log)), 2))
+    rows = _by_reason(log)
+    figure = _figure(0.9 + 0.28 * max(len(rows), 2))
     headline(figure, text)
     axis = figure.subplots()
-    rows = _by_reason(log)
     for row, (reason, t_s) in enumerate(sorted(rows.items(), key=lambda entry: len(entry[1]))):
         axis.plot(t_s, np.full(len(t_s), row), "|", ms=9, color=VERMILLION)
         axis.annotate(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from companion.adapters.recordings.recording import Recording
-from companion.evaluation.flight_log import FlightLog
+from companion.evaluation.flight_log import FlightLog, Spectrum
 from companion.evaluation.pages import flight_figures as figures
 from companion.evaluation.recording_info import stream_line
 from companion.params.settings import Settings, tunables
@@ -117,15 +117,16 @@ def _wing(log: FlightLog) -> Iterator[Block]:
     yield Heading("Wing")
     yield embed(figures.modes(log, _modes_sentence(log)), "modes over time")
     if log.info.streams:
-        yield embed(figures.spectra(log, _lines_sentence(log)), "spectra of root and tips")
+        candidates = {station: log.spectrum(station) for station in Station}
+        spectra = {station: spectrum for station, spectrum in candidates.items() if spectrum is not None}
+        yield embed(figures.spectra(log, spectra, _lines_sentence(spectra)), "spectra of root and tips")
 
 
-def _lines_sentence(log: FlightLog) -> str:
+def _lines_sentence(spectra: Mapping[Station, Spectrum]) -> str:
     """Sharp lines of each station, which an engine, a propeller or a loose part makes."""
     lines_of_stations = []
-    for station in Station:
-        spectrum = log.spectrum(station)
-        lines = spectrum.lines_hz() if spectrum is not None else []
+    for station, spectrum in spectra.items():
+        lines = spectrum.lines_hz()
         if lines:
             lines_of_stations.append(f"{station.name.lower()} {', '.join(f'{line:.1f}' for line in lines)} Hz")
     return (
