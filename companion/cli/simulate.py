@@ -12,7 +12,8 @@ from companion.core.wing.effects import catalogue
 from companion.errors import ConfigError
 from companion.params.airframe import NamedEffect
 from companion.params.files import load_airframe
-from companion.sim.flight.flight import GustKind, build_flight
+from companion.sim.flight.flight import build_flight
+from companion.sim.flight.gust import GustKind
 from companion.sim.flight.tables import write_csv
 
 

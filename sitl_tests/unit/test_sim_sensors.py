@@ -19,7 +19,8 @@ from companion.params.airframe import Airframe, NamedEffect, Source
 from companion.params.files import load_airframe, shipped_airframes
 from companion.records import AutopilotParameter, ClockName, ImuBatch, Station, TimesyncReply, VehicleState
 from companion.sim.flight.aircraft import still_plan
-from companion.sim.flight.flight import Flight, GustKind, build_flight
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.gust import GustKind
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
 from companion.sim.flight.perturb import SensorErrors, TrueClock, draw_truth
 from companion.sim.flight.sensors import corrupted, drifting, limited, lowpassed, on_wire, send_times

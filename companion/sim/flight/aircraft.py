@@ -17,6 +17,9 @@ from companion.units import GRAVITY_MPS2
 
 # smoothstep 35u^4 - 84u^5 + 70u^6 - 20u^7: three continuous derivatives at both ends
 _STEP = np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
+_LIFT_OFF_S = 3.0  # after the wheels leave the ground, until turbulence has its full size (choice)
+_TOUCH_S = 0.3  # in which the gear takes the weight, or gives it up (choice)
+_BUMPS = 7  # sines of uneven ground
 _TABLE = (_STEP.integ(), _STEP, _STEP.deriv(), _STEP.deriv(2), _STEP.deriv(3))
 
 
@@ -62,6 +65,20 @@ class Jolt:
 
 
 @dataclass(frozen=True, slots=True)
+class GroundRoll:
+    """A roll on the wheels: standing at one end, at flying speed at the other, over ground that shakes the root.
+
+    ``bump_mps2`` is the rms of the root's vertical acceleration, made of sines from 2 to 12 Hz; wheels carry what lift
+    does not, and lift goes with the square of the speed.
+    """
+
+    from_s: float
+    until_s: float
+    landing: bool = False
+    bump_mps2: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
 class FlightPlan:
     """Manoeuvres of a flight. ``wobble`` values are rms of a turbulence made of sines from 0.2 to 1.5 Hz."""
 
@@ -76,6 +93,7 @@ class FlightPlan:
     pitch_wobble_rad: float = 0.008
     yaw_wobble_rad: float = 0.008
     jolts: tuple[Jolt, ...] = ()
+    rolls_on_ground: tuple[GroundRoll, ...] = ()
 
 
 def demo_plan(duration_s: float = 60.0) -> FlightPlan:
@@ -107,6 +125,21 @@ def demo_plan(duration_s: float = 60.0) -> FlightPlan:
     )
 
 
+def circuit_plan(duration_s: float = 60.0, height_m: float = 60.0) -> FlightPlan:
+    """Roll for a sixth of the flight, climb, fly level, sink, roll out in the last tenth: wings level throughout."""
+    off_s, on_s, wheels_m = duration_s / 6.0, 0.9 * duration_s, 0.4
+    climb_s, sink_s = 0.25 * duration_s, 0.3 * duration_s
+    return FlightPlan(
+        duration_s,
+        levels=(
+            AltitudeStep(0.0, wheels_m),
+            AltitudeStep(off_s + climb_s, height_m, climb_s),
+            AltitudeStep(on_s, wheels_m, sink_s),
+        ),
+        rolls_on_ground=(GroundRoll(0.0, off_s), GroundRoll(on_s, duration_s, landing=True)),
+    )
+
+
 def still_plan(duration_s: float, altitude_m: float = 60.0) -> FlightPlan:
     """Straight and level without any wobble, for closed forms."""
     return FlightPlan(duration_s, 22.0, 0.0, (AltitudeStep(0.0, altitude_m),), (), (), 0.0, 0.0, 0.0, 0.0)
@@ -122,14 +155,15 @@ def fly(plan: FlightPlan, rng: np.random.Generator, knots: int) -> tuple[Floats,
     """
     t = np.arange(knots, dtype=np.float64) * (STEP_NS * 1e-9)
     speed = plan.airspeed_mps
-    height = _altitude(plan, t) + _wobble(rng, t, plan.heave_wobble_mps2, acceleration=True)
-    roll = _roll(plan, t) + _wobble(rng, t, plan.roll_wobble_rad)[:3]
+    aloft = _aloft(plan, t)
+    height = _altitude(plan, t) + _product(_wobble(rng, t, plan.heave_wobble_mps2, acceleration=True), aloft)
+    roll = _roll(plan, t) + _product(_wobble(rng, t, plan.roll_wobble_rad), aloft)[:3]
     turn = _coordinated_turn_radps(roll, speed)
-    yaw = turn + _wobble(rng, t, plan.yaw_wobble_rad)[:3]
-    pitch = _climb_angle(height, speed) + _wobble(rng, t, plan.pitch_wobble_rad)[:3]
+    yaw = turn + _product(_wobble(rng, t, plan.yaw_wobble_rad), aloft)[:3]
+    pitch = _climb_angle(height, speed) + _product(_wobble(rng, t, plan.pitch_wobble_rad), aloft)[:3]
     pitch[0] += plan.angle_of_attack_rad
     height = height + jolted(plan, t)
-    velocity, acceleration = _track(turn, height, speed)
+    velocity, acceleration = _track(turn, height, airspeed(plan, t))
     value, rate = np.zeros((knots, COLUMNS)), np.zeros((knots, COLUMNS))
     value[:, VELOCITY], rate[:, VELOCITY] = velocity, acceleration
     rate[:, POSITION] = velocity
@@ -175,8 +209,8 @@ def _roll(plan: FlightPlan, t: Floats) -> Floats:
 
 
 def jolted(plan: FlightPlan, t: Floats) -> Floats:
-    """Height that the jolts give and its three derivatives, (4, n)."""
-    rows = np.zeros((4, len(t)))
+    """Height that jolts and uneven ground give and its three derivatives, (4, n)."""
+    rows = _bumps(plan, t)
     for jolt in plan.jolts:
         omega = math.pi / jolt.length_s
         phase = omega * np.clip(t - jolt.from_s, 0.0, jolt.length_s)
@@ -186,6 +220,64 @@ def jolted(plan: FlightPlan, t: Floats) -> Floats:
         rows[1] += speed * (1.0 - np.cos(phase))
         rows[2] += jolt.peak_mps2 * np.sin(phase)
         rows[3] += np.where((phase > 0.0) & (phase < math.pi), jolt.peak_mps2 * omega * np.cos(phase), 0.0)
+    return rows
+
+
+def airspeed(plan: FlightPlan, t: Floats) -> Floats:
+    """Airspeed and its derivative, (2, n): constant in the air, a smooth step from or to rest on the ground."""
+    rows = np.zeros((2, len(t)))
+    rows[0] = plan.airspeed_mps
+    for roll in plan.rolls_on_ground:
+        step = plan.airspeed_mps * _smooth_step(t, roll.from_s, roll.until_s - roll.from_s)[1:3]
+        rows += -step if roll.landing else step - np.array([[plan.airspeed_mps], [0.0]])
+    return rows
+
+
+def lift_share(plan: FlightPlan, t: Floats) -> Floats:
+    """Share of the weight that lift carries, (n,): the square of the speed's share of flying speed."""
+    return np.asarray((airspeed(plan, t)[0] / plan.airspeed_mps) ** 2)
+
+
+def _aloft(plan: FlightPlan, t: Floats) -> Floats | None:
+    """One in the air and zero on the wheels with three derivatives, (4, n); None for a flight that stays up."""
+    if not plan.rolls_on_ground:
+        return None
+    rows = np.zeros((4, len(t)))
+    rows[0] = 1.0
+    for roll in plan.rolls_on_ground:
+        start_s = roll.from_s - _LIFT_OFF_S if roll.landing else roll.until_s
+        step = _smooth_step(t, start_s, _LIFT_OFF_S)[1:]
+        rows += -step if roll.landing else step - np.array([[1.0], [0.0], [0.0], [0.0]])
+    return rows
+
+
+def _product(rows: Floats, factor: Floats | None) -> Floats:
+    """Value and three derivatives of a product, (4, n), by Leibniz; the rows themselves without a factor."""
+    if factor is None:
+        return rows
+    (a, da, dda, ddda), (b, db, ddb, dddb) = rows, factor
+    return np.stack(
+        [a * b, da * b + a * db, dda * b + 2 * da * db + a * ddb, ddda * b + 3 * dda * db + 3 * da * ddb + a * dddb]
+    )
+
+
+def _bumps(plan: FlightPlan, t: Floats) -> Floats:
+    """Height that the ground's unevenness gives the root and three derivatives, (4, n): fixed sines over each roll."""
+    rows = np.zeros((4, len(t)))
+    for roll in plan.rolls_on_ground:
+        length_s = roll.until_s - roll.from_s
+        start_s, end_s = roll.from_s - _TOUCH_S, roll.until_s - _TOUCH_S
+        ground = _smooth_step(t, start_s, _TOUCH_S)[1:] - _smooth_step(t, end_s, _TOUCH_S)[1:]
+        rows += _product(_bump_sines(t - roll.from_s, roll.bump_mps2), ground) if length_s > 0.0 else 0.0
+    return rows
+
+
+def _bump_sines(t: Floats, rms_mps2: float) -> Floats:
+    rows = np.zeros((4, len(t)))
+    for number, omega in enumerate((2 * math.pi * np.geomspace(2.0, 12.0, _BUMPS)).tolist()):
+        amplitude = rms_mps2 * math.sqrt(2 / _BUMPS) / omega**2
+        for order in range(4):
+            rows[order] += amplitude * omega**order * np.sin(omega * t + number**2 + order * math.pi / 2)
     return rows
 
 
@@ -218,11 +310,11 @@ def _climb_angle(height: Floats, speed: float) -> Floats:
     return np.stack([np.arctan(x), dx / square, ddx / square - 2 * x * dx**2 / square**2])
 
 
-def _track(turn: Floats, height: Floats, speed: float) -> tuple[Floats, Floats]:
-    """Velocity and acceleration in NED, (n, 3) each."""
-    cos, sin = np.cos(turn[0]), np.sin(turn[0])
+def _track(turn: Floats, height: Floats, along: Floats) -> tuple[Floats, Floats]:
+    """Velocity and acceleration in NED, (n, 3) each; ``along`` is the speed and its derivative."""
+    (speed, change), cos, sin = along, np.cos(turn[0]), np.sin(turn[0])
     velocity = np.stack([speed * cos, speed * sin, -height[1]], 1)
-    acceleration = np.stack([-speed * turn[1] * sin, speed * turn[1] * cos, -height[2]], 1)
+    acceleration = np.stack([change * cos - speed * turn[1] * sin, change * sin + speed * turn[1] * cos, -height[2]], 1)
     return velocity, acceleration
 
 

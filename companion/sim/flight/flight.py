@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -11,9 +10,10 @@ import numpy as np
 from companion.core.wing.model import WingModel
 from companion.params.airframe import Airframe, NamedEffect
 from companion.records import ClockName, Floats, Station
-from companion.sim.flight.aircraft import FlightPlan, demo_plan, fly, jolted
+from companion.sim.flight.aircraft import FlightPlan, demo_plan, fly, jolted, lift_share
 from companion.sim.flight.gust import (
     DrydenScales,
+    GustKind,
     LoadSpectrum,
     dryden_roll,
     dryden_vertical,
@@ -32,6 +32,8 @@ from companion.sim.flight.sensors import (
 )
 from companion.sim.flight.truth import MODAL, FlightTruth, TipShape
 from companion.sim.flight.wing import SUBSTEP_S, integrate
+from companion.sim.flight.world_draw import CRUISE_THROTTLE, disturbances, gust_kind, gusty, throttle, worn
+from companion.sim.flight.worlds import IDEAL, Conditions
 from companion.units import GRAVITY_MPS2
 
 LOOP_HZ = 400.0
@@ -39,16 +41,8 @@ _TAIL_S = 2.0
 _BURN_IN_S = 12.0
 _DRYDEN_WIND_MPS = 10.0
 _DRYDEN_ALTITUDE_M = 60.0
+_WORLD_PURPOSES = (b"weather", b"wear", b"shake")  # names of generators: one more draw in one changes no other
 _PARTICIPATION = {0: 1.566, 2: -0.868}  # of a uniform cantilever's bending modes in a shaken root, by slot
-
-
-class GustKind(enum.StrEnum):
-    """Spectrum of the load on the modes; every kind is scaled to the deflection rms that was drawn."""
-
-    AIRFRAME = "airframe"
-    WHITE = "white"
-    DRYDEN = "dryden"
-    CALM = "calm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +63,8 @@ class Flight:
         IMUs inside the autopilot, for stations whose source is component 1.
     nodes : mapping
         Streams of the wing nodes.
+    world : Conditions
+        What it flies in.
     """
 
     airframe: Airframe
@@ -79,6 +75,7 @@ class Flight:
     seed: int
     backends: Mapping[Station, BackendImu]
     nodes: Mapping[Station, SensorStream]
+    world: Conditions = IDEAL
 
     @property
     def duration_s(self) -> float:
@@ -88,6 +85,12 @@ class Flight:
     def generator(self, purpose: str) -> np.random.Generator:
         """A generator of its own for each purpose, so that one more draw in one place changes nothing elsewhere."""
         return np.random.default_rng([self.seed, *purpose.encode()])
+
+    def throttle(self, t_s: Floats) -> Floats:
+        """Share of full throttle at instants (n,); a world without propulsion leaves it where cruise has it."""
+        if self.world.propulsion is None:
+            return np.full(len(t_s), CRUISE_THROTTLE)
+        return throttle(self.truth, t_s)
 
     def streams(self) -> dict[Station, SensorStream]:
         """Stream of every sensor at the rates that the airframe states."""
@@ -110,6 +113,7 @@ def build_flight(
     effects: tuple[NamedEffect, ...] = (),
     gust: GustKind = GustKind.AIRFRAME,
     perturbed: bool = True,
+    world: Conditions = IDEAL,
 ) -> Flight:
     """Fly an airframe.
 
@@ -129,10 +133,17 @@ def build_flight(
         Spectrum of the load.
     perturbed : bool
         False takes the belief as truth (noise and bias stay): for tests that need it.
+    world : Conditions
+        Vibration, sensors, lenses and weather, drawn by a generator of their own; ``gust`` other than that of the
+        airframe overrides the weather's.
     """
-    plan = plan or demo_plan(duration_s)
+    weather_rng, wear_rng, shake_rng = (np.random.default_rng([seed, *purpose]) for purpose in _WORLD_PURPOSES)
+    plan = gusty(plan or demo_plan(duration_s), world.weather, weather_rng)
+    if gust is GustKind.AIRFRAME:
+        gust = gust_kind(world.weather, weather_rng)
     rng = np.random.default_rng(seed)
     real = draw_truth(airframe, rng, effects) if perturbed else exact_truth(airframe, effects)
+    real = worn(real, world, wear_rng)
     model = WingModel.from_airframe(real.actual)
     knots, derivatives = fly(plan, rng, round((plan.duration_s + _TAIL_S) * 1000) + 1)
     shape = TipShape.from_model(model)
@@ -141,17 +152,20 @@ def build_flight(
     q, qdot = _bend(real, model, plan, gust, load_factor, rng)
     knots[:, MODAL], derivatives[:, MODAL] = model.all_slots(q), model.all_slots(qdot)
     truth = FlightTruth(knots, derivatives, shape)
+    disturbed = disturbances(world, truth, shake_rng)
     backends: dict[Station, BackendImu] = {}
     nodes: dict[Station, SensorStream] = {}
     for station in Station:
-        sensor = RealSensor(truth, model, station, real.actual.sensor(station), real.errors[station])
+        sensor = RealSensor(
+            truth, model, station, real.actual.sensor(station), real.errors[station], disturbed.get(station)
+        )
         draws = np.random.default_rng([seed, 1, station])
         clock = sensor.sensor.source.clock
         if clock is ClockName.BOOT:
             backends[station] = backend_imu(sensor, draws)
         else:
             nodes[station] = node_stream(sensor, real.clocks[clock], plan.duration_s, draws)
-    return Flight(airframe, real, model, truth, plan, seed, backends, nodes)
+    return Flight(airframe, real, model, truth, plan, seed, backends, nodes, world)
 
 
 def _bend(
@@ -171,11 +185,16 @@ def _bend(
     t_s = (np.arange(steps) - burn) * np.float64(SUBSTEP_S)
     for effect in model.effects:
         load = effect.forcing(t_s, load, rng)
-    blow_mps2 = jolted(plan, t_s[burn:] + 0.5 * SUBSTEP_S)[2]
+    middle_s = t_s[burn:] + 0.5 * SUBSTEP_S
+    blow_mps2 = jolted(plan, middle_s)[2]
     for column, slot in enumerate(model.structure.slots):
         load[burn:, column] -= _PARTICIPATION.get(slot, 0.0) * blow_mps2
     middles = np.arange(steps - burn) / 2 + 0.25
     flown = np.interp(middles, np.arange(len(load_factor)), load_factor) - blow_mps2 / GRAVITY_MPS2  # lift alone bends
+    if plan.rolls_on_ground:
+        lifted = lift_share(plan, middle_s)
+        flown *= lifted
+        load[burn:] *= lifted[:, None]
     factor = np.concatenate([np.full(burn, flown[0]), flown])
     q, qdot = integrate(model, load, factor, -_BURN_IN_S)
     return q[burn::2], qdot[burn::2]

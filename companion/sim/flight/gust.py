@@ -6,6 +6,7 @@ states, sampled exactly (Van Loan) at a uniform step. All randomness comes from 
 
 from __future__ import annotations
 
+import enum
 import math
 from dataclasses import dataclass
 
@@ -15,6 +16,15 @@ from scipy.linalg import expm
 from companion.records import Floats
 
 FOOT_M = 0.3048
+
+
+class GustKind(enum.StrEnum):
+    """Spectrum of the load on the modes; every kind is scaled to the deflection rms that was drawn."""
+
+    AIRFRAME = "airframe"
+    WHITE = "white"
+    DRYDEN = "dryden"
+    CALM = "calm"
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from companion.params.airframe import Sensor
-from companion.records import AutopilotParameter, Axis, ClockName, ImuBatch, TimesyncReply, VehicleState
+from companion.records import AutopilotParameter, Axis, ClockName, Floats, ImuBatch, TimesyncReply, VehicleState
+from companion.sim.flight.aircraft import airspeed
 from companion.sim.flight.flight import LOOP_HZ, Flight
 from companion.sim.flight.sensors import SensorStream
 
@@ -91,15 +92,19 @@ def _exchanges(flight: Flight) -> Iterator[TimesyncReply]:
 def _vehicle_states(flight: Flight) -> Iterator[VehicleState]:
     times = np.arange(_VEHICLE_NS, round(flight.duration_s * 1e9), _VEHICLE_NS, dtype=np.int64)
     truth = flight.truth.series(times)
-    for t_ns, (roll, pitch, yaw), velocity in zip(times.tolist(), truth.euler_rad, truth.velocity_ned_mps, strict=True):
+    t_s: Floats = times * np.float64(1e-9)
+    lever = flight.throttle(t_s)
+    airspeed_mps = airspeed(flight.plan, t_s)[0]
+    rows = zip(times.tolist(), truth.euler_rad, truth.velocity_ned_mps, lever, airspeed_mps, strict=True)
+    for t_ns, (roll, pitch, yaw), velocity, throttle, speed_mps in rows:
         yield VehicleState(
             t_boot_ns=t_ns // 1_000_000 * 1_000_000,
             received_host_ns=HOST_EPOCH_NS + t_ns + 300_000,
             roll_rad=float(roll),
             pitch_rad=float(pitch),
             yaw_rad=float((yaw + np.pi) % (2 * np.pi) - np.pi),
-            airspeed_mps=flight.plan.airspeed_mps,
+            airspeed_mps=float(speed_mps),
             climb_mps=float(-velocity[2]),
-            throttle=0.6,
+            throttle=float(throttle),
             armed=True,
         )

@@ -1,9 +1,9 @@
 """Inertial sensors with all their faults, for a whole flight at once.
 
 Order of the faults: station motion (averaged over the sample, as an anti-alias filter does), effects, misalignment,
-scale, bias (Ornstein-Uhlenbeck), white noise, saturation, quantisation, low-pass, rounding on the wire. A node samples
-on its own clock and stamps the middle of its averaging window; the autopilot stamps what it sends at the instant of
-sending.
+scale, bias (Ornstein-Uhlenbeck), white noise, warm-up and vibration of the world flown in, saturation, quantisation,
+low-pass, rounding on the wire. A node samples on its own clock and stamps the middle of its averaging window; the
+autopilot stamps what it sends at the instant of sending.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from companion.params.airframe import Sensor
 from companion.records import ClockName, Floats, Ints, Side, Station
 from companion.sim.flight.perturb import SensorErrors, TrueClock
 from companion.sim.flight.truth import FlightTruth, TruthSeries
+from companion.sim.flight.vibration import SensorDisturbance
 from companion.units import GRAVITY_MPS2
 
 BACKEND_HZ = 1000.0
@@ -149,6 +150,7 @@ class RealSensor:
     station: Station
     sensor: Sensor
     errors: SensorErrors
+    disturbance: SensorDisturbance | None = None
 
     def sample(self, t_boot_ns: Ints, period_ns: int, rng: np.random.Generator) -> Floats:
         """Raw samples (n, 6) stamped ``t_boot_ns``, before low-pass, saturation and quantisation."""
@@ -160,7 +162,10 @@ class RealSensor:
         shown_ns = np.clip(np.round(shown * 1e9).astype(np.int64), period_ns, end_ns - period_ns)
         readings = station_readings(self.truth, self.model, self.station, self.sensor, shown_ns, period_ns)
         felt = sensed(self.model.effects, self.station, t_s, readings)
-        return corrupted(felt, t_s, self.sensor, self.errors, 1e9 / period_ns, rng)
+        values = corrupted(felt, t_s, self.sensor, self.errors, 1e9 / period_ns, rng)
+        if self.disturbance is None:
+            return values
+        return self.disturbance.felt(values, shown, period_ns * 1e-9, self.sensor, rng)
 
     def finish(self, raw: Floats, rate_hz: float) -> Floats:
         """Saturate and quantise, low-pass as the airframe says, and round as the message does."""

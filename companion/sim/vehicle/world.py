@@ -18,7 +18,8 @@ from companion.errors import DeviceError, LinkError
 from companion.lifetime import die_with_parent
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.links import LinkKind, parse_link
-from companion.sim.flight.flight import Flight, GustKind, build_flight
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.gust import GustKind
 from companion.sim.vehicle.autopilot import SimAutopilot, Trigger
 from companion.sim.vehicle.command_protocol import CommandProtocol
 from companion.sim.vehicle.faults import Faults, Wire

@@ -1,0 +1,154 @@
+"""One flight's draw from a world: the aircraft as that world has worn it, its disturbances, its gusts, its ground.
+
+Everything comes from a generator of its own, so that the same seed flies the same aircraft in every world.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from companion.params.airframe import Camera, Sensor, Uncertain
+from companion.records import Floats, Station
+from companion.sim.flight.aircraft import FlightPlan, PullUp
+from companion.sim.flight.gust import GustKind
+from companion.sim.flight.perturb import TruthAirframe
+from companion.sim.flight.truth import FlightTruth
+from companion.sim.flight.vibration import SensorDisturbance, ShaftTurns, StationVibration, VibrationLine
+from companion.sim.flight.worlds import Conditions, Harmonic, LensResiduals, Propulsion, Span, Weather
+from companion.units import GRAVITY_MPS2
+
+CRUISE_THROTTLE = 0.6
+"""Share of full throttle in level flight, as the simulated autopilot has always reported it."""
+
+_CLIMB_PER_MPS = 0.06  # throttle for a metre a second of climb: 20 N per 1/1 throttle on 3 kg at 22 m/s, half lost
+_LEAST_THROTTLE = 0.1  # of full throttle: a running propeller idles
+
+
+def log_uniform(span: Span, rng: np.random.Generator) -> float:
+    """One value of a span; an end of 0 is a value of 0."""
+    low, high = span
+    u = float(rng.random())
+    return low * (high / low) ** u if low > 0.0 else 0.0
+
+
+def gusty(plan: FlightPlan, weather: Weather, rng: np.random.Generator) -> FlightPlan:
+    """The plan with 1-cosine gusts: heave that lifts the load factor by the drawn amount within the drawn time."""
+    count = rng.poisson(weather.discrete_per_min * plan.duration_s / 60.0) if weather.discrete_per_min else 0
+    gusts = []
+    for _ in range(count):
+        length_s = log_uniform(weather.discrete_s, rng)
+        peak_mps2 = log_uniform(weather.discrete_g, rng) * GRAVITY_MPS2
+        # smoothstep's steepest place is 35/16 of its mean, so climb = peak * length / (35/16)
+        gusts.append(PullUp(float(rng.uniform(0.0, plan.duration_s)), 16.0 / 35.0 * peak_mps2 * length_s, length_s))
+    return dataclasses.replace(plan, pull_ups=(*plan.pull_ups, *gusts)) if gusts else plan
+
+
+def gust_kind(weather: Weather, rng: np.random.Generator) -> GustKind:
+    """Spectrum of this flight's gusts."""
+    return weather.kinds[int(rng.integers(len(weather.kinds)))] if weather.kinds else GustKind.AIRFRAME
+
+
+def worn(real: TruthAirframe, world: Conditions, rng: np.random.Generator) -> TruthAirframe:
+    """The aircraft with the world's sensor noise and lenses, and its gusts as strong as the weather makes them."""
+    if world.sensors.noise_ratio == (1.0, 1.0) and world.lenses == LensResiduals():
+        return real
+    actual = real.actual
+    ratio = log_uniform(world.weather.deflection_ratio, rng)
+    rms = Uncertain(actual.wing.gust.deflection_rms_m.value * ratio)
+    actual = dataclasses.replace(
+        actual,
+        wing=dataclasses.replace(actual.wing, gust=dataclasses.replace(actual.wing.gust, deflection_rms_m=rms)),
+        root=_noisy(actual.root, world.sensors.noise_ratio, rng),
+        left=_noisy(actual.left, world.sensors.noise_ratio, rng),
+        right=_noisy(actual.right, world.sensors.noise_ratio, rng),
+        left_camera=_residual(actual.left_camera, world.lenses, rng),
+        right_camera=_residual(actual.right_camera, world.lenses, rng),
+    )
+    return dataclasses.replace(real, actual=actual, antisymmetric_rms_m=real.antisymmetric_rms_m * ratio)
+
+
+def _noisy(sensor: Sensor, ratio: Span, rng: np.random.Generator) -> Sensor:
+    return dataclasses.replace(
+        sensor,
+        accel_noise_mps2_rthz=sensor.accel_noise_mps2_rthz * log_uniform(ratio, rng),
+        gyro_noise_radps_rthz=sensor.gyro_noise_radps_rthz * log_uniform(ratio, rng),
+    )
+
+
+def _residual(camera: Camera | None, lenses: LensResiduals, rng: np.random.Generator) -> Camera | None:
+    if camera is None:
+        return None
+    k1, p1, p2, column, row, focal, place = rng.standard_normal(7).tolist()
+    added = np.array([lenses.radial * k1, 0.0, lenses.tangential * p1, lenses.tangential * p2, 0.0])
+    x, y, z = camera.position_m
+    return dataclasses.replace(
+        camera,
+        distortion=tuple((np.array(camera.distortion) + added).tolist()),
+        principal_px=(camera.principal_px[0] + lenses.principal_px * column,
+                      camera.principal_px[1] + lenses.principal_px * row),
+        focal_px=Uncertain(camera.focal_px.value * (1.0 + lenses.focal_ratio * focal)),
+        position_m=(x, y + lenses.place_m * place, z),
+    )  # fmt: skip
+
+
+def throttle(truth: FlightTruth, t_s: Floats) -> Floats:
+    """Share of full throttle that holds the speed on this path, at instants (n,)."""
+    t_ns = np.minimum(np.round(t_s * 1e9).astype(np.int64), truth.t_boot_ns[-1])
+    climb_mps = -truth.series(t_ns).velocity_ned_mps[:, 2]
+    return np.clip(CRUISE_THROTTLE + _CLIMB_PER_MPS * climb_mps, _LEAST_THROTTLE, 1.0)
+
+
+def disturbances(
+    world: Conditions, truth: FlightTruth, rng: np.random.Generator
+) -> Mapping[Station, SensorDisturbance]:
+    """Disturbance of every sensor by the world; nothing at all in a world without vibration and warm-up."""
+    wear, propulsion = world.sensors, world.propulsion
+    if propulsion is None and not wear.accel_thermal_mps2 and not wear.gyro_thermal_radps:
+        return {}
+    shaft = None if propulsion is None else _shaft(propulsion, truth, rng)
+    sigma = np.repeat([wear.accel_thermal_mps2, wear.gyro_thermal_radps], 3)
+    drawn = {}
+    for station in Station:
+        thermal = sigma * rng.standard_normal(6)
+        shaken = None if propulsion is None or shaft is None else _vibration(propulsion, shaft, station, rng)
+        drawn[station] = SensorDisturbance(thermal, wear.thermal_s, shaken)
+    return drawn
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class _Shaft:
+    cruise_hz: float
+    turns: ShaftTurns
+
+
+def _shaft(propulsion: Propulsion, truth: FlightTruth, rng: np.random.Generator) -> _Shaft:
+    cruise_hz = log_uniform(propulsion.shaft_hz, rng)
+    t_s = ShaftTurns.table_s(truth.duration_s)
+    wander = rng.standard_normal(len(t_s))
+    keep = math.exp(-float(t_s[1]) / propulsion.wander_s)
+    wander[1:] *= math.sqrt(1.0 - keep**2)
+    for k in range(1, len(wander)):
+        wander[k] += keep * wander[k - 1]
+    ratio = (throttle(truth, t_s) / CRUISE_THROTTLE) ** propulsion.throttle_exponent
+    return _Shaft(cruise_hz, ShaftTurns.from_rate(cruise_hz * ratio * (1.0 + propulsion.wander_ratio * wander)))
+
+
+def _vibration(propulsion: Propulsion, shaft: _Shaft, station: Station, rng: np.random.Generator) -> StationVibration:
+    lines = tuple(_line(propulsion, line, shaft.cruise_hz, station, rng) for line in propulsion.lines)
+    accel = [log_uniform(propulsion.broadband_mps2_rthz, rng) for _ in range(3)]
+    gyro = [log_uniform(propulsion.broadband_radps_rthz, rng) for _ in range(3)]
+    return StationVibration(shaft.turns, lines, np.array(accel + gyro), propulsion.band_hz)
+
+
+def _line(
+    propulsion: Propulsion, line: Harmonic, shaft_hz: float, station: Station, rng: np.random.Generator
+) -> VibrationLine:
+    vertical_mps2 = log_uniform(line.root_mps2 if station is Station.ROOT else line.tip_mps2, rng)
+    rate_radps = vertical_mps2 / (2.0 * math.pi * line.order * shaft_hz * log_uniform(propulsion.arm_m, rng))
+    lateral = [log_uniform(propulsion.lateral_ratio, rng) for _ in range(5)]
+    amplitude = np.array([vertical_mps2] * 3 + [rate_radps] * 3) * np.array([*lateral[:2], 1.0, *lateral[2:]])
+    return VibrationLine(line.order, amplitude, rng.uniform(0.0, 2.0 * math.pi, 6))
