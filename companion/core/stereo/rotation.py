@@ -7,6 +7,7 @@ camera is turned by ``v`` relative to the body, body coordinates go to camera co
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from companion.records import Floats
 
@@ -34,8 +35,8 @@ def skew(vector: Floats) -> Floats:
 def exp_rotation(vector_rad: Floats) -> Floats:
     """Rotation matrix of a rotation vector by Rodrigues' formula (seed paper, eqs. 3 to 6).
 
-    With ``K = skew(vector)`` and ``t`` its angle, ``R = I + K sin(t)/t + K^2 (1 - cos t)/t^2``; both quotients are
-    written as sinc so that nothing is lost at ``t = 0``. (Eq. 7 as printed is not a rotation and is not used.)
+    With ``K = skew(vector)`` and ``t`` its angle, ``R = I + K sin(t)/t + K^2 (1 - cos t)/t^2``. (Eq. 7 as printed is
+    not a rotation and is not used.)
 
     Parameters
     ----------
@@ -46,41 +47,27 @@ def exp_rotation(vector_rad: Floats) -> Floats:
     -------
     (..., 3, 3) float64
     """
-    vector = np.asarray(vector_rad, dtype=np.float64)
-    angle = np.linalg.norm(vector, axis=-1)[..., np.newaxis, np.newaxis]
-    k = skew(vector)
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    rotation: Floats = np.eye(3) + first * k + second * (k @ k)
+    rotation: Floats = Rotation.from_rotvec(vector_rad).as_matrix()
     return rotation
 
 
 def log_rotation(rotation: Floats) -> Floats:
     """Rotation vector of a rotation matrix, angle in [0, pi]; the inverse of :func:`exp_rotation`.
 
-    Goes by the unit quaternion, taken from the largest column of ``4 q q^T`` (Shepperd's choice), which keeps full
-    precision at 0 and near pi. At exactly pi the axis is known but its sign is not; one of the two is returned.
+    Keeps full precision at 0 and near pi. At exactly pi the axis is known but its sign is not; one of the two is
+    returned.
 
     Parameters
     ----------
     rotation : (..., 3, 3) float64
-        A proper rotation.
+        A proper rotation; it is not made orthogonal first.
 
     Returns
     -------
     (..., 3) float64
         Radians.
     """
-    outer = _quaternion_outer(np.asarray(rotation, dtype=np.float64))
-    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
-    quaternion = np.take_along_axis(outer, best[..., np.newaxis, np.newaxis], axis=-1)[..., 0]
-    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    quaternion = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
-    scalar, imaginary = quaternion[..., :1], quaternion[..., 1:]
-    length = np.linalg.norm(imaginary, axis=-1, keepdims=True)
-    tiny = length < np.finfo(np.float64).tiny
-    stretch = np.where(tiny, 2.0, 2.0 * np.arctan2(length, scalar) / np.where(tiny, 1.0, length))
-    vector: Floats = imaginary * stretch
+    vector: Floats = Rotation.from_matrix(rotation, assume_valid=True).as_rotvec()
     return vector
 
 
@@ -114,17 +101,3 @@ def turn_small(vectors: Floats, angle_rad: Floats) -> Floats:
     """
     turned: Floats = vectors + np.cross(angle_rad, vectors)
     return turned
-
-
-def _quaternion_outer(r: Floats) -> Floats:
-    """``4 q q^T`` of the unit quaternion ``q = (w, x, y, z)`` of a rotation matrix."""
-    xx, yy, zz = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
-    outer = np.empty((*r.shape[:-2], 4, 4))
-    outer[..., 0, 0] = 1.0 + xx + yy + zz
-    outer[..., 1, 1] = 1.0 + xx - yy - zz
-    outer[..., 2, 2] = 1.0 - xx + yy - zz
-    outer[..., 3, 3] = 1.0 - xx - yy + zz
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        outer[..., 0, i + 1] = outer[..., i + 1, 0] = r[..., k, j] - r[..., j, k]
-        outer[..., i + 1, j + 1] = outer[..., j + 1, i + 1] = r[..., i, j] + r[..., j, i]
-    return outer
