@@ -14,7 +14,6 @@ from companion.cli.terminal.progress import progress_of
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.flight_log import gather
 from companion.evaluation.pages.flight_report import render, verdict
-from companion.evaluation.recording_info import decoded_records
 from companion.params.files import load_airframe
 from companion.records import ImuBatch
 from companion.reporting.plotting import require_report
@@ -43,7 +42,7 @@ def execute(options: argparse.Namespace) -> int:
 
 def _watched(recording: Recording, *, plain: bool) -> Iterator[Recordable]:
     progress = progress_of(recording, "read", plain=plain)
-    for record in decoded_records(recording):
+    for record in recording.records():
         if isinstance(record, ImuBatch):
             progress.at(record.received_host_ns)
         yield record

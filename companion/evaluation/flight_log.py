@@ -28,7 +28,7 @@ from companion.records import (
     Validity,
 )
 
-_SEGMENT_S = 8.0  # of Welch's average: bins of 1/8 Hz tell a mode from its neighbour
+SPECTRUM_SEGMENT_S = 8.0  # of Welch's average: bins of 1/8 Hz tell a mode from its neighbour
 _LINE_RATIO = 12.0  # a vibration line stands so far above the median of its neighbours
 _NEIGHBOURHOOD_HZ = 6.0
 _LINES = 6  # that are worth naming
@@ -113,7 +113,7 @@ class FlightLog:
         if stream is None or stream.rate_hz is None:
             return None
         values = np.concatenate(self._vertical[station])
-        length = int(_SEGMENT_S * stream.rate_hz)
+        length = int(SPECTRUM_SEGMENT_S * stream.rate_hz)
         if len(values) < 2 * length:
             return None
         f_hz, density = signal.welch(values - values.mean(), stream.rate_hz, nperseg=length)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.params.settings import Settings, tunables
-from companion.records import Axis, CorrectedRange, Floats, ImuBatch, Ints, RawChunk, Rejected, ServiceStatus, Station
+from companion.records import Axis, CorrectedRange, Floats, ImuBatch, Ints, Rejected, ServiceStatus, Station
 
 _GAP_STEPS = 2.5  # usual steps; the readers' own limit for a gap
 _USUAL_STEPS = 1000  # steps that the usual one is the median of
@@ -104,21 +103,11 @@ class RecordingInfo:
 
 
 def summarise(recording: Recording) -> RecordingInfo:
-    """Read a recording once and count what is in it; raw bytes are decoded as the service decoded them."""
+    """Read a recording once and count what is in it."""
     info = RecordingInfo()
-    for record in decoded_records(recording):
+    for record in recording.records():
         info.add(record)
     return info
-
-
-def decoded_records(recording: Recording) -> Iterator[Recordable]:
-    """Every record, and the inertial batches that the raw bytes among them hold."""
-    settings = recording.settings
-    decoder = Decoder(recording.airframe, settings.component_id, settings.system_id)
-    for record in recording.records():
-        yield record
-        if isinstance(record, RawChunk):
-            yield from (entry for entry in decoder.decode_chunk(record) if isinstance(entry, ImuBatch))
 
 
 def lines(recording: Recording, info: RecordingInfo) -> list[str]:

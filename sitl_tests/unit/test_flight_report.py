@@ -141,3 +141,17 @@ def test_a_recording_without_modes_or_ranges_ends_with_3(tmp_path: Path, capsys:
     assert (tmp_path / "bare.html").exists()
     assert main(["report", str(path), "--out", str(tmp_path / "no" / "bare.html")]) == 1
     assert "no folder" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_flight_too_short_for_spectra_says_so_instead_of_an_empty_picture(tmp_path: Path) -> None:
+    path = tmp_path / "short.mcap"
+    writer = McapWriter(path, About.of(AIRFRAME, Settings()))
+    for record in flight():
+        if not isinstance(record, ImuBatch) or record.received_host_ns < 15 * SECOND_NS:
+            writer.write(record)
+    writer.close()
+    assert main(["report", str(path)]) == 0
+    text = (tmp_path / "short.html").read_text(encoding="utf-8")
+    assert "No spectra: they need 16 s" in text
+    assert text.count("data:image/png;base64,") == 5

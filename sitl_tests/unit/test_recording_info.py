@@ -14,6 +14,8 @@ from companion.evaluation.recording_info import StreamInfo, summarise
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import Axis, ClockName, ImuBatch, Reject, Rejected, Station
+from companion.sim.flight.flight import build_flight
+from sitl_tests.loop.simulated_service import SimulatedService
 
 AIRFRAME = load_airframe("nadir-2m")
 STEP_NS = 1_000_000
@@ -90,3 +92,13 @@ def test_repeated_stamps_and_empty_batches_give_no_rate_and_no_gap() -> None:
         stream.add(ImuBatch(Station.ROOT, ClockName.HOST, repeated, np.zeros((count, 6)), Axis.ALL, 9))
         assert stream.rate_hz is None
     assert stream.gaps() == (0, 0.0)
+
+
+def test_samples_that_are_recorded_as_bytes_and_as_records_count_once(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    service = SimulatedService(build_flight(AIRFRAME, 1, 4.0), recording=path)
+    service.fly(3.0)
+    service.close()
+    root = summarise(open_recording(path)).streams[Station.ROOT]
+    assert root.rate_hz == pytest.approx(AIRFRAME.root.rate_hz, rel=0.01)
+    assert root.samples == pytest.approx(3.0 * AIRFRAME.root.rate_hz, rel=0.01)

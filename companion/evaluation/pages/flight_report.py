@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.adapters.recordings.recording import Recording
-from companion.evaluation.flight_log import FlightLog, Spectrum
+from companion.evaluation.flight_log import SPECTRUM_SEGMENT_S, FlightLog, Spectrum
 from companion.evaluation.pages import flight_figures as figures
 from companion.evaluation.recording_info import stream_line
 from companion.params.settings import Settings, tunables
 from companion.records import Health, Station, Validity
 from companion.reporting import page
-from companion.reporting.blocks import Advice, Answers, Block, Heading, Page, Table
+from companion.reporting.blocks import Advice, Answers, Block, Heading, Page, Paragraph, Table
 from companion.reporting.embedding import embed
 
 _USABLE_SHARE = 0.5  # of the ranges; below, more were withheld than published
@@ -119,7 +119,10 @@ def _wing(log: FlightLog) -> Iterator[Block]:
     if log.info.streams:
         candidates = {station: log.spectrum(station) for station in Station}
         spectra = {station: spectrum for station, spectrum in candidates.items() if spectrum is not None}
-        yield embed(figures.spectra(log, spectra, _lines_sentence(spectra)), "spectra of root and tips")
+        if spectra:
+            yield embed(figures.spectra(log, spectra, _lines_sentence(spectra)), "spectra of root and tips")
+        else:
+            yield Paragraph(f"No spectra: they need {2 * SPECTRUM_SEGMENT_S:.0f} s of samples at a steady rate.")
 
 
 def _lines_sentence(spectra: Mapping[Station, Spectrum]) -> str:
