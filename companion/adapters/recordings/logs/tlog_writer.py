@@ -1,0 +1,57 @@
+"""Writes telemetry logs: the frames of recorded link bytes, each behind its receive time, as MAVProxy writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from companion.adapters.mavlink.link.dialect import build_message
+from companion.adapters.mavlink.link.scan import Scanner, frame_end, next_frame, sender
+from companion.records import RawChunk
+
+_SYSTEM_TIME = 2  # message id (MAVLink common)
+_UTC_SINCE_US = 946_684_800_000_000  # the year 2000: an autopilot without GPS tells 0
+
+
+def utc_offset_ns(chunks: Iterable[RawChunk]) -> int | None:
+    """Nanoseconds from the host clock to UTC by the first SYSTEM_TIME with a date; None where none has one."""
+    scanners: dict[int, Scanner] = {}
+    for chunk in chunks:
+        for key, payload in scanners.setdefault(chunk.link, Scanner()).scan(chunk.data).frames:
+            if sender(key)[2] == _SYSTEM_TIME:
+                message: Any = build_message(_SYSTEM_TIME, payload)
+                if message.time_unix_usec >= _UTC_SINCE_US:
+                    return int(message.time_unix_usec) * 1000 - chunk.received_host_ns
+    return None
+
+
+def write_tlog(path: Path, chunks: Iterable[RawChunk], offset_ns: int) -> int:
+    """Write every whole frame of the chunks, in arrival order; give their number.
+
+    Parameters
+    ----------
+    path : Path
+        The log, written anew.
+    chunks : iterable of RawChunk
+        Bytes of any number of links; a frame may lie across chunks of one link.
+    offset_ns : int
+        Added to the host time of a frame's last byte to give its receive time, UTC.
+    """
+    count = 0
+    with path.open("wb") as file:
+        for host_ns, frame in _frames(chunks):
+            file.write(((host_ns + offset_ns) // 1000).to_bytes(8, "big") + frame)
+            count += 1
+    return count
+
+
+def _frames(chunks: Iterable[RawChunk]) -> Iterator[tuple[int, bytes]]:
+    unfinished: dict[int, bytes] = {}
+    for chunk in chunks:
+        buffer = unfinished.get(chunk.link, b"") + chunk.data
+        at = next_frame(buffer, 0)
+        while at < len(buffer) and (after := frame_end(buffer, at)) > 0:
+            yield chunk.received_host_ns, buffer[at:after]
+            at = next_frame(buffer, after)
+        unfinished[chunk.link] = buffer[at:]

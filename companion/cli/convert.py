@@ -1,0 +1,75 @@
+"""``spanwise convert``: a recording as a telemetry log (.tlog) or as CSV tables."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from companion.adapters.recordings.logs.tlog_writer import utc_offset_ns, write_tlog
+from companion.adapters.recordings.mcap.reader import McapRecording
+from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.tables.csv_writer import streams_of, write_folder
+from companion.adapters.recordings.tables.record_tables import RecordTables
+from companion.cli.steps.options import check_output, make_folder
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
+from companion.params.files import load_airframe
+from companion.records import ImuBatch, RawChunk
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("recording", type=Path, help=".mcap, .tlog, .BIN, .ulg, or a folder with accel.csv")
+    parser.add_argument(
+        "to", type=Path, metavar="FILE.tlog|FOLDER", help="a telemetry log, or a new folder of CSV tables"
+    )
+    parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own; see config/airframes")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Convert and say what was written; 3 where there is nothing to write."""
+    if options.to.exists():
+        raise ConfigError(f"{options.to}: exists already; name a new file or folder")
+    airframe = load_airframe(options.airframe) if options.airframe else None
+    recording = open_recording(options.recording, airframe)
+    written = _tlog(recording, options.to) if options.to.suffix.lower() == ".tlog" else _tables(recording, options.to)
+    for notice in recording.notices:
+        print(f"note: {notice.text}")
+    return 0 if written else NOTHING_TO_ESTIMATE
+
+
+def _tlog(recording: Recording, path: Path) -> bool:
+    if not isinstance(recording, McapRecording):
+        raise ConfigError(f"{recording.path}: holds no MAVLink frames; only a .mcap of Spanwise becomes a .tlog")
+    check_output(path, "FILE.tlog")
+    offset_ns, date = utc_offset_ns(_chunks(recording)), "by the vehicle's SYSTEM_TIME"
+    if offset_ns is None:
+        newest_ns = max((chunk.received_host_ns for chunk in _chunks(recording)), default=0)
+        offset_ns, date = recording.path.stat().st_mtime_ns - newest_ns, "by the file's date, no SYSTEM_TIME has one"
+    count = write_tlog(path, _chunks(recording), offset_ns)
+    print(f"{path}: {count} frames received and sent; UTC {date}")
+    return count > 0
+
+
+def _chunks(recording: Recording) -> list[RawChunk]:
+    return [record for record in recording.records() if isinstance(record, RawChunk)]
+
+
+def _tables(recording: Recording, folder: Path) -> bool:
+    make_folder(folder, "FOLDER")
+    batches: list[ImuBatch] = []
+    with RecordTables(folder) as tables:
+        for record in recording.records():
+            if isinstance(record, ImuBatch):
+                batches.append(record)
+            tables.add(record)
+    written = [f"{name}: {count} rows" for name, count in sorted(tables.rows.items())]
+    for clock in sorted({batch.clock for batch in batches}):
+        streams = streams_of(batch for batch in batches if batch.clock is clock)
+        place = folder / f"samples_{clock}"
+        write_folder(place, streams)
+        samples = ", ".join(f"{len(stream.t_ns)} of {stream.station.name.lower()}" for stream in streams)
+        written.append(f"{place.name}/: samples in the clock '{clock}': {samples}")
+    print(f"{folder}:")
+    print("\n".join(f"  {line}" for line in written) if written else "  nothing: no records")
+    return bool(written)

@@ -1,0 +1,130 @@
+"""``spanwise convert``: a recording as a telemetry log that pymavlink reads, and as tables that pandas would read."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink import mavutil
+
+from companion.adapters.recordings.logs.tlog_writer import utc_offset_ns
+from companion.adapters.recordings.mcap.channels import Recordable
+from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.adapters.recordings.tables.record_tables import RecordTables
+from companion.cli.main import main
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import CorrectedRange, ImuBatch, RawChunk, Station
+from companion.sim.flight.flight import build_flight
+from sitl_tests.loop.simulated_service import SimulatedService
+from sitl_tests.unit.test_mavlink_scan import frame
+
+AIRFRAME = load_airframe("nadir-2m")
+_FLOWN_S = 12.0
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve seconds of the service beside a simulated vehicle, ranges among them."""
+    path = tmp_path_factory.mktemp("convert") / "flight.mcap"
+    service = SimulatedService(build_flight(AIRFRAME, 1, _FLOWN_S + 1.0), recording=path)
+    service.fly(_FLOWN_S)
+    service.close()
+    return path
+
+
+def recorded(path: Path, kind: type) -> list[Recordable]:
+    return [record for record in open_recording(path).records() if isinstance(record, kind)]
+
+
+def test_pymavlink_reads_every_frame_of_the_log_at_its_receive_time(flown: Path, tmp_path: Path) -> None:
+    log = tmp_path / "flight.tlog"
+    assert main(["convert", str(flown), str(log)]) == 0
+    chunks = [record for record in recorded(flown, RawChunk) if isinstance(record, RawChunk)]
+    expected = sorted(chunk.received_host_ns for chunk in chunks)
+    connection = mavutil.mavlink_connection(str(log))
+    stamps = []
+    while (message := connection.recv_msg()) is not None:
+        assert message.get_type() != "BAD_DATA"
+        stamps.append(message._timestamp)
+    parser = mavutil.mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    whole = b"".join(chunk.data for chunk in chunks if chunk.link < 128)
+    received = [entry for entry in parser.parse_buffer(whole) or [] if entry.get_type() != "BAD_DATA"]
+    assert len(stamps) >= len(received) > 1000
+    assert stamps[-1] - stamps[0] == pytest.approx((expected[-1] - expected[0]) * 1e-9, abs=0.02)
+
+
+def test_a_frame_across_two_chunks_is_whole_and_links_do_not_mix(tmp_path: Path) -> None:
+    path, log = tmp_path / "split.mcap", tmp_path / "split.tlog"
+    heartbeat, other = frame(0, bytes(range(1, 10))), frame(30, bytes(range(1, 29)))
+    writer = McapWriter(path, About.of(AIRFRAME, Settings()))
+    for host_ms, link, data in ((1, 0, heartbeat[:7]), (2, 1, other[:9]), (3, 0, heartbeat[7:]), (4, 1, other[9:])):
+        writer.write(RawChunk(link, host_ms * 1_000_000, data))
+    writer.close()
+    assert main(["convert", str(path), str(log)]) == 0
+    data = log.read_bytes()
+    assert data[8 : 8 + len(heartbeat)] == heartbeat
+    assert data[16 + len(heartbeat) :] == other
+    first_us, second_us = (int.from_bytes(data[at : at + 8], "big") for at in (0, 8 + len(heartbeat)))
+    assert second_us - first_us == 1000
+
+
+def test_the_date_is_that_of_the_vehicle() -> None:
+    unix_us = 1_790_000_000_000_000
+    unset, set_ = (frame(2, value.to_bytes(8, "little") + bytes([1, 0, 0, 0])) for value in (0, unix_us))
+    assert utc_offset_ns([RawChunk(0, 5_000, unset)]) is None
+    assert utc_offset_ns([RawChunk(0, 5_000, unset), RawChunk(0, 7_000, set_)]) == unix_us * 1000 - 7_000
+
+
+def test_tables_hold_every_range_and_every_sample(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "tables"
+    assert main(["convert", str(flown), str(folder)]) == 0
+    with (folder / "range_corrected.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    ranges = recorded(flown, CorrectedRange)
+    assert len(rows) == len(ranges) > 5
+    for row, record in zip(rows, ranges, strict=True):
+        assert isinstance(record, CorrectedRange)
+        assert (float(row["range_m"]), float(row["sigma_m"])) == (record.range_m, record.sigma_m)
+        assert (row["trusted"], row["reject"]) == (str(record.trusted), str(record.reject or ""))
+    batches = [entry for entry in recorded(flown, ImuBatch) if isinstance(entry, ImuBatch)]
+    root = np.concatenate([batch.values[:, 2] for batch in batches if batch.station is Station.ROOT])
+    clock = next(batch.clock for batch in batches if batch.station is Station.ROOT)
+    written = np.genfromtxt(folder / f"samples_{clock}" / "accel.csv", delimiter=",", names=True)
+    assert np.array_equal(written["root_z_mps2"], root)
+    assert "range_corrected.csv: " in capsys.readouterr().out
+
+
+def test_every_row_of_a_kind_has_the_columns_of_the_first(flown: Path, tmp_path: Path) -> None:
+    with RecordTables(tmp_path) as tables:
+        for record in open_recording(flown).records():
+            tables.add(record)
+    assert len(tables.rows) > 8
+    for file in tmp_path.glob("*.csv"):
+        with file.open(encoding="utf-8") as lines:
+            assert len({len(row) for row in csv.reader(lines)}) == 1, file.name
+
+
+@pytest.mark.parametrize(
+    ("to", "sentence"), [("there", "exists already"), ("no/such/folder.tlog", "no folder")], ids=["exists", "no folder"]
+)
+def test_a_place_that_cannot_be_written_is_named(
+    flown: Path, tmp_path: Path, to: str, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "there").mkdir()
+    assert main(["convert", str(flown), str(tmp_path / to)]) == 1
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_log_without_a_link_becomes_no_telemetry_log(
+    flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "accel.csv").write_text("t_s,left_z_mps2\n" + "".join(f"{0.01 * i},-9.8\n" for i in range(100)))
+    assert main(["convert", str(tmp_path), str(tmp_path / "a.tlog"), "--airframe", "nadir-2m"]) == 1
+    assert "holds no MAVLink frames" in capsys.readouterr().err
