@@ -13,13 +13,13 @@ from typing import Any
 from companion.cli.steps.numbers import seconds, seed
 from companion.cli.steps.simulated_devices import frames_path, line_path
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, DeviceError
-from companion.evaluation.rendered_shots import scene_of
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.routing import Port, Router
 from companion.sim.vehicle.world import VehicleLink, WorldOptions, serve
 from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
+from companion.sim.vision.scenery import scene_of
 
 _LINKS = ("udpout:127.0.0.1:14550", "udpout:127.0.0.1:14551")
 _WAIT_S = 600.0  # the first start of the service compiles the estimator

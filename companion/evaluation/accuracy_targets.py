@@ -115,7 +115,7 @@ def nearest_peak_s(geometry: TrueGeometry, t_host_ns: int) -> float | None:
 
 def wing_blur_px(geometry: TrueGeometry, matches: Iterable[MatchSet]) -> Floats:
     """Image motion over the exposure that the wing's bending alone causes, the worse of both cameras, (n,)."""
-    focal = geometry.renderer.rig.left.lens.focal_px
+    focal = geometry.pair.rig.left.lens.focal_px
     blurs_px = []
     for entry in matches:
         stamps = entry.mid_exposure_ns - geometry.start_host_ns

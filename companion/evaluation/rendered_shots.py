@@ -25,16 +25,12 @@ from companion.sim.flight.flight import Flight
 from companion.sim.flight.truth import FlightTruth
 from companion.sim.vision.cameras import Shutters, render_pair
 from companion.sim.vision.renderer import Renderer
-from companion.sim.vision.scene import Scene, ground_scene, obstacle_scene
+from companion.sim.vision.scene import Scene
+from companion.sim.vision.scenery import scene_of
 
 ShotRecords = list[MatchSet | Rejected]
 _ENDED = "a process that renders the cameras' images has ended; its messages are above"
 _WORKERS = 2  # shots overlap by one at most: a third would wait
-
-
-def scene_of(flight: Flight) -> Scene:
-    """The ground for a pair that looks down, obstacles for one that looks ahead."""
-    return ground_scene(flight.seed) if flight.airframe.looks_down else obstacle_scene(flight.truth, flight.seed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

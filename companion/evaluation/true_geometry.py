@@ -20,7 +20,7 @@ from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
 from companion.sim.flight.flight import Flight
-from companion.sim.vision.renderer import Renderer
+from companion.sim.vision.posed_pair import PosedPair
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class TrueReading:
 class TrueGeometry:
     """Knows the flight's truth; ``start_host_ns`` is the host time of boot time 0."""
 
-    def __init__(self, flight: Flight, renderer: Renderer, settings: Settings, start_host_ns: int) -> None:
+    def __init__(self, flight: Flight, pair: PosedPair, settings: Settings, start_host_ns: int) -> None:
         self.flight = flight
-        self.renderer = renderer
+        self.pair = pair
         self.start_host_ns = start_host_ns
         self.settings = settings
         self._belief = Rig.from_airframe(flight.airframe)
@@ -71,7 +71,7 @@ class TrueGeometry:
     def oracle(self, matches: MatchSet) -> TrueReading | None:
         """The true extrinsics and lenses."""
         left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
-        rig = self.renderer.rig
+        rig = self.pair.rig
         return self._read(matches, rig, exposures(rig, self._true_tips, left, right))
 
     def true_toe_rad(self, matches: MatchSet) -> float:
@@ -80,7 +80,7 @@ class TrueGeometry:
         Counterpart of :attr:`CorrectedRange.toe_rad`: the yaw of a pair that looks ahead, whose wing bends in roll.
         """
         left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
-        moving = exposures(self.renderer.rig, self._true_tips, left, right)
+        moving = exposures(self.pair.rig, self._true_tips, left, right)
         return divergence(moving) - divergence(rest_exposures(self._belief))
 
     def true_deflection(self, t_host_ns: int) -> Deflection:
@@ -112,7 +112,7 @@ class TrueGeometry:
     def _true_inverse(self, matches: MatchSet) -> Floats:
         """Inverse depth along the range axis of what each left pixel really showed, (n,)."""
         left_ns, right_ns = (int(t_ns) - self.start_host_ns for t_ns in matches.mid_exposure_ns)
-        points = self.renderer.view(Side.LEFT, left_ns).points_ned_m(self.renderer.scene, matches.left_px)
+        points = self.pair.view(Side.LEFT, left_ns).points_ned_m(self.pair.scene, matches.left_px)
         body = self.flight.truth.at((left_ns + right_ns) // 2)
         sight = range_axis_of_rig(self._belief, self._axis)
         depth = ((points - body.position_ned_m) @ body.body_from_ned.T - sight.origin_m) @ sight.axis

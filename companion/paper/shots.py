@@ -96,7 +96,7 @@ class Usual:
 
 def score(geometry: TrueGeometry, usual: Usual, matches: MatchSet, answer: Answer, planned: bool) -> ScoredShot:
     """Judge one shot by the truth."""
-    flight, lens = geometry.flight, geometry.renderer.rig.left.lens
+    flight, lens = geometry.flight, geometry.pair.rig.left.lens
     samples = [flight.truth.at(int(t_ns) - geometry.start_host_ns) for t_ns in matches.mid_exposure_ns]
     slope = np.array([samples[side].slope_rad[side] for side in Side]) - usual.rest_rad
     rate = np.abs([samples[side].slope_rate_radps[side] for side in Side])

@@ -30,12 +30,12 @@ def _errors(judge: TrueGeometry, matches: MatchSet) -> tuple[np.ndarray, np.ndar
     truth, middle_ns = judge.flight.truth, int(matches.mid_exposure_ns.mean()) - HOST_EPOCH_NS
     bends = [judge.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns]
     body = truth.at(middle_ns)
-    rig, tips = judge.renderer.rig, TipMotion.from_airframe(judge.flight.real.actual)
+    rig, tips = judge.pair.rig, TipMotion.from_airframe(judge.flight.real.actual)
     moving = exposures(rig, tips, bends[0], bends[1], body.body_from_ned @ body.velocity_ned_mps)
     sight = range_axis_of_rig(rig, orientation_axis(judge.flight.airframe.orientation))
     depths = triangulate(match_rays(rig, moving, matches), sight, matches.sigma_px / rig.left.lens.focal_px)
-    view = judge.renderer.view(Side.LEFT, int(matches.mid_exposure_ns[0]) - HOST_EPOCH_NS)
-    points = view.points_ned_m(judge.renderer.scene, matches.left_px)
+    view = judge.pair.view(Side.LEFT, int(matches.mid_exposure_ns[0]) - HOST_EPOCH_NS)
+    points = view.points_ned_m(judge.pair.scene, matches.left_px)
     depth = ((points - body.position_ned_m) @ body.body_from_ned.T - sight.origin_m) @ sight.axis
     used = np.zeros(len(depth), dtype=bool)
     used[consistent(depths)] = True
@@ -47,11 +47,12 @@ def test_features_and_what_fills_between_them_are_as_right_as_they_say() -> None
     airframe = load_airframe("forward-2m")
     flight = build_flight(airframe, SEED, LAST_S + 1.0)
     scene = obstacle_scene(flight.truth, SEED)
-    judge = TrueGeometry(flight, Renderer(flight.real.actual, flight.truth, scene, SEED), Settings(), HOST_EPOCH_NS)
+    renderer = Renderer(flight.real.actual, flight.truth, scene, SEED)
+    judge = TrueGeometry(flight, renderer, Settings(), HOST_EPOCH_NS)
     shutters, vision = Shutters(flight.real.actual, SEED), VisionState.create(airframe, Settings())
     features, filled = [], []
     for shot, edge_s in enumerate(np.linspace(FIRST_S, LAST_S, PAIRS)):
-        pair = render_pair(judge.renderer, shutters, int(edge_s * 1e9), shot)
+        pair = render_pair(renderer, shutters, int(edge_s * 1e9), shot)
         left, right = (
             dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + HOST_EPOCH_NS)
             for frame in (pair.left, pair.right)

@@ -91,7 +91,7 @@ def one(airframe: Airframe, seed: int, duration_s: float, rate_hz: float) -> Flo
 def _true_toe(judge: TrueGeometry, matches: MatchSet) -> float:
     """True divergence beyond the believed ground calibration, each camera at its own exposure."""
     bends = [judge.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns]
-    moving = exposures(judge.renderer.rig, TipMotion.from_airframe(judge.flight.real.actual), bends[0], bends[1])
+    moving = exposures(judge.pair.rig, TipMotion.from_airframe(judge.flight.real.actual), bends[0], bends[1])
     return divergence(moving) - divergence(rest_exposures(Rig.from_airframe(judge.flight.airframe)))
 
 

@@ -20,7 +20,6 @@ from typing import Any
 
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View
-from companion.evaluation.rendered_shots import scene_of
 from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 from companion.sim.flight.flight import Flight
@@ -28,6 +27,7 @@ from companion.sim.vehicle.world import WorldOptions, serve_new
 from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
 from companion.sim.vision.cameras import SimCameraPair, SimTriggerLine
 from companion.sim.vision.scene import Scene
+from companion.sim.vision.scenery import scene_of
 
 _SETTLE_S = 1.5
 _START_S = 300.0  # the first start of all compiles the estimator

@@ -83,13 +83,17 @@ def _residual(camera: Camera | None, lenses: LensResiduals, rng: np.random.Gener
     if camera is None:
         return None
     k1, p1, p2, column, row, focal, place = rng.standard_normal(7).tolist()
+    # a calibration knows where the middle of the image looks: a wrong principal point comes with the turn that hides it
+    across, down = lenses.principal_px * column, lenses.principal_px * row
+    turn = np.array(camera.rotation_rad) + np.array([-down, across, 0.0]) / camera.focal_px.value
+    pitch, yaw, roll = turn.tolist()
     added = np.array([lenses.radial * k1, 0.0, lenses.tangential * p1, lenses.tangential * p2, 0.0])
     x, y, z = camera.position_m
     return dataclasses.replace(
         camera,
         distortion=tuple((np.array(camera.distortion) + added).tolist()),
-        principal_px=(camera.principal_px[0] + lenses.principal_px * column,
-                      camera.principal_px[1] + lenses.principal_px * row),
+        principal_px=(camera.principal_px[0] + across, camera.principal_px[1] + down),
+        rotation_rad=(pitch, yaw, roll),
         focal_px=Uncertain(camera.focal_px.value * (1.0 + lenses.focal_ratio * focal)),
         position_m=(x, y + lenses.place_m * place, z),
     )  # fmt: skip

@@ -13,14 +13,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from companion.core.stereo.geometry import MountedCamera, Pose, Rig
-from companion.core.stereo.rotation import exp_rotation
-from companion.core.wing.effect import Effect, viewed
-from companion.core.wing.effects import make_effects
-from companion.params.airframe import Airframe, Camera, Uncertain
-from companion.records import Bytes, Floats, Ints, Side
+from companion.core.wing.effect import viewed
+from companion.params.airframe import Airframe
+from companion.records import Bytes, Side
 from companion.sim.flight.truth import FlightTruth
-from companion.sim.vision.scene import PosedCamera, Scene
+from companion.sim.vision.posed_pair import PosedPair
+from companion.sim.vision.scene import Scene
 from companion.sim.vision.shutter import PixelGrid
 from companion.sim.vision.texture import Image32, NoiseTile
 from companion.sim.vision.textured_plane import SurfacePainter
@@ -39,7 +37,7 @@ class ExposureInterval:
     row_time_ns: int = 0
 
 
-class Renderer:
+class Renderer(PosedPair):
     """Both cameras of the true airframe in one scene.
 
     Parameters
@@ -53,29 +51,13 @@ class Renderer:
     """
 
     def __init__(self, airframe: Airframe, truth: FlightTruth, scene: Scene, seed: int) -> None:
-        self.truth = truth
-        self.scene = scene
+        super().__init__(airframe, truth, scene)
         self.seed = seed
-        self.effects: tuple[Effect, ...] = make_effects(airframe.effects)
-        self.rig = Rig.from_airframe(_refocused(airframe, self.effects))
         self._painter = SurfacePainter(NoiseTile(scene.seed), scene.seed)
         self._grids = {side: PixelGrid(self.rig.camera(side).lens) for side in Side}
         largest = np.max([self.rig.camera(side).lens.size_px for side in Side], axis=0)
         bank = np.random.default_rng([seed, 0x5E25])
         self._noise: Image32 = bank.standard_normal((largest + _NOISE_SPARE)[::-1], dtype=np.float32)
-
-    def view(self, side: Side, t_boot_ns: int) -> PosedCamera:
-        """Pose of a camera at one instant, effects included."""
-        return self.views(side, np.array([t_boot_ns], dtype=np.int64))[0]
-
-    def views(self, side: Side, t_boot_ns: Ints) -> list[PosedCamera]:
-        """The same at many instants."""
-        series = self.truth.series(t_boot_ns)
-        views = []
-        for i, t_ns in enumerate(t_boot_ns):
-            camera, pose = self._mounted(side, int(t_ns), series.slope_rad[i], series.lift_m[i], series.twist_rad[i])
-            views.append(PosedCamera.from_body(camera, pose, series.body_from_ned[i], series.position_ned_m[i]))
-        return views
 
     def render(self, side: Side, exposure: ExposureInterval, shot: int) -> Bytes:
         """One image (rows, columns); ``shot`` chooses the noise.
@@ -95,17 +77,6 @@ class Renderer:
         self._painter.paint(image, self.scene.visible(views[0].centre_ned_m), views, grid, track)
         return self._expose(image, side, shot)
 
-    def _mounted(
-        self, side: Side, t_ns: int, slope_rad: Floats, lift_m: Floats, twist_rad: Floats
-    ) -> tuple[MountedCamera, Pose]:
-        camera = self.rig.camera(side)
-        pose = camera.pose(float(slope_rad[side]), float(lift_m[side]), float(twist_rad[side]))
-        if self.effects:
-            extra = viewed(self.effects, side, t_ns * 1e-9)
-            turned = exp_rotation(-extra.rotation_rad) @ pose.camera_from_body
-            pose = Pose(turned, pose.position_body_m + extra.shift_m)
-        return camera, pose
-
     def _expose(self, image: Image32, side: Side, shot: int) -> Bytes:
         """Photon and read noise, quantisation, saturation; the noise is a random place of a random field."""
         rows, columns = image.shape
@@ -118,19 +89,3 @@ class Renderer:
         spread = cv2.sqrt(cv2.add(cv2.multiply(image, _PHOTON_GAIN), _READ_NOISE**2))
         noise = cv2.multiply(spread, field)
         return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U))
-
-
-def _refocused(airframe: Airframe, effects: tuple[Effect, ...]) -> Airframe:
-    """The airframe with the focal lengths that the effects leave it; focal errors do not change in flight."""
-
-    def camera(side: Side, record: Camera | None) -> Camera | None:
-        if record is None:
-            return None
-        ratio = viewed(effects, side, 0.0).focal_ratio
-        return dataclasses.replace(record, focal_px=Uncertain(record.focal_px.value * ratio, record.focal_px.sigma))
-
-    return dataclasses.replace(
-        airframe,
-        left_camera=camera(Side.LEFT, airframe.left_camera),
-        right_camera=camera(Side.RIGHT, airframe.right_camera),
-    )

@@ -36,6 +36,10 @@ class Plane:
         Chooses its texture; equal numbers carry equal texture.
     brightness : float
         Mean grey level.
+    contrast : float
+        Of its texture, over that of meadow.
+    furrow : float
+        How much longer the texture is along ``along`` than across.
     """
 
     centre_m: Floats
@@ -44,6 +48,8 @@ class Plane:
     half_size_m: tuple[float, float] | None
     surface: int
     brightness: float = 118.0
+    contrast: float = 1.0
+    furrow: float = 1.0
 
     @property
     def normal(self) -> Floats:

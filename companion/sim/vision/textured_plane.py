@@ -122,13 +122,15 @@ class SurfacePainter:
             target += wave * sight.grid.spread_nodes(gain, nodes, painted, factor)
         total: Image32 = np.full((window.height, window.width), sight.plane.brightness, np.float32)
         for factor, layer in layers.items():
-            cv2.scaleAdd(_enlarged(layer, factor), CONTRAST, total, dst=total)
+            cv2.scaleAdd(_enlarged(layer, factor), CONTRAST * sight.plane.contrast, total, dst=total)
         return total
 
     def _blurred(self, sight: PlaneView, window: Window, octave: Octave, factor: int, cycles_per_px: float) -> Image32:
         """Noise of rms 1, averaged over the exposure."""
         poses = min(max(math.ceil(_POSES_PER_CYCLE * cycles_per_px * sight.motion_px), 1), _MOST_POSES)
-        texel = np.vstack([octave.texel_from_plane(sight.origin_m), [0.0, 0.0, 1.0]])
+        drawn_out = np.array([1.0, 1.0 / sight.plane.furrow])
+        texel = np.vstack([octave.texel_from_plane(sight.origin_m * drawn_out), [0.0, 0.0, 1.0]])
+        texel[:2, :2] *= drawn_out
         total: Image32 = np.zeros(sight.grid.cell_shape(window, factor), np.float32)
         for t_s in sight.track.instants_s(poses):
             cv2.accumulate(self._sample(sight, window, texel, factor, float(t_s)), total)

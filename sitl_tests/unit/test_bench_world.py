@@ -1,0 +1,95 @@
+"""The worlds' campaign: its statistics by closed forms, its peers on exact data, its rows."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.core.stereo.geometry import Rig
+from companion.params.files import load_airframe
+from companion.records import ClockName, MatchSet
+from companion.units import GRAVITY_MPS2
+from tools.bench.world import missed, pooled, summary, wilson
+from tools.bench.world_peers import pair_alone, tilt_filter
+from tools.bench.world_rows import CampaignRow, rows
+
+COLUMNS = ["pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted"]
+PEER_COLUMNS = ["pair alone", "tilt filter", "band-pass"]
+
+
+def part(judged: list[list[float]], **changes: Any) -> dict[str, Any]:
+    flight = {"columns": COLUMNS + PEER_COLUMNS, "judged": [[*shot, 0.0, 0.0, 0.0] for shot in judged], "withheld": {}}
+    return flight | {"refused": {}, "lift_off_s": 0.0, "touch_down_s": 32.0, "shot_s": 1.0} | changes
+
+
+def shot(t_s: float, range_m: float = 60.0, toe: float = 0.0, trusted: float = 1.0) -> list[float]:
+    return [0.0, t_s, 0.0, toe, 1e-4, 60.0, range_m, 0.5, trusted]
+
+
+def test_wilsons_interval() -> None:
+    assert wilson(0, 0) == (0.0, 1.0)
+    # Wilson (1927) as tabulated by Newcombe (1998): 81 of 263 is 0.2553 to 0.3662
+    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+
+
+def test_a_row_counts_what_was_published_and_what_should_have_been() -> None:
+    row = CampaignRow("fair", "nadir-2m", "6-axis")
+    judged = [shot(14.0), *(shot(15.0 + k) for k in range(10)), shot(25.0, trusted=0.0), shot(31.0, 70.0, 4e-4)]
+    group = pooled(row, [part(judged)])
+    figures = summary(group)
+    assert figures["shots"] == 16, "one a second from 15 to 31 s, answered or not"
+    assert figures["trusted"] == pytest.approx(11 / 16)
+    assert figures["published"] == 12
+    assert figures["wrong"] == 1, "10 m off is 20 sigma and 17 %"
+    assert figures["far"] == 0
+    assert figures["nees"] == pytest.approx(16.0 / 11)
+    assert set(missed(group, figures)) == {"trusted", "NEES", "3 sigma", "wrong"}
+
+
+def test_nothing_is_to_be_trusted_on_the_ground() -> None:
+    row = CampaignRow("fair", "nadir-2m", "6-axis")
+    group = pooled(row, [part([shot(5.0), shot(16.0), shot(31.0)], lift_off_s=10.0, touch_down_s=30.0)])
+    figures = summary(group)
+    assert figures["on_ground"] == 2
+    assert "on ground" in missed(group, figures)
+
+
+def test_the_pair_alone_finds_the_yaw_of_a_turned_camera() -> None:
+    airframe = load_airframe("nadir-2m")
+    yaw = 0.004
+    assert airframe.right_camera is not None
+    turned = dataclasses.replace(airframe.right_camera, rotation_rad=(0.0, yaw, 0.0))
+    real = Rig.from_airframe(dataclasses.replace(airframe, right_camera=turned))
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-20, 20, (400, 2)), np.full(400, 60.0) + rng.normal(0, 2, 400)])
+    left_px = real.left.project(real.left.rest, points)
+    right_px = real.right.project(real.right.rest, points)
+    matches = MatchSet(
+        0, 0, (ClockName.HOST, ClockName.HOST), np.zeros(2, dtype=np.int64), 0, 0,
+        left_px, right_px, np.full(400, 0.1), 0,
+    )  # fmt: skip
+    assert pair_alone(airframe, matches) == pytest.approx(yaw, abs=2e-5)
+
+
+def test_the_tilt_filter_follows_a_swinging_pair_of_tips() -> None:
+    t_s = np.arange(0.0, 12.0, 1e-3)
+    omega, toe = 2 * math.pi * 5.0, 0.012 * np.sin(2 * math.pi * 5.0 * t_s)
+    left, right = np.zeros((len(t_s), 6)), np.zeros((len(t_s), 6))
+    for tip, half in ((left, 0.5), (right, -0.5)):
+        tip[:, 1], tip[:, 2] = -GRAVITY_MPS2 * half * toe, -GRAVITY_MPS2
+        tip[:, 3] = half * 0.012 * omega * np.cos(omega * t_s)
+    late = slice(6000, -1000)
+    assert np.std((tilt_filter((left, right)) - toe)[late]) < 0.0003
+
+
+def test_every_world_airframe_and_set_of_axes_has_a_row_and_every_row_its_folder() -> None:
+    everything = rows()
+    assert len({row.key for row in everything}) == len(everything)
+    for world in ("ideal", "fair", "rough", "tones"):
+        assert len([row for row in rows(world) if not row.accident.name]) == 4
+    assert {row.accident.circuit for row in rows("rough", "nadir-2m", "6-axis")} == {False, True}
+    assert rows("fair", "nadir-2m", "vertical")[0].belief().left.sends == "z"

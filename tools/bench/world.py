@@ -1,0 +1,244 @@
+"""The worlds' campaign: short flights in every world, judged by their truth: ``python -m tools.bench world``.
+
+Rows: world x airframe x axes of the nodes, accidents in the ideal world, and flights that begin and end on the ground.
+Flights are offline: the real pipeline on the records of a simulated flight, with synthetic matches (no images). Each
+flight leaves a part file, so that a campaign can be stopped, resumed, and shared by several processes; ``--table`` only
+prints what is there. Parts of different commits never mix.
+
+trusted: share of shots from 15 s on, with Wilson's 95 % interval; its target counts from what the ideal world's row
+reaches, for a pair that looks ahead has ranges to obstacles that are near enough only. toe: error of the relative toe at the cameras over
+the trusted shots from then on, rms in mrad; NEES, and share inside 1, 2, 3 sigma. wrong: published ranges of the whole
+flight off by more than 5 sigma and 5 %, and by more than 20 %. peers: rms above 0.5 Hz of the toe's error of the
+estimate and of each peer, over the same shots.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.core.warmup import warm_up
+from companion.evaluation.metrics import slow_part
+from companion.params.settings import Settings
+from companion.records import Floats
+from companion.sim.flight.worlds import WORLDS
+from tools.bench.world_flight import fly
+from tools.bench.world_peers import PEERS
+from tools.bench.world_rows import AIRFRAMES, SENSORS, SETTLED_S, CampaignRow, rows
+
+FLIGHTS = 50
+_LEAST_TRUSTED = {"ideal": 0.9, "fair": 0.9, "tones": 0.9, "rough": 0.5}
+_NEES = (0.8, 1.25)
+_INSIDE_3_SIGMA = 0.99
+_FAST_HZ = 0.5
+_WILSON_Z = 1.96
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pooled:
+    """All flights of one row: their judged shots by column, which of them settled, and the reasons to withhold."""
+
+    row: CampaignRow
+    flights: int
+    expected: int
+    flight: Floats
+    columns: dict[str, Floats]
+    aloft: Floats
+    reasons: Counter[str]
+
+    @property
+    def trusted(self) -> Floats:
+        """Mask (n,) of published shots."""
+        return self.columns["trusted"] > 0.5
+
+    @property
+    def settled(self) -> Floats:
+        """Mask (n,) of shots from :data:`SETTLED_S` on, in the air."""
+        return (self.columns["t_s"] >= SETTLED_S) & (self.aloft > 0)
+
+    @property
+    def toe_error(self) -> Floats:
+        """Error of the estimate's toe, rad."""
+        return self.columns["toe"] - self.columns["true_toe"]
+
+
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share."""
+    if not total:
+        return 0.0, 1.0
+    z, share = _WILSON_Z, count / total
+    middle = (share + z**2 / (2 * total)) / (1 + z**2 / total)
+    half = z / (1 + z**2 / total) * math.sqrt(share * (1 - share) / total + z**2 / (4 * total**2))
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def pooled(row: CampaignRow, parts: list[dict[str, Any]]) -> Pooled:
+    """Put the flights of a row together."""
+    names = parts[0]["columns"]
+    tables = [np.array(part["judged"], dtype=np.float64).reshape(-1, len(names)) for part in parts]
+    aloft, expected = [], 0
+    for part, table in zip(parts, tables, strict=True):
+        t_s = table[:, names.index("t_s")]
+        aloft.append((t_s > part["lift_off_s"]) & (t_s < part["touch_down_s"]))
+        first_s = max(SETTLED_S, part["lift_off_s"])
+        # the last shots of a flight still wait for the smoother when it ends
+        last_s = min(part["touch_down_s"], float(t_s[-1]) if len(t_s) else part["touch_down_s"])
+        expected += max(round((last_s - first_s) / part["shot_s"]), 0)
+    return Pooled(
+        row,
+        len(parts),
+        expected,
+        np.concatenate([np.full(len(table), k) for k, table in enumerate(tables)]),
+        dict(zip(names, np.concatenate(tables).T, strict=True)),
+        np.concatenate(aloft),
+        sum((Counter(part["withheld"]) + Counter(part["refused"]) for part in parts), Counter()),
+    )
+
+
+def summary(group: Pooled) -> dict[str, float]:
+    """Figures of one row."""
+    c, trusted, settled = group.columns, group.trusted, group.settled
+    good = trusted & settled
+    published = int(np.sum(good))
+    over = group.toe_error[good] / c["toe_sigma"][good]
+    off_m = np.abs(c["range_m"] - c["true_m"])[trusted]
+    share, sigmas = off_m / c["true_m"][trusted], off_m / c["sigma_m"][trusted]
+    total = max(group.expected, int(np.sum(settled)))
+    low, high = wilson(published, total)
+    figures = {"trusted": published / max(total, 1), "low": low, "high": high, "shots": total,
+               "published": int(np.sum(trusted)), "toe_mrad": 1e3 * _rms(group.toe_error[good]),
+               "nees": float(np.mean(over**2)) if published else math.nan,
+               "wrong": int(np.sum((sigmas > 5.0) & (share > 0.05))), "far": int(np.sum(share > 0.2)),
+               "on_ground": int(np.sum(trusted & ~(group.aloft > 0)))}  # fmt: skip
+    for k in (1, 2, 3):
+        figures[f"inside_{k}"] = float(np.mean(np.abs(over) <= k)) if published else math.nan
+    return figures | {f"fast {name}": _fast_mrad(group, name) for name in ("toe", *PEERS)}
+
+
+def missed(group: Pooled, figures: dict[str, float], possible: float = 1.0) -> list[str]:
+    """Targets that a row misses; ``possible`` is the share that is trusted where nothing is wrong but the distance."""
+    wrong = {
+        "trusted": figures["trusted"] < _LEAST_TRUSTED[group.row.world] * possible,
+        "NEES": not _NEES[0] <= figures["nees"] <= _NEES[1],
+        "3 sigma": not figures["inside_3"] >= _INSIDE_3_SIGMA,
+        "wrong": figures["wrong"] > 0,
+        "> 20 %": figures["far"] > 0,
+        "on ground": figures["on_ground"] > 0,
+    }
+    return [name for name, failed in wrong.items() if failed]
+
+
+def _fast_mrad(group: Pooled, name: str) -> float:
+    """Rms above :data:`_FAST_HZ` of one toe's error over all settled shots, flight by flight, mrad."""
+    squares, count = 0.0, 0
+    for k in range(group.flights):
+        mine = (group.flight == k) & group.settled & np.isfinite(group.columns[name])
+        if np.sum(mine) > 10:
+            error = (group.columns[name] - group.columns["true_toe"])[mine]
+            fast = error - slow_part(group.columns["t_s"][mine], error, _FAST_HZ)
+            squares, count = squares + float(np.sum(fast**2)), count + len(fast)
+    return 1e3 * math.sqrt(squares / count) if count else math.nan
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+
+
+# ------------------------------------------------------------------------------------------------ flying
+
+
+def campaign(wanted: list[CampaignRow], numbers: range, folder: Path) -> None:
+    """Fly what has no part file yet, number by number, so that a campaign cut short covers every row."""
+    for number in numbers:
+        for row in wanted:
+            path = folder / row.key / f"{number:04d}.json"
+            if path.exists():
+                continue
+            path.parent.mkdir(parents=True, exist_ok=True)
+            began_s = time.process_time()
+            text = json.dumps(fly(row, number))
+            scratch = path.with_suffix(f".{os.getpid()}")
+            scratch.write_text(text, encoding="utf-8")
+            scratch.replace(path)
+            print(f"{row.key} {number}: {time.process_time() - began_s:.0f} s", file=sys.stderr, flush=True)
+
+
+def gathered(wanted: list[CampaignRow], folder: Path) -> list[Pooled]:
+    """Rows that have part files."""
+    groups = []
+    for row in wanted:
+        parts = [json.loads(path.read_text()) for path in sorted((folder / row.key).glob("*.json"))]
+        if parts and any(part["judged"] for part in parts):
+            groups.append(pooled(row, parts))
+    return groups
+
+
+def show(groups: list[Pooled]) -> tuple[str, int]:
+    """The tables as text, and how many rows miss a target."""
+    head = (
+        f"{'world or accident':40s} {'airframe':11s} {'axes':8s} {'fl.':>3s} {'trusted':>7s} {'95 %':>11s} {'toe':>6s}"
+        f" {'NEES':>6s} {'1s':>4s} {'2s':>4s} {'3s':>5s} {'publ.':>6s} {'wrong':>5s} {'>20%':>4s}  misses"
+    )
+    lines, peers, failures = [head], [], 0
+    fast = f"{'toe error above 0.5 Hz, mrad rms':60s} {'this':>7s} " + " ".join(f"{name:>11s}" for name in PEERS)
+    figures = [summary(group) for group in groups]
+    ideal = {g.row.airframe: f["trusted"] for g, f in zip(groups, figures, strict=True) if g.row.name == "ideal"}
+    for group, f in zip(groups, figures, strict=True):
+        short = missed(group, f, ideal.get(group.row.airframe, 1.0))
+        failures += bool(short)
+        name = f"{group.row.name:40s} {group.row.airframe:11s} {group.row.sensors:8s}"
+        share = f"{100 * f['trusted']:6.1f}% {100 * f['low']:5.1f}-{100 * f['high']:5.1f}"
+        inside = f"{100 * f['inside_1']:4.0f} {100 * f['inside_2']:4.0f} {100 * f['inside_3']:5.1f}"
+        lines.append(
+            f"{name} {group.flights:3d} {share} {f['toe_mrad']:6.3f} {f['nees']:6.2f} {inside} {f['published']:6.0f}"
+            f" {f['wrong']:5.0f} {f['far']:4.0f}  {', '.join(short)}"
+        )
+        if group.row.airframe.startswith("nadir") and not group.row.accident.name:
+            peers.append(f"{name} {f['fast toe']:7.3f} " + " ".join(f"{f['fast ' + peer]:11.3f}" for peer in PEERS))
+    lines += ["", fast, *peers, "", "why shots were withheld or refused, per flight:"]
+    for group in groups:
+        reasons = ", ".join(f"{reason} {count / group.flights:.0f}" for reason, count in group.reasons.most_common(6))
+        lines.append(f"{group.row.name:40s} {group.row.airframe:11s} {group.row.sensors:8s} {reasons}")
+    return "\n".join(lines), failures
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Fly, print, and give 1 where a row misses a target."""
+    parser = argparse.ArgumentParser(prog="tools.bench world", description=__doc__)
+    parser.add_argument("--flights", type=int, default=FLIGHTS, help="of every row")
+    parser.add_argument("--first", type=int, default=0, help="number of the first flight")
+    parser.add_argument("--world", default="", choices=["", *WORLDS])
+    parser.add_argument("--airframe", default="", choices=["", *AIRFRAMES])
+    parser.add_argument("--sensors", default="", choices=["", *SENSORS])
+    parser.add_argument("--parts", type=Path, help="folder of the part files (default: out/world/COMMIT)")
+    parser.add_argument("--table", action="store_true", help="fly nothing: print what there is")
+    options = parser.parse_args(arguments)
+    wanted = rows(options.world, options.airframe, options.sensors)
+    folder = options.parts or Path("out/world") / _commit()
+    if not options.table:
+        for name in {row.airframe for row in wanted}:
+            warm_up(CampaignRow("ideal", name, "6-axis").belief(), Settings())
+        campaign(wanted, range(options.first, options.first + options.flights), folder)
+    text, failures = show(gathered(wanted, folder))
+    print(text)
+    return int(failures > 0)
+
+
+def _commit() -> str:
+    answer = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    return answer.stdout.strip() or "unknown"
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,181 @@
+"""One flight of the worlds' campaign: true cameras, matches with the world's errors, the whole pipeline, its peers.
+
+Nothing is rendered: a match is what both true lenses make of a point of the scene, with noise and blunders. What the
+images of a world would do to matching stands in ``ImageFaults.match_ratio`` and in how many matches a ground gives.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from companion.core.pipeline import start, step
+from companion.evaluation.flight_evaluation import PipelineOutputs, collect
+from companion.evaluation.true_geometry import TrueGeometry
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
+from companion.records import Bools, ClockName, CorrectedRange, Floats, ImuBatch, MatchSet, Record, Side, Station
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.offline import HOST_EPOCH_NS
+from companion.sim.flight.world_draw import log_uniform
+from companion.sim.flight.worlds import WORLDS
+from companion.sim.vision.cameras import Shutters
+from companion.sim.vision.posed_pair import PosedPair
+from companion.sim.vision.scene import PosedCamera
+from companion.sim.vision.scenery import scene_of
+from tools.bench.slow import in_order
+from tools.bench.world_peers import PEERS, peer_toes
+from tools.bench.world_rows import STRUCK_S, Accident, CampaignRow
+
+_S = 1_000_000_000
+_SHOT_NS, _VISION_NS = 150_000_000, 60_000_000
+_FEATURES, _MATCH_PX, _BLUNDERS, _BLUNDER_PX = 400, 0.1, 0.05, 3.0
+_MATCHES = 150
+_FADED = 0.3  # contrast over meadow's below which features are lost in proportion: the matcher's least gradient
+_ROW_BLUNDERS = 0.25  # share of matches that take the wrong furrow
+_NO_SHOTS = 2
+_EDGE_PX = 10
+
+
+class StruckPair(PosedPair):
+    """The true pair whose right camera is turned about every axis, by the knock's size in all, from an instant on."""
+
+    def __init__(self, flight: Flight, knock_rad: float) -> None:
+        super().__init__(flight.real.actual, flight.truth, scene_of(flight))
+        self._after: PosedPair | None = None
+        if knock_rad:
+            camera = flight.real.actual.right_camera
+            assert camera is not None
+            direction = flight.generator("knock").standard_normal(3)
+            turn = np.array(camera.rotation_rad) + knock_rad * direction / np.linalg.norm(direction)
+            x, y, z = turn.tolist()
+            turned = dataclasses.replace(camera, rotation_rad=(x, y, z))
+            after = dataclasses.replace(flight.real.actual, right_camera=turned)
+            self._after = PosedPair(after, flight.truth, self.scene)
+
+    def at(self, t_boot_ns: int) -> PosedPair:
+        """The pair as it is at an instant."""
+        return self._after if self._after is not None and t_boot_ns >= STRUCK_S * _S else self
+
+
+def fly(row: CampaignRow, number: int) -> dict[str, Any]:
+    """One flight of a row as plain values: every judged shot with its peers' toes, and what was withheld."""
+    flight = build_flight(row.belief(), row.seed(number), plan=row.plan(), world=WORLDS[row.world])
+    pair = StruckPair(flight, row.accident.knock_rad)
+    shots = list(_shots(flight, pair))
+    told = [_stamped_late(matches, row.accident, flight) for matches in shots]
+    inputs = list(_lying(in_order(flight, told), row.accident))
+    outputs = _driven(flight.airframe, inputs)
+    outputs.matches = {matches.pair_id: matches for matches in shots}
+    judged = [_judged(flight, pair, outputs, entry) for _, entry in sorted(outputs.ranges.items())]
+    peers = peer_toes(flight.airframe, inputs, [entry[:2] for entry in judged], outputs.matches)
+    return {
+        "row": row.name,
+        "airframe": row.airframe,
+        "sensors": row.sensors,
+        "seed": row.seed(number),
+        "shot_s": _SHOT_NS / _S,
+        "lift_off_s": flight.plan.rolls_on_ground[0].until_s if flight.plan.rolls_on_ground else 0.0,
+        "touch_down_s": flight.plan.rolls_on_ground[1].from_s if flight.plan.rolls_on_ground else flight.duration_s,
+        "columns": [*_COLUMNS, *PEERS],
+        "judged": [[*entry, *(float(peers[name][i]) for name in PEERS)] for i, entry in enumerate(judged)],
+        "withheld": dict(Counter(str(entry.reject) for entry in outputs.ranges.values() if not entry.trusted)),
+        "refused": dict(outputs.rejected),
+    }
+
+
+_COLUMNS = ("pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted")
+
+
+def _judged(flight: Flight, pair: StruckPair, outputs: PipelineOutputs, entry: CorrectedRange) -> list[float]:
+    matches = outputs.matches[entry.pair_id]
+    t_ns = int(matches.mid_exposure_ns.mean()) - HOST_EPOCH_NS
+    geometry = TrueGeometry(flight, pair.at(t_ns), Settings(), HOST_EPOCH_NS)
+    reading = geometry.oracle(matches)
+    true_m = float("nan") if reading is None else 1.0 / reading.true_inverse_pm
+    toe = geometry.true_toe_rad(matches)
+    return [entry.pair_id, t_ns / _S, toe, entry.toe_rad, entry.toe_sigma_rad, true_m, entry.range_m,
+            entry.sigma_m, float(entry.trusted)]  # fmt: skip
+
+
+def _driven(airframe: Airframe, inputs: list[Record]) -> PipelineOutputs:
+    state = start(airframe, dataclasses.replace(Settings(), trigger_policy=_NO_SHOTS))
+    records: list[Record] = []
+    for record in inputs:
+        state, outputs = step(state, record)
+        records += [record, *outputs] if isinstance(record, MatchSet) else outputs
+    return collect(records)
+
+
+# ------------------------------------------------------------------------------------------------ matches
+
+
+def _shots(flight: Flight, pair: StruckPair) -> Iterator[MatchSet]:
+    """Matches at a steady rate, each camera exposed by its own latency."""
+    shutters = Shutters(flight.real.actual, flight.seed)
+    rng = flight.generator("match ratio")
+    ratio = log_uniform(flight.world.images.match_ratio, rng)
+    end_ns = round(flight.duration_s * _S) - 3 * _VISION_NS
+    for number, edge_ns in enumerate(range(_S // 2, end_ns, _SHOT_NS)):
+        mids = [shutters.exposure(side, edge_ns, number).mid_boot_ns for side in Side]
+        left_px, right_px = _matched(flight, pair.at(mids[0]), mids, ratio, number)
+        host_ns = np.array(mids, dtype=np.int64) + HOST_EPOCH_NS
+        yield MatchSet(
+            number, number, (ClockName.HOST, ClockName.HOST), host_ns, 2_000_000, 0,
+            left_px, right_px, np.full(len(right_px), _MATCH_PX), int(host_ns.max()) + _VISION_NS,
+        )  # fmt: skip
+
+
+def _matched(flight: Flight, pair: PosedPair, mids: list[int], ratio: float, number: int) -> tuple[Floats, Floats]:
+    """Pixels (n, 2) of both cameras: features of the left image found again in the right one."""
+    rng = np.random.default_rng([flight.seed, number, *b"matches"])
+    left, right = (pair.view(side, mids[side]) for side in Side)
+    size = np.array(left.camera.lens.size_px, dtype=np.float64)
+    left_px = rng.uniform(_EDGE_PX, size - _EDGE_PX, (_FEATURES, 2))
+    points, textured = _seen_points(left, left_px, pair, rng)
+    right_px = right.project(points)
+    inside = np.all((right_px > _EDGE_PX) & (right_px < size - _EDGE_PX), axis=1) & textured
+    left_px, right_px = left_px[inside][:_MATCHES], right_px[inside][:_MATCHES]
+    right_px = right_px + ratio * _MATCH_PX * rng.standard_normal(right_px.shape)
+    furrowed = any(plane.furrow > 1.0 for plane in pair.scene.planes)
+    wrong = rng.random(len(right_px)) < (_ROW_BLUNDERS if furrowed else _BLUNDERS)
+    right_px[wrong] += rng.normal(0.0, _BLUNDER_PX, (int(wrong.sum()), 2))
+    return left_px, right_px
+
+
+def _seen_points(left: PosedCamera, left_px: Floats, pair: PosedPair, rng: np.random.Generator) -> tuple[Floats, Bools]:
+    """Scene points (n, 3) of left pixels, NaN for the sky, and which of them carry texture enough."""
+    points = left.points_ned_m(pair.scene, left_px)
+    floor = next(plane for plane in pair.scene.planes if plane.half_size_m is None)
+    bare = np.abs(points[:, 2] - floor.centre_m[2]) < 0.01
+    kept = rng.random(len(points)) < np.where(bare, min(floor.contrast / _FADED, 1.0), 1.0)
+    return points, kept & np.isfinite(points[:, 0])
+
+
+# ------------------------------------------------------------------------------------------------ accidents
+
+
+def _stamped_late(matches: MatchSet, accident: Accident, flight: Flight) -> MatchSet:
+    rng = np.random.default_rng([flight.seed, matches.pair_id, *b"late"])
+    if rng.random() >= accident.late_share:
+        return matches
+    return dataclasses.replace(matches, mid_exposure_ns=matches.mid_exposure_ns + round(accident.late_s * _S))
+
+
+def _lying(records: Iterable[Record], accident: Accident) -> Iterator[Record]:
+    """The records with one sample of one sensor off by so much, the first that arrives after :data:`STRUCK_S`."""
+    due, from_ns = accident.lie, HOST_EPOCH_NS + round(STRUCK_S * _S)
+    for record in records:
+        if due is not None and isinstance(record, ImuBatch) and _struck(record, due[0], from_ns):
+            values = record.values.copy()
+            values[0, due[1]] += due[2]
+            record, due = dataclasses.replace(record, values=values), None
+        yield record
+
+
+def _struck(batch: ImuBatch, station: Station, from_ns: int) -> bool:
+    return batch.station is station and batch.received_host_ns > from_ns and len(batch.t_ns) > 0

@@ -1,0 +1,93 @@
+"""Rows of the worlds' campaign: world, airframe and axes of the nodes, and accidents in the ideal world."""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from dataclasses import dataclass
+
+from companion.params.airframe import Airframe
+from companion.params.files import load_airframe
+from companion.records import Station
+from companion.sim.flight.aircraft import FlightPlan, Jolt, circuit_plan, demo_plan
+
+DURATION_S = 32.0
+SETTLED_S = 15.0
+STRUCK_S = 18.0
+AIRFRAMES = ("nadir-2m", "forward-2m")
+SENSORS = ("6-axis", "vertical")
+_WORLDS = ("ideal", "fair", "rough", "tones")
+
+
+@dataclass(frozen=True, slots=True)
+class Accident:
+    """One thing that goes wrong at :data:`STRUCK_S`: a sample that lies, a blow, a camera turned, stamps late."""
+
+    name: str = ""
+    lie: tuple[Station, int, float] | None = None
+    blow_mps2: float = 0.0
+    knock_rad: float = 0.0
+    late_share: float = 0.0
+    late_s: float = 0.015
+    circuit: bool = False
+
+
+ACCIDENTS = (
+    Accident("root z +8 m/s2, one sample", lie=(Station.ROOT, 2, 8.0)),
+    Accident("left z -4 m/s2, one sample", lie=(Station.LEFT, 2, -4.0)),
+    Accident("a blow of 40 m/s2 for 20 ms", blow_mps2=40.0),
+    Accident("a camera turned by 2 mrad", knock_rad=0.002),
+    Accident("a fifth of the stamps 15 ms late", late_share=0.2),
+)
+ON_GROUND = Accident("ground roll, take-off, landing", circuit=True)
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRow:
+    """One row of the table; a flight's seed follows from the row and its number."""
+
+    world: str
+    airframe: str
+    sensors: str
+    accident: Accident = Accident()
+
+    @property
+    def name(self) -> str:
+        """World or accident, airframe, axes."""
+        what = self.accident.name or self.world
+        return f"{what} ({self.world})" if self.accident.name and self.world != "ideal" else what
+
+    @property
+    def key(self) -> str:
+        """Folder of its flights."""
+        words = f"{self.name} {self.airframe} {self.sensors}".replace("/", "").replace(",", "")
+        return "".join(letter if letter.isalnum() or letter in "-" else "_" for letter in words)
+
+    def seed(self, number: int) -> int:
+        """Seed of one flight: the same for all rows of an airframe, so that worlds differ by the world alone."""
+        return 1000 * (zlib.crc32(self.airframe.encode()) % 1000) + number
+
+    def belief(self) -> Airframe:
+        """The airframe that the estimator is given."""
+        airframe = load_airframe(self.airframe)
+        if self.sensors == "6-axis":
+            return airframe
+        left, right = (dataclasses.replace(sensor, sends="z") for sensor in (airframe.left, airframe.right))
+        return dataclasses.replace(airframe, left=left, right=right)
+
+    def plan(self) -> FlightPlan:
+        """What is flown."""
+        if self.accident.circuit:
+            return circuit_plan(2.0 * DURATION_S)
+        plan = demo_plan(DURATION_S)
+        blow = self.accident.blow_mps2
+        return dataclasses.replace(plan, jolts=(Jolt(STRUCK_S, blow),)) if blow else plan
+
+
+def rows(world: str = "", airframe: str = "", sensors: str = "") -> list[CampaignRow]:
+    """All rows, or those of the given world, airframe, axes; accidents belong to the worlds in which they happen."""
+    everything = [CampaignRow(w, a, s) for w in _WORLDS for a in AIRFRAMES for s in SENSORS]
+    everything += [CampaignRow("ideal", "nadir-2m", "6-axis", accident) for accident in ACCIDENTS]
+    everything += [CampaignRow(w, a, "6-axis", ON_GROUND) for w in ("fair", "rough") for a in AIRFRAMES]
+    wanted = (("world", world), ("airframe", airframe), ("sensors", sensors))
+    return [row for row in everything if all(getattr(row, name) == value for name, value in wanted if value)]
