@@ -6,10 +6,10 @@ flight leaves a part file, so that a campaign can be stopped, resumed, and share
 prints what is there. Parts of different commits never mix.
 
 trusted: share of shots from 15 s on, with Wilson's 95 % interval; its target counts from what the ideal world's row
-reaches, for a pair that looks ahead has ranges to obstacles that are near enough only. toe: error of the relative toe at the cameras over
-the trusted shots from then on, rms in mrad; NEES, and share inside 1, 2, 3 sigma. wrong: published ranges of the whole
-flight off by more than 5 sigma and 5 %, and by more than 20 %. peers: rms above 0.5 Hz of the toe's error of the
-estimate and of each peer, over the same shots.
+reaches, for a pair that looks ahead has ranges to obstacles that are near enough only. toe: error of the relative toe
+at the cameras over the trusted shots from then on, rms in mrad; NEES, and share inside 1, 2, 3 sigma. wrong: published
+ranges of the whole flight off by more than 5 sigma and 5 %, and by more than 20 %. peers: rms above 0.5 Hz of the toe's
+error of the estimate and of each peer, over the same shots.
 """
 
 from __future__ import annotations
