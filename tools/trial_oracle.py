@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from companion.core.wing.effects import catalogue
+from companion.diagnosis.flights.recordings import Flights
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import FlightFit, fit
 from companion.diagnosis.selection.cross_validation import cross_validate
-from companion.diagnosis.selection.fit import FlightFit, fit
 from sitl_tests.trials.cases import SEEN, Hidden
 
 _FOLLOWS = {"airspeed-dependence": "airspeed_mps", "covariate-frequency": "roller_v"}
@@ -20,7 +21,7 @@ def oracle_gain(model: FlightModel, null: FlightFit, label: Hidden) -> float | N
         return None
     try:
         refitted = fit([model], [true_part(label)], null.values)
-        return cross_validate([model], null, refitted).log_score["total"][0]
+        return cross_validate(Flights([model]), null, refitted).log_score["total"][0]
     except (ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
 

@@ -27,13 +27,14 @@ from typing import Any
 import numpy as np
 
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.data.observations import RawRanges, RawRecording, RawStream, observe
+from companion.diagnosis.data.observations import RawRanges, RawRecording, RawStream
+from companion.diagnosis.data.resampling import observe
+from companion.diagnosis.flights.outcome import FlightDiagnosis
+from companion.diagnosis.flights.proposals import candidates_of, find_proposals
+from companion.diagnosis.flights.recordings import diagnose
+from companion.diagnosis.flights.screen import screen
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.forward_selection import SAME
-from companion.diagnosis.selection.proposals import find_proposals
-from companion.diagnosis.selection.screen import candidates_of, screen
-from companion.diagnosis.selection.search import diagnose
-from companion.diagnosis.selection.verdict import Diagnosis
 from companion.evaluation.flight_models import belief_for
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
@@ -99,7 +100,7 @@ def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]
     return {**row, "kind": trial.kind, "snr_db": trial.snr_db, "corner_hz": trial.corner_hz, "left_out": leave_out}
 
 
-def own_group(model: FlightModel, found: Diagnosis, label: Hidden) -> bool:
+def own_group(model: FlightModel, found: FlightDiagnosis, label: Hidden) -> bool:
     """Whether this recording cannot tell what was hidden from a name that was given for it (scores that are one)."""
     names = {*label.effects, *(cause.term.effect.name for cause in found.causes)}
     kinds = [catalogue()[name] for name in sorted(names)]
@@ -132,7 +133,7 @@ def swings(tables: Tables) -> dict[str, float]:
 
 def judge(
     label: Hidden,
-    found: Diagnosis,
+    found: FlightDiagnosis,
     seconds: float,
     snr_db: float = 20.0,
     units: Mapping[str, float] = MappingProxyType({}),
@@ -166,7 +167,7 @@ def judge(
     }
 
 
-def _inside(label: Hidden, found: Diagnosis, units: Mapping[str, float]) -> bool | None:
+def _inside(label: Hidden, found: FlightDiagnosis, units: Mapping[str, float]) -> bool | None:
     """Whether the hidden magnitude lies in the interval of the parameter that it is."""
     ((name, truth),) = label.effects.items()
     cause = found.causes[0]

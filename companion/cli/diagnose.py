@@ -13,9 +13,10 @@ from companion.cli.steps.effect_list import add_effect_list
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import check_output
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.json_report import as_json, sentence
-from companion.diagnosis.selection.search import diagnose
-from companion.diagnosis.selection.verdict import Diagnosis, DiagnosisVerdict
+from companion.diagnosis.flights.json_report import as_json
+from companion.diagnosis.flights.outcome import FlightDiagnosis, sentence
+from companion.diagnosis.flights.recordings import diagnose
+from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.summary import summary_sentences
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation import measured_structures, sampling_check
@@ -96,7 +97,7 @@ def execute(options: argparse.Namespace) -> int:
     return NOTHING_TO_ESTIMATE if diagnosis.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE else 0
 
 
-def _tell(diagnosis: Diagnosis, plain: dict[str, Any]) -> None:
+def _tell(diagnosis: FlightDiagnosis, plain: dict[str, Any]) -> None:
     print(f"verdict: {sentence(diagnosis)}")
     for line in plain["words"].values():
         print(f"  {line}")
@@ -109,8 +110,8 @@ def _tell(diagnosis: Diagnosis, plain: dict[str, Any]) -> None:
     if diagnosis.gain is not None:
         value, low, high = diagnosis.gain.log_score["total"]
         print(f"  held-out gain {value:.1f} nat (95 %: {low:.1f} to {high:.1f})")
-        for distance, (before, after) in diagnosis.gain.range_rms_m.items():
-            print(f"  range error at {distance:g} m: {before:.2f} -> {after:.2f} m rms")
+        for distance, pair in plain["gain"]["range_rms_m"].items():
+            print(f"  range error at {distance} m: {pair['before']:.2f} -> {pair['after']:.2f} m rms")
     for note in plain["notes"]:
         print(f"  note: {note}")
 

@@ -10,7 +10,7 @@ _LEAST_M = 0.05
 
 
 def summary_sentences(plain: dict[str, Any], tones: list[str]) -> dict[str, str]:
-    """``cause``, ``worth`` and ``next`` of a diagnosis as plain data (:func:`companion.diagnosis.json_report.as_json`).
+    """``cause``, ``worth`` and ``next`` of a diagnosis of flights as its JSON has it.
 
     ``tones`` are sentences of the steady tones that single stations show.
     """

@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from companion.core.wing.structure import SLOT_NAMES
+from companion.diagnosis.flights.outcome import FlightDiagnosis
 from companion.diagnosis.model.belief import Belief
-from companion.diagnosis.selection.verdict import Diagnosis
 from companion.params.airframe import Airframe, Camera, Mode, NamedEffect, Uncertain, Wing
 
 _MODE_KEYS = {"frequency": "frequency_hz", "damping": "damping", "slope": "slope_factor_radpm"}
@@ -19,7 +19,7 @@ _MODE_KEYS = {"frequency": "frequency_hz", "damping": "damping", "slope": "slope
 def extended(
     airframe: Airframe,
     belief: Belief,
-    diagnosis: Diagnosis,
+    diagnosis: FlightDiagnosis,
     units: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> Airframe:
     """The airframe with the named effects in force, and modes, bend and cameras as the same fit has them.

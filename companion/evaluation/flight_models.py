@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from companion.adapters.recordings.tables.mapping import TableMapping
-from companion.diagnosis.data.observations import Observations, observe
+from companion.diagnosis.data.observations import Observations
+from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.model.belief import Belief, believe
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.evaluation.recorded_evidence import load

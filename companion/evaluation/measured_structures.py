@@ -14,7 +14,7 @@ from companion.adapters.recordings.tables.mapped_table import MappedTable, files
 from companion.adapters.recordings.tables.mapping import TableMapping, TestKind
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
 from companion.diagnosis.free_decay.record import RawFreeDecay, prepare
-from companion.diagnosis.free_decay.search import search
+from companion.diagnosis.free_decay.recordings import diagnose as diagnose_decays
 from companion.diagnosis.modal_tests.run_comparison import as_json as comparison_json
 from companion.diagnosis.modal_tests.run_comparison import compare
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
@@ -56,7 +56,7 @@ def _free_decay(
     band_hz = _band(mapping)
     recordings, scales = prepare([_raw_ringing(table) for table in tables], band_hz)
     frequency_hz, damping = _believed(mapping, options.airframe)
-    diagnosis = search(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
+    diagnosis = diagnose_decays(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
     plain = ringing_json(diagnosis, scales, options.airframe)
     plain["notes"] += [note for table in tables for note in table.notes]
     return plain, lambda: ringing_page(diagnosis, scales, plain, mapping.description)

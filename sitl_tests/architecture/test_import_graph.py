@@ -1,4 +1,4 @@
-"""The graph of imports when modules are loaded: no circle anywhere in the package."""
+"""The graph of imports when modules are loaded: no circle anywhere, a diagnosis nine layers deep at most."""
 
 from __future__ import annotations
 
@@ -44,3 +44,17 @@ def test_no_module_imports_itself_by_a_detour() -> None:
 
     for name in GRAPH:
         visit(name, ())
+
+
+def test_diagnosis_is_nine_layers_deep_at_most() -> None:
+    room = "companion.diagnosis"
+    chains: dict[str, tuple[str, ...]] = {}
+
+    def chain(name: str) -> tuple[str, ...]:
+        if name not in chains:
+            below = [chain(other) for other in GRAPH[name] if other.startswith(room)]
+            chains[name] = (name, *max(below, key=len, default=()))
+        return chains[name]
+
+    longest = max((chain(name) for name in GRAPH if name.startswith(room)), key=len)
+    assert len(longest) <= 9, " -> ".join(longest)

@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 from companion.core.stereo.geometry import Rig
 from companion.core.wing.effects import apply_to_airframe, catalogue, make_effect
 from companion.core.wing.model import WingModel
-from companion.diagnosis.data.observations import RawRecording, RawStream, observe
+from companion.diagnosis.data.observations import RawRecording, RawStream
+from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel

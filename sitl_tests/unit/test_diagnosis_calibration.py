@@ -10,16 +10,17 @@ import pytest
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.sample_defects import find_sample_defects, interpolate_clipped
+from companion.diagnosis.flights.adequacy import check
+from companion.diagnosis.flights.initial_values import regressed_start
+from companion.diagnosis.flights.lack_of_fit_tests import lack_of_fit_tests
+from companion.diagnosis.flights.proposals import candidates_of
+from companion.diagnosis.flights.screen import screen
+from companion.diagnosis.flights.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import fit
 from companion.diagnosis.model.generic_effects import generic_laws
-from companion.diagnosis.selection.adequacy import check
-from companion.diagnosis.selection.fit import fit
-from companion.diagnosis.selection.initial_values import regressed_start
-from companion.diagnosis.selection.lack_of_fit_tests import lack_of_fit_tests
-from companion.diagnosis.selection.screen import candidates_of, screen
-from companion.diagnosis.selection.simulated_scores import is_sample_nonlinearity, score_scatter
 from companion.params.files import load_airframe, parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text
@@ -58,7 +59,7 @@ def test_a_swelling_reading_scatters_by_the_root_of_two(name: str) -> None:
     law = next(effect for title, effect in generic_laws() if title == f"sensors with acceleration, {name}")
     unit = dataclasses.replace(law, strength=1e-3)  # type: ignore[call-arg]
     # 40 draws tell a standard deviation to 11 %
-    assert score_scatter([model], found.expectations, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
+    assert score_scatter([model], found.state.expectations, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)
 
 
 @pytest.mark.slow

@@ -9,9 +9,10 @@ from companion.core.wing.effect import CameraView, Effect, ModalMotion
 from companion.core.wing.effects import catalogue
 from companion.core.wing.model import WingModel
 from companion.core.wing.structure import structure_of
+from companion.diagnosis.data.grid import fast_length
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.sample_defects import find_sample_defects, interpolate_clipped
-from companion.diagnosis.data.transforms import Transforms, fast_length
+from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
 from companion.params.files import load_airframe

@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from companion.diagnosis.data.declipping import impute_clipped
-from companion.diagnosis.data.observations import RawRecording, RawStream, observe
+from companion.diagnosis.data.observations import RawRecording, RawStream
+from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.data.sample_defects import find_sample_defects, interpolate_clipped
 from companion.params.files import load_airframe
 from companion.records import Floats, Side

@@ -13,7 +13,7 @@ from companion.diagnosis.free_decay.adequacy import Whitened, judged
 from companion.diagnosis.free_decay.json_report import as_json
 from companion.diagnosis.free_decay.kalman import Modes, run
 from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
-from companion.diagnosis.free_decay.search import search
+from companion.diagnosis.free_decay.recordings import diagnose
 from companion.diagnosis.free_decay.views import backbone
 from companion.errors import RecordingError
 from companion.params.airframe import Uncertain
@@ -151,7 +151,7 @@ def test_windows_tell_frequency_and_damping_of_a_decay() -> None:
 
 def diagnosed(raws: list[RawFreeDecay], most: int = 3) -> dict[str, object]:
     recordings, scales = prepare(raws, BAND_HZ)
-    return as_json(search(recordings, *BELIEF, BAND_HZ, most), scales, None)
+    return as_json(diagnose(recordings, *BELIEF, BAND_HZ, most), scales, None)
 
 
 @pytest.mark.long

@@ -8,22 +8,22 @@ from scipy.stats import norm
 
 from companion.core.wing.effects import catalogue
 from companion.diagnosis.data.observations import Observations
-from companion.diagnosis.model.belief import believe
-from companion.diagnosis.model.effect_term import EffectTerm
-from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.adequacy import outliers
-from companion.diagnosis.selection.fit import fit
-from companion.diagnosis.selection.lack_of_fit_tests import (
+from companion.diagnosis.flights.adequacy import outliers
+from companion.diagnosis.flights.lack_of_fit_tests import (
     _together,
     lack_of_fit_tests,
     normal_score_of_gamma,
     normal_score_of_products,
     normal_score_of_student,
 )
-from companion.diagnosis.selection.prior_tension import prior_tension
-from companion.diagnosis.selection.proposals import best_trial
-from companion.diagnosis.selection.search import diagnose
-from companion.diagnosis.selection.verdict import DiagnosisVerdict
+from companion.diagnosis.flights.prior_tension import prior_tension
+from companion.diagnosis.flights.proposals import best_trial
+from companion.diagnosis.flights.recordings import diagnose
+from companion.diagnosis.model.belief import believe
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import fit
+from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text

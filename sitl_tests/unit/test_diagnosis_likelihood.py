@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from companion.core.wing.effects import catalogue
-from companion.diagnosis.data.observations import Observations, RawRanges, RawRecording, RawStream, observe
+from companion.diagnosis.data.observations import Observations, RawRanges, RawRecording, RawStream
+from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.flights import FlightsLikelihood, expect, log_likelihood
-from companion.diagnosis.selection.fit import fit
+from companion.diagnosis.model.flights import FlightsLikelihood, expect, fit, log_likelihood
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe

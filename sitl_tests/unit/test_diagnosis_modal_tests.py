@@ -7,7 +7,7 @@ import pytest
 
 from companion.diagnosis.modal_tests.run_comparison import as_json, compare, disagreement
 from companion.diagnosis.modal_tests.vibration import VibrationRun, mode_of, modes_of_runs, responses
-from companion.diagnosis.selection.verdict import DiagnosisVerdict
+from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.records import Floats
 
 F_HZ: Floats = np.arange(5.0, 20.0, 1.0 / 60.0)

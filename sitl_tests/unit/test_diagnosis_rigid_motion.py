@@ -9,7 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.diagnosis.data.observations import Observations, RawRecording, RawStream, observe
+from companion.diagnosis.data.observations import Observations, RawRecording, RawStream
+from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.data.rigid_motion import tip_axes_corrected
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.evaluation.flight_models import belief_for, top_of

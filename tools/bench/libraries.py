@@ -21,11 +21,10 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import load_mapping
-from companion.diagnosis.free_decay.cross_validation import quiet_samples
 from companion.diagnosis.free_decay.laws import Extension, Law, NeighbourMode, laws_for
-from companion.diagnosis.free_decay.likelihood import filter_all, fit
+from companion.diagnosis.free_decay.likelihood import filter_all, fit_best_of
 from companion.diagnosis.free_decay.model import FreeDecayModel, key_of
-from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare
+from companion.diagnosis.free_decay.record import FreeDecay, RawFreeDecay, prepare, quiet_samples
 from companion.diagnosis.modal_tests.vibration import VibrationRun, mode_of, responses
 from companion.records import Floats
 
@@ -103,7 +102,7 @@ def _ours(learned: FreeDecay, judged: FreeDecay, belief: Any, laws: list[Extensi
     if len(laws) > 2:
         start[model.index("second log frequency")] = np.log(25.0)
         start[model.index("second log participation")] = -3.0
-    values = fit(model, start[None, :], mask).values
+    values = fit_best_of(model, start[None, :], mask).values
     (filtered,) = filter_all(FreeDecayModel([judged], *belief, laws), [values[None, :]], _AHEAD)
     assert filtered.ahead is not None
     return _share(judged, filtered.ahead[0], np.arange(_AHEAD, len(judged.t_s)))

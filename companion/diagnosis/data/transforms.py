@@ -1,14 +1,13 @@
-"""Between time and frequency for one grid: tapering, interpolation at any instant, lengths that transform fast."""
+"""Between time and frequency for one grid: tapering, and interpolation at any instant."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from companion.diagnosis.data.grid import TAPER
 from companion.diagnosis.spectral_matrices import Complexes
 from companion.records import Floats
 
-TAPER = 0.05
-"""Share of a recording over which each end fades."""
 _FINER = 2  # zero padding before interpolation
 _POINTS = np.arange(-4.0, 5.0)
 
@@ -46,19 +45,6 @@ class Transforms:
         nearest = np.rint(place).astype(np.int64)
         rows = (nearest[:, None] + _POINTS.astype(np.int64)) % len(fine)
         return np.asarray(np.sum(fine[rows] * _lagrange(place - nearest), axis=1))
-
-
-def fast_length(count: int, up: bool) -> int:
-    """The next even length, up or down, with no prime factor beyond 5."""
-    best = 0 if not up else 1 << max(count - 1, 1).bit_length()
-    for power5 in range(10):
-        for power3 in range(12):
-            base = 2 * 5**power5 * 3**power3
-            while base <= 4 * count:
-                if (up and count <= base < best) or (not up and best < base <= count):
-                    best = base
-                base *= 2
-    return best
 
 
 def _lagrange(u: Floats) -> Floats:

@@ -33,9 +33,9 @@ class Whitened:
 
 def whitened(fitted: FreeDecayFit) -> list[Whitened]:
     """Innovations over their standard deviation, by recording."""
-    rows = [fitted.values[None, :]] * len(fitted.model.recordings)
+    rows = [fitted.values[None, :]] * len(fitted.state.recordings)
     innovations = []
-    for filtered in filter_all(fitted.model, rows):
+    for filtered in filter_all(fitted.state, rows):
         variance = filtered.variance[0]
         quiet = variance < _QUIET * float(np.percentile(variance, 10))
         innovations.append(Whitened(filtered.innovation[0] / np.sqrt(variance), quiet))
@@ -46,7 +46,7 @@ def checks(fitted: FreeDecayFit, seed: int = 20250101) -> list[Check]:
     """All statistics, the worst first; of each kind the worst recording's is kept."""
     rng = np.random.default_rng(seed)
     worst: dict[str, Check] = {}
-    for record, white in zip(fitted.model.recordings, whitened(fitted), strict=True):
+    for record, white in zip(fitted.state.recordings, whitened(fitted), strict=True):
         for name, z in judged(white, rng).items():
             if name not in worst or abs(z) > abs(worst[name].z):
                 worst[name] = Check(f"{name} ({record.name})", z, LIMIT)

@@ -15,14 +15,14 @@ from companion.core.wing.effects.stiffness.covariate_frequency import CovariateF
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.frequency_drift import FrequencyDrift
 from companion.diagnosis import json_rows
-from companion.diagnosis.free_decay.adequacy import checks
-from companion.diagnosis.free_decay.cross_validation import PredictionError
 from companion.diagnosis.free_decay.laws import Extension, Law
 from companion.diagnosis.free_decay.model import key_of
 from companion.diagnosis.free_decay.record import Scale
-from companion.diagnosis.free_decay.search import FreeDecayDiagnosis, Tried
+from companion.diagnosis.free_decay.recordings import FreeDecayDiagnosis
 from companion.diagnosis.json_rows import deviation, failures, nats, quantity
-from companion.diagnosis.selection.check import Check
+from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.diagnosis.selection.cross_validation import HeldOut
+from companion.diagnosis.selection.score_tests import Candidate
 
 _CLOSE = 0.12  # two modes within this of each other somewhere in the recordings are close
 _ADVICE = {
@@ -37,34 +37,37 @@ _ADVICE = {
 
 def as_json(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe: str | None) -> dict[str, Any]:
     """Everything that a program would read."""
-    before, after = checks(diagnosis.null), checks(diagnosis.final)
-    named = [i for i, entry in enumerate(diagnosis.accepted) if name_of(entry, diagnosis) and _useful(diagnosis, i)]
-    verdict = _verdict(diagnosis, after)
-    recordings = diagnosis.null.model.recordings
+    named = [i for i, entry in enumerate(diagnosis.accepted) if entry.term.effect and _useful(diagnosis, i)]
+    outcome = diagnosis.outcome
+    verdict = outcome.verdict
+    screened = sorted(outcome.screening.candidates, key=lambda entry: -entry.log_odds)
+    unexplained = verdict is DiagnosisVerdict.UNEXPLAINED
+    recordings = diagnosis.null.state.recordings
     return {
         "format": 1,
         "recordings": [record.name for record in recordings],
         "airframe": airframe,
-        "verdict": verdict,
-        "reason": _reason(diagnosis, named, after),
+        "verdict": str(verdict),
+        "reason": _reason(diagnosis, named),
         "causes": [_cause(diagnosis, i, scales) for i in named],
-        "nearest": (name_of(diagnosis.accepted[named[0]], diagnosis) if named else None)
-        if verdict == "unexplained"
-        else None,
-        "gain": _gain(diagnosis.errors[0], diagnosis.errors[-1]) if diagnosis.accepted else None,
-        "adequacy": {"before": json_rows.checks(before), "after": json_rows.checks(after)},
-        "residual": _residual(diagnosis, after) if verdict == "unexplained" else None,
-        "screening": [_screened(diagnosis, entry) for entry in (diagnosis.rounds[0] if diagnosis.rounds else ())],
+        "nearest": (name_of(diagnosis.accepted[named[0]].term, diagnosis) if named else None) if unexplained else None,
+        "gain": _gain(diagnosis, diagnosis.errors[0], diagnosis.errors[-1]) if diagnosis.accepted else None,
+        "adequacy": {
+            "before": json_rows.checks(diagnosis.outcome.before),
+            "after": json_rows.checks(diagnosis.outcome.after),
+        },
+        "residual": _residual(diagnosis) if unexplained else None,
+        "screening": [_screened(diagnosis, entry) for entry in screened],
         "modes": _modes(diagnosis, scales),
         "airframe_parameters": _believed(diagnosis),
         "notes": [note for record in recordings for note in record.notes],
     }
 
 
-def name_of(entry: Tried, diagnosis: FreeDecayDiagnosis) -> str:
-    """The catalogue's name of an accepted extension, "" for what only describes."""
-    if isinstance(entry.extension, Law):
-        return entry.extension.name
+def name_of(term: Extension, diagnosis: FreeDecayDiagnosis) -> str:
+    """Name of an accepted law; of a second mode by how near it comes to the first."""
+    if isinstance(term, Law):
+        return term.name
     apart = min(abs(pair["second_hz"] / pair["first_hz"] - 1.0) for pair in _pairs(diagnosis))
     return CloseMode.name if apart < _CLOSE else SecondMode.name
 
@@ -74,32 +77,24 @@ def _useful(diagnosis: FreeDecayDiagnosis, index: int) -> bool:
     return diagnosis.errors[index + 1].gone(diagnosis.errors[index])[1] > 0.0
 
 
-def _verdict(diagnosis: FreeDecayDiagnosis, after: list[Check]) -> str:
-    descriptive = [entry for entry in diagnosis.accepted if not name_of(entry, diagnosis)]
-    if descriptive or not all(entry.passed for entry in after):
-        return "unexplained"
-    return "explained" if diagnosis.accepted else "adequate"
-
-
-def _reason(diagnosis: FreeDecayDiagnosis, named: list[int], after: list[Check]) -> str:
+def _reason(diagnosis: FreeDecayDiagnosis, named: list[int]) -> str:
     sentences = []
     if named:
         sentences.append(
-            "explained so far: "
-            + ", ".join(_with_channel(diagnosis.accepted[i].extension, diagnosis, i) for i in named)
+            "explained so far: " + ", ".join(_with_channel(diagnosis.accepted[i].term, diagnosis) for i in named)
         )
-    remaining = [entry.extension.text for entry in diagnosis.accepted if not name_of(entry, diagnosis)]
-    failed = [f"{entry.name} {entry.z:+.1f} sigma" for entry in after if not entry.passed][:2]
+    remaining = [entry.term.key for entry in diagnosis.accepted if not entry.term.effect]
+    failed = [f"{entry.name} {entry.z:+.1f} sigma" for entry in diagnosis.outcome.after if not entry.passed][:2]
     if remaining or failed:
         sentences.append("left over: " + "; ".join([*remaining, *failed]))
     return "; ".join(sentences) or "a mode of constant frequency and damping explains these recordings"
 
 
-def _with_channel(extension: Extension, diagnosis: FreeDecayDiagnosis, index: int) -> str:
-    name = name_of(diagnosis.accepted[index], diagnosis)
+def _with_channel(extension: Extension, diagnosis: FreeDecayDiagnosis) -> str:
+    name = name_of(extension, diagnosis)
     if isinstance(extension, Law):
         return f"{name} ({extension.channel})" if extension.channel else name
-    model, values = diagnosis.final.model, diagnosis.final.values[None, :]
+    model, values = diagnosis.final.state, diagnosis.final.values[None, :]
     at_end = [model.modes(values, k).omega_radps[0, -1] for k in range(len(model.recordings))]
     first, second = np.mean(at_end, axis=0) / (2.0 * np.pi)
     return f"{name} ({second:.1f} beside {first:.1f} Hz in the last decay)"
@@ -109,17 +104,17 @@ def _descriptions(diagnosis: FreeDecayDiagnosis) -> list[str]:
     """Sentences of the laws that were needed and have no name."""
     sentences = []
     for entry in diagnosis.accepted:
-        law = entry.extension
-        if isinstance(law, Law) and not law.name:
+        law = entry.term
+        if isinstance(law, Law) and not law.effect:
             value, sigma = diagnosis.final.value(key_of(law))
-            sentences.append(f"{law.text} ({law.parameter} {value:+.3g} ± {sigma:.2g}, log Bayes factor "
+            sentences.append(f"{law.key} ({law.parameter} {value:+.3g} ± {sigma:.2g}, log Bayes factor "
                         f"{entry.log_bayes_factor:.0f})")  # fmt: skip
     return sentences
 
 
 def _cause(diagnosis: FreeDecayDiagnosis, index: int, scales: Mapping[str, Scale]) -> dict[str, Any]:
     entry = diagnosis.accepted[index]
-    name, law = name_of(entry, diagnosis), entry.extension
+    name, law = name_of(entry.term, diagnosis), entry.term
     channel = law.channel if isinstance(law, Law) and law.channel else None
     parameters = _of_law(diagnosis, law, scales) if isinstance(law, Law) else _of_second(diagnosis)
     main = next(iter(parameters.values()))
@@ -131,7 +126,7 @@ def _cause(diagnosis: FreeDecayDiagnosis, index: int, scales: Mapping[str, Scale
         "bic": entry.bic,
         "z": abs(main["value"]) / main["sigma"] if isinstance(law, Law) else math.sqrt(2.0 * entry.log_bayes_factor),
         "parameters": parameters,
-        "gain": _gain(diagnosis.errors[index], diagnosis.errors[index + 1])["error"],
+        "gain": _gain(diagnosis, diagnosis.errors[index], diagnosis.errors[index + 1])["error"],
         "advice": _ADVICE.get(name, ""),
     }
 
@@ -161,50 +156,50 @@ def _of_second(diagnosis: FreeDecayDiagnosis) -> dict[str, Any]:
     }
 
 
-def _gain(before: PredictionError, after: PredictionError) -> dict[str, Any]:
+def _gain(diagnosis: FreeDecayDiagnosis, before: HeldOut, after: HeldOut) -> dict[str, Any]:
     gone, gone_low, gone_high = after.gone(before)
     return {
         "held_out": True,
-        "total": nats(after.gained(before)),
+        "total": nats(after.gained(before)["total"]),
         "error": {
-            "before": before.rms_mps2,
-            "after": after.rms_mps2,
+            "before": before.rms,
+            "after": after.rms,
             "unit": "m/s^2",
-            "what": f"acceleration {1e3 * after.ahead_s:.0f} ms ahead, between knocks",
-            "share_of_signal": [before.variance_ratio, after.variance_ratio],
+            "what": f"acceleration {1e3 * diagnosis.ahead_s:.0f} ms ahead, between knocks",
+            "share_of_signal": [before.share_of_signal, after.share_of_signal],
             "share_of_square_gone": gone,
             "interval": [gone_low, gone_high],
         },
     }
 
 
-def _residual(diagnosis: FreeDecayDiagnosis, after: list[Check]) -> dict[str, Any]:
+def _residual(diagnosis: FreeDecayDiagnosis) -> dict[str, Any]:
     remaining = _descriptions(diagnosis)
     return {
         "description": "; ".join(remaining) or "innovations are not white",
-        "failed": failures(after),
+        "failed": failures(diagnosis.outcome.after),
         "unnamed": remaining,
     }
 
 
-def _screened(diagnosis: FreeDecayDiagnosis, entry: Tried) -> dict[str, Any]:
+def _screened(diagnosis: FreeDecayDiagnosis, entry: Candidate[Extension]) -> dict[str, Any]:
     """One law against the null alone: its evidence, and what it foretells, are two things."""
-    law = entry.extension
+    law = entry.term
     row: dict[str, Any] = {
-        "name": law.name or None if isinstance(law, Law) else CloseMode.name,
-        "says": law.text,
-        "channel": law.channel or None if isinstance(law, Law) else None,
-        "log_odds": entry.log_bayes_factor,
+        "name": law.effect or None,
+        "says": law.key,
+        "channel": law.channel or None,
+        "log_odds": entry.log_odds,
         "gain": None,
     }
-    if law.text in diagnosis.alone:
-        row["gain"] = _gain(diagnosis.errors[0], diagnosis.alone[law.text])["error"]
+    if law.key in diagnosis.alone and diagnosis.errors:
+        row["gain"] = _gain(diagnosis, diagnosis.errors[0], diagnosis.alone[law.key])["error"]
     return row
 
 
 def _pairs(diagnosis: FreeDecayDiagnosis) -> list[dict[str, float]]:
     """Frequencies of both modes at the lowest and the highest of what the first one did."""
-    model, rows = diagnosis.final.model, []
+    model, rows = diagnosis.final.state, []
     for k in range(len(model.recordings)):
         omega = model.modes(diagnosis.final.values[None, :], k).omega_radps[0] / (2.0 * np.pi)
         if omega.shape[1] < 2:
@@ -216,7 +211,7 @@ def _pairs(diagnosis: FreeDecayDiagnosis) -> list[dict[str, float]]:
 
 def _modes(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[str, Any]:
     """Modes at the end of each recording, at rest, and the range over which the first one moved."""
-    model = diagnosis.final.model
+    model = diagnosis.final.state
     at_end = []
     for k, record in enumerate(model.recordings):
         modes = model.modes(diagnosis.final.values[None, :], k)
@@ -237,7 +232,7 @@ def _modes(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale]) -> dict[s
 
 def _believed(diagnosis: FreeDecayDiagnosis) -> list[dict[str, Any]]:
     final = diagnosis.final
-    each = zip(final.model.parameters[:2], final.values.tolist(), final.sigmas.tolist(), strict=False)
+    each = zip(final.state.parameters[:2], final.values.tolist(), final.spread.tolist(), strict=False)
     return [
         deviation(entry.key.removeprefix("log "), value - entry.centre, sigma, entry.sigma, True)
         for entry, value, sigma in each

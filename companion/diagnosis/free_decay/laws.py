@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
+from companion.core.wing.effects.modes.close_mode import CloseMode
 from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.core.wing.effects.stiffness.frequency_drift import FrequencyDrift
@@ -34,9 +35,9 @@ class Law:
 
     Attributes
     ----------
-    name : str
-        Of the effect in the catalogue; "" for one that only describes.
-    text : str
+    effect : str
+        Of the catalogue; "" for a law that only describes.
+    key : str
         What it says.
     channel : str
         Recorded channel that it follows, "" for none.
@@ -47,8 +48,8 @@ class Law:
         Where a search begins.
     """
 
-    name: str
-    text: str
+    effect: str
+    key: str
     channel: str
     follows: Follows
     basis: Callable[[FreeDecay], Floats]
@@ -57,6 +58,12 @@ class Law:
     meaning: str
     sigma: float
     starts: tuple[float, ...]
+    log_trials: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The effect, or what the law says."""
+        return self.effect or self.key
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +71,11 @@ class NeighbourMode:
     """A further mode near the first: where its search begins, in times the first one's frequency."""
 
     starts: tuple[float, ...] = (0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.25)
-    text: str = "a second mode near the first"
+    key: str = "a second mode near the first"
+    effect: str = CloseMode.name
+    name: str = CloseMode.name
+    channel: str = ""
+    log_trials: float = 0.0
 
 
 Extension = Law | NeighbourMode

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from companion.diagnosis.free_decay.kalman import Filtered, Modes, run
+from companion.diagnosis.free_decay.laws import Extension
 from companion.diagnosis.free_decay.model import FreeDecayModel
-from companion.diagnosis.selection.fisher_scoring import Maximum, NormalPrior, Parameter, Scores, maximise
+from companion.diagnosis.selection.fisher_scoring import NormalPrior, Parameter, Scores
+from companion.diagnosis.selection.fit import Fit, climb
 from companion.records import Floats
 
 Mask = npt.NDArray[np.bool_]
+FreeDecayFit = Fit[Extension, FreeDecayModel]
 _STEP = 1e-4  # of a parameter's prior sigma, for differences
 
 
@@ -24,7 +26,7 @@ class FreeDecayLikelihood:
         self._model, self._masks = model, masks
         self.parameters: Sequence[Parameter] = model.parameters
 
-    def log_likelihood(self, values: Floats, near: None = None) -> float:
+    def log_likelihood(self, values: Floats, near: FreeDecayModel | None = None) -> float:
         """Log likelihood of all recordings at a vector (p,)."""
         del near
         return float(self.log_likelihoods(values[None, :])[0])
@@ -41,7 +43,7 @@ class FreeDecayLikelihood:
         heights = self.log_likelihoods(offered) + [prior.log_density(values) for values in offered]
         return np.asarray(offered[int(np.nanargmax(heights))])
 
-    def scores(self, values: Floats) -> Scores[None]:
+    def scores(self, values: Floats) -> Scores[FreeDecayModel]:
         """Log likelihood, gradient and information of innovations e with variance s.
 
         With de, ds by a parameter: g = -sum (de e / s + ds (1 - e^2 / s) / 2s), J = sum (de de / s + ds ds / 2s^2).
@@ -58,38 +60,13 @@ class FreeDecayLikelihood:
             ds = (filtered.variance[1:, mask] - s) / step
             gradient[places] += -(de @ (e / s)) - 0.5 * (ds @ (1.0 / s - e**2 / s**2))
             information[np.ix_(places, places)] += (de / s) @ de.T + 0.5 * (ds / s**2) @ ds.T
-        return Scores(height, gradient, information, None)
+        return Scores(height, gradient, information, model)
 
 
-@dataclass(frozen=True, slots=True)
-class FreeDecayFit:
-    """A fitted model: its most probable values (p,), and ``count`` samples that were judged."""
-
-    model: FreeDecayModel
-    best: Maximum[None]
-    count: int
-
-    @property
-    def values(self) -> Floats:
-        """Most probable values, (p,)."""
-        return self.best.values
-
-    @property
-    def sigmas(self) -> Floats:
-        """Posterior standard deviations, (p,)."""
-        return np.asarray(np.sqrt(np.diag(self.best.covariance)))
-
-    def value(self, key: str) -> tuple[float, float]:
-        """A parameter and its sigma."""
-        at = self.model.index(key)
-        return float(self.values[at]), float(self.sigmas[at])
-
-
-def fit(model: FreeDecayModel, offered: Floats, masks: Sequence[Mask], rounds: int = 25) -> FreeDecayFit:
+def fit_best_of(model: FreeDecayModel, offered: Floats, masks: Sequence[Mask], rounds: int = 25) -> FreeDecayFit:
     """Climb from the most probable of some vectors (b, p); ``masks`` say which samples of each recording count."""
     likelihood = FreeDecayLikelihood(model, masks)
-    best = maximise(likelihood, likelihood.best_of(offered), rounds)
-    return FreeDecayFit(model, best, sum(int(mask.sum()) for mask in masks))
+    return climb(likelihood, model.extensions, model.blocks(), likelihood.best_of(offered), rounds)
 
 
 def filter_all(model: FreeDecayModel, vectors: Sequence[Floats], ahead: int = 0) -> list[Filtered]:

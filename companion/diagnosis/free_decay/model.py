@@ -28,10 +28,12 @@ class FreeDecayModel:
         frequency_hz: Uncertain,
         damping: Uncertain,
         extensions: Sequence[Extension] = (),
+        wider: float = 1.0,
     ) -> None:
         self.recordings = tuple(recordings)
         self.frequency_hz, self.damping = frequency_hz, damping
         self.extensions = tuple(extensions)
+        self._wider = wider
         self.parameters = tuple(self._parameters())
         self.shared = len(self.parameters) - _NUISANCES * len(self.recordings)
 
@@ -49,14 +51,19 @@ class FreeDecayModel:
         """Place of a parameter."""
         return [entry.key for entry in self.parameters].index(key)
 
+    def blocks(self) -> list[list[int]]:
+        """Places of the parameters of each extension."""
+        keys = [[key_of(entry)] if isinstance(entry, Law) else SECOND for entry in self.extensions]
+        return [[self.index(key) for key in names] for names in keys]
+
     def own_indices(self, recording: int) -> list[int]:
         """Places of a recording's nuisances."""
         first = self.shared + _NUISANCES * recording
         return list(range(first, first + _NUISANCES))
 
-    def values_from(self, other: FreeDecayModel, values: Floats) -> Floats:
-        """A vector of this model with what another one has in common with it."""
-        known_values = {entry.key: float(value) for entry, value in zip(other.parameters, values, strict=True)}
+    def values_from(self, keys: Sequence[str], values: Floats) -> Floats:
+        """A vector of this model with what another one, of parameters ``keys``, has in common with it."""
+        known_values = dict(zip(keys, values.tolist(), strict=True))
         return np.array([known_values.get(entry.key, entry.centre) for entry in self.parameters])
 
     def modes(self, values: Floats, recording: int) -> Modes:
@@ -95,7 +102,7 @@ class FreeDecayModel:
         ]
         for entry in self.extensions:
             if isinstance(entry, Law):
-                parameters.append(Parameter(key_of(entry), 0.0, entry.sigma))
+                parameters.append(Parameter(key_of(entry), 0.0, self._wider * entry.sigma))
             else:
                 parameters += _of_second(parameters[0], parameters[1])
         for k, record in enumerate(self.recordings):
@@ -110,7 +117,10 @@ class FreeDecayModel:
 
 def key_of(law: Law) -> str:
     """Name of a law's parameter in the vector."""
-    return f"{law.text}: {law.parameter}"
+    return f"{law.key}: {law.parameter}"
+
+
+SECOND = ["second log frequency", "second log damping", "second log participation", "second follow"]
 
 
 def _of_second(frequency: Parameter, damping: Parameter) -> list[Parameter]:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.signal import hilbert
 
 from companion.errors import RecordingError
-from companion.records import Floats
+from companion.records import Bools, Floats
 
 _ABOVE = (4.0, 15.0)  # times the band's top: where impulses are seen and modes of interest are not
 _LEAST_S = 2.0
@@ -23,6 +23,7 @@ _GAP_RATIO = 2.5
 _ROOM = 1.3  # times the band's upper edge, kept by the anti-alias filter
 _VIBRATES = 0.3  # of the power above the band's lower edge
 _ECHO = 20  # samples
+_QUIET = 0.02  # of the mean square above the band
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,3 +182,10 @@ def leakage_of(impulse: Floats) -> Floats:
     """Rms that the edge of the band makes of impulses in the samples around them."""
     lags = np.arange(-_ECHO, _ECHO + 1)
     return np.asarray(np.sqrt(np.convolve(impulse**2, 1.0 / (1.0 + np.abs(np.pi * lags) ** 4), mode="same")))
+
+
+def quiet_samples(record: FreeDecay, ahead: int) -> Bools:
+    """Samples before which no impulse came within ``ahead`` steps."""
+    loud = record.impulse_mps2**2 > _QUIET * float(np.mean(record.impulse_mps2**2))
+    near = np.convolve(loud, np.ones(ahead + 2))[: len(loud)] > 0.5
+    return np.asarray(~near)

@@ -18,7 +18,7 @@ from scipy.stats import chi2, norm
 
 from companion.core.wing.effects.stiffness.covariate_frequency import CovariateFrequency
 from companion.diagnosis.modal_tests.vibration import ModeOverRuns
-from companion.diagnosis.selection.verdict import DiagnosisVerdict
+from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.records import Floats
 
 CHANGED = 5.0

@@ -21,6 +21,16 @@ class EffectTerm:
     log_trials: float = 0.0
 
     @property
+    def name(self) -> str:
+        """The effect's stable name."""
+        return self.effect.name
+
+    @property
+    def key(self) -> str:
+        """A model holds each effect once."""
+        return self.effect.name
+
+    @property
     def values(self) -> list[float]:
         """Parameters of the effect, in the order in which it declares them."""
         return [float(getattr(self.effect, entry.name)) for entry in self.effect.parameters()]

@@ -3,12 +3,58 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from companion.diagnosis.model.motion import SmoothedMotion
+from companion.diagnosis.model.linear_spectra import Linear
 from companion.diagnosis.spectral_matrices import Complexes
 from companion.records import Floats
+
+
+class Motion(Protocol):
+    """One model's view of the accelerations; frequencies f run from 0 to the top of the band of b.
+
+    Attributes
+    ----------
+    key : object
+        Equal where two models are the same here.
+    linear : Linear
+    cross : (n, c, f)
+        Modal deflection with what is measured.
+    spectrum, inverse : (c, c, b)
+        Two-sided density of the accelerations in the band, and its inverse.
+    """
+
+    key: object
+    linear: Linear
+    cross: Complexes
+    spectrum: Complexes
+    inverse: Complexes
+
+    @property
+    def smoother(self) -> Complexes:
+        """Modal deflection per acceleration, (n, c, f), zero below the band."""
+
+    @property
+    def whitener(self) -> Complexes:
+        """Lower triangular L with L L^H the inverse spectrum, (c, c, b)."""
+
+    @property
+    def modal(self) -> Complexes:
+        """Spectrum of the smoothed modal deflection, (n, f)."""
+
+    @property
+    def residual(self) -> Complexes:
+        """Tapered spectrum once all that is not stationary Gaussian is out, (c, b)."""
+
+    @property
+    def force_score(self) -> Complexes:
+        """Score by a force on each mode, (n, f)."""
+
+    @property
+    def in_time(self) -> tuple[Floats, Floats]:
+        """Smoothed modal deflection and speed, (n, m) each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +74,7 @@ class Expectation:
         The sensors at rest: what is left of the mean, and its variance.
     """
 
-    motion: SmoothedMotion
+    motion: Motion
     toe_residual_rad: Floats
     toe_posterior: Floats
     toe_variance: Floats

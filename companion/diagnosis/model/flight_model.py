@@ -19,7 +19,7 @@ from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.belief import Belief, input_gains, is_range_only
 from companion.diagnosis.model.effect_term import EffectTerm
-from companion.diagnosis.model.expectation import Expectation
+from companion.diagnosis.model.expectation import Expectation, Motion
 from companion.diagnosis.model.linear_spectra import STATIONS, Spectra, spectrum_of
 from companion.diagnosis.model.motion import RecordedSpectra, SmoothedMotion
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
@@ -174,7 +174,7 @@ class FlightModel:
 
     def _motion(
         self, wing: WingModel, terms: Sequence[EffectTerm], deviation: Mapping[str, float], near: Expectation | None
-    ) -> SmoothedMotion:
+    ) -> Motion:
         """Motion under a model; half of all parameters are of the cameras alone and leave it as it is nearby."""
         inner = tuple(term for term in terms if term.effect.group is not Group.CAMERA)
         bends = self.observations.has_root  # then the bend per g moves the wing, and not the ranges alone

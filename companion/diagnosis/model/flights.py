@@ -5,6 +5,8 @@ Derivatives are differences of :meth:`FlightModel.expect`; :mod:`.scores` makes 
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +19,7 @@ from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.scores import Column, column, scores
 from companion.diagnosis.selection.fisher_scoring import Parameter, Scores
+from companion.diagnosis.selection.fit import Fit, climb
 from companion.records import Floats
 
 _STEP = 1e-4  # of a parameter's prior sigma, for differences
@@ -58,6 +61,34 @@ class FlightsLikelihood:
         gradient, information = joint_scores(self._models, expectations, columns)
         state = FlightState(expectations, tuple(tuple(entry) for entry in columns))
         return Scores(log_likelihood(self._models, expectations), gradient, information, state)
+
+
+FlightFit = Fit[EffectTerm, FlightState]
+
+
+def fit(
+    models: Sequence[FlightModel],
+    terms: Sequence[EffectTerm],
+    start: Floats | None = None,
+    rounds: int = 24,
+    wider: float = 1.0,
+) -> FlightFit:
+    """Find the most probable parameters in at most ``rounds`` scoring steps.
+
+    Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief. The priors of the
+    effects are made ``wider`` times as wide: for values and intervals that are the data's own.
+    """
+    likelihood = FlightsLikelihood(models, terms, wider)
+    sizes = [len(term.values) for term in terms]
+    ends = np.cumsum([len(models[0].belief.nuisances), *sizes]).tolist()
+    blocks = [range(end - size, end) for size, end in zip(sizes, ends[1:], strict=True)]
+    fitted = climb(likelihood, terms, blocks, likelihood.start(start), rounds)
+    return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms))
+
+
+def log_count(models: Sequence[FlightModel]) -> float:
+    """Logarithm of how many numbers the accelerations are, which BIC charges for each parameter."""
+    return math.log(sum(len(model.band_hz) * 2 * len(model.observations.sides) for model in models))
 
 
 def log_likelihood(models: Sequence[FlightModel], expectations: Sequence[Expectation]) -> float:

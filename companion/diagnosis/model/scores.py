@@ -9,16 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, product
 from companion.records import Floats
 
 _ROOT2 = float(np.sqrt(2.0))
+
+
+class ScoredRecording(Protocol):
+    """A recording in its band: ``weight`` is the share of bins that are independent, ``band_hz`` (b,)."""
+
+    weight: float
+    band_hz: Floats
+
+    def rigid_shifted(self, shift_s: Floats) -> Complexes | None:
+        """Change of the rigid aircraft's motion by shifts in time (c, m), in the band, (c, b)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +67,7 @@ def column(
     return Column(power, mean, toe, noise, rest, shift_s, warps)
 
 
-def scores(model: FlightModel, expectation: Expectation, columns: Sequence[Column]) -> tuple[Floats, Floats]:
+def scores(model: ScoredRecording, expectation: Expectation, columns: Sequence[Column]) -> tuple[Floats, Floats]:
     """Gradient of the log likelihood and its Fisher information, (p,) and (p, p)."""
     p, weight = len(columns), model.weight
     gradient, information = np.zeros(p), np.zeros((p, p))
@@ -99,7 +109,9 @@ def _add(
     information[np.ix_(index, index)] += weight * (table @ table.T)
 
 
-def _add_warps(model: FlightModel, expectation: Expectation, columns: Sequence[Column], information: Floats) -> None:
+def _add_warps(
+    model: ScoredRecording, expectation: Expectation, columns: Sequence[Column], information: Floats
+) -> None:
     """Put the expected information of shifts in time where the products of their columns stand for it badly.
 
     With S the spectral matrix, shifts of channels c and d by a and b are worth

@@ -11,13 +11,13 @@ from companion.core.wing.model import WingModel
 from companion.diagnosis.data.observations import Observations, ToeData
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.belief import Belief
+from companion.diagnosis.model.expectation import Motion
 from companion.diagnosis.model.generic_effects import (
     GenericToe,
     GenericToeVariance,
     toe_regressors,
     toe_variance_regressors,
 )
-from companion.diagnosis.model.motion import SmoothedMotion
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, product
 from companion.records import Floats, Side
 
@@ -40,10 +40,10 @@ class ToeModel:
         place = np.abs(np.subtract.outer(toe.t_s, toe.t_s)) * (_FINER / transforms.dt_s)
         self._lag = place.astype(np.int32)
         self._beyond = place - self._lag
-        self._cached: tuple[SmoothedMotion, object, Floats] | None = None
+        self._cached: tuple[Motion, object, Floats] | None = None
 
     def residual(
-        self, wing: WingModel, effects: Sequence[Effect], deviation: Mapping[str, float], motion: SmoothedMotion
+        self, wing: WingModel, effects: Sequence[Effect], deviation: Mapping[str, float], motion: Motion
     ) -> tuple[Floats, Floats]:
         """Measured minus expected toe, and the variance of the measurement, (k,) each."""
         toe = self._toe
@@ -72,7 +72,7 @@ class ToeModel:
             variance = variance * (1.0 + sum(effect.growth(offered) for effect in spread))
         return residual, variance
 
-    def _generic(self, effects: Sequence[Effect], motion: SmoothedMotion, expected: Floats) -> Floats | float:
+    def _generic(self, effects: Sequence[Effect], motion: Motion, expected: Floats) -> Floats | float:
         """Toe that laws without a name add, (k,), rad."""
         toe_terms = [effect for effect in effects if isinstance(effect, GenericToe)]
         if not toe_terms:
@@ -83,7 +83,7 @@ class ToeModel:
         offered = toe_regressors(toe, *self._modes(motion), load, reading_rad)
         return sum(effect.added(offered) for effect in toe_terms)
 
-    def _modes(self, motion: SmoothedMotion) -> tuple[Floats, Floats]:
+    def _modes(self, motion: Motion) -> tuple[Floats, Floats]:
         """Smoothed deflection and speed of the first modes, and of one more, at the exposures, (n, k) each."""
         t_s = self._observations.t_s
         deflection, speed = (
@@ -91,7 +91,7 @@ class ToeModel:
         )
         return deflection, speed
 
-    def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: SmoothedMotion) -> Floats:
+    def posterior(self, wing: WingModel, effects: Sequence[Effect], motion: Motion) -> Floats:
         """Covariance of the toe that the accelerations leave, (k, k)."""
         linear = motion.linear
         row = self._slope(wing, [viewed(effects, side, 0.0) for side in Side]).sum(0)[None]
@@ -105,7 +105,7 @@ class ToeModel:
         lags = np.append(lags, lags[0])
         return np.asarray(lags[self._lag] * (1.0 - self._beyond) + lags[self._lag + 1] * self._beyond)
 
-    def _bending(self, motion: SmoothedMotion, row: Complexes, late_s: float) -> Floats:
+    def _bending(self, motion: Motion, row: Complexes, late_s: float) -> Floats:
         """Toe of the smoothed bending at the exposures; kept, for most camera parameters leave it as it is."""
         steady = row.shape[-1] == 1
         key = (row.tobytes(), late_s)

@@ -1,8 +1,18 @@
-"""One test of what a model leaves."""
+"""Outcomes of a diagnosis, and one test of what a model leaves."""
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
+
+
+class DiagnosisVerdict(enum.StrEnum):
+    """Outcomes of a diagnosis."""
+
+    ADEQUATE = "adequate"
+    EXPLAINED = "explained"
+    UNEXPLAINED = "unexplained"
+    NOT_IDENTIFIABLE = "not-identifiable"
 
 
 @dataclass(frozen=True, slots=True)

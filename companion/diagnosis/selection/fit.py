@@ -1,84 +1,91 @@
-"""Flights fitted with given effects: nuisances and effect parameters with their priors."""
+"""A fitted model, whatever was recorded: values with their priors and covariance, and its evidence."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from companion.diagnosis.model.effect_term import EffectTerm
-from companion.diagnosis.model.expectation import Expectation
-from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.flights import FlightsLikelihood, placed
-from companion.diagnosis.model.scores import Column
-from companion.diagnosis.selection.fisher_scoring import NormalPrior, maximise
+from companion.diagnosis.selection.fisher_scoring import LikelihoodModel, NormalPrior, State, maximise
 from companion.records import Floats
+
+TermT = TypeVar("TermT")
 
 
 @dataclass(frozen=True, slots=True)
-class FlightFit:
+class Fit(Generic[TermT, State]):
     """A fitted model.
 
     Attributes
     ----------
-    terms : tuple of EffectTerm
-        The effects at their fitted values.
-    values : (p,)
-        Nuisance deviations, then effect parameters in order.
-    centres, sigmas : (p,)
-        Their priors.
+    terms : tuple
+        What was added to the believed model, at its fitted values where a term holds values.
+    keys : tuple of str
+        Names of the parameters.
+    blocks : tuple of tuple of int
+        Places of each term's parameters.
+    values, centres, sigmas : (p,)
+        Fitted, and their priors.
     covariance : (p, p)
-        Posterior covariance.
+        Posterior.
     log_likelihood, log_evidence : float
-    expectations : tuple of Expectation
-        At the fitted values, by recording.
-    columns : tuple of tuple of Column
-        Derivatives there, by recording and parameter.
     converged : bool
+    state
+        What the model keeps at the fitted values.
     """
 
-    terms: tuple[EffectTerm, ...]
+    terms: tuple[TermT, ...]
+    keys: tuple[str, ...]
+    blocks: tuple[tuple[int, ...], ...]
     values: Floats
     centres: Floats
     sigmas: Floats
     covariance: Floats
     log_likelihood: float
     log_evidence: float
-    expectations: tuple[Expectation, ...]
-    columns: tuple[tuple[Column, ...], ...]
     converged: bool
+    state: State
 
-    def neg_log_prior(self, count: int) -> float:
-        """Minus the log prior of the first ``count`` parameters, which are the airframe's, up to a constant."""
-        away = (self.values[:count] - self.centres[:count]) / self.sigmas[:count]
-        return 0.5 * float(np.sum(away**2))
+    @property
+    def spread(self) -> Floats:
+        """Posterior standard deviations, (p,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def nuisances(self) -> list[int]:
+        """Places of what belongs to no term."""
+        of_terms = {place for block in self.blocks for place in block}
+        return [place for place in range(len(self.values)) if place not in of_terms]
+
+    def value(self, key: str) -> tuple[float, float]:
+        """A parameter and its posterior sigma."""
+        at = self.keys.index(key)
+        return float(self.values[at]), float(self.spread[at])
+
+    def neg_log_prior(self, places: Collection[int]) -> float:
+        """Minus the log prior of some parameters, up to a constant."""
+        index = list(places)
+        return 0.5 * float(np.sum(((self.values[index] - self.centres[index]) / self.sigmas[index]) ** 2))
 
 
-def fit(
-    models: Sequence[FlightModel],
-    terms: Sequence[EffectTerm],
-    start: Floats | None = None,
-    rounds: int = 24,
-    wider: float = 1.0,
-) -> FlightFit:
-    """Find the most probable parameters in at most ``rounds`` scoring steps.
-
-    Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief. The priors of the
-    effects are made ``wider`` times as wide: for values and intervals that are the data's own.
-    """
-    likelihood = FlightsLikelihood(models, terms, wider)
-    best = maximise(likelihood, likelihood.start(start), rounds)
-    prior = NormalPrior(likelihood.parameters)
-    return FlightFit(
-        placed(models[0].belief, best.values, terms),
+def climb(
+    model: LikelihoodModel[State], terms: Sequence[TermT], blocks: Sequence[Sequence[int]], start: Floats, rounds: int
+) -> Fit[TermT, State]:
+    """The most probable values of a model from ``start`` (p,), in at most ``rounds`` scoring steps."""
+    best = maximise(model, start, rounds)
+    prior = NormalPrior(model.parameters)
+    return Fit(
+        tuple(terms),
+        tuple(entry.key for entry in model.parameters),
+        tuple(tuple(block) for block in blocks),
         best.values,
         prior.centres,
         prior.sigmas,
         best.covariance,
         best.log_likelihood,
         best.log_evidence,
-        best.state.expectations,
-        best.state.columns,
         best.converged,
+        best.state,
     )

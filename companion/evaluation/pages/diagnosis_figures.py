@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from companion.diagnosis.flights.outcome import FlightDiagnosis
+from companion.diagnosis.flights.views import autocorrelation, backbone, force_map
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.verdict import Diagnosis
-from companion.diagnosis.views import autocorrelation, backbone, force_map
 from companion.records import Floats
 from companion.reporting.plotting import AFTER, BEFORE, DATA, INK, VERMILLION, dots, headline, new_figure
 
@@ -22,11 +22,11 @@ _WIDTHS = {BEFORE: 3.0, AFTER: 1.2}  # one lies on the other where they agree, a
 Fits = Sequence[tuple[Expectation, str, str]]
 
 
-def fits_of(diagnosis: Diagnosis) -> list[tuple[Expectation, str, str]]:
+def fits_of(diagnosis: FlightDiagnosis) -> list[tuple[Expectation, str, str]]:
     """Fits to draw: the believed model, and the extended one where there is one; with colour and label."""
-    fits = [(diagnosis.null.expectations[0], BEFORE, "believed model, fitted")]
+    fits = [(diagnosis.null.state.expectations[0], BEFORE, "believed model, fitted")]
     if len(diagnosis.final.terms) > len(diagnosis.null.terms):
-        fits.append((diagnosis.final.expectations[0], AFTER, "extended model"))
+        fits.append((diagnosis.final.state.expectations[0], AFTER, "extended model"))
     return fits
 
 
@@ -100,7 +100,7 @@ def ranges(fits: Fits, model: FlightModel) -> Any:
     return figure
 
 
-def screening(diagnosis: Diagnosis) -> Any:
+def screening(diagnosis: FlightDiagnosis) -> Any:
     """Strength of the leading effects, and how far each can be told from the others."""
     shown = diagnosis.screening.candidates[:_SHOWN]
     figure = new_figure(11.5, 4.8)
@@ -126,8 +126,10 @@ def screening(diagnosis: Diagnosis) -> Any:
     return figure
 
 
-def gains(before_after: dict[float, tuple[float, float]], toe: tuple[float, float]) -> Any:
-    """Range error on blocks that were not fitted, before and after."""
+def gains(gain: dict[str, Any]) -> Any:
+    """Range error on blocks that were not fitted, before and after; ``gain`` as the JSON has it."""
+    before_after = {float(key): (entry["before"], entry["after"]) for key, entry in gain["range_rms_m"].items()}
+    toe = gain["toe_rms_rad"]["before"], gain["toe_rms_rad"]["after"]
     figure, (axis,) = _figure(2.8, 1)
     distances = np.linspace(5.0, 1.05 * max(before_after), 100)
     scale = next(rms / distance**2 for distance, (rms, _) in before_after.items()) / toe[0]

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from companion.diagnosis.json_report import sentence
+from companion.diagnosis.flights.outcome import FlightDiagnosis, sentence
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.selection.verdict import Diagnosis, DiagnosisVerdict
+from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.evaluation.pages import diagnosis_figures as figures
 from companion.reporting.blocks import Advice, Answers, Block, Details, Heading, Page, Paragraph, Table
 from companion.reporting.embedding import embed
@@ -18,7 +18,7 @@ _CHECKS = 12  # rows of a legible table
 _ASKED = {"cause": "What is wrong", "worth": "What it is worth", "next": "What to do next"}
 
 
-def write_report(diagnosis: Diagnosis, models: Sequence[FlightModel], plain: dict[str, Any], path: Path) -> None:
+def write_report(diagnosis: FlightDiagnosis, models: Sequence[FlightModel], plain: dict[str, Any], path: Path) -> None:
     """Write the page."""
     fits, model = figures.fits_of(diagnosis), models[0]
     body: list[Block] = [
@@ -128,7 +128,7 @@ def _left(plain: dict[str, Any]) -> list[Block]:
     return blocks
 
 
-def _gain(diagnosis: Diagnosis, plain: dict[str, Any]) -> list[Block]:
+def _gain(diagnosis: FlightDiagnosis, plain: dict[str, Any]) -> list[Block]:
     gain = plain["gain"]
     if gain is None or diagnosis.gain is None:
         return []
@@ -138,15 +138,13 @@ def _gain(diagnosis: Diagnosis, plain: dict[str, Any]) -> list[Block]:
     ]
     body: list[Block] = [Heading("What it is worth, on blocks that were not fitted")]
     body.append(Table(["prediction log score", "gain", "95 % (block bootstrap)"], rows))
-    if diagnosis.gain.toe_rms_rad is not None:
+    if gain["toe_rms_rad"] is not None:
         metres = [
             [f"{distance} m", f"{entry['before']:.2f} m", f"{entry['after']:.2f} m"]
             for distance, entry in gain["range_rms_m"].items()
         ]
         body.append(Table(["range error at (rms, matching noise included)", "before", "after"], metres))
-        body.append(
-            embed(figures.gains(diagnosis.gain.range_rms_m, diagnosis.gain.toe_rms_rad), "range error by distance")
-        )
+        body.append(embed(figures.gains(gain), "range error by distance"))
     return body
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from companion.diagnosis.free_decay.adequacy import autocorrelation, whitened
 from companion.diagnosis.free_decay.likelihood import FreeDecayFit
 from companion.diagnosis.free_decay.record import Scale
-from companion.diagnosis.free_decay.search import FreeDecayDiagnosis
+from companion.diagnosis.free_decay.recordings import FreeDecayDiagnosis
 from companion.diagnosis.free_decay.views import backbone, restoring_force
 from companion.diagnosis.modal_tests.run_comparison import Comparison
 from companion.diagnosis.modal_tests.vibration import VibrationRun
@@ -41,7 +41,7 @@ def ringing_page(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], pla
         embed(_forces(diagnosis), "what spring and damper leave, over deflection and speed"),
         *_left(plain),
     ]
-    seconds = sum(float(recording.t_s[-1]) for recording in diagnosis.null.model.recordings)
+    seconds = sum(float(recording.t_s[-1]) for recording in diagnosis.null.state.recordings)
     return _rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, {seconds:.0f} s, fitted jointly", body)
 
 
@@ -123,7 +123,7 @@ def _kind(entry: dict[str, Any]) -> str:
 
 
 def _tracks(diagnosis: FreeDecayDiagnosis) -> Any:
-    recordings = diagnosis.final.model.recordings
+    recordings = diagnosis.final.state.recordings
     columns = min(len(recordings), 3)
     rows = -(-len(recordings) // columns)
     figure = new_figure(11, 2.7 * rows)
@@ -131,7 +131,7 @@ def _tracks(diagnosis: FreeDecayDiagnosis) -> Any:
     for k, (axis, recording) in enumerate(zip(axes, recordings, strict=False)):
         axis.specgram(recording.up_mps2 + 1e-9, NFFT=64, noverlap=56, pad_to=512, Fs=recording.rate_hz, cmap="Greys",
                       vmin=-90, vmax=10)  # fmt: skip
-        modes = diagnosis.final.model.modes(diagnosis.final.values[None, :], k).omega_radps[0] / _TWO_PI
+        modes = diagnosis.final.state.modes(diagnosis.final.values[None, :], k).omega_radps[0] / _TWO_PI
         for mode, colour in zip(modes.T, (AFTER, BEFORE), strict=False):
             axis.plot(recording.t_s, mode, color=colour, lw=1.0)
         axis.set(title=recording.name, xlabel="time, s", ylabel="frequency, Hz" if k % columns == 0 else "")
@@ -143,7 +143,7 @@ def _tracks(diagnosis: FreeDecayDiagnosis) -> Any:
 def _against_channel(diagnosis: FreeDecayDiagnosis, name: str, scale: Scale) -> Any:
     figure = new_figure(11, 3.6)
     frequency, damping = figure.subplots(1, 2)
-    model = diagnosis.final.model
+    model = diagnosis.final.state
     for k, recording in enumerate(model.recordings):
         track = backbone(recording)
         at = scale.mean + scale.rms * track.channels[name]
@@ -167,7 +167,7 @@ def _against_channel(diagnosis: FreeDecayDiagnosis, name: str, scale: Scale) -> 
 def _backbones(diagnosis: FreeDecayDiagnosis) -> Any:
     figure = new_figure(11, 3.2)
     frequency, damping = figure.subplots(1, 2)
-    for recording in diagnosis.final.model.recordings:
+    for recording in diagnosis.final.state.recordings:
         track = backbone(recording)
         frequency.semilogx(track.amplitude_mps2, track.frequency_hz, ".", ms=4, label=recording.name)
         damping.loglog(track.amplitude_mps2, np.maximum(track.damping, 1e-4), ".", ms=4)
@@ -183,7 +183,7 @@ def _backbones(diagnosis: FreeDecayDiagnosis) -> Any:
 def _innovations(diagnosis: FreeDecayDiagnosis) -> Any:
     figure = new_figure(11, 3.0)
     series, lags = figure.subplots(1, 2, width_ratios=(1.6, 1))
-    recordings = diagnosis.final.model.recordings
+    recordings = diagnosis.final.state.recordings
     stages: list[tuple[FreeDecayFit, str, str]] = [(diagnosis.null, BEFORE, "constant frequency")]
     stages += [(diagnosis.final, AFTER, "extended")] if diagnosis.accepted else []
     for fitted, colour, label in stages:
@@ -206,7 +206,7 @@ def _forces(diagnosis: FreeDecayDiagnosis) -> Any:
     for axis, fitted, title in zip(
         axes, (diagnosis.null, diagnosis.final), ("constant frequency", "extended"), strict=True
     ):
-        q, v, left = restoring_force(fitted.model, fitted.values, 0)
+        q, v, left = restoring_force(fitted.state, fitted.values, 0)
         image = axis.pcolormesh(q, v, left.T, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
         axis.set(title=f"Left by spring and damper: {title}", xlabel="deflection, rms", ylabel="speed, rms")
     figure.colorbar(image, ax=axes, label="of the acceleration's rms")

@@ -6,24 +6,28 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from companion.diagnosis.flights.outcome import FlightDiagnosis
+from companion.diagnosis.flights.views import strengths
 from companion.diagnosis.json_rows import checks, deviation, failures, nats, quantity
+from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.cross_validation import CrossValidation
-from companion.diagnosis.selection.verdict import Cause, Diagnosis, DiagnosisVerdict
-from companion.diagnosis.views import strengths
+from companion.diagnosis.selection.recordings import Cause
 
+DISTANCES_M = (20.0, 60.0, 100.0)
 FORMAT = 1  # version of the JSON
 _SHOWN_CHECKS = 12  # of the failed checks
 
 
 def as_json(
-    diagnosis: Diagnosis, models: Sequence[FlightModel], recordings: Sequence[str], with_views: bool = False
+    diagnosis: FlightDiagnosis, models: Sequence[FlightModel], recordings: Sequence[str], with_views: bool = False
 ) -> dict[str, Any]:
     """Everything that a program would read; numbers in SI, None where there is nothing to say.
 
     ``with_views`` also simulates what the views of the page are worth, which takes some seconds.
     """
-    gain = _gain(diagnosis.gain)
+    gain = _gain(diagnosis.gain, models[0])
     return {
         "format": FORMAT,
         "recordings": list(recordings),
@@ -46,13 +50,15 @@ def as_json(
     }
 
 
-def _views(diagnosis: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
+def _views(diagnosis: FlightDiagnosis, model: FlightModel) -> list[dict[str, Any]]:
     """Statistics of the views of the first recording: those simulated, and those of its ranges from the adequacy."""
     count = len(model.belief.nuisances)
-    before = strengths(model, diagnosis.null.expectations[0], diagnosis.null.values[:count], diagnosis.null.terms)
+    before = strengths(model, diagnosis.null.state.expectations[0], diagnosis.null.values[:count], diagnosis.null.terms)
     after: dict[str, float] = {}
     if diagnosis.final is not diagnosis.null:
-        after = strengths(model, diagnosis.final.expectations[0], diagnosis.final.values[:count], diagnosis.final.terms)
+        after = strengths(
+            model, diagnosis.final.state.expectations[0], diagnosis.final.values[:count], diagnosis.final.terms
+        )
     range_views = ("all spectra", "range residual")
     before |= {entry.name: entry.z for entry in diagnosis.before if entry.name.startswith(range_views)}
     after |= {
@@ -61,26 +67,7 @@ def _views(diagnosis: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
     return [{"view": name, "before": z, "after": after.get(name)} for name, z in before.items()]
 
 
-def sentence(diagnosis: Diagnosis) -> str:
-    """The verdict in one line."""
-    if diagnosis.verdict is DiagnosisVerdict.ADEQUATE:
-        return "adequate: the believed airframe explains this recording"
-    if diagnosis.verdict is DiagnosisVerdict.NOT_IDENTIFIABLE:
-        return f"not identifiable from this recording: {diagnosis.reason}"
-    named = ", ".join(_with_group(cause) for cause in diagnosis.causes)
-    if diagnosis.verdict is DiagnosisVerdict.EXPLAINED:
-        return f"explained by {named}"
-    return f"unexplained (nearest: {diagnosis.nearest or 'none'}); {diagnosis.reason}"
-
-
-def _with_group(cause: Cause) -> str:
-    name = cause.term.effect.name
-    if cause.term.channel:
-        name = f"{name} ({cause.term.channel})"
-    return f"{name} (or {', '.join(cause.group)})" if cause.group else name
-
-
-def _cause(cause: Cause, gain: dict[str, Any] | None) -> dict[str, Any]:
+def _cause(cause: Cause[EffectTerm], gain: dict[str, Any] | None) -> dict[str, Any]:
     declared = cause.term.effect.parameters()
     return {
         "name": cause.term.effect.name,
@@ -99,31 +86,34 @@ def _cause(cause: Cause, gain: dict[str, Any] | None) -> dict[str, Any]:
     }
 
 
-def _gain(gain: CrossValidation | None) -> dict[str, Any] | None:
-    """Held-out gain of all causes together; ``total`` in nats, ranges in metres."""
+def _gain(gain: CrossValidation | None, model: FlightModel) -> dict[str, Any] | None:
+    """Held-out gain of all causes together; ``total`` in nats, errors of the toe also in metres of range."""
     if gain is None:
         return None
-
-    ranges = {
-        f"{distance:g}": {"before": before, "after": after, "unit": "m"}
-        for distance, (before, after) in gain.range_rms_m.items()
-    }
-    return {
+    scores = gain.log_score
+    plain: dict[str, Any] = {
         "held_out": True,
-        "total": nats(gain.log_score["total"]),
-        "channels": {name: nats(score) for name, score in gain.log_score.items() if name != "total"},
-        "toe_rms_rad": _pair(gain.toe_rms_rad, gain.toe_interval),
-        "range_rms_m": ranges,
+        "total": nats(scores["total"]),
+        "channels": {name: nats(score) for name, score in scores.items() if name != "total"},
+        "toe_rms_rad": None,
+        "range_rms_m": {},
+    }
+    if not gain.predicts:
+        return plain
+    before, after = gain.before.rms, gain.after.rms
+    interval = gain.after.gone(gain.before)[1:]
+    per_rad = {distance: distance**2 / model.baseline_m for distance in DISTANCES_M}
+    return {
+        **plain,
+        "toe_rms_rad": {"before": before, "after": after, "unit": "rad", "share_of_square_gone": list(interval)},
+        "range_rms_m": {
+            f"{distance:g}": {"before": scale * before, "after": scale * after, "unit": "m"}
+            for distance, scale in per_rad.items()
+        },
     }
 
 
-def _pair(pair: tuple[float, float] | None, interval: tuple[float, float] | None) -> dict[str, Any] | None:
-    if pair is None or interval is None:
-        return None
-    return {"before": pair[0], "after": pair[1], "unit": "rad", "share_of_square_gone": list(interval)}
-
-
-def _residual(diagnosis: Diagnosis) -> dict[str, Any] | None:
+def _residual(diagnosis: FlightDiagnosis) -> dict[str, Any] | None:
     """Description of what is left without a name; None where nothing is."""
     if diagnosis.verdict is not DiagnosisVerdict.UNEXPLAINED:
         return None
@@ -135,7 +125,7 @@ def _residual(diagnosis: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _nuisances(diagnosis: Diagnosis, model: FlightModel) -> list[dict[str, Any]]:
+def _nuisances(diagnosis: FlightDiagnosis, model: FlightModel) -> list[dict[str, Any]]:
     """Deviations of the airframe's own parameters in the final fit."""
     spread = [math.sqrt(float(value)) for value in diagnosis.final.covariance.diagonal()]
     each = zip(model.belief.nuisances, diagnosis.final.values.tolist(), spread, strict=False)  # effects come after

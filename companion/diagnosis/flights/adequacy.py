@@ -15,14 +15,14 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.stats import kurtosistest
 
+from companion.diagnosis.flights.lack_of_fit_tests import lack_of_fit_tests
+from companion.diagnosis.flights.prior_tension import prior_tension
+from companion.diagnosis.flights.proposals import strongest_line, strongest_parametric_excitation
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import FlightFit
 from companion.diagnosis.selection.check import Check
-from companion.diagnosis.selection.fit import FlightFit
-from companion.diagnosis.selection.lack_of_fit_tests import lack_of_fit_tests, normal_score_of_gamma
-from companion.diagnosis.selection.prior_tension import prior_tension
-from companion.diagnosis.selection.proposals import strongest_line, strongest_parametric_excitation
-from companion.diagnosis.selection.screen import normal_score
+from companion.diagnosis.selection.normal_scores import normal_score, strength
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply
 from companion.records import Floats
 
@@ -47,7 +47,7 @@ def check(models: Sequence[FlightModel], fitted: FlightFit, seed: int = 20250101
     """All checks of a fitted model, the worst first."""
     rng = np.random.default_rng(seed)
     checks = lack_of_fit_tests(models, fitted)
-    for model, expectation in zip(models, fitted.expectations, strict=True):
+    for model, expectation in zip(models, fitted.state.expectations, strict=True):
         tests = {
             **_unsteady(model, expectation, rng),
             **_changing(model, expectation, rng),
@@ -168,13 +168,6 @@ def outliers(white: Floats) -> Floats:
     Anscombe and Glynn, Biometrika 70 (1983) 227.
     """
     return np.asarray(kurtosistest(white, axis=-1).statistic)
-
-
-def strength(real: float, drawn: Floats) -> float:
-    """Standard deviations from what is drawn by chance; of a skew statistic as many as its chance is worth."""
-    spread = float(np.std(drawn))
-    skewness = float(np.mean(((drawn - np.mean(drawn)) / spread) ** 3))
-    return normal_score_of_gamma(float(real - np.mean(drawn)) / spread, skewness)
 
 
 def _of_residual(white: Floats) -> Floats:

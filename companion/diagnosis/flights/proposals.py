@@ -7,8 +7,9 @@ how many places were tried, which its strength has to pay for.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -18,8 +19,7 @@ from companion.core.wing.effect import Effect, ResidualPeak
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.flights import expect, log_likelihood
-from companion.diagnosis.selection.fit import FlightFit
+from companion.diagnosis.model.flights import FlightFit, expect, log_likelihood
 from companion.diagnosis.spectral_matrices import adjoint, apply
 
 _MARGIN = 1.0  # nats above what the strongest of so many trials reaches by chance
@@ -47,7 +47,7 @@ def find_proposals(models: Sequence[FlightModel], fitted: FlightFit) -> Proposal
     """Peaks of one recording's residual; several recordings share no phase, and give none."""
     if len({model.recording for model in models}) > 1:
         return NO_PROPOSALS
-    model, expectation = models[0], fitted.expectations[0]
+    model, expectation = models[0], fitted.state.expectations[0]
     proposals = {
         ResidualPeak.LINE: _proposed(strongest_line(model, expectation)),
         ResidualPeak.STIFFNESS_LINE: _proposed(strongest_parametric_excitation(model, expectation)),
@@ -60,6 +60,29 @@ def proposed_terms(kind: type[Effect], proposals: Proposals) -> list[EffectTerm]
     """The effect at the peaks where it is to begin; nothing where no such peak stands out."""
     proposal = proposals.get(kind.starts_at) if kind.starts_at is not None else None
     return [] if proposal is None else [EffectTerm(kind.at_peaks(proposal.peaks), log_trials=proposal.log_trials)]
+
+
+def candidates_of(
+    kinds: Iterable[type[Effect]], channels: Sequence[str], proposals: Proposals = NO_PROPOSALS
+) -> list[EffectTerm]:
+    """Every effect at nothing, once for each value at which it is to be begun and each channel it may follow.
+
+    Effects that the data themselves must lead to (a tone's frequency) begin where ``proposals`` say, or not at all;
+    effects that show in the samples themselves are not screened.
+    """
+    terms = []
+    for kind in kinds:
+        if kind.in_samples:
+            continue
+        if kind.starts_at is not None:
+            terms += proposed_terms(kind, proposals)
+            continue
+        follows = [channel for channel in channels if kind.may_follow(channel)] if kind.follows_channel else [""]
+        names, grids = list(kind.scan), [kind.scan[name] for name in kind.scan]
+        for values in itertools.product(*grids):
+            effect = kind.from_values(dict(zip(names, values, strict=True)))
+            terms += [EffectTerm(effect, channel) for channel in follows]
+    return terms
 
 
 def _proposed(line: Line | None) -> Proposal | None:
@@ -83,7 +106,7 @@ def best_trial(models: Sequence[FlightModel], fitted: FlightFit, term: EffectTer
 
 def _likelihood_with(models: Sequence[FlightModel], fitted: FlightFit, term: EffectTerm) -> float:
     values = np.append(fitted.values, term.values)
-    return log_likelihood(models, expect(models, values, (*fitted.terms, term), fitted.expectations))
+    return log_likelihood(models, expect(models, values, (*fitted.terms, term), fitted.state.expectations))
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +156,7 @@ def strongest_parametric_excitation(model: FlightModel, expectation: Expectation
 def _impulses(models: Sequence[FlightModel], fitted: FlightFit) -> Proposal | None:
     """The strongest instants of the residual force; three are taken, so three pay for the trials."""
     t_s, strength = [], []
-    for model, expectation in zip(models, fitted.expectations, strict=True):
+    for model, expectation in zip(models, fitted.state.expectations, strict=True):
         force = model.force_score(expectation)[:2]
         inner = slice(len(model.observations.t_s) // 16, -len(model.observations.t_s) // 16)
         typical = np.median(np.abs(force[:, inner]), axis=1, keepdims=True) / 0.6745

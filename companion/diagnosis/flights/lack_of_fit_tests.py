@@ -15,14 +15,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, gamma, t
+from scipy.stats import chi2
 
 from companion.core.wing.effect import Effect
 from companion.core.wing.effects import catalogue
+from companion.diagnosis.flights.peak_scan import peaks
+from companion.diagnosis.flights.simulated_scores import DRAWS, score_scatter
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.expectation import Expectation
 from companion.diagnosis.model.flight_model import FlightModel
-from companion.diagnosis.model.flights import derivatives
+from companion.diagnosis.model.flights import FlightFit, derivatives, joint_scores
 from companion.diagnosis.model.generic_effects import (
     GenericClockDrift,
     GenericForce,
@@ -33,10 +35,14 @@ from companion.diagnosis.model.generic_effects import (
     generic_effects,
 )
 from companion.diagnosis.model.scores import Column
-from companion.diagnosis.selection.fit import FlightFit
-from companion.diagnosis.selection.peak_scan import peaks
-from companion.diagnosis.selection.screen import efficient, normal_score
-from companion.diagnosis.selection.simulated_scores import DRAWS, score_scatter
+from companion.diagnosis.selection.normal_scores import (
+    normal_score,
+    normal_score_of_gamma,
+    normal_score_of_products,
+    normal_score_of_student,
+    two_sided_log_tail,
+)
+from companion.diagnosis.selection.score_tests import efficient
 from companion.records import Floats
 
 _BANDS = 14  # of a spectrum
@@ -44,7 +50,6 @@ _INFORMATION_LEFT = 1e-3  # share of a direction's information that must be left
 _ITS_OWN = 0.03  # of a family: what is less than this beside its other members shows their errors, and nothing else
 _STRAIGHT = 1e-3  # skewness that is none
 _LAPLACE, _EXPONENTIAL = 3.0, 6.0  # excess kurtosis of one product of two complex normals, and of a square
-_SMALL = 0.5  # sigmas below which a tail is the normal one
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +72,13 @@ class _TestFamily:
 
 def lack_of_fit_tests(models: Sequence[FlightModel], fitted: FlightFit) -> dict[str, float]:
     """Standard deviations of every direction, and of each family as a whole."""
-    families = [_spectral(models), _anywhere(models, fitted.expectations), *_laws(models, fitted)]
+    families = [_spectral(models), _anywhere(models, fitted.state.expectations), *_laws(models, fitted)]
     families = [family for family in families if family.names]
     columns = [
         [*fitted_columns, *itertools.chain.from_iterable(family.columns[k] for family in families)]
-        for k, fitted_columns in enumerate(fitted.columns)
+        for k, fitted_columns in enumerate(fitted.state.columns)
     ]
-    score, information = efficient(models, fitted, columns)
+    score, information = efficient(*joint_scores(models, fitted.state.expectations, columns), fitted)
     strengths: dict[str, float] = {}
     at = 0
     for family in families:
@@ -119,13 +124,8 @@ def _best(family: _TestFamily, z: Floats, index: np.ndarray[tuple[int, ...], np.
     if not len(index):
         return {}
     best = int(index[np.argmax(np.abs(z[index]))])
-    paid = normal_score(min(_log_tail(abs(float(z[best]))) + math.log(len(index)), 0.0))
+    paid = normal_score(min(two_sided_log_tail(abs(float(z[best]))) + math.log(len(index)), 0.0))
     return {family.names[best]: math.copysign(paid, float(z[best]))}
-
-
-def _log_tail(z: float) -> float:
-    """Logarithm of the two-sided tail of a standard normal."""
-    return float(chi2.logsf(z**2, 1))
 
 
 def _together(score: Floats, information: Floats, kurtosis: float) -> float:
@@ -137,38 +137,6 @@ def _together(score: Floats, information: Floats, kurtosis: float) -> float:
     count = int(independent.sum())
     beyond = float(np.sum(along**2 / values[independent])) - count
     return normal_score(float(chi2.logsf(count + beyond / math.sqrt(1.0 + 0.5 * kurtosis / count), count)))
-
-
-def normal_score_of_gamma(z: float, skewness: float) -> float:
-    """Equivalent of a standard normal of a sum of squares: few squares have a longer tail to one side (a gamma's).
-
-    On the other side, where the tail is shorter, it is left as it is.
-    """
-    if z * skewness < _STRAIGHT:
-        return z
-    shape = 4.0 / skewness**2
-    log_tail = float(gamma.logsf(shape + abs(z) * math.sqrt(shape), shape))
-    return math.copysign(normal_score(min(log_tail + math.log(2.0), 0.0)), z)
-
-
-def normal_score_of_products(z: float, bins: float) -> float:
-    """Equivalent of a standard normal of a sum over ``bins`` of products of two independent complex normals.
-
-    Either part of such a product follows Laplace's law: of few, the sum has longer tails. By the saddle point
-    (Barndorff-Nielsen's r*, Biometrika 73 (1986) 307), with K(t) = -n log(1 - t^2/2n).
-    """
-    if abs(z) < _SMALL:
-        return z
-    t = (math.sqrt(1.0 + 2.0 * z**2 / bins) - 1.0) * bins / abs(z)
-    remaining = 1.0 - t**2 / (2.0 * bins)
-    root = math.sqrt(2.0 * (t * abs(z) + bins * math.log(remaining)))
-    slope = t * math.sqrt((2.0 - remaining) / remaining**2)
-    return math.copysign(root + math.log(slope / root) / root, z)
-
-
-def normal_score_of_student(z: float, freedom: int) -> float:
-    """Equivalent of a standard normal of a score over a scatter that so many free draws have told."""
-    return math.copysign(normal_score(min(float(t.logsf(abs(z), freedom)) + math.log(2.0), 0.0)), z)
 
 
 def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]:
@@ -184,7 +152,7 @@ def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]
     toe = [kind for kind in kinds if issubclass(kind, GenericToe)]
     spread = [kind for kind in kinds if issubclass(kind, GenericToeVariance)]
     slight = [kind.from_values({"strength": 1e-3}) for kind in sensors]
-    wider = score_scatter(models, fitted.expectations, slight) if slight else np.zeros(0)
+    wider = score_scatter(models, fitted.state.expectations, slight) if slight else np.zeros(0)
     families = [
         _family(models, fitted, forces, "all forces together"),
         dataclasses.replace(_family(models, fitted, sensors, "all sensors together"), wider=wider),
@@ -193,7 +161,7 @@ def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]
     if any(model.observations.toe is not None for model in models):
         families.append(_family(models, fitted, toe, "all range residuals together"))
         variances = _family(models, fitted, spread)
-        families.append(dataclasses.replace(variances, skewness=_skewness(variances, fitted.expectations)))
+        families.append(dataclasses.replace(variances, skewness=_skewness(variances, fitted.state.expectations)))
     return families
 
 
@@ -206,7 +174,7 @@ def _family(
         values = np.append(fitted.values, 0.0)
         sigmas = np.append(fitted.sigmas, effect.parameters()[0].sigma)
         new_columns = derivatives(
-            models, values, (*fitted.terms, EffectTerm(effect)), fitted.expectations, sigmas, [len(fitted.values)]
+            models, values, (*fitted.terms, EffectTerm(effect)), fitted.state.expectations, sigmas, [len(fitted.values)]
         )
         columns = [[*before, *new] for before, new in zip(columns, new_columns, strict=True)]
     return _TestFamily([kind.name for kind in kinds], columns, title)

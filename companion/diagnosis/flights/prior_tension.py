@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from companion.diagnosis.model.belief import Belief
-from companion.diagnosis.selection.fit import FlightFit
-from companion.diagnosis.selection.screen import normal_score
+from companion.diagnosis.model.flights import FlightFit
+from companion.diagnosis.selection.normal_scores import normal_score
 
 _INFORMED = 0.1  # share of the prior's variance that the data must take away
 _OF_THE_FILE = (".frequency", ".damping", ".slope", ".scale", ".delay_s", ".bias_mps2", "toe_rad", "focal", "_m")

@@ -11,20 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.diagnosis.flights.proposals import find_proposals, proposed_terms
+from companion.diagnosis.flights.screen import perturbed_start, screen
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import FlightFit, fit, log_count
 from companion.diagnosis.model.generic_effects import generic_effects, generic_lines
 from companion.diagnosis.selection.check import Check
-from companion.diagnosis.selection.fit import FlightFit, fit
-from companion.diagnosis.selection.forward_selection import (
-    SAME,
-    UNPREJUDICED,
-    SelectionPath,
-    penalised_log_likelihood,
-    perturbed_start,
-)
-from companion.diagnosis.selection.proposals import find_proposals, proposed_terms
-from companion.diagnosis.selection.screen import Candidate, screen
+from companion.diagnosis.selection.forward_selection import SAME, UNPHYSICAL, UNPREJUDICED, penalised_log_likelihood
+from companion.diagnosis.selection.score_tests import Candidate
 
 BETTER = 2.0
 """Nats by which a law without a name must surpass the names: one that lies d sigmas from the truth does so by chance
@@ -49,19 +44,19 @@ class RivalModel:
 
 
 def strongest_rival_model(
-    models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check], path: SelectionPath
+    models: Sequence[FlightModel], null: FlightFit, before: Sequence[Check], named_fit: FlightFit
 ) -> RivalModel | None:
-    """The law that explains most in place of all the names of a path; None where none comes near.
+    """The law that explains most in place of all the names of a fit; None where none comes near.
 
     ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score is that of a
     name is that name, and no rival.
     """
-    named = [EffectTerm(type(cause.term.effect)(), cause.term.channel) for cause in path.causes]
+    named = [EffectTerm(type(term.effect)(), term.channel) for term in named_fit.terms]
     screening = screen(models, null, [*_offered(models, null, before), *named])
     names = {term.effect.name for term in named}
     named_rows = [i for i, candidate in enumerate(screening.candidates) if candidate.name in names]
     alike = np.abs(screening.correlation[named_rows]).max(axis=0) if named_rows else np.zeros(len(screening.candidates))
-    worth = penalised_log_likelihood(models, path.fitted, null)
+    worth = penalised_log_likelihood(log_count(models), named_fit, null)
     enough = _OUT_OF_REACH * worth
     leading = [
         candidate
@@ -69,7 +64,7 @@ def strongest_rival_model(
         if candidate.log_odds > enough and rho < SAME
     ]
     competing_models = [
-        RivalModel(candidate.name, penalised_log_likelihood(models, fitted, null) - worth)
+        RivalModel(candidate.name, penalised_log_likelihood(log_count(models), fitted, null) - worth)
         for candidate in sorted(leading, key=lambda entry: -entry.log_odds)[:_REFITTED]
         if (fitted := _refitted(models, null, candidate)) is not None
     ]
@@ -87,8 +82,8 @@ def _offered(models: Sequence[FlightModel], null: FlightFit, before: Sequence[Ch
     return terms + [term for kind in generic_lines() for term in proposed_terms(kind, proposals)]
 
 
-def _refitted(models: Sequence[FlightModel], base: FlightFit, candidate: Candidate) -> FlightFit | None:
+def _refitted(models: Sequence[FlightModel], base: FlightFit, candidate: Candidate[EffectTerm]) -> FlightFit | None:
     try:
         return fit(models, (*base.terms, perturbed_start(candidate, _FIRST_STEP)), base.values, _ROUNDS, UNPREJUDICED)
-    except (ValueError, FloatingPointError, np.linalg.LinAlgError):
+    except UNPHYSICAL:
         return None

@@ -1,0 +1,19 @@
+"""Lengths of a grid that transform fast, and how far its ends fade."""
+
+from __future__ import annotations
+
+TAPER = 0.05
+"""Share of a recording over which each end fades."""
+
+
+def fast_length(count: int, up: bool) -> int:
+    """The next even length, up or down, with no prime factor beyond 5."""
+    best = 0 if not up else 1 << max(count - 1, 1).bit_length()
+    for power5 in range(10):
+        for power3 in range(12):
+            base = 2 * 5**power5 * 3**power3
+            while base <= 4 * count:
+                if (up and count <= base < best) or (not up and best < base <= count):
+                    best = base
+                base *= 2
+    return best

@@ -1,0 +1,181 @@
+"""Flights as the engine asks them: the catalogue's effects, screened by scores and refitted from where these point."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from companion.core.wing.effect import Effect
+from companion.core.wing.effects import catalogue
+from companion.core.wing.samples import SampleDefect
+from companion.diagnosis.data.sample_defects import worst_defects
+from companion.diagnosis.flights.adequacy import LIMIT, check
+from companion.diagnosis.flights.initial_values import initial_values
+from companion.diagnosis.flights.outcome import FlightDiagnosis
+from companion.diagnosis.flights.proposals import best_trial, candidates_of, find_proposals
+from companion.diagnosis.flights.rival_models import strongest_rival_model
+from companion.diagnosis.flights.screen import perturbed_start, screen
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import FlightFit, FlightState, expect, fit, log_count
+from companion.diagnosis.selection.check import Check
+from companion.diagnosis.selection.diagnosis import diagnose as diagnose_recordings
+from companion.diagnosis.selection.forward_selection import UNPHYSICAL
+from companion.diagnosis.selection.recordings import Cause, Prediction, Progress, Recordings, SelectionPath
+from companion.diagnosis.selection.score_tests import Candidate, Screening
+
+_QUIET_DB = 3.0  # above the noise, below which nothing is told
+_FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
+_AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3  # scoring steps: of a refit, of one that goes on, of a fit, of a fold
+_GUARD_S = 0.5  # at either edge of a block: some periods of the first mode
+_BLOCK_S = 6.0  # shortest that holds exposures between guards and margins
+_MOST_BLOCKS = 6  # a bound on the cost
+_WIDER = 5.0  # what is learnt on half of the data is theirs, not the prior's
+
+
+def diagnose(
+    models: Sequence[FlightModel],
+    kinds: Sequence[type[Effect]],
+    max_causes: int = 3,
+    progress: Progress = lambda _what, _ratio: None,
+) -> FlightDiagnosis:
+    """Judge flights that share one belief by a catalogue, or a part of it; name at most ``max_causes`` effects."""
+    return diagnose_recordings(Flights(models, kinds), max_causes, progress)
+
+
+class Flights(Recordings[EffectTerm, FlightState]):
+    """Flights that share one belief, and the effects of the catalogue that are offered."""
+
+    def __init__(self, models: Sequence[FlightModel], kinds: Sequence[type[Effect]] = ()) -> None:
+        self._models, self._kinds = models, kinds
+        self._channels = sorted({name for model in models for name in model.observations.covariates})
+        self._defects = worst_defects([entry for model in models for entry in model.observations.sample_defects])
+
+    @property
+    def log_count(self) -> float:
+        """Logarithm of how many numbers the accelerations are."""
+        return log_count(self._models)
+
+    def null(self) -> FlightFit:
+        """The believed airframe, fitted."""
+        fits = (fit(self._models, (), start) for start in initial_values(self._models))
+        return max(fits, key=lambda candidate: candidate.log_evidence)
+
+    def fit(self, terms: Sequence[EffectTerm], near: FlightFit, wider: float = 1.0, quick: bool = False) -> FlightFit:
+        """Nuisances begin as in another fit, effects at their own values."""
+        return fit(self._models, terms, near.values, _QUICK if quick else _LAST, wider)
+
+    def screen(self, fitted: FlightFit, progress: Progress) -> Screening[EffectTerm]:
+        """Score the whole catalogue at a fitted model."""
+        terms = candidates_of(self._kinds, self._channels, find_proposals(self._models, fitted))
+        return screen(self._models, fitted, terms, lambda ratio: progress("screen the catalogue", ratio))
+
+    def refit(
+        self, fitted: FlightFit, candidate: Candidate[EffectTerm]
+    ) -> tuple[Candidate[EffectTerm], FlightFit] | None:
+        """Refit with one effect more; begun smaller where the first step leads beyond what is physical."""
+        trial = best_trial(self._models, fitted, candidate.term)
+        offered = candidate if trial is None else dataclasses.replace(candidate, term=trial)
+        first = () if trial is None else (trial,)
+        for term in (*first, *(perturbed_start(offered, step, _FIRST_STEPS[0]) for step in _FIRST_STEPS)):
+            try:
+                return offered, fit(self._models, (*fitted.terms, term), fitted.values, _AT_FIRST)
+            except UNPHYSICAL:
+                continue
+        return None
+
+    def plausible(self, fitted: FlightFit) -> bool:
+        """Whether what nature has one way only came out that way."""
+        return not fitted.terms[-1].effect.one_way or fitted.values[fitted.blocks[-1][0]] > 0.0
+
+    def checks(self, fitted: FlightFit) -> list[Check]:
+        """Defects of the samples that have no name among the offered, and all tests of a fitted model."""
+        offered = {kind.name for kind in self._kinds}
+        faults = [
+            Check(entry.evidence, _strength(entry), LIMIT) for entry in self._defects if entry.name not in offered
+        ]
+        return [*faults, *check(self._models, fitted)]
+
+    def folds(self) -> list[Callable[[FlightFit], list[Prediction]]]:
+        """Every other block, and the blocks between.
+
+        Of a short recording there are fewer blocks: each must hold exposures between its guards and margins.
+        """
+        blocks = [_blocks(model) for model in self._models]
+        return [
+            _fold(
+                [block for pieces in blocks for block in pieces[parity::2]],
+                [block for pieces in blocks for block in pieces[1 - parity :: 2]],
+            )
+            for parity in range(2)
+        ]
+
+    def not_identifiable(self, null: FlightFit) -> str:
+        """Reason where the accelerations stand above the sensors' noise nowhere in the band."""
+        for expectation in null.state.expectations:
+            power = np.einsum("iif->if", expectation.spectrum).real
+            if np.any(10.0 * np.log10(power.max(1) / power.min(1)) > _QUIET_DB):
+                return ""
+        return "the wing hardly moves above its sensors' noise: record in gusts, or excite it"
+
+    def sample_causes(self) -> list[Cause[EffectTerm]]:
+        """Causes that the samples themselves show."""
+        offered = {kind.name for kind in self._kinds}
+        return [_sample_cause(entry) for entry in self._defects if entry.name in offered]
+
+    def objection(self, null: FlightFit, before: Sequence[Check], path: SelectionPath[EffectTerm, FlightState]) -> str:
+        """A law without a name that explains more than the names, in words."""
+        rival = strongest_rival_model(self._models, null, before, path.fitted)
+        if rival is None or not rival.explains_more:
+            return ""
+        return f"a law without a name explains it better: {rival.title} (by {rival.ahead:.1f} nat)"
+
+    def foretells(self, term: EffectTerm) -> bool:
+        """False of impulses, of which no block foretells another's."""
+        return not term.effect.transient
+
+
+def _fold(train: Sequence[FlightModel], test: Sequence[FlightModel]) -> Callable[[FlightFit], list[Prediction]]:
+    def predict(fitted: FlightFit) -> list[Prediction]:
+        again = fit(train, fitted.terms, fitted.values, _FOLD, _WIDER)
+        return [_judge(block, again) for block in test]
+
+    return predict
+
+
+def _judge(block: FlightModel, fitted: FlightFit) -> Prediction:
+    (expectation,) = expect([block], fitted.values, fitted.terms)
+    residual = expectation.toe_residual_rad
+    return Prediction(block.log_scores(expectation), float(np.sum(residual**2)), 0.0, len(residual))
+
+
+def _blocks(model: FlightModel) -> list[FlightModel]:
+    observations = model.observations
+    count = min(_MOST_BLOCKS, max(2, 2 * int(observations.duration_s / (2.0 * _BLOCK_S))))
+    length = observations.duration_s / count
+    windows = [(k * length + _GUARD_S, (k + 1) * length - _GUARD_S) for k in range(count)]
+    return [
+        FlightModel(model.belief, observations.window(*window), model.top_hz, model.recording) for window in windows
+    ]
+
+
+def _sample_cause(defect: SampleDefect) -> Cause[EffectTerm]:
+    kind = catalogue()[defect.name]
+    names = [entry.name for entry in kind.parameters()]
+    return Cause(
+        EffectTerm(kind.from_values(defect.values)),
+        (),
+        defect.log_bayes_factor,
+        -2.0 * defect.log_bayes_factor,
+        _strength(defect),
+        tuple(defect.values[name] for name in names),
+        tuple(defect.sigmas[name] for name in names),
+        defect.evidence,
+    )
+
+
+def _strength(defect: SampleDefect) -> float:
+    return math.sqrt(2.0 * defect.log_bayes_factor)

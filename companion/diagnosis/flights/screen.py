@@ -1,0 +1,80 @@
+"""Screens every named effect at once: efficient scores with the nuisances projected out, no refit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from companion.core.wing.effect import Effect
+from companion.diagnosis.flights.simulated_scores import is_sample_nonlinearity, score_scatter
+from companion.diagnosis.model.effect_term import EffectTerm
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.model.flights import FlightFit, derivatives, joint_scores
+from companion.diagnosis.model.scores import Column
+from companion.diagnosis.selection.score_tests import Candidate, Screening, Tested, efficient, ranked
+from companion.records import Floats
+
+_UNIT = 1e-3  # prior sigmas
+
+
+def screen(
+    models: Sequence[FlightModel],
+    null: FlightFit,
+    terms: Sequence[EffectTerm],
+    progress: Callable[[float], None] = lambda _ratio: None,
+) -> Screening[EffectTerm]:
+    """Score every term at a fitted model ``null``, which may hold effects that have been accepted.
+
+    ``terms`` as :func:`.proposals.candidates_of` gives them; ``progress`` is told the share that is done.
+    """
+    columns = [list(entry) for entry in null.state.columns]
+    tested: list[Tested[EffectTerm]] = []
+    sided = [(term, side) for term in terms for side in ((1.0, -1.0) if term.effect.hinged else (1.0,))]
+    for done, (term, side) in enumerate(sided):
+        declared = term.effect.parameters()
+        sigmas = np.array([entry.sigma for entry in declared])
+        values = np.concatenate([null.values, [getattr(term.effect, entry.name) for entry in declared]])
+        # a mode's frequency means nothing while its participation is 0: what is scanned for has one column
+        count = 1 if term.effect.scan else len(declared)
+        only = range(len(null.values), len(null.values) + count)
+        wide = np.concatenate([null.sigmas, side * sigmas])  # its sign is that of the step
+        new_columns = derivatives(models, values, (*null.terms, term), null.state.expectations, wide, only)
+        new_columns = [[*recording, *[Column()] * (len(declared) - count)] for recording in new_columns]
+        columns = [[*before, *new] for before, new in zip(columns, new_columns, strict=True)]
+        tested.append(Tested(term, sigmas, side, term.effect.one_way or term.effect.hinged))
+        progress((done + 1) / len(sided))
+    score, information = efficient(*joint_scores(models, null.state.expectations, columns), null)
+    wider = _score_scatter(models, null, tested)
+    information = information * np.outer(wider, wider)
+    return ranked(tested, score, information)
+
+
+def _score_scatter(models: Sequence[FlightModel], null: FlightFit, tested: Sequence[Tested[EffectTerm]]) -> Floats:
+    """Ratio by which each parameter's score scatters beyond its column, (d,): 1 but for nonlinear sensors."""
+    wider, at = np.ones(sum(len(candidate.sigmas) for candidate in tested)), 0
+    bent: dict[int, Effect] = {}
+    for candidate in tested:
+        names = [entry.name for entry in candidate.term.effect.parameters()]
+        if is_sample_nonlinearity(candidate.term.effect) and len(names) == 1:
+            bent[at] = candidate.term.with_values({names[0]: _UNIT * float(candidate.sigmas[0])}).effect
+        at += len(candidate.sigmas)
+    if bent:
+        wider[list(bent)] = score_scatter(models, null.state.expectations, list(bent.values()))
+    return wider
+
+
+def perturbed_start(candidate: Candidate[EffectTerm], most: float, first: float = 0.5) -> EffectTerm:
+    """Start a refit at a small step in the direction of the score, on the side where the effect can be.
+
+    What the data have led to, a frequency or instants, begins as strong as the score says: from less, the fit would
+    move these astray before the strength has grown: ``most`` is ``first``, prior sigmas, at the first attempt.
+    """
+    declared = candidate.term.effect.parameters()
+    values = {entry.name: float(getattr(candidate.term.effect, entry.name)) for entry in declared}
+    information = candidate.information + np.eye(len(declared))
+    step = np.linalg.solve(information, candidate.score)
+    steps = step / first if candidate.term.log_trials else np.clip(step, -1.0, 1.0)
+    for entry, step_sigmas in zip(declared, steps.tolist(), strict=True):
+        values[entry.name] += most * entry.sigma * step_sigmas
+    return candidate.term.with_values(values)

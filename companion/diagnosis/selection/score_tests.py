@@ -1,0 +1,152 @@
+"""Score tests of terms at nothing: efficient scores with everything that was fitted projected out, no refit.
+
+The efficient score of a term is what remains of its gradient once every fitted parameter has had its say; its variance
+is the term's information less what these share. The correlation of two terms' efficient scores says whether this very
+recording can tell them apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from scipy.stats import chi2
+
+from companion.diagnosis.selection.fisher_scoring import State
+from companion.diagnosis.selection.fit import Fit
+from companion.diagnosis.selection.normal_scores import normal_score
+from companion.records import Floats
+
+_BARELY = 1e-9  # of the largest eigenvalue: rounding
+
+
+class Term(Protocol):
+    """Addition to a model: an effect of the catalogue, or a law that only describes."""
+
+    @property
+    def name(self) -> str:
+        """Stable name of the effect, or what the law says."""
+
+    @property
+    def channel(self) -> str:
+        """Recorded channel that it follows, "" for none."""
+
+    @property
+    def key(self) -> str:
+        """Equal for terms of which a model holds one at most."""
+
+    @property
+    def log_trials(self) -> float:
+        """Logarithm of how many places were tried before it was begun where it was (look-elsewhere)."""
+
+
+TermT = TypeVar("TermT", bound=Term)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate(Generic[TermT]):
+    """One term as screened.
+
+    Attributes
+    ----------
+    term
+        At the values from which a refit should start.
+    z : float
+        Its strength as the equivalent of a standard normal (two-sided).
+    log_odds : float
+        Approximate log Bayes factor.
+    sigma : (d,)
+        Of each parameter, profiled.
+    score, information : (d,), (d, d)
+        Efficient, in units of the prior sigmas.
+    direction : (d,)
+        Of the step that the score asks for, of unit length.
+    """
+
+    term: TermT
+    z: float
+    log_odds: float
+    sigma: Floats = field(default_factory=lambda: np.zeros(0))
+    score: Floats = field(default_factory=lambda: np.zeros(0))
+    information: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    direction: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def name(self) -> str:
+        """The term's stable name."""
+        return self.term.name
+
+
+@dataclass(frozen=True, slots=True)
+class Screening(Generic[TermT]):
+    """All candidates, strongest first, and how far each can be told from the others."""
+
+    candidates: tuple[Candidate[TermT], ...]
+    correlation: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Tested(Generic[TermT]):
+    """A term, the prior sigmas of its parameters, to which side it was moved, and whether nature has one side only."""
+
+    term: TermT
+    sigmas: Floats
+    side: float = 1.0
+    one_way: bool = False
+
+
+def efficient(gradient: Floats, information: Floats, fitted: Fit[TermT, State]) -> tuple[Floats, Floats]:
+    """Score (d,) and information (d, d) of what is beyond a fit's own p parameters, with these projected out.
+
+    ``gradient`` (p + d,) and ``information`` have the fit's parameters first.
+    """
+    p = len(fitted.values)
+    nuisance = information[:p, :p] + np.diag(1.0 / fitted.sigmas**2)
+    pull = gradient[:p] - (fitted.values - fitted.centres) / fitted.sigmas**2
+    projection = np.linalg.solve(nuisance, information[:p, p:])
+    return gradient[p:] - projection.T @ pull, information[p:, p:] - information[p:, :p] @ projection
+
+
+def ranked(tested: Sequence[Tested[TermT]], score: Floats, information: Floats) -> Screening[TermT]:
+    """Candidates by strength; a term that was tried at several places or sides counts with its strongest."""
+    unit = np.concatenate([entry.sigmas for entry in tested]) if tested else np.zeros(0)
+    score, information = score * unit, information * np.outer(unit, unit)
+    scored, at = [], 0
+    for move in tested:
+        block = slice(at, at + len(move.sigmas))
+        scored.append((_candidate(move, score[block], information[block, block]), block))
+        at += len(move.sigmas)
+    best: dict[tuple[str, str], tuple[Candidate[TermT], slice]] = {}
+    for entry in scored:
+        key = (entry[0].name, entry[0].term.channel)
+        if key not in best or entry[0].z > best[key][0].z:
+            best[key] = entry
+    by_strength = sorted(best.values(), key=lambda entry: -entry[0].z)
+    directions = np.zeros((len(by_strength), len(score)))
+    for i, (candidate, block) in enumerate(by_strength):
+        directions[i, block] = candidate.direction
+    shared = directions @ information @ directions.T
+    scale = np.sqrt(np.maximum(np.diag(shared), 1e-30))
+    return Screening(tuple(entry[0] for entry in by_strength), shared / np.outer(scale, scale))
+
+
+def _candidate(tested: Tested[TermT], score: Floats, information: Floats) -> Candidate[TermT]:
+    """Test the parameters that this recording says anything about; what nature has one way only, that way only."""
+    term, sigmas = tested.term, tested.sigmas
+    values, vectors = np.linalg.eigh(information)
+    telling = values > max(_BARELY * float(values[-1]), _BARELY)
+    if not telling.any() or (tested.one_way and tested.side * score[0] < 0.0):
+        return Candidate(term, 0.0, 0.0, np.full(len(sigmas), np.inf), score, information, np.zeros(len(sigmas)))
+    along = vectors[:, telling].T @ score
+    # with the prior: a change far beyond what is physical is not what explains
+    power = float(np.sum(along**2 / (values[telling] + 1.0)))
+    # directions that the prior already knows better count for nothing
+    freedom = max(int(np.sum(values > 0.1)), 1)
+    z = normal_score(min(float(chi2.logsf(power, freedom)) + term.log_trials, 0.0))
+    odds = 0.5 * power - term.log_trials - 0.5 * float(np.sum(np.log1p(values[telling])))
+    step = vectors[:, telling] @ (along / (values[telling] + 1.0))
+    length = float(np.linalg.norm(step))
+    spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information + np.eye(len(sigmas)))), 0.0)) * sigmas
+    return Candidate(term, z, odds, spread, score, information, step / length if length else step)
