@@ -15,13 +15,14 @@ from typing import Any
 
 from companion.adapters.recordings.mcap.codec import codec_of
 from companion.adapters.recordings.mcap.reader import McapRecording
-from companion.adapters.recordings.mcap.writer import About, McapWriter
+from companion.adapters.recordings.mcap.writer import About, McapWriter, machine
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.options import add_settings, check_output, read_settings
 from companion.cli.terminal.progress import Progress, progress_of
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
 from companion.evaluation.replay import drive, foreign_inputs, own_inputs
+from companion.evaluation.replay_comparison import ReplayComparison
 from companion.evaluation.station_tones import StationAnalysis
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -64,9 +65,6 @@ class OutputTally:
     last_tracking: ModeState | None = None
     trusted: list[CorrectedRange] = field(default_factory=list)
     digest: Any = field(default_factory=hashlib.sha256)
-    compared: int = 0
-    first_difference: str | None = None
-    behind_loss: bool = False
 
     def take(self, record: Record) -> None:
         """Count one output and add its bytes to the digest."""
@@ -81,18 +79,6 @@ class OutputTally:
         elif isinstance(record, Rejected):
             self.rejected[str(record.reason)] += record.count
 
-    def compare(self, recorded: Record | None, replayed: Record | None, *, lossy: bool = False) -> None:
-        """Hold a replayed output against the recorded one, field by field.
-
-        With ``lossy``, the recorded ones end where something is missing, and the replay's go on without them.
-        """
-        self.behind_loss |= lossy and recorded is None
-        if self.behind_loss:
-            return
-        self.compared += 1
-        if self.first_difference is None and _plain(recorded) != _plain(replayed):
-            self.first_difference = f"output {self.compared}: recorded {recorded!r}, replayed {replayed!r}"[:2000]
-
 
 def execute(options: argparse.Namespace) -> int:
     """Replay, and tell what came of it."""
@@ -104,7 +90,7 @@ def execute(options: argparse.Namespace) -> int:
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     is_own_format = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
     same_beliefs = airframe is None and settings == recording.settings
-    tally = OutputTally()
+    tally, comparison = OutputTally(), ReplayComparison()
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
     recorded = _outputs_of(recording) if is_own_format and same_beliefs else None
@@ -114,15 +100,15 @@ def execute(options: argparse.Namespace) -> int:
         if writer is not None:
             writer.write(output)
         if recorded is not None and isinstance(output, _OUTPUTS):
-            tally.compare(next(recorded, None), output, lossy=_lossy(recording))
+            comparison.compare(next(recorded, None), output, lossy=_lossy(recording))
     progress.close()
     if writer is not None:
         writer.close()
-    _left_over(tally, recorded)
-    result = _result(recording, tally, stations, recorded is not None)
+    _left_over(comparison, recorded)
+    result = _result(recording, tally, stations, comparison if recorded is not None else None)
     print(json.dumps(result, indent=2) if options.json else _text(result))
-    if tally.first_difference:
-        print(f"spanwise replay: not reproduced: {tally.first_difference}", file=sys.stderr)
+    if comparison.difference:
+        print(f"spanwise replay: not reproduced: {comparison.difference}", file=sys.stderr)
         return 1
     return 0 if tally.trusted or tally.last_tracking or stations.has_tone else NOTHING_TO_ESTIMATE
 
@@ -174,14 +160,16 @@ def _loss(recording: Recording) -> dict[str, Any] | None:
     return {"where": where, "missing_s": recording.missing_s, "dropped": recording.dropped}
 
 
-def _left_over(tally: OutputTally, recorded: Iterator[Record] | None) -> None:
+def _left_over(comparison: ReplayComparison, recorded: Iterator[Record] | None) -> None:
     """The live service may have been stopped between an input and its outputs, but never made more than the replay."""
-    if recorded is not None and not tally.behind_loss:
+    if recorded is not None and not comparison.behind_loss:
         for extra in itertools.islice(recorded, 1):
-            tally.compare(extra, None)
+            comparison.compare(extra, None)
 
 
-def _result(recording: Recording, tally: OutputTally, stations: StationAnalysis, compared: bool) -> dict[str, Any]:
+def _result(
+    recording: Recording, tally: OutputTally, stations: StationAnalysis, comparison: ReplayComparison | None
+) -> dict[str, Any]:
     return {
         "recording": str(recording.path),
         "airframe": recording.airframe.name,
@@ -197,9 +185,11 @@ def _result(recording: Recording, tally: OutputTally, stations: StationAnalysis,
         "outputs": dict(sorted(tally.counts.items())),
         "rejected": dict(sorted(tally.rejected.items())),
         "outputs_sha256": tally.digest.hexdigest(),
-        "reproduced": (tally.first_difference is None) if compared else None,
+        "reproduced": comparison.identical if comparison else None,
+        "reproduced_to_rounding": comparison.difference is None if comparison else None,
+        "verdict": _verdict(recording, comparison) if comparison else None,
         "loss": _loss(recording),
-        "compared": tally.compared,
+        "compared": comparison.compared if comparison else 0,
     }
 
 
@@ -228,22 +218,25 @@ def _text(result: dict[str, Any]) -> str:
         lines.append(f"  ranges {ranges['corrected']} corrected, {ranges['trusted']} trusted")
     if result["rejected"]:
         lines.append("  refused " + ", ".join(f"{count} x {reason}" for reason, count in result["rejected"].items()))
-    if result["reproduced"] is not None:
-        verdict = _verdict(result["loss"]) if result["reproduced"] else "NOT as published"
-        lines.append(f"  replay of {result['compared']} outputs: {verdict}")
+    if result["verdict"] is not None:
+        lines.append(f"  replay of {result['compared']} outputs: {result['verdict']}")
     lines.append(f"  outputs sha256 {result['outputs_sha256']}")
     return "\n".join(lines)
 
 
-def _verdict(loss: dict[str, Any] | None) -> str:
-    """How a replay that agrees says so."""
-    if loss is None:
-        return "identical to what was published"
+def _verdict(recording: Recording, comparison: ReplayComparison) -> str:
+    """How the replay compares, as far as the recording goes, and on which machine it was made where that may matter."""
+    sentence, loss = comparison.sentence(), _loss(recording)
+    if not comparison.identical and isinstance(recording, McapRecording):
+        sentence += f"; recorded with {recording.machine or 'an unknown machine'}, replayed with {machine()}"
+    if loss is None or comparison.difference is not None:
+        return sentence
     missing_s = loss["missing_s"]
     missing = "how much is missing the file does not tell" if missing_s is None else f"{missing_s:.1f} s missing"
     if loss["dropped"]:
         missing = f"{loss['dropped']} records missing"
-    return f"as published up to the {loss['where']}, {missing}"
+    agrees = "as published" if comparison.identical else sentence
+    return f"{agrees} up to the {loss['where']}, {missing}"
 
 
 def _wing_text(wing: dict[str, Any]) -> str:

@@ -74,6 +74,8 @@ class McapRecording:
 
     Attributes
     ----------
+    machine : str
+        Architecture and package versions that made the recording; "" where it is older than this entry.
     cut : bool
         The recorder did not finish the file.
     missing_s : float or None
@@ -110,6 +112,7 @@ class McapRecording:
         if not {"airframe.toml", "settings.toml"} <= texts.keys():
             raise RecordingError(f"{self.path}: cut off before the airframe and the settings; nothing can be read")
         self.software = about["software"]
+        self.machine = about.get("machine", "")
         self.hub = ClockName(about["hub"])
         self.images = ImageFormat(about["images"])
         self.airframe = parse_airframe(texts["airframe.toml"], f"{self.path} (airframe.toml)")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import platform
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -100,6 +101,7 @@ class McapWriter:
         facts = {
             "format": str(FORMAT_VERSION),
             "software": software_version(),
+            "machine": machine(),
             "hub": str(about.hub),
             "images": str(about.image_format),
         }
@@ -189,6 +191,19 @@ class McapWriter:
             self._chunk_start_ns = self._latest_ns
         elif self._latest_ns - self._chunk_start_ns >= _CHUNK_NS:
             self.flush()
+
+
+def machine() -> str:
+    """Processor architecture and the packages whose arithmetic the estimates rest on, with their versions."""
+    packages = (f"{name} {_version(name)}" for name in ("numpy", "scipy", "opencv-python-headless", "numba"))
+    return ", ".join([platform.machine(), f"python {platform.python_version()}", *packages])
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "none"
 
 
 def software_version() -> str:

@@ -1,0 +1,71 @@
+"""A replay against what was published: bits, rounding, differences."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from companion.evaluation.replay_comparison import ROUNDING_RATIO, ReplayComparison
+from companion.records import CorrectedRange, Reject
+
+RANGE = CorrectedRange(1, 1, 5_000_000_000, 25, 60.0, 0.6, 4e-3, 1e-4, 50.0, 40, True, None)
+
+
+def compared(*pairs: tuple[CorrectedRange | None, CorrectedRange | None]) -> ReplayComparison:
+    comparison = ReplayComparison()
+    for recorded, replayed in pairs:
+        comparison.compare(recorded, replayed)
+    return comparison
+
+
+def test_equal_records_are_identical() -> None:
+    comparison = compared((RANGE, RANGE), (RANGE, dataclasses.replace(RANGE)))
+    assert comparison.identical
+    assert comparison.compared == 2
+    assert comparison.sentence() == "identical to what was published"
+
+
+@given(st.floats(1e-15, 0.1))
+def test_a_ratio_is_rounding_up_to_the_limit(ratio: float) -> None:
+    comparison = compared((RANGE, dataclasses.replace(RANGE, sigma_m=RANGE.sigma_m * (1.0 + ratio))))
+    assert not comparison.identical or ratio < 1e-14
+    assert (comparison.difference is None) is (ratio / (1.0 + ratio) <= ROUNDING_RATIO * (1.0 + 1e-9))
+
+
+def test_what_is_small_now_is_judged_by_the_fields_largest_value() -> None:
+    small, moved = (dataclasses.replace(RANGE, toe_rad=value) for value in (1e-12, 3e-12))
+    assert compared((small, moved)).difference is not None
+    assert compared((RANGE, RANGE), (small, moved)).difference is None
+
+
+@pytest.mark.parametrize(
+    ("change", "differs"),
+    [
+        ({"t_host_ns": 5_000_000_900}, False),
+        ({"t_host_ns": 5_000_002_000}, True),
+        ({"matches": 41}, True),
+        ({"trusted": False}, True),
+        ({"reject": Reject.NO_MATCHES}, True),
+        ({"range_m": float("inf")}, True),
+    ],
+)
+def test_stamps_may_differ_by_a_microsecond_and_counts_and_words_not_at_all(
+    change: dict[str, object], differs: bool
+) -> None:
+    comparison = compared((RANGE, dataclasses.replace(RANGE, **change)))  # type: ignore[arg-type]
+    assert (comparison.difference is not None) is differs
+    if differs:
+        assert f"CorrectedRange.{next(iter(change))}" in str(comparison.difference)
+
+
+def test_a_record_too_many_is_a_difference_and_behind_a_loss_it_is_not() -> None:
+    assert compared((None, RANGE)).difference is not None
+    lossy = ReplayComparison()
+    lossy.compare(None, RANGE, lossy=True)
+    lossy.compare(None, RANGE, lossy=True)
+    assert lossy.identical
+    assert lossy.behind_loss
+    assert lossy.compared == 0
