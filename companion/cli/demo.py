@@ -28,6 +28,7 @@ from companion.params.files import load_airframe
 from companion.reporting.plotting import require_report
 from companion.service.config import ServiceConfig
 from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.worlds import IDEAL, WORLDS
 from companion.sim.vehicle.lockstep import EPOCH_NS
 
 
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=seed, default=1, help="of the flight: gusts, true airframe, noise")
     parser.add_argument("--duration", type=seconds, default=60.0, metavar="SECONDS", help="length of the flight")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="FOLDER", help="where the results go")
+    parser.add_argument("--world", choices=list(WORLDS), default=IDEAL.name, help="what the aircraft flies in")
     parser.add_argument("--json", action="store_true", help="print summary.json instead of the tables")
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
     parser.add_argument("--no-compare", action="store_true", help="leave out the two comparison replays")
@@ -58,8 +60,9 @@ def execute(options: argparse.Namespace) -> int:
     for old in (recording, options.out / "summary.png"):
         old.unlink(missing_ok=True)
     config = ServiceConfig(airframe, read_settings(options), (), recording=recording)
-    _say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s) ...")
-    flight = build_flight(airframe, options.seed, options.duration)
+    world = WORLDS[options.world]
+    _say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s, {world.name} world) ...")
+    flight = build_flight(airframe, options.seed, options.duration, world=world)
     start_host_ns, report = _flown(config, flight, options)
     _say("judging the flight by its truth ...")
     stage = Stage.of(flight, config.settings, start_host_ns)

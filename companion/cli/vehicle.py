@@ -16,6 +16,7 @@ from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, DeviceError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.worlds import IDEAL, WORLDS
 from companion.sim.vehicle.routing import Port, Router
 from companion.sim.vehicle.world import VehicleLink, WorldOptions, serve
 from companion.sim.vision.camera_server import CameraServerConfig, start_camera_server
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     parser.add_argument("--airframe", default="nadir-2m", metavar="NAME", help="name or path of an airframe file")
     parser.add_argument("--seed", type=seed, default=1, help="of the flight: gusts, true airframe, noise")
+    parser.add_argument("--world", choices=list(WORLDS), default=IDEAL.name, help="what the aircraft flies in")
     parser.add_argument("--duration", type=seconds, default=240.0, metavar="SECONDS", help="length of the flight")
     parser.add_argument(
         "--connect", action="append", metavar="LINK",
@@ -91,7 +93,7 @@ def execute(options: argparse.Namespace) -> int:
     airframe = load_airframe(options.airframe)
     _check(options, airframe)
     _say(f"building {options.duration:g} s of {airframe.name}, seed {options.seed} ...")
-    flight = build_flight(airframe, options.seed, options.duration)
+    flight = build_flight(airframe, options.seed, options.duration, world=WORLDS[options.world])
     links = options.connect or list(_LINKS)
     router = Router(_opened(links))
     control = _Control(flight, options.cameras)
@@ -137,6 +139,7 @@ def _open_cameras(flight: Flight, folder: Path, start_host_ns: int) -> BaseProce
             airframe=flight.real.actual,
             truth=flight.truth,
             scene=scene_of(flight),
+            images=flight.world.images,
             seed=flight.seed,
             start_host_ns=start_host_ns,
             line_path=line_path(folder),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from companion.evaluation.metrics import FAST_HZ, Scored, near, slow_part, spread
+from companion.evaluation.trigger_scores import trigger_scores
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.records import Firing, Floats, MatchSet, Side
 
@@ -18,8 +19,6 @@ TARGET_FAST_MRAD = 0.15
 TARGET_SHARE = 0.01  # of the rigid error above 0.5 Hz: what is promised
 TARGET_ORACLE_60_M = 0.15
 PAPER_SHARE = 0.556  # of the error removed, the paper's Table 4 at 60 m
-_SAME_SHOT_NS = 20_000_000
-_PEAK_SEARCH_S = 0.3
 
 
 def targets(ways: Mapping[str, Scored]) -> dict[str, Any]:
@@ -74,43 +73,15 @@ def sigma_calibration(shots: Shots, outputs: PipelineOutputs) -> dict[str, Any]:
 def trigger_summary(
     geometry: TrueGeometry, outputs: PipelineOutputs, shots: Shots, blur: Mapping[str, Floats]
 ) -> dict[str, Any]:
-    """How far from the true deflection peaks the peak shots were exposed, and the blur that the wing caused."""
-    errors_s = peak_errors_s(geometry, outputs, [outputs.matches[pair_id] for pair_id in shots.ids])
-    frequency_hz = geometry.flight.real.actual.wing.symmetric.frequency_hz.value
+    """How near to the true peaks the aimed shots were exposed, beside limit and chance, and the blur by the wing."""
     late = [shot.fired_host_ns - shot.planned_host_ns for shot in outputs.shots.values()]
+    plans = [plan for plan in outputs.plans.values() if plan.firing is Firing.PEAK]
+    matches = [outputs.matches[pair_id] for pair_id in shots.ids]
     return {
-        "errors_ms": spread(errors_s, 1e3),
-        "errors_deg": spread(errors_s, 360.0 * frequency_hz),
+        "aimed": trigger_scores(geometry.flight, plans, matches, geometry.start_host_ns),
         "fire_late_us": spread(np.array(late, dtype=np.float64), 1e-3),
         "blur_px": {name: spread(values) for name, values in blur.items()},
     }
-
-
-def peak_errors_s(geometry: TrueGeometry, outputs: PipelineOutputs, matches: Iterable[MatchSet]) -> Floats:
-    """Mid-exposure minus the nearest true deflection peak, for the shots that were planned at one, (n,)."""
-    peaks = [plan.exposure_host_ns for plan in outputs.plans.values() if plan.firing is Firing.PEAK]
-    planned = np.sort(np.array(peaks, dtype=np.int64))
-    errors = []
-    for entry in matches:
-        t_ns = int(entry.mid_exposure_ns.mean())
-        if len(planned) and np.min(np.abs(planned - t_ns)) < _SAME_SHOT_NS:
-            errors.append(nearest_peak_s(geometry, t_ns))
-    return np.array([error for error in errors if error is not None])
-
-
-def nearest_peak_s(geometry: TrueGeometry, t_host_ns: int) -> float | None:
-    """Signed time from the nearest instant at which the true relative toe stands still; None without one nearby."""
-    offsets = np.arange(-_PEAK_SEARCH_S, _PEAK_SEARCH_S, 1e-3)
-    stamps = t_host_ns - geometry.start_host_ns + np.rint(offsets * 1e9).astype(np.int64)
-    truth = geometry.flight.truth
-    if stamps[0] < truth.t_boot_ns[0] or stamps[-1] > truth.t_boot_ns[-1]:
-        return None
-    rate = truth.series(stamps).slope_rate_radps.sum(axis=1)
-    turns = np.flatnonzero(rate[:-1] * rate[1:] < 0)
-    if not len(turns):
-        return None
-    instants = offsets[turns] + 1e-3 * rate[turns] / (rate[turns] - rate[turns + 1])
-    return float(-instants[np.argmin(np.abs(instants))])
 
 
 def wing_blur_px(geometry: TrueGeometry, matches: Iterable[MatchSet]) -> Floats:

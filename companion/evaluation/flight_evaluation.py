@@ -17,13 +17,7 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
-from companion.evaluation.accuracy_targets import (
-    peak_errors_s,
-    sigma_calibration,
-    targets,
-    trigger_summary,
-    wing_blur_px,
-)
+from companion.evaluation.accuracy_targets import sigma_calibration, targets, trigger_summary, wing_blur_px
 from companion.evaluation.metrics import Scored, range_summary, toe_summary
 from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studios
@@ -50,6 +44,7 @@ from companion.records import (
 from companion.sim.flight.flight import Flight
 
 SETTLED_S = 10.0
+TRUSTED_FROM_S = 15.0
 WAYS = ("rigid", "rigid_in_trim", "tilt_only", "corrected", "oracle")
 _RANDOM_RATE_HZ = 4.0
 _RANDOM_SEED = 0xA11  # convention: keeps random instants apart from the flight's own draws
@@ -113,6 +108,7 @@ def evaluate_flight(
         ways |= {name: other.ways["corrected"] for name, other in others.items()}
     plain: dict[str, Any] = {
         "airframe": flight.airframe.name,
+        "world": flight.world.name,
         "seed": flight.seed,
         "duration_s": flight.duration_s,
         "truth": _truth(flight),
@@ -122,7 +118,7 @@ def evaluate_flight(
         "targets": targets(ways),
         "sigma": sigma_calibration(shots, outputs),
         "trigger": trigger_summary(geometry, outputs, shots, blur),
-        "shots": _counts(outputs, shots),
+        "shots": _counts(outputs, shots) | {"settled": _settled(geometry, outputs)},
         "published": {key: report.get(key) for key in ("received", "ranges_used", "range_timeouts", "problems")},
         "refused": dict(sorted(outputs.rejected.items())),
     }
@@ -310,6 +306,15 @@ def _truth(flight: Flight) -> dict[str, float]:
     }
 
 
+def _settled(geometry: TrueGeometry, outputs: PipelineOutputs) -> dict[str, Any]:
+    """Pairs from :data:`TRUSTED_FROM_S` on that had time to be corrected, and the share that was published."""
+    from_ns = geometry.start_host_ns + round(TRUSTED_FROM_S * 1e9)
+    until_ns = max((entry.t_host_ns for entry in outputs.ranges.values()), default=from_ns)
+    pairs = [i for i, entry in outputs.matches.items() if from_ns <= int(entry.mid_exposure_ns.mean()) <= until_ns]
+    trusted = sum(i in outputs.ranges and outputs.ranges[i].trusted for i in pairs)
+    return {"from_s": TRUSTED_FROM_S, "pairs": len(pairs), "trusted": trusted}
+
+
 def _counts(outputs: PipelineOutputs, shots: Shots) -> dict[str, Any]:
     trusted = [entry for entry in outputs.ranges.values() if entry.trusted]
     reasons = Counter(str(entry.reject) for entry in outputs.ranges.values() if not entry.trusted)
@@ -337,7 +342,6 @@ def _series(
         "true_toe_rad": np.array([geometry.true_toe_rad(outputs.matches[pair_id]) for pair_id in shots.ids]),
         "toe_rad": np.array([outputs.ranges[pair_id].toe_rad for pair_id in shots.ids]),
         "toe_sigma_rad": np.array([outputs.ranges[pair_id].toe_sigma_rad for pair_id in shots.ids]),
-        "peak_error_s": peak_errors_s(geometry, outputs, [outputs.matches[pair_id] for pair_id in shots.ids]),
     }
     for name, way in ways.items():
         series |= {f"{name}.t_s": way.t_s, f"{name}.z_true_m": way.z_true_m, f"{name}.range_m": way.range_m,

@@ -23,8 +23,9 @@ from companion.params.settings import Settings
 from companion.records import ClockName, MatchSet, Rejected
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.truth import FlightTruth
+from companion.sim.flight.worlds import ImageFaults
 from companion.sim.vision.cameras import Shutters, render_pair
-from companion.sim.vision.renderer import Renderer
+from companion.sim.vision.renderer import PERFECT, Renderer
 from companion.sim.vision.scene import Scene
 from companion.sim.vision.scenery import scene_of
 
@@ -44,16 +45,18 @@ class Stage:
     seed: int
     settings: Settings
     start_host_ns: int
+    images: ImageFaults = PERFECT
 
     @classmethod
     def of(cls, flight: Flight, settings: Settings, start_host_ns: int) -> Stage:
         """The stage of a flight."""
         actual, scene = flight.real.actual, scene_of(flight)
-        return cls(flight.airframe, actual, flight.truth, scene, flight.seed, settings, start_host_ns)
+        images = flight.world.images
+        return cls(flight.airframe, actual, flight.truth, scene, flight.seed, settings, start_host_ns, images)
 
     def renderer(self) -> Renderer:
         """The cameras of the aircraft that flies."""
-        return Renderer(self.actual, self.truth, self.scene, self.seed)
+        return Renderer(self.actual, self.truth, self.scene, self.seed, self.images)
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,9 +46,11 @@ def summary(ours: Shots, others: dict[str, Shots]) -> dict[str, Any]:
         "targets": {"share_of_error_removed": {"of_rigid": 1.0, "of_rigid_calibrated_in_trim": 1.0},
                     "fast_excess_mrad2": met, "oracle_median_at_60_m": met},
         "sigma": {"slow_error_over_sigma_rms": 1.0, "published_beyond_5_sigma": 0},
-        "trigger": {"errors_ms": {"n": 0}, "blur_px": {}},
+        "trigger": {"aimed": {"shots": 0}, "blur_px": {}},
+        "world": "ideal",
         "shots": {
             **dict.fromkeys(("fired", "pairs", "corrected", "trusted"), 0), "judged": len(ours.ids),
+            "settled": {"from_s": 15.0, "pairs": 2, "trusted": 1},
             **{name: {} for name in ("planned", "fates", "not_trusted", "no_range")},
         },
         "published": {"received": {}},

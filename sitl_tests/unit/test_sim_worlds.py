@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
+from companion.core.stereo.geometry import Rig
 from companion.core.wing.lowpass import Biquad
 from companion.params.airframe import Sensor
 from companion.params.files import load_airframe
-from companion.records import Floats, Station
+from companion.records import Floats, Side, Station
 from companion.sim.flight.aircraft import airspeed, circuit_plan, lift_share, still_plan
 from companion.sim.flight.flight import build_flight
 from companion.sim.flight.gust import GustKind
 from companion.sim.flight.sensors import BACKEND_HZ, lowpassed
 from companion.sim.flight.vibration import SensorDisturbance, ShaftTurns, StationVibration, VibrationLine
 from companion.sim.flight.world_draw import gusty
-from companion.sim.flight.worlds import FAIR, IDEAL, ROUGH, TONES, WORLDS, Conditions
+from companion.sim.flight.worlds import FAIR, IDEAL, ROUGH, TONES, WORLDS, Conditions, LensResiduals
 from companion.units import GRAVITY_MPS2
 
 SENSOR: Sensor = load_airframe("nadir-2m").left
@@ -169,3 +170,19 @@ def test_a_ground_roll_stands_then_flies_and_its_wing_is_unloaded_on_the_wheels(
     assert np.abs(rate - 0.5 * (path.velocity_ned_mps[1:] + path.velocity_ned_mps[:-1])).max() < 2e-4
     force = path.specific_force_mps2[:, 2] + GRAVITY_MPS2
     assert 1.5 < np.std(force[:1500]) < 4.5, "bumps of 3 m/s^2 rms"
+
+
+def test_a_wrong_principal_point_leaves_the_middle_of_the_image_where_it_was() -> None:
+    airframe = load_airframe("nadir-2m")
+    world = dataclasses.replace(IDEAL, lenses=LensResiduals(principal_px=2.0))
+    plain, other = (
+        build_flight(airframe, 5, plan=still_plan(0.2), gust=GustKind.CALM, world=w).real.actual for w in (IDEAL, world)
+    )
+    before, after = Rig.from_airframe(plain), Rig.from_airframe(other)
+    for side in Side:
+        camera, worn = before.camera(side), after.camera(side)
+        ahead = camera.rest.position_body_m + 60.0 * camera.rest.camera_from_body[2]
+        seen = camera.project(camera.rest, ahead), worn.project(worn.rest, ahead)
+        assert camera.lens.matrix[0, 2] != worn.lens.matrix[0, 2]
+        # the turn of 2 px / 800 px leaves its square, and its product with the mounting's turn
+        assert np.abs(seen[1] - seen[0]).max() < 0.02

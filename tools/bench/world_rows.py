@@ -88,6 +88,6 @@ def rows(world: str = "", airframe: str = "", sensors: str = "") -> list[Campaig
     """All rows, or those of the given world, airframe, axes; accidents belong to the worlds in which they happen."""
     everything = [CampaignRow(w, a, s) for w in _WORLDS for a in AIRFRAMES for s in SENSORS]
     everything += [CampaignRow("ideal", "nadir-2m", "6-axis", accident) for accident in ACCIDENTS]
-    everything += [CampaignRow(w, a, "6-axis", ON_GROUND) for w in ("fair", "rough") for a in AIRFRAMES]
+    everything += [CampaignRow(w, a, s, ON_GROUND) for w in _WORLDS[:3] for a in AIRFRAMES for s in SENSORS]
     wanted = (("world", world), ("airframe", airframe), ("sensors", sensors))
     return [row for row in everything if all(getattr(row, name) == value for name, value in wanted if value)]

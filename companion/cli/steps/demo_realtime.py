@@ -64,6 +64,7 @@ class SimulatedVehicle:
                 airframe=self.flight.real.actual,
                 truth=self.flight.truth,
                 scene=self.scene,
+                images=self.flight.world.images,
                 seed=self.flight.seed,
                 start_host_ns=self.start_host_ns,
                 line_path=self.folder / "line",
@@ -93,7 +94,10 @@ def _vehicle(flight: Flight, port: int, folder: Path) -> Iterator[SimulatedVehic
     ours, theirs = spawn.Pipe()
     waiting = WorldOptions(connection=f"udpout:127.0.0.1:{port}", wait_s=_START_S)
     world = spawn.Process(
-        target=serve_new, args=(flight.airframe, flight.seed, flight.duration_s, waiting, theirs), name="sim-world"
+        target=serve_new,
+        args=(flight.airframe, flight.seed, flight.duration_s, waiting, theirs),
+        kwargs={"world": flight.world},
+        name="sim-world",
     )
     world.start()
     vehicle = SimulatedVehicle(flight, scene_of(flight), ours, folder)

@@ -90,7 +90,7 @@ def _number(value: float | None, digits: int) -> str:
 
 def _sentences(summary: dict[str, Any]) -> list[str]:
     target, trigger, shots = summary["targets"], summary["trigger"], summary["shots"]
-    errors, blur, removed = trigger["errors_ms"], trigger["blur_px"], target["share_of_error_removed"]
+    aimed, blur, removed = trigger["aimed"], trigger["blur_px"], target["share_of_error_removed"]
     excess, oracle = target["fast_excess_mrad2"], target["oracle_median_at_60_m"]
     lines = [
         f"error removed: {100 * removed['of_rigid']:.1f} % of rigid stereo's, "
@@ -101,10 +101,12 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
         f"slow part over its own sigma: {summary['sigma']['slow_error_over_sigma_rms']:.2f} rms (one draw a flight); "
         f"published ranges beyond 5 sigma: {summary['sigma']['published_beyond_5_sigma']}",
     ]
-    if errors["n"]:
+    if aimed["shots"]:
+        lines += [_peak_sentence(aimed, kind) for kind in ("deflection", "toe")]
+        wing = aimed["blur_px"]
         lines.append(
-            f"trigger: {errors['n']} peak shots, {errors['median']:.1f} ms median from the true peak "
-            f"({trigger['errors_deg']['median']:.0f}° of phase), p95 {errors['p95']:.1f} ms"
+            f"blur of aimed shots, rms: {wing['at_plan']['rms']:.3f} px; limit {wing['limit']['rms']:.3f}, "
+            f"random {wing['at_random']['rms']:.3f}: {100 * aimed['share_of_gain']:.0f} % of the possible gain"
         )
     lines.append(
         "blur by the wing: "
@@ -116,6 +118,11 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
         f"shots: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected, {shots['trusted']} "
         f"trusted and published; planned {_joined(shots['planned'])}"
     )
+    settled = shots["settled"]
+    lines.append(
+        f"from {settled['from_s']:.0f} s on {settled['trusted']} of {settled['pairs']} pairs were trusted "
+        f"({100 * settled['trusted'] / max(settled['pairs'], 1):.0f} %), {summary['world']} world"
+    )
     lines.append(f"plans: {_joined(shots['fates'])}")
     lines.append(f"not trusted: {_joined(shots['not_trusted']) or 'none'}")
     if shots["no_range"]:
@@ -123,6 +130,14 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
     received = summary["published"]["received"] or {}
     lines.append(f"received by the autopilot: {_joined(received)}")
     return lines
+
+
+def _peak_sentence(aimed: dict[str, Any], kind: str) -> str:
+    plan, limit, random = (
+        aimed[f"{kind}_peak_ms"][way].get("median", float("nan")) for way in ("at_plan", "limit", "at_random")
+    )
+    figures = f"{plan:.1f} ms, {limit:.1f} with the state known, {random:.1f} at random instants"
+    return f"trigger: {aimed['shots']} aimed shots, median from the nearest peak of {kind} {figures}"
 
 
 def _joined(counts: dict[str, int]) -> str:

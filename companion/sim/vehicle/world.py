@@ -20,6 +20,7 @@ from companion.params.airframe import Airframe, NamedEffect
 from companion.params.links import LinkKind, parse_link
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.gust import GustKind
+from companion.sim.flight.worlds import IDEAL, Conditions
 from companion.sim.vehicle.autopilot import SimAutopilot, Trigger
 from companion.sim.vehicle.command_protocol import CommandProtocol
 from companion.sim.vehicle.faults import Faults, Wire
@@ -239,10 +240,11 @@ def serve_new(
     control: Control,
     effects: tuple[NamedEffect, ...] = (),
     gust: GustKind = GustKind.AIRFRAME,
+    world: Conditions = IDEAL,
 ) -> None:
     """Entry of a process of its own: build the flight from its seed and serve it."""
     die_with_parent()
-    serve(build_flight(airframe, seed, duration_s, effects=effects, gust=gust), options, control)
+    serve(build_flight(airframe, seed, duration_s, effects=effects, gust=gust, world=world), options, control)
 
 
 def _pulses(path: Path, start_ns: int, speed: float) -> Trigger:

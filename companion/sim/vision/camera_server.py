@@ -26,9 +26,10 @@ from companion.lifetime import die_with_parent
 from companion.params.airframe import Airframe
 from companion.records import Side
 from companion.sim.flight.truth import FlightTruth
+from companion.sim.flight.worlds import ImageFaults
 from companion.sim.vehicle.starting import opened
 from companion.sim.vision.cameras import HEADER, MAGIC, PULSE, Shutters
-from companion.sim.vision.renderer import ExposureInterval, Renderer
+from companion.sim.vision.renderer import PERFECT, ExposureInterval, Renderer
 from companion.sim.vision.scene import Scene
 
 QUEUE_SHOTS = 4  # at 5 a second the last of them is 0.8 s old: still inside the smoother's window
@@ -59,6 +60,7 @@ class CameraServerConfig:
     line_path: Path
     frames_path: Path
     queue_shots: int = QUEUE_SHOTS
+    images: ImageFaults = PERFECT
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ class CameraServer:
         self.config = config
         self.counters: Counter[str] = Counter()
         self._shutters = Shutters(config.airframe, config.seed)
-        self._renderer = Renderer(config.airframe, config.truth, config.scene, config.seed)
+        self._renderer = Renderer(config.airframe, config.truth, config.scene, config.seed, config.images)
         self._line = _listening(socket.SOCK_DGRAM, config.line_path)
         self._door = _listening(socket.SOCK_STREAM, config.frames_path)
         self._client: socket.socket | None = None

@@ -17,6 +17,8 @@ from companion.core.wing.effect import viewed
 from companion.params.airframe import Airframe
 from companion.records import Bytes, Side
 from companion.sim.flight.truth import FlightTruth
+from companion.sim.flight.worlds import ImageFaults
+from companion.sim.vision.appearance import Appearance
 from companion.sim.vision.posed_pair import PosedPair
 from companion.sim.vision.scene import Scene
 from companion.sim.vision.shutter import PixelGrid
@@ -25,6 +27,7 @@ from companion.sim.vision.textured_plane import SurfacePainter
 
 _READ_NOISE = 0.8  # grey levels rms, an 8-bit machine-vision sensor
 _PHOTON_GAIN = 0.012  # variance of photon noise per grey level: 83 electrons a level
+PERFECT = ImageFaults()
 _NOISE_SPARE = 512  # pixels by which the noise field is larger than an image, each way
 
 
@@ -48,11 +51,16 @@ class Renderer(PosedPair):
     scene : Scene
     seed : int
         Of the sensor noise; the texture has the scene's.
+    images : ImageFaults
+        Of the world flown in.
     """
 
-    def __init__(self, airframe: Airframe, truth: FlightTruth, scene: Scene, seed: int) -> None:
+    def __init__(
+        self, airframe: Airframe, truth: FlightTruth, scene: Scene, seed: int, images: ImageFaults = PERFECT
+    ) -> None:
         super().__init__(airframe, truth, scene)
         self.seed = seed
+        self._appearance = {side: Appearance.draw(images, side, seed) for side in Side}
         self._painter = SurfacePainter(NoiseTile(scene.seed), scene.seed)
         self._grids = {side: PixelGrid(self.rig.camera(side).lens) for side in Side}
         largest = np.max([self.rig.camera(side).lens.size_px for side in Side], axis=0)
@@ -75,9 +83,12 @@ class Renderer(PosedPair):
         width, height = grid.size_px
         image: Image32 = np.full((height, width), self.scene.sky, np.float32)
         self._painter.paint(image, self.scene.visible(views[0].centre_ned_m), views, grid, track)
-        return self._expose(image, side, shot)
+        appearance = self._appearance[side]
+        if appearance is None:
+            return self._expose(image, side, shot, 1.0)
+        return self._expose(appearance.applied(image, views[0], self.scene), side, shot, appearance.noise_ratio)
 
-    def _expose(self, image: Image32, side: Side, shot: int) -> Bytes:
+    def _expose(self, image: Image32, side: Side, shot: int, noise_ratio: float) -> Bytes:
         """Photon and read noise, quantisation, saturation; the noise is a random place of a random field."""
         rows, columns = image.shape
         place = np.random.default_rng([self.seed, side, shot])
@@ -87,5 +98,5 @@ class Renderer(PosedPair):
             field = field[::-1]
         cv2.max(image, 0.0, dst=image)
         spread = cv2.sqrt(cv2.add(cv2.multiply(image, _PHOTON_GAIN), _READ_NOISE**2))
-        noise = cv2.multiply(spread, field)
+        noise = cv2.multiply(spread, field, scale=noise_ratio)
         return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U))

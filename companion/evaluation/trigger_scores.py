@@ -1,0 +1,177 @@
+"""How near to the peaks a flight's shots came, and how still their images were, beside the limit and beside chance.
+
+Peaks of deflection are those of the dominating mode, the paper's sense: extremes of the modal coordinate with the
+largest rate, band-passed about its frequency. Peaks of toe are extremes that stand out by the toe's own rms above
+0.5 Hz, so that a moment of stillness on the way counts for none. The limit is what a trigger reaches that knows the
+wing's true state when the plan is made, and nothing of the gusts to come: it lets that state swing out freely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import butter, find_peaks, sosfiltfilt
+
+from companion.evaluation.metrics import FAST_HZ, spread
+from companion.records import Floats, Ints, MatchSet, TriggerPlan
+from companion.sim.flight.flight import Flight
+from companion.sim.flight.truth import MODAL, STEP_NS
+
+SETTLED_S = 10.0
+_BAND = (0.5, 1.6)  # of the mode's frequency: its resonance, without trim and second mode
+_RANDOM_INSTANTS = 2000  # their mean is known to 2 %
+_AHEAD_STEPS = 400  # of the truth, 1 ms: the longest time from plan to exposure
+_SAME_SHOT_NS = 20_000_000
+_RANDOM_SEED = 0xC4A  # convention: keeps these instants apart from the flight's own draws
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peaks:
+    """Instants (s of boot time) of the true peaks of deflection and toe."""
+
+    deflection_s: Floats
+    toe_s: Floats
+
+
+def true_peaks(flight: Flight) -> Peaks:
+    """Find both kinds of peaks in the flight's truth."""
+    truth, rate_hz = flight.truth, 1e9 / STEP_NS
+    column = dominating(flight)
+    frequency_hz = float(flight.model.omega_radps[column]) / (2.0 * np.pi)
+    modal = flight.model.present(truth.knots[:, MODAL])[:, column]
+    band = butter(2, np.array(_BAND) * frequency_hz, "bandpass", fs=rate_hz, output="sos")
+    toe = truth.knots[:, MODAL] @ truth.shape.slope_radpm.sum(axis=0)
+    fast = np.asarray(sosfiltfilt(butter(2, FAST_HZ, "highpass", fs=rate_hz, output="sos"), toe))
+    least = float(np.sqrt(np.mean(fast**2)))
+    stands_out = [find_peaks(sign * fast, prominence=least)[0] for sign in (1.0, -1.0)]
+    toe_s: Floats = np.sort(np.concatenate(stands_out)) * np.float64(STEP_NS * 1e-9)
+    return Peaks(_extremes_s(np.asarray(sosfiltfilt(band, modal)), STEP_NS * 1e-9), toe_s)
+
+
+def dominating(flight: Flight) -> int:
+    """Column of the mode whose rate is largest, among those of the model."""
+    rates = flight.model.present(flight.truth.derivatives[:, MODAL])
+    return int(np.argmax(np.mean(rates**2, axis=0)))
+
+
+def trigger_scores(
+    flight: Flight, plans: Iterable[TriggerPlan], matches: Iterable[MatchSet], start_host_ns: int
+) -> dict[str, Any]:
+    """Errors against both kinds of peaks (ms) and blur by the wing (px): at the plans, at the limit, at random.
+
+    Parameters
+    ----------
+    flight : Flight
+        The truth.
+    plans : iterable of TriggerPlan
+        Those that aimed at a still instant, each in its last form.
+    matches : iterable of MatchSet
+        The pairs to judge; those that no plan aimed at are left out.
+    start_host_ns : int
+        Host time of boot time 0.
+    """
+    aimed = _aimed(list(plans), matches, start_host_ns)
+    peaks, swing = true_peaks(flight), _FreeSwing(flight)
+    rng = np.random.default_rng([flight.seed, _RANDOM_SEED])
+    random_s = rng.uniform(SETTLED_S, max(flight.duration_s - 1.0, SETTLED_S + 1e-3), _RANDOM_INSTANTS)
+    fired_s = np.array([shot_s for shot_s, _ in aimed])
+    scores: dict[str, Any] = {"shots": len(aimed)}
+    for name, true_s in (("deflection", peaks.deflection_s), ("toe", peaks.toe_s)):
+        limit_s = np.array([swing.peak_s(planned_s, shot_s, name) for shot_s, planned_s in aimed])
+        scores[f"{name}_peak_ms"] = {
+            way: spread(_nearest_s(instants, true_s), 1e3)
+            for way, instants in (("at_plan", fired_s), ("limit", limit_s), ("at_random", random_s))
+        }
+    stillest_s = np.array([swing.stillest_s(planned_s, shot_s) for shot_s, planned_s in aimed])
+    blur = {way: _blur_px(flight, instants) for way, instants in
+            (("at_plan", fired_s), ("limit", stillest_s), ("at_random", random_s))}  # fmt: skip
+    means = {way: float(np.mean(values)) if len(values) else np.nan for way, values in blur.items()}
+    scores["blur_px"] = {way: spread(values) for way, values in blur.items()}
+    scores["share_of_gain"] = (means["at_random"] - means["at_plan"]) / (means["at_random"] - means["limit"])
+    return scores
+
+
+def _aimed(plans: list[TriggerPlan], matches: Iterable[MatchSet], start_host_ns: int) -> list[tuple[float, float]]:
+    """Mid-exposure of each aimed shot and the instant at which its plan was made, s of boot time."""
+    if not plans:
+        return []
+    plans = sorted(plans, key=lambda plan: plan.exposure_host_ns)
+    exposures: Ints = np.array([plan.exposure_host_ns for plan in plans], dtype=np.int64)
+    pairs = []
+    for entry in matches:
+        t_ns = int(entry.mid_exposure_ns.mean())
+        nearest = int(np.argmin(np.abs(exposures - t_ns)))
+        if abs(int(exposures[nearest]) - t_ns) < _SAME_SHOT_NS:
+            planned_ns = plans[nearest].planned_host_ns - start_host_ns
+            pairs.append(((t_ns - start_host_ns) * 1e-9, planned_ns * 1e-9))
+    return pairs
+
+
+class _FreeSwing:
+    """The true state of an instant, let go: modal motion on a grid of the truth's steps from there on."""
+
+    def __init__(self, flight: Flight) -> None:
+        self._flight = flight
+        step = np.asarray(expm(flight.model.state_space().a * STEP_NS * 1e-9))
+        powers = [np.eye(len(step))]
+        for _ in range(_AHEAD_STEPS):
+            powers.append(step @ powers[-1])
+        self._powers = np.array(powers)
+        self._column = dominating(flight)
+        shape = flight.truth.shape.slope_radpm
+        self._slopes = flight.model.present(shape)
+
+    def _rates(self, planned_s: float) -> Floats:
+        """Modal rates (steps + 1, n)."""
+        model, truth = self._flight.model, self._flight.truth.at(round(planned_s * 1e9))
+        bent_m = model.present(truth.q_m) - model.q_static(truth.load_factor)
+        start = np.concatenate([bent_m, model.present(truth.qdot_mps)])
+        return np.asarray((self._powers @ start)[:, model.count :])
+
+    def peak_s(self, planned_s: float, shot_s: float, kind: str) -> float:
+        """The predicted peak that is nearest to the shot."""
+        rates = self._rates(planned_s)
+        moving = rates[:, self._column] if kind == "deflection" else rates @ self._slopes.sum(axis=0)
+        turns = np.flatnonzero(moving[:-1] * moving[1:] < 0)
+        if not len(turns):
+            return shot_s
+        at = turns + moving[turns] / (moving[turns] - moving[turns + 1])
+        instants = planned_s + at * STEP_NS * 1e-9
+        return float(instants[np.argmin(np.abs(instants - shot_s))])
+
+    def stillest_s(self, planned_s: float, shot_s: float) -> float:
+        """The instant of least predicted blur within half a period of the shot."""
+        worst = np.abs(self._rates(planned_s) @ self._slopes.T).max(axis=1)
+        instants = planned_s + np.arange(len(worst)) * STEP_NS * 1e-9
+        half_s = np.pi / float(self._flight.model.omega_radps[self._column])
+        near = np.abs(instants - shot_s) <= 0.5 * half_s
+        return float(instants[near][np.argmin(worst[near])]) if near.any() else shot_s
+
+
+def _extremes_s(values: Floats, step_s: float) -> Floats:
+    slope = np.diff(values)
+    turns = np.flatnonzero(slope[:-1] * slope[1:] < 0)
+    return np.asarray((turns + 0.5 + slope[turns] / (slope[turns] - slope[turns + 1])) * step_s)
+
+
+def _nearest_s(instants_s: Floats, peaks_s: Floats) -> Floats:
+    """Signed time from the nearest peak, (n,); nothing without peaks."""
+    if not len(instants_s) or not len(peaks_s):
+        return np.zeros(0)
+    after = np.clip(np.searchsorted(peaks_s, instants_s), 1, len(peaks_s) - 1)
+    early, late = instants_s - peaks_s[after - 1], instants_s - peaks_s[after]
+    return np.where(np.abs(early) < np.abs(late), early, late)
+
+
+def _blur_px(flight: Flight, instants_s: Floats) -> Floats:
+    """Image motion over the exposure by the wing alone, the worse of both cameras, (n,)."""
+    cameras = [camera for camera in (flight.real.actual.left_camera, flight.real.actual.right_camera) if camera]
+    if not len(instants_s) or not cameras:
+        return np.zeros(0)
+    rates = np.abs(flight.truth.series(np.rint(instants_s * 1e9).astype(np.int64)).slope_rate_radps)
+    per_rate = np.array([camera.focal_px.value * camera.exposure_s for camera in cameras])
+    return np.asarray((rates * per_rate).max(axis=1))
