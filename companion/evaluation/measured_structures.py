@@ -1,4 +1,4 @@
-"""``spanwise diagnose --mapping`` for what is no flight: a structure that rings, or a vibration test."""
+"""``spanwise diagnose --mapping`` for what is no flight: a structure that rings or flutters, or a vibration test."""
 
 from __future__ import annotations
 
@@ -15,11 +15,15 @@ from companion.adapters.recordings.tables.mapping import TableMapping, TestKind
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
 from companion.diagnosis.free_decay.record import RawFreeDecay, prepare
 from companion.diagnosis.free_decay.recordings import diagnose as diagnose_decays
+from companion.diagnosis.limit_cycles.json_report import as_json as flutter_json
+from companion.diagnosis.limit_cycles.recordings import diagnose_vibration
+from companion.diagnosis.limit_cycles.tracks import RawVibration, VibrationTrack, track
 from companion.diagnosis.modal_tests.run_comparison import as_json as comparison_json
 from companion.diagnosis.modal_tests.run_comparison import compare
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, RecordingError
 from companion.evaluation.findings_output import write_findings
+from companion.evaluation.pages.flutter_page import flutter_page
 from companion.evaluation.pages.measured_pages import ringing_page, vibration_page
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
@@ -29,6 +33,7 @@ Progress = Callable[[str, float], None]
 _TIPS = ("left_z_mps2", "right_z_mps2")
 _RESPONSE = "response_"
 _FORCE = "input_n"
+_AIRSPEED = "airspeed_mps"
 
 
 def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
@@ -39,8 +44,7 @@ def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
 def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progress) -> int:
     """Diagnose recordings of one structure jointly; exit codes as those of a flight."""
     tables = tables_of(options.recordings, mapping)
-    diagnosed = _free_decay if mapping.test is TestKind.RINGING else _vibration
-    plain, make_page = diagnosed(tables, mapping, options, progress)
+    plain, make_page = _DIAGNOSED[mapping.test](tables, mapping, options, progress)
     write_findings(plain, options.json, options.html, _tell, make_page)
     if options.apply is not None:
         print("--apply: what was found here is of a structure on the bench; no airframe was written", file=sys.stderr)
@@ -87,6 +91,38 @@ def _vibration(
     return plain, lambda: vibration_page(diagnosis, runs, plain, mapping.description)
 
 
+def _limit_cycle(
+    tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
+) -> _Diagnosed:
+    tracks: list[VibrationTrack] = []
+    notes = []
+    for i, table in enumerate(tables):
+        progress("follow the vibration", i / len(tables))
+        responses = {
+            name.removeprefix(_RESPONSE): values
+            for name, values in table.channels.items()
+            if name.startswith(_RESPONSE)
+        }
+        if not responses:
+            raise RecordingError(
+                f"{table.path}: a limit cycle needs {_RESPONSE}<what>, and {_AIRSPEED} if there was any"
+            )
+        airspeed = float(np.mean(table.channels[_AIRSPEED])) if _AIRSPEED in table.channels else None
+        try:
+            tracks.append(track(RawVibration(table.path.name, table.t_s, responses, airspeed), _band(mapping)))
+        except RecordingError as error:
+            notes.append(str(error))
+    if not tracks:
+        raise RecordingError("; ".join(notes))
+    diagnosis = diagnose_vibration(tracks, options.max_causes + 2, progress)
+    plain = flutter_json(diagnosis)
+    plain["notes"] += [*notes, *(note for table in tables for note in table.notes)]
+    return plain, lambda: flutter_page(diagnosis, plain, mapping.description)
+
+
+_DIAGNOSED = {TestKind.RINGING: _free_decay, TestKind.VIBRATION: _vibration, TestKind.LIMIT_CYCLE: _limit_cycle}
+
+
 def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:
     names = [name for name in table.channels if name.startswith(_RESPONSE)]
     if _FORCE not in table.channels or not names:
@@ -126,6 +162,15 @@ def _tell(plain: dict[str, Any]) -> None:
             print(f"    {name} = {entry['value']:.5g} ± {entry['sigma']:.2g} {entry['unit']} ({entry['meaning']})")
         if cause["gain"]:
             print(f"    {error_line(cause['gain'])}")
+    if plain.get("onset"):
+        print(f"  onset: {plain['onset']['says']}")
+    for entry in plain.get("held_out_speeds", []):
+        each = [("frequency", entry["frequency_hz"]), *entry["amplitude"].items()]
+        pairs = ", ".join(
+            f"{name} {pair['measured']:.4g} -> {pair['predicted']:.4g} ({100 * pair['relative_error']:+.1f} %)"
+            for name, pair in each
+        )
+        print(f"  {entry['airspeed_mps']:g} m/s held out, measured -> predicted: {pairs}")
     for line in plain.get("advice", []):
         print(f"  record: {line}")
     for note in plain["notes"]:

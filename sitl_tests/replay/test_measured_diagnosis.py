@@ -82,3 +82,25 @@ def test_a_beam_s_frequency_follows_the_roller_and_not_time(tmp_path: Path) -> N
     assert plain["verdict"] == "unexplained"
     assert "damping follows roller_position_v" in plain["residual"]["description"]
     assert plain["residual"]["failed"]
+
+
+def test_a_flutter_rig_s_limit_cycles_are_named_and_foretold(tmp_path: Path) -> None:
+    plain = diagnose(tmp_path, needed("flutter-rig"), "--mapping", "flutter-rig")
+    causes = {cause["name"]: cause for cause in plain["causes"]}
+    assert {"cubic-stiffness", "limit-cycle", "quadratic-damping"} <= causes.keys()
+    assert causes["cubic-stiffness"]["channel"] == "pitch_rad"
+    assert causes["cubic-stiffness"]["parameters"]["pitch_rad: cubic"]["interval"][0] > 0.0  # it hardens
+    assert len(plain["held_out_speeds"]) == 9
+    for entry in plain["held_out_speeds"]:
+        assert abs(entry["frequency_hz"]["relative_error"]) < 0.01
+        assert all(abs(pair["relative_error"]) < 0.1 for pair in entry["amplitude"].values())
+    assert plain["labels"] == []
+    still = next(entry for entry in plain["decays"] if entry["airspeed_mps"] is None)
+    assert still["stiffness"]["heave"]["frequency_at_rest_hz"] == pytest.approx(2.3, abs=0.1)  # its own w_h: 2.30 Hz
+
+
+def test_hammer_blows_alone_tell_a_flutter_rig_s_onset(tmp_path: Path) -> None:
+    files = sorted(map(str, Path(needed("flutter-rig")).glob("*Hammer.mat")))
+    plain = diagnose(tmp_path, *files, "--mapping", "flutter-rig")
+    low, high = plain["onset"]["airspeed_mps"]["interval"]
+    assert 23.0 < low < high < 26.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.io import savemat
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapped_table import files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import TestKind, load_mapping, parse_mapping, shipped_mappings
+from companion.adapters.recordings.tables.matlab_file import read_matlab
 from companion.adapters.recordings.tables.units import conversion
 from companion.errors import ConfigError, RecordingError, TableError
 from companion.params.files import load_airframe
@@ -100,6 +102,27 @@ def test_a_matlab_file_is_read_by_names_in_the_file(tmp_path: Path) -> None:
         read_mapped(table(tmp_path, "no matlab", "x.mat"), mapping)
 
 
+def test_channels_may_be_rows_and_a_single_number_holds_for_the_whole_recording(tmp_path: Path) -> None:
+    mapping = load_mapping("flutter-rig")
+    data = np.arange(18.0).reshape(3, 6)
+    savemat(tmp_path / "V163.mat", {"data": data, "time": np.arange(6.0)[None], "Speed": 16.3})
+    read = read_mapped(tmp_path / "V163.mat", mapping)
+    np.testing.assert_allclose(read.channels["response_heave"], data[1])
+    np.testing.assert_allclose(read.channels["response_pitch_rad"], data[0])
+    np.testing.assert_allclose(read.channels["airspeed_mps"], 16.3)
+    savemat(tmp_path / "still.mat", {"data": data, "time": np.arange(6.0)[None]})
+    assert "airspeed_mps" not in read_mapped(tmp_path / "still.mat", mapping).channels
+
+
+def test_an_object_of_matlab_s_own_is_left_out(tmp_path: Path) -> None:
+    savemat(tmp_path / "a.mat", {"x": np.arange(3.0)})
+    # array flags of class 17 (opaque), then a name, and no dimensions
+    opaque = struct.pack("<IIIII", 6, 8, 17, 0, 1 | 4 << 16) + b"None"
+    path = tmp_path / "b.mat"
+    path.write_bytes((tmp_path / "a.mat").read_bytes() + struct.pack("<II", 14, len(opaque)) + opaque)
+    assert list(read_matlab(path)) == ["x"]
+
+
 def test_files_of_a_folder_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     for k in (10, 9, 1):
         table(tmp_path, "", f"run{k}.txt")
@@ -121,7 +144,7 @@ def test_files_of_a_folder_come_in_the_order_of_their_numbers(tmp_path: Path) ->
         (('"tab"', '"pipe"'), "'table.delimiter' must be one of comma, semicolon, tab, space, not 'pipe'"),
         (("first_line = 5", "first_line = 2"), "'table.first_line' must come after the header line"),
         (('channel = "t_s"', 'channel = "clock_s"'), "give either a column with channel = 't_s' or rate_hz"),
-        (("[table]", "test = 'walk'\n[table]"), "'test' must be one of flight, ringing, vibration, not 'walk'"),
+        (("[table]", "test = 'walk'\n[table]"), "'test' must be one of flight, ringing, vibration, limit-cycle, not 'walk'"),
         (("[table]", "surprise = 1\n[table]"), "'surprise' is no key of a mapping file"),
         (("[table]", "band_hz = [5, 2]\n[table]"), "'band_hz' must be two frequencies"),
     ],

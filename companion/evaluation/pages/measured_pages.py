@@ -42,7 +42,7 @@ def ringing_page(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], pla
         *_left(plain),
     ]
     seconds = sum(float(recording.t_s[-1]) for recording in diagnosis.null.state.recordings)
-    return _rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, {seconds:.0f} s, fitted jointly", body)
+    return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, {seconds:.0f} s, fitted jointly", body)
 
 
 def vibration_page(diagnosis: Comparison, runs: Sequence[VibrationRun], plain: dict[str, Any], what: str) -> str:
@@ -62,10 +62,11 @@ def vibration_page(diagnosis: Comparison, runs: Sequence[VibrationRun], plain: d
         *_modes(plain),
         *[Paragraph(note) for note in plain["notes"]],
     ]
-    return _rendered(plain, f"{what}: {len(runs)} runs, fitted jointly", body)
+    return rendered(plain, f"{what}: {len(runs)} runs, fitted jointly", body)
 
 
-def _rendered(plain: dict[str, Any], subject: str, body: Sequence[Block]) -> str:
+def rendered(plain: dict[str, Any], subject: str, body: Sequence[Block]) -> str:
+    """A page with the verdict on top."""
     verdict = plain["verdict"]
     page = Page(title=f"Diagnosis: {verdict}", headline=_headline(plain), body=body, subject=subject, grade=verdict)
     return render(page)

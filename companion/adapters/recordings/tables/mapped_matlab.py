@@ -14,7 +14,9 @@ from companion.records import Floats
 
 
 def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> dict[str, Floats]:
-    """Channels by the mapping's names: columns of ``array``, or variables; an optional one may be missing.
+    """Channels by the mapping's names: columns of ``array`` (rows, if it is wide), or variables.
+
+    An optional one may be missing; a single number holds for the whole recording.
 
     Raises
     ------
@@ -37,6 +39,9 @@ def matlab_columns(path: Path, mapping: TableMapping, layout: MatlabLayout) -> d
             )
         if values is not None:
             channels[column.name] = _checked(path, column, values)
+    longest = max((len(values) for values in channels.values()), default=0)
+    # a single number was set once for the whole recording
+    channels = {name: np.full(longest, values[0]) if len(values) == 1 else values for name, values in channels.items()}
     lengths = {len(values) for values in channels.values()}
     if len(lengths) > 1:
         lengths_text = ", ".join(f"'{name}' {len(values)}" for name, values in channels.items())
@@ -53,7 +58,8 @@ def _array(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> Any:
     array = variables[layout.array]
     if array.ndim != 2 or array.dtype.kind not in "iuf":
         raise RecordingError(f"{path}: variable '{layout.array}' is no table of numbers")
-    return array
+    # without names the longer side is time
+    return array if layout.names or array.shape[0] >= array.shape[1] else array.T
 
 
 def _names(path: Path, variables: dict[str, Any], layout: MatlabLayout) -> list[str]:

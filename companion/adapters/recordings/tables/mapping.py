@@ -31,6 +31,7 @@ class TestKind(enum.StrEnum):
     FLIGHT = "flight"
     RINGING = "ringing"
     VIBRATION = "vibration"
+    LIMIT_CYCLE = "limit-cycle"
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from companion.errors import RecordingError
 
 _HEAD = 128  # bytes of the file's header (MAT-File Level 5 format)
 _MATRIX, _COMPRESSED = 14, 15  # data types (MAT-File Level 5 format)
-_CELL, _CHARACTER, _FIRST_NUMBER, _LAST_NUMBER = 1, 4, 6, 15  # array classes (MAT-File Level 5 format)
+_CELL, _CHARACTER, _FIRST_NUMBER, _LAST_NUMBER, _OPAQUE = 1, 4, 6, 15, 17  # array classes (MAT-File Level 5 format)
 # data types (MAT-File Level 5 format)
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 # data types of text (MAT-File Level 5 format)
@@ -95,8 +95,11 @@ def _elements(data: memoryview, order: str, *, padded: bool = True) -> Iterator[
 def _matrix(data: memoryview, order: str, depth: int) -> tuple[str, Any]:
     """Name and value; the value is None for a class that is not read."""
     parts = _elements(data, order)
-    flags, dimensions, label = (_next(parts) for _ in range(3))
+    flags, dimensions = _next(parts), _next(parts)
     kind = struct.unpack_from(f"{order}I", flags.data)[0] & 0xFF
+    if kind == _OPAQUE:  # an object of MATLAB's own, which has a name and no dimensions
+        return bytes(dimensions.data).decode("latin-1"), None
+    label = _next(parts)
     shape = tuple(int(n) for n in np.frombuffer(dimensions.data, f"{order}i4"))
     name = bytes(label.data).decode("latin-1")
     if len(shape) < 2 or min(shape) < 0:

@@ -1,0 +1,194 @@
+"""The verdict on self-excited vibration as plain data (companion/diagnosis/README.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
+from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDependence
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
+from companion.diagnosis import json_rows
+from companion.diagnosis.json_rows import failures, nats, quantity
+from companion.diagnosis.limit_cycles.decays import force_curve
+from companion.diagnosis.limit_cycles.recordings import LIMIT_CYCLE, FlutterDiagnosis
+from companion.diagnosis.limit_cycles.regression import RegressionTerm
+from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.diagnosis.selection.recordings import Cause
+
+_FAR = 4.5  # sigmas of a window that is told by itself
+_IN_WORDS = {
+    LIMIT_CYCLE: "frequency and damping follow the airspeed: so does the amplitude at which the damping is 0",
+    AirspeedDependence.name: "follows the airspeed at equal amplitude",
+    QuadraticDamping.name: "damping follows the amplitude",
+}
+_ADVICE = {
+    LIMIT_CYCLE: "come to each airspeed from below and from above: where the two differ there is an unstable cycle",
+    AirspeedDependence.name: "blow with a hammer at more airspeeds below the onset",
+    QuadraticDamping.name: "let it grow and decay from several amplitudes at one airspeed",
+    CubicStiffness.name: "measure the spring's force over deflection, with the wind off",
+}
+
+
+def as_json(diagnosis: FlutterDiagnosis) -> dict[str, Any]:
+    """Everything that a program would read; None where there is nothing to say."""
+    outcome = diagnosis.outcome
+    unexplained = outcome.verdict is DiagnosisVerdict.UNEXPLAINED
+    causes = outcome.causes or outcome.nearest_causes
+    gain = outcome.gain
+    return {
+        "format": 1,
+        "recordings": [entry.name for entry in diagnosis.tracks],
+        "airframe": None,
+        "verdict": str(outcome.verdict),
+        "reason": _reason(diagnosis),
+        "causes": [_cause(cause) for cause in causes],
+        "nearest": outcome.nearest or None if unexplained else None,
+        "gain": {"held_out": True, "total": nats(gain.log_score["total"])} if gain is not None else None,
+        "adequacy": {"before": json_rows.checks(outcome.before), "after": json_rows.checks(outcome.after)},
+        "residual": {"description": outcome.reason, "failed": failures(outcome.after)} if unexplained else None,
+        "screening": [
+            {"name": entry.name, "channel": entry.term.channel, "z": entry.z, "log_odds": entry.log_odds}
+            for entry in outcome.screening.candidates
+        ],
+        "linear_wing": _linear(diagnosis),
+        "limit_cycles": [_cycle(diagnosis, i) for i, entry in enumerate(diagnosis.tracks) if entry.steady.any()],
+        "held_out_speeds": _held_out(diagnosis),
+        "onset": _onset(diagnosis),
+        "labels": [_doubt(entry) for entry in diagnosis.doubts],
+        "decays": [_decay(diagnosis, i) for i, entry in enumerate(diagnosis.tracks) if not entry.steady.any()],
+        "airframe_parameters": [],
+        "notes": [*(label["says"] for label in map(_doubt, diagnosis.doubts)), *_outlying(diagnosis)],
+    }
+
+
+def _reason(diagnosis: FlutterDiagnosis) -> str:
+    outcome = diagnosis.outcome
+    named = [_named(cause.term) for cause in outcome.causes or outcome.nearest_causes]
+    if outcome.verdict is DiagnosisVerdict.UNEXPLAINED:
+        return f"explained so far: {', '.join(named) or 'nothing'}; {outcome.reason}"
+    return ", ".join(named) or "one frequency and damping ratio explain these recordings"
+
+
+def _named(term: RegressionTerm) -> str:
+    if term.name == CubicStiffness.name:
+        return f"{term.name} (stiffness follows the amplitude of {term.channel})"
+    if term.name == AirspeedDependence.name:
+        return f"{term.name} ({term.coefficients[0].response} {_IN_WORDS[term.name]})"
+    return f"{term.name} ({_IN_WORDS[term.name]})"
+
+
+def _cause(cause: Cause[RegressionTerm]) -> dict[str, Any]:
+    each = zip(cause.term.coefficients, cause.values, cause.sigmas, strict=True)
+    return {
+        "name": cause.term.name,
+        "channel": cause.term.channel or None,
+        "group": list(cause.group),
+        "log_bayes_factor": cause.log_bayes_factor,
+        "bic": cause.bic,
+        "z": cause.z,
+        "parameters": {entry.key: quantity(value, sigma, entry.unit, entry.meaning) for entry, value, sigma in each},
+        "gain": None,
+        "advice": _ADVICE[cause.term.name],
+    }
+
+
+def _linear(diagnosis: FlutterDiagnosis) -> dict[str, Any]:
+    """Errors of one frequency and one damping ratio, which know no amplitude."""
+    f_hz = [row.frequency_hz for row in diagnosis.rows]
+    cycles = [row for row in diagnosis.rows if row.cycle]
+    sentences = [f"one frequency for all, where {min(f_hz):.2f} to {max(f_hz):.2f} Hz were measured"]
+    if cycles:
+        growth = max(abs(row.damping) for row in cycles)
+        sentences.append(
+            f"no amplitude to settle on: {len(cycles)} recordings keep theirs (damping ratio within {growth:.4f})"
+        )
+    return {"frequency_hz": math.sqrt(max(diagnosis.outcome.null.values[0], 0.0)), "wrong": sentences}
+
+
+def _cycle(diagnosis: FlutterDiagnosis, number: int) -> dict[str, Any]:
+    entry = diagnosis.tracks[number]
+    row = next((row for row in diagnosis.rows if row.recording == number and row.cycle), None)
+    if row is None:
+        return {"recording": entry.name, "airspeed_mps": entry.airspeed_mps, "frequency_hz": None, "amplitude": None}
+    levels = dict(zip(diagnosis.names, row.amplitude, strict=True))
+    return {
+        "recording": entry.name,
+        "airspeed_mps": row.airspeed_mps,
+        "frequency_hz": row.frequency_hz,
+        "amplitude": levels,
+    }
+
+
+def _held_out(diagnosis: FlutterDiagnosis) -> list[dict[str, Any]]:
+    return [
+        {
+            "airspeed_mps": entry.airspeed_mps,
+            "frequency_hz": _pair(entry.frequency_hz),
+            "amplitude": {name: _pair(pair) for name, pair in entry.amplitude.items()},
+        }
+        for entry in diagnosis.held_out
+    ]
+
+
+def _outlying(diagnosis: FlutterDiagnosis) -> list[str]:
+    """Windows whose frequency lies far from the fit."""
+    final = diagnosis.outcome.final
+    sentences = []
+    for row, z in zip(diagnosis.rows, final.state.residual(final.values, 0).tolist(), strict=True):
+        if abs(z) > _FAR:
+            name = diagnosis.tracks[row.recording].name
+            sentences.append(
+                f"{name}, {row.t_s:.1f} s: {row.frequency_hz:.2f} Hz is {z:+.1f} sigma off, where ln amplitude "
+                f"changes by {-2.0 * math.pi * row.damping:+.2f} a period: averages follow slow changes only"
+            )
+    return sentences
+
+
+def _pair(pair: tuple[float, float]) -> dict[str, float]:
+    return {"measured": pair[0], "predicted": pair[1], "relative_error": pair[1] / pair[0] - 1.0}
+
+
+def _onset(diagnosis: FlutterDiagnosis) -> dict[str, Any] | None:
+    onset = diagnosis.onset
+    if onset is None:
+        return None
+    low, high = onset.bracket_mps
+    if math.isnan(onset.airspeed_mps):
+        says = f"the {onset.windows} windows at small amplitude, {low:g} to {high:g} m/s, do not tell it"
+        return {"airspeed_mps": None, "windows": onset.windows, "says": says}
+    value = quantity(onset.airspeed_mps, onset.sigma_mps, "m/s", "airspeed at which small vibrations stop decaying")
+    says = f"{onset.airspeed_mps:.1f} ± {onset.sigma_mps:.1f} m/s, by {onset.windows} windows at small amplitude alone"
+    return {"airspeed_mps": value, "windows": onset.windows, "says": says}
+
+
+def _doubt(entry: Any) -> dict[str, Any]:
+    says = (
+        f"{entry.name} says {entry.says_mps:g} m/s, but its limit cycle is that of {entry.tells_mps:.1f} m/s "
+        f"(the others scatter by {entry.scatter_mps:.2f} m/s): left out"
+    )
+    return {"recording": entry.name, "says_mps": entry.says_mps, "tells_mps": entry.tells_mps, "says": says}
+
+
+def _decay(diagnosis: FlutterDiagnosis, number: int) -> dict[str, Any]:
+    """Frequency and damping of a recording without a limit cycle against its amplitude, and the spring's curve."""
+    entry = diagnosis.tracks[number]
+    plain: dict[str, Any] = {
+        "recording": entry.name,
+        "airspeed_mps": entry.airspeed_mps,
+        "frequency_hz": entry.frequency_hz.tolist(),
+        "damping": (-entry.growth_radps / (2.0 * math.pi * entry.frequency_hz)).tolist(),
+        "amplitude": {name: values.tolist() for name, values in entry.amplitude.items()},
+        "stiffness": {},
+    }
+    for name in entry.amplitude:
+        curve = force_curve(entry, name) if not entry.airspeed_mps else None  # in the wind it is no spring alone
+        if curve is not None:
+            plain["stiffness"][name] = {
+                "frequency_at_rest_hz": curve.omega_radps / (2.0 * math.pi),
+                "cubic": quantity(curve.cubic, curve.sigmas[1], f"1/s^2 per {name}^2", "of the force per mass"),
+                "quintic": quantity(curve.quintic, curve.sigmas[2], f"1/s^2 per {name}^4", "of the force per mass"),
+                "deflection": curve.deflection.tolist(),
+                "force": curve.force.tolist(),
+            }
+    return plain

@@ -1,0 +1,281 @@
+"""Self-excited vibration under the engine: stiffness and damping against amplitude and airspeed, and the limit cycle.
+
+Averaged over a period a nearly harmonic vibration A cos(phase) obeys (Krylov and Bogoliubov)
+
+    d ln A / dt = -omega zeta(V, A),     omega^2 = omega_0^2 + (3/4) k_3 A^2 + (5/8) k_5 A^4 + k_V v
+
+with v the airspeed about its mean in units of its rms. A linear wing has neither A: it decays or grows without end, at
+one frequency. Where zeta crosses 0 with A rising the amplitude stays: the limit cycle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
+from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDependence
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
+from companion.diagnosis.limit_cycles.labels import LabelDoubt, doubtful_labels
+from companion.diagnosis.limit_cycles.regression import (
+    Coefficient,
+    RegressionFit,
+    RegressionModel,
+    RegressionResponse,
+    Regressions,
+    RegressionTerm,
+)
+from companion.diagnosis.limit_cycles.tracks import VibrationTrack
+from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
+from companion.diagnosis.selection.recordings import Progress
+from companion.errors import RecordingError
+from companion.records import Bools, Floats
+
+LIMIT_CYCLE = "limit-cycle"
+"""Name of an amplitude that the wing itself settles on; no effect of the catalogue, which has stable wings only."""
+FREQUENCY, DAMPING = "square of the frequency", "damping ratio"
+CYCLE, AMPLITUDE = "logarithm of the cycle's frequency", "logarithm of the cycle's amplitude"
+_SMALL = 0.35  # of the largest amplitude: below, the vibration is on its way
+_NOISY = (0.02, 0.3)  # of the largest amplitude: a window's error grows with its inverse; beyond, with its change
+_FEWEST_CYCLES = 4  # that tell how the cycle grows with airspeed
+_FEWEST_WINDOWS = 6  # on the way to or from a cycle, which tell its damping
+_SLOWEST_MPS = 0.1  # below, the air does nothing
+_PER = " per rms of the airspeed"
+_TWO_PI = 2.0 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One observation: a limit cycle's mean, or a window on the way to or from it."""
+
+    recording: int
+    airspeed_mps: float
+    amplitude: tuple[float, ...]
+    frequency_hz: float
+    damping: float
+    cycle: bool
+    t_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """Airspeed at which small vibrations stop decaying, m/s, told by growth and decay at small amplitude alone."""
+
+    airspeed_mps: float
+    sigma_mps: float
+    windows: int
+    bracket_mps: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutSpeed:
+    """Limit cycle of an airspeed that was not fitted: measured and predicted frequency, and amplitudes by response."""
+
+    airspeed_mps: float
+    frequency_hz: tuple[float, float]
+    amplitude: dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class FlutterDiagnosis:
+    """Outcome: ``tracks`` with their label doubts, the engine's outcome, held-out speeds and the onset.
+
+    ``rows`` are what was fitted, ``mean_mps`` and ``rms_mps`` the airspeed's unit.
+    """
+
+    outcome: Diagnosis[RegressionTerm, RegressionModel]
+    tracks: tuple[VibrationTrack, ...]
+    rows: tuple[Row, ...]
+    names: tuple[str, ...]
+    mean_mps: float
+    rms_mps: float
+    held_out: tuple[HeldOutSpeed, ...]
+    onset: Onset | None
+    doubts: tuple[LabelDoubt, ...]
+
+
+def diagnose_vibration(tracks: Sequence[VibrationTrack], most: int, progress: Progress) -> FlutterDiagnosis:
+    """Judge recordings of one rig.
+
+    Raises
+    ------
+    RecordingError
+        No recording has windows above its noise.
+    """
+    names = tuple(tracks[0].amplitude)
+    doubts = doubtful_labels(tracks)
+    aside = {entry.recording for entry in doubts}
+    if any(entry.airspeed_mps is not None for entry in tracks):  # in still air it is another structure
+        aside |= {i for i, entry in enumerate(tracks) if entry.airspeed_mps is None}
+    rows = [row for i, entry in enumerate(tracks) if i not in aside for row in _rows(i, entry)]
+    if not rows:
+        raise RecordingError("no recording rises above its noise: excite the structure, or record it longer")
+    speeds = np.array([row.airspeed_mps for row in rows])
+    mean, rms = float(speeds.mean()), float(speeds.std()) or 1.0
+    regressions = _regressions(rows, names, (speeds - mean) / rms)
+    outcome = diagnose(regressions, most, progress)
+    held_out = _held_out(regressions, outcome.final, rows, names) if len(set(speeds)) > 1 else ()
+    onset = _onset(rows)
+    return FlutterDiagnosis(outcome, tuple(tracks), tuple(rows), names, mean, rms, held_out, onset, doubts)
+
+
+def _rows(number: int, entry: VibrationTrack) -> list[Row]:
+    """A limit cycle counts once, however long it lasted; windows on the way one by one."""
+    speed = entry.airspeed_mps or 0.0
+    levels = np.stack(list(entry.amplitude.values()), 1)
+    damping = -entry.growth_radps / (_TWO_PI * entry.frequency_hz)
+    rows = [
+        Row(
+            number,
+            speed,
+            tuple(levels[k].tolist()),
+            float(entry.frequency_hz[k]),
+            float(damping[k]),
+            False,
+            float(entry.t_s[k]),
+        )
+        for k in np.flatnonzero(~entry.steady)
+    ]
+    if entry.steady.any():
+        mean = np.median(levels[entry.steady], axis=0)
+        f_hz, zeta = (float(np.median(values[entry.steady])) for values in (entry.frequency_hz, damping))
+        rows.append(Row(number, speed, tuple(mean.tolist()), f_hz, zeta, True))
+    return rows
+
+
+def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regressions:
+    amplitude = np.array([row.amplitude for row in rows])
+    relative = amplitude / amplitude.max(axis=0)
+    f_hz, zeta = np.array([row.frequency_hz for row in rows]), np.array([row.damping for row in rows])
+    cycle, speeds = np.array([row.cycle for row in rows]), np.array([row.airspeed_mps for row in rows])
+    scale: Floats = np.where(cycle, 1.0, 1.0 / np.clip(relative[:, 0], *_NOISY))
+    group = np.asarray(cycle & (cycle.sum() >= _FEWEST_CYCLES)).astype(np.int64)
+    square = f_hz**2
+    level = float(np.median(square))
+    responses = [
+        RegressionResponse(FREQUENCY, square, scale, group, speeds, relative[:, 0], level, level, 0.05 * level)
+    ]
+    terms = [_stiffness(name, relative[:, i], level) for i, name in enumerate(names)]
+    if np.ptp(speeds) > 0.0:
+        terms.append(
+            _airspeed(Coefficient("frequency: airspeed", FREQUENCY, v, 0.2 * level, "Hz^2", f"{FREQUENCY}{_PER}"))
+        )
+    way = ~cycle
+    if way.sum() >= _FEWEST_WINDOWS:
+        a, inside, alike = relative[way, 0], _inside_cycle(relative[:, 0], v, cycle)[way], np.zeros_like(group[way])
+        noise = np.asarray(scale[way], dtype=np.float64)
+        responses.append(RegressionResponse(DAMPING, zeta[way], noise, alike, speeds[way], a, 0.0, 0.05, 0.01))
+        terms.append(_damping(names[0], a, inside))
+        if np.ptp(speeds[way]) > 0.0:
+            column = v[way] * inside
+            terms.append(_airspeed(Coefficient("damping: airspeed", DAMPING, column, 0.02, "", f"{DAMPING}{_PER}")))
+    if cycle.sum() >= _FEWEST_CYCLES and np.ptp(speeds[cycle]) > 0.0:
+        followed = {CYCLE: 0.5 * np.log(square / level)[cycle]}
+        followed |= {f"{AMPLITUDE}: {name}": np.log(relative[cycle, i]) for i, name in enumerate(names)}
+        alike, ones = np.zeros_like(group[cycle]), np.ones(int(cycle.sum()))
+        for at, values in followed.items():
+            responses.append(RegressionResponse(at, values, ones, alike, speeds[cycle], speeds[cycle], 0.0, 1.0, 0.05))
+        terms.append(_cycle(list(followed), speeds[cycle]))
+    return Regressions(responses, terms)
+
+
+def _inside_cycle(a: Floats, v: Floats, cycle: Bools) -> Floats:
+    """Distance inside the limit cycle, 1 - (A / A_c(v))^2, (n,): 1 at rest, 0 on the cycle; 1 where none is."""
+    if cycle.sum() < _FEWEST_CYCLES or np.ptp(v[cycle]) == 0.0:
+        return np.ones(len(a))
+    log_cycle = np.polyval(np.polyfit(v[cycle], np.log(a[cycle]), 2), v)
+    return np.asarray(1.0 - a**2 * np.exp(-2.0 * log_cycle))
+
+
+def _airspeed(column: Coefficient) -> RegressionTerm:
+    return RegressionTerm(AirspeedDependence.name, "airspeed_mps", (column,))
+
+
+def _cycle(followed: Sequence[str], speeds: Floats) -> RegressionTerm:
+    """Frequency and amplitudes of the limit cycle, their logarithms over the airspeed's."""
+    log_speed = np.log(np.maximum(speeds, _SLOWEST_MPS))
+    x = (log_speed - log_speed.mean()) / log_speed.std()
+    coefficients = []
+    for at in followed:
+        coefficients += [
+            Coefficient(f"{at}: slope", at, x, 0.5, "", f"{at} per rms of the airspeed's logarithm"),
+            Coefficient(f"{at}: bend", at, x**2 - 1.0, 0.2, "", "the same, per its square"),
+            Coefficient(f"{at}: twist", at, x**3 - 3.0 * x, 0.1, "", "the same, per its cube"),
+        ]
+    return RegressionTerm(LIMIT_CYCLE, "airspeed_mps", tuple(coefficients))
+
+
+def _stiffness(name: str, a: Floats, level: float) -> RegressionTerm:
+    unit = f"square of the frequency at the largest amplitude of {name}"
+    return RegressionTerm(
+        CubicStiffness.name,
+        name,
+        (
+            Coefficient(f"{name}: cubic", FREQUENCY, a**2, level, "Hz^2", f"{unit}, cubic"),
+            Coefficient(f"{name}: quintic", FREQUENCY, a**4, level, "Hz^2", f"{unit}, quintic"),
+        ),
+    )
+
+
+def _damping(name: str, a: Floats, inside: Floats) -> RegressionTerm:
+    at_rest = "damping ratio at rest over that on the cycle" if np.ptp(inside) else "its change with squared amplitude"
+    return RegressionTerm(
+        QuadraticDamping.name,
+        name,
+        (
+            Coefficient(f"{name}: damping", DAMPING, inside if np.ptp(inside) else a**2, 0.05, "", at_rest),
+            Coefficient(f"{name}: rise", DAMPING, inside * a, 0.1, "", f"its change with the amplitude of {name}"),
+        ),
+    )
+
+
+def _held_out(
+    regressions: Regressions, fitted: RegressionFit, rows: Sequence[Row], names: Sequence[str]
+) -> tuple[HeldOutSpeed, ...]:
+    """Limit cycles of each airspeed as the others foretell them."""
+    cycles = [row for row in rows if row.cycle]
+    if len(cycles) < _FEWEST_CYCLES or not any(term.name == LIMIT_CYCLE for term in fitted.terms):
+        return ()
+    largest = np.array([row.amplitude for row in rows]).max(axis=0)
+    typical_hz = float(np.sqrt(np.median([row.frequency_hz**2 for row in rows])))
+    places = [k for k, entry in enumerate(regressions.responses) if entry.name.startswith((CYCLE, AMPLITUDE))]
+    held_out = []
+    for speed in sorted({row.airspeed_mps for row in cycles}):
+        again = regressions.without(fitted, speed)
+        at = [k for k, row in enumerate(cycles) if row.airspeed_mps == speed]
+        f_ratio, *levels = (
+            float(np.exp(again.state.predicted(again.values, places[i])[at].mean())) for i in range(1 + len(names))
+        )
+        mean = np.array([cycles[k].amplitude for k in at]).mean(axis=0)
+        held_out.append(
+            HeldOutSpeed(
+                speed,
+                (float(np.mean([cycles[k].frequency_hz for k in at])), f_ratio * typical_hz),
+                {name: (float(mean[i]), float(levels[i] * largest[i])) for i, name in enumerate(names)},
+            )
+        )
+    return tuple(held_out)
+
+
+def _onset(rows: Sequence[Row]) -> Onset | None:
+    """Zero of the damping ratio at small amplitude over airspeed and squared amplitude, by weighted least squares."""
+    largest = max((row.amplitude[0] for row in rows), default=0.0)
+    small = [row for row in rows if not row.cycle and row.airspeed_mps > 0.0 and row.amplitude[0] < _SMALL * largest]
+    speeds = np.array([row.airspeed_mps for row in small])
+    if len(small) < 6 or np.ptp(speeds) == 0.0:
+        return None
+    a = np.array([row.amplitude[0] for row in small]) / largest
+    design = np.stack([np.ones(len(a)), speeds - speeds.mean(), a**2], 1)
+    weight = np.clip(a, *_NOISY)[:, None]
+    zeta = np.array([row.damping for row in small])[:, None] * weight
+    values, rest, *_ = np.linalg.lstsq(design * weight, zeta[:, 0], rcond=None)
+    variance = float(rest[0]) / max(len(a) - 3, 1) if len(rest) else 0.0
+    covariance = variance * np.linalg.inv((design * weight).T @ (design * weight))
+    if values[1] >= 0.0 or abs(values[1]) < 2.0 * np.sqrt(covariance[1, 1]):
+        return Onset(float("nan"), float("nan"), len(small), (float(speeds.min()), float(speeds.max())))
+    at = speeds.mean() - values[0] / values[1]
+    slope = np.array([-1.0 / values[1], values[0] / values[1] ** 2])
+    sigma = float(np.sqrt(slope @ covariance[:2, :2] @ slope))
+    return Onset(float(at), sigma, len(small), (float(speeds.min()), float(speeds.max())))

@@ -1,0 +1,264 @@
+"""Regressions under the engine: several responses, each linear in its terms, each with a noise that is fitted.
+
+Row i of a response is y_i = x_i . theta + e_i, e_i normal with standard deviation exp(s_g) b_i, b_i given, g its group
+of equal noise. With r the residual in that unit, l = sum(-r^2/2 - s_g - ln b_i), its gradient sum(x r / (e^s b)) by
+theta and sum(r^2 - 1) by s_g, its information sum(x x^T / (e^s b)^2) and 2 n_g.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from companion.diagnosis.selection.check import Check
+from companion.diagnosis.selection.fisher_scoring import Parameter, Scores
+from companion.diagnosis.selection.fit import Fit, climb
+from companion.diagnosis.selection.normal_scores import normal_score, strength
+from companion.diagnosis.selection.recordings import Prediction, Progress, Recordings, no_correlation
+from companion.diagnosis.selection.score_tests import Candidate, Screening
+from companion.records import Bools, Floats
+
+Indices = npt.NDArray[np.int64]
+LIMIT = 5.0
+"""Standard deviations beyond which a test is not chance."""
+_ROUNDS = 60  # scoring steps: noises begin far from their values
+_NOISE_SIGMA = 3.0  # of the logarithm: a factor of 20 either way
+_DRAWS = 400  # which tell a statistic's spread to 4 %
+_SEED = 20250104  # convention: any fixed number
+_FEWEST = 8  # rows of a response that can be tested
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficient:
+    """One coefficient: its response, column (n,) there, prior sigma, and what it says."""
+
+    key: str
+    response: str
+    column: Floats
+    sigma: float
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class RegressionTerm:
+    """An effect of the catalogue, or a law, as columns of responses."""
+
+    name: str
+    channel: str
+    coefficients: tuple[Coefficient, ...]
+    log_trials: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """A model holds an effect once for each property that it moves."""
+        return f"{self.name} of {self.coefficients[0].response}"
+
+
+@dataclass(frozen=True, slots=True)
+class RegressionResponse:
+    """Rows of one response.
+
+    Attributes
+    ----------
+    values, scale : (n,)
+        As measured, and the relative size of their noise.
+    group : (n,)
+        Of equal noise, from 0.
+    block : (n,)
+        Rows that are held out together.
+    order : (n,)
+        Along which neighbours are compared.
+    level, sigma, noise : float
+        Prior of the mean, and where the noise is sought.
+    """
+
+    name: str
+    values: Floats
+    scale: Floats
+    group: Indices
+    block: Floats
+    order: Floats
+    level: float
+    sigma: float
+    noise: float
+
+
+class RegressionModel:
+    """Responses with some terms; ``use`` says which rows of each count."""
+
+    def __init__(
+        self,
+        responses: Sequence[RegressionResponse],
+        terms: Sequence[RegressionTerm],
+        wider: float = 1.0,
+        use: Sequence[Bools] | None = None,
+    ) -> None:
+        self.responses, self.terms = tuple(responses), tuple(terms)
+        self.use = [np.ones(len(entry.values), dtype=np.bool_) for entry in responses] if use is None else use
+        added = [entry for term in terms for entry in term.coefficients]
+        self.parameters: list[Parameter] = []
+        self._first = []
+        for entry in responses:
+            self._first.append(len(self.parameters))
+            self.parameters += [Parameter(entry.name, entry.level, entry.sigma)]
+            groups = range(int(entry.group.max()) + 1)
+            noise = math.log(entry.noise)
+            self.parameters += [Parameter(f"noise {group} of {entry.name}", noise, _NOISE_SIGMA) for group in groups]
+        self.parameters += [Parameter(entry.key, 0.0, wider * entry.sigma) for entry in added]
+        count = len(self.parameters) - len(added)
+        ends = np.cumsum([count, *(len(term.coefficients) for term in terms)]).tolist()
+        self.blocks = [range(first, last) for first, last in itertools.pairwise(ends)]
+        self._design = []
+        for k, response in enumerate(responses):
+            design = np.zeros((len(response.values), len(self.parameters)))
+            design[:, self._first[k]] = 1.0
+            for j, coefficient in enumerate(added):
+                if coefficient.response == response.name:
+                    design[:, count + j] = coefficient.column
+            self._design.append(design)
+
+    def predicted(self, values: Floats, response: int) -> Floats:
+        """Mean of a response's rows, (n,)."""
+        return np.asarray(self._design[response] @ values)
+
+    def residual(self, values: Floats, response: int) -> Floats:
+        """Residual of a response's rows in standard deviations, (n,)."""
+        entry = self.responses[response]
+        return np.asarray((entry.values - self.predicted(values, response)) / self.noise(values, response))
+
+    def log_density(self, values: Floats, response: int) -> Floats:
+        """Log density of each row of a response, (n,)."""
+        return np.asarray(
+            -0.5 * self.residual(values, response) ** 2 - np.log(self.noise(values, response) * math.sqrt(2.0 * np.pi))
+        )
+
+    def log_likelihood(self, values: Floats, near: RegressionModel | None = None) -> float:
+        """Log likelihood of the rows that count."""
+        del near
+        return float(sum(self.log_density(values, k)[use].sum() for k, use in enumerate(self.use)))
+
+    def scores(self, values: Floats) -> Scores[RegressionModel]:
+        """Log likelihood, gradient and information."""
+        count = len(values)
+        gradient, information = np.zeros(count), np.zeros((count, count))
+        for k, use in enumerate(self.use):
+            r = self.residual(values, k)[use]
+            white = self._design[k][use] / self.noise(values, k)[use, None]
+            gradient += white.T @ r
+            information += white.T @ white
+            place = self._first[k] + 1 + self.responses[k].group[use]
+            np.add.at(gradient, place, r**2 - 1.0)
+            np.add.at(information, (place, place), 2.0)
+        return Scores(self.log_likelihood(values), gradient, information, self)
+
+    def draw(self, values: Floats, rng: np.random.Generator) -> list[Floats]:
+        """Rows of every response as the model makes them by chance."""
+        return [
+            self.predicted(values, k) + self.noise(values, k) * rng.standard_normal(len(entry.values))
+            for k, entry in enumerate(self.responses)
+        ]
+
+    def noise(self, values: Floats, response: int) -> Floats:
+        """Standard deviation of each row of a response, (n,)."""
+        entry = self.responses[response]
+        return np.asarray(np.exp(values[self._first[response] + 1 + entry.group]) * entry.scale)
+
+
+RegressionFit = Fit[RegressionTerm, RegressionModel]
+
+
+class Regressions(Recordings[RegressionTerm, RegressionModel]):
+    """Responses, and the terms that may explain them."""
+
+    def __init__(self, responses: Sequence[RegressionResponse], offered: Sequence[RegressionTerm]) -> None:
+        self.responses, self._offered = tuple(responses), tuple(offered)
+
+    @property
+    def log_count(self) -> float:
+        """Logarithm of the number of rows."""
+        return math.log(sum(len(entry.values) for entry in self.responses))
+
+    def null(self) -> RegressionFit:
+        """Every response at its mean."""
+        return self._climb(RegressionModel(self.responses, ()), None)
+
+    def fit(
+        self, terms: Sequence[RegressionTerm], near: RegressionFit, wider: float = 1.0, quick: bool = False
+    ) -> RegressionFit:
+        """Fit with some terms from what another fit has in common with it."""
+        del quick
+        return self._climb(RegressionModel(self.responses, terms, wider), near)
+
+    def screen(self, fitted: RegressionFit, progress: Progress) -> Screening[RegressionTerm]:
+        """Refit with every further term: of few rows a score at nothing is bounded, for the noise was fitted."""
+        progress("screen", 0.0)
+        keys = {term.key for term in fitted.terms}
+        return no_correlation([self._tried(fitted, term) for term in self._offered if term.key not in keys])
+
+    def refit(
+        self, fitted: RegressionFit, candidate: Candidate[RegressionTerm]
+    ) -> tuple[Candidate[RegressionTerm], RegressionFit]:
+        """Fit with one term more."""
+        return candidate, self.fit((*fitted.terms, candidate.term), fitted)
+
+    def checks(self, fitted: RegressionFit) -> list[Check]:
+        """Neighbours along each response's order, and outliers, against draws of the model."""
+        rng, model = np.random.default_rng(_SEED), fitted.state
+        drawn = [model.draw(fitted.values, rng) for _ in range(_DRAWS)]
+        tests = []
+        for k, entry in enumerate(self.responses):
+            if len(entry.values) < _FEWEST:
+                continue
+            order = np.argsort(entry.order, kind="stable")
+            spread = model.noise(fitted.values, k)
+            mean = model.predicted(fitted.values, k)
+            real = _statistics(((entry.values - mean) / spread)[order])
+            table = np.stack([_statistics(((rows[k] - mean) / spread)[order]) for rows in drawn])
+            for name, value, chance in zip(("neighbours", "outliers"), real, table.T, strict=True):
+                tests.append(Check(f"{entry.name}: {name}", strength(float(value), chance), LIMIT))
+        return sorted(tests, key=lambda entry: -abs(entry.z))
+
+    def folds(self) -> list[Callable[[RegressionFit], list[Prediction]]]:
+        """Each block of rows in turn."""
+        blocks = sorted({float(block) for entry in self.responses for block in entry.block})
+        return [lambda fitted, block=block: [self._predict(fitted, block)] for block in blocks]  # type: ignore[misc]
+
+    def without(self, fitted: RegressionFit, block: float) -> RegressionFit:
+        """The same model fitted without a block."""
+        use = [entry.block != block for entry in self.responses]
+        return self._climb(RegressionModel(self.responses, fitted.terms, 1.0, use), fitted)
+
+    def _predict(self, fitted: RegressionFit, block: float) -> Prediction:
+        again = self.without(fitted, block)
+        inside = [entry.block == block for entry in self.responses]
+        scores = {
+            entry.name: float(again.state.log_density(again.values, k)[rows].sum())
+            for k, (entry, rows) in enumerate(zip(self.responses, inside, strict=True))
+        }
+        first, rows = self.responses[0], inside[0]
+        error = (first.values - again.state.predicted(again.values, 0))[rows]
+        signal = (first.values - first.values.mean())[rows]
+        return Prediction(scores, float(np.sum(error**2)), float(np.sum(signal**2)), int(rows.sum()))
+
+    def _tried(self, fitted: RegressionFit, term: RegressionTerm) -> Candidate[RegressionTerm]:
+        again = self.fit((*fitted.terms, term), fitted)
+        power = max(2.0 * (again.log_likelihood - fitted.log_likelihood), 0.0)
+        z = normal_score(float(chi2.logsf(power, len(term.coefficients))))
+        return Candidate(term, z, again.log_evidence - fitted.log_evidence)
+
+    def _climb(self, model: RegressionModel, near: RegressionFit | None) -> RegressionFit:
+        before = {} if near is None else dict(zip(near.keys, near.values.tolist(), strict=True))
+        start = np.array([before.get(entry.key, entry.centre) for entry in model.parameters])
+        return climb(model, model.terms, model.blocks, start, _ROUNDS)
+
+
+def _statistics(white: Floats) -> Floats:
+    power = float(np.mean(white**2))
+    return np.array([float(np.mean(white[1:] * white[:-1])) / power, math.log(float(np.mean(white**4)) / power**2)])

@@ -1,0 +1,147 @@
+"""Amplitude, frequency and growth of a vibration by windows of some periods, without any model of what they follow.
+
+With z(t) the complex envelope of a channel about its strongest frequency, averaged over two periods so that neither the
+mean nor harmonics are in it, amplitude is |z|, frequency the slope of its phase, growth the slope of ln |z|.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import medfilt
+
+from companion.errors import RecordingError
+from companion.records import Floats
+
+_WINDOW = 2  # periods: as long as the averaging, short against a growth
+_SPIKE = 5  # samples of the median that a single wild sample does not pass
+_SPIKY = 12.0  # times the median step: a spike, no vibration
+_UNEVEN = 0.15  # rms of ln amplitude about its line in a window: a blow came, or another mode beats
+_STEADY = 0.06  # relative range of the amplitude in what counts as a limit cycle
+_LEAST_CYCLES = 20  # periods of steady amplitude that are a limit cycle: a slow growth changes more
+_LEAST_PASSED = 0.3  # of the amplitude by the average over two periods, far from its centre
+_FINER = 8  # zero padding of a spectrum whose peak is interpolated
+_NOISE_FLOOR = 6.0  # times the rms beside the mode: below, the envelope is noise
+
+
+@dataclass(frozen=True, slots=True)
+class RawVibration:
+    """One recording: ``t_s`` (n,), responses by name (n,), and the airspeed that it says (None: none)."""
+
+    name: str
+    t_s: Floats
+    responses: Mapping[str, Floats]
+    airspeed_mps: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class VibrationTrack:
+    """One recording by windows (w,).
+
+    Attributes
+    ----------
+    t_s, frequency_hz, growth_radps : (w,)
+        Middle of each window, slope of the phase, slope of ln amplitude.
+    amplitude : dict of str to (w,)
+        By response, in its own unit.
+    steady : (w,)
+        Whether the window is part of a limit cycle.
+    window_s : float
+    """
+
+    name: str
+    airspeed_mps: float | None
+    t_s: Floats
+    frequency_hz: Floats
+    growth_radps: Floats
+    amplitude: dict[str, Floats]
+    steady: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+    window_s: float
+
+
+def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
+    """Follow the strongest frequency of a band; the first response leads.
+
+    Raises
+    ------
+    RecordingError
+        Fewer periods than three windows have.
+    """
+    rate_hz = (len(raw.t_s) - 1) / float(raw.t_s[-1] - raw.t_s[0])
+    even_s = raw.t_s[0] + np.arange(len(raw.t_s)) / rate_hz
+    channels = {name: _clean(np.interp(even_s, raw.t_s, values)) for name, values in raw.responses.items()}
+    lead = next(iter(channels.values()))
+    centre_hz = _strongest_hz(lead, rate_hz, band_hz)
+    period = max(round(rate_hz / centre_hz), 2)
+    at = np.arange(2 * period, len(lead) - 2 * period, period)
+    if len(at) < 3 * _WINDOW:
+        raise RecordingError(f"{raw.name}: shorter than {3 * _WINDOW + 4} periods of {centre_hz:.2f} Hz")
+    envelopes = {name: _envelope(values, centre_hz / rate_hz, period)[at] for name, values in channels.items()}
+    z, t_s = next(iter(envelopes.values())), even_s[at] - even_s[0]
+    rows, amplitudes = [], []
+    for first in range(0, len(at) - _WINDOW, _WINDOW):
+        window = slice(first, first + _WINDOW + 1)
+        log_a = np.log(np.maximum(np.abs(z[window]), 1e-300))
+        growth, level = np.polyfit(t_s[window] - t_s[window].mean(), log_a, 1)
+        turn = np.polyfit(t_s[window], np.unwrap(np.angle(z[window])), 1)[0] / (2.0 * np.pi)
+        uneven = float(np.std(log_a - level - growth * (t_s[window] - t_s[window].mean())))
+        rows.append((t_s[window].mean(), centre_hz + turn, growth, uneven))
+        passed = max(float(np.sinc(turn * period / rate_hz)) ** 2, _LEAST_PASSED)
+        amplitudes.append([np.exp(np.mean(np.log(np.abs(e[window]) + 1e-300))) / passed for e in envelopes.values()])
+    table, levels = np.array(rows), np.array(amplitudes)
+    steady = _steady(levels[:, 0], _LEAST_CYCLES // _WINDOW)
+    floor = _NOISE_FLOOR * _beside(lead, rate_hz, centre_hz)
+    keep = steady | ((table[:, 3] < _UNEVEN) & (levels[:, 0] > floor))
+    return VibrationTrack(
+        raw.name,
+        raw.airspeed_mps,
+        table[keep, 0],
+        table[keep, 1],
+        table[keep, 2],
+        {name: levels[keep, i] for i, name in enumerate(envelopes)},
+        steady[keep] & (levels[keep, 0] > floor),
+        _WINDOW * period / rate_hz,
+    )
+
+
+def _clean(values: Floats) -> Floats:
+    """The channel about its median, wild single samples replaced by their neighbours' median."""
+    smooth = medfilt(values, _SPIKE)
+    step = np.abs(values - smooth)
+    wild = step > _SPIKY * max(float(np.median(np.abs(np.diff(values)))), 1e-300)
+    return np.asarray(np.where(wild, smooth, values) - np.median(values))
+
+
+def _strongest_hz(values: Floats, rate_hz: float, band_hz: tuple[float, float]) -> float:
+    count = _FINER * len(values)
+    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)), count))
+    f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
+    inside = (f_hz > band_hz[0]) & (f_hz < band_hz[1])
+    return float(f_hz[inside][np.argmax(power[inside])])
+
+
+def _envelope(values: Floats, turns: float, period: int) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+    box = np.ones(period) / period
+    turned = values * np.exp(-2j * np.pi * turns * np.arange(len(values)))
+    return np.asarray(2.0 * np.convolve(turned, np.convolve(box, box), "same"))
+
+
+def _steady(amplitude: Floats, least: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Windows within a run of at least ``least`` whose amplitude stays within a few per cent."""
+    steady = np.zeros(len(amplitude), dtype=np.bool_)
+    for first in range(len(amplitude) - least + 1):
+        run = amplitude[first : first + least]
+        if float(np.ptp(run)) < _STEADY * float(run.mean()):
+            steady[first : first + least] = True
+    return steady
+
+
+def _beside(values: Floats, rate_hz: float, centre_hz: float) -> float:
+    """Rms that noise leaves in the envelope: of the quietest bands from 3 to 8 times the frequency, as wide."""
+    count = len(values)
+    f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
+    power = 2.0 * np.abs(np.fft.rfft(values)) ** 2 / count**2
+    bands = [float(power[(f_hz > k * centre_hz) & (f_hz < (k + 1.0) * centre_hz)].sum()) for k in (3.3, 5.3, 7.3)]
+    return float(np.sqrt(min((band for band in bands if band > 0.0), default=0.0)))

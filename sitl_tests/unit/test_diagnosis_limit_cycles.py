@@ -1,0 +1,135 @@
+"""Self-excited vibration: a hardening oscillator with an onset, integrated here, and what the diagnosis says of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+from companion.diagnosis.limit_cycles.decays import force_curve
+from companion.diagnosis.limit_cycles.json_report import as_json
+from companion.diagnosis.limit_cycles.recordings import FlutterDiagnosis, diagnose_vibration
+from companion.diagnosis.limit_cycles.tracks import RawVibration, VibrationTrack, track
+from companion.errors import RecordingError
+from companion.records import Floats
+
+RATE_HZ, SECONDS = 250.0, 30.0
+BAND_HZ = (1.5, 4.5)
+REST_HZ, ONSET_MPS = 2.4, 17.0
+CUBIC = 15.0  # 1/s^2 per squared unit
+NEGATIVE, LIMITING = 0.08, 40.0  # damping per m/s above the onset, 1/s, and per squared unit
+
+
+def motion(speeds: Floats, start: Floats, cubic: float = CUBIC, limiting: float = LIMITING) -> Floats:
+    """Runge and Kutta, all recordings at once, (n, recordings)."""
+    omega2 = (2.0 * np.pi * REST_HZ) ** 2
+
+    def rate(state: Floats) -> Floats:
+        q, v = state
+        damper = (limiting * q**2 - NEGATIVE * (speeds - ONSET_MPS)) * v
+        return np.stack([v, -omega2 * q - cubic * omega2 * q**3 - damper])
+
+    state, shown, step = np.stack([start, 0.0 * start]), [], 1.0 / RATE_HZ
+    for _ in range(int(SECONDS * RATE_HZ)):
+        shown.append(state[0])
+        k1 = rate(state)
+        k2 = rate(state + 0.5 * step * k1)
+        k3 = rate(state + 0.5 * step * k2)
+        state = state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rate(state + step * k3))
+    return np.array(shown)
+
+
+def tracks_of(
+    speeds: Floats, start: Floats, seed: int, says: Floats | None = None, **law: float
+) -> list[VibrationTrack]:
+    rng = np.random.default_rng(seed)
+    t_s = np.arange(int(SECONDS * RATE_HZ)) / RATE_HZ
+    q = motion(speeds, start, **law)
+    q = q + rng.normal(0.0, 3e-4, q.shape)
+    labels = speeds if says is None else says
+    return [
+        track(RawVibration(f"run{k}", t_s, {"heave": q[:, k] + 3.5}, float(label)), BAND_HZ)
+        for k, label in enumerate(labels)
+    ]
+
+
+def amplitude_of(speed_mps: Floats) -> Floats:
+    """First-order averaging: the mean work of q^2 q' is A^2/4."""
+    return np.sqrt(4.0 * NEGATIVE * (speed_mps - ONSET_MPS) / LIMITING)
+
+
+def judged(tracks: list[VibrationTrack]) -> FlutterDiagnosis:
+    return diagnose_vibration(tracks, 5, lambda _what, _ratio: None)
+
+
+CYCLING = np.array([18.0, 18.5, 19.0, 19.5, 20.0, 21.0, 22.0])
+GROWING = np.array([15.5, 16.0, 16.5, 17.5, 18.2])
+
+
+@pytest.fixture(scope="module")
+def rig() -> FlutterDiagnosis:
+    tracks = tracks_of(CYCLING, amplitude_of(CYCLING), 1)
+    return judged([*tracks, *tracks_of(GROWING, np.full(len(GROWING), 0.03), 2)])
+
+
+def test_a_hardening_wing_s_limit_cycle_is_named(rig: FlutterDiagnosis) -> None:
+    named = [cause["name"] for cause in as_json(rig)["causes"]]
+    assert "cubic-stiffness" in named
+    assert "limit-cycle" in named
+    cycles = [row for row in rig.rows if row.cycle]
+    assert len(cycles) >= len(CYCLING)
+    for row in cycles:
+        a = amplitude_of(np.array(row.airspeed_mps))
+        assert row.amplitude[0] == pytest.approx(a, rel=0.03)
+        e = CUBIC * a**2  # Duffing's oscillator in closed form
+        exact_hz = REST_HZ * np.pi * np.sqrt(1.0 + e) / (2.0 * ellipk(0.5 * e / (1.0 + e)))
+        assert row.frequency_hz == pytest.approx(exact_hz, rel=0.01)  # a third of the amplitude's 3 %
+
+
+def test_an_airspeed_that_was_held_out_is_foretold(rig: FlutterDiagnosis) -> None:
+    assert len(rig.held_out) >= len(CYCLING)
+    for entry in rig.held_out:
+        measured, predicted = entry.frequency_hz
+        assert predicted == pytest.approx(measured, rel=0.01)
+        assert entry.amplitude["heave"][1] == pytest.approx(entry.amplitude["heave"][0], rel=0.1)
+
+
+def test_growth_and_decay_at_small_amplitude_tell_the_onset() -> None:
+    found = judged(tracks_of(GROWING, np.full(len(GROWING), 0.03), 3))
+    assert found.onset is not None
+    assert abs(found.onset.airspeed_mps - ONSET_MPS) < 3.0 * found.onset.sigma_mps + 0.05
+    assert found.onset.sigma_mps < 0.5
+
+
+def test_a_wrong_airspeed_is_told_from_the_cycle_itself() -> None:
+    says = CYCLING.copy()
+    says[3] *= 10.0
+    found = judged(tracks_of(CYCLING, amplitude_of(CYCLING), 4, says))
+    (doubt,) = found.doubts
+    assert doubt.name == "run3"
+    assert doubt.tells_mps == pytest.approx(CYCLING[3], abs=0.3)
+    assert judged(tracks_of(CYCLING, amplitude_of(CYCLING), 5)).doubts == ()
+
+
+def test_a_linear_wing_that_decays_gets_no_name() -> None:
+    speeds = np.array([12.0, 13.0, 14.0, 15.0, 16.0])
+    found = judged(tracks_of(speeds, np.full(5, 0.1), 6, cubic=0.0, limiting=0.0))
+    named = {cause["name"] for cause in as_json(found)["causes"]}
+    assert named <= {"airspeed-dependence"}  # its damping does follow the airspeed
+    assert not any(row.cycle for row in found.rows)
+
+
+def test_a_decay_gives_the_spring_s_curve() -> None:
+    (decay,) = tracks_of(np.array([12.0]), np.array([0.2]), 7, limiting=0.0)
+    curve = force_curve(decay, "heave")
+    assert curve is not None
+    assert curve.omega_radps == pytest.approx(2.0 * np.pi * REST_HZ, rel=0.01)
+    q = 0.15
+    force = (2.0 * np.pi * REST_HZ) ** 2 * (q + CUBIC * q**3)
+    assert np.interp(q, curve.deflection, curve.force) == pytest.approx(force, rel=0.05)
+
+
+def test_too_short_a_recording_says_so() -> None:
+    t_s = np.arange(200) / RATE_HZ
+    with pytest.raises(RecordingError, match="shorter than"):
+        track(RawVibration("short", t_s, {"heave": np.sin(15.0 * t_s)}, None), BAND_HZ)
