@@ -12,6 +12,8 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
 from companion.adapters.recordings.tables.mapping import TableMapping, TestKind
+from companion.diagnosis.forced.json_report import as_json as forced_json
+from companion.diagnosis.forced.recordings import ForcedRecording, diagnose_forced
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
 from companion.diagnosis.free_decay.record import RawFreeDecay, prepare
 from companion.diagnosis.free_decay.recordings import diagnose as diagnose_decays
@@ -23,7 +25,7 @@ from companion.diagnosis.modal_tests.run_comparison import compare
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, RecordingError
 from companion.evaluation.findings_output import write_findings
-from companion.evaluation.pages.flutter_page import flutter_page
+from companion.evaluation.pages.flutter_page import flutter_page, forced_page
 from companion.evaluation.pages.measured_pages import ringing_page, vibration_page
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
@@ -34,6 +36,7 @@ _TIPS = ("left_z_mps2", "right_z_mps2")
 _RESPONSE = "response_"
 _FORCE = "input_n"
 _AIRSPEED = "airspeed_mps"
+_INPUT = "input_"
 
 
 def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
@@ -120,7 +123,30 @@ def _limit_cycle(
     return plain, lambda: flutter_page(diagnosis, plain, mapping.description)
 
 
-_DIAGNOSED = {TestKind.RINGING: _free_decay, TestKind.VIBRATION: _vibration, TestKind.LIMIT_CYCLE: _limit_cycle}
+def _forced(
+    tables: Sequence[MappedTable], mapping: TableMapping, options: argparse.Namespace, progress: Progress
+) -> _Diagnosed:
+    recordings = []
+    for table in tables:
+        forces = [name for name in table.channels if name.startswith(_INPUT)]
+        answers = [name for name in table.channels if name.startswith(_RESPONSE)]
+        if len(forces) != 1 or len(answers) != 1:
+            raise RecordingError(
+                f"{table.path}: a forced oscillator needs one {_INPUT}<what> and one {_RESPONSE}<what>"
+            )
+        force, answer = table.channels[forces[0]], table.channels[answers[0]]
+        recordings.append(ForcedRecording(table.path.name, table.t_s, force, answer))
+    plain = forced_json(diagnose_forced(recordings, _band(mapping), options.max_causes, progress))
+    plain["notes"] += [note for table in tables for note in table.notes]
+    return plain, lambda: forced_page(plain, mapping.description)
+
+
+_DIAGNOSED = {
+    TestKind.RINGING: _free_decay,
+    TestKind.VIBRATION: _vibration,
+    TestKind.LIMIT_CYCLE: _limit_cycle,
+    TestKind.FORCED: _forced,
+}
 
 
 def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:

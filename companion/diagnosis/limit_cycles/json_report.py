@@ -12,9 +12,9 @@ from companion.diagnosis import json_rows
 from companion.diagnosis.json_rows import failures, nats, quantity
 from companion.diagnosis.limit_cycles.decays import force_curve
 from companion.diagnosis.limit_cycles.recordings import LIMIT_CYCLE, FlutterDiagnosis
-from companion.diagnosis.limit_cycles.regression import RegressionTerm
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
+from companion.diagnosis.selection.regression import RegressionTerm
 
 _FAR = 4.5  # sigmas of a window that is told by itself
 _IN_WORDS = {

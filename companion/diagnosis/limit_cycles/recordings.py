@@ -19,7 +19,10 @@ from companion.core.wing.effects.damping.quadratic_damping import QuadraticDampi
 from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDependence
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
 from companion.diagnosis.limit_cycles.labels import LabelDoubt, doubtful_labels
-from companion.diagnosis.limit_cycles.regression import (
+from companion.diagnosis.limit_cycles.tracks import VibrationTrack
+from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
+from companion.diagnosis.selection.recordings import Progress
+from companion.diagnosis.selection.regression import (
     Coefficient,
     RegressionFit,
     RegressionModel,
@@ -27,9 +30,6 @@ from companion.diagnosis.limit_cycles.regression import (
     Regressions,
     RegressionTerm,
 )
-from companion.diagnosis.limit_cycles.tracks import VibrationTrack
-from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
-from companion.diagnosis.selection.recordings import Progress
 from companion.errors import RecordingError
 from companion.records import Bools, Floats
 

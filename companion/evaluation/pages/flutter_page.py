@@ -1,4 +1,4 @@
-"""The page of self-excited vibration: limit cycles against airspeed, stiffness and damping against amplitude."""
+"""Pages of nonlinear structures: self-excited vibration, and an oscillator with a measured force."""
 
 from __future__ import annotations
 
@@ -41,6 +41,34 @@ def flutter_page(diagnosis: FlutterDiagnosis, plain: dict[str, Any], what: str) 
     return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
 
 
+def forced_page(plain: dict[str, Any], what: str) -> str:
+    """The page of an oscillator with a measured force."""
+    rows = [
+        [
+            f"{entry['frequency_hz']:.4g} Hz",
+            f"{entry['damping_ratio']:.3g}",
+            f"{entry['stiffness']:.4g}",
+            f"{entry['mass']:.4g}",
+        ]
+        for entry in (plain["linear"]["before"], plain["linear"]["after"])
+    ]
+    body: list[Block] = [*_causes(plain)]
+    if plain["gain"]:
+        before, after = (100.0 * value for value in plain["gain"]["error"]["share_of_signal"])
+        body.append(
+            Paragraph(f"Force on segments that were not fitted: error {before:.1f} → {after:.1f} % of its rms.")
+        )
+    body += [
+        Heading("Its linear part"),
+        Table(["model", "frequency", "damping ratio", "stiffness", "mass"],
+              [["linear", *rows[0]], ["extended", *rows[1]]]),
+        Heading("What is left"),
+        _checks(plain),
+        *[Paragraph(note) for note in plain["notes"]],
+    ]  # fmt: skip
+    return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
+
+
 def _causes(plain: dict[str, Any]) -> list[Block]:
     rows = []
     for cause in plain["causes"]:
@@ -48,7 +76,9 @@ def _causes(plain: dict[str, Any]) -> list[Block]:
             f"{key} {entry['value']:.3g} ± {entry['sigma']:.2g} {entry['unit']}".rstrip()
             for key, entry in cause["parameters"].items()
         )
-        rows.append([cause["name"], cause["channel"], values, f"{cause['log_bayes_factor']:.0f}", f"{cause['z']:.1f}"])
+        rows.append(
+            [cause["name"], cause["channel"] or "–", values, f"{cause['log_bayes_factor']:.0f}", f"{cause['z']:.1f}"]
+        )
     heads = ["cause", "follows", "parameters", "log Bayes factor", "sigmas"]
     return [Heading("Causes, strongest first"), Table(heads, rows)] if rows else []
 

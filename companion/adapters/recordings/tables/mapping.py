@@ -32,6 +32,7 @@ class TestKind(enum.StrEnum):
     RINGING = "ringing"
     VIBRATION = "vibration"
     LIMIT_CYCLE = "limit-cycle"
+    FORCED = "forced"
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,6 +77,8 @@ class RegressionResponse:
         Along which neighbours are compared.
     level, sigma, noise : float
         Prior of the mean, and where the noise is sought.
+    nuisances : tuple of Coefficient
+        Columns that are in every model.
     """
 
     name: str
@@ -88,6 +90,7 @@ class RegressionResponse:
     level: float
     sigma: float
     noise: float
+    nuisances: tuple[Coefficient, ...] = ()
 
 
 class RegressionModel:
@@ -111,14 +114,18 @@ class RegressionModel:
             groups = range(int(entry.group.max()) + 1)
             noise = math.log(entry.noise)
             self.parameters += [Parameter(f"noise {group} of {entry.name}", noise, _NOISE_SIGMA) for group in groups]
+            self.parameters += [Parameter(column.key, 0.0, column.sigma) for column in entry.nuisances]
+        count = len(self.parameters)
         self.parameters += [Parameter(entry.key, 0.0, wider * entry.sigma) for entry in added]
-        count = len(self.parameters) - len(added)
         ends = np.cumsum([count, *(len(term.coefficients) for term in terms)]).tolist()
         self.blocks = [range(first, last) for first, last in itertools.pairwise(ends)]
         self._design = []
         for k, response in enumerate(responses):
             design = np.zeros((len(response.values), len(self.parameters)))
             design[:, self._first[k]] = 1.0
+            beside = self._first[k] + 2 + int(response.group.max())
+            for j, nuisance in enumerate(response.nuisances):
+                design[:, beside + j] = nuisance.column
             for j, coefficient in enumerate(added):
                 if coefficient.response == response.name:
                     design[:, count + j] = coefficient.column

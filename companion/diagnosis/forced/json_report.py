@@ -1,0 +1,90 @@
+"""The verdict on an oscillator with a measured force as plain data (companion/diagnosis/README.md)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from companion.diagnosis import json_rows
+from companion.diagnosis.forced.recordings import LAWS, ForcedDiagnosis
+from companion.diagnosis.json_rows import failures, nats, quantity
+from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.diagnosis.selection.recordings import Cause
+from companion.diagnosis.selection.regression import RegressionTerm
+
+
+def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
+    """Everything that a program would read; None where there is nothing to say."""
+    outcome = diagnosis.outcome
+    causes = outcome.causes or outcome.nearest_causes
+    unexplained = outcome.verdict is DiagnosisVerdict.UNEXPLAINED
+    named = ", ".join(cause.term.name for cause in causes)
+    reason = f"the law is {named}" if named else "a linear spring and damper explain these recordings"
+    return {
+        "format": 1,
+        "recordings": [entry.name for entry in diagnosis.recordings],
+        "airframe": None,
+        "verdict": str(outcome.verdict),
+        "reason": f"explained so far: {named or 'nothing'}; {outcome.reason}" if unexplained else reason,
+        "causes": [_cause(diagnosis, cause) for cause in causes],
+        "nearest": outcome.nearest or None if unexplained else None,
+        "gain": _gain(diagnosis),
+        "adequacy": {"before": json_rows.checks(outcome.before), "after": json_rows.checks(outcome.after)},
+        "residual": {"description": outcome.reason, "failed": failures(outcome.after)} if unexplained else None,
+        "screening": [
+            {"name": entry.name, "channel": None, "z": entry.z, "log_odds": entry.log_odds}
+            for entry in outcome.screening.candidates
+        ],
+        "linear": {name: _linear(diagnosis, extended) for name, extended in (("before", False), ("after", True))},
+        "airframe_parameters": [],
+        "notes": [],
+    }
+
+
+def _cause(diagnosis: ForcedDiagnosis, cause: Cause[RegressionTerm]) -> dict[str, Any]:
+    unit = diagnosis.scale[3 + list(LAWS).index(cause.term.name)]
+    value, sigma = cause.values[0] / unit, cause.sigmas[0] / unit
+    meaning = f"force {LAWS[cause.term.name][0]}, in the recording's units"
+    return {
+        "name": cause.term.name,
+        "channel": None,
+        "group": list(cause.group),
+        "log_bayes_factor": cause.log_bayes_factor,
+        "bic": cause.bic,
+        "z": cause.z,
+        "parameters": {"coefficient": quantity(value, sigma, "", meaning)},
+        "gain": (_gain(diagnosis) or {}).get("error"),
+        "advice": "drive it at several levels: a law of the amplitude shows between them",
+    }
+
+
+def _gain(diagnosis: ForcedDiagnosis) -> dict[str, Any] | None:
+    gain = diagnosis.outcome.gain
+    if gain is None:
+        return None
+    gone, low, high = gain.after.gone(gain.before)
+    return {
+        "held_out": True,
+        "total": nats(gain.log_score["total"]),
+        "error": {
+            "before": gain.before.rms,
+            "after": gain.after.rms,
+            "unit": "of the spectrum",
+            "what": "force in the band, on segments that were not fitted",
+            "share_of_signal": [gain.before.share_of_signal, gain.after.share_of_signal],
+            "share_of_square_gone": gone,
+            "interval": [low, high],
+        },
+    }
+
+
+def _linear(diagnosis: ForcedDiagnosis, extended: bool) -> dict[str, float]:
+    m, c, k = diagnosis.linear(extended).tolist()
+    root = math.sqrt(max(k * m, 0.0))
+    return {
+        "mass": m,
+        "damping": c,
+        "stiffness": k,
+        "frequency_hz": math.sqrt(max(k / m, 0.0)) / (2.0 * math.pi),
+        "damping_ratio": 0.5 * c / root if root else 0.0,
+    }

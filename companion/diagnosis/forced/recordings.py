@@ -1,0 +1,147 @@
+"""An oscillator with a measured force under the engine: its linear part, and laws of its spring and damper.
+
+    u = m q'' + c q' + k q + sum_j theta_j f_j(q, q')
+
+is linear in everything unknown. It is written in the frequency domain, segment by segment: derivatives and laws are
+made of the whole recording in time, then cut, tapered and transformed. Its error is that of the measured response times
+D = k + j omega c - omega^2 m, so a bin's has the standard deviation |D| (Sanathanan and Koerner's weight). Deflection
+counts from the recording's own zero: a cube about another zero has a square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.wing.effects.damping.coulomb_friction import CoulombFriction
+from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
+from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
+from companion.core.wing.effects.stiffness.quadratic_stiffness import QuadraticStiffness
+from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
+from companion.diagnosis.selection.recordings import Progress
+from companion.diagnosis.selection.regression import (
+    Coefficient,
+    RegressionModel,
+    RegressionResponse,
+    Regressions,
+    RegressionTerm,
+)
+from companion.errors import RecordingError
+from companion.records import Floats
+
+FORCE = "force"
+_SEGMENTS = 10  # of all recordings together, held out one by one
+_LEAST_BINS = 8  # of the band in a segment
+_EDGE = 0.02  # of a recording, at either end
+_PASSES = 4  # of the weight: it is made of the linear part, which it moves a little
+_WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column
+LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
+    CubicStiffness.name: ("per cubed deflection", lambda q, _v: q**3),
+    QuadraticStiffness.name: ("per squared deflection", lambda q, _v: q**2),
+    QuadraticDamping.name: ("per squared speed", lambda _q, v: np.abs(v) * v),
+    CoulombFriction.name: ("against the speed", lambda _q, v: np.sign(v)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ForcedRecording:
+    """One recording: ``t_s``, ``force`` and ``response`` (n,)."""
+
+    name: str
+    t_s: Floats
+    force: Floats
+    response: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class ForcedDiagnosis:
+    """Outcome, with the linear part (mass, damping, stiffness in force per unit of the response) of either model."""
+
+    outcome: Diagnosis[RegressionTerm, RegressionModel]
+    recordings: tuple[ForcedRecording, ...]
+    scale: Floats
+
+    def linear(self, extended: bool) -> Floats:
+        """Mass, damping and stiffness, (3,)."""
+        fitted = self.outcome.final if extended else self.outcome.null
+        return np.array([fitted.value(name)[0] for name in _LINEAR]) / self.scale[:3]
+
+
+_LINEAR = ("mass", "damping", "stiffness")
+
+
+def diagnose_forced(
+    recordings: Sequence[ForcedRecording], band_hz: tuple[float, float], most: int, progress: Progress
+) -> ForcedDiagnosis:
+    """Judge recordings of one oscillator.
+
+    Raises
+    ------
+    RecordingError
+        A segment holds too few frequencies of the band.
+    """
+    tables, blocks, omegas = [], [], []
+    pieces = max(_SEGMENTS // len(recordings), 2)
+    for k, entry in enumerate(recordings):
+        for i, (table, omega) in enumerate(_segments(entry, band_hz, pieces)):
+            tables.append(table)
+            omegas.append(omega)
+            blocks.append(np.full(2 * len(omega), float(k * pieces + i)))
+    rows = np.concatenate([np.concatenate([table.real, table.imag], axis=1) for table in tables], axis=1)
+    omega = np.concatenate([np.tile(omega, 2) for omega in omegas])
+    force, columns = rows[0], rows[1:]
+    scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
+    columns = columns / scale[:, None]
+    weight = _weight(force, columns, omega, scale)
+    block = np.concatenate(blocks)
+    linear = tuple(
+        Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force over the force's, {name}")
+        for name, column in zip(_LINEAR, columns, strict=False)
+    )
+    rms = float(np.sqrt(np.mean(force**2)))
+    group = np.zeros(len(force), dtype=np.int64)
+    response = RegressionResponse(FORCE, force, weight, group, block, omega, 0.0, 1e-3 * rms, 0.1 * rms, linear)
+    terms = [
+        RegressionTerm(name, "", (Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force, {unit}"),))
+        for (name, (unit, _)), column in zip(LAWS.items(), columns[3:], strict=True)
+    ]
+    outcome = diagnose(Regressions([response], terms), most, progress)
+    return ForcedDiagnosis(outcome, tuple(recordings), scale)
+
+
+def _segments(
+    entry: ForcedRecording, band_hz: tuple[float, float], pieces: int
+) -> list[tuple[np.ndarray[tuple[int, ...], np.dtype[np.complex128]], Floats]]:
+    """Force, acceleration, speed, deflection and laws (1 + 3 + laws, f) of each segment in the band, and omega (f,)."""
+    count = len(entry.t_s)
+    rate_hz = (count - 1) / float(entry.t_s[-1] - entry.t_s[0])
+    even_s = entry.t_s[0] + np.arange(count) / rate_hz
+    force, q = (np.interp(even_s, entry.t_s, values) for values in (entry.force, entry.response))
+    f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
+    spectrum = np.where(f_hz < min(4.0 * band_hz[1], 0.5 * rate_hz), np.fft.rfft(q), 0.0)  # a cube reaches three times
+    turn = 2j * np.pi * f_hz
+    deflection, v, a = (np.fft.irfft(spectrum * turn**power, count) for power in (0, 1, 2))
+    series = [force, a, v, deflection, *(law(deflection, v) for _, law in LAWS.values())]
+    segments = []
+    edge = int(_EDGE * count)  # there a transform of what is not periodic rings
+    for index in np.array_split(np.arange(edge, count - edge), pieces):
+        part_hz = np.fft.rfftfreq(len(index), 1.0 / rate_hz)
+        inside = (part_hz > band_hz[0]) & (part_hz < band_hz[1])
+        if inside.sum() < _LEAST_BINS:
+            raise RecordingError(f"{entry.name}: too short: {pieces} segments must hold {_LEAST_BINS} frequencies each")
+        taper = np.hanning(len(index))
+        rows = np.stack([np.fft.rfft(taper * values[index])[inside] / np.sqrt(len(index)) for values in series])
+        segments.append((rows, np.asarray(2.0 * np.pi * part_hz[inside])))
+    return segments
+
+
+def _weight(force: Floats, columns: Floats, omega: Floats, scale: Floats) -> Floats:
+    """Relative standard deviation of each row, |D| over its mean, (n,)."""
+    weight = np.ones(len(force))
+    for _ in range(_PASSES):
+        m, c, k = (np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] / scale)[:3]
+        dynamic = np.abs(k - omega**2 * m + 1j * omega * c)
+        weight = dynamic / float(dynamic.mean())
+    return np.asarray(weight)

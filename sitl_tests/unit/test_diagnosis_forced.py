@@ -1,0 +1,90 @@
+"""An oscillator with a measured force: the cubic spring that an integrator of our own hides is found with its value."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.cli.main import main
+from companion.diagnosis.forced.json_report import as_json
+from companion.diagnosis.forced.recordings import ForcedRecording, diagnose_forced
+from companion.errors import RecordingError
+from companion.records import Floats
+
+RATE_HZ, COUNT, FINER = 610.0, 12000, 8
+BAND_HZ = (5.0, 190.0)
+REST_HZ, ZETA, LEVEL = 68.0, 0.025, 0.08
+
+
+def driven(seed: int, cubic: float, noise: float = 1e-4) -> ForcedRecording:
+    """Unit stiffness under band-limited noise, Runge and Kutta at eight times the rate."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.fft.rfft(rng.standard_normal(COUNT))
+    spectrum[np.fft.rfftfreq(COUNT, 1.0 / RATE_HZ) > BAND_HZ[1]] = 0.0
+    force = np.fft.irfft(spectrum, COUNT)
+    scale = LEVEL / force.std()
+    fine = np.fft.irfft(scale * spectrum, COUNT * FINER) * FINER
+    omega, h = 2.0 * np.pi * REST_HZ, 1.0 / (RATE_HZ * FINER)
+
+    def acceleration(q: float, v: float, u: float) -> float:
+        return float((u - q - cubic * q**3) * omega**2 - 2.0 * ZETA * omega * v)
+
+    q = v = 0.0
+    shown = np.empty(COUNT)
+    for i in range(COUNT * FINER):
+        if i % FINER == 0:
+            shown[i // FINER] = q
+        u, after = float(fine[i]), float(fine[(i + 1) % len(fine)])
+        middle = 0.5 * (u + after)
+        a1 = acceleration(q, v, u)
+        a2 = acceleration(q + 0.5 * h * v, v + 0.5 * h * a1, middle)
+        a3 = acceleration(q + 0.5 * h * v + 0.25 * h * h * a1, v + 0.5 * h * a2, middle)
+        a4 = acceleration(q + h * v + 0.5 * h * h * a2, v + h * a3, after)
+        q, v = q + h * v + h * h / 6.0 * (a1 + a2 + a3), v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    answer: Floats = shown + rng.normal(0.0, noise, COUNT)
+    return ForcedRecording(f"run{seed}", np.arange(COUNT) / RATE_HZ, scale * force, answer)
+
+
+@pytest.fixture(scope="module")
+def hardening() -> ForcedRecording:
+    return driven(1, 4.0)
+
+
+def test_a_cubic_spring_is_found_with_its_coefficient(hardening: ForcedRecording) -> None:
+    plain = as_json(diagnose_forced([hardening], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert [cause["name"] for cause in plain["causes"]] == ["cubic-stiffness"]
+    coefficient = plain["causes"][0]["parameters"]["coefficient"]
+    assert coefficient["value"] == pytest.approx(4.0, rel=0.01)
+    assert coefficient["sigma"] < 0.02
+    before, after = plain["gain"]["error"]["share_of_signal"]
+    assert after < 0.05 < 0.3 < before
+    assert plain["linear"]["after"]["frequency_hz"] == pytest.approx(REST_HZ, rel=0.002)
+    assert plain["linear"]["after"]["damping_ratio"] == pytest.approx(ZETA, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_linear_oscillator_gets_no_name(seed: int) -> None:
+    plain = as_json(diagnose_forced([driven(seed, 0.0)], BAND_HZ, 3, lambda _what, _ratio: None))
+    assert plain["verdict"] == "adequate"
+    assert plain["causes"] == []
+    assert plain["linear"]["before"]["frequency_hz"] == pytest.approx(REST_HZ, rel=0.002)
+
+
+def test_the_command_reads_it_through_a_mapping(hardening: ForcedRecording, tmp_path: Path) -> None:
+    table = np.stack([hardening.t_s, hardening.force, hardening.response], 1)
+    np.savetxt(tmp_path / "run.csv", table, "%.9g", ",", header="time_s,force_n,deflection_m", comments="")
+    out = tmp_path / "found.json"
+    page = tmp_path / "page.html"
+    arguments = ["--mapping", "forced-oscillator", "--json", str(out), "--html", str(page)]
+    assert main(["diagnose", str(tmp_path / "run.csv"), *arguments]) == 0
+    assert json.loads(out.read_text())["causes"][0]["name"] == "cubic-stiffness"
+    assert "cubic-stiffness" in page.read_text()
+
+
+def test_too_short_a_recording_says_so() -> None:
+    t_s = np.arange(300) / RATE_HZ
+    with pytest.raises(RecordingError, match="too short"):
+        diagnose_forced([ForcedRecording("short", t_s, np.sin(t_s), np.cos(t_s))], (5.0, 30.0), 3, lambda _w, _r: None)
