@@ -3,9 +3,9 @@
     u = m q'' + c q' + k q + sum_j theta_j f_j(q, q')
 
 is linear in everything unknown. It is written in the frequency domain, segment by segment: derivatives and laws are
-made of the whole recording in time, then cut, tapered and transformed. Its error is that of the measured response times
-D = k + j omega c - omega^2 m, so a bin's has the standard deviation |D| (Sanathanan and Koerner's weight). Deflection
-counts from the recording's own zero: a cube about another zero has a square.
+made of the whole recording in time, then cut, tapered and transformed. Its error is the measured response's times
+D + s(t), D = k + j omega c - omega^2 m, s the slope of the laws: (|D + mean s|^2 + var s)^1/2 (after Sanathanan and
+Koerner). Deflection counts from the recording's own zero: a cube about another zero has a square.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ FORCE = "force"
 _SEGMENTS = 10  # of all recordings together, held out one by one
 _LEAST_BINS = 8  # of the band in a segment
 _EDGE = 0.02  # of a recording, at either end
+_FINER = 4  # times the rate at which laws are made: a cube reaches three times as far as its argument
 _PASSES = 4  # of the weight: it is made of the linear part, which it moves a little
 _WIDE = 10.0  # prior sigma of a coefficient, in rms of the force over that of its column
 LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
@@ -43,6 +44,14 @@ LAWS: dict[str, tuple[str, Callable[[Floats, Floats], Floats]]] = {
     QuadraticDamping.name: ("per squared speed", lambda _q, v: np.abs(v) * v),
     CoulombFriction.name: ("against the speed", lambda _q, v: np.sign(v)),
 }
+
+
+_SLOPES: tuple[Callable[[Floats], Floats], ...] = (
+    lambda q: 3.0 * q**2,
+    lambda q: 2.0 * q,
+    np.zeros_like,
+    np.zeros_like,
+)  # of the laws over deflection
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +103,8 @@ def diagnose_forced(
     force, columns = rows[0], rows[1:]
     scale = np.sqrt(np.mean(columns**2, axis=1)) / np.sqrt(np.mean(force**2))
     columns = columns / scale[:, None]
-    weight = _weight(force, columns, omega, scale)
+    slopes = np.stack([slope(np.concatenate([entry.response for entry in recordings])) for slope in _SLOPES])
+    weight = _weight(force, columns, omega, scale, slopes)
     block = np.concatenate(blocks)
     linear = tuple(
         Coefficient(name, FORCE, column, _WIDE, "", f"rms of its force over the force's, {name}")
@@ -120,10 +130,12 @@ def _segments(
     even_s = entry.t_s[0] + np.arange(count) / rate_hz
     force, q = (np.interp(even_s, entry.t_s, values) for values in (entry.force, entry.response))
     f_hz = np.fft.rfftfreq(count, 1.0 / rate_hz)
-    spectrum = np.where(f_hz < min(4.0 * band_hz[1], 0.5 * rate_hz), np.fft.rfft(q), 0.0)  # a cube reaches three times
+    spectrum = np.where(f_hz < min(4.0 * band_hz[1], 0.5 * rate_hz), np.fft.rfft(q), 0.0)
     turn = 2j * np.pi * f_hz
     deflection, v, a = (np.fft.irfft(spectrum * turn**power, count) for power in (0, 1, 2))
-    series = [force, a, v, deflection, *(law(deflection, v) for _, law in LAWS.values())]
+    fine_q, fine_v = (np.fft.irfft(spectrum * turn**power, _FINER * count) * _FINER for power in (0, 1))
+    laws = [np.fft.rfft(law(fine_q, fine_v))[: len(f_hz)] / _FINER for _, law in LAWS.values()]
+    series = [force, a, v, deflection, *(np.fft.irfft(law, count) for law in laws)]
     segments = []
     edge = int(_EDGE * count)  # there a transform of what is not periodic rings
     for index in np.array_split(np.arange(edge, count - edge), pieces):
@@ -137,11 +149,12 @@ def _segments(
     return segments
 
 
-def _weight(force: Floats, columns: Floats, omega: Floats, scale: Floats) -> Floats:
-    """Relative standard deviation of each row, |D| over its mean, (n,)."""
+def _weight(force: Floats, columns: Floats, omega: Floats, scale: Floats, slopes: Floats) -> Floats:
+    """Relative standard deviation of each row, (n,); ``slopes`` (laws, samples) of the laws over deflection."""
     weight = np.ones(len(force))
     for _ in range(_PASSES):
-        m, c, k = (np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] / scale)[:3]
-        dynamic = np.abs(k - omega**2 * m + 1j * omega * c)
+        m, c, k, *laws = np.linalg.lstsq((columns / weight).T, force / weight, rcond=None)[0] / scale
+        slope = np.array(laws) @ slopes
+        dynamic = np.hypot(np.abs(k + slope.mean() - omega**2 * m + 1j * omega * c), slope.std())
         weight = dynamic / float(dynamic.mean())
     return np.asarray(weight)
