@@ -89,7 +89,7 @@ def execute(options: argparse.Namespace) -> int:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     is_own_format = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
-    same_beliefs = airframe is None and settings == recording.settings
+    same_beliefs = airframe is None and settings == recording.settings and _begins_with_the_service(recording)
     tally, comparison = OutputTally(), ReplayComparison()
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
@@ -144,6 +144,11 @@ def _outputs_of(recording: Recording) -> Iterator[Record]:
     """Published records, up to the first that is missing."""
     records = recording.records_before_loss() if isinstance(recording, McapRecording) else recording.records()
     return (record for record in records if isinstance(record, _OUTPUTS))
+
+
+def _begins_with_the_service(recording: Recording) -> bool:
+    """Whether the estimation that was published began in this file: a further part goes on from the one before."""
+    return not isinstance(recording, McapRecording) or recording.part_number == 1
 
 
 def _lossy(recording: Recording) -> bool:

@@ -12,7 +12,7 @@ from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
-from companion.cli.steps.numbers import seconds
+from companion.cli.steps.numbers import number, seconds
 from companion.cli.steps.options import add_settings, read_settings, state_file
 from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
 from companion.cli.terminal.run_loop import fly
@@ -26,6 +26,7 @@ from companion.service.config import ServiceConfig
 from companion.service.wiring import Service
 
 _KEEP_NS = 30_000_000_000
+_GB = 1e9  # bytes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--airframe", required=True, metavar="NAME", help="name or path of an airframe file")
     parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record everything that goes in and out")
+    parser.add_argument(
+        "--record-keep", type=number(0.001, 1e6, "GB"), metavar="GB",
+        help="most that all recordings of this name may take: long ones go on in further files, the oldest are removed",
+    )  # fmt: skip
     parser.add_argument(
         "--parameters", type=Path, metavar="FILE",
         help="where what a ground station sets is kept (default: ~/.local/state/spanwise/<airframe>.parameters)",
@@ -70,6 +75,8 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
     """Configuration that the options ask for."""
     if options.record is not None and not options.record.parent.is_dir():
         raise ConfigError(f"--record {options.record}: no folder {options.record.parent}")
+    if options.record_keep is not None and options.record is None:
+        raise ConfigError("--record-keep needs --record")
     if options.parameters is None:
         options.parameters = state_file(f"{Path(options.airframe).stem}.parameters")
     if options.record_images and (options.record is None or options.cameras is None):
@@ -89,6 +96,7 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         cameras=eyes,
         trigger=trigger,
         recording=options.record,
+        recording_keep_bytes=None if options.record_keep is None else round(_GB * options.record_keep),
         record_images=options.record_images,
         parameters=options.parameters,
         signing_key=options.sign_key,
@@ -163,8 +171,8 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     """Run it in the foreground, and say at the end how it stood; 3 where no vehicle came in the time that was given."""
     ends = time.monotonic() + options.seconds if options.seconds else float("inf")
     stopped: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda caught, _: stopped.append(caught))
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, lambda caught, _: stopped.append(caught))
     view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}")
     live = live_view_possible(plain=options.plain)
     began = time.monotonic()

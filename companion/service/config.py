@@ -24,6 +24,8 @@ class ServiceConfig:
         :class:`companion.adapters.triggers.mavlink.MavlinkTrigger` the autopilot fires.
     recording
         Path of the MCAP to write, or None.
+    recording_keep_bytes
+        Size that all recordings of this path's name may take together; None keeps all of them.
     parameters
         File that keeps what a ground station sets, or None; ``settings`` has its values in already.
     signing_key
@@ -38,6 +40,7 @@ class ServiceConfig:
     cameras: Callable[[], CameraPair] | None = None
     trigger: Callable[[], Trigger] | None = None
     recording: Path | None = None
+    recording_keep_bytes: int | None = None
     record_images: bool = False
     parameters: Path | None = None
     signing_key: Path | None = None

@@ -77,7 +77,7 @@ class Service(Supervisor):
         self.add("inertial", _inertial_process, config, stored, *ends_of_inertial, *gate, standby=config.standby)
         if ends:
             about = About.of(config.airframe, config.settings)
-            self.add("recorder", _recorder_process, config.recording, about, ends, matches_in, optional=True, last=True)
+            self.add("recorder", _recorder_process, config, about, ends, matches_in, optional=True, last=True)
         self._say = matches_in
 
     def shown(self) -> list[Record]:
@@ -245,8 +245,10 @@ def _warning(sentence: str) -> Notice:
     return Notice(Severity.WARNING, sentence, MonotonicClock().now_ns())
 
 
-def _recorder_process(path: Path, about: About, ends: list[socket.socket], say: Sender, stop: Event) -> None:
-    keep_recording(path, about, ends, lambda sentence: say.send(_warning(sentence)), stop)
+def _recorder_process(config: ServiceConfig, about: About, ends: list[socket.socket], say: Sender, stop: Event) -> None:
+    assert config.recording is not None
+    keep_bytes = config.recording_keep_bytes
+    keep_recording(config.recording, about, ends, lambda text: say.send(_warning(text)), stop, keep_bytes)
 
 
 def _vision_process(

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from companion.adapters.recordings.mcap.reader import McapRecording
-from companion.adapters.recordings.mcap.recorder import ProcessRecorder, free_path, run_recorder
+from companion.adapters.recordings.mcap.recorder import ProcessRecorder, free_path, keep_recording, run_recorder
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
 from companion.errors import RecordingError
@@ -114,6 +114,46 @@ def test_an_existing_file_is_never_written_over(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"old")
     (tmp_path / "a.2.mcap").write_bytes(b"old")
     assert free_path(tmp_path / "a.mcap") == tmp_path / "a.3.mcap"
+    (tmp_path / "a.mcap").unlink()
+    assert free_path(tmp_path / "a.mcap") == tmp_path / "a.3.mcap", "the newest has the highest number"
+
+
+def test_a_long_recording_goes_on_in_parts_and_the_oldest_make_room(tmp_path: Path) -> None:
+    path, keep_bytes, others = tmp_path / "a.mcap", 400_000, ("ab.mcap", "a.note", "a.2.txt")
+    for name in others:
+        (tmp_path / name).write_bytes(bytes(1_000_000))
+    path.write_bytes(bytes(300_000))  # of the flight before
+    mine, theirs = recorder_channel()
+    client, random = RecorderClient(mine), np.random.default_rng(1)
+    said: list[str] = []
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def produce() -> None:
+        for i in range(600):  # 2 KB that cannot be compressed, 0.1 s of recorded time each
+            client.write(RawChunk(0, i * 100_000_000, random.bytes(2000)))
+            time.sleep(0.001)
+        client.close()
+
+    producer = threading.Thread(target=produce)
+    producer.start()
+    keep_recording(path, ABOUT, [theirs], said.append, None, keep_bytes)
+    producer.join()
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    assert said == []
+    assert client.dropped == 0
+    parts = sorted(tmp_path.glob("a.*.mcap"), key=lambda file: int(file.name.split(".")[1]))
+    assert 3 <= len(parts) <= 5
+    assert sum(file.stat().st_size for file in parts) <= 1.1 * keep_bytes
+    assert not path.exists(), "the oldest is gone"
+    stamps = [record.received_host_ns for file in parts for record in McapRecording(file).records()]
+    assert stamps == list(range(stamps[0], 60_000_000_000, 100_000_000)), "nothing is missing between the parts"
+    for file in parts:
+        recording = McapRecording(file)
+        assert not recording.cut
+        assert recording.part_number > 1
+        assert any("a replay estimates anew" in notice.text for notice in recording.notices)
+    assert all((tmp_path / name).exists() for name in others), "only recordings of this name are ours to remove"
 
 
 def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) -> None:

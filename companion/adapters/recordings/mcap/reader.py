@@ -76,6 +76,8 @@ class McapRecording:
     ----------
     machine : str
         Architecture and package versions that made the recording; "" where it is older than this entry.
+    part_number : int
+        Number of the file among those of one run of the service.
     cut : bool
         The recorder did not finish the file.
     missing_s : float or None
@@ -118,7 +120,8 @@ class McapRecording:
         self.airframe = parse_airframe(texts["airframe.toml"], f"{self.path} (airframe.toml)")
         self.settings = load_settings(texts["settings.toml"])
         self.dropped = int(facts.get("spanwise.drops", {}).get("dropped", "0"))
-        self.replayable = self.dropped == 0
+        self.part_number = int(about.get("part", "1"))
+        self.replayable = self.dropped == 0 and self.part_number == 1
         self.cut = not (self._end.orderly and "spanwise.end" in facts)
         self._finished = "spanwise.end" in facts
 
@@ -232,6 +235,12 @@ class McapRecording:
                 f"{self.path.name}: truncated at {(end_ns - start_ns) / 1e9:.1f} s (byte {last.offset + last.length}): "
                 "the recorder did not finish; everything before is here",
                 end_ns,
+            )
+        if self.part_number > 1:
+            self._notes.add(
+                f"{self.path.name}: part {self.part_number} of a recording: settings and estimates of its start are "
+                "in the parts before; a replay estimates anew",
+                severity=Severity.INFO,
             )
         if self.dropped:
             self._notes.add(f"{self.path.name}: {self.dropped} records were dropped while recording; not replayable")

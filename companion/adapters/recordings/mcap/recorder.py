@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import multiprocessing
+import re
 import selectors
 import signal
 import socket
@@ -20,6 +22,7 @@ _IDLE_S = 0.25
 _IDLE_ROUNDS = 4  # waits without a record before the recorder ends
 _TRY_AGAIN_S = 30.0
 _JOIN_S = 10.0
+_PARTS = 4  # of what is kept: three finished ones and the one in progress (choice)
 
 
 def run_recorder(path: Path, about: About, ends: Sequence[socket.socket], stop: Event | None = None) -> None:
@@ -41,22 +44,35 @@ def run_recorder(path: Path, about: About, ends: Sequence[socket.socket], stop: 
 
 
 def keep_recording(
-    path: Path, about: About, ends: Sequence[socket.socket], say: Callable[[str], object], stop: Event | None = None
+    path: Path,
+    about: About,
+    ends: Sequence[socket.socket],
+    say: Callable[[str], object],
+    stop: Event | None = None,
+    keep_bytes: int | None = None,
 ) -> None:
     """As :func:`run_recorder`, for a service that flies on when its disk is full.
 
     ``say`` is told why nothing is recorded; what comes is thrown away, and every half minute a file is tried again.
+    With ``keep_bytes`` all recordings of this name together stay within it: a file that has reached a quarter of it is
+    finished and followed by a further part, and the oldest ones are removed.
     """
     terminated = _on_terminate()
+    part_bytes = None if keep_bytes is None else keep_bytes // _PARTS
     with _listening(ends) as selector:
+        part_number = 1
         while selector.get_map():
             try:
-                _write_file(path, about, selector, stop, terminated)
-                return
+                if keep_bytes is not None:
+                    remove_oldest(path, keep_bytes - keep_bytes // _PARTS)
+                described = dataclasses.replace(about, part_number=part_number)
+                if _write_file(path, described, selector, stop, terminated, part_bytes):
+                    return
             except RecordingError as error:
                 say(f"not recording: {error}")
-            if _discard(selector, stop, terminated):
-                return
+                if _discard(selector, stop, terminated):
+                    return
+            part_number += 1
 
 
 def _on_terminate() -> list[int]:
@@ -75,15 +91,22 @@ def _listening(ends: Sequence[socket.socket]) -> selectors.BaseSelector:
 
 
 def _write_file(
-    path: Path, about: About, selector: selectors.BaseSelector, stop: Event | None, terminated: Sequence[int]
-) -> None:
+    path: Path,
+    about: About,
+    selector: selectors.BaseSelector,
+    stop: Event | None,
+    terminated: Sequence[int],
+    most_bytes: int | None = None,
+) -> bool:
+    """Write one file to its end; False where it has reached its size and a further part is due."""
     writer = McapWriter(free_path(path), about)
     try:
-        _record(writer, selector, stop, terminated)
+        over = _record(writer, selector, stop, terminated, most_bytes)
         writer.close()
     except OSError as error:
         writer.abandon()
         raise RecordingError(f"{path}: cannot be written any further: {error.strerror}") from error
+    return over
 
 
 def _discard(selector: selectors.BaseSelector, stop: Event | None, terminated: Sequence[int]) -> bool:
@@ -107,20 +130,28 @@ def _take(selector: selectors.BaseSelector, outlet: object) -> Batch | None:
 
 
 def _record(
-    writer: McapWriter, selector: selectors.BaseSelector, stop: Event | None, terminated: Sequence[int]
-) -> None:
+    writer: McapWriter,
+    selector: selectors.BaseSelector,
+    stop: Event | None,
+    terminated: Sequence[int],
+    most_bytes: int | None = None,
+) -> bool:
+    """Write what comes until all is over (True), or the file has reached its size (False)."""
     idle_rounds = 0
     while selector.get_map():
+        if most_bytes is not None and writer.size_bytes >= most_bytes:
+            return False
         ready = selector.select(0.0 if terminated else _IDLE_S)
         idle_rounds = 0 if ready else idle_rounds + 1
         if not ready:
             writer.flush()
             if terminated or (stop is not None and stop.is_set() and idle_rounds >= _IDLE_ROUNDS):
-                return
+                return True
         for key, _ in ready:
             batch = _take(selector, key.fileobj)
             if batch is not None:
                 _write(writer, batch)
+    return True
 
 
 def _write(writer: McapWriter, batch: Batch) -> None:
@@ -131,12 +162,28 @@ def _write(writer: McapWriter, batch: Batch) -> None:
 
 
 def free_path(path: Path) -> Path:
-    """The path itself, or ``name.2.mcap``, ``name.3.mcap`` and so on where files are already."""
-    number, free = 1, path
-    while free.exists():
-        number += 1
-        free = path.with_name(f"{path.stem}.{number}{path.suffix}")
-    return free
+    """The path itself, or ``name.2.mcap``, ``name.3.mcap`` and so on behind the highest number that is there."""
+    numbers = [number for number, _ in _family(path)]
+    return path.with_name(f"{path.stem}.{max(numbers) + 1}{path.suffix}") if numbers else path
+
+
+def remove_oldest(path: Path, most_bytes: int) -> None:
+    """Remove the oldest recordings of this name until the others together take at most ``most_bytes``."""
+    family = sorted(_family(path))
+    total = sum(file.stat().st_size for _, file in family)
+    for _, file in family:
+        if total <= most_bytes:
+            return
+        total -= file.stat().st_size
+        file.unlink(missing_ok=True)
+
+
+def _family(path: Path) -> list[tuple[int, Path]]:
+    """Recordings of this name with their numbers, in no order."""
+    pattern = re.compile(rf"{re.escape(path.stem)}(?:\.(\d{{1,9}}))?{re.escape(path.suffix)}")
+    files = path.parent.iterdir() if path.parent.is_dir() else ()
+    fits = ((pattern.fullmatch(file.name), file) for file in files)
+    return [(int(match[1] or 1), file) for match, file in fits if match is not None and file.exists()]
 
 
 class ProcessRecorder:

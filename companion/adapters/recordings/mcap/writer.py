@@ -42,12 +42,16 @@ _CHUNK_BYTES = 4 * 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """Metadata of a recording: everything besides the records that a replay needs."""
+    """Metadata of a recording: everything besides the records that a replay needs.
+
+    ``part_number`` counts the files of one run of the service: only the first begins with the estimation itself.
+    """
 
     airframe_text: str
     settings_text: str
     hub: ClockName = ClockName.HOST
     image_format: ImageFormat = ImageFormat.PNG
+    part_number: int = 1
 
     @classmethod
     def of(
@@ -70,6 +74,11 @@ class McapWriter:
     """A recorder in this process and thread; :mod:`companion.adapters.recordings.mcap.recorder` puts it into one of
     its own.
 
+    Attributes
+    ----------
+    size_bytes : int
+        Size of the file when it was last flushed.
+
     Raises
     ------
     RecordingError
@@ -84,6 +93,7 @@ class McapWriter:
         self._path = path
         self._format = about.image_format
         self._flushed = 0
+        self.size_bytes = 0
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._channels: dict[str, int] = {}
         self._sequence = 0
@@ -104,6 +114,7 @@ class McapWriter:
             "machine": machine(),
             "hub": str(about.hub),
             "images": str(about.image_format),
+            "part": str(about.part_number),
         }
         self._writer.add_metadata("spanwise", facts)
         for name, text in (("airframe.toml", about.airframe_text), ("settings.toml", about.settings_text)):
@@ -132,6 +143,7 @@ class McapWriter:
         self._writer.flush()
         self._chunk_start_ns = None
         self._flushed = self._sequence
+        self.size_bytes = self._file.tell()
 
     def abandon(self) -> None:
         """Close a file that cannot be written any further; one without any record in it is removed."""
