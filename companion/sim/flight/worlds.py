@@ -3,7 +3,8 @@
 ``ideal`` adds nothing to what the airframe file believes. ``fair`` is what a clean electric aircraft with calibrated
 machine-vision lenses meets over fields and villages; ``rough`` is a petrol engine, an old calibration, mist and wind;
 ``tones`` is ideal but for two steady lines at the tips. A :data:`Span` is drawn log-uniformly between its ends, once a
-flight (:mod:`companion.sim.flight.world_draw`); a sigma is drawn from a normal distribution.
+flight (:mod:`companion.sim.flight.world_draw`); a sigma is drawn from a normal distribution. Only the levels of the PX4
+logs were measured for this table; figures of datasheets, standards and makers are quoted.
 """
 
 from __future__ import annotations
@@ -160,7 +161,7 @@ FAIR = Conditions(
         accel_thermal_mps2=0.0075,
         gyro_thermal_radps=0.00044,
     ),
-    # OpenCV's covariance of 30 good ChArUco views at 640x480: k1 0.001, p 1e-4, principal point 0.3 px, focal 0.05 %
+    # what 30 good ChArUco views at 640x480 leave: k1 0.001, p 5e-5, principal point 0.3 px (quoted, not measured here)
     lenses=LensResiduals(radial=0.001, tangential=5e-5, principal_px=0.3, focal_ratio=0.0, place_m=0.0005),
     images=ImageFaults(
         vignetting=(0.1, 0.3),  # C-mount lenses at f/2.8: makers' relative-illumination curves
@@ -202,7 +203,7 @@ ROUGH = Conditions(
         accel_thermal_mps2=0.03,
         gyro_thermal_radps=0.00175,
     ),
-    # an old calibration: three times the fair one's; the audit's lens had p = 3e-4
+    # an old calibration: two to four times the fair one's (chosen; an audit's lens had p = 3e-4)
     lenses=LensResiduals(radial=0.003, tangential=2e-4, principal_px=1.0, focal_ratio=0.001, place_m=0.001),
     images=ImageFaults(
         vignetting=(0.3, 0.5),
