@@ -156,6 +156,8 @@ def airframe_with(base: Airframe, modes: list[BendingMode]) -> Airframe:
         antisymmetric=_record(other.mode, antisymmetric),
         second_symmetric=None,
         second_antisymmetric=None,
+        further_symmetric=(),
+        further_antisymmetric=(),
         **_in_flight(base.wing, first.mode.frequency_hz),
     )
     slope_gain = round(at_camera.slope_factor_radpm / at_sensor.slope_factor_radpm, 4)

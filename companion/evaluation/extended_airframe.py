@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from companion.core.wing.structure import SLOT_NAMES
 from companion.diagnosis.flights.outcome import FlightDiagnosis
 from companion.diagnosis.model.belief import Belief
 from companion.params.airframe import Airframe, Camera, Mode, NamedEffect, Uncertain, Wing
@@ -49,21 +48,20 @@ def extended(
 
 def _wing(wing: Wing, spread: dict[str, float]) -> Wing:
     """Posterior sigmas beside the posterior values; those of modes are relative."""
-    changes: dict[str, Any] = {}
-    for name in SLOT_NAMES:
-        mode: Mode | None = getattr(wing, name)
-        if mode is None:
-            continue
+
+    def with_sigmas(name: str, mode: Mode) -> Mode:
         fitted = {
             field: Uncertain(getattr(mode, field).value, getattr(mode, field).value * spread[f"{name}.{key}"])
             for key, field in _MODE_KEYS.items()
             if f"{name}.{key}" in spread
         }
-        changes[name] = dataclasses.replace(mode, **fitted)
+        return dataclasses.replace(mode, **fitted)
+
+    changes: dict[str, Any] = {}
     for field in ("trim_bend_m", "bend_per_g_m"):
         if field in spread:
             changes[field] = Uncertain(getattr(wing, field).value, spread[field])
-    return dataclasses.replace(wing, **changes)
+    return dataclasses.replace(wing.with_modes(with_sigmas), **changes)
 
 
 def _camera(camera: Camera | None, sign: float, deviation: dict[str, float], spread: dict[str, float]) -> Camera | None:

@@ -40,9 +40,7 @@ def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping |
 
 def top_of(airframe: Airframe) -> float:
     """The highest frequency worth judging, Hz."""
-    wing = airframe.wing
-    modes = [wing.symmetric, wing.antisymmetric, wing.second_symmetric, wing.second_antisymmetric]
-    present = [mode.frequency_hz.value for mode in modes if mode is not None]
+    present = [mode.frequency_hz.value for mode in airframe.wing.modes.values()]
     return max(_TOP * present[0], 1.6 * max(present))
 
 

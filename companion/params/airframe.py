@@ -7,12 +7,17 @@ An :class:`Uncertain` carries the prior standard deviation of the belief. For qu
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from companion.records import ClockName, Station
 from companion.units import Orientation
 
 Vector3 = tuple[float, float, float]
+FAMILIES = ("symmetric", "antisymmetric")
+"""Modes that move both tips alike, and against each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +52,10 @@ class Gust:
 
 @dataclass(frozen=True, slots=True)
 class Wing:
-    """Modes and static bend. ``second_*`` are the next bending modes, None where they do not matter.
+    """Modes and static bend.
 
+    ``second_*`` are the next bending modes, ``further_*`` those above, the lowest first. A second mode that is left out
+    is tracked with a cantilever's wide prior, or is taken not to exist where ``assume_second`` is false.
     ``trim_bend_m`` is the symmetric tip deflection in level flight at 1 g relative to the wing as calibrated on the
     ground; ``bend_per_g_m`` what each further g adds.
     """
@@ -61,6 +68,39 @@ class Wing:
     bend_per_g_m: Uncertain
     second_symmetric: Mode | None = None
     second_antisymmetric: Mode | None = None
+    further_symmetric: tuple[Mode, ...] = ()
+    further_antisymmetric: tuple[Mode, ...] = ()
+    assume_second: bool = True
+
+    def family(self, parity: int) -> dict[str, Mode]:
+        """Modes of the symmetric (parity 0) or antisymmetric (1) family by name, the lowest first.
+
+        A name is the path of the mode's table in the file: ``second_symmetric``, ``further_symmetric.0``.
+        """
+        name = FAMILIES[parity]
+        second: Mode | None = getattr(self, f"second_{name}")
+        further: tuple[Mode, ...] = getattr(self, f"further_{name}")
+        named = {name: getattr(self, name)} | ({} if second is None else {f"second_{name}": second})
+        return named | {f"further_{name}.{index}": mode for index, mode in enumerate(further)}
+
+    @property
+    def modes(self) -> dict[str, Mode]:
+        """All modes by name: the first of both families, their second, and so on."""
+        ranked = [
+            (2 * rank + parity, name, mode)
+            for parity in range(len(FAMILIES))
+            for rank, (name, mode) in enumerate(self.family(parity).items())
+        ]
+        return {name: mode for _, name, mode in sorted(ranked, key=lambda entry: entry[0])}
+
+    def with_modes(self, change: Callable[[str, Mode], Mode]) -> Wing:
+        """The wing with each mode replaced by what ``change`` makes of its name and itself."""
+        families = [{name: change(name, mode) for name, mode in self.family(k).items()} for k in range(len(FAMILIES))]
+        changes: dict[str, Any] = {}
+        for family, modes in zip(FAMILIES, families, strict=True):
+            changes |= {name: mode for name, mode in modes.items() if name.endswith(family)}
+            changes[f"further_{family}"] = tuple(mode for name, mode in modes.items() if not name.endswith(family))
+        return dataclasses.replace(self, **changes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from companion.params.airframe import Airframe, Camera, Mode, Sensor, Uncertain
+from companion.params.airframe import FAMILIES, Airframe, Camera, Sensor, Uncertain
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +117,10 @@ def _ranges(record: Any, where: str) -> Iterator[str]:
         value, key = getattr(record, entry.name), f"{where}.{entry.name}".lstrip(".")
         if entry.name in listed:
             yield from _outside(value, key, listed[entry.name])
+        elif isinstance(value, tuple):
+            for index, element in enumerate(value):
+                if dataclasses.is_dataclass(element):
+                    yield from _ranges(element, f"{key}[{index}]")
         elif dataclasses.is_dataclass(value) and not isinstance(value, Uncertain):
             yield from _ranges(value, key)
 
@@ -169,16 +173,16 @@ def _wing(airframe: Airframe) -> Iterator[str]:
         bend = getattr(wing, name)
         if abs(bend.value) > wing.semispan_m:
             yield f"'wing.{name}' = {bend.value:g} m is more than the semispan of {wing.semispan_m:g} m"
-    modes = {name: getattr(wing, name) for name in ("symmetric", "antisymmetric", "second_symmetric")}
-    modes["second_antisymmetric"] = wing.second_antisymmetric
-    for name, mode in modes.items():
-        if isinstance(mode, Mode):
-            for key in ("frequency_hz", "damping"):
-                yield from _relative(getattr(mode, key), f"wing.{name}.{key}")
-            slope = mode.slope_factor_radpm.value
-            if abs(slope) < _FLATTEST_RADPM:
-                text = f"nearer to 0 than {_FLATTEST_RADPM:g} rad/m: no bending turns its tip so little"
-                yield f"'wing.{name}.slope_factor_radpm' = {slope:g} rad/m is {text}"
+    for name, mode in wing.modes.items():
+        for key in ("frequency_hz", "damping"):
+            yield from _relative(getattr(mode, key), f"wing.{name}.{key}")
+        slope = mode.slope_factor_radpm.value
+        if abs(slope) < _FLATTEST_RADPM:
+            text = f"nearer to 0 than {_FLATTEST_RADPM:g} rad/m: no bending turns its tip so little"
+            yield f"'wing.{name}.slope_factor_radpm' = {slope:g} rad/m is {text}"
+    for name in FAMILIES:
+        if getattr(wing, f"further_{name}") and getattr(wing, f"second_{name}") is None:
+            yield f"'wing.further_{name}' needs 'wing.second_{name}', the mode below"
     for index, corner_hz in enumerate(wing.gust.corners_hz):
         if 0.0 < corner_hz < _LOWEST_CORNER_HZ:
             text = f"below {_LOWEST_CORNER_HZ:g} Hz; 0 is white"

@@ -48,6 +48,19 @@ def test_coordinates_are_in_order_and_missing_modes_are_left_out() -> None:
     assert MODEL.present(MODEL.all_slots(q)) == pytest.approx(q)
 
 
+def test_a_third_symmetric_mode_is_one_coordinate_more_whoever_adds_it() -> None:
+    third = dataclasses.replace(WING, further_symmetric=(_mode(60.0, 0.02, 7.85),))
+    added = make_effects([NamedEffect("second-mode", {"participation": 0.3, "frequency_hz": 60.0})])
+    for model in (WingModel(third), MODEL.with_effects(added)):
+        assert model.structure.slots == (0, 1, 2, 4)
+        assert model.omega_radps / (2.0 * math.pi) == pytest.approx([5.0, 6.4, 27.0, 60.0])
+        q = np.array([0.01, 0.02, 0.003, 0.0004])
+        assert model.all_slots(q) == pytest.approx([0.01, 0.02, 0.003, 0.0, 0.0004])
+        assert model.present(model.all_slots(q)) == pytest.approx(q)
+    changed = WingModel(third).with_parameters({"further_symmetric.0.frequency_hz": 61.0})
+    assert changed.omega_radps[3] == pytest.approx(2.0 * math.pi * 61.0)
+
+
 def test_tips_move_by_the_sum_with_the_antisymmetric_part_reversed_on_the_left() -> None:
     q = np.array([0.01, 0.002, 0.0005])
     assert MODEL.tip_lift_m(q) == pytest.approx([0.0085, 0.0125])
@@ -83,7 +96,10 @@ def test_parameters_are_changed_by_name_and_the_old_model_stays() -> None:
     assert nadir.params.symmetric.frequency_hz.sigma == sigma
 
 
-@pytest.mark.parametrize("name", ["frequency_hz", "symmetric.colour", "symmetric", "second_antisymmetric.damping"])
+@pytest.mark.parametrize(
+    "name",
+    ["frequency_hz", "symmetric.colour", "symmetric", "second_antisymmetric.damping", "further_symmetric.0.damping"],
+)
 def test_a_parameter_that_is_not_there_is_named(name: str) -> None:
     with pytest.raises(KeyError, match=name):
         MODEL.with_parameters({name: 1.0})

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from companion.core.wing.structure import SLOT_NAMES
 from companion.params.airframe import Airframe, Camera, Mode, Uncertain
 
 
@@ -22,13 +21,11 @@ def with_wing(airframe: Airframe, **changes: Any) -> Airframe:
 
 def scale_modes(airframe: Airframe, key: str, factor: float) -> Airframe:
     """Scale one value (``frequency_hz``, ``damping``) of every mode."""
-    modes: dict[str, Mode | None] = {name: getattr(airframe.wing, name) for name in SLOT_NAMES}
-    changes = {
-        name: dataclasses.replace(mode, **{key: scaled(getattr(mode, key), factor)})
-        for name, mode in modes.items()
-        if mode is not None
-    }
-    return with_wing(airframe, **changes)
+
+    def change(_: str, mode: Mode) -> Mode:
+        return dataclasses.replace(mode, **{key: scaled(getattr(mode, key), factor)})
+
+    return dataclasses.replace(airframe, wing=airframe.wing.with_modes(change))
 
 
 def change_cameras(airframe: Airframe, change: Callable[[Camera, float], Camera]) -> Airframe:

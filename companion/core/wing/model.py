@@ -15,11 +15,10 @@ import numpy as np
 
 from companion.core.wing.effect import Effect, ModalMotion
 from companion.core.wing.effects import make_effects
-from companion.core.wing.structure import SLOT_NAMES, Structure, structure_of
+from companion.core.wing.structure import Structure, structure_of
 from companion.params.airframe import Airframe, Uncertain, Wing
 from companion.records import Floats
 
-ALL_SLOTS = len(SLOT_NAMES)
 Memories = tuple[Floats | None, ...]
 
 
@@ -137,13 +136,13 @@ class WingModel:
         return np.asarray(q_m @ self.structure.twist_radpm.T)
 
     def all_slots(self, q_m: Floats) -> Floats:
-        """Spread (..., n) present coordinates over the four named ones, zero where the wing has none: (..., 4)."""
-        spread = np.zeros((*q_m.shape[:-1], ALL_SLOTS))
+        """Spread (..., n) present coordinates over the s slots, at least four: (..., s), zero in empty ones."""
+        spread = np.zeros((*q_m.shape[:-1], self.structure.slot_count))
         spread[..., list(self.structure.slots)] = q_m
         return spread
 
     def present(self, q_all_m: Floats) -> Floats:
-        """Pick the coordinates that this wing has, (..., n) from (..., 4)."""
+        """Pick the coordinates that this wing has, (..., n) from (..., s)."""
         return np.asarray(q_all_m[..., list(self.structure.slots)])
 
     def with_parameters(self, changes: Mapping[str, float]) -> WingModel:
@@ -171,8 +170,11 @@ class WingModel:
 
 
 def _replaced(record: Any, path: list[str], value: float, name: str) -> Any:
+    if isinstance(record, tuple) and path[0].isdecimal() and int(path[0]) < len(record):
+        at = int(path[0])
+        return (*record[:at], _replaced(record[at], path[1:], value, name), *record[at + 1 :])
     names = {entry.name for entry in dataclasses.fields(record)} if dataclasses.is_dataclass(record) else set()
-    if path[0] not in names:
+    if not path or path[0] not in names:
         raise KeyError(f"the wing has no parameter '{name}'")
     old = getattr(record, path[0])
     if len(path) > 1:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.params.airframe import Mode, Wing
+from companion.params.airframe import FAMILIES, Mode, Wing
 from companion.records import Floats
 
 SLOT_NAMES = ("symmetric", "antisymmetric", "second_symmetric", "second_antisymmetric")
-"""The modal coordinates in their order; a wing without a second mode leaves its slot out."""
+"""The modal coordinates in their order; a wing without a second mode leaves its slot out. Further ones follow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Structure:
     Attributes
     ----------
     slots : tuple of int
-        Which of the four named modes each coordinate is.
+        Which mode each coordinate is: even numbers are symmetric, odd ones antisymmetric, each family's lowest first.
     stiffness_radps2 : (n, n)
         Per (rad/s)^2; diagonal omega^2 where left and right wing are equal.
     damping_radps : (n, n)
@@ -48,10 +48,15 @@ class Structure:
         """Number of modal coordinates."""
         return len(self.slots)
 
+    @property
+    def slot_count(self) -> int:
+        """Number of slots, empty ones included: at least the named ones."""
+        return max(len(SLOT_NAMES), *(slot + 1 for slot in self.slots))
+
     def pairs(self) -> tuple[tuple[int, int], ...]:
         """Indices of each symmetric coordinate with its antisymmetric partner, where both exist."""
         index = {slot: i for i, slot in enumerate(self.slots)}
-        return tuple((index[s], index[s + 1]) for s in (0, 2) if s in index and s + 1 in index)
+        return tuple((index[s], index[s + 1]) for s in index if s % 2 == 0 and s + 1 in index)
 
 
 def structure_of(wing: Wing) -> Structure:
@@ -62,8 +67,10 @@ def structure_of(wing: Wing) -> Structure:
     ValueError
         If a frequency is not positive or a damping ratio is negative.
     """
-    modes = [(slot, getattr(wing, name)) for slot, name in enumerate(SLOT_NAMES)]
-    present = [(slot, mode) for slot, mode in modes if mode is not None]
+    families = [wing.family(parity).values() for parity in range(len(FAMILIES))]
+    present = sorted(
+        (2 * rank + parity, mode) for parity, family in enumerate(families) for rank, mode in enumerate(family)
+    )
     omega = np.array([_omega(slot, mode) for slot, mode in present])
     zeta = np.array([mode.damping.value for _, mode in present])
     if np.any(zeta < 0.0):
@@ -88,10 +95,12 @@ def with_mode(
 ) -> Structure:
     """Append a mode of the symmetry of ``slot`` whose tip acceleration has ``participation`` times the power.
 
-    A mode without participation is left out.
+    It takes the first free slot of that symmetry from there on. A mode without participation is left out.
     """
     if participation <= 0.0:
         return structure
+    while slot in structure.slots:
+        slot += 2
     omega = 2.0 * math.pi * frequency_hz
     sign = np.array([1.0, 1.0] if slot % 2 == 0 else [-1.0, 1.0])[:, None]
     lift = math.sqrt(participation) * sign
@@ -115,8 +124,14 @@ def with_mode(
     )
 
 
+def slot_name(slot: int) -> str:
+    """Name of a modal coordinate as the airframe file has it."""
+    named = len(SLOT_NAMES)
+    return SLOT_NAMES[slot] if slot < named else f"further_{FAMILIES[slot % 2]}.{(slot - named) // 2}"
+
+
 def _omega(slot: int, mode: Mode) -> float:
     frequency_hz = mode.frequency_hz.value
     if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
-        raise ValueError(f"{SLOT_NAMES[slot]} frequency must be finite and > 0, not {frequency_hz}")
+        raise ValueError(f"{slot_name(slot)} frequency must be finite and > 0, not {frequency_hz}")
     return 2.0 * math.pi * frequency_hz

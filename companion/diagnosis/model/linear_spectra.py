@@ -9,7 +9,7 @@ import numpy as np
 
 from companion.core.wing.effect import Effect
 from companion.core.wing.lowpass import Butterworth2
-from companion.core.wing.structure import SLOT_NAMES, Structure, structure_of
+from companion.core.wing.structure import Structure, slot_name, structure_of
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, full, inverse, product
 from companion.params.airframe import Airframe
 from companion.records import Floats, Side, Station
@@ -71,7 +71,7 @@ class Spectra:
         believed, level = len(self._level), np.empty(structure.count)
         for i, slot in enumerate(structure.slots):
             # a mode that an effect has added is loaded like the first of its symmetry
-            k, name = (i, SLOT_NAMES[slot]) if i < believed else (slot % 2 if believed > 1 else 0, SLOT_NAMES[slot % 2])
+            k, name = (i, slot_name(slot)) if i < believed else (slot % 2 if believed > 1 else 0, slot_name(slot % 2))
             level[i] = self._level[k] * np.exp(2.0 * deviation.get(f"{name}.level", 0.0))
         load = (level[:, None] * self._load_shape(deviation)).astype(np.complex128)
         load = self._coherent(load, structure, deviation)
@@ -87,7 +87,7 @@ class Spectra:
         for i in range(1, structure.count):
             slot = structure.slots[i]
             first = slot % 2 if structure.count > 1 and slot % 2 < len(self._level) else 0
-            name = SLOT_NAMES[slot] if i < len(self._level) else ADDED
+            name = slot_name(slot) if i < len(self._level) else ADDED
             # one gust may well load both: full coherence lies a few prior sigmas away, and not at infinity
             shared = float(np.tanh(np.sinh(np.clip(deviation.get(f"{name}.coherence", 0.0), -_TOGETHER, _TOGETHER))))
             if i != first and shared:

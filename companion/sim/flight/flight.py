@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.wing.model import WingModel
+from companion.core.wing.structure import SLOT_NAMES
 from companion.params.airframe import Airframe, NamedEffect
 from companion.records import ClockName, Floats, Station
 from companion.sim.flight.aircraft import FlightPlan, demo_plan, fly, jolted, lift_share
@@ -42,7 +43,7 @@ _BURN_IN_S = 12.0
 _DRYDEN_WIND_MPS = 10.0
 _DRYDEN_ALTITUDE_M = 60.0
 _WORLD_PURPOSES = (b"weather", b"wear", b"shake")  # names of generators: one more draw in one changes no other
-_PARTICIPATION = {0: 1.566, 2: -0.868}  # of a uniform cantilever's bending modes in a shaken root, by slot
+_PARTICIPATION = {0: 1.566, 2: -0.868, 4: 0.509}  # of a uniform cantilever's bending modes in a shaken root, by slot
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +148,8 @@ def build_flight(
     model = WingModel.from_airframe(real.actual)
     knots, derivatives = fly(plan, rng, round((plan.duration_s + _TAIL_S) * 1000) + 1)
     shape = TipShape.from_model(model)
+    further = ((0, 0), (0, model.structure.slot_count - len(SLOT_NAMES)))
+    knots, derivatives = np.pad(knots, further), np.pad(derivatives, further)
     rigid = FlightTruth(knots, derivatives, shape)
     load_factor = rigid.series(rigid.t_boot_ns).load_factor
     q, qdot = _bend(real, model, plan, gust, load_factor, rng)

@@ -105,6 +105,8 @@ def _drawn(record: Any, rng: np.random.Generator) -> Any:
             changes[entry.name] = _draw_parameter(entry.name, value, rng)
         elif dataclasses.is_dataclass(value):
             changes[entry.name] = _drawn(value, rng)
+        elif isinstance(value, tuple) and all(dataclasses.is_dataclass(element) for element in value):
+            changes[entry.name] = tuple(_drawn(element, rng) for element in value)
     return dataclasses.replace(record, **changes)
 
 

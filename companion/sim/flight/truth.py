@@ -2,7 +2,7 @@
 
 Knots lie on a uniform grid of boot time; between them every quantity is the cubic Hermite of its knots and their exact
 derivatives, so that a rate is the derivative of its angle at every instant and a camera rotation is right to 1e-8 rad.
-Ground is the plane z = 0 of the NED frame; body axes are FRD; modal coordinates are [sym1, anti1, sym2, anti2].
+Ground is the plane z = 0 of the NED frame; body axes are FRD; modal coordinates are [sym1, anti1, sym2, anti2, ...].
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from companion.units import GRAVITY_MPS2
 STEP_NS = 1_000_000
 
 # columns of a knot: position (NED), velocity (NED), roll pitch yaw, body rate, modal coordinates
-POSITION, VELOCITY, EULER, RATE, MODAL = (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 16))
-COLUMNS = 16  # of a knot: position, attitude, modal coordinates and what is integrated with them
+POSITION, VELOCITY, EULER, RATE, MODAL = (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, None))
+COLUMNS = 16  # of a knot: position, attitude, the four named modal coordinates; further ones follow
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class TruthSample:
         Rigid specific force at the root (body origin); a level aircraft at rest has z = -9.80665.
     load_factor : float
         ``-specific_force_z / g``.
-    q_m, qdot_mps : (4,) float64
+    q_m, qdot_mps : (s,) float64
         Total deflection relative to the wing as calibrated on the ground, and its rate.
     slope_rad, slope_rate_radps, twist_rad, twist_rate_radps, lift_m, lift_rate_mps : (2,) float64
         Up-bend slope, nose-up twist and upward displacement of the tip stations.
@@ -84,7 +84,7 @@ class TruthSeries:
 
 @dataclass(frozen=True, slots=True)
 class TipShape:
-    """Mode shapes at the tip stations: (2, 4) gains, rows left and right."""
+    """Mode shapes at the tip stations: (2, s) gains, rows left and right."""
 
     lift: Floats
     slope_radpm: Floats
@@ -92,7 +92,7 @@ class TipShape:
 
     @classmethod
     def from_model(cls, model: WingModel) -> TipShape:
-        """Spread a wing model's gains over the four modal coordinates."""
+        """Spread a wing model's gains over its s modal coordinates, at least the four named ones."""
         structure = model.structure
         rows = np.stack([structure.lift, structure.slope_radpm, structure.twist_radpm])
         return cls(*model.all_slots(rows))
@@ -115,7 +115,7 @@ class FlightTruth:
 
     Parameters
     ----------
-    knots, derivatives : (n, 16) float64
+    knots, derivatives : (n, 12 + s) float64
         Position, velocity, Euler angles, body rate and modal coordinates, and their time derivatives, each ``step_ns``
         from boot time 0.
     shape : TipShape
@@ -123,8 +123,9 @@ class FlightTruth:
     """
 
     def __init__(self, knots: Floats, derivatives: Floats, shape: TipShape, step_ns: int = STEP_NS) -> None:
-        if knots.shape != derivatives.shape or knots.shape[1] != COLUMNS:
-            raise ValueError(f"knots and derivatives must both be (n, {COLUMNS})")
+        columns = MODAL.start + shape.lift.shape[1]
+        if knots.shape != derivatives.shape or knots.shape[1] != columns:
+            raise ValueError(f"knots and derivatives must both be (n, {columns})")
         self.knots = knots
         self.derivatives = derivatives
         self.shape = shape
@@ -182,7 +183,7 @@ class FlightTruth:
         )
 
     def _interpolate(self, t_boot_ns: Ints) -> tuple[Floats, Floats]:
-        """Cubic Hermite values and derivatives (n, 16)."""
+        """Cubic Hermite values and derivatives (n, 12 + s)."""
         end = (len(self.knots) - 1) * self.step_ns
         if t_boot_ns.size and (t_boot_ns.min() < 0 or t_boot_ns.max() > end):
             raise ValueError(f"boot time {t_boot_ns.min()}..{t_boot_ns.max()} ns is outside the flight 0..{end} ns")
