@@ -10,7 +10,7 @@ import pytest
 
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import WingParameters, build_model
-from companion.core.tracking.parameters import prior_parameters
+from companion.core.tracking.parameters import ModeParameters, prior_parameters
 from companion.core.tracking.rigid_body import Epochs
 from companion.core.tracking.states import ROWS, make_layout, make_noise
 from companion.params.files import load_airframe
@@ -23,10 +23,16 @@ OLD: WingParameters = (
     prior_parameters(LAYOUT.symmetric, AIRFRAME.wing.gust),
     prior_parameters(LAYOUT.antisymmetric, AIRFRAME.wing.gust),
 )
-NEW: WingParameters = (
-    replace(OLD[0], frequency_hz=1.12 * OLD[0].frequency_hz, damping=1.6 * OLD[0].damping),
-    replace(OLD[1], frequency_hz=0.9 * OLD[1].frequency_hz, frequency_2_hz=1.1 * OLD[1].frequency_2_hz),
-)
+
+
+def _changed(old: ModeParameters, by_hz: tuple[float, ...], by_damping: tuple[float, ...]) -> ModeParameters:
+    """Frequencies and dampings of all modes times these factors."""
+    factors = zip(old.modes, by_hz, by_damping, strict=True)
+    modes = (replace(mode, frequency_hz=hz * mode.frequency_hz, damping=d * mode.damping) for mode, hz, d in factors)
+    return replace(old, modes=tuple(modes))
+
+
+NEW: WingParameters = (_changed(OLD[0], (1.12, 1.0), (1.6, 1.0)), _changed(OLD[1], (0.9, 1.1), (1.0, 1.0)))
 
 
 def _filter() -> SeparatedBiasFilter:
@@ -43,11 +49,9 @@ def _acceleration_rows(parameters: WingParameters) -> np.ndarray:
     """Acceleration of every mode: load less damper less spring, which is at others at the static bend; (4, n + 1)."""
     rows = np.zeros((4, LAYOUT.size + 1))
     for k, (family, p) in enumerate(zip(LAYOUT.families, parameters, strict=True)):
-        for mode, (q, hz, zeta) in enumerate(
-            ((family.q, p.frequency_hz, p.damping), (family.q2, p.frequency_2_hz, p.damping_2))
-        ):
-            omega, row = 2.0 * math.pi * hz, rows[2 * k + mode]
-            row[q], row[q + 1], row[q + 3] = -(omega**2), -2.0 * zeta * omega, 1.0
+        for rank, ((q, v), mode) in enumerate(zip(family.pairs, p.modes, strict=True)):
+            omega, row = 2.0 * math.pi * mode.frequency_hz, rows[2 * k + rank]
+            row[q], row[v], row[q + 3] = -(omega**2), -2.0 * mode.damping * omega, 1.0
     rows[0, LAYOUT.size] = -rows[0, LAYOUT.symmetric.q]
     return rows
 
@@ -64,7 +68,7 @@ def test_other_springs_and_dampers_change_neither_motion_nor_acceleration_nor_ho
         rows[:, :n] @ spread @ rows[:, :n].T for rows, spread in ((after, kalman.covariance), (before, covariance))
     )
     np.testing.assert_allclose(after_change, before_change, rtol=1e-7, atol=1e-6 * np.abs(before_change).max())
-    loads = [q + 2 + k for family in LAYOUT.families for q in (family.q, family.q2) for k in (0, 1)]
+    loads = [q + 2 + k for q, _ in LAYOUT.pairs for k in (0, 1)]
     others = np.delete(np.arange(n), loads)
     np.testing.assert_array_equal(kalman.state_and_sensitivity[others], state_and_sensitivity[others])
     np.testing.assert_array_equal(kalman.covariance[np.ix_(others, others)], covariance[np.ix_(others, others)])

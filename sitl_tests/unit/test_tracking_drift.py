@@ -13,7 +13,7 @@ from companion.core.tracking.adaptation.frequency_drift import (
 )
 from companion.core.tracking.adaptation.periodogram import make_periodogram, make_periodograms
 from companion.core.tracking.adaptation.whittle import LogNormalPrior, fit
-from companion.core.tracking.parameters import FREQUENCY, FREQUENCY_2, LIMITS, PARAMETERS, prior_parameters
+from companion.core.tracking.parameters import FREQUENCY, parameter_index, parameter_limits, prior_parameters
 from companion.core.tracking.states import make_layout
 from companion.records import Floats
 from sitl_tests.unit.tracking_samples import plain_airframe
@@ -30,9 +30,10 @@ def test_a_growing_frequency_becomes_a_steady_one_and_the_parameters_go_along(
     rate_per_s: float, frequency_hz: float
 ) -> None:
     phase = 2.0 * np.pi * frequency_hz * np.expm1(rate_per_s * TIME_S) / rate_per_s
-    log_params = np.zeros(PARAMETERS)
+    places = parameter_index([1])
+    log_params = np.zeros(places.end[-1])
     log_params[FREQUENCY] = np.log(frequency_hz) + rate_per_s * LENGTH_S
-    steady_hz = np.exp(to_warped_time(log_params, rate_per_s, LENGTH_S)[FREQUENCY])
+    steady_hz = np.exp(to_warped_time(log_params, places, rate_per_s, LENGTH_S)[FREQUENCY])
     warped = time_warped(np.sin(phase), rate_per_s, STEP_S)
     inside = slice(20, -20)  # the ends have no neighbours; the taper takes them away
     np.testing.assert_allclose(warped[inside], np.sin(2.0 * np.pi * steady_hz * TIME_S)[inside], atol=0.004)
@@ -40,10 +41,11 @@ def test_a_growing_frequency_becomes_a_steady_one_and_the_parameters_go_along(
 
 @pytest.mark.parametrize("rate_per_s", [0.0, 1e-9, 0.02, -0.02])
 def test_there_and_back_is_where_it_began_and_only_frequencies_move(rate_per_s: float) -> None:
-    log_params = np.random.default_rng(3).normal(size=2 * PARAMETERS)
-    moved = to_segment_end(log_params, rate_per_s, LENGTH_S)
-    np.testing.assert_allclose(to_warped_time(moved, rate_per_s, LENGTH_S), log_params, atol=1e-12)
-    frequencies = [first + k for first in (0, PARAMETERS) for k in (FREQUENCY, FREQUENCY_2)]
+    places = parameter_index([3, 1])
+    log_params = np.random.default_rng(3).normal(size=18)
+    moved = to_segment_end(log_params, places, rate_per_s, LENGTH_S)
+    np.testing.assert_allclose(to_warped_time(moved, places, rate_per_s, LENGTH_S), log_params, atol=1e-12)
+    frequencies = [0, 5, 9, 13]  # of three modes of one family, and of one of the other
     # a line's end lies half its length beyond its middle
     np.testing.assert_allclose(
         (moved - log_params)[frequencies], 0.5 * rate_per_s * LENGTH_S, atol=(rate_per_s * 20) ** 2
@@ -65,17 +67,20 @@ def test_lines_that_beat_stay_where_they_are(seed: int, apart_hz: float) -> None
     samples += rng.normal(0.0, SENSOR_MPS2, len(TIME_S))
     airframe = plain_airframe()
     family = prior_parameters(make_layout(airframe).symmetric, airframe.wing.gust)
-    low, high = np.log(LIMITS)
-    prior = LogNormalPrior(family.log_params(), family.log_sigma, low, high, np.array([family.reference_hz]))
+    low, high = np.log(parameter_limits(len(family.modes)))
+    places = parameter_index([len(family.modes)])
+    prior = LogNormalPrior(family.log_params(), family.log_sigma, low, high, np.array([family.reference_hz]), places)
     segments = make_periodograms(samples.reshape(-1, round(SEGMENT_S / STEP_S)), STEP_S, BAND_HZ, noise_density)
     log_params, rate = family.log_params(), 0.0
     for _ in range(8):
         even = make_periodogram(time_warped(samples, rate, STEP_S), STEP_S, BAND_HZ, noise_density)
         log_params = to_segment_end(
-            fit(even, prior, to_warped_time(log_params, rate, LENGTH_S), 6).log_params, rate, LENGTH_S
+            fit(even, prior, to_warped_time(log_params, places, rate, LENGTH_S), 6).log_params, places, rate, LENGTH_S
         )
         assert np.exp(log_params[FREQUENCY]) == pytest.approx(5.0 + 0.5 * apart_hz, abs=2.0 / LENGTH_S), "two bins"
-        rate, _ = estimate_drift_rate(segments, SEGMENT_S, prior, to_warped_time(log_params, rate, LENGTH_S), rate)
+        rate, _ = estimate_drift_rate(
+            segments, SEGMENT_S, prior, to_warped_time(log_params, places, rate, LENGTH_S), rate
+        )
 
 
 def noise_density(frequency_hz: Floats) -> Floats:

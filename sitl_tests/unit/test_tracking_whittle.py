@@ -6,32 +6,34 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
 
 from companion.core.tracking.adaptation.frequency_drift import estimate_drift_rate, time_warped
 from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_gradient, make_grid
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram, make_periodograms
 from companion.core.tracking.adaptation.whittle import LogNormalPrior, expected_power, find_unmodelled_peak, fit
 from companion.core.tracking.discretise import stationary_covariance, van_loan
+from companion.core.tracking.parameters import parameter_index
 
 STEP_S = 0.004
 COHERENCE = -0.4
 LOGS = np.append(np.log([5.0, 0.04, 0.2, 2.0, 20.0, 27.0, 0.02, 3e-3]), np.arctanh(COHERENCE))
+MANY = np.concatenate([LOGS, np.log([14.0, 0.03, 0.02]), [np.arctanh(0.6)], np.log([60.0, 0.01, 1e-3]), [-0.3]])
 
 
 def _system(log_params: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mode and its gust's two poles, second mode and its own, in part the same, written out anew."""
-    f, zeta, load, c1, c2, f2, zeta2, load2 = np.exp(log_params[:8])
-    w, w2, k1, k2 = (2 * np.pi * x for x in (f, f2, c1, c2))
-    a = np.zeros((8, 8))
-    a[0, 1], a[1, 0], a[1, 1], a[1, 3] = 1, -w * w, -2 * zeta * w, 1
-    a[2, 2], a[3, 2], a[3, 3] = -k1, k2, -k2
-    a[4, 5], a[5, 4], a[5, 5], a[5, 7] = 1, -w2 * w2, -2 * zeta2 * w2, 1
-    a[6, 6], a[7, 6], a[7, 7] = -k1, k2, -k2
-    q = np.zeros((8, 8))
-    q[2, 2] = k1**2 * load * (1 + (5.0 / c1) ** 2) * (1 + (5.0 / c2) ** 2) / 2
-    q[6, 6] = k1**2 * load2 * (1 + (f2 / c1) ** 2) * (1 + (f2 / c2) ** 2) / 2
-    q[2, 6] = q[6, 2] = COHERENCE * np.sqrt(q[2, 2] * q[6, 6])
-    return a, q
+    """Modes, each with its gust's two poles; what a load shares with the first it shares with others. Written anew."""
+    c1, c2 = np.exp(log_params[3:5])
+    places = [0, *range(5, len(log_params), 4)]
+    shared = np.array([1.0, *(np.tanh(log_params[at + 3]) for at in places[1:])])
+    blocks, gains = [], []
+    for at in places:
+        f, zeta, load = np.exp(log_params[at : at + 3])
+        w, k1, k2, stated = 2 * np.pi * f, 2 * np.pi * c1, 2 * np.pi * c2, f if at else 5.0
+        blocks.append([[0, 1, 0, 0], [-w * w, -2 * zeta * w, 0, 1], [0, 0, -k1, 0], [0, 0, k2, -k2]])
+        gains.append(k1 * np.sqrt(load * (1 + (stated / c1) ** 2) * (1 + (stated / c2) ** 2) / 2))
+    common, own = np.kron(shared * gains, [0, 0, 1, 0]), np.kron(gains * np.sqrt(1 - shared**2), [0, 0, 1, 0])
+    return block_diag(*blocks), np.outer(common, common) + np.diag(own**2)
 
 
 def _simulate(seconds: float, seed: int) -> np.ndarray:
@@ -60,7 +62,7 @@ def _periodogram(seconds: float, seed: int) -> Periodogram:
 def _prior(sigma: float = 2.0) -> LogNormalPrior:
     spread = np.array([0.1, 0.7, 2.5, sigma, sigma, 0.1, 0.7, 3.0, 1.0])
     mean = LOGS + np.array([0.07, 0.5, 1.0, 1.0, 1.0, -0.08, 0.5, -1.0, 0.4])
-    return LogNormalPrior(mean, spread, mean - 4 * spread, mean + 4 * spread, np.array([5.0]))
+    return LogNormalPrior(mean, spread, mean - 4 * spread, mean + 4 * spread, np.array([5.0]), parameter_index([2]))
 
 
 def test_a_piece_among_others_tells_what_it_tells_alone() -> None:
@@ -73,25 +75,29 @@ def test_a_piece_among_others_tells_what_it_tells_alone() -> None:
             np.testing.assert_array_equal(getattr(result, name), getattr(alone, name), err_msg=name)
 
 
-def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration() -> None:
-    transition, noise = van_loan(*_system(LOGS), STEP_S)
+@pytest.mark.parametrize("modes", [1, 2, 3, 4])
+def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration(modes: int) -> None:
+    log_params = MANY[: 5 + 4 * (modes - 1)]
+    transition, noise = van_loan(*_system(log_params), STEP_S)
     p = stationary_covariance(transition, noise)
-    row = np.zeros(8)
-    row[[1, 5]] = 1.0
+    row = np.tile([0.0, 1.0, 0.0, 0.0], modes)
     variance = 2 * row @ (p - transition @ p) @ row / STEP_S**2
     f = (np.arange(50000) + 0.5) * 125.0 / 50000
-    density = acceleration_density(LOGS, make_grid(f, STEP_S), 5.0)
+    density = acceleration_density(log_params, make_grid(f, STEP_S), 5.0)
     assert density.sum() * 125.0 / 50000 == pytest.approx(variance, rel=2e-3)
 
 
-@given(st.lists(st.floats(-0.7, 0.7), min_size=9, max_size=9))
-def test_the_slopes_of_the_density_are_its_differences(off: list[float]) -> None:
-    log_params, grid, small = LOGS + np.array(off), make_grid(np.linspace(0.5, 115.0, 300), STEP_S), 1e-5
+@pytest.mark.parametrize("modes", [1, 2, 3, 4])
+@given(st.data())
+def test_the_slopes_of_the_density_are_its_differences(modes: int, data: st.DataObject) -> None:
+    size = 5 + 4 * (modes - 1)
+    off = data.draw(st.lists(st.floats(-0.7, 0.7), min_size=size, max_size=size))
+    log_params, grid, small = MANY[:size] + np.array(off), make_grid(np.linspace(0.5, 115.0, 300), STEP_S), 1e-5
     density, *gradients = acceleration_gradient(log_params, grid, 5.0)
     np.testing.assert_allclose(density, acceleration_density(log_params, grid, 5.0), rtol=1e-9)
     for k, gradient in enumerate(gradients):
         ahead, behind = (
-            acceleration_density(log_params + sense * small * np.eye(9)[k], grid, 5.0) for sense in (1, -1)
+            acceleration_density(log_params + sense * small * np.eye(size)[k], grid, 5.0) for sense in (1, -1)
         )
         np.testing.assert_allclose(gradient, (ahead - behind) / (2 * small), rtol=1e-5, atol=1e-6 * density.max())
 

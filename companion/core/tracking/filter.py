@@ -264,12 +264,9 @@ class SeparatedBiasFilter:
         n, transform = self.layout.size, np.eye(self.layout.size + 1)
         for family, old, new in zip(self.layout.families, self.model.parameters, parameters, strict=True):
             corner = 2.0 * np.pi * new.corner_2_hz
-            for q, before, after in (
-                (family.q, (old.frequency_hz, old.damping), (new.frequency_hz, new.damping)),
-                (family.q2, (old.frequency_2_hz, old.damping_2), (new.frequency_2_hz, new.damping_2)),
-            ):
-                stiffer = 4.0 * np.pi**2 * (after[0] ** 2 - before[0] ** 2)
-                damped = 4.0 * np.pi * (after[0] * after[1] - before[0] * before[1])
+            for (q, _), before, after in zip(family.pairs, old.modes, new.modes, strict=True):
+                stiffer = 4.0 * np.pi**2 * (after.frequency_hz**2 - before.frequency_hz**2)
+                damped = 4.0 * np.pi * (after.frequency_hz * after.damping - before.frequency_hz * before.damping)
                 transform[q + 2, q : q + 2] += stiffer, damped + stiffer / corner
                 transform[q + 3, q : q + 2] += stiffer, damped
                 if q == self.layout.symmetric.q:

@@ -1,8 +1,8 @@
 """Discrete wing model of the filter: what one averaged step of all sensors says about the state.
 
 Each family obeys ``q'' + 2 zeta omega q' + omega^2 (q - q_static) = g`` with ``g`` white noise through two real poles;
-a second mode has a load of the same spectral shape, correlated with the first. Over one step of length h the sensors
-deliver:
+each further mode has a load of the same spectral shape, correlated with the first. Over one step of length h the
+sensors deliver:
 
 - vertical, mean of ``-w''`` = ``-(w1' - w0') / h``, exactly, gust load included, so that measurement and process noise
   are correlated as they are in nature;
@@ -26,8 +26,8 @@ import numpy as np
 from companion.core.tracking.discretise import stationary_covariance, van_loan
 from companion.core.tracking.parameters import ModeParameters
 from companion.core.tracking.states import (
-    FAMILY_STATES,
     M_LEFT,
+    MODE_STATES,
     P_LEFT,
     P_ROOT,
     ROWS,
@@ -239,26 +239,25 @@ def modal_propagation(layout: StateLayout, parameters: WingParameters, step_s: f
 
 
 def _family_system(p: ModeParameters) -> tuple[Floats, Floats]:
-    """Continuous system matrix (8, 8) of one family and the two-sided density of its white noise."""
-    f, w = np.zeros((FAMILY_STATES, FAMILY_STATES)), np.zeros((FAMILY_STATES, FAMILY_STATES))
-    omega, omega_2 = 2.0 * np.pi * p.frequency_hz, 2.0 * np.pi * p.frequency_2_hz
+    """Continuous system matrix (4 m, 4 m) of one family and the two-sided density of its white noise."""
+    size = MODE_STATES * len(p.modes)
+    f, w = np.zeros((size, size)), np.zeros((size, size))
     corner_1, corner_2 = 2.0 * np.pi * p.corner_1_hz, 2.0 * np.pi * p.corner_2_hz
-    for q, angular, damping in ((0, omega, p.damping), (4, omega_2, p.damping_2)):
+    for q, mode, white_load in zip(range(0, size, MODE_STATES), p.modes, p.white_loads, strict=True):
         v, gust_1, gust_2 = q + 1, q + 2, q + 3
-        f[q, v], f[v, q], f[v, v], f[v, gust_2] = 1.0, -(angular**2), -2.0 * damping * angular, 1.0
+        omega = 2.0 * np.pi * mode.frequency_hz
+        f[q, v], f[v, q], f[v, v], f[v, gust_2] = 1.0, -(omega**2), -2.0 * mode.damping * omega, 1.0
         f[gust_1, gust_1], f[gust_2, gust_1], f[gust_2, gust_2] = -corner_1, corner_2, -corner_2
-    w[2, 2] = corner_1**2 * p.white_load / 2.0
-    w[6, 6] = corner_1**2 * p.white_load_2 / 2.0
-    w[2, 6] = w[6, 2] = p.coherence * np.sqrt(w[2, 2] * w[6, 6])
+        w[gust_1, gust_1] = corner_1**2 * white_load / 2.0
+        for other in range(2, q, MODE_STATES):  # the loads of the modes below
+            coherence = p.modes[other // MODE_STATES].coherence * mode.coherence
+            w[other, gust_1] = w[gust_1, other] = coherence * np.sqrt(w[other, other] * w[gust_1, gust_1])
     return f, w
 
 
 def _shape_terms(family: ModeFamily) -> list[tuple[int, int, float]]:
     """Deflection state, rate state and slope factor (rad/m) of each mode."""
-    return [
-        (family.q, family.v, family.mode.slope_factor_radpm.value),
-        (family.q2, family.v2, family.second.slope_factor_radpm.value),
-    ]
+    return [(q, v, mode.slope_factor_radpm.value) for (q, v), mode in zip(family.pairs, family.modes, strict=True)]
 
 
 def slope_rows(layout: StateLayout) -> Floats:

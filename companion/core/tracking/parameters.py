@@ -2,124 +2,178 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.core.tracking.states import ModeFamily
-from companion.params.airframe import Gust, Uncertain
-from companion.records import Floats
+from companion.params.airframe import Gust, Mode, Uncertain
+from companion.records import Floats, Ints
 
-FREQUENCY, DAMPING, LOAD, CORNER_1, CORNER_2, FREQUENCY_2, DAMPING_2, LOAD_2, COHERENCE = range(9)
-PARAMETERS = 9  # of one family
-LIMITS = (
-    np.array([0.2, 1e-3, 1e-12, 0.05, 0.05, 0.5, 2e-3, 1e-14, 0.07]),
-    np.array([200.0, 0.5, 1e6, 2000.0, 2000.0, 400.0, 0.12, 1e5, 14.0]),
-)
+FIRST_PARAMETERS, FURTHER_PARAMETERS = 5, 4  # of a family's first mode with the gust's corners, and of each further one
+FREQUENCY, DAMPING, LOAD, CORNER_1, CORNER_2 = range(FIRST_PARAMETERS)  # a further mode has the first three as well
+COHERENCE = 3  # of a further mode, behind its load
+_FIRST_LIMITS = ([0.2, 1e-3, 1e-12, 0.05, 0.05], [200.0, 0.5, 1e6, 2000.0, 2000.0])
+_FURTHER_LIMITS = ([0.5, 2e-3, 1e-14, 0.07], [400.0, 0.12, 1e5, 14.0])
 
 _CORNER_HZ = (8.0, 60.0)  # chosen: of a gust that the airframe does not describe
 _CORNER_SIGMA = 2.0  # chosen: wide open, a factor of 7
 _LOAD_SIGMA = 2.5  # chosen: wide open, a factor of 12
-_RATIO_2 = 0.003  # chosen: of the second mode's load density to the first's
-_RATIO_2_SIGMA = 3.0  # chosen: wide open, a factor of 20
+_RATIO = 0.003  # chosen: of a further mode's load density to the first's
+_RATIO_SIGMA = 3.0  # chosen: wide open, a factor of 20
 _COHERENCE_SIGMA = 1.0  # chosen, in Fisher's z: wide open, one sigma is a correlation of 0.76
 _SIGMA_FLOOR = 1e-6  # numerical: keeps a certain parameter where it is
 
 
-@dataclass(frozen=True, slots=True)
-class ModeParameters:
-    """One family: a mode and the next one under loads of one gust, whose spectrum has two corners.
-
-    The first load's one-sided density is ``load / ((1 + (f/corner_1)^2) (1 + (f/corner_2)^2))``, scaled so that
-    ``load`` is its value at ``reference_hz``. The second load has the same shape, and ``load_2`` is its value at
-    ``frequency_2_hz``. One gust lifts the whole span: the two loads are correlated, with either sign.
+class ParameterIndex(NamedTuple):
+    """Places of the parameters of one or two families in one vector, family after family.
 
     Attributes
     ----------
-    load, load_2 : float
-        (m/s^2)^2/Hz.
+    first : (families,) int64
+        Each family's first frequency, with which its parameters begin.
+    end : (families,) int64
+        One past each family's last parameter.
+    further : (f,) int64
+        Frequency of each further mode.
+    further_first : (f,) int64
+        First frequency of the same family.
+    """
+
+    first: Ints
+    end: Ints
+    further: Ints
+    further_first: Ints
+
+
+def parameter_index(mode_counts: Sequence[int]) -> ParameterIndex:
+    """Places of the parameters of families with so many modes each."""
+    sizes = FIRST_PARAMETERS + FURTHER_PARAMETERS * (np.array(mode_counts, np.int64) - 1)
+    end = np.cumsum(sizes)
+    first = end - sizes
+    further = [
+        (at, start)
+        for start, stop in zip(first, end, strict=True)
+        for at in range(start + FIRST_PARAMETERS, stop, FURTHER_PARAMETERS)
+    ]
+    further_places = np.array(further, np.int64).reshape(-1, 2).T
+    return ParameterIndex(first, end, further_places[0].copy(), further_places[1].copy())
+
+
+def joined(first: Sequence[float], further: Sequence[float], modes: int) -> Floats:
+    """A family's vector (p,) of what holds for its first mode and the gust, and for each further mode."""
+    return np.array([*first, *(modes - 1) * list(further)])
+
+
+def parameter_limits(modes: int) -> tuple[Floats, Floats]:
+    """Lowest and highest value of each parameter of a family, (p,) each."""
+    low, high = (joined(first, further, modes) for first, further in zip(_FIRST_LIMITS, _FURTHER_LIMITS, strict=True))
+    return low, high
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedMode:
+    """One mode under its load.
+
+    Attributes
+    ----------
+    load : float
+        One-sided density of its load at the frequency at which it is stated, (m/s^2)^2/Hz.
     coherence : float
-        Correlation of the second load with the first, -1 to 1.
-    log_sigma : (9,) float64
-        Standard deviation of each entry of :meth:`log_params`.
+        Correlation of its load with the first mode's, -1 to 1; 1 for the first mode itself.
     """
 
     frequency_hz: float
     damping: float
     load: float
+    coherence: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ModeParameters:
+    """One family: its modes under loads of one gust, whose spectrum has two corners.
+
+    The first load's one-sided density is ``load / ((1 + (f/corner_1)^2) (1 + (f/corner_2)^2))``, scaled so that
+    ``load`` is its value at ``reference_hz``. Every other load has the same shape, and is stated at its own mode's
+    frequency. One gust lifts the whole span: each load is correlated with the first, with either sign, and two others
+    so far as both are with the first, ``c_j c_k``, which is a correlation matrix for any ``c``.
+
+    Attributes
+    ----------
+    modes : tuple of LoadedMode
+        The lowest first.
+    log_sigma : (5 + 4 (m - 1),) float64
+        Standard deviation of each entry of :meth:`log_params`.
+    """
+
+    modes: tuple[LoadedMode, ...]
     corner_1_hz: float
     corner_2_hz: float
-    frequency_2_hz: float
-    damping_2: float
-    load_2: float
-    coherence: float
     reference_hz: float
     log_sigma: Floats
 
     @property
-    def white_load(self) -> float:
-        """One-sided density of the white noise ahead of the first load's two poles, (m/s^2)^2/Hz."""
-        return self.load * self._roll_off(self.reference_hz)
+    def frequency_hz(self) -> float:
+        """Natural frequency of the first mode, Hz."""
+        return self.modes[0].frequency_hz
 
     @property
-    def white_load_2(self) -> float:
-        """One-sided density of the white noise ahead of the second load's two poles, (m/s^2)^2/Hz."""
-        return self.load_2 * self._roll_off(self.frequency_2_hz)
+    def damping(self) -> float:
+        """Damping ratio of the first mode."""
+        return self.modes[0].damping
+
+    @property
+    def white_loads(self) -> list[float]:
+        """One-sided density of the white noise ahead of each load's two poles, (m/s^2)^2/Hz."""
+        stated_hz = [self.reference_hz, *(mode.frequency_hz for mode in self.modes[1:])]
+        return [mode.load * self._roll_off(at_hz) for mode, at_hz in zip(self.modes, stated_hz, strict=True)]
 
     def _roll_off(self, frequency_hz: float) -> float:
         """Ratio of the load's density at zero frequency to that at ``frequency_hz``."""
         return (1.0 + (frequency_hz / self.corner_1_hz) ** 2) * (1.0 + (frequency_hz / self.corner_2_hz) ** 2)
 
     def log_params(self) -> Floats:
-        """Logarithms of the parameters in the order of this module's indices, (9,).
+        """Logarithms of the parameters in the order of this module's indices, (5 + 4 (m - 1),).
 
-        The coherence c enters as the logarithm of ``sqrt((1 + c) / (1 - c))``, Fisher's z.
+        A coherence c enters as the logarithm of ``sqrt((1 + c) / (1 - c))``, Fisher's z.
         """
-        first = [self.frequency_hz, self.damping, self.load, self.corner_1_hz, self.corner_2_hz]
-        fisher_z_ratio = np.exp(np.arctanh(self.coherence))
-        log_params: Floats = np.log(
-            np.array([*first, self.frequency_2_hz, self.damping_2, self.load_2, fisher_z_ratio])
-        )
-        return log_params
+        first, *others = self.modes
+        values = [first.frequency_hz, first.damping, first.load, self.corner_1_hz, self.corner_2_hz]
+        for mode in others:
+            values += [mode.frequency_hz, mode.damping, mode.load, np.exp(np.arctanh(mode.coherence))]
+        return np.asarray(np.log(np.array(values)))
 
     def with_log_params(self, log_params: Floats, log_sigma: Floats) -> ModeParameters:
-        """Parameters at ``log_params`` (9,) with ``log_sigma`` (9,)."""
+        """Parameters at ``log_params`` with ``log_sigma``, both (5 + 4 (m - 1),)."""
         v = [float(value) for value in np.exp(log_params)]
-        coherence = float(np.tanh(log_params[COHERENCE]))
-        return ModeParameters(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], coherence, self.reference_hz, log_sigma)
+        modes = [LoadedMode(v[FREQUENCY], v[DAMPING], v[LOAD])]
+        for at in range(FIRST_PARAMETERS, len(v), FURTHER_PARAMETERS):
+            coherence = float(np.tanh(log_params[at + COHERENCE]))
+            modes.append(LoadedMode(v[at + FREQUENCY], v[at + DAMPING], v[at + LOAD], coherence))
+        return ModeParameters(tuple(modes), v[CORNER_1], v[CORNER_2], self.reference_hz, log_sigma)
 
 
 def prior_parameters(family: ModeFamily, gust: Gust) -> ModeParameters:
-    """Airframe's belief: log-normal, relative sigma as stated; gust and second load wide open."""
-    mode, second = family.mode, family.second
-    frequency, damping = mode.frequency_hz.value, mode.damping.value
+    """Airframe's belief: log-normal, relative sigma as stated; gust and further loads wide open."""
+    first, *others = family.modes
+    frequency, damping = first.frequency_hz.value, first.damping.value
     corners = [corner if corner > 0.0 else default for corner, default in zip(gust.corners_hz, _CORNER_HZ, strict=True)]
     omega = 2.0 * np.pi * frequency
     load = max(gust.deflection_rms_m.value, 1e-5) ** 2 * 8.0 * damping * omega**3
-    sigma = [
-        _relative_sigma(mode.frequency_hz),
-        _relative_sigma(mode.damping),
-        max(_LOAD_SIGMA, 2.0 * _relative_sigma(gust.deflection_rms_m)),
-        _CORNER_SIGMA,
-        _CORNER_SIGMA,
-        _relative_sigma(second.frequency_hz),
-        _relative_sigma(second.damping),
-        _RATIO_2_SIGMA,
-        _COHERENCE_SIGMA,
-    ]
-    return ModeParameters(
-        frequency_hz=frequency,
-        damping=damping,
-        load=float(load),
-        corner_1_hz=corners[0],
-        corner_2_hz=corners[1],
-        frequency_2_hz=second.frequency_hz.value,
-        damping_2=second.damping.value,
-        load_2=float(_RATIO_2 * load),
-        coherence=0.0,
-        reference_hz=frequency,
-        log_sigma=np.array(sigma),
-    )
+    load_sigma = max(_LOAD_SIGMA, 2.0 * _relative_sigma(gust.deflection_rms_m))
+    sigma = [*_shape_sigmas(first), load_sigma, _CORNER_SIGMA, _CORNER_SIGMA]
+    modes = [LoadedMode(frequency, damping, float(load))]
+    for mode in others:
+        sigma += [*_shape_sigmas(mode), _RATIO_SIGMA, _COHERENCE_SIGMA]
+        modes.append(LoadedMode(mode.frequency_hz.value, mode.damping.value, float(_RATIO * load), 0.0))
+    return ModeParameters(tuple(modes), corners[0], corners[1], frequency, np.array(sigma))
+
+
+def _shape_sigmas(mode: Mode) -> tuple[float, float]:
+    """Relative sigmas of frequency and damping."""
+    return _relative_sigma(mode.frequency_hz), _relative_sigma(mode.damping)
 
 
 def _relative_sigma(belief: Uncertain) -> float:

@@ -183,12 +183,7 @@ def _outputs(slope: Floats, indices: _OutputIndices, one_and_bias: Floats) -> Fl
 
 def _output_indices(layout: StateLayout, modal_states: list[int]) -> _OutputIndices:
     """Indices of the outputs for a layout."""
-    factors = []
-    for name, family in zip(("symmetric", "antisymmetric"), layout.families, strict=True):
-        for key, rate in ((f"slope.{name}", family.v), (f"slope.second_{name}", family.v2)):
-            column = layout.column(key)
-            if column is not None:
-                factors.append((column - 1, modal_states.index(rate), family.sign))
+    factors = [(column - 1, modal_states.index(v), sign) for column, _, v, sign in layout.slope_factors]
     constant, rate_at = (np.array([factor[k] for factor in factors], dtype=np.int64) for k in (0, 1))
     signs = np.array([factor[2] for factor in factors], dtype=np.float64).reshape(-1, 2)
     q = np.array([modal_states.index(family.q) for family in layout.families], dtype=np.int64)

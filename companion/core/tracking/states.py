@@ -22,13 +22,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.params.airframe import Airframe, Mode, Sensor, Uncertain
+from companion.params.airframe import FAMILIES, Airframe, Mode, Sensor, Uncertain, Wing
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
 ROWS = 9  # measurements of one epoch, in the order of the next line
 Z_LEFT, Z_RIGHT, M_LEFT, M_RIGHT, Y_LEFT, Y_RIGHT, P_LEFT, P_RIGHT, P_ROOT = range(ROWS)
-FAMILY_STATES = 8  # two modes of deflection, rate and two load states
+MODE_STATES = 4  # deflection, rate and two load states
 SENSOR_ERRORS = ("kz", "ky", "kp", "mx", "my", "mz", "tau")
 ROOT_ERRORS = ("bp", "br")  # biases of its rates, which the tips' centripetal force is computed from
 
@@ -43,23 +43,44 @@ _TYPICAL_ROLL_ACCEL_RADPS2 = 1.0  # chosen: turns stamp jitter into an error of 
 class ModeFamily:
     """Modes that move both tips alike (``sign`` = +1, +1) or against each other (-1, +1): indices and beliefs.
 
-    Deflection ``q`` (m at the tip, up), rate ``v``, the two poles of the gust load, and the same of the second mode.
+    Each mode has deflection (m at the tip, up), rate and the two poles of its gust load, in this order.
+
+    Attributes
+    ----------
+    q : int
+        Index of the first mode's deflection.
+    sign : (float, float)
+        Lift of the left and right tip per deflection.
+    names : tuple of str
+        What the airframe calls each mode.
+    modes : tuple of Mode
+        Beliefs, the lowest mode first.
     """
 
     q: int
-    v: int
-    gust_1: int
-    gust_2: int
-    q2: int
-    v2: int
     sign: tuple[float, float]
-    mode: Mode
-    second: Mode
+    names: tuple[str, ...]
+    modes: tuple[Mode, ...]
+
+    @property
+    def v(self) -> int:
+        """Index of the first mode's rate."""
+        return self.q + 1
+
+    @property
+    def gust_2(self) -> int:
+        """Index of the load on the first mode."""
+        return self.q + 3
 
     @property
     def span(self) -> slice:
         """All states of the family."""
-        return slice(self.q, self.q + FAMILY_STATES)
+        return slice(self.q, self.q + MODE_STATES * len(self.modes))
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Indices of deflection and rate of every mode."""
+        return [(q, q + 1) for q in range(self.q, self.span.stop, MODE_STATES)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,15 +123,15 @@ class StateLayout:
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Indices of deflection and rate of every mode."""
-        return [pair for family in self.families for pair in ((family.q, family.v), (family.q2, family.v2))]
+        return [pair for family in self.families for pair in family.pairs]
 
     @property
     def slope_factors(self) -> list[tuple[int, int, int, tuple[float, float]]]:
         """Uncertain slope factors: column, deflection and rate state of the mode, sign at left and right tip."""
         terms = []
-        for name, family in zip(("symmetric", "antisymmetric"), self.families, strict=True):
-            for key, q, v in ((f"slope.{name}", family.q, family.v), (f"slope.second_{name}", family.q2, family.v2)):
-                column = self.column(key)
+        for family in self.families:
+            for name, (q, v) in zip(family.names, family.pairs, strict=True):
+                column = self.column(f"slope.{name}")
                 if column is not None:
                     terms.append((column, q, v, family.sign))
         return terms
@@ -124,15 +145,15 @@ class StateLayout:
 def make_layout(airframe: Airframe) -> StateLayout:
     """State vector, measurement rows with biases and bias parameters that an airframe needs."""
     wing = airframe.wing
-    symmetric = _mode_family(0, (1.0, 1.0), wing.symmetric, wing.second_symmetric)
-    antisymmetric = _mode_family(FAMILY_STATES, (-1.0, 1.0), wing.antisymmetric, wing.second_antisymmetric)
+    symmetric = _mode_family(0, (1.0, 1.0), wing, 0)
+    antisymmetric = _mode_family(symmetric.span.stop, (-1.0, 1.0), wing, 1)
     rows = [
         first + side
         for first, axis in ((Z_LEFT, "z"), (Y_LEFT, "y"), (P_LEFT, "p"))
         for side, sensor in ((0, airframe.left), (1, airframe.right))
         if axis in sensor.sends
     ]
-    roll_rate = 2 * FAMILY_STATES
+    roll_rate = antisymmetric.span.stop
     row_bias_states = tuple((row, roll_rate + 2 + at) for at, row in enumerate(rows))
     named = [(name, sigma) for name, sigma in _bias_parameters(airframe) if sigma > 0.0]
     return StateLayout(
@@ -147,9 +168,12 @@ def make_layout(airframe: Airframe) -> StateLayout:
     )
 
 
-def _mode_family(at: int, sign: tuple[float, float], mode: Mode, second: Mode | None) -> ModeFamily:
-    """Family whose states begin at index ``at``."""
-    return ModeFamily(at, at + 1, at + 2, at + 3, at + 4, at + 5, sign, mode, second or unknown_second(mode))
+def _mode_family(at: int, sign: tuple[float, float], wing: Wing, parity: int) -> ModeFamily:
+    """Family whose states begin at index ``at``: the symmetric (parity 0) or antisymmetric (1) modes of a wing."""
+    named, first = wing.family(parity), FAMILIES[parity]
+    if len(named) == 1 and wing.assume_second:
+        named[f"second_{first}"] = unknown_second(named[first])
+    return ModeFamily(at, sign, tuple(named), tuple(named.values()))
 
 
 def unknown_second(mode: Mode) -> Mode:
@@ -170,13 +194,8 @@ def _bias_parameters(airframe: Airframe) -> list[tuple[str, float]]:
     named = [
         ("trim", wing.trim_bend_m.sigma),
         ("bend_per_g", wing.bend_per_g_m.sigma),
-        ("slope.symmetric", wing.symmetric.slope_factor_radpm.sigma),
-        ("slope.antisymmetric", wing.antisymmetric.slope_factor_radpm.sigma),
+        *((f"slope.{name}", mode.slope_factor_radpm.sigma) for name, mode in wing.modes.items()),
     ]
-    if wing.second_symmetric is not None:
-        named.append(("slope.second_symmetric", wing.second_symmetric.slope_factor_radpm.sigma))
-    if wing.second_antisymmetric is not None:
-        named.append(("slope.second_antisymmetric", wing.second_antisymmetric.slope_factor_radpm.sigma))
     for place, sensor in (("left", airframe.left), ("right", airframe.right), ("root", airframe.root)):
         named += [(f"{place}.{error}", _error_sigma(sensor, error)) for error in SENSOR_ERRORS]
     named.append(("bz", _common_bias_sigma(airframe)))

@@ -15,7 +15,17 @@ from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.estimates import mode_estimate, tip_estimate, tip_output_matrix
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
-from companion.core.tracking.parameters import COHERENCE, DAMPING_2, FREQUENCY_2, LOAD, LOAD_2, prior_parameters
+from companion.core.tracking.parameters import (
+    COHERENCE,
+    DAMPING,
+    FIRST_PARAMETERS,
+    FREQUENCY,
+    FURTHER_PARAMETERS,
+    LOAD,
+    ModeParameters,
+    joined,
+    prior_parameters,
+)
 from companion.core.tracking.prediction import Forecast, Forecaster
 from companion.core.tracking.rigid_body import MeasurementBuilder, join, without_gate_excess
 from companion.core.tracking.smoother import smooth_between
@@ -32,9 +42,9 @@ _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the 
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _MAX_GATED_RATIO = 0.2  # chosen: where more epochs are gated, the wing really moves so
 _TRIAL_S = 1.5  # derived: fits come once a second
-# chosen, of the log parameters: smaller changes need no trial
-_SMALL_CHANGE = np.array([0.02, 0.5, 0.7, 1.0, 1.0, 0.05, 0.7, 1.0, 0.7])
-_NEGLIGIBLE_LOG_LOAD = np.log(1e-6)  # chosen: second mode's load over the first's, below any sensor's noise
+# chosen, of the log parameters of the first mode and of each further one: smaller changes need no trial
+_SMALL_CHANGE, _SMALL_CHANGE_FURTHER = (0.02, 0.5, 0.7, 1.0, 1.0), (0.05, 0.7, 1.0, 0.7)
+_NEGLIGIBLE_LOG_LOAD = np.log(1e-6)  # chosen: a further mode's load over the first's, below any sensor's noise
 _DISTRUST = {
     Validity.STALE: Reject.STALE,
     Validity.SETTLING: Reject.NOT_SETTLED,
@@ -350,14 +360,15 @@ class WingTracker:
 
 def _alike(new: WingParameters, old: WingParameters) -> bool:
     """Whether a change of the parameters is too small for a trial."""
-    return all(_close(new_log.log_params(), old_log.log_params()) for new_log, old_log in zip(new, old, strict=True))
+    return all(_close(*family) for family in zip(new, old, strict=True))
 
 
-def _close(new_log: Floats, old_log: Floats) -> bool:
-    """Whether one family's parameters changed little; those of a negligible second mode do not count."""
-    close = np.abs(new_log - old_log) < _SMALL_CHANGE
-    if (
-        max(new_log[LOAD_2] - new_log[LOAD], old_log[LOAD_2] - old_log[LOAD]) < _NEGLIGIBLE_LOG_LOAD
-    ):  # what it is makes no difference
-        close[[FREQUENCY_2, DAMPING_2, COHERENCE]] = True
+def _close(new: ModeParameters, old: ModeParameters) -> bool:
+    """Whether one family's parameters changed little; those of a negligible further mode do not count."""
+    new_log, old_log = new.log_params(), old.log_params()
+    close = np.abs(new_log - old_log) < joined(_SMALL_CHANGE, _SMALL_CHANGE_FURTHER, len(new.modes))
+    for at in range(FIRST_PARAMETERS, len(new_log), FURTHER_PARAMETERS):
+        load = max(log_params[at + LOAD] - log_params[LOAD] for log_params in (new_log, old_log))
+        if load < _NEGLIGIBLE_LOG_LOAD:  # what it is makes no difference
+            close[[at + FREQUENCY, at + DAMPING, at + COHERENCE]] = True
     return bool(close.all())

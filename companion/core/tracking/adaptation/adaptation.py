@@ -37,12 +37,11 @@ from companion.core.tracking.parameters import (
     CORNER_1,
     CORNER_2,
     FREQUENCY,
-    FREQUENCY_2,
-    LIMITS,
     LOAD,
-    LOAD_2,
-    PARAMETERS,
     ModeParameters,
+    ParameterIndex,
+    parameter_index,
+    parameter_limits,
 )
 from companion.core.tracking.states import P_ROOT, SensorNoise, StateLayout
 from companion.records import Bools, Floats
@@ -54,7 +53,7 @@ _FIRST_S = 1.5  # chosen: seven periods at 5 Hz for the first fit
 _PERIOD_S = 1.0  # chosen: between fits
 _SCAN_UNTIL_S = 6.0  # chosen: until then every fit scans the frequency
 _PEAK_EVIDENCE = 8.0  # chosen, log likelihood: pays for looking at many frequencies
-_SECOND_EVIDENCE = 3.0  # chosen, log likelihood: about one for each of its parameters
+_FURTHER_EVIDENCE = 3.0  # chosen, log likelihood: about one for each of its parameters
 _PRUNED_LOAD_RATIO = 1e-7  # chosen: of the first mode's load, invisible
 _CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))  # chosen: slow, usual, one pole, white
 _MAX_SCORING_STEPS = 6  # numerical: scoring converges in fewer from a good start
@@ -126,7 +125,7 @@ class Adaptation:
     def add_epochs(self, epochs: Epochs, contradicted: bool = False) -> bool:
         """Take epochs; whether there are new parameters.
 
-        ``contradicted``: the filter cannot explain its measurements, or could not with the last parameters. A second
+        ``contradicted``: the filter cannot explain its measurements, or could not with the last parameters. A further
         mode then needs no evidence from the vertical axes: a gyro, which the fit does not use, shows one a hundred
         times better.
         """
@@ -205,23 +204,20 @@ class Adaptation:
             self._rates[k] = rate, rate_sigma
         long, start = (
             make_periodogram(time_warped(samples, rate, self._step_s), self._step_s, band, noise_spectrum),
-            to_warped_time(start, rate, length_s),
+            to_warped_time(start, prior.places, rate, length_s),
         )
         if elapsed_s <= _SCAN_UNTIL_S:
             best = self._search(long, prior, self._scanned(long, prior, start))
         else:
             best = self._improved(long, prior, start, which[0])
-        best = _prune_insignificant_second_mode(long, prior, best, -np.inf if self._contradicted else _SECOND_EVIDENCE)
-        by_rate = 0.5 * length_s * rate_sigma * frequency_mask(len(start))
-        best = WhittleFit(
-            to_segment_end(best.log_params, rate, length_s), np.hypot(best.log_sigma, by_rate), best.neg_log_posterior
-        )
-        out, at = [], 0
-        for k in which:
-            segment = slice(at, at + PARAMETERS)
-            out.append(self._prior[k].with_log_params(best.log_params[segment], best.log_sigma[segment]))
-            at += PARAMETERS
-        return out
+        best = _prune_insignificant_modes(long, prior, best, -np.inf if self._contradicted else _FURTHER_EVIDENCE)
+        by_rate = 0.5 * length_s * rate_sigma * frequency_mask(prior.places)
+        log_params = to_segment_end(best.log_params, prior.places, rate, length_s)
+        log_sigma = np.hypot(best.log_sigma, by_rate)
+        return [
+            self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end])
+            for k, first, end in zip(which, prior.places.first, prior.places.end, strict=True)
+        ]
 
     def _estimate_drift(
         self,
@@ -237,10 +233,11 @@ class Adaptation:
         newest = samples[len(samples) - count * self._segment_epochs :].reshape(count, self._segment_epochs)
         segments = make_periodograms(newest, self._step_s, band, noise_spectrum)
         length_s = count * _SEGMENT_S
-        return estimate_drift_rate(segments, _SEGMENT_S, prior, to_warped_time(start, rate, length_s), rate)
+        middle = to_warped_time(start, prior.places, rate, length_s)
+        return estimate_drift_rate(segments, _SEGMENT_S, prior, middle, rate)
 
     def _improved(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats, family: int) -> WhittleFit:
-        """Fit from the last optimum; in turns also from other gust corners or with a second mode at a peak.
+        """Fit from the last optimum; in turns also from other gust corners or with further modes at peaks.
 
         Such a trial costs more than all the rest: the families take turns.
         """
@@ -249,9 +246,9 @@ class Adaptation:
             return best
         trial = self.fits // 2 % (1 + len(_CORNERS_HZ))
         tried = (
-            _with_corners(best.log_params, _CORNERS_HZ[trial - 1])
+            _with_corners(best.log_params, prior.places, _CORNERS_HZ[trial - 1])
             if trial
-            else self._with_second(periodogram, prior, best.log_params)
+            else self._with_further(periodogram, prior, best.log_params)
         )
         if np.array_equal(tried, best.log_params):
             return best
@@ -262,17 +259,17 @@ class Adaptation:
         """Fit from gusts with several pairs of corners: a wrong one has its own local optimum."""
         best: WhittleFit | None = None
         for corners_hz in (None, *_CORNERS_HZ):
-            tried = start if corners_hz is None else _with_corners(start, corners_hz)
-            result = fit(periodogram, prior, self._with_second(periodogram, prior, tried), _MAX_SCORING_STEPS)
+            tried = start if corners_hz is None else _with_corners(start, prior.places, corners_hz)
+            result = fit(periodogram, prior, self._with_further(periodogram, prior, tried), _MAX_SCORING_STEPS)
             if best is None or result.neg_log_posterior < best.neg_log_posterior:
                 best = result
         assert best is not None
         return fit(periodogram, prior, best.log_params, _MAX_SCORING_STEPS)
 
-    def _with_second(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
-        """Start with each second mode moved to an unmodelled peak, where there is enough evidence."""
+    def _with_further(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
+        """Start with each further mode moved to an unmodelled peak, where there is enough evidence."""
         least_evidence = 0.0 if self._contradicted else _PEAK_EVIDENCE
-        for at in range(FREQUENCY_2, len(start), PARAMETERS):
+        for at in prior.places.further:
             moved, gain = find_unmodelled_peak(periodogram, prior, start, at)
             start = moved if gain > least_evidence else start
         return start
@@ -284,7 +281,7 @@ class Adaptation:
 
     def _scanned(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
         """Start with each first frequency at the best of a scan; notes two local optima."""
-        for at in range(0, len(start), PARAMETERS):
+        for at in prior.places.first:
             reach = min(3.0 * prior.sigma[at], 0.7)
             costs, starts = scan(periodogram, prior, start, at, np.linspace(-reach, reach, 21))
             best = int(np.argmin(costs))
@@ -307,31 +304,33 @@ def _join(families: list[ModeParameters]) -> LogNormalPrior:
     """Prior of several families' parameters, with bounds."""
     log_params = [family.log_params() for family in families]
     mean, sigma = np.concatenate(log_params), np.concatenate([family.log_sigma for family in families])
-    low, high = (np.tile(np.log(limit), len(families)) for limit in LIMITS)
+    index = parameter_index([len(family.modes) for family in families])
+    limits = [parameter_limits(len(family.modes)) for family in families]
+    low, high = (np.log(np.concatenate(limit)) for limit in zip(*limits, strict=True))
     lowest = np.maximum(low, mean - _PRIOR_SIGMAS * sigma)
     highest = np.minimum(high, mean + _PRIOR_SIGMAS * sigma)
-    lowest[LOAD_2::PARAMETERS] = low[LOAD_2::PARAMETERS]
-    frequency = slice(FREQUENCY, None, PARAMETERS)
+    lowest[index.further + LOAD] = low[index.further + LOAD]
+    frequency = index.first + FREQUENCY
     lowest[frequency] = np.minimum(lowest[frequency], mean[frequency] - _MAX_LOG_DRIFT)
     highest[frequency] = np.maximum(highest[frequency], mean[frequency] + _MAX_LOG_DRIFT)
-    return LogNormalPrior(mean, sigma, lowest, highest, np.array([family.reference_hz for family in families]))
+    return LogNormalPrior(mean, sigma, lowest, highest, np.array([family.reference_hz for family in families]), index)
 
 
-def _with_corners(start: Floats, corners_hz: tuple[float, float]) -> Floats:
+def _with_corners(start: Floats, index: ParameterIndex, corners_hz: tuple[float, float]) -> Floats:
     """Start with other corners of the gust."""
     moved = start.copy()
-    moved[CORNER_1::PARAMETERS], moved[CORNER_2::PARAMETERS] = np.log(corners_hz)
+    moved[index.first + CORNER_1], moved[index.first + CORNER_2] = np.log(corners_hz)
     return moved
 
 
-def _prune_insignificant_second_mode(
+def _prune_insignificant_modes(
     periodogram: Periodogram, prior: LogNormalPrior, result: WhittleFit, least_evidence: float
 ) -> WhittleFit:
-    """Remove a second mode without evidence: under a white load it cannot be told from the first."""
+    """Remove further modes without evidence: under a white load they cannot be told from the first."""
     log_params, reference = result.log_params.copy(), neg_log_likelihood(periodogram, prior, result.log_params)
-    for at in range(0, len(log_params), PARAMETERS):
-        tried = log_params.copy()
-        tried[at + LOAD_2] = max(tried[at + LOAD] + np.log(_PRUNED_LOAD_RATIO), prior.low[at + LOAD_2])
+    for first, at in zip(prior.places.further_first, prior.places.further, strict=True):
+        tried, load = log_params.copy(), at + LOAD
+        tried[load] = max(tried[first + LOAD] + np.log(_PRUNED_LOAD_RATIO), prior.low[load])
         without = neg_log_likelihood(periodogram, prior, tried)
         if without - reference < least_evidence:
             log_params, reference = tried, without

@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.core.tracking.adaptation.periodogram import Periodogram
 from companion.core.tracking.adaptation.whittle import LogNormalPrior, gradient_and_fisher
-from companion.core.tracking.parameters import DAMPING, FREQUENCY, FREQUENCY_2, PARAMETERS
+from companion.core.tracking.parameters import DAMPING, ParameterIndex
 from companion.records import Floats
 
 _SIGMA_PER_S = 0.01  # chosen, relative: prior of a wing that drifts
@@ -41,14 +41,14 @@ def time_warped(samples: Floats, rate_per_s: float, step_s: float) -> Floats:
     return np.asarray(np.einsum("nk,nk->n", neighbours, np.take(_WEIGHTS, fraction, axis=0)))
 
 
-def to_segment_end(log_params: Floats, rate_per_s: float, length_s: float) -> Floats:
+def to_segment_end(log_params: Floats, index: ParameterIndex, rate_per_s: float, length_s: float) -> Floats:
     """Log parameters (p,) at the end of a segment from those in warped time."""
-    return log_params + _log_growth(rate_per_s, length_s) * frequency_mask(len(log_params))
+    return log_params + _log_growth(rate_per_s, length_s) * frequency_mask(index)
 
 
-def to_warped_time(log_params: Floats, rate_per_s: float, length_s: float) -> Floats:
+def to_warped_time(log_params: Floats, index: ParameterIndex, rate_per_s: float, length_s: float) -> Floats:
     """Log parameters (p,) in warped time from those at the end of a segment: inverse of :func:`to_segment_end`."""
-    return log_params - _log_growth(rate_per_s, length_s) * frequency_mask(len(log_params))
+    return log_params - _log_growth(rate_per_s, length_s) * frequency_mask(index)
 
 
 def _log_growth(rate_per_s: float, length_s: float) -> float:
@@ -57,10 +57,10 @@ def _log_growth(rate_per_s: float, length_s: float) -> float:
     return float(np.log(total / -np.expm1(-total))) if abs(total) > _NO_GROWTH else 0.5 * total
 
 
-def frequency_mask(size: int) -> Floats:
-    """1 for each frequency among ``size`` parameters, else 0."""
-    mask = np.zeros(size)
-    mask[FREQUENCY::PARAMETERS], mask[FREQUENCY_2::PARAMETERS] = 1.0, 1.0
+def frequency_mask(index: ParameterIndex) -> Floats:
+    """1 for each frequency among the parameters, else 0, (p,)."""
+    mask = np.zeros(index.end[-1])
+    mask[index.first], mask[index.further] = 1.0, 1.0
     return mask
 
 
@@ -89,14 +89,14 @@ def estimate_drift_rate(
         is a line there, whose few bins are correlated and would count as independent evidence of a drift. A line that
         does drift is broadened over the whole segment and is fitted with a larger damping.
     """
-    if _rings_on(log_params, spacing_s):
+    if _rings_on(log_params[prior.places.first] + log_params[prior.places.first + DAMPING], spacing_s):
         return 0.0, 0.0
     size = len(log_params)
     flat_prior = prior._replace(sigma=np.full(size, np.inf))
     gradient, information = np.zeros(size + 1), np.zeros((size + 1, size + 1))
     jacobian = np.eye(size + 1)[:, :size]  # of a segment's parameters by those of the middle and the rate, transposed
     for number, segment in enumerate(segments):
-        jacobian[size] = (number - 0.5 * (len(segments) - 1)) * spacing_s * frequency_mask(size)
+        jacobian[size] = (number - 0.5 * (len(segments) - 1)) * spacing_s * frequency_mask(prior.places)
         segment_gradient, segment_information = gradient_and_fisher(
             segment, flat_prior, log_params + rate_per_s * jacobian[size]
         )
@@ -113,10 +113,9 @@ def estimate_drift_rate(
     return float(np.clip(probability * stepped, -_MAX_PER_S, _MAX_PER_S)), float(sigma_shrunk)
 
 
-def _rings_on(log_params: Floats, length_s: float) -> bool:
-    """Whether a first mode decays by less than ``e`` in this time."""
-    rate_hz = np.exp(log_params[FREQUENCY::PARAMETERS] + log_params[DAMPING::PARAMETERS])
-    return bool(np.min(2.0 * np.pi * rate_hz) * length_s < 1.0)
+def _rings_on(log_decay_hz: Floats, length_s: float) -> bool:
+    """Whether a mode, of these logarithms of damping times frequency, decays by less than ``e`` in this time."""
+    return bool(np.min(2.0 * np.pi * np.exp(log_decay_hz)) * length_s < 1.0)
 
 
 def _windowed_sinc() -> Floats:

@@ -1,11 +1,14 @@
 """One-sided spectrum of the averaged vertical acceleration of one family, given its parameters.
 
-The formulas hold for one frequency or for an array of them: compiled, one after the other; in numpy, all at once.
+With ``a_k = f_k^2 - f^2``, ``b_k = 2 zeta_k f_k f`` and ``|H_k|^2 = f^4 / (a_k^2 + b_k^2)``, mode k under its load
+``L_k`` gives ``L_k |H_k|^2``, and a pair of modes whose loads have correlation ``c_j c_k`` (``c`` of the first is 1)
+
+    2 c_j c_k sqrt(L_j L_k) Re(H_j H_k*),    Re(H_j H_k*) = f^4 (a_j a_k + b_j b_k) / ((a_j^2 + b_j^2) (a_k^2 + b_k^2))
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -15,15 +18,14 @@ from companion.core.tracking.parameters import (
     CORNER_1,
     CORNER_2,
     DAMPING,
-    DAMPING_2,
+    FIRST_PARAMETERS,
     FREQUENCY,
-    FREQUENCY_2,
+    FURTHER_PARAMETERS,
     LOAD,
-    LOAD_2,
-    PARAMETERS,
 )
 from companion.records import Floats, Ints
 
+_Real = TypeVar("_Real", float, Floats)
 _COARSE_POINTS = 24  # numerical: the aliased part is smooth
 _ALIAS_ORDERS = (-2, -1, 1, 2)  # numerical: higher ones fall with the epoch's sinc
 
@@ -63,11 +65,11 @@ def _points(frequency_hz: Floats, step_s: float) -> GridPoints:
 
 
 @compiled
-def load_density(values: Floats, square: float, reference_hz: float) -> float:
-    """Density of the gust load, (m/s^2)^2/Hz, at a squared frequency; ``values`` as in ``parameters``."""
+def load_density(values: Floats, square: _Real, reference_hz: float) -> _Real:
+    """Density of the first mode's load, (m/s^2)^2/Hz, at squared frequencies; ``values`` as in ``parameters``."""
     inverse_1, inverse_2 = 1.0 / values[CORNER_1] ** 2, 1.0 / values[CORNER_2] ** 2
     at_reference = (1.0 + reference_hz**2 * inverse_1) * (1.0 + reference_hz**2 * inverse_2)
-    density: float = values[LOAD] * at_reference / ((1.0 + square * inverse_1) * (1.0 + square * inverse_2))
+    density: _Real = values[LOAD] * at_reference / ((1.0 + square * inverse_1) * (1.0 + square * inverse_2))
     return density
 
 
@@ -75,14 +77,13 @@ def load_density(values: Floats, square: float, reference_hz: float) -> float:
 def acceleration_density(log_params: Floats, grid: SpectralGrid, reference_hz: float) -> Floats:
     """Density of the tip's acceleration on a grid, aliases included.
 
-    ``H = f^2 / (f0^2 - f^2 + 2 i zeta f0 f)`` of both modes under their loads, ``L1 |H1|^2 + L2 |H2|^2 + 2 c sqrt(L1
-    L2) Re(H1 H2*)`` with coherence c, times the epoch's ``sinc^2``. Far above the modes the tip is a free mass: that
-    part comes back by aliasing, and is smooth, so it is evaluated on few points.
+    The sum over modes and pairs of modes of the module's text, times the epoch's ``sinc^2``. Far above the modes the
+    tip is a free mass: that part comes back by aliasing, and is smooth, so it is evaluated on few points.
 
     Parameters
     ----------
-    log_params : (9,) float64
-        Logarithms of the parameters.
+    log_params : (5 + 4 (m - 1),) float64
+        Logarithms of the parameters of m modes.
     grid : SpectralGrid
         n points.
     reference_hz : float
@@ -94,14 +95,14 @@ def acceleration_density(log_params: Floats, grid: SpectralGrid, reference_hz: f
         (m/s^2)^2/Hz.
     """
     values = np.exp(log_params)
-    aliased = _sum_aliases(_densities(values, grid.aliases, reference_hz).reshape(1, -1))
-    density: Floats = _add_coarse(_densities(values, grid.exact, reference_hz).reshape(1, -1), aliased, grid)[0]
+    aliased = _sum_aliases(_densities(values, grid.aliases, reference_hz))
+    density: Floats = _add_coarse(_densities(values, grid.exact, reference_hz), aliased, grid)[0]
     return density
 
 
 @compiled
 def acceleration_gradient(log_params: Floats, grid: SpectralGrid, reference_hz: float) -> Floats:
-    """:func:`acceleration_density` and its derivatives by the nine log parameters: (10, n)."""
+    """:func:`acceleration_density` and its derivatives by the p log parameters: (1 + p, n)."""
     values = np.exp(log_params)
     return _add_coarse(
         _gradients(values, grid.exact, reference_hz), _sum_aliases(_gradients(values, grid.aliases, reference_hz)), grid
@@ -117,113 +118,170 @@ def _sum_aliases(aliases: Floats) -> Floats:
     return summed
 
 
-_DensityTerms = tuple[float, float, float, float]
+@compiled
+def _mode_count(values: Floats) -> int:
+    """Number of modes m of a family with so many parameters."""
+    return 1 + (len(values) - FIRST_PARAMETERS) // FURTHER_PARAMETERS
 
 
 @compiled
-def _density_terms(values: Floats, square: float, epoch_gain: float, reference_hz: float) -> _DensityTerms:
-    """Density by the first mode, by the second, their joint term for fully coherent loads, and this over ``N``.
-
-    ``N = a1 a2 + b1 b2`` where ``a = f0^2 - f^2`` and ``b = 2 zeta f0 f``.
-    """
-    first, ratio = epoch_gain * load_density(values, square, reference_hz), _ratio(values, reference_hz)
-    damping_2 = first * ratio
-    apart, apart_2 = values[FREQUENCY] ** 2 - square, values[FREQUENCY_2] ** 2 - square
-    size = square / (apart**2 + _resisted(values, DAMPING, DAMPING, square))
-    size_2 = square / (apart_2**2 + _resisted(values, DAMPING_2, DAMPING_2, square))
-    common = 2.0 * first * np.sqrt(ratio) * size * size_2
-    joint = common * (apart * apart_2 + _resisted(values, DAMPING, DAMPING_2, square))
-    return first * size * square, damping_2 * size_2 * square, joint, common
+def _frequency_of(mode: int) -> int:
+    """Place of a mode's frequency; its damping and load follow."""
+    return FREQUENCY if mode == 0 else FIRST_PARAMETERS + FURTHER_PARAMETERS * (mode - 1)
 
 
 @compiled
-def _ratio(values: Floats, reference_hz: float) -> float:
-    """Second load over the first: both have one shape, and each is stated at its own frequency."""
-    at_first, at_second = reference_hz**2, values[FREQUENCY_2] ** 2
-    ratio: float = values[LOAD_2] / values[LOAD]
-    for which in (CORNER_1, CORNER_2):
-        corner = values[which] ** 2
-        ratio *= (corner + at_second) / (corner + at_first)
-    return ratio
+def _coherences(values: Floats) -> Floats:
+    """Correlation of each load with the first, (m,)."""
+    coherences = np.ones(_mode_count(values))
+    for k in range(1, len(coherences)):
+        square = values[_frequency_of(k) + COHERENCE] ** 2
+        coherences[k] = (square - 1.0) / (square + 1.0)
+    return coherences
 
 
 @compiled
-def _coherence(values: Floats) -> float:
-    """Coherence from its log parameter."""
-    square = values[COHERENCE] ** 2
-    return float((square - 1.0) / (square + 1.0))
+def _load_ratios(values: Floats, reference_hz: float) -> Floats:
+    """Each load over the first, (m,): all have one shape, and each is stated at a frequency of its own."""
+    ratios = np.ones(_mode_count(values))
+    for k in range(1, len(ratios)):
+        at_first, at_own = reference_hz**2, values[_frequency_of(k)] ** 2
+        ratios[k] = values[_frequency_of(k) + LOAD] / values[LOAD]
+        for which in (CORNER_1, CORNER_2):
+            corner = values[which] ** 2
+            ratios[k] *= (corner + at_own) / (corner + at_first)
+    return ratios
 
 
 @compiled
-def _resisted(values: Floats, damping_1: int, damping_2: int, square: float) -> float:
-    """``b1 b2`` of two modes, given by the indices of their dampings: each frequency is the entry before."""
-    resisted: float = (
-        4.0 * values[damping_1] * values[damping_2] * values[damping_1 - 1] * values[damping_2 - 1] * square
-    )
+def _resisted(values: Floats, at: int, other: int) -> float:
+    """``b_j b_k / f^2`` of two modes, given by the places of their frequencies."""
+    resisted: float = 4.0 * values[at + DAMPING] * values[other + DAMPING] * values[at] * values[other]
     return resisted
 
 
-@compiled
-def _density_at(values: Floats, square: float, epoch_gain: float, reference_hz: float) -> float:
-    """Density at one frequency."""
-    exact, second, joint, _ = _density_terms(values, square, epoch_gain, reference_hz)
-    return exact + second + _coherence(values) * joint
+class _Terms(NamedTuple):
+    """Density by each mode alone, (m, n); by each pair (j, k) under fully coherent loads, and this over ``a_j a_k + b_j
+    b_k``, (m (m - 1) / 2, n); and ``a_k``, (m, n).
+    """
 
-
-_Gradient = tuple[float, float, float, float, float, float, float, float, float, float]
-
-
-@compiled
-def _gradient_at(values: Floats, square: float, epoch_gain: float, reference_hz: float) -> _Gradient:
-    """Density and its derivatives, in the parameters' order."""
-    coherence = _coherence(values)
-    exact, second, joint, common = _density_terms(values, square, epoch_gain, reference_hz)
-    shared, common = coherence * joint, coherence * common
-    at_first, at_own, at_second = reference_hz**2, values[FREQUENCY] ** 2, values[FREQUENCY_2] ** 2
-    apart, apart_2 = at_own - square, at_second - square
-    resisted = common * _resisted(values, DAMPING, DAMPING_2, square)
-    by_frequency, by_damping = _response_gradient(apart, _resisted(values, DAMPING, DAMPING, square), at_own)
-    by_frequency_2, by_damping_2 = _response_gradient(
-        apart_2, _resisted(values, DAMPING_2, DAMPING_2, square), at_second
-    )
-    by_corner, by_corner_first, by_corner_second = _roll_off_gradient(
-        values[CORNER_1] ** 2, square, at_first, at_second
-    )
-    by_corner_2, by_corner_2_first, by_corner_2_second = _roll_off_gradient(
-        values[CORNER_2] ** 2, square, at_first, at_second
-    )
-    moved = (exact + shared) * by_frequency + 2.0 * common * at_own * apart_2 + resisted
-    moved_2 = (second + shared) * by_frequency_2 + 2.0 * common * at_second * apart + resisted
-    total, half = exact + second + shared, 0.5 * shared
-    return (
-        total,
-        moved,
-        (exact + shared) * by_damping + resisted,
-        exact + half,
-        total * by_corner - (exact + half) * by_corner_first - (second + half) * by_corner_second,
-        total * by_corner_2 - (exact + half) * by_corner_2_first - (second + half) * by_corner_2_second,
-        moved_2 + (second + half) * (by_corner_second + by_corner_2_second),
-        (second + shared) * by_damping_2 + resisted,
-        second + half,
-        (1.0 - coherence**2) * joint,
-    )
+    alone: Floats
+    joint: Floats
+    common: Floats
+    apart: Floats
 
 
 @compiled
-def _response_gradient(apart: float, resisted: float, exact: float) -> tuple[float, float]:
-    """Derivatives of the logarithm of ``|H|^2`` by those of frequency and damping."""
-    size = apart**2 + resisted
-    return -(4.0 * exact * apart + 2.0 * resisted) / size, -2.0 * resisted / size
+def _terms(values: Floats, points: GridPoints, reference_hz: float) -> _Terms:
+    """Contributions of modes and pairs to the density."""
+    modes, square, ratios = _mode_count(values), points.square, _load_ratios(values, reference_hz)
+    pairs = modes * (modes - 1) // 2
+    alone, apart, size = np.empty((modes, len(square))), np.empty((modes, len(square))), np.empty((modes, len(square)))
+    joint, common = np.empty((pairs, len(square))), np.empty((pairs, len(square)))
+    load = points.epoch_gain * load_density(values, square, reference_hz)
+    pair = 0
+    for k in range(modes):
+        at = _frequency_of(k)
+        apart[k] = values[at] ** 2 - square
+        size[k] = square / (apart[k] * apart[k] + _resisted(values, at, at) * square)
+        alone[k] = load * ratios[k] * size[k] * square
+        for j in range(k):
+            common[pair] = 2.0 * load * np.sqrt(ratios[j] * ratios[k]) * size[j] * size[k]
+            joint[pair] = common[pair] * (apart[j] * apart[k] + _resisted(values, _frequency_of(j), at) * square)
+            pair += 1
+    return _Terms(alone, joint, common, apart)
 
 
 @compiled
-def _roll_off_gradient(corner: float, square: float, at_first: float, at_second: float) -> tuple[float, float, float]:
-    """Derivative of ``ln(1 / (1 + f^2/c^2))`` by ``ln c``: here, and where the two loads are stated."""
-    return (
-        2.0 * square / (corner + square),
-        2.0 * at_first / (corner + at_first),
-        2.0 * at_second / (corner + at_second),
-    )
+def _densities(values: Floats, points: GridPoints, reference_hz: float) -> Floats:
+    """Densities at all points, (1, n)."""
+    return _summed(_terms(values, points, reference_hz), _coherences(values)).reshape(1, -1)
+
+
+@compiled
+def _summed(terms: _Terms, coherence: Floats) -> Floats:
+    """Density of all modes and pairs, (n,)."""
+    density: Floats = terms.alone[0].copy()
+    pair = 0
+    for k in range(1, len(coherence)):
+        density += terms.alone[k]
+    for k in range(len(coherence)):
+        for j in range(k):
+            density += coherence[j] * coherence[k] * terms.joint[pair]
+            pair += 1
+    return density
+
+
+@compiled
+def _gradients(values: Floats, points: GridPoints, reference_hz: float) -> Floats:
+    """Densities and derivatives by the p log parameters at all points, (1 + p, n)."""
+    terms, coherence = _terms(values, points, reference_hz), _coherences(values)
+    out = np.zeros((1 + len(values), len(points.square)))
+    out[0] = _summed(terms, coherence)
+    by = out[1:]
+    for which in (CORNER_1, CORNER_2):
+        by[which] = out[0] * _roll_off_slope(values[which], points.square)
+    _add_mode_slopes(by, values, terms, _shared(terms, coherence), points.square)
+    _add_pair_slopes(by, values, terms, coherence, points.square)
+    for k in range(len(coherence)):
+        at = _frequency_of(k)
+        stated = (reference_hz if k == 0 else values[at]) ** 2
+        slopes = 2.0 * stated / (values[CORNER_1] ** 2 + stated), 2.0 * stated / (values[CORNER_2] ** 2 + stated)
+        by[CORNER_1] -= by[at + LOAD] * slopes[0]
+        by[CORNER_2] -= by[at + LOAD] * slopes[1]
+        if k > 0:  # its load is stated where its frequency is
+            by[at] += by[at + LOAD] * (slopes[0] + slopes[1])
+    return out
+
+
+@compiled
+def _shared(terms: _Terms, coherence: Floats) -> Floats:
+    """Sum of the joint densities of each mode with all others, (m, n)."""
+    shared, pair = np.zeros_like(terms.alone), 0
+    for k in range(len(coherence)):
+        for j in range(k):
+            joint = coherence[j] * coherence[k] * terms.joint[pair]
+            shared[j] += joint
+            shared[k] += joint
+            pair += 1
+    return shared
+
+
+@compiled
+def _add_mode_slopes(by: Floats, values: Floats, terms: _Terms, shared: Floats, square: Floats) -> None:
+    """Write derivatives by each mode's frequency, damping and load, as far as they scale ``|H_k|`` and ``L_k``."""
+    for k in range(len(shared)):
+        at, apart, response = _frequency_of(k), terms.apart[k], terms.alone[k] + shared[k]
+        resisted = _resisted(values, at, at) * square
+        size = apart * apart + resisted
+        by[at + FREQUENCY] = response * (-(4.0 * values[at] ** 2 * apart + 2.0 * resisted) / size)
+        by[at + DAMPING] = response * (-2.0 * resisted / size)
+        by[at + LOAD] = terms.alone[k] + 0.5 * shared[k]
+
+
+@compiled
+def _add_pair_slopes(by: Floats, values: Floats, terms: _Terms, coherence: Floats, square: Floats) -> None:
+    """Add derivatives through ``a_j a_k + b_j b_k`` of each pair, and by the coherences."""
+    pair = 0
+    for k in range(len(coherence)):
+        for j in range(k):
+            at, other = _frequency_of(k), _frequency_of(j)
+            common = coherence[j] * coherence[k] * terms.common[pair]
+            resisted = common * (_resisted(values, other, at) * square)
+            by[at] = by[at] + 2.0 * common * values[at] ** 2 * terms.apart[j] + resisted
+            by[other] = by[other] + 2.0 * common * values[other] ** 2 * terms.apart[k] + resisted
+            by[at + DAMPING] += resisted
+            by[other + DAMPING] += resisted
+            by[at + COHERENCE] += (1.0 - coherence[k] ** 2) * coherence[j] * terms.joint[pair]
+            if j > 0:
+                by[other + COHERENCE] += (1.0 - coherence[j] ** 2) * coherence[k] * terms.joint[pair]
+            pair += 1
+
+
+@compiled
+def _roll_off_slope(corner_hz: float, square: Floats) -> Floats:
+    """Negative derivative of ``ln(1 + f^2/c^2)`` by ``ln c``, over the squared frequencies."""
+    return np.asarray(2.0 * square / (corner_hz**2 + square))
 
 
 if COMPILED:
@@ -237,33 +295,8 @@ if COMPILED:
                 rows[row, k] += (1.0 - fraction) * coarse[row, at] + fraction * coarse[row, at + 1]
         return rows
 
-    @compiled
-    def _densities(values: Floats, points: GridPoints, reference_hz: float) -> Floats:
-        """Densities at all points."""
-        out = np.empty(len(points.square))
-        for k in range(len(out)):
-            out[k] = _density_at(values, points.square[k], points.epoch_gain[k], reference_hz)
-        return out
-
-    @compiled
-    def _gradients(values: Floats, points: GridPoints, reference_hz: float) -> Floats:
-        """Densities and derivatives at all points, (10, n)."""
-        out = np.empty((1 + PARAMETERS, len(points.square)))
-        for k in range(len(points.square)):
-            column = _gradient_at(values, points.square[k], points.epoch_gain[k], reference_hz)
-            for row in range(1 + PARAMETERS):
-                out[row, k] = column[row]
-        return out
-
 else:
 
     def _add_coarse(rows: Floats, coarse: Floats, grid: SpectralGrid) -> Floats:
         rows += (1.0 - grid.fraction) * coarse[:, grid.before] + grid.fraction * coarse[:, grid.before + 1]
         return rows
-
-    def _densities(values: Floats, points: GridPoints, reference_hz: float) -> Floats:
-        return np.asarray(_density_at(values, points.square, points.epoch_gain, reference_hz))  # type: ignore[arg-type]
-
-    def _gradients(values: Floats, points: GridPoints, reference_hz: float) -> Floats:
-        rows = _gradient_at(values, points.square, points.epoch_gain, reference_hz)  # type: ignore[arg-type]
-        return np.stack(np.broadcast_arrays(*rows))

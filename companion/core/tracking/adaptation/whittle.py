@@ -16,7 +16,7 @@ import numpy as np
 from companion.core.kernels.compiled import compiled
 from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_gradient
 from companion.core.tracking.adaptation.periodogram import Periodogram, window_convolved
-from companion.core.tracking.parameters import PARAMETERS
+from companion.core.tracking.parameters import ParameterIndex
 from companion.records import Floats
 
 _PEAK_WIDTH = 0.03  # chosen, relative half width: of a lightly damped mode
@@ -35,7 +35,9 @@ class LogNormalPrior(NamedTuple):
     low, high : (p,) float64
         Bounds beyond which a parameter loses its meaning: a second mode that is all damping is no mode.
     reference_hz : (families,) float64
-        Frequency at which each family's load is stated.
+        Frequency at which each family's first load is stated.
+    places : ParameterIndex
+        Where the parameters of which family are.
     """
 
     mean: Floats
@@ -43,6 +45,7 @@ class LogNormalPrior(NamedTuple):
     low: Floats
     high: Floats
     reference_hz: Floats
+    places: ParameterIndex
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +84,7 @@ def expected_power(periodogram: Periodogram, prior: LogNormalPrior, log_params: 
     """
     density = periodogram.noise_density.copy()
     for family in range(len(prior.reference_hz)):
-        family_params = log_params[family * PARAMETERS : (family + 1) * PARAMETERS]
+        family_params = log_params[prior.places.first[family] : prior.places.end[family]]
         density += acceleration_density(family_params, periodogram.grid, prior.reference_hz[family])
     return np.maximum(window_convolved(periodogram, density), _MIN_EXPECTED)
 
@@ -178,11 +181,11 @@ def gradient_and_fisher(periodogram: Periodogram, prior: LogNormalPrior, log_par
     jacobian = np.empty((len(log_params), len(periodogram.power)))
     density = periodogram.noise_density.copy()
     for family in range(len(prior.reference_hz)):
-        first = family * PARAMETERS
-        family_params = log_params[first : first + PARAMETERS]
+        first, end = prior.places.first[family], prior.places.end[family]
+        family_params = log_params[first:end]
         rows = acceleration_gradient(family_params, periodogram.grid, prior.reference_hz[family])
         density += rows[0]
-        for k in range(PARAMETERS):
+        for k in range(end - first):
             jacobian[first + k] = window_convolved(periodogram, rows[1 + k])
     expected = np.maximum(window_convolved(periodogram, density), _MIN_EXPECTED)
     jacobian /= expected
@@ -232,7 +235,7 @@ def scan(
 def find_unmodelled_peak(
     periodogram: Periodogram, prior: LogNormalPrior, start: Floats, which: int
 ) -> tuple[Floats, float]:
-    """Peak of the periodogram that the model at ``start`` does not explain, as a place for a second mode.
+    """Peak of the periodogram that the model at ``start`` does not explain, as a place for a further mode.
 
     Parameters
     ----------
