@@ -12,7 +12,7 @@ from companion.core.kernels import filter_numpy as kernel_numpy
 from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants, FilterState, History
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import build_model
-from companion.core.tracking.parameters import prior_parameters
+from companion.core.tracking.parameters import ModeParameters, prior_parameters
 from companion.core.tracking.states import ROWS, Y_LEFT, make_layout, make_noise
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
@@ -109,6 +109,11 @@ def test_a_scale_as_uncertain_as_the_bias_says_the_same() -> None:
     assert _filter().layout.column("bz") is None
 
 
+def _faster(parameters: ModeParameters, ratio: float) -> ModeParameters:
+    first = replace(parameters.modes[0], frequency_hz=ratio * parameters.frequency_hz)
+    return replace(parameters, modes=(first, *parameters.modes[1:]))
+
+
 @pytest.mark.parametrize("kernel", [kernel_loops, kernel_numpy])
 def test_the_history_knows_the_motion_of_every_step_however_often_it_changes(kernel: object) -> None:
     kalman = _filter()
@@ -116,7 +121,7 @@ def test_the_history_knows_the_motion_of_every_step_however_often_it_changes(ker
     layout, noise, believed = kalman.layout, kalman.noise, kalman.model.parameters
     motions = []
     for model in range(STEPS):
-        faster = tuple(replace(p, frequency_hz=p.frequency_hz * (1.0 + 0.01 * model)) for p in believed)
+        faster = [_faster(p, 1.0 + 0.01 * model) for p in believed]
         kalman.switch_model(build_model(layout, noise, (faster[0], faster[1]), (-0.99, 0.99), STEP_S))
         const, taken, filter_state, history = _kernel_arguments(kalman)
         assert kernel.filter_epochs(const, taken, epochs, filter_state, history, model, model + 1, model)  # type: ignore[attr-defined]
