@@ -8,11 +8,6 @@ A patch is not rigid: bend rolls one image of a forward-looking pair against the
 ground disparity grows from row to row. A rigid patch answers by a displacement across the epipolar line that its
 texture chooses, and that returns in every pair. So the template takes the shape that is expected in the right image,
 and in the last step disparity may grow across it.
-
-The sigma is that of the residual's noise through the normal equations. Noise is what growing disparity, brightness
-and a difference of blur do not explain. Interpolation takes some of the right image's noise out of the residual and
-none out of the match, so it is put back. Noise of the template feigns texture, and blur of the other image hides some:
-both are taken out of the response, which makes steps and sigma right at low contrast and where a camera is defocused.
 """
 
 from __future__ import annotations
@@ -30,13 +25,10 @@ HALF_WINDOW = 10  # px; 21 x 21 patches: texture enough, surfaces still nearly f
 _WINDOW = 2 * HALF_WINDOW + 1
 _TAPS = 6  # per axis, of Keys' fourth-order interpolation
 _BEFORE = 2  # taps before the pixel that the coordinate falls into
-_SLOPE_NOISE = 130.0 / 144.0  # power of white noise in the five-point derivative (derived)
-_NOISIEST = 0.8  # share of a gradient's power that may be noise; beyond it a patch has no texture (choice)
-_CONVERGED_SIGMAS = 0.5  # a last step of half a sigma leaves an error an eighth larger (derived)
 _CONVERGED_PX = 0.02  # a last step beyond it would be seen in the range
 # Interpolation and lens leave about this much that no patch can tell from displacement.
 _FLOOR_PX = 0.006
-_FITTED = 9.0  # displacement and its growth in two axes, brightness offset and gain, three terms of blur
+_FITTED = 4.0  # displacement in two axes, brightness offset and gain
 _GROWTH = 0.02  # usual growth of disparity across a patch, px per px
 _FLAT = 1e-6  # grey^2 / px^2: no texture at all
 
@@ -96,22 +88,16 @@ def refine(
     step = np.full_like(position, np.inf)
     inside = _inside(right, position)
     residual, correlation = np.zeros((len(position), _WINDOW**2), dtype=np.float32), np.zeros(len(position))
-    for iteration in range(iterations):
+    for _ in range(iterations):
         inside &= _inside(right, position)
         held = np.where(inside[:, np.newaxis], position, HALF_WINDOW + _TAPS)
         residual, correlation = template.compare(_interpolated(right, held))
-        if iteration > 0:
-            template.adapt(residual, _white_power(held))
         step = template.step(residual)
         position = held - step
-    sigma, centroid = template.quality(residual, _white_power(position + step))
+    sigma, centroid = template.quality(residual)
     position = position + step - template.grown(residual, centroid)
     strayed = np.linalg.norm(position - start_px, axis=1)
-    settled = (
-        (np.abs(step).max(axis=1) < np.fmax(_CONVERGED_PX, _CONVERGED_SIGMAS * sigma)) & (strayed < 0.5 * HALF_WINDOW)
-        if len(position)
-        else inside
-    )
+    settled = (np.abs(step).max(axis=1) < _CONVERGED_PX) & (strayed < 0.5 * HALF_WINDOW) if len(position) else inside
     right_px = position + centroid + np.einsum("nij,nj->ni", slopes, centroid)
     good = (
         inside & settled & np.isfinite(sigma) & _inside(right, right_px)
@@ -133,35 +119,8 @@ class _Template:
         self._power = (self._texture**2) @ _WEIGHT
         self._gradient = gradient - (gradient @ _WEIGHT)[..., np.newaxis]
         weighted = self._gradient * _WEIGHT
-        self._normal = (weighted @ self._gradient.transpose(0, 2, 1)).astype(np.float64)
-        self._inverse = _inverse2(self._normal)
+        self._inverse = _inverse2((weighted @ self._gradient.transpose(0, 2, 1)).astype(np.float64))
         self._weighted = weighted
-        across, down = (each.reshape(-1, _WINDOW, _WINDOW) for each in (gradient[:, 0], gradient[:, 1]))
-        second = [np.gradient(across, axis=2), np.gradient(down, axis=1), np.gradient(across, axis=1)]
-        self._curved = np.stack(second, axis=1).reshape(-1, 3, _WINDOW**2)
-
-    def adapt(self, residual: Patches, passed: Floats) -> None:
-        """Take from the response to displacement what the other image does not share: noise of gradients, blur.
-
-        ``passed`` (n,) is the part of white noise' power that the other image's interpolation lets pass.
-        """
-        noise = self._noise(residual) / (1.0 + passed)
-        power = 0.5 * np.trace(self._normal, axis1=1, axis2=2)
-        lost = np.minimum(_SLOPE_NOISE * noise, _NOISIEST * power)
-        inverse = _inverse2(self._normal - lost[:, np.newaxis, np.newaxis] * np.eye(2))
-        self._inverse = inverse / self._mutual_response(residual, noise)[:, np.newaxis, np.newaxis]
-
-    def _mutual_response(self, residual: Patches, noise: Floats) -> Floats:
-        """Power of the gradients that both patches share over the template's own, without noise, (n,); less by blur."""
-        left, right = (
-            np.stack(np.gradient(patch.reshape(-1, _WINDOW, _WINDOW), axis=(1, 2))).reshape(2, -1, _WINDOW**2)
-            for patch in (self._texture, self._texture + residual)
-        )
-        mutual = ((left * right).sum(axis=0) @ _WEIGHT).astype(np.float64)
-        power = ((left**2).sum(axis=0) @ _WEIGHT).astype(np.float64)
-        # white noise has half its power in each of two central differences
-        response = mutual / np.maximum(power - np.minimum(noise, _NOISIEST * power), _FLAT)
-        return np.asarray(np.clip(response, 1.0 - _NOISIEST, 1.0), dtype=np.float64)
 
     def compare(self, patches: Patches) -> tuple[Patches, Floats]:
         """Residual of brightness-adjusted right patches (n, window^2), and the correlation (n,)."""
@@ -180,7 +139,7 @@ class _Template:
 
     def grown(self, residual: Patches, at: Floats) -> Floats:
         """Displacement (n, 2) at a point of each patch (n, 2), disparity being free to grow across the patch."""
-        growth = self._growth()
+        growth = self._grade[:, np.newaxis] * _OFFSETS.T.astype(np.float32)
         growth -= (growth @ _WEIGHT)[..., np.newaxis]
         free = np.concatenate([self._gradient, growth], axis=1)
         weighted = free * _WEIGHT
@@ -192,36 +151,15 @@ class _Template:
         displaced: Floats = solution[:, :2] + np.einsum("ni,ni->n", solution[:, 2:], at)[:, np.newaxis] * self._along
         return displaced
 
-    def _growth(self) -> Patches:
-        """How brightness answers (n, 2, window^2) to a disparity that grows across the patch, and down it."""
-        return np.asarray(self._grade[:, np.newaxis] * _OFFSETS.T.astype(np.float32), dtype=np.float32)
-
-    def quality(self, residual: Patches, passed: Floats) -> tuple[Floats, Floats]:
-        """Sigma (n,) along the epipolar line, px, and the patch's centre of weight (n, 2) for displacement that way.
-
-        ``passed`` as in :meth:`adapt`.
-        """
-        pulled = np.einsum("nji,nj->ni", self._inverse, self._along).astype(np.float32)
+    def quality(self, residual: Patches) -> tuple[Floats, Floats]:
+        """Sigma (n,) along the epipolar line, px, and the patch's centre of weight (n, 2) for displacement that way."""
+        noise = ((residual**2) @ _WEIGHT).astype(np.float64) * _DEGREES
+        pulled = np.einsum("nij,nj->ni", self._inverse, self._along).astype(np.float32)
         lever = (pulled[:, np.newaxis] @ self._weighted)[:, 0]
         spread = (lever.astype(np.float64) ** 2).sum(axis=1)
-        noise = self._noise(residual) * 2.0 / (1.0 + passed)
         direct = (self._along[:, np.newaxis] @ self._gradient)[:, 0]
         centroid = (lever * direct).astype(np.float64) @ _OFFSETS
         return np.sqrt(noise * spread + _FLOOR_PX**2), centroid
-
-    def _noise(self, residual: Patches) -> Floats:
-        """Variance (n,) of the residual's noise, without what growing disparity and a difference of blur leave in it.
-
-        To first order blur adds second derivatives of the patch.
-        """
-        smooth = np.concatenate([self._curved, self._growth()], axis=1)
-        smooth -= (smooth @ _WEIGHT)[..., np.newaxis]
-        weighted = smooth * _WEIGHT
-        normal = (weighted @ smooth.transpose(0, 2, 1)).astype(np.float64) + _FLAT * np.eye(smooth.shape[1])
-        pull = (weighted @ residual[..., np.newaxis]).astype(np.float64)
-        explained = (pull * np.linalg.solve(normal, pull)).sum(axis=(1, 2))
-        power = ((residual**2) @ _WEIGHT).astype(np.float64)
-        return np.asarray(np.maximum(power - explained, 0.0) * _DEGREES, dtype=np.float64)
 
 
 def _window_weight() -> Patches:
@@ -282,13 +220,6 @@ def _interpolated(image: Bytes, position: Floats) -> Patches:
         blend[1][:, across + tap, across] = taps[:, 1, tap, np.newaxis]
     resampled: Patches = (blend[1].transpose(0, 2, 1) @ (patches @ blend[0])).reshape(n, _WINDOW**2)
     return resampled
-
-
-def _white_power(position: Floats) -> Floats:
-    """Share (n,) of white noise' power that interpolation at a position lets pass; all of it at whole pixels."""
-    taps = keys_taps(position - np.floor(position))
-    passed: Floats = (taps**2).sum(axis=-1).prod(axis=-1)
-    return passed
 
 
 def keys_taps(fraction: Floats) -> Floats:
