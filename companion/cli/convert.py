@@ -42,17 +42,14 @@ def _tlog(recording: Recording, path: Path) -> bool:
     if not isinstance(recording, McapRecording):
         raise ConfigError(f"{recording.path}: holds no MAVLink frames; only a .mcap of Spanwise becomes a .tlog")
     check_output(path, "FILE.tlog")
-    offset_ns, date = utc_offset_ns(_chunks(recording)), "by the vehicle's SYSTEM_TIME"
+    chunks = [record for record in recording.records() if isinstance(record, RawChunk)]
+    offset_ns, date = utc_offset_ns(chunks), "by the vehicle's SYSTEM_TIME"
     if offset_ns is None:
-        newest_ns = max((chunk.received_host_ns for chunk in _chunks(recording)), default=0)
+        newest_ns = max((chunk.received_host_ns for chunk in chunks), default=0)
         offset_ns, date = recording.path.stat().st_mtime_ns - newest_ns, "by the file's date, no SYSTEM_TIME has one"
-    count = write_tlog(path, _chunks(recording), offset_ns)
+    count = write_tlog(path, chunks, offset_ns)
     print(f"{path}: {count} frames received and sent; UTC {date}")
     return count > 0
-
-
-def _chunks(recording: Recording) -> list[RawChunk]:
-    return [record for record in recording.records() if isinstance(record, RawChunk)]
 
 
 def _tables(recording: Recording, folder: Path) -> bool:

@@ -153,14 +153,14 @@ def _begins_with_the_service(recording: Recording) -> bool:
 
 def _lossy(recording: Recording) -> bool:
     """Whether records are missing: behind a cut, in a damaged chunk, or because the disk was too slow for them."""
-    return not recording.replayable or (isinstance(recording, McapRecording) and recording.cut)
+    return isinstance(recording, McapRecording) and (recording.cut or not recording.complete)
 
 
 def _loss(recording: Recording) -> dict[str, Any] | None:
     """Loss of a recording: where, and how long it lasted as far as the file tells."""
     if not isinstance(recording, McapRecording) or not _lossy(recording):
         return None
-    damaged = not recording.replayable and not recording.dropped
+    damaged = not recording.complete and not recording.dropped
     where = "damage" if damaged else "first dropped record" if recording.dropped else "cut"
     return {"where": where, "missing_s": recording.missing_s, "dropped": recording.dropped}
 

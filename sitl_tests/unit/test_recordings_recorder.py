@@ -152,6 +152,8 @@ def test_a_long_recording_goes_on_in_parts_and_the_oldest_make_room(tmp_path: Pa
         recording = McapRecording(file)
         assert not recording.cut
         assert recording.part_number > 1
+        assert recording.complete
+        assert not recording.replayable
         assert any("a replay estimates anew" in notice.text for notice in recording.notices)
     assert all((tmp_path / name).exists() for name in others), "only recordings of this name are ours to remove"
 

@@ -44,14 +44,18 @@ class Recording(Protocol):
     notices : list of Notice
         What is wrong or worth knowing; complete once ``records`` is exhausted.
     replayable : bool
-        Whether a replay reproduces what the service published: False for foreign logs, and where records were dropped.
+        False for foreign logs, further parts, and where records are missing.
     """
 
     path: Path
     hub: ClockName
     airframe: Airframe
     settings: Settings
-    replayable: bool
+
+    @property
+    def replayable(self) -> bool:
+        """Whether a replay reproduces what the service published."""
+        ...
 
     @property
     def notices(self) -> list[Notice]:

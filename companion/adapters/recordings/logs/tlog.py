@@ -28,7 +28,8 @@ _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
 _CHUNK_US = 20_000
 _CHUNK_FRAMES = 128  # frames that are decoded together
 _LONGEST_STEP_US = 3_600_000_000  # of the receive time; a longer one is believed where the next frame agrees with it
-_EARLIEST_US = 946_684_800_000_000
+EARLIEST_US = 946_684_800_000_000
+"""The year 2000, UTC in microseconds: an autopilot without GPS tells 0."""
 
 
 class TlogRecording(LoggedRecording):
@@ -181,4 +182,4 @@ def _frame_bytes(data: bytes, at: int) -> int:
 
 
 def _plausible(stamp_us: int, last_us: int) -> bool:
-    return abs(stamp_us - last_us) < _LONGEST_STEP_US if last_us else _EARLIEST_US < stamp_us < 4 * _EARLIEST_US
+    return abs(stamp_us - last_us) < _LONGEST_STEP_US if last_us else EARLIEST_US < stamp_us < 4 * EARLIEST_US

@@ -8,10 +8,10 @@ from typing import Any
 
 from companion.adapters.mavlink.link.dialect import build_message
 from companion.adapters.mavlink.link.scan import Scanner, frame_end, next_frame, sender
+from companion.adapters.recordings.logs.tlog import EARLIEST_US
 from companion.records import RawChunk
 
 _SYSTEM_TIME = 2  # message id (MAVLink common)
-_UTC_SINCE_US = 946_684_800_000_000  # the year 2000: an autopilot without GPS tells 0
 
 
 def utc_offset_ns(chunks: Iterable[RawChunk]) -> int | None:
@@ -21,7 +21,7 @@ def utc_offset_ns(chunks: Iterable[RawChunk]) -> int | None:
         for key, payload in scanners.setdefault(chunk.link, Scanner()).scan(chunk.data).frames:
             if sender(key)[2] == _SYSTEM_TIME:
                 message: Any = build_message(_SYSTEM_TIME, payload)
-                if message.time_unix_usec >= _UTC_SINCE_US:
+                if message.time_unix_usec >= EARLIEST_US:
                     return int(message.time_unix_usec) * 1000 - chunk.received_host_ns
     return None
 

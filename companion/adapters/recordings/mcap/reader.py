@@ -78,6 +78,8 @@ class McapRecording:
         Architecture and package versions that made the recording; "" where it is older than this entry.
     part_number : int
         Number of the file among those of one run of the service.
+    complete : bool
+        No record between the first and the last is missing; known once ``records`` is exhausted.
     cut : bool
         The recorder did not finish the file.
     missing_s : float or None
@@ -121,7 +123,7 @@ class McapRecording:
         self.settings = load_settings(texts["settings.toml"])
         self.dropped = int(facts.get("spanwise.drops", {}).get("dropped", "0"))
         self.part_number = int(about.get("part", "1"))
-        self.replayable = self.dropped == 0 and self.part_number == 1
+        self.complete = self.dropped == 0
         self.cut = not (self._end.orderly and "spanwise.end" in facts)
         self._finished = "spanwise.end" in facts
 
@@ -134,6 +136,11 @@ class McapRecording:
     def notices(self) -> list[Notice]:
         """Sentences about what is wrong with the recording or worth knowing."""
         return self._notes.notices
+
+    @property
+    def replayable(self) -> bool:
+        """Whether a replay reproduces what was published: the estimation began in this file, and nothing is missing."""
+        return self.complete and self.part_number == 1
 
     @property
     def empty(self) -> bool:
@@ -168,7 +175,7 @@ class McapRecording:
             try:
                 record = _record_of(schema, message, unpaired)
             except _DAMAGE as error:
-                self.replayable = False
+                self.complete = False
                 what = f"{type(error).__name__}: {error}"[:120]
                 self._notes.add(f"{self.path.name}: a message of '{schema.name}' is damaged and left out ({what})")
                 continue
@@ -201,7 +208,7 @@ class McapRecording:
             _check_size(chunk)
             return list(breakup_chunk(chunk, validate_crc=True))
         except _DAMAGE as error:
-            self.replayable = False
+            self.complete = False
             self._damaged_s[segment.offset] = _lasted_s(file, segment)
             what = f"{type(error).__name__}: {error}"[:120]
             self._notes.add(f"{self.path.name}: the chunk at byte {segment.offset} is damaged and left out ({what})")

@@ -63,8 +63,8 @@ def keep_recording(
         part_number = 1
         while selector.get_map():
             try:
-                if keep_bytes is not None:
-                    remove_oldest(path, keep_bytes - keep_bytes // _PARTS)
+                if keep_bytes is not None and part_bytes is not None:
+                    remove_oldest(path, keep_bytes - part_bytes)
                 described = dataclasses.replace(about, part_number=part_number)
                 if _write_file(path, described, selector, stop, terminated, part_bytes):
                     return
