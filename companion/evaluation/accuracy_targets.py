@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from companion.evaluation.metrics import FAST_HZ, Scored, near, slow_part, spread
+from companion.evaluation.metrics import FAST_HZ, Scored, near, rms, slow_part, spread
 from companion.evaluation.trigger_scores import trigger_scores
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.records import Firing, Floats, MatchSet, Side
@@ -23,14 +23,14 @@ PAPER_SHARE = 0.556  # of the error removed, the paper's Table 4 at 60 m
 
 def targets(ways: Mapping[str, Scored]) -> dict[str, Any]:
     """The accuracy targets of the demo, each with its figure and whether it is met."""
-    rms = {name: _rms(ways[name].fast_toe_error_rad()) * 1e3 for name in ("rigid", "corrected", "oracle")}
-    excess = rms["corrected"] ** 2 - rms["oracle"] ** 2
-    allowed = TARGET_FAST_MRAD**2 + (TARGET_SHARE * rms["rigid"]) ** 2
+    fast_mrad = {name: rms(ways[name].fast_toe_error_rad()) * 1e3 for name in ("rigid", "corrected", "oracle")}
+    excess = fast_mrad["corrected"] ** 2 - fast_mrad["oracle"] ** 2
+    allowed = TARGET_FAST_MRAD**2 + (TARGET_SHARE * fast_mrad["rigid"]) ** 2
     oracle = ways["oracle"]
     at_60 = np.abs(oracle.range_m - oracle.z_true_m)[near(oracle.z_true_m, 60.0)]
     median_60 = float(np.median(at_60)) if len(at_60) else None
     return {
-        "fast_rms_mrad": rms,
+        "fast_rms_mrad": fast_mrad,
         "fast_excess_mrad2": {"value": excess, "limit": allowed, "met": bool(excess <= allowed)},
         "oracle_median_at_60_m": {
             "value": median_60,
@@ -64,7 +64,7 @@ def sigma_calibration(shots: Shots, outputs: PipelineOutputs) -> dict[str, Any]:
     return {
         "toe_sigma_mrad": spread(toe_sigma, 1e3),
         "slow_error_mrad": spread(slow, 1e3),
-        "slow_error_over_sigma_rms": _rms(slow / as_toe),
+        "slow_error_over_sigma_rms": rms(slow / as_toe),
         "published_error_over_sigma": spread(over[trusted]),
         "published_beyond_5_sigma": int(np.sum(over[trusted] > 5.0)),
     }
@@ -96,8 +96,4 @@ def wing_blur_px(geometry: TrueGeometry, matches: Iterable[MatchSet]) -> Floats:
 
 
 def _removed(before: Scored, after: Scored) -> float:
-    return 1.0 - _rms(after.toe_error_rad) / _rms(before.toe_error_rad)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+    return 1.0 - rms(after.toe_error_rad) / rms(before.toe_error_rad)

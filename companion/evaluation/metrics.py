@@ -6,6 +6,7 @@ passes infinity; metres are given as median and 95th percentile near stated dist
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,11 @@ class Scored:
     def fast_toe_error_rad(self) -> Floats:
         """The part of the toe error above :data:`FAST_HZ`, (n,)."""
         return self.toe_error_rad - slow_part(self.t_s, self.toe_error_rad, FAST_HZ)
+
+
+def rms(values: Sequence[float] | Floats) -> float:
+    """Root mean square, NaN of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
 def slow_part(t_s: Floats, values: Floats, cutoff_hz: float) -> Floats:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from companion.evaluation.metrics import rms
 from companion.evaluation.true_geometry import TrueReading
 from companion.paper.experiments import Outcome
 from companion.paper.shots import WAYS, ScoredShot
@@ -109,11 +110,6 @@ def toe_error_mrad(outcome: Outcome, scores: Mapping[str, Any]) -> tuple[float, 
 def one_tip_toe_error_mrad(shots: Sequence[ScoredShot]) -> float:
     """Rms of what a correction by one tip alone, taken for symmetric, would get wrong (the paper's assumption)."""
     return rms([1e3 * (2.0 * shot.tip_rad[Side.RIGHT] - shot.toe_rad) for shot in shots])
-
-
-def rms(values: Sequence[float] | Floats) -> float:
-    """Root mean square, NaN of nothing."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
 def _median(values: Sequence[float] | Floats) -> float:

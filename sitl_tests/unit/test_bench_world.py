@@ -13,9 +13,10 @@ from companion.core.stereo.geometry import Rig
 from companion.params.files import load_airframe
 from companion.records import ClockName, MatchSet
 from companion.units import GRAVITY_MPS2
-from tools.bench.world import missed, pooled, summary, wilson
+from tools.bench.world import missed, pooled, summary
 from tools.bench.world_peers import pair_alone, tilt_filter
 from tools.bench.world_rows import CampaignRow, rows
+from tools.trial_results import wilson
 
 COLUMNS = ["pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted"]
 PEER_COLUMNS = ["pair alone", "tilt filter", "band-pass"]

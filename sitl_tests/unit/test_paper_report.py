@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from companion.cli.main import main
+from companion.evaluation.metrics import rms
 from companion.evaluation.true_geometry import TrueReading
 from companion.paper import beam_tables, equations, fig_4, misprints, printed, range_tables, report
 from companion.paper.findings import Section, number, percent
-from companion.paper.scores import errors, rms
+from companion.paper.scores import errors
 from companion.paper.shots import Usual
 from companion.paper.trials import FULL, QUICK, REPEATED, SEEDS, SETTLE_S, Pace, flight_plan, trials
 from companion.params.files import load_airframe

@@ -44,7 +44,7 @@ def capture(name: str, options: list[str], bench: Callable[[list[str]], int]) ->
         code = bench(options)
     command = " ".join(["python -m tools.bench", name, *options])
     verdict = "all targets met" if code == 0 else "**a target is missed**"
-    provenance = f"`{command}`, {date.today()}, commit {_commit()}, {time.monotonic() - began_s:.0f} s: {verdict}"
+    provenance = f"`{command}`, {date.today()}, commit {commit()}, {time.monotonic() - began_s:.0f} s: {verdict}"
     return Printout(name, provenance, printed.getvalue().strip("\n")), code
 
 
@@ -68,7 +68,8 @@ def _section(path: Path) -> str:
     return f"## {path.stem}\n\n{provenance}\n\n{body}\n"
 
 
-def _commit() -> str:
+def commit() -> str:
+    """Hash of the last commit of the code that runs, "unknown" without git."""
     answer = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, cwd=Path(__file__).parent, check=False
     )

@@ -22,6 +22,7 @@ from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import divergence
 from companion.evaluation.flight_evaluation import SETTLED_S, collect, matches_of, pulls, score_shots
+from companion.evaluation.metrics import rms
 from companion.evaluation.rendered_shots import Stage, Studio
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
@@ -49,12 +50,12 @@ class Flown:
     @property
     def toe_over(self) -> float:
         """Root mean square error of the toe over its sigma."""
-        return _rms(self.toe_error_rad / self.toe_sigma_rad)
+        return rms(self.toe_error_rad / self.toe_sigma_rad)
 
     @property
     def range_over(self) -> float:
         """The same of the trusted ranges."""
-        return _rms(self.range_error_rad / self.range_sigma_rad)
+        return rms(self.range_error_rad / self.range_sigma_rad)
 
 
 def run(airframe: Airframe, seeds: Iterable[int], duration_s: float = 27.0, rate_hz: float = 4.0) -> list[Flown]:
@@ -99,10 +100,6 @@ def _inverse_sigma(entry: CorrectedRange) -> float:
     return entry.sigma_m / entry.range_m**2
 
 
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; 1 when a sigma lies outside 99 % of chi-square by one draw a flight."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -118,13 +115,13 @@ def main(arguments: list[str] | None = None) -> int:
         rows.append(row)
         print(
             f"{seed:4d} {len(row.toe_error_rad):6d} {1e3 * np.mean(row.toe_error_rad):+9.3f}"
-            f" {1e3 * _rms(row.toe_error_rad):5.3f} {1e3 * _rms(row.toe_sigma_rad):7.3f} {row.toe_over:12.2f}"
-            f" {len(row.range_error_rad):7d} {1e3 * _rms(row.range_error_rad):5.3f}"
-            f" {1e3 * _rms(row.range_sigma_rad):7.3f} {row.range_over:12.2f}",
+            f" {1e3 * rms(row.toe_error_rad):5.3f} {1e3 * rms(row.toe_sigma_rad):7.3f} {row.toe_over:12.2f}"
+            f" {len(row.range_error_rad):7d} {1e3 * rms(row.range_error_rad):5.3f}"
+            f" {1e3 * rms(row.range_sigma_rad):7.3f} {row.range_over:12.2f}",
             flush=True,
         )
     low, high = np.sqrt(chi2.ppf([0.005, 0.995], len(rows)) / len(rows))
-    toe, measured = (_rms(np.array([getattr(row, name) for row in rows])) for name in ("toe_over", "range_over"))
+    toe, measured = (rms(np.array([getattr(row, name) for row in rows])) for name in ("toe_over", "range_over"))
     print(f"all: toe {toe:.2f}, ranges {measured:.2f} of sigma; honest between {low:.2f} and {high:.2f} (99 %)")
     return int(not (low < toe < high and low < measured < high))
 

@@ -18,7 +18,6 @@ import argparse
 import json
 import math
 import os
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -29,20 +28,21 @@ from typing import Any
 import numpy as np
 
 from companion.core.warmup import warm_up
-from companion.evaluation.metrics import slow_part
+from companion.evaluation.metrics import rms, slow_part
 from companion.params.settings import Settings
 from companion.records import Floats
 from companion.sim.flight.worlds import WORLDS
+from tools.bench.publish_results import commit
 from tools.bench.world_flight import fly
 from tools.bench.world_peers import PEERS
 from tools.bench.world_rows import AIRFRAMES, SENSORS, SETTLED_S, CampaignRow, rows
+from tools.trial_results import wilson
 
 FLIGHTS = 50
 _LEAST_TRUSTED = {"ideal": 0.9, "fair": 0.9, "tones": 0.9, "rough": 0.5}
 _NEES = (0.8, 1.25)
 _INSIDE_3_SIGMA = 0.99
 _FAST_HZ = 0.5
-_WILSON_Z = 1.96
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,16 +71,6 @@ class Pooled:
     def toe_error(self) -> Floats:
         """Error of the estimate's toe, rad."""
         return self.columns["toe"] - self.columns["true_toe"]
-
-
-def wilson(count: int, total: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share."""
-    if not total:
-        return 0.0, 1.0
-    z, share = _WILSON_Z, count / total
-    middle = (share + z**2 / (2 * total)) / (1 + z**2 / total)
-    half = z / (1 + z**2 / total) * math.sqrt(share * (1 - share) / total + z**2 / (4 * total**2))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
 def pooled(row: CampaignRow, parts: list[dict[str, Any]]) -> Pooled:
@@ -117,7 +107,7 @@ def summary(group: Pooled) -> dict[str, float]:
     total = max(group.expected, int(np.sum(settled)))
     low, high = wilson(published, total)
     figures = {"trusted": published / max(total, 1), "low": low, "high": high, "shots": total,
-               "published": int(np.sum(trusted)), "toe_mrad": 1e3 * _rms(group.toe_error[good]),
+               "published": int(np.sum(trusted)), "toe_mrad": 1e3 * rms(group.toe_error[good]),
                "nees": float(np.mean(over**2)) if published else math.nan,
                "wrong": int(np.sum((sigmas > 5.0) & (share > 0.05))), "far": int(np.sum(share > 0.2)),
                "on_ground": int(np.sum(trusted & ~(group.aloft > 0)))}  # fmt: skip
@@ -149,10 +139,6 @@ def _fast_mrad(group: Pooled, name: str) -> float:
             fast = error - slow_part(group.columns["t_s"][mine], error, _FAST_HZ)
             squares, count = squares + float(np.sum(fast**2)), count + len(fast)
     return 1e3 * math.sqrt(squares / count) if count else math.nan
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
 
 
 # ------------------------------------------------------------------------------------------------ flying
@@ -225,7 +211,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--table", action="store_true", help="fly nothing: print what there is")
     options = parser.parse_args(arguments)
     wanted = rows(options.world, options.airframe, options.sensors)
-    folder = options.parts or Path("out/world") / _commit()
+    folder = options.parts or Path("out/world") / commit()
     if not options.table:
         for name in {row.airframe for row in wanted}:
             warm_up(CampaignRow("ideal", name, "6-axis").belief(), Settings())
@@ -233,11 +219,6 @@ def main(arguments: list[str] | None = None) -> int:
     text, failures = show(gathered(wanted, folder))
     print(text)
     return int(failures > 0)
-
-
-def _commit() -> str:
-    answer = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    return answer.stdout.strip() or "unknown"
 
 
 if __name__ == "__main__":
