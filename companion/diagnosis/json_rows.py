@@ -7,6 +7,7 @@ from typing import Any
 
 from companion.diagnosis.selection.block_bootstrap import Interval
 from companion.diagnosis.selection.check import Check
+from companion.diagnosis.selection.recordings import Cause
 
 _SIGMAS_95 = 1.959964  # two-sided 95 % of a normal distribution
 
@@ -25,6 +26,23 @@ def checks(tested: Iterable[Check]) -> list[dict[str, Any]]:
 def failures(tested: Iterable[Check]) -> list[dict[str, Any]]:
     """Adequacy tests that failed."""
     return [{"test": entry.name, "z": entry.z} for entry in tested if not entry.passed]
+
+
+def adequacy(before: Iterable[Check], after: Iterable[Check]) -> dict[str, Any]:
+    """Adequacy tests of the believed and of the extended model."""
+    return {"before": checks(before), "after": checks(after)}
+
+
+def cause_head(cause: Cause[Any], channel: str) -> dict[str, Any]:
+    """Name, channel, group and evidence, which every kind of cause opens with."""
+    return {
+        "name": cause.term.name,
+        "channel": channel or None,
+        "group": list(cause.group),
+        "log_bayes_factor": cause.log_bayes_factor,
+        "bic": cause.bic,
+        "z": cause.z,
+    }
 
 
 def nats(gain: Interval) -> dict[str, Any]:

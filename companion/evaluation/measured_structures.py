@@ -26,7 +26,7 @@ from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_run
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, RecordingError
 from companion.evaluation.findings_output import write_findings
 from companion.evaluation.pages.flutter_page import flutter_page, forced_page
-from companion.evaluation.pages.measured_pages import ringing_page, vibration_page
+from companion.evaluation.pages.measured_pages import headline, ringing_page, vibration_page
 from companion.params.airframe import Uncertain
 from companion.params.files import load_airframe
 from companion.records import Floats
@@ -48,6 +48,7 @@ def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progre
     """Diagnose recordings of one structure jointly; exit codes as those of a flight."""
     tables = tables_of(options.recordings, mapping)
     plain, make_page = _DIAGNOSED[mapping.test](tables, mapping, options, progress)
+    plain["notes"] += [note for table in tables for note in table.notes]
     write_findings(plain, options.json, options.html, _tell, make_page)
     if options.apply is not None:
         print("--apply: what was found here is of a structure on the bench; no airframe was written", file=sys.stderr)
@@ -65,7 +66,6 @@ def _free_decay(
     frequency_hz, damping = _believed(mapping, options.airframe)
     diagnosis = diagnose_decays(recordings, frequency_hz, damping, band_hz, options.max_causes + 2, progress)
     plain = ringing_json(diagnosis, scales, options.airframe)
-    plain["notes"] += [note for table in tables for note in table.notes]
     return plain, lambda: ringing_page(diagnosis, scales, plain, mapping.description)
 
 
@@ -90,7 +90,6 @@ def _vibration(
     progress("fit the modes of every run", 0.0)
     diagnosis = compare(modes_of_runs(runs), [run.constants for run in runs])
     plain = comparison_json(diagnosis, [str(table.path) for table in tables], options.airframe)
-    plain["notes"] += [note for table in tables for note in table.notes]
     return plain, lambda: vibration_page(diagnosis, runs, plain, mapping.description)
 
 
@@ -119,7 +118,7 @@ def _limit_cycle(
         raise RecordingError("; ".join(notes))
     diagnosis = diagnose_vibration(tracks, options.max_causes + 2, progress)
     plain = flutter_json(diagnosis)
-    plain["notes"] += [*notes, *(note for table in tables for note in table.notes)]
+    plain["notes"] += notes
     return plain, lambda: flutter_page(diagnosis, plain, mapping.description)
 
 
@@ -137,7 +136,6 @@ def _forced(
         force, answer = table.channels[forces[0]], table.channels[answers[0]]
         recordings.append(ForcedRecording(table.path.name, table.t_s, force, answer))
     plain = forced_json(diagnose_forced(recordings, _band(mapping), options.max_causes, progress))
-    plain["notes"] += [note for table in tables for note in table.notes]
     return plain, lambda: forced_page(plain, mapping.description)
 
 
@@ -201,13 +199,6 @@ def _tell(plain: dict[str, Any]) -> None:
         print(f"  record: {line}")
     for note in plain["notes"]:
         print(f"  note: {note}")
-
-
-def headline(plain: dict[str, Any]) -> str:
-    """The verdict in one sentence."""
-    verdict = plain["verdict"].replace("-", " ")
-    nearest = f" (nearest: {plain['nearest']})" if plain.get("nearest") else ""
-    return f"{verdict}{nearest}: {plain['reason']}"
 
 
 def error_line(gain: dict[str, Any]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from companion.diagnosis.flights.outcome import FlightDiagnosis
 from companion.diagnosis.flights.views import strengths
-from companion.diagnosis.json_rows import checks, deviation, failures, nats, quantity
+from companion.diagnosis.json_rows import adequacy, cause_head, deviation, failures, nats, quantity
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.check import DiagnosisVerdict
@@ -38,7 +38,7 @@ def as_json(
         "nearest": diagnosis.nearest or None,
         "nearest_causes": [_cause(entry, gain) for entry in diagnosis.nearest_causes],
         "gain": gain,
-        "adequacy": {"before": checks(diagnosis.before), "after": checks(diagnosis.after)},
+        "adequacy": adequacy(diagnosis.before, diagnosis.after),
         "residual": _residual(diagnosis),
         "views": _views(diagnosis, models[0]) if with_views else [],
         "screening": [
@@ -70,12 +70,7 @@ def _views(diagnosis: FlightDiagnosis, model: FlightModel) -> list[dict[str, Any
 def _cause(cause: Cause[EffectTerm], gain: dict[str, Any] | None) -> dict[str, Any]:
     declared = cause.term.effect.parameters()
     return {
-        "name": cause.term.effect.name,
-        "channel": cause.term.channel or None,
-        "group": list(cause.group),
-        "log_bayes_factor": cause.log_bayes_factor,
-        "bic": cause.bic,
-        "z": cause.z,
+        **cause_head(cause, cause.term.channel),
         "parameters": {
             entry.name: quantity(value, sigma, entry.unit, entry.doc)
             for entry, value, sigma in zip(declared, cause.values, cause.sigmas, strict=True)

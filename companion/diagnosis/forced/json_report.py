@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from companion.diagnosis import json_rows
 from companion.diagnosis.forced.recordings import LAWS, ForcedDiagnosis
-from companion.diagnosis.json_rows import failures, nats, quantity
+from companion.diagnosis.json_rows import adequacy, cause_head, failures, nats, quantity
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
@@ -29,7 +28,7 @@ def as_json(diagnosis: ForcedDiagnosis) -> dict[str, Any]:
         "causes": [_cause(diagnosis, cause) for cause in causes],
         "nearest": outcome.nearest or None if unexplained else None,
         "gain": _gain(diagnosis),
-        "adequacy": {"before": json_rows.checks(outcome.before), "after": json_rows.checks(outcome.after)},
+        "adequacy": adequacy(outcome.before, outcome.after),
         "residual": {"description": outcome.reason, "failed": failures(outcome.after)} if unexplained else None,
         "screening": [
             {"name": entry.name, "channel": None, "z": entry.z, "log_odds": entry.log_odds}
@@ -46,12 +45,7 @@ def _cause(diagnosis: ForcedDiagnosis, cause: Cause[RegressionTerm]) -> dict[str
     value, sigma = cause.values[0] / unit, cause.sigmas[0] / unit
     meaning = f"force {LAWS[cause.term.name][0]}, in the recording's units"
     return {
-        "name": cause.term.name,
-        "channel": None,
-        "group": list(cause.group),
-        "log_bayes_factor": cause.log_bayes_factor,
-        "bic": cause.bic,
-        "z": cause.z,
+        **cause_head(cause, ""),
         "parameters": {"coefficient": quantity(value, sigma, "", meaning)},
         "gain": (_gain(diagnosis) or {}).get("error"),
         "advice": "drive it at several levels: a law of the amplitude shows between them",

@@ -52,10 +52,7 @@ def as_json(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], airframe
         "causes": [_cause(diagnosis, i, scales) for i in named],
         "nearest": (name_of(diagnosis.accepted[named[0]].term, diagnosis) if named else None) if unexplained else None,
         "gain": _gain(diagnosis, diagnosis.errors[0], diagnosis.errors[-1]) if diagnosis.accepted else None,
-        "adequacy": {
-            "before": json_rows.checks(diagnosis.outcome.before),
-            "after": json_rows.checks(diagnosis.outcome.after),
-        },
+        "adequacy": json_rows.adequacy(outcome.before, outcome.after),
         "residual": _residual(diagnosis) if unexplained else None,
         "screening": [_screened(diagnosis, entry) for entry in screened],
         "modes": _modes(diagnosis, scales),

@@ -8,8 +8,7 @@ from typing import Any
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDependence
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
-from companion.diagnosis import json_rows
-from companion.diagnosis.json_rows import failures, nats, quantity
+from companion.diagnosis.json_rows import adequacy, cause_head, failures, nats, quantity
 from companion.diagnosis.limit_cycles.decays import force_curve
 from companion.diagnosis.limit_cycles.recordings import LIMIT_CYCLE, FlutterDiagnosis
 from companion.diagnosis.selection.check import DiagnosisVerdict
@@ -45,7 +44,7 @@ def as_json(diagnosis: FlutterDiagnosis) -> dict[str, Any]:
         "causes": [_cause(cause) for cause in causes],
         "nearest": outcome.nearest or None if unexplained else None,
         "gain": {"held_out": True, "total": nats(gain.log_score["total"])} if gain is not None else None,
-        "adequacy": {"before": json_rows.checks(outcome.before), "after": json_rows.checks(outcome.after)},
+        "adequacy": adequacy(outcome.before, outcome.after),
         "residual": {"description": outcome.reason, "failed": failures(outcome.after)} if unexplained else None,
         "screening": [
             {"name": entry.name, "channel": entry.term.channel, "z": entry.z, "log_odds": entry.log_odds}
@@ -81,12 +80,7 @@ def _named(term: RegressionTerm) -> str:
 def _cause(cause: Cause[RegressionTerm]) -> dict[str, Any]:
     each = zip(cause.term.coefficients, cause.values, cause.sigmas, strict=True)
     return {
-        "name": cause.term.name,
-        "channel": cause.term.channel or None,
-        "group": list(cause.group),
-        "log_bayes_factor": cause.log_bayes_factor,
-        "bic": cause.bic,
-        "z": cause.z,
+        **cause_head(cause, cause.term.channel),
         "parameters": {entry.key: quantity(value, sigma, entry.unit, entry.meaning) for entry, value, sigma in each},
         "gain": None,
         "advice": _ADVICE[cause.term.name],

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from companion.diagnosis.limit_cycles.recordings import FlutterDiagnosis
-from companion.evaluation.pages.measured_pages import rendered
+from companion.evaluation.pages.measured_pages import check_table, rendered
 from companion.reporting.blocks import Advice, Block, Heading, Paragraph, Table
 from companion.reporting.embedding import embed
 from companion.reporting.plotting import AFTER, BEFORE, DATA, new_figure
@@ -37,7 +37,11 @@ def flutter_page(diagnosis: FlutterDiagnosis, plain: dict[str, Any], what: str) 
     ]
     if any(entry["stiffness"] for entry in plain["decays"]):
         body += [embed(_springs(plain), "force of the spring over deflection")]
-    body += [Heading("What is left"), _checks(plain), *[Paragraph(note) for note in plain["notes"]]]
+    body += [
+        Heading("What is left"),
+        check_table(plain, "test", "linear wing"),
+        *[Paragraph(note) for note in plain["notes"]],
+    ]
     return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
 
 
@@ -63,7 +67,7 @@ def forced_page(plain: dict[str, Any], what: str) -> str:
         Table(["model", "frequency", "damping ratio", "stiffness", "mass"],
               [["linear", *rows[0]], ["extended", *rows[1]]]),
         Heading("What is left"),
-        _checks(plain),
+        check_table(plain, "test", "linear wing"),
         *[Paragraph(note) for note in plain["notes"]],
     ]  # fmt: skip
     return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, fitted jointly", body)
@@ -158,17 +162,3 @@ def _springs(plain: dict[str, Any]) -> Any:
         axis.grid(alpha=0.3)
     axes[0].legend(fontsize=7)
     return figure
-
-
-def _checks(plain: dict[str, Any]) -> Table:
-    before = {entry["test"]: entry["z"] for entry in plain["adequacy"]["before"]}
-    rows = [
-        [
-            entry["test"],
-            f"{before[entry['test']]:+.1f}",
-            f"{entry['z']:+.1f}",
-            "passed" if entry["passed"] else "failed",
-        ]
-        for entry in plain["adequacy"]["after"]
-    ]
-    return Table(["test", "linear wing", "extended", ""], rows)

@@ -68,11 +68,12 @@ def vibration_page(diagnosis: Comparison, runs: Sequence[VibrationRun], plain: d
 def rendered(plain: dict[str, Any], subject: str, body: Sequence[Block]) -> str:
     """A page with the verdict on top."""
     verdict = plain["verdict"]
-    page = Page(title=f"Diagnosis: {verdict}", headline=_headline(plain), body=body, subject=subject, grade=verdict)
+    page = Page(title=f"Diagnosis: {verdict}", headline=headline(plain), body=body, subject=subject, grade=verdict)
     return render(page)
 
 
-def _headline(plain: dict[str, Any]) -> str:
+def headline(plain: dict[str, Any]) -> str:
+    """The verdict in one sentence."""
     nearest = f" (nearest: {plain['nearest']})" if plain.get("nearest") else ""
     return f"{plain['verdict'].replace('-', ' ')}{nearest}: {plain['reason']}"
 
@@ -106,16 +107,21 @@ def _alone(plain: dict[str, Any]) -> Table:
 
 
 def _left(plain: dict[str, Any]) -> list[Block]:
+    residual = plain["residual"]
+    needed = [Advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
+    tests = check_table(plain, "test (worst recording)", "constant frequency")
+    return [*needed, tests, *[Paragraph(note) for note in plain["notes"]]]
+
+
+def check_table(plain: dict[str, Any], test: str, believed: str) -> Table:
+    """Adequacy tests before and after, under these names of the first two columns."""
     before = {_kind(entry): entry["z"] for entry in plain["adequacy"]["before"]}
     rows = [
         [entry["test"], f"{before[_kind(entry)]:+.1f}", f"{entry['z']:+.1f}",
          "passed" if entry["passed"] else "failed"]
         for entry in plain["adequacy"]["after"]
     ]  # fmt: skip
-    residual = plain["residual"]
-    needed = [Advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
-    heads = ["test (worst recording)", "constant frequency", "extended", ""]
-    return [*needed, Table(heads, rows), *[Paragraph(note) for note in plain["notes"]]]
+    return Table([test, believed, "extended", ""], rows)
 
 
 def _kind(entry: dict[str, Any]) -> str:
