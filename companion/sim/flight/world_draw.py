@@ -54,7 +54,8 @@ def gust_kind(weather: Weather, rng: np.random.Generator) -> GustKind:
 
 def worn(real: TruthAirframe, world: Conditions, rng: np.random.Generator) -> TruthAirframe:
     """The aircraft with the world's sensor noise and lenses, and its gusts as strong as the weather makes them."""
-    if world.sensors.noise_ratio == (1.0, 1.0) and world.lenses == LensResiduals():
+    drawn = (world.sensors.noise_ratio, world.weather.deflection_ratio, world.lenses)
+    if drawn == ((1.0, 1.0), (1.0, 1.0), LensResiduals()):
         return real
     actual = real.actual
     ratio = log_uniform(world.weather.deflection_ratio, rng)
