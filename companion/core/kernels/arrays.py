@@ -107,10 +107,10 @@ class FilterConstants(NamedTuple):
         Column of the common part of the vertical biases, 0 where it is not estimated.
     slope_factor_rows, slope_factor_columns : (f,) int64
         Entries of the sensitivity that depend on the state through the slope factors.
-    regressor_rows, regressor_columns : (s,) int64
+    regressor_rows, regressor_columns, regressor_sources : (s,) int64
     regressor_signs : (s,) float64
-        Entries of the sensitivity that contain the row's own measurement, which the prediction replaces: a regression
-        on the measurement's own noise would be biased towards zero (errors in variables).
+        Entries of the sensitivity that contain the measurement of the source row, which the prediction replaces: a
+        regression on the measurement's own noise would be biased towards zero (errors in variables).
     """
 
     step_s: float
@@ -130,6 +130,7 @@ class FilterConstants(NamedTuple):
     slope_factor_columns: Ints
     regressor_rows: Ints
     regressor_columns: Ints
+    regressor_sources: Ints
     regressor_signs: Floats
 
 
@@ -226,6 +227,10 @@ class History(NamedTuple):
     gate_excess : (size, 9) float64
         Part of each row that teaches nothing: by how much an innovation exceeds the gate, or all of it where most of
         its variance is a shaken root's; else 0.
+    innovation : (size, 9) float64
+        Innovation of each row at the estimated bias parameters; 0 where the row was not used.
+    innovation_variance : (size, 9) float64
+        Its variance ``S`` as predicted, before any gate; 0 where the row was not used.
     """
 
     state: Floats
@@ -238,6 +243,8 @@ class History(NamedTuple):
     whitened_cross_cov: Floats
     static_m: Floats
     gate_excess: Floats
+    innovation: Floats
+    innovation_variance: Floats
 
 
 def make_history(size: int, states: int, parameters: int, rows: int) -> History:
@@ -253,4 +260,6 @@ def make_history(size: int, states: int, parameters: int, rows: int) -> History:
         whitened_cross_cov=np.zeros((size, rows, states)),
         static_m=np.zeros((size, 1 + parameters)),
         gate_excess=np.zeros((size, rows)),
+        innovation=np.zeros((size, rows)),
+        innovation_variance=np.zeros((size, rows)),
     )

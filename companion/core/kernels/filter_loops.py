@@ -149,7 +149,7 @@ def _filter_step(
         MAX_NOISE_INFLATION,
     )
     _innovation_covariance(const, model, epochs, k, work, count, noise_inflation)
-    _sum_innovation(one_and_bias, history.whitened_innovation, slot, work, count)
+    _sum_innovation(one_and_bias, history, slot, work, count)
     if not _cholesky_and_whiten(work, count, False):
         return False
     gated = _gate(const, epochs, k, filter_state, work, count, history.gate_excess, slot)
@@ -317,7 +317,8 @@ def _regress_on_prediction(
     for j in range(len(const.regressor_rows)):
         row = const.regressor_rows[j]
         if position[row] >= 0:
-            out[slot, position[row], const.regressor_columns[j]] += const.regressor_signs[j] * row_innovation[row]
+            source = const.regressor_sources[j]
+            out[slot, position[row], const.regressor_columns[j]] += const.regressor_signs[j] * row_innovation[source]
 
 
 @compiled_loops
@@ -385,13 +386,17 @@ def _cross_covariance(
 
 
 @compiled_loops
-def _sum_innovation(one_and_bias: Floats, rows: Floats, slot: int, work: _Workspace, count: int) -> None:
-    """Innovations at the estimated bias parameters, with their variances."""
+def _sum_innovation(one_and_bias: Floats, history: History, slot: int, work: _Workspace, count: int) -> None:
+    """Innovations at the estimated bias parameters, with their variances; they are noted in the history."""
+    for row in range(ROWS):
+        history.innovation[slot, row], history.innovation_variance[slot, row] = 0.0, 0.0
     for r in range(count):
         total = 0.0
         for j in range(len(one_and_bias)):
-            total += rows[slot, r, j] * one_and_bias[j]
+            total += history.whitened_innovation[slot, r, j] * one_and_bias[j]
         work.innovation[r], work.predicted_variance[r] = total, work.S[r, r]
+        row = work.used_rows[r]
+        history.innovation[slot, row], history.innovation_variance[slot, row] = total, work.S[r, r]
 
 
 @compiled_loops

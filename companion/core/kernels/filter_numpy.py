@@ -79,6 +79,8 @@ def _filter_step(
         MAX_NOISE_INFLATION,
     )
     S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation)[np.ix_(used, used)]
+    history.innovation[slot], history.innovation_variance[slot] = 0.0, 0.0
+    history.innovation[slot, used], history.innovation_variance[slot, used] = row_innovation, np.diag(S)
     cholesky = _cholesky(S)
     if cholesky is None:
         return False
@@ -259,8 +261,8 @@ def _measurement_noise(
 def _regress_on_prediction(const: FilterConstants, used: Ints, innovation: Floats, row_innovation: Floats) -> None:
     """Replace the measurement by its prediction in the sensitivities that contain it, in place."""
     position = {row: at for at, row in enumerate(used.tolist())}
-    for row, column, sign in zip(
-        const.regressor_rows.tolist(), const.regressor_columns.tolist(), const.regressor_signs, strict=True
-    ):
-        if row in position:
-            innovation[position[row], column] += sign * row_innovation[position[row]]
+    rows, columns, sources = const.regressor_rows, const.regressor_columns, const.regressor_sources
+    entries = zip(rows.tolist(), columns.tolist(), sources.tolist(), const.regressor_signs, strict=True)
+    for row, column, source, sign in entries:
+        if row in position and source in position:
+            innovation[position[row], column] += sign * row_innovation[position[source]]

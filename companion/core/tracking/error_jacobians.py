@@ -22,6 +22,7 @@ from companion.records import Bools, Floats, Ints
 _PLACES = ("root", "left", "right")
 _ERRORS = (*SENSOR_ERRORS, *ROOT_ERRORS)
 _KZ, _KY, _KP, _MX, _MY, _MZ, _TAU, _BP, _BR = range(len(_ERRORS))
+EARLIER = 3  # chosen, epochs: past the root's smoothing over three, and most of what the roll rate's estimate remembers
 _Z, _Y, _P, _P0 = Z_LEFT, Y_LEFT, P_LEFT, P_ROOT
 
 
@@ -106,16 +107,26 @@ def sensitivities(motion: SensedMotion, gains: Floats, present: Bools, columns: 
     return out
 
 
-def measured_regressors(layout: StateLayout) -> list[tuple[int, int, float]]:
-    """Row, column and sign of the sensitivities that contain the row's own measurement."""
-    regressors = []
+def measured_regressors(layout: StateLayout) -> list[tuple[int, int, int, float]]:
+    """Row, column, source row and sign of the sensitivities that contain the measurement of a source row.
+
+    A tip's roll rate contains the rigid one, measured by the root: see ``_earlier_less_present_roll``.
+    """
+    regressors: list[tuple[int, int, int, float]] = []
     for side, place in ((0, "left"), (1, "right")):
-        for error, row, sign in (("kz", Z_LEFT, 1.0), ("kz", Y_LEFT, -1.0), ("ky", Y_LEFT, 1.0), ("kp", P_LEFT, 1.0)):
+        z, y, p = _Z + side, _Y + side, _P + side
+        for error, row, source, sign in (
+            ("kz", z, z, 1.0),
+            ("kz", y, y, -1.0),
+            ("ky", y, y, 1.0),
+            ("kp", p, p, 1.0),
+            ("kp", p, _P0, -1.0),
+        ):
             column = layout.column(f"{place}.{error}")
             if column is not None:
-                regressors.append((row + side, column, sign))
+                regressors.append((row, column, source, sign))
     column = layout.column("root.kp")
-    return [*regressors, (P_ROOT, column, 1.0)] if column is not None else regressors
+    return [*regressors, (_P0, column, _P0, 1.0)] if column is not None else regressors
 
 
 @compiled
@@ -132,10 +143,11 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     x, y, z, p, q, r = tip[:, 0], tip[:, 1], tip[:, 2], tip[:, 3], tip[:, 4], tip[:, 5]
     dy, dz, dp = rate[:, 1], rate[:, 2], rate[:, 3]
     vertical, lateral, roll = _Z + side, _Y + side, _P + side
-    _set_column(out, vertical, columns[_KZ], z)
-    _set_column(out, lateral, columns[_KZ], -y * gain)
-    _set_column(out, lateral, columns[_KY], y * gain)
-    _set_column(out, roll, columns[_KP], p)
+    scaled_y, scaled_z = _with_earlier_rigid(motion, side, 1), _with_earlier_rigid(motion, side, 2)
+    _set_column(out, vertical, columns[_KZ], scaled_z)
+    _set_column(out, lateral, columns[_KZ], -scaled_y * gain)
+    _set_column(out, lateral, columns[_KY], scaled_y * gain)
+    _set_column(out, roll, columns[_KP], p + _earlier_less_present_roll(motion))
     _set_column(out, vertical, columns[_MX], -y)
     _set_column(out, lateral, columns[_MX], z * gain)
     _set_column(out, vertical, columns[_MY], x)
@@ -145,6 +157,34 @@ def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, colu
     _set_column(out, vertical, columns[_TAU], -dz)
     _set_column(out, lateral, columns[_TAU], -(dy - y * dz * np.abs(gain) * np.sign(z)) * gain)
     _set_column(out, roll, columns[_TAU], -dp)
+
+
+@compiled
+def _with_earlier_rigid(motion: SensedMotion, side: int, axis: int) -> Floats:
+    """Specific force of a tip whose rigid part is that of some epochs earlier, (n,).
+
+    The filter takes the innovation of the row, tip less rigid force, out of the regressor. The root's noise, which is
+    in that innovation, must then be in the regressor too, or the innovation is regressed on its own root noise: slope
+    factors grew and lateral and roll rate scales shrank by 2 % together.
+    """
+    tip, rigid = motion.tip[:, side, axis], motion.rigid[:, side, axis]
+    out = tip.copy()
+    out[EARLIER:] += rigid[:-EARLIER] - rigid[EARLIER:]
+    return out
+
+
+@compiled
+def _earlier_less_present_roll(motion: SensedMotion) -> Floats:
+    """Rigid roll rate as the root measured it some epochs earlier, less the present measurement, (n,).
+
+    The innovations of tip and root are taken out of the regressor: bending rate and earlier roll rate are left. The
+    state's roll rate is as noisy as 3 rad/s^2 of roll acceleration allow, which few aircraft have: on that noise,
+    which the innovations are full of, no scale may be regressed.
+    """
+    p = motion.omega[:, 0]
+    out = np.zeros(len(p))
+    out[EARLIER:] = p[:-EARLIER] - p[EARLIER:]
+    return out
 
 
 @compiled

@@ -197,6 +197,15 @@ class SeparatedBiasFilter:
         gate_excess: Floats = self.history.gate_excess[np.arange(self.steps - count, self.steps) % self.history_length]
         return gate_excess
 
+    def innovations(self, count: int) -> tuple[Floats, Floats]:
+        """Innovations of the newest ``count`` steps and their variances as predicted, (count, 9) each."""
+        slots = np.arange(self.steps - count, self.steps) % self.history_length
+        return self.history.innovation[slots], self.history.innovation_variance[slots]
+
+    def take_noise(self, sensor_variance: Floats) -> None:
+        """Go on with other variances of the rows, (9,)."""
+        self._constants = self._constants._replace(sensor_variance=sensor_variance.copy())
+
     def run(self, epochs: Epochs) -> None:
         """Filter a run of epochs."""
         first = 0
@@ -379,7 +388,8 @@ def _constants(
         common_bias_column=layout.column("bz") or 0,
         slope_factor_rows=np.array([row for row, _ in factors], np.int64),
         slope_factor_columns=np.array([column for _, column in factors], np.int64),
-        regressor_rows=np.array([row for row, _, _ in regressors], np.int64),
-        regressor_columns=np.array([column for _, column, _ in regressors], np.int64),
-        regressor_signs=np.array([sign for _, _, sign in regressors], np.float64),
+        regressor_rows=np.array([row for row, _, _, _ in regressors], np.int64),
+        regressor_columns=np.array([column for _, column, _, _ in regressors], np.int64),
+        regressor_sources=np.array([source for _, _, source, _ in regressors], np.int64),
+        regressor_signs=np.array([sign for _, _, _, sign in regressors], np.float64),
     )

@@ -13,7 +13,13 @@ import numpy as np
 
 from companion.core.kernels.arrays import Epochs
 from companion.core.kernels.compiled import compiled
-from companion.core.tracking.error_jacobians import SensedMotion, central_difference, error_columns, sensitivities
+from companion.core.tracking.error_jacobians import (
+    EARLIER,
+    SensedMotion,
+    central_difference,
+    error_columns,
+    sensitivities,
+)
 from companion.core.tracking.resampling import VERTICAL
 from companion.core.tracking.states import M_LEFT, P_LEFT, P_ROOT, ROWS, Y_LEFT, Z_LEFT, SensorNoise, StateLayout
 from companion.core.tracking.streams import CHANNELS, EpochAverages, SampleBuffer, StreamSamples, averages
@@ -26,6 +32,7 @@ _ROOT_NOISE_SIGMAS = 6.0  # chosen: of the root's epochs; smoothing removes more
 _TILT_FOR_LATERAL_ERROR = 0.05  # chosen, rad: tip slope by which a lateral error enters a vertical row
 _LATERAL, _ROLL = 1, 3  # channels
 _PADDING = 2  # derived: epochs at either end that central differences of smoothed values need
+_BEFORE = _PADDING + EARLIER  # derived: those of values some epochs earlier
 
 
 def without_gate_excess(epochs: Epochs, gate_excess: Floats) -> Epochs:
@@ -82,7 +89,7 @@ class MeasurementBuilder:
         until_ns = first_ns + step_ns * (count + _PADDING)
         at_root, at_left, at_right = (stream.plain(until_ns) for stream in (root, left, right))
         padded = _build_epochs(at_root, at_left, at_right, first_ns, step_ns, count, *fixed)
-        return padded.span(_PADDING, _PADDING + count)
+        return padded.span(_BEFORE, _BEFORE + count)
 
 
 class _RootNoise(NamedTuple):
@@ -131,8 +138,8 @@ def _build_epochs(
     error_columns: Ints,
     parameter_count: int,
 ) -> Epochs:
-    """Epochs with ``_PADDING`` more on either side, for derivatives and smoothing."""
-    edges_ns = first_ns + step_ns * np.arange(-_PADDING, count + _PADDING + 1)
+    """Epochs with ``_BEFORE`` and ``_PADDING`` more on either side, for derivatives and smoothing."""
+    edges_ns = first_ns + step_ns * np.arange(-_BEFORE, count + _PADDING + 1)
     at_root, at_left, at_right = averages(root, edges_ns), averages(left, edges_ns), averages(right, edges_ns)
     steady = _steady(at_root, noise.mps2_rthz, step_ns * 1e-9)
     averaged = _Averaged(

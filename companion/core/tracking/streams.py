@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.compiled import compiled, plain
+from companion.core.tracking.line_removal import LineStates, copied, line_states, remove_lines
+from companion.core.tracking.line_search import SampleRing
 from companion.core.tracking.resampling import (
     edge_aliasing,
     epoch_averages,
@@ -144,6 +146,8 @@ class SampleBuffer:
         Stamp of the newest sample that was refused as saturated.
     filtered : bool
         Whether the source low-passes its samples.
+    ring : SampleRing
+        What it has sent lately.
     """
 
     sensor: Sensor
@@ -153,12 +157,17 @@ class SampleBuffer:
     newest_ns: int | None = None
     saturated_ns: int | None = None
     filtered: bool = field(init=False)
+    ring: SampleRing = field(init=False)
+    _lines: LineStates | None = None
+    _clean_ns: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    _clean: Floats = field(default_factory=lambda: np.empty((0, CHANNELS)))
     _waiting: list[tuple[Ints, Floats]] = field(default_factory=list)
     _needed_ns: int = -(2**62)
     _range: Floats = field(init=False)
     _cutoff_hz: Floats = field(init=False)
     _period_ns: int = field(init=False)
     _noise_sigma: Floats = field(init=False)
+    _line_weight: Floats = field(init=False)
     _checked_ns: int = -(2**62)  # up to here it is known which samples contradict their neighbours
     _unreported_outliers: int = 0  # counted since the last report
 
@@ -168,6 +177,8 @@ class SampleBuffer:
         self._cutoff_hz = np.repeat([sensor.lowpass_accel_hz, sensor.lowpass_gyro_hz], 3)
         self._period_ns = round(1e9 / sensor.rate_hz)
         noise = np.repeat([sensor.accel_noise_mps2_rthz, sensor.gyro_noise_radps_rthz], 3)
+        self._line_weight = noise**-2.0
+        self.ring = SampleRing(sensor.rate_hz)
         self._noise_sigma = _RESIDUAL_SIGMAS * noise * np.sqrt(0.5 * sensor.rate_hz)
         self.filtered = sensor.lowpass_accel_hz > 0.0 or sensor.lowpass_gyro_hz > 0.0
 
@@ -264,11 +275,38 @@ class SampleBuffer:
     def plain(self, until_ns: int) -> StreamSamples:
         """Samples as plain arrays; those not yet tested for outliers only where no others reach ``until_ns``."""
         self._merge_waiting()
-        checked = int(np.searchsorted(self.t_ns, self._checked_ns, side="right"))
+        final = checked = int(np.searchsorted(self.t_ns, self._checked_ns, side="right"))
         if checked < 2 or self.t_ns[checked - 2] < until_ns:
             checked = len(self.t_ns)
         t_ns, values = self.t_ns[:checked], self.values[:checked]
+        self.ring.add(t_ns[:final], values[:final])
+        if self._lines is not None:
+            t_ns, values = self._without_lines(self._lines, t_ns, values, final)
         return StreamSamples(t_ns, values, self.sensor.rate_hz, self._cutoff_hz, self.filtered)
+
+    def follow_lines(self, frequencies_hz: list[float]) -> None:
+        """Take lines of these frequencies out from here on; the newest samples at hand tell their amplitudes."""
+        if not frequencies_hz:
+            self._lines = None
+            return
+        self._lines = line_states(np.array(frequencies_hz), self._line_weight)
+        self._clean_ns, values = self.ring.held()
+        self._clean = remove_lines(self._clean_ns, values, 0, 1.0 / self.sensor.rate_hz, self._lines)
+
+    def _without_lines(self, lines: LineStates, t_ns: Ints, values: Floats, final: int) -> tuple[Ints, Floats]:
+        """Samples at hand without lines; the first ``final`` are final, and the lines are followed through them."""
+        period_s = 1.0 / self.sensor.rate_hz
+        done = int(np.searchsorted(t_ns, self._clean_ns[-1], side="right")) if len(self._clean_ns) else 0
+        keep = int(np.searchsorted(self._clean_ns, t_ns[0])) if len(t_ns) else 0
+        self._clean_ns, self._clean = self._clean_ns[keep:], self._clean[keep:]
+        if final > done:
+            more = remove_lines(t_ns[:final], values[:final], done, period_s, lines)
+            self._clean_ns = np.concatenate((self._clean_ns, t_ns[done:final]))
+            self._clean = np.concatenate((self._clean, more))
+        tail = max(final, done)
+        rest = remove_lines(t_ns, values, tail, period_s, copied(lines))
+        held = np.isin(self._clean_ns, t_ns[:tail])
+        return np.concatenate((self._clean_ns[held], t_ns[tail:])), np.concatenate((self._clean[held], rest))
 
 
 def _name(batch: ImuBatch) -> str:

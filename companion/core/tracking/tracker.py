@@ -14,6 +14,7 @@ from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.estimates import mode_estimate, tip_estimate, tip_output_matrix
 from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.line_search import KnownLines
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
 from companion.core.tracking.parameters import (
     COHERENCE,
@@ -28,6 +29,7 @@ from companion.core.tracking.parameters import (
 )
 from companion.core.tracking.prediction import Forecast, Forecaster
 from companion.core.tracking.rigid_body import MeasurementBuilder, join, without_gate_excess
+from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.smoother import smooth_between
 from companion.core.tracking.states import make_layout, make_noise
 from companion.core.tracking.streams import SampleBuffer
@@ -37,7 +39,7 @@ from companion.params.settings import Settings
 from companion.records import Deflection, Floats, ImuBatch, ModeState, Reject, Rejected, Station, Validity
 
 _HISTORY_S = 1.0  # chosen: longest lag of the smoother; images arrive within it
-_MAX_EPOCHS = 250  # chosen: averaged at once, bounds memory after a pause
+_MAX_EPOCHS = 250  # chosen: averaged at once, bounds memory after a pause; then lines are searched for
 _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the last saturated sample
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _MAX_GATED_RATIO = 0.2  # chosen: where more epochs are gated, the wing really moves so
@@ -77,6 +79,7 @@ class WingTracker:
         self._start_ns: int | None = None
         self._reopened_ns = 0
         self._next_ns = 0
+        self._lines = KnownLines()
         self._rows = tip_output_matrix(self._layout, slope_rows(self._layout))
         self._validity = Validity.SETTLING
         self._restart()
@@ -84,6 +87,7 @@ class WingTracker:
     def _restart(self) -> None:
         """Start again at the airframe's beliefs."""
         self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
+        self._row_noise = RowNoise(self._noise.sensor_variance)
         self._kalman = self._fresh(self._model(self._adaptation.parameters))
         self._refused = False  # whether the last parameters made the measurements inconsistent
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
@@ -138,8 +142,10 @@ class WingTracker:
         until_ns = now_host_ns - round(self._settings.reorder_window_s * 1e9)
         if self._start_ns is None and not self._begin(until_ns):
             return None
-        while (count := min((until_ns - self._next_ns) // self._step_ns, _MAX_EPOCHS)) > 0:
+        while (count := min((until_ns - self._next_ns) // self._step_ns, self._until_search())) > 0:
             self._process(int(count))
+            if self._until_search() == _MAX_EPOCHS:
+                self._search_lines()
         if not self._body_rates:
             return None
         self._validity = self._classify(now_host_ns)
@@ -155,6 +161,21 @@ class WingTracker:
         self._start_ns = (first // self._step_ns + 2) * self._step_ns
         self._next_ns = self._start_ns
         return self._next_ns < until_ns
+
+    def _until_search(self) -> int:
+        """Number of epochs to the next search for lines, at most ``_MAX_EPOCHS``."""
+        steps = self._next_ns // self._step_ns
+        return int(_MAX_EPOCHS - steps % _MAX_EPOCHS)
+
+    def _search_lines(self) -> None:
+        """Follow the lines that the samples show; what was filtered with a line in it is filtered no more."""
+        before = self._lines.frequencies_hz
+        new = self._lines.search([stream.ring for stream in self._streams], self._next_ns)
+        if self._lines.frequencies_hz != before:
+            for stream in self._streams:
+                stream.follow_lines(self._lines.frequencies_hz)
+        if new and self._adaptation.early:
+            self._restart()
 
     def _process(self, count: int) -> None:
         """Filter the next ``count`` epochs and adapt the parameters."""
@@ -202,6 +223,7 @@ class WingTracker:
         They are tried on what was measured since the trial filter was forked: everything in the first seconds, later
         the epochs since the last fit.
         """
+        self._learn_noise()
         model = self._model(self._adaptation.parameters)
         early = self._adaptation.refilter
         if early or not _alike(model.parameters, self._kalman.model.parameters):
@@ -219,6 +241,14 @@ class WingTracker:
         if not self._adaptation.early:
             self._mark()
 
+    def _learn_noise(self) -> None:
+        """Take the rows' noise from the innovations of the last second."""
+        count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
+        innovation, predicted = self._kalman.innovations(count)
+        self._row_noise.learn(innovation, predicted, self._kalman.gate_excess(count) != 0.0)
+        for kalman in (self._kalman, self._trial_filter):
+            kalman.take_noise(self._row_noise.variance)
+
     def _mark(self) -> None:
         """Fork the filter on which the next parameters are tried."""
         self._trial_epochs.clear()
@@ -232,9 +262,11 @@ class WingTracker:
     def _fresh(self, model: DiscreteWingModel) -> SeparatedBiasFilter:
         """Filter at its prior."""
         wing = self._airframe.wing
-        return SeparatedBiasFilter(
+        kalman = SeparatedBiasFilter(
             self._layout, self._noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, self._keep
         )
+        kalman.take_noise(self._row_noise.variance)
+        return kalman
 
     # ------------------------------------------------------------------------------------------ out
 

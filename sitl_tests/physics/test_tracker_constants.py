@@ -1,0 +1,54 @@
+"""What the filter says of its own constants in level flight: slope factors are where they say they are."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from companion.core.tracking.tracker import WingTracker
+from companion.params.settings import Settings
+from sitl_tests.reference.imu import EPOCH_HOST_NS, chunks, samples
+from sitl_tests.reference.spec import SensorSpec, TruthSpec
+from sitl_tests.reference.truth import simulate
+from tools.bench.accuracy_belief import believed_airframe
+from tools.bench.accuracy_cases import Cell, cells
+
+
+def ten_hertz() -> Cell:
+    """A 10 Hz wing in level flight whose sensors' errors the airframe believes to be half a percent."""
+    return next(cell for cell in cells("priors", 7, 30.0) if cell.spec.symmetric.frequency_hz == 10.0)
+
+
+def without_errors(spec: TruthSpec) -> TruthSpec:
+    """The same flight with ideal scales, mountings and clocks."""
+
+    def ideal(sensor: SensorSpec) -> SensorSpec:
+        return dataclasses.replace(
+            sensor, accel_scale_sigma=0.0, gyro_scale_sigma=0.0, misalignment_sigma_rad=0.0, time_offset_sigma_s=0.0
+        )
+
+    sensors = {place: ideal(getattr(spec, place)) for place in ("root", "left", "right")}
+    return dataclasses.replace(spec, trim_sigma_m=0.0, bend_per_g_sigma_m=0.0, **sensors)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slope_sigma_ratio", [0.0, 0.01])
+def test_slope_factors_do_not_slide_with_the_scales(slope_sigma_ratio: float) -> None:
+    """Scale errors of root noise regressed on itself once moved both slope factors by 1.8 %, ten times their sigma."""
+    cell = ten_hertz()
+    truth = dataclasses.replace(without_errors(cell.spec), slope_sigma_ratio=slope_sigma_ratio)
+    run = simulate(truth, (cell.seeds[0],))
+    tracker = WingTracker(believed_airframe(cell.spec, cell.seeds[0], cell.perturbation), Settings())
+    for end_s, batches in chunks(run, samples(run), 0, np.arange(0.1, truth.duration_s, 0.05).tolist()):
+        for batch in batches:
+            tracker.add(batch)
+        tracker.process_until(EPOCH_HOST_NS + round(end_s * 1e9))
+    layout, kalman = tracker._layout, tracker._kalman
+    for mode, name in enumerate(("slope.symmetric", "slope.antisymmetric")):
+        at = layout.bias_parameters.index(name)
+        error = kalman.bias_parameters[at] - run.errors.slope_ratio[0][mode] * cell.spec.modes[mode].slope_radpm
+        sigma = np.sqrt(kalman.bias_parameter_covariance[at, at])
+        assert abs(error) < 3.0 * sigma
+        assert sigma < 0.0139, "no more than the prior"

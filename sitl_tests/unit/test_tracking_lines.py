@@ -1,0 +1,116 @@
+"""Lines of motors and propellers: found, told from modes, taken out of the samples, the wing's motion left alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.tracking.line_removal import line_states, remove_lines
+from companion.core.tracking.line_search import SampleRing, find_lines
+from companion.records import Floats, Ints
+
+RATE_HZ = 1000.0
+WEIGHT = np.ones(6)
+NOISE_MPS2 = 0.016  # of a sample of an ICM-42688: 70 ug/sqrt(Hz)
+
+
+def stamps(seconds: float) -> Ints:
+    return np.asarray(np.arange(round(seconds * RATE_HZ)) * 1_000_000, dtype=np.int64)
+
+
+def wing(t_s: Floats) -> Floats:
+    """Vertical force of a wing at 5 Hz and 5 m/s^2 under gravity, m/s^2."""
+    return np.asarray(-9.81 + 5.0 * np.cos(2.0 * np.pi * 5.0 * t_s))
+
+
+def samples(t_ns: Ints, vertical: Floats) -> Floats:
+    noise = NOISE_MPS2 * np.random.default_rng(1).standard_normal((len(t_ns), 6))
+    noise[:, 2] += vertical
+    return noise
+
+
+def found_in(vertical: Floats, t_ns: Ints) -> list[float]:
+    ring = SampleRing(RATE_HZ)
+    ring.add(t_ns, samples(t_ns, vertical))
+    return find_lines([ring], int(t_ns[-1]) + 1)
+
+
+def wandering(t_s: Floats, frequency_hz: float, by_hz: float) -> Floats:
+    """Phase of a line whose frequency swings by ``by_hz`` within four seconds, rad."""
+    return np.asarray(2.0 * np.pi * frequency_hz * t_s + by_hz * 4.0 * np.sin(2.0 * np.pi * t_s / 4.0))
+
+
+def test_a_line_is_found_where_it_is() -> None:
+    t_ns = stamps(2.5)
+    t_s = t_ns * 1e-9
+    (frequency_hz,) = found_in(wing(t_s) + 0.05 * np.cos(2.0 * np.pi * 98.33 * t_s), t_ns)
+    assert frequency_hz == pytest.approx(98.33, abs=0.05)
+
+
+def test_a_line_whose_rpm_wanders_is_found() -> None:
+    t_ns = stamps(2.5)
+    t_s = t_ns * 1e-9
+    (frequency_hz,) = found_in(wing(t_s) + 0.5 * np.cos(wandering(t_s, 80.0, 0.3)), t_ns)
+    assert frequency_hz == pytest.approx(80.0, abs=0.7)
+
+
+def test_a_wing_without_motors_has_no_line() -> None:
+    t_ns = stamps(2.5)
+    assert found_in(wing(t_ns * 1e-9), t_ns) == []
+
+
+def test_a_lightly_damped_mode_is_no_line() -> None:
+    """White load through one percent of damping at 70 Hz: a peak 1.4 Hz wide, 30 dB above its surroundings."""
+    t_ns = stamps(6.0)
+    ratio, omega = 0.01, 2.0 * np.pi * 70.0 / RATE_HZ
+    alone = 0
+    for seed in range(8):
+        load, response = np.random.default_rng(seed).standard_normal(len(t_ns)), np.zeros(len(t_ns))
+        for k in range(2, len(t_ns)):
+            decay = np.exp(-ratio * omega)
+            response[k] = load[k] + 2.0 * decay * np.cos(omega) * response[k - 1] - decay**2 * response[k - 2]
+        alone += len(found_in(0.05 * response + wing(t_ns * 1e-9), t_ns))
+    assert alone <= 1, "two seconds hold some eight independent envelopes: one of them may look steady"
+
+
+@pytest.mark.parametrize("lines", [(80.0,), (80.0, 160.0)])
+def test_lines_leave_the_samples_and_the_wing_stays(lines: tuple[float, ...]) -> None:
+    t_ns = stamps(6.0)
+    t_s = t_ns * 1e-9
+    line = sum((2.0 * np.cos(k + wandering(t_s, f, 0.3)) for k, f in enumerate(lines)), np.zeros(len(t_s)))
+    dirty, clean = samples(t_ns, wing(t_s) + line), samples(t_ns, wing(t_s))
+    states = line_states(np.array(lines), WEIGHT)
+    left = (remove_lines(t_ns, dirty, 0, 1.0 / RATE_HZ, states) - clean)[1000:, 2]
+    assert np.std(left) < 0.15 * np.std(line)
+    slow = np.exp(-2j * np.pi * 5.0 * t_s[1000:]) @ left * 2.0 / len(left)
+    assert abs(slow) < 1e-3 * 5.0
+    assert abs(left.mean()) < 1e-3
+
+
+def test_the_spacing_of_calls_changes_nothing() -> None:
+    t_ns = stamps(1.0)
+    values = samples(t_ns, np.cos(2.0 * np.pi * 80.0 * t_ns * 1e-9))
+    at_once = remove_lines(t_ns, values, 0, 1.0 / RATE_HZ, line_states(np.array([80.0]), WEIGHT))
+    states, parts = line_states(np.array([80.0]), WEIGHT), []
+    for first in range(0, 1000, 37):
+        end = min(first + 37, 1000)
+        parts.append(remove_lines(t_ns[:end], values[:end], first, 1.0 / RATE_HZ, states))
+    assert np.array_equal(np.concatenate(parts), at_once)
+
+
+def test_a_lie_and_a_gap_do_not_unlock_it() -> None:
+    t_ns = stamps(4.0)
+    line = np.cos(2.0 * np.pi * 80.0 * t_ns * 1e-9)
+    values = samples(t_ns, line)
+    values[2000, 2] += 1e6
+    sent = (t_ns < 3_000_000_000) | (t_ns >= 3_050_000_000)
+    left = remove_lines(t_ns[sent], values[sent], 0, 1.0 / RATE_HZ, line_states(np.array([80.0]), WEIGHT))[:, 2]
+    assert np.std(left[2010:2200]) < 0.1
+    assert np.std(left[3000:]) < 0.1
+
+
+def test_an_axis_that_is_not_sent_has_no_line() -> None:
+    t_ns = stamps(2.5)
+    ring = SampleRing(RATE_HZ)
+    ring.add(t_ns, np.zeros((len(t_ns), 6)))
+    assert find_lines([ring], int(t_ns[-1]) + 1) == []
