@@ -3,10 +3,12 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.stamp
+NATIVE := companion/native
+READY  := $(NATIVE)/kernels.so
 SECONDS ?= 120
 WAITING := sitl_tests/loop/test_missions.py
 
-.PHONY: demo test long check warm fuzz fast lint types architecture generated bench trials lock clean help
+.PHONY: demo test long check native warm fuzz fast lint types architecture generated bench trials lock clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -18,49 +20,55 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
-demo: $(STAMP)   ## fly the simulated aircraft and the service in lock-step and show the ranges
+$(READY): $(wildcard $(NATIVE)/*.[ch]) setup.py $(STAMP)
+	$(BIN)/python setup.py -q build_ext --inplace
+	@touch $@
+
+demo: $(READY)   ## fly the simulated aircraft and the service in lock-step and show the ranges
 	$(BIN)/spanwise demo
 
-test: $(STAMP)   ## the tests; those that start live processes come last: those that mostly wait side by side, then the others alone
+test: $(READY)   ## the tests; those that start live processes come last: those that mostly wait side by side, then the others alone
 	$(BIN)/python -m pytest -n 2 -m "not realtime and not long"
 	$(BIN)/python -m pytest -n 3 -m "realtime and not long" $(WAITING)
 	$(BIN)/python -m pytest -m "realtime and not long" --ignore $(WAITING)
 
-long: $(STAMP)   ## what takes minutes of processor time each: live demo, fault flights, blind trials, measured wings
+long: $(READY)   ## what takes minutes of processor time each: live demo, fault flights, blind trials, measured wings
 	$(BIN)/python -m pytest -m long
 
 check: lint types generated fast ## what must be green before a commit (under two minutes)
 
-lint: $(STAMP)   ## ruff
+lint: $(READY)   ## ruff
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(STAMP)  ## mypy --strict on companion/
+types: $(READY)  ## mypy --strict on companion/
 	$(BIN)/mypy
 
-architecture: $(STAMP) ## the import table, purity of the core, no stray clocks
+architecture: $(READY) ## the import table, purity of the core, no stray clocks
 	$(BIN)/python -m pytest sitl_tests/architecture
 
-generated: $(STAMP) ## generated files are fresh
+generated: $(READY) ## generated files are fresh
 	$(BIN)/spanwise params --check
 
-fast: $(STAMP)
+fast: $(READY)
 	$(BIN)/python -m pytest -n 2 -m "not slow and not realtime and not long"
 
-warm: $(STAMP)   ## compile the inner loops ahead of their first use
+native: $(READY) ## compile the inner loops in C (setup.py)
+
+warm: $(READY)   ## compile the inner loops ahead of their first use
 	$(BIN)/python -c 'from companion.core.warmup import warm_up; from companion.params.files import load_airframe; from companion.params.settings import Settings; warm_up(load_airframe("nadir-2m"), Settings())'
 
-bench: $(STAMP)  ## speed, memory and accuracy figures, side by side with the alternatives
+bench: $(READY)  ## speed, memory and accuracy figures, side by side with the alternatives
 	$(BIN)/python -m tools.bench
 
-fuzz: $(STAMP)   ## hostile inputs to every reader, the decoder and the service for SECONDS=120; findings stay in out/fuzz
+fuzz: $(READY)   ## hostile inputs to every reader, the decoder and the service for SECONDS=120; findings stay in out/fuzz
 	$(BIN)/python -m sitl_tests.fuzz --seconds $(SECONDS) --jobs 2
 
-trials: $(STAMP) ## blind trials of the diagnosis: table and confusion matrix in out/trials
+trials: $(READY) ## blind trials of the diagnosis: table and confusion matrix in out/trials
 	$(BIN)/python -m tools.trials
 
 lock: $(STAMP)   ## pin every dependency with its hashes (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header --extra all --extra dev -q pyproject.toml requirements-build.in -o requirements.lock
 
 clean:
-	rm -rf $(VENV) out build *.egg-info
+	rm -rf $(VENV) out build *.egg-info $(READY)

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import functools
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
+
+try:
+    import companion.native.library
+except Exception:  # missing, or older than its sources
+    ROOT = Path(__file__).resolve().parents[1]
+    subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--inplace"], cwd=ROOT, check=True)
+    import companion.native.library  # noqa: F401
 
 # the first call may have to compile, and a shared machine may stop for seconds: time is no verdict
 settings.register_profile("spanwise", deadline=None)

@@ -20,15 +20,20 @@ TEXTS = [
 NAMES = {Path(name).name for name in SHIPPED}
 FOLDERS = {str(parent) for name in SHIPPED for parent in Path(name).parents}
 
-# what our programs write, and what a test invents
-WRITTEN = {"report.md", "notes.md", "companion/core/wing/effects/damping/cubic_damping.py"}
+# what our programs and the build write, and what a test invents
+WRITTEN = {
+    "report.md",
+    "notes.md",
+    "companion/native/kernels.so",
+    "companion/core/wing/effects/damping/cubic_damping.py",
+}
 # papers and trackers of the workshop, which a reader of the repository does not have
 UNSHIPPED = re.compile(r"\b(?:DESIGN|FACTS|GLOSSARY|BRIEF)\b|\b[Ii]ssue #?\d+\b")
 
 _PAGE = re.compile(r"(?<![\w/])[\w./-]*[\w-]\.md\b")
 _PATH = re.compile(
     r"(?<![\w/.~<{-])(?:companion|sitl_tests|tools|config|mission_scripts)(?:/[\w*-]+)+"
-    r"(?:\.(?:py|md|toml|c|h|png|html\.j2|html|css|service|rules))?(?![\w<{])"
+    r"(?:\.(?:py|md|toml|c|h|so|png|html\.j2|html|css|service|rules))?(?![\w<{])"
 )
 _MODULE = re.compile(
     r":(?:mod|class|func|data|meth|attr):`~?((?:companion|mission_scripts|tools|sitl_tests)(?:\.\w+)+)`"

@@ -25,12 +25,13 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.rate_limiter": (frozenset(), frozenset()),
     "companion.params": (frozenset({"params", "errors", "records"}), frozenset()),
     "companion.lifetime": (frozenset(), frozenset()),
+    "companion.native": (frozenset({"native", "errors"}), frozenset({"numpy"})),
     "companion.ports": (frozenset({"records", "errors"}), frozenset()),
-    "companion.core": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy"})),
+    "companion.core": (frozenset({"core", "native", "records", "errors", "params"}), frozenset({"numpy", "scipy"})),
     # the optional accelerator, in one file
     "companion.core.kernels.compiled": (frozenset(), frozenset({"numba"})),
     "companion.core.stereo": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy", "cv2"})),
-    "companion.adapters": (frozenset({"adapters", "lifetime", "ports", "records", "errors", "params"}), ANY),
+    "companion.adapters": (frozenset({"adapters", "native", "lifetime", "ports", "records", "errors", "params"}), ANY),
     "companion.sim": (
         frozenset(
             {

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder
+from companion.adapters.mavlink.decode.bulk import BulkDecoder
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.link.dialect import build_message
 from companion.adapters.mavlink.link.scan import Scanner, sender
@@ -99,7 +99,7 @@ class DecoderTarget:
 
 def _same_frames(data: bytes) -> None:
     expected = stepping_oracle(data)
-    for bulk in (None, BulkDecoder(())) if COMPILED else (None,):
+    for bulk in (None, BulkDecoder(())):
         accepted = [
             f"{system}/{component} {message} {build_message(message, payload).to_dict()!r}"
             for key, payload in Scanner(bulk).scan(data).frames

@@ -12,15 +12,12 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
 from pymavlink.generator.mavcrc import x25crc
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder
+from companion.adapters.mavlink.decode.bulk import BulkDecoder
 from companion.adapters.mavlink.link.dialect import build_message
 from companion.adapters.mavlink.link.scan import Scanner, sender
 
 IDS = sorted(ardupilotmega.mavlink_map)
-WAYS = [
-    "plain",
-    pytest.param("compiled", marks=pytest.mark.skipif(not COMPILED, reason="nothing is compiled without numba")),
-]
+WAYS = ["plain", "compiled"]
 FLUSH = bytes(300)  # longer than any frame, so that no candidate at the end is left waiting
 
 

@@ -20,6 +20,7 @@ _LOOK = """
 import companion
 from companion.params.files import shipped_airframes, load_airframe
 from companion.adapters.recordings.tables.mapping import shipped_mappings, load_mapping
+import companion.adapters.mavlink.decode.bulk
 print(companion.__file__)
 print(*(load_airframe(name).name for name in shipped_airframes()))
 print(len([load_mapping(name) for name in shipped_mappings()]))
@@ -47,6 +48,9 @@ def test_the_wheel_installs_one_package_with_its_configuration_inside(wheel: Pat
     assert {top for top in tops if not top.endswith(".dist-info")} == {"companion"}
     ours = {str(path.relative_to(ROOT)) for path in (ROOT / "companion").rglob("*.py")}
     assert ours <= set(names)
+    assert "companion/native/kernels.so" in names
+    assert wheel.name.split("-")[2:4] == ["py3", "none"], "it serves every Python 3"
+    assert not wheel.name.endswith("any.whl"), "of this platform"
     templates = {str(path.relative_to(ROOT)) for path in (ROOT / "companion/reporting/templates").iterdir()}
     assert "companion/reporting/templates/page.html.j2" in templates
     assert templates <= set(names)

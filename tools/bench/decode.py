@@ -14,7 +14,7 @@ from typing import Any
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder
+from companion.adapters.mavlink.decode.bulk import BulkDecoder
 from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.adapters.mavlink.link.link import CHUNK_BYTES, Link
 from companion.adapters.mavlink.link.scan import Scanner
@@ -87,7 +87,7 @@ def _decode_all(chunks: list[RawChunk]) -> int:
 
 
 def _scan_all(data: bytes) -> int:
-    scanner = Scanner(BulkDecoder(()) if COMPILED else None)
+    scanner = Scanner(BulkDecoder(()))
     for start in range(0, len(data), CHUNK_BYTES):
         scanner.scan(data[start : start + CHUNK_BYTES])
     return scanner.counters.frames

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder, SampleRun
+from companion.adapters.mavlink.decode.bulk import BulkDecoder, SampleRun
 from companion.adapters.mavlink.decode.counters import RefusalCounters
 from companion.adapters.mavlink.decode.inertial import StationReader
 from companion.adapters.mavlink.decode.layouts import LAYOUTS, TUNNEL_IMU_TYPE
@@ -96,7 +96,7 @@ class Decoder:
         for source in self.mapping.sources:
             reader = StationReader(source, self._reset_detector, self.refusals)
             self._readers.setdefault((source.message, source.component), []).append(reader)
-        self._bulk = BulkDecoder(self.mapping.sources) if COMPILED else None
+        self._bulk = BulkDecoder(self.mapping.sources)
 
     @property
     def system_id(self) -> int | None:

@@ -1,8 +1,8 @@
 """Finds MAVLink frames in bulk: header scan, CRC of every known message id, one byte forward on failure.
 
 pymavlink's parser makes an object of every message, which costs several times this scan at sensor rates
-(``python -m tools.bench decode``); tests hold both to the same frames. The scan exists twice:
-:mod:`companion.adapters.mavlink.decode.bulk` is compiled, and the one here runs where that cannot be.
+(``python -m tools.bench decode``); tests hold both to the same frames. The scan exists twice: the compiled one of
+:mod:`companion.adapters.mavlink.decode.bulk` reads samples as it goes, the one here gives frames alone.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from fastcrc.crc16 import mcrf4xx
 
-from companion.adapters.mavlink.decode.bulk import COMPILED, BulkDecoder, SampleRun, seek
+from companion.adapters.mavlink.decode.bulk import BulkDecoder, SampleRun, seek
 from companion.adapters.mavlink.link.dialect import CRC_EXTRA, payload_size
 
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
@@ -67,7 +67,7 @@ class Scanner:
     Parameters
     ----------
     bulk
-        The compiled scan, where there is one.
+        The compiled scan, where samples are to be read in bulk.
     """
 
     def __init__(self, bulk: BulkDecoder | None = None) -> None:
@@ -164,18 +164,7 @@ class Scanner:
 
 def next_frame(buffer: bytes, start: int) -> int:
     """The next place from ``start`` on with a whole frame, or one that is not complete; the end where there is none."""
-    if COMPILED:
-        return seek(buffer, start)
-    at, end = next_candidate(buffer, start), len(buffer)
-    while at < end and frame_end(buffer, at) < INCOMPLETE:
-        at = next_candidate(buffer, at + 1)
-    return at
-
-
-def next_candidate(buffer: bytes, start: int) -> int:
-    """The next place from ``start`` on where a frame may begin; the buffer's end where there is none."""
-    candidate = _CANDIDATE.search(buffer, start)
-    return candidate.start() if candidate else len(buffer)
+    return seek(buffer, start)
 
 
 def frame_end(buffer: bytes, start: int) -> int:

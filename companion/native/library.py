@@ -1,0 +1,99 @@
+"""The library of the inner loops: loaded once, checked, its functions declared by those who call them.
+
+A kernel takes arrays as they are (:data:`ARRAY`), integers, reals, and named tuples of these as one :func:`packed`
+record. It allocates nothing that it returns, and refuses an array of other elements, of other dimensions or with gaps.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from companion.errors import SpanwiseError
+from companion.native.digest import sources_digest
+
+ARRAY, INTEGER, REAL, RECORD = ctypes.py_object, ctypes.c_int64, ctypes.c_double, ctypes.c_char_p
+_HERE = Path(__file__).resolve().parent
+_BAD_ARRAY, _NO_MEMORY = -1, -2
+_BUILD = "`make native` builds it in a checkout, `pip install --force-reinstall spanwise` elsewhere"
+
+
+class NativeLibraryError(SpanwiseError):
+    """The library of the inner loops is missing, is older than its sources, or does not fit this Python."""
+
+
+def kernel(name: str, *arguments: Any) -> Callable[..., int]:
+    """Function of the library with arguments of these kinds; it raises where the kernel refuses an array."""
+    function: Any = getattr(_LIBRARY, name)
+    function.argtypes, function.restype, function.errcheck = arguments, INTEGER, _checked
+    return function  # type: ignore[no-any-return]
+
+
+def packed(record: type[Any]) -> Callable[[Any], bytes]:
+    """Function that lays out a named tuple of arrays, integers and reals as the C structure of the same members.
+
+    A member that is a named tuple itself is laid out in its place. The bytes hold addresses of the arrays: the tuple
+    must outlive the call.
+    """
+    code = _codes(record)
+    nested = any(isinstance(each, list) for each in code)
+    kinds = _flat_codes(code)
+    pack, is_array = struct.Struct("=" + "".join(kinds)).pack, [kind == "Q" for kind in kinds]
+    if all(is_array) and not nested:
+        return lambda values: pack(*map(id, values))
+
+    def laid_out(values: Any) -> bytes:
+        members = _flat(values) if nested else values
+        return pack(*[id(value) if array else value for value, array in zip(members, is_array, strict=True)])
+
+    return laid_out
+
+
+def _codes(record: type[Any]) -> list[Any]:
+    """Code of each member of a named tuple for :mod:`struct`; a list for a nested one."""
+    scalars = {int: "q", bool: "q", float: "d"}
+    return [
+        _codes(kind) if hasattr(kind, "_fields") else scalars.get(kind, "Q") for kind in get_type_hints(record).values()
+    ]
+
+
+def _flat_codes(codes: list[Any]) -> list[str]:
+    return [each for code in codes for each in (_flat_codes(code) if isinstance(code, list) else [code])]
+
+
+def _flat(values: Any) -> list[Any]:
+    """Members of a named tuple, those of nested ones in their place."""
+    return [each for value in values for each in (_flat(value) if hasattr(value, "_fields") else [value])]
+
+
+def _checked(result: int, function: Any, _: Any) -> int:
+    if result == _BAD_ARRAY:
+        raise TypeError(f"{function.__name__}: an array of other elements or dimensions, or with gaps between them")
+    if result == _NO_MEMORY:
+        raise MemoryError(function.__name__)
+    return result
+
+
+def _load() -> Any:
+    path = _HERE / "kernels.so"
+    try:
+        library = ctypes.PyDLL(str(path))
+    except OSError as error:
+        problem = f"does not load ({error})" if path.exists() else "is missing"
+        raise NativeLibraryError(f"the compiled library {path} {problem}: {_BUILD}") from error
+    library.sources_digest.restype = ctypes.c_char_p
+    if sources_digest(_HERE) not in (None, library.sources_digest().decode()):
+        raise NativeLibraryError(f"the compiled library {path} is not of the sources beside it: {_BUILD}")
+    probe = np.empty((3, 5))
+    library.layout_agrees.argtypes = (ARRAY, INTEGER)
+    if not library.layout_agrees(probe, probe.ctypes.data):
+        raise NativeLibraryError("this Python or numpy lays out its arrays in a way that the library does not know")
+    return library
+
+
+_LIBRARY = _load()
