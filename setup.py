@@ -26,6 +26,11 @@ FLAGS = ("-std=c11", "-O3", "-fno-fast-math", "-ffp-contract=off", "-fPIC", "-fv
 WARNINGS = ("-Wall", "-Wextra", "-Wno-unknown-pragmas")
 
 
+def files(pattern: str) -> list[str]:
+    """Give the library's files of a kind."""
+    return [str(path.relative_to(ROOT)) for path in sorted((ROOT / NATIVE).glob(pattern))]
+
+
 def installed_compiler() -> list[str] | None:
     """Give the command of a C compiler of this machine; None without one."""
     if os.environ.get("CC"):
@@ -82,7 +87,8 @@ class PlatformWheel(bdist_wheel):
 setup(
     packages=[*find_packages(include=["companion*"]), "companion.config"],
     package_dir={"companion.config": "config"},
-    ext_modules=[Extension("companion.native.kernels", [str(path) for path in sorted(NATIVE.glob("*.c"))])],
+    exclude_package_data={"companion.native": ["*.c", "*.h"]},
+    ext_modules=[Extension("companion.native.kernels", files("*.c"), depends=files("*.h"))],
     cmdclass={"build_ext": BuildNative, "bdist_wheel": PlatformWheel},
     setup_requires=[] if installed_compiler() else ["ziglang"],
 )

@@ -1,4 +1,4 @@
-"""By what a library is known that is older than its sources; the build runs this file alone."""
+"""Digest by which a library older than its sources is known; the build runs this file alone."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(ROOT / folder, tree / folder, ignore=ignored)
     for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tree)
-    (tree / "companion/native/wrong.c").write_text(_WRONG)
+    (tree / "companion" / "native" / "wrong.c").write_text(_WRONG)
     return tree
 
 
