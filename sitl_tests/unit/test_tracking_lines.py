@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.core.tracking.line_removal import line_states, remove_lines
-from companion.core.tracking.line_search import SampleRing, find_lines
+from companion.core.tracking.line_search import KnownLines, SampleRing, find_lines
 from companion.records import Floats, Ints
 
 RATE_HZ = 1000.0
@@ -114,3 +114,49 @@ def test_an_axis_that_is_not_sent_has_no_line() -> None:
     ring = SampleRing(RATE_HZ)
     ring.add(t_ns, np.zeros((len(t_ns), 6)))
     assert find_lines([ring], int(t_ns[-1]) + 1) == []
+
+
+def test_a_line_stays_in_lock_when_rpm_jumps() -> None:
+    """From 85 to 93 Hz and back within 0.6 s each, as a pull-up's throttle does it; the harmonic goes with it."""
+    t_ns = stamps(6.0)
+    t_s = t_ns * 1e-9
+    shaft_hz = 85.0 + 8.0 * np.clip((t_s - 2.0) / 0.6, 0.0, 1.0) - 8.0 * np.clip((t_s - 4.0) / 0.6, 0.0, 1.0)
+    turn_rad = 2.0 * np.pi * np.cumsum(shaft_hz) / RATE_HZ
+    line = 2.0 * np.cos(turn_rad) + np.cos(2.0 * turn_rad + 1.0)
+    dirty, clean = samples(t_ns, wing(t_s) + line), samples(t_ns, wing(t_s))
+    states = line_states(np.array([85.0, 170.0]), WEIGHT)
+    residual = (remove_lines(t_ns, dirty, 0, 1.0 / RATE_HZ, states) - clean)[1000:, 2]
+    blocks = np.std(residual.reshape(-1, 500), axis=1)
+    assert np.all(blocks < 0.15 * np.std(line))
+
+
+def known_after(*searches_hz: tuple[float, ...], followed_hz: dict[int, float] | None = None) -> dict[int, float]:
+    """Known lines after searches of two-second windows with these steady lines."""
+    known = KnownLines()
+    for lines in searches_hz:
+        t_ns = stamps(2.5)
+        vertical = sum((np.cos(2.0 * np.pi * f * t_ns * 1e-9) for f in lines), wing(t_ns * 1e-9))
+        ring = SampleRing(RATE_HZ)
+        ring.add(t_ns, samples(t_ns, vertical))
+        known.search([ring], int(t_ns[-1]) + 1, followed_hz or {})
+    return known.frequency_hz
+
+
+def test_a_peak_near_a_followed_line_is_that_line() -> None:
+    assert known_after((85.0,), (88.5,)) == {0: pytest.approx(85.0, abs=0.1)}
+
+
+def test_a_line_found_elsewhere_twice_begins_anew() -> None:
+    assert known_after((85.0,), (90.0,), (90.0,)) == {1: pytest.approx(90.0, abs=0.1)}
+
+
+def test_a_followed_line_is_where_it_is_followed() -> None:
+    assert known_after((85.0,), (), followed_hz={0: 91.0}) == {0: 91.0}
+
+
+def test_two_motors_have_two_lines() -> None:
+    assert sorted(known_after((85.0, 90.0), (85.0, 90.0)).values()) == pytest.approx([85.0, 90.0], abs=0.1)
+
+
+def test_a_line_that_is_gone_is_dropped() -> None:
+    assert known_after((85.0,), (), (), (), (), ()) == {}

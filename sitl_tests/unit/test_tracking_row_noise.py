@@ -6,55 +6,103 @@ import numpy as np
 import pytest
 
 from companion.core.tracking.row_noise import RowNoise
-from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT, Z_LEFT
+from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT, Z_LEFT, SensorNoise
 from companion.records import Floats
+from companion.units import GRAVITY_MPS2
 
 STEPS, SECONDS = 250, 12
-BELIEVED = np.full(ROWS, 4.0)
+BELIEVED = SensorNoise(
+    sensor_variance=np.full(ROWS, 4.0),
+    root_z_variance=1.0,
+    root_y_variance=1.0,
+    bias_prior_covariance=np.zeros((0, 0)),
+    bias_projection=np.zeros((2, 2)),
+    bias_time_s=100.0,
+    sample_s=1e-3,
+)
+SCALE = np.where((np.arange(ROWS) >= Y_LEFT) & (np.arange(ROWS) < P_LEFT), 1.0 / GRAVITY_MPS2, 1.0)
+ROOT_Y = np.zeros(ROWS)
+ROOT_Y[Y_LEFT:P_LEFT] = 1.0, -1.0
 
 
-def learned(innovation: Floats, by_state: float = 1.0) -> Floats:
-    """Ratio to the believed noise after some seconds of a filter whose S is the row's noise and ``by_state``."""
+def predicted(noise: RowNoise, by_state: float) -> Floats:
+    """S of rows whose noise is what has been learned, in units of a force for the slopes."""
+    return np.asarray(np.diag(noise.variance + by_state) + noise.root_y_variance * np.outer(ROOT_Y, ROOT_Y))
+
+
+def learned(innovation: Floats, by_state: float = 1.0) -> RowNoise:
+    """What is learned in some seconds of a filter whose S is the noise and ``by_state``."""
     noise = RowNoise(BELIEVED)
     for part in np.split(innovation, SECONDS):
-        predicted = np.broadcast_to(noise.variance + by_state, part.shape)
-        noise.learn(part, predicted, np.abs(part) > 5.0 * np.sqrt(predicted))
-    return noise.ratio
+        S = predicted(noise, by_state)
+        covariance = np.broadcast_to(np.tril(S * np.outer(SCALE, SCALE)), (len(part), ROWS, ROWS))
+        noise.learn(part * SCALE, covariance)
+    return noise
 
 
 def white(sigma: float) -> Floats:
     return sigma * np.random.default_rng(3).standard_normal((SECONDS * STEPS, ROWS))
 
 
+def shared(sigma: float) -> Floats:
+    """Noise of the root's lateral axis in both slope rows."""
+    return np.asarray(sigma * np.random.default_rng(4).standard_normal((SECONDS * STEPS, 1)) * ROOT_Y)
+
+
 @pytest.mark.parametrize("ratio", [1.0, 2.0, 4.0])
-def test_a_rate_rows_noise_is_found(ratio: float) -> None:
-    found = learned(white(np.sqrt(4.0 * ratio**2 + 1.0)))[P_LEFT:]
-    assert np.all(found == pytest.approx(ratio, rel=0.2)), "250 medians a second, two seconds of memory: 7 %"
+def test_a_rows_noise_is_found(ratio: float) -> None:
+    noise = learned(white(np.sqrt(4.0 * ratio**2 + 1.0)) + shared(1.0))
+    assert np.all(noise.ratio[:-1] == pytest.approx(ratio, rel=0.2)), "250 medians a second, two seconds of memory: 7 %"
+
+
+def test_a_small_noise_is_found_beside_a_large_shared_one() -> None:
+    """The root's noise, 60 times a slope row's own: it cancels in the sum of both rows."""
+    ratio = learned(white(np.sqrt(4.0 * 2.0**2 + 1.0)) + shared(120.0)).ratio
+    assert ratio[-1] == pytest.approx(100.0, rel=0.2), "sixty times two, and the hundred it is held at"
+    assert np.all(ratio[:2] < 15.0)
+    assert np.all(ratio[2:-1] == pytest.approx(2.0, rel=0.2))
+
+
+def test_noise_of_one_sensor_is_not_anothers() -> None:
+    """Beside a noisy left slope the right one, correlated with it through the root, keeps its own noise."""
+    innovation = white(np.sqrt(5.0)) + shared(1.0)
+    innovation[:, Y_LEFT] += 40.0 * np.random.default_rng(5).standard_normal(len(innovation))
+    ratio = learned(innovation).ratio
+    assert ratio[0] == pytest.approx(20.0, rel=0.2)
+    assert np.all(ratio[1:] < 1.3)
 
 
 def test_the_vertical_rows_are_the_gusts() -> None:
-    assert np.all(learned(white(20.0))[Z_LEFT:Y_LEFT] == 1.0)
+    assert np.all(learned(white(20.0)).variance[Z_LEFT:Y_LEFT] == 4.0)
 
 
 def test_a_slow_contradiction_is_not_noise() -> None:
     t = np.arange(SECONDS * STEPS) * 0.004
     slow = 40.0 * np.sin(2.0 * np.pi * 1.0 * t)[:, None]
-    assert np.all(learned(white(np.sqrt(5.0)) + slow)[P_LEFT:] < 1.3)
+    assert np.all(learned(white(np.sqrt(5.0)) + slow).ratio[2:-1] < 1.3)
 
 
 def test_blows_and_lies_are_not_noise() -> None:
-    struck = white(np.sqrt(5.0))
+    struck = white(np.sqrt(5.0)) + shared(1.0)
     struck[::60] += 1e3
     struck[500:520] += 50.0
-    assert np.all(learned(struck)[P_LEFT:] < 1.3)
+    assert np.all(learned(struck).ratio < 1.3)
 
 
 def test_it_forgets_within_seconds() -> None:
-    quiet = white(np.sqrt(5.0))
+    quiet = white(np.sqrt(5.0)) + shared(1.0)
     quiet[: 3 * STEPS] *= 4.0
-    assert np.all(learned(quiet)[P_LEFT:] < 1.3)
+    assert np.all(learned(quiet).ratio < 1.3)
 
 
 def test_a_load_that_is_fitted_a_little_wrong_is_not_noise() -> None:
     """Where a hundredth of S is the sensor's, a tenth more of S would pass for ten times the noise."""
-    assert np.all(learned(white(np.sqrt(1.1 * 404.0)), by_state=400.0)[P_LEFT:] == 1.0)
+    assert np.all(learned(white(np.sqrt(1.1 * 404.0)), by_state=400.0).ratio == 1.0)
+
+
+def test_vertical_axes_alone_teach_no_noise() -> None:
+    noise = RowNoise(BELIEVED)
+    covariance = np.zeros((STEPS, ROWS, ROWS))
+    covariance[:, Z_LEFT, Z_LEFT] = covariance[:, Z_LEFT + 1, Z_LEFT + 1] = 1.0
+    noise.learn(white(1.0)[:STEPS], covariance)
+    assert np.all(noise.ratio == 1.0)

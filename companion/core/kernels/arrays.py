@@ -229,8 +229,8 @@ class History(NamedTuple):
         its variance is a shaken root's; else 0.
     innovation : (size, 9) float64
         Innovation of each row at the estimated bias parameters; 0 where the row was not used.
-    innovation_variance : (size, 9) float64
-        Its variance ``S`` as predicted, before any gate; 0 where the row was not used.
+    innovation_covariance : (size, 9, 9) float64
+        ``S`` as predicted, before any gate, of the rows that were used: lower half; else 0.
     """
 
     state: Floats
@@ -244,7 +244,7 @@ class History(NamedTuple):
     static_m: Floats
     gate_excess: Floats
     innovation: Floats
-    innovation_variance: Floats
+    innovation_covariance: Floats
 
 
 def make_history(size: int, states: int, parameters: int, rows: int) -> History:
@@ -261,5 +261,5 @@ def make_history(size: int, states: int, parameters: int, rows: int) -> History:
         static_m=np.zeros((size, 1 + parameters)),
         gate_excess=np.zeros((size, rows)),
         innovation=np.zeros((size, rows)),
-        innovation_variance=np.zeros((size, rows)),
+        innovation_covariance=np.zeros((size, rows, rows)),
     )

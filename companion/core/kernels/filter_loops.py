@@ -387,16 +387,20 @@ def _cross_covariance(
 
 @compiled_loops
 def _sum_innovation(one_and_bias: Floats, history: History, slot: int, work: _Workspace, count: int) -> None:
-    """Innovations at the estimated bias parameters, with their variances; they are noted in the history."""
+    """Innovations at the estimated bias parameters, with their covariance; both are noted in the history."""
     for row in range(ROWS):
-        history.innovation[slot, row], history.innovation_variance[slot, row] = 0.0, 0.0
+        history.innovation[slot, row] = 0.0
+        for other in range(row + 1):
+            history.innovation_covariance[slot, row, other] = 0.0
     for r in range(count):
         total = 0.0
         for j in range(len(one_and_bias)):
             total += history.whitened_innovation[slot, r, j] * one_and_bias[j]
         work.innovation[r], work.predicted_variance[r] = total, work.S[r, r]
         row = work.used_rows[r]
-        history.innovation[slot, row], history.innovation_variance[slot, row] = total, work.S[r, r]
+        history.innovation[slot, row] = total
+        for q in range(r + 1):
+            history.innovation_covariance[slot, row, work.used_rows[q]] = work.S[r, q]
 
 
 @compiled_loops

@@ -79,8 +79,8 @@ def _filter_step(
         MAX_NOISE_INFLATION,
     )
     S = HPHT + _measurement_noise(const, model, epochs, k, noise_inflation)[np.ix_(used, used)]
-    history.innovation[slot], history.innovation_variance[slot] = 0.0, 0.0
-    history.innovation[slot, used], history.innovation_variance[slot, used] = row_innovation, np.diag(S)
+    history.innovation[slot], history.innovation_covariance[slot] = 0.0, 0.0
+    history.innovation[slot, used], history.innovation_covariance[slot][np.ix_(used, used)] = row_innovation, np.tril(S)
     cholesky = _cholesky(S)
     if cholesky is None:
         return False

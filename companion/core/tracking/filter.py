@@ -198,13 +198,15 @@ class SeparatedBiasFilter:
         return gate_excess
 
     def innovations(self, count: int) -> tuple[Floats, Floats]:
-        """Innovations of the newest ``count`` steps and their variances as predicted, (count, 9) each."""
+        """Innovations (count, 9) of the newest steps and their predicted covariance (count, 9, 9), lower half."""
         slots = np.arange(self.steps - count, self.steps) % self.history_length
-        return self.history.innovation[slots], self.history.innovation_variance[slots]
+        return self.history.innovation[slots], self.history.innovation_covariance[slots]
 
-    def take_noise(self, sensor_variance: Floats) -> None:
-        """Go on with other variances of the rows, (9,)."""
-        self._constants = self._constants._replace(sensor_variance=sensor_variance.copy())
+    def take_noise(self, sensor_variance: Floats, root_y_variance: float) -> None:
+        """Go on with other variances of the rows, (9,), and of the root's lateral axis in both slope rows."""
+        self._constants = self._constants._replace(
+            sensor_variance=sensor_variance.copy(), root_y_variance=root_y_variance
+        )
 
     def run(self, epochs: Epochs) -> None:
         """Filter a run of epochs."""

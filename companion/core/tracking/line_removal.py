@@ -2,14 +2,16 @@
 
 An average over an epoch lets a line pass (84 % of one at 80 Hz in 4 ms) or folds it onto the wing's band. So each line
 that :mod:`companion.core.tracking.line_search` has found is followed in the samples themselves, as ``Re(a exp(i phi))``
-in every channel, and subtracted. The amplitude is fitted to the samples' second differences ``y``, in which the wing's
-slow and large motion is small, by a loop of second order (Widrow and Glover, Proc. IEEE 63, 1975, with a rate):
+in every channel, and subtracted. Both are fitted to the samples' second differences ``y``, in which the wing's slow and
+large motion is small (Widrow and Glover, Proc. IEEE 63, 1975, for ``a``; a phase-locked loop of third order for rpm):
 
-    g = second difference of exp(i phi),   e = y - sum Re(a g)
-    a' = r + 2 k1 e conj(g) / |g|^2,   r' = 2 k2 e conj(g) / |g|^2,   phi' = omega
+    g = second difference of exp(i phi),   e = y - sum Re(a g),   d = 2 e conj(g) / |g|^2
+    a' = k d,   psi = sum w Im(conj(a) d) / sum w |a|^2   over the channels, w the inverse square of their noise
+    phi' = omega + k1 psi,   omega' = alpha + k2 psi,   alpha' = k3 psi
 
-Its gain on the wing's motion at f differs from one by about ``k1 / (2 pi f0) (f/f0)^2``: 1e-4 at 5 Hz, 2e-3 at 27 Hz
-for a line at 80 Hz. A common rotation of the amplitudes of all channels is moved into ``omega``, which so follows rpm.
+All channels turn with one shaft, so the phase may be followed fast (4 Hz: a ramp of rpm leaves no error) and each
+amplitude slowly (2 Hz). The gain on the wing's motion at f differs from one by about ``k / (2 pi f0) (f/f0)^2``: 1e-4
+at 5 Hz, 3e-3 at 27 Hz for a line at 80 Hz.
 """
 
 from __future__ import annotations
@@ -24,13 +26,15 @@ from companion.records import Floats, Ints
 
 Complexes = npt.NDArray[np.complex128]
 
-_LOOP_RADPS = 2.0 * np.pi * 2.0  # chosen: settles in 0.25 s, follows rpm that wanders within seconds
-_LOOP_DAMPING = 0.8  # chosen: hardly overshoots
-_K1, _K2 = 2.0 * _LOOP_DAMPING * _LOOP_RADPS, _LOOP_RADPS**2
-_FREQUENCY_RADPS = 2.0 * np.pi * 0.6  # chosen: rate at which a common rotation is moved into the frequency
+_AMPLITUDE_RADPS = 2.0 * np.pi * 2.0  # chosen: settles in 0.25 s
+_PHASE_RADPS = 2.0 * np.pi * 4.0  # chosen: rpm that jumps by a tenth within half a second stays in lock
+_K1, _K2, _K3 = 2.0 * _PHASE_RADPS, 2.0 * _PHASE_RADPS**2, _PHASE_RADPS**3  # derived: Butterworth's polynomial
+_FLOOR = 0.05  # chosen, of the usual error squared: a line that is not yet seen turns nothing
+_MAX_TURN_RAD = 0.5  # chosen: of psi; a larger one is no small angle
 _MAX_PERIODS = 2.5  # chosen: no difference is taken across a longer gap
 _MIN_GAIN = 0.02  # chosen, |g|^2: samples that hardly differ along the line say nothing of it
-_MAX_OFFSET_RADPS = 2.0 * np.pi * 3.0  # chosen: a line this far from where the spectrum shows it is lost
+_OMEGA_RATIO = 0.3  # chosen: a line this far from where the spectrum showed it is lost
+_MAX_ALPHA_RADPS2 = 2.0 * np.pi * 100.0  # chosen: of a harmonic; a shaft's inertia allows less
 
 _MAX_ERRORS, _ERROR_MEMORY_S = 6.0, 0.5  # chosen: times the mean magnitude, over a few periods of the wing
 
@@ -40,31 +44,31 @@ class LineStates(NamedTuple):
 
     Attributes
     ----------
-    anchor_radps, omega_radps, phase_rad : (l,) float64
-        Frequency as found in the spectrum, as followed, and phase at the newest sample.
-    amplitude, rate : (l, 6) complex128
-        ``a`` and ``r`` of every channel, in its unit and per second.
+    anchor_radps, omega_radps, alpha_radps2, phase_rad : (l,) float64
+        Frequency as found in the spectrum and as followed, its rate, and phase at the newest sample.
+    amplitude : (l, 6) complex128
+        ``a`` of every channel, in its unit.
     error : (6,) float64
         Mean magnitude of ``e`` over the last half second; 0 at the start.
     weight : (6,) float64
-        Of the channels in the common rotation: the inverse of the sensor's noise, squared.
+        ``w``.
     """
 
     anchor_radps: Floats
     omega_radps: Floats
+    alpha_radps2: Floats
     phase_rad: Floats
     amplitude: Complexes
-    rate: Complexes
     error: Floats
     weight: Floats
 
 
 def line_states(frequency_hz: Floats, weight: Floats) -> LineStates:
     """States of lines that are yet to be followed from these frequencies on, (l,)."""
-    omega_radps, shape = 2.0 * np.pi * frequency_hz, (len(frequency_hz), len(weight))
-    still: Complexes = np.zeros(shape, np.complex128)
+    omega_radps, count = 2.0 * np.pi * frequency_hz, len(frequency_hz)
+    amplitude: Complexes = np.zeros((count, len(weight)), np.complex128)
     return LineStates(
-        omega_radps, omega_radps.copy(), np.zeros(shape[0]), still, still.copy(), np.zeros(shape[1]), weight
+        omega_radps, omega_radps.copy(), np.zeros(count), np.zeros(count), amplitude, np.zeros(len(weight)), weight
     )
 
 
@@ -72,6 +76,13 @@ def copied(states: LineStates) -> LineStates:
     """Copy whose changes leave the original alone."""
     columns: Any = (array.copy() for array in states)
     return LineStates(*columns)
+
+
+def take_over(to: LineStates, at: list[int], before: LineStates, of: list[int]) -> None:
+    """Copy the states of some lines into those of others, in place."""
+    for new, old in zip(to[1:5], before[1:5], strict=True):  # frequency, its rate, phase and amplitude
+        new[at] = old[of]
+    to.error[:] = before.error
 
 
 @compiled
@@ -97,19 +108,19 @@ def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states
     """
     lines, channels = states.amplitude.shape
     out = values[first:].copy()
-    g = np.zeros(lines, np.complex128)
+    g, turning, power = np.zeros(lines, np.complex128), np.zeros(lines), np.zeros(lines)
     for k in range(first, len(t_ns)):
         dt = (t_ns[k] - t_ns[k - 1]) * 1e-9 if k > 0 else period_s
         before = (t_ns[k - 1] - t_ns[k - 2]) * 1e-9 if k > 1 else np.inf
         ratio = dt / before
         even = dt < _MAX_PERIODS * period_s and before < _MAX_PERIODS * period_s
         for j in range(lines):
+            states.omega_radps[j] += states.alpha_radps2[j] * dt if even else 0.0
             states.phase_rad[j] = (states.phase_rad[j] + states.omega_radps[j] * dt) % (2.0 * np.pi)
             here = np.exp(1j * states.phase_rad[j])
             back, twice = np.exp(-1j * states.omega_radps[j] * dt), np.exp(-1j * states.omega_radps[j] * (dt + before))
             g[j] = here * (1.0 - back - ratio * (back - twice)) if even else 0.0
-            for c in range(channels):
-                states.amplitude[j, c] += states.rate[j, c] * dt if dt < 0.1 else 0.0
+            turning[j], power[j] = 0.0, 1e-30
         for c in range(channels if even else 0):
             error = values[k, c] - values[k - 1, c] - ratio * (values[k - 1, c] - values[k - 2, c])
             for j in range(lines):
@@ -118,11 +129,15 @@ def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states
             for j in range(lines):
                 gain = g[j].real ** 2 + g[j].imag ** 2
                 if gain > _MIN_GAIN:
-                    step = 2.0 * dt * error * np.conj(g[j]) / gain
-                    states.amplitude[j, c] += _K1 * step
-                    states.rate[j, c] += _K2 * step
+                    a, step = states.amplitude[j, c], 2.0 * error * np.conj(g[j]) / gain
+                    turning[j] += states.weight[c] * (a.real * step.imag - a.imag * step.real)
+                    power[j] += states.weight[c] * (
+                        a.real * a.real + a.imag * a.imag + _FLOOR * states.error[c] ** 2 / gain
+                    )
+                    states.amplitude[j, c] += _AMPLITUDE_RADPS * dt * step
         for j in range(lines):
-            _follow_rotation(states, j, dt)
+            if even:
+                _turn(states, j, min(max(turning[j] / power[j], -_MAX_TURN_RAD), _MAX_TURN_RAD), dt)
             here = np.exp(1j * states.phase_rad[j])
             for c in range(channels):
                 out[k - first, c] -= (states.amplitude[j, c] * here).real
@@ -140,16 +155,12 @@ def _limited(usual: Floats, c: int, error: float, dt: float) -> float:
 
 
 @compiled
-def _follow_rotation(states: LineStates, j: int, dt: float) -> None:
-    """Move the rotation that the amplitudes of a line have in common into its frequency."""
-    turning, power = 0.0, 1e-30
-    for c in range(states.amplitude.shape[1]):
-        a, r = states.amplitude[j, c], states.rate[j, c]
-        turning += states.weight[c] * (a.real * r.imag - a.imag * r.real)
-        power += states.weight[c] * (a.real * a.real + a.imag * a.imag)
-    shift = min(_FREQUENCY_RADPS * dt, 0.1) * turning / power
-    if np.abs(states.omega_radps[j] + shift - states.anchor_radps[j]) > _MAX_OFFSET_RADPS:
-        shift = states.anchor_radps[j] - states.omega_radps[j]
-    states.omega_radps[j] += shift
-    for c in range(states.amplitude.shape[1]):
-        states.rate[j, c] -= 1j * shift * states.amplitude[j, c]
+def _turn(states: LineStates, j: int, psi: float, dt: float) -> None:
+    """Move phase, frequency and its rate of a line towards a phase error."""
+    states.phase_rad[j] += _K1 * psi * dt
+    states.omega_radps[j] += _K2 * psi * dt
+    states.alpha_radps2[j] += _K3 * psi * dt
+    alpha = states.alpha_radps2[j]
+    states.alpha_radps2[j] = min(max(alpha, -_MAX_ALPHA_RADPS2), _MAX_ALPHA_RADPS2)
+    if np.abs(states.omega_radps[j] / states.anchor_radps[j] - 1.0) > _OMEGA_RATIO:
+        states.omega_radps[j], states.alpha_radps2[j] = states.anchor_radps[j], 0.0

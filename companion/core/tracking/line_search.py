@@ -7,13 +7,17 @@ squared envelope varies as much as its mean (Rayleigh): it is left to the wing's
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from companion.records import Floats, Ints
 
 WINDOW_S = 2.0  # chosen: half a hertz a bin; rpm wanders little in it
 _HELD_S = 3.0  # chosen: the window, and what was sent since its end
-NEAR_HZ = 3.0  # chosen: nearer lines are one
+NEAR_HZ = 3.0  # chosen: nearer peaks are one
+_SAME_RATIO = 0.1  # chosen: rpm changes by that much while a peak is smeared
+_ONE_HZ = 1.5  # chosen: two loops nearer than this follow one line
 _MIN_RATE_HZ = 400.0  # chosen: slower streams fold what they should tell apart
 _LOWEST_HZ = 45.0  # chosen: below, a notch would bend the phase of the second bending mode
 _HIGHEST_RATIO = 0.45  # chosen: of the sample rate
@@ -77,27 +81,69 @@ def find_lines(rings: list[SampleRing], until_ns: int) -> list[float]:
     return frequencies
 
 
+@dataclass
+class _KnownLine:
+    """Line that is followed; ``searches`` count down to its end while it is not found."""
+
+    number: int
+    frequency_hz: float
+    searches: int = _MEMORY
+    astray: int = 0
+
+
 class KnownLines:
-    """Lines that are followed: those found lately, and those found within the last few searches."""
+    """Lines that are followed: those found lately, and those found within the last few searches.
+
+    Between two searches the follower knows better than the spectrum where a line is: it smears when rpm changes. So a
+    peak within a tenth of a followed line is that line, and moves it only where it is found elsewhere twice in a row.
+    """
 
     def __init__(self) -> None:
-        self._searches_left: dict[float, int] = {}  # by frequency, Hz
+        self._lines: list[_KnownLine] = []
+        self._next = 0
 
     @property
-    def frequencies_hz(self) -> list[float]:
-        """Frequencies as last found, Hz, lowest first."""
-        return sorted(self._searches_left)
+    def frequency_hz(self) -> dict[int, float]:
+        """Frequency of each line by its number, Hz; a line that was lost and found again has a new number."""
+        return {line.number: line.frequency_hz for line in self._lines}
 
-    def search(self, rings: list[SampleRing], until_ns: int) -> bool:
-        """Search the samples before an instant; whether there is a line that was not known."""
-        present, before = find_lines(rings, until_ns), self._searches_left
-        missing = {
-            frequency_hz: left - 1
-            for frequency_hz, left in before.items()
-            if left > 1 and not _near(frequency_hz, present)
-        }
-        self._searches_left = dict.fromkeys(present, _MEMORY) | missing
-        return not all(_near(frequency_hz, list(before)) for frequency_hz in present)
+    def search(self, rings: list[SampleRing], until_ns: int, followed_hz: dict[int, float]) -> bool:
+        """Search the samples before an instant, with the lines now where they are followed; whether any is new."""
+        for line in self._lines:
+            line.frequency_hz = followed_hz.get(line.number, line.frequency_hz)
+        unmatched, new = list(self._lines), False
+        for frequency_hz in find_lines(rings, until_ns):
+            same = [line for line in unmatched if abs(line.frequency_hz / frequency_hz - 1.0) < _SAME_RATIO]
+            if same:
+                line = min(same, key=lambda line: abs(line.frequency_hz - frequency_hz))
+                unmatched.remove(line)
+                self._found_again(line, frequency_hz)
+            elif not _near(frequency_hz, [line.frequency_hz for line in self._lines]):
+                self._begin(frequency_hz)
+                new = True
+        for line in unmatched:
+            line.searches -= 1
+        self._drop()
+        return new
+
+    def _begin(self, frequency_hz: float) -> None:
+        self._lines.append(_KnownLine(self._next, frequency_hz))
+        self._next += 1
+
+    def _found_again(self, line: _KnownLine, frequency_hz: float) -> None:
+        line.searches = _MEMORY
+        line.astray = line.astray + 1 if abs(line.frequency_hz - frequency_hz) > NEAR_HZ else 0
+        if line.astray > 1:
+            self._lines.remove(line)
+            self._begin(frequency_hz)
+
+    def _drop(self) -> None:
+        """Drop lines that are gone, and the younger of two that follow the same one."""
+        kept: list[_KnownLine] = []
+        for line in self._lines:
+            if line.searches > 0 and not any(abs(line.frequency_hz - other.frequency_hz) < _ONE_HZ for other in kept):
+                kept.append(line)
+        self._lines = kept[:_MOST]
 
 
 def _near(frequency_hz: float, others: list[float]) -> bool:

@@ -1,75 +1,116 @@
 """Noise of the slope and rate rows as it is in this flight, learned from the filter's innovations.
 
-With the right R the innovations ``e`` are white and ``C_0 - C_1 = S``, ``C_k`` their autocovariance at k epochs. Noise
-beyond the belief raises ``C_0`` and makes ``C_1`` negative: R grows by the excess of ``C_0 - C_1`` over S. What
-contradicts the model slowly (a drifting bias, a wrong scale, a load larger than believed) makes ``C_1`` as large as
-``C_0``: it is not learned as noise and stays a contradiction. The vertical rows are not learned: what they feel is the
-gust's, and its spectrum is fitted; nor is a row whose S is the load's by far (Mehra, IEEE TAC 15, 1970, for the idea;
-medians for blows and lies).
+Let ``e`` be the innovations of a step and ``S`` their covariance as predicted. A source of noise k with variance R_k
+enters the rows by a column ``g_k`` (a row's own noise: a unit vector; the root's lateral axis: both slope rows). Then
+``u_k = g_k^T S^-1 e`` has the variance ``v_k = g_k^T S^-1 g_k`` where S is right, and each source l whose variance is
+larger by r_l adds ``(g_k^T S^-1 g_l)^2 r_l`` (the score of the likelihood, to first order; Mehra, IEEE TAC 15, 1970,
+for the idea). These are as many equations as sources, solved with no variance below the belief. So noise of one slope
+row is seen beside a root whose noise both rows share, and a rate's beside the rigid roll.
+
+With the right R, ``u`` is white: in place of its variance C_0 stands C_0 - C_1, C_1 its autocovariance at one step.
+What contradicts the model slowly (a drifting bias, a wrong scale, a load larger than believed) makes C_1 as large as
+C_0: it is not learned as noise and stays a contradiction. Medians stand for means, for blows and lies. The vertical
+rows are not learned: what they feel is the gust's, and its spectrum is fitted; nor is a source that is hidden behind
+others by far.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import nnls
 
-from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT
+from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT, SensorNoise
 from companion.records import Bools, Floats
 from companion.units import GRAVITY_MPS2
 
 _MIN_STEPS = 60  # chosen: their median square is right to a quarter
 _MEDIAN_OF_SQUARE = 0.4549  # derived: of a unit Gaussian's square, the median of chi-square with one degree
-_MIN_BEYOND = 0.3  # chosen, of S: a load's fit is as wrong; where S is the load's, that is many times the noise
-_CLEARLY_BEYOND = 1.0  # chosen, of S: six sigmas of one look
-_MAX_OTHERS = 50.0  # chosen: believed variances; where the load is more of S, a row's noise neither shows nor matters
+_MIN_BEYOND = 0.3  # chosen, of v: a load's fit is as wrong
+_CLEARLY_BEYOND = 1.0  # chosen, of v: six sigmas of one look
+_MAX_OTHERS = 50.0  # chosen, believed variances: a source behind that much of others neither shows nor matters
 _MEMORY = 0.6  # chosen: per second, a time constant of 2 s
 _MAX_RATIO = 1e4  # chosen: noise up to a hundred times the belief; beyond, the sensor is broken
-_LEARNED = slice(Y_LEFT, ROWS)  # rows
+_LEARNED = range(Y_LEFT, ROWS)  # rows
 
 
 class RowNoise:
-    """Variance of each row, the believed one and what was learned beyond it.
+    """Variance of each source of noise, the believed one and what was learned beyond it.
 
     Attributes
     ----------
     variance : (9,) float64
         As ``SensorNoise.sensor_variance``: of the lateral rows in (m/s^2)^2.
+    root_y_variance : float
+        As ``SensorNoise.root_y_variance``.
     """
 
-    def __init__(self, believed: Floats) -> None:
-        self._believed = believed
-        self.variance: Floats = believed.copy()
-        self._beyond = np.zeros(ROWS)  # C_0 - C_1 over S, less one, of the last look
+    def __init__(self, believed: SensorNoise) -> None:
+        self.variance: Floats = believed.sensor_variance.copy()
+        self.root_y_variance = believed.root_y_variance
+        self._columns = _columns()
+        self._believed = self._all()
+        self._beyond = np.zeros(len(self._believed))  # C_0 - C_1 over v, less one, of the last look
+
+    def _all(self) -> Floats:
+        """Variances of the learned sources: rows, then the root's lateral axis."""
+        return np.array([*self.variance[Y_LEFT:], self.root_y_variance])
 
     @property
     def ratio(self) -> Floats:
-        """Standard deviation of each row over the believed one, (9,)."""
-        return np.asarray(np.sqrt(self.variance / self._believed))
+        """Standard deviation of each learned source over the believed one, (6,)."""
+        return np.asarray(np.sqrt(self._all() / self._believed))
 
-    def learn(self, innovation: Floats, predicted: Floats, gated: Bools) -> None:
+    def learn(self, innovation: Floats, covariance: Floats) -> None:
         """Take the innovations of the last second.
 
         Parameters
         ----------
-        innovation, predicted : (n, 9) float64
-            Innovations and their variances; 0 where a row was absent.
-        gated : (n, 9) bool
-            Rows that lay beyond the gate.
+        innovation : (n, 9) float64
+            Innovations; 0 where a row was absent.
+        covariance : (n, 9, 9) float64
+            Their covariance as predicted, lower half; 0 where a row was absent.
         """
-        used = (predicted > 0.0) & ~gated
-        pair = used[1:] & used[:-1]
-        usual = 0.5 * (predicted[1:] + predicted[:-1])
-        ratio = 0.5 * np.diff(innovation, axis=0) ** 2 / np.where(pair, usual, 1.0)
-        for row in range(ROWS)[_LEARNED]:
-            at = pair[:, row]
-            if at.sum() < _MIN_STEPS:
-                continue
-            # a slope is a lateral force over the vertical one
-            predicted_mean = np.median(usual[at, row]) * (GRAVITY_MPS2**2 if row < P_LEFT else 1.0)
-            beyond = np.median(ratio[at, row]) / _MEDIAN_OF_SQUARE - 1.0
-            before, self._beyond[row] = self._beyond[row], beyond
-            if 0.0 < beyond < _CLEARLY_BEYOND:
-                beyond = min(beyond, before) if before > _MIN_BEYOND < beyond else 0.0
-            if predicted_mean - self.variance[row] > _MAX_OTHERS * self._believed[row]:
-                beyond = min(beyond, 0.0)
-            learned = self.variance[row] + _MEMORY * beyond * predicted_mean
-            self.variance[row] = np.clip(learned, self._believed[row], _MAX_RATIO * self._believed[row])
+        used = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
+        rows = np.median(used, axis=0) > 0.5
+        at = np.all(used == rows, axis=1)
+        at[1:] &= at[:-1]  # a pair is named by its second step
+        at[:1] = False
+        columns = self._columns[rows]
+        present = np.any(columns, axis=0)
+        if at.sum() < _MIN_STEPS or not present.any():
+            return
+        S = covariance[np.ix_(at, rows, rows)]
+        S = S + np.tril(S, -1).transpose(0, 2, 1)
+        weighted = np.linalg.solve(S, columns[:, present])  # S^-1 g, (n, rows, sources)
+        change = np.einsum("nrk,nr->nk", weighted, np.diff(innovation, axis=0)[at[1:]][:, rows])
+        coupling = np.median(np.einsum("rk,nrl->nkl", columns[:, present], weighted), axis=0)
+        strength = np.diagonal(coupling)
+        beyond = np.median(0.5 * change**2 / strength, axis=0) / _MEDIAN_OF_SQUARE - 1.0
+        self._take(present, coupling, self._credible(present, beyond, strength))
+
+    def _credible(self, present: Bools, beyond: Floats, strength: Floats) -> Floats:
+        """``beyond`` without what may be chance, or is a small share of what hides the source."""
+        before, self._beyond[present] = self._beyond[present], beyond
+        steady = np.where((before > _MIN_BEYOND) & (beyond > _MIN_BEYOND), np.minimum(beyond, before), 0.0)
+        credible = np.where((beyond > 0.0) & (beyond < _CLEARLY_BEYOND), steady, beyond)
+        others = 1.0 / strength - self._all()[present]
+        return np.where(others > _MAX_OTHERS * self._believed[present], np.minimum(credible, 0.0), credible)
+
+    def _take(self, present: Bools, coupling: Floats, beyond: Floats) -> None:
+        """Move each variance towards the solution of the equations of all sources."""
+        now, believed = self._all()[present], self._believed[present]
+        strength = np.diagonal(coupling)
+        equations = coupling**2 / strength[:, None]
+        excess, _ = nnls(equations, np.maximum(beyond + equations @ (now - believed), 0.0))
+        learned = self._all()
+        learned[present] = np.clip(now + _MEMORY * (believed + excess - now), believed, _MAX_RATIO * believed)
+        self.variance[Y_LEFT:], self.root_y_variance = learned[:-1], float(learned[-1])
+
+
+def _columns() -> Floats:
+    """Columns (9, 6) by which the learned sources enter the rows; a slope is a lateral force over the vertical one."""
+    columns = np.zeros((ROWS, len(_LEARNED) + 1))
+    for k, row in enumerate(_LEARNED):
+        columns[row, k] = 1.0 / GRAVITY_MPS2 if row < P_LEFT else 1.0
+    columns[Y_LEFT : Y_LEFT + 2, -1] = 1.0 / GRAVITY_MPS2, -1.0 / GRAVITY_MPS2
+    return columns

@@ -80,6 +80,7 @@ class WingTracker:
         self._reopened_ns = 0
         self._next_ns = 0
         self._lines = KnownLines()
+        self._row_noise = RowNoise(self._noise)
         self._rows = tip_output_matrix(self._layout, slope_rows(self._layout))
         self._validity = Validity.SETTLING
         self._restart()
@@ -87,7 +88,6 @@ class WingTracker:
     def _restart(self) -> None:
         """Start again at the airframe's beliefs."""
         self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
-        self._row_noise = RowNoise(self._noise.sensor_variance)
         self._kalman = self._fresh(self._model(self._adaptation.parameters))
         self._refused = False  # whether the last parameters made the measurements inconsistent
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
@@ -169,12 +169,17 @@ class WingTracker:
 
     def _search_lines(self) -> None:
         """Follow the lines that the samples show; what was filtered with a line in it is filtered no more."""
-        before = self._lines.frequencies_hz
-        new = self._lines.search([stream.ring for stream in self._streams], self._next_ns)
-        if self._lines.frequencies_hz != before:
+        before = set(self._lines.frequency_hz)
+        strongest: dict[int, tuple[float, float]] = {}
+        for stream in self._streams:
+            for number, line in stream.followed_lines().items():
+                strongest[number] = max(strongest.get(number, (0.0, 0.0)), line, key=lambda line: line[1])
+        followed_hz = {number: frequency_hz for number, (frequency_hz, power) in strongest.items() if power > 0.0}
+        new = self._lines.search([stream.ring for stream in self._streams], self._next_ns, followed_hz)
+        if set(self._lines.frequency_hz) != before:
             for stream in self._streams:
-                stream.follow_lines(self._lines.frequencies_hz)
-        if new and self._adaptation.early:
+                stream.follow_lines(self._lines.frequency_hz)
+        if new and self._adaptation.early and self._kalman.nis > NIS_LIMIT:
             self._restart()
 
     def _process(self, count: int) -> None:
@@ -244,10 +249,9 @@ class WingTracker:
     def _learn_noise(self) -> None:
         """Take the rows' noise from the innovations of the last second."""
         count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
-        innovation, predicted = self._kalman.innovations(count)
-        self._row_noise.learn(innovation, predicted, self._kalman.gate_excess(count) != 0.0)
+        self._row_noise.learn(*self._kalman.innovations(count))
         for kalman in (self._kalman, self._trial_filter):
-            kalman.take_noise(self._row_noise.variance)
+            kalman.take_noise(self._row_noise.variance, self._row_noise.root_y_variance)
 
     def _mark(self) -> None:
         """Fork the filter on which the next parameters are tried."""
@@ -265,7 +269,7 @@ class WingTracker:
         kalman = SeparatedBiasFilter(
             self._layout, self._noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, self._keep
         )
-        kalman.take_noise(self._row_noise.variance)
+        kalman.take_noise(self._row_noise.variance, self._row_noise.root_y_variance)
         return kalman
 
     # ------------------------------------------------------------------------------------------ out
