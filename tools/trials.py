@@ -116,8 +116,8 @@ def model_of(tables: Tables, airframe: Airframe) -> FlightModel:
     tips = {side: RawStream(tables.t_s, tables.force_z_mps2[:, side]) for side in Side}
     ranges = RawRanges(tables.range_t_s, tables.range_m, tables.reference_m)
     channels = {"roller_v": (tables.t_s, tables.roller), "airspeed_mps": (tables.t_s, tables.airspeed)}
-    seen = observe(RawRecording(tips, None, ranges, channels), airframe, _TOP_HZ)
-    return FlightModel(belief_for(airframe, [seen]), seen, _TOP_HZ)
+    (seen,) = observe(RawRecording(tips, None, ranges, channels), airframe, _TOP_HZ)
+    return FlightModel(belief_for(airframe, [[seen]]), seen, _TOP_HZ)
 
 
 def swings(tables: Tables) -> dict[str, float]:

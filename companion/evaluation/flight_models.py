@@ -28,13 +28,16 @@ def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping |
     Raises
     ------
     RecordingError
-        One cannot be read, has no wing accelerometer, or no gap-free stretch that is long enough.
+        One cannot be read, has no wing accelerometer, or less than 8 s can be pieced together.
     """
     top_hz = top_of(airframe)
     recorded = [observe(load(path, airframe, mapping), airframe, top_hz) for path in paths]
     belief = belief_for(airframe, recorded)
     return [
-        FlightModel(belief, piece, top_hz, k) for k, recording in enumerate(recorded) for piece in _pieces(recording)
+        FlightModel(belief, piece, top_hz, k)
+        for k, segments in enumerate(recorded)
+        for segment in segments
+        for piece in _pieces(segment)
     ]
 
 
@@ -44,14 +47,15 @@ def top_of(airframe: Airframe) -> float:
     return max(_TOP * present[0], 1.6 * max(present))
 
 
-def belief_for(airframe: Airframe, recorded: Sequence[Observations]) -> Belief:
-    """The nuisances that any of the recordings has an opinion about."""
-    sides = sorted({side for recording in recorded for side in recording.sides})
-    varies = any(float(recording.load_factor.std()) > _LOAD_VARIES for recording in recorded)
-    inputs = {name: float(values.std()) for recording in recorded for name, values in recording.inputs.items()}
+def belief_for(airframe: Airframe, recorded: Sequence[Sequence[Observations]]) -> Belief:
+    """The nuisances that any of the recordings, given by their segments, has an opinion about."""
+    segments = [segment for recording in recorded for segment in recording]
+    sides = sorted({side for segment in segments for side in segment.sides})
+    varies = any(float(segment.load_factor.std()) > _LOAD_VARIES for segment in segments)
+    inputs = {name: float(values.std()) for segment in segments for name, values in segment.inputs.items()}
     with_range, has_root = (
-        any(recording.toe is not None for recording in recorded),
-        any(recording.has_root for recording in recorded),
+        any(segment.toe is not None for segment in segments),
+        any(segment.has_root for segment in segments),
     )
     return believe(airframe, sides, with_range, varies, len(recorded), inputs, has_root)
 

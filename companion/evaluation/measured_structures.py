@@ -41,7 +41,7 @@ _INPUT = "input_"
 
 def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
     """Every file of every path, read through the mapping."""
-    return [read_mapped(file, mapping) for path in paths for file in files_of(Path(path), mapping)]
+    return [read_mapped(file, mapping).increasing() for path in paths for file in files_of(Path(path), mapping)]
 
 
 def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progress) -> int:

@@ -80,13 +80,11 @@ def _streams(recording: Recording) -> dict[Station, tuple[Floats, Floats]]:
                 times, values = by_station.setdefault(record.station, ([], []))
                 times.append(host_stamps[0])
                 values.append(record.values)
-    return {station: _ordered(*parts) for station, parts in by_station.items()}
+    return {station: (_seconds(times), np.concatenate(values)) for station, (times, values) in by_station.items()}
 
 
-def _ordered(times: list[Ints], values: list[Floats]) -> tuple[Floats, Floats]:
-    """Samples by time; of equal stamps the first is kept."""
-    t_ns, first = np.unique(np.concatenate(times), return_index=True)
-    return np.asarray(t_ns * 1e-9, dtype=np.float64), np.concatenate(values)[first]
+def _seconds(times: list[Ints]) -> Floats:
+    return np.asarray(np.concatenate(times) * 1e-9, dtype=np.float64)
 
 
 def _tables(recording: Recording) -> tuple[dict[str, tuple[Floats, Floats]], RawRanges | None]:

@@ -15,6 +15,7 @@ from companion.adapters.recordings.recording_factory import open_recording
 from companion.adapters.recordings.tables.mapped_recording import MappedRecording
 from companion.adapters.recordings.tables.mapped_table import files_of
 from companion.adapters.recordings.tables.mapping import TableMapping
+from companion.diagnosis.data.segments import REQUIREMENT, segments_of
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.findings_output import write_findings
 from companion.evaluation.station_tones import StationAnalysis
@@ -23,15 +24,17 @@ from companion.records import Axis, Floats, ImuBatch, Ints, Station
 from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
 from companion.reporting.page import render
 
-_SHORTEST_S = 8.0
 _GAP_RATIO = 2.5
 _FEWEST = 10  # samples: of fewer there is no usual step
-_NEEDED = "an accelerometer at each wing tip (left_z, right_z) for at least 8 s without a gap"
+_NEEDED = f"an accelerometer at each wing tip (left_z, right_z), {REQUIREMENT}"
 
 
 @dataclass(frozen=True, slots=True)
 class StreamTiming:
-    """How evenly one station's samples came; steps in milliseconds, gaps are longer than 2.5 usual steps."""
+    """How evenly one station's samples came; steps in milliseconds, gaps are longer than 2.5 usual steps.
+
+    ``usable_s`` can be pieced together for a diagnosis, 0 where it is too little.
+    """
 
     station: str
     samples: int
@@ -42,6 +45,7 @@ class StreamTiming:
     gaps: int
     longest_gap_ms: float
     longest_stretch_s: float
+    usable_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +68,8 @@ class Timing:
         """Missing requirement in words, "" for none."""
         if not self.has_tip:
             return "no accelerometer on a wing: what the wing does cannot be told from the fuselage alone"
-        longest = min((timing.longest_stretch_s for timing in self.streams), default=0.0)
-        if longest < _SHORTEST_S:
-            return f"the longest stretch without a gap is {longest:.1f} s"
-        return ""
+        short = [timing.longest_stretch_s for timing in self.streams if not timing.usable_s]
+        return f"the longest stretch without a gap is {min(short):.1f} s" if short else ""
 
 
 def paths_of(recordings: Sequence[str], mapping: TableMapping | None) -> list[Path]:
@@ -96,7 +98,7 @@ def timing(path: Path, airframe: Airframe, mapping: TableMapping | None = None) 
 
 def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
     if len(np.unique(t_ns)) < _FEWEST:
-        return StreamTiming(station.name.lower(), len(t_ns), 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
+        return StreamTiming(station.name.lower(), len(t_ns), 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0.0)
     steps_ms: Floats = np.diff(np.unique(t_ns)).astype(np.float64) * 1e-6
     usual = float(np.median(steps_ms))
     wide = np.flatnonzero(steps_ms > _GAP_RATIO * usual)
@@ -116,6 +118,7 @@ def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
         len(wide),
         float(steps_ms[wide].max()) if len(wide) else 0.0,
         max(stretches),
+        sum(segment.recorded_s for segment in segments_of([ends_s])),
     )
 
 

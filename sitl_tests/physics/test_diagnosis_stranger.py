@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,18 @@ import pytest
 
 from companion.adapters.recordings.tables.number_table import read_table
 from companion.cli.main import main
+from companion.records import Floats
 from sitl_tests.trials.stranger import GRAVITY, Flight, write
 
 AIRFRAME = Path(__file__).parents[2] / "config" / "airframes" / "nadir-2m.toml"
 
 
-def diagnosed(folder: Path, flight: Flight) -> dict[str, Any]:
+def diagnosed(folder: Path, flight: Flight, respoil: Callable[[Floats], Floats] | None = None) -> dict[str, Any]:
     write(folder, AIRFRAME, flight)
+    if respoil is not None:
+        header, *_ = (folder / "accel.csv").read_text(encoding="utf-8").partition("\n")
+        rows = respoil(np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1))
+        np.savetxt(folder / "accel.csv", rows, fmt="%.6f,%.5f,%.5f", header=header, comments="")
     assert main(["diagnose", str(folder), "--airframe", "nadir-2m", "--json", str(folder / "found.json")]) == 0
     text = (folder / "found.json").read_text(encoding="utf-8")
 
@@ -45,6 +51,36 @@ def test_the_stranger_writes_gravity_down_and_ranges_that_read_short(tmp_path: P
 @pytest.mark.parametrize("flight", [Flight(62), Flight(63, rate_hz=800.0, decimals=3)], ids=["1 kHz", "whole ms"])
 def test_a_noisier_sensor_than_believed_is_no_fault(tmp_path: Path, flight: Flight) -> None:
     assert diagnosed(tmp_path, flight)["verdict"] == "adequate"
+
+
+def wandering(rows: Floats) -> Floats:
+    """Stamps that wander by the period of the samples, written to whole milliseconds: they repeat and go back."""
+    rows[:, 0] = np.round(rows[:, 0] + 0.001 * np.random.default_rng(5).standard_normal(len(rows)), 3)
+    return rows
+
+
+def torn(rows: Floats) -> Floats:
+    """Rows late and twice, 0.4 s missing of every 5 s and 2 s once: nothing that the samples could not tell."""
+    rng = np.random.default_rng(6)
+    rows = rows[(rows[:, 0] % 5.0 < 3.0) | (rows[:, 0] % 5.0 > 3.4)]
+    rows = rows[(rows[:, 0] < 16.0) | (rows[:, 0] > 18.0)]
+    rows = np.repeat(rows, np.where(rng.uniform(size=len(rows)) < 0.02, 2, 1), axis=0)
+    return rows[np.argsort(np.arange(len(rows)) + 15.0 * rng.uniform(size=len(rows)))]
+
+
+@pytest.mark.slow
+def test_stamps_that_repeat_and_go_back_are_named_dropout_jitter(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, Flight(62), wandering)
+    assert found["verdict"] == "explained"
+    assert names(found) == {"dropout-jitter"}
+    assert found["causes"][0]["parameters"]["jitter_s"]["value"] == pytest.approx(0.001, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_torn_recording_is_diagnosed_like_a_whole_one(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, Flight(62), torn)
+    assert found["verdict"] == "adequate"
+    assert any("in 2 segments are judged" in note for note in found["notes"])
 
 
 @pytest.mark.slow

@@ -103,7 +103,7 @@ def test_an_effect_in_force_follows_its_channel_in_the_units_it_was_found_in() -
 
     def likelihood(effect: NamedEffect | None) -> float:
         airframe = dataclasses.replace(AIRFRAME, effects=(effect,) if effect else ())
-        seen = observe(raw, airframe, 40.0)
+        (seen,) = observe(raw, airframe, 40.0)
         model = FlightModel(believe(airframe, seen.sides, False, False), seen, 40.0)
         if effect and effect.channel:
             assert model.observations.covariates["airspeed_mps"].mean() == pytest.approx(-1.0, abs=0.2)

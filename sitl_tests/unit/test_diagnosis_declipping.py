@@ -79,7 +79,7 @@ def test_a_recording_is_restored_on_its_way_to_the_grid() -> None:
             RawRecording({side: RawStream(t_s, -9.8 - row) for side, row in zip(Side, values, strict=True)}),
             load_airframe("nadir-2m"),
             50.0,
-        )
+        )[0]
         for values in (whole, cut)
     )
     assert [entry.name for entry in short.sample_defects] == ["saturation"]

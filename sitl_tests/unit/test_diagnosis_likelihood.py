@@ -14,7 +14,6 @@ from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightsLikelihood, expect, fit, log_likelihood
-from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
@@ -103,24 +102,10 @@ def _raw(t_s: Floats, force: Floats) -> RawRecording:
 def test_the_grid_keeps_a_sine_and_its_mean(airframe: Airframe) -> None:
     t_s = np.arange(20_001) / 1000.0  # a hundred whole periods
     force = -9.80665 + 0.3 - 2.0 * np.sin(2 * np.pi * 5.0 * t_s)
-    seen = observe(_raw(t_s, force), airframe, TOP_HZ)
+    (seen,) = observe(_raw(t_s, force), airframe, TOP_HZ)
     middle = slice(200, -200)
     assert seen.up_mps2[middle, 0] == pytest.approx(2.0 * np.sin(2 * np.pi * 5.0 * seen.t_s)[middle], abs=5e-3)
     assert seen.mean_force_mps2 == pytest.approx([0.3, 0.3], abs=1e-6)
-
-
-def test_gaps_are_told_and_never_filled(airframe: Airframe) -> None:
-    t_s = np.arange(30_000) / 1000.0
-    kept = (t_s < 6.0) | (t_s > 6.5)
-    seen = observe(_raw(t_s[kept], np.sin(t_s[kept])), airframe, TOP_HZ)
-    assert seen.duration_s == pytest.approx(23.5, abs=0.05)
-    assert seen.notes[0].startswith("1 gap, the longest 502 ms")
-
-
-def test_too_short_a_recording_is_refused(airframe: Airframe) -> None:
-    t_s = np.arange(3000) / 1000.0
-    with pytest.raises(RecordingError, match="8 s needed"):
-        observe(_raw(t_s, np.sin(t_s)), airframe, TOP_HZ)
 
 
 def test_toe_is_measured_against_the_reference(airframe: Airframe) -> None:
@@ -130,7 +115,7 @@ def test_toe_is_measured_against_the_reference(airframe: Airframe) -> None:
     raw = dataclasses.replace(
         _raw(t_s, np.sin(t_s)), ranges=RawRanges(at, np.full(len(at), 52.8), np.full(len(at), 60.0))
     )
-    toe = observe(raw, airframe, TOP_HZ).toe
+    toe = observe(raw, airframe, TOP_HZ)[0].toe
     assert toe is not None
     assert toe.toe_rad == pytest.approx(np.full(len(toe.t_s), 1.98 * (1 / 52.8 - 1 / 60.0)))
     assert toe.toe_rad[0] == pytest.approx(4.5e-3, abs=5e-5)

@@ -81,7 +81,8 @@ def recorded(
     rates = {
         letter: (T_S, wave.seen_through(root.lowpass_gyro_hz)) for letter, wave in zip("pqr", (P, Q, R), strict=True)
     }
-    return observe(RawRecording(tips, RawStream(T_S, shown), None, {}, rates), airframe, top_of(airframe))
+    raw = RawRecording(tips, RawStream(T_S, shown), None, {}, rates)
+    return observe(raw, airframe, top_of(airframe))[0]
 
 
 def within(seen: Observations, values: Floats) -> Floats:
@@ -99,7 +100,7 @@ def test_a_rigid_aircraft_that_rolls_and_pulls_does_not_bend(airframe: Airframe)
 def test_wrong_scales_leave_what_their_nuisances_take_out(airframe: Airframe) -> None:
     seen = recorded(airframe, heave_scale=0.01, tip_scale=-0.006)
     assert within(seen, seen.up_mps2).std(0)[0] > 0.03
-    model = FlightModel(belief_for(airframe, [seen]), seen, top_of(airframe))
+    model = FlightModel(belief_for(airframe, [[seen]]), seen, top_of(airframe))
     keys = [entry.key for entry in model.belief.nuisances]
     deviations = np.zeros(len(keys))
     deviations[keys.index("root.scale")] = 0.01
@@ -133,7 +134,7 @@ def test_a_tip_that_the_wing_turns_reads_what_it_would_upright() -> None:
 def test_a_late_tip_is_late_with_the_rigid_motion_too(airframe: Airframe, key: str) -> None:
     late_s = {"left.delay_s": (0.01, 0.0), "right.delay_s": (0.0, 0.01)}[key]
     seen = recorded(airframe, late_s=late_s)
-    model = FlightModel(belief_for(airframe, [seen]), seen, top_of(airframe))
+    model = FlightModel(belief_for(airframe, [[seen]]), seen, top_of(airframe))
     keys = [entry.key for entry in model.belief.nuisances]
     deviations = np.zeros(len(keys))
     deviations[keys.index(key)] = 0.01

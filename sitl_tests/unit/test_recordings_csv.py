@@ -150,9 +150,6 @@ GOOD = "t_s,left_z_mps2,right_z_mps2\n0,1,2\n0.001,1,2\n0.002,1,2\n"
         (GOOD.replace("0.001,1,2", "0.001,1,2.x"), 3, "column 'right_z_mps2': '2.x' is not a number"),
         (GOOD.replace("0.001,1,2", "0.001,1"), 3, "2 cells, but the header has 3 columns"),
         (GOOD.replace("0.001,1,2", "0.001,1,2,3"), 3, "4 cells, but the header has 3 columns"),
-        (GOOD.replace("0.002,", "0.001,"), 4, "time must increase, but t_s = 0.001 follows 0.001"),
-        (GOOD.replace("0.002,", "0.0005,"), 4, "time must increase, but t_s = 0.0005 follows 0.001"),
-        (GOOD.replace("\n0.002,", "\n\n\n0.0005,"), 6, "time must increase"),
         ("t_s,left_z_mps2\n", 2, "no row of numbers"),
         ("t_s;left_z_mps2\n0;1\n", 1, "columns separated by commas"),
         ("", 1, "columns separated by commas"),
@@ -165,6 +162,13 @@ def test_whatever_is_wrong_is_named_with_file_and_line(tmp_path: Path, accel: st
         read(tmp_path, accel=accel)
     assert str(caught.value).startswith(f"{tmp_path / 'accel.csv'}, line {line}: ")
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(("again", "told"), [("0.001", "repeat the one before"), ("0.0005", "go back")])
+def test_stamps_that_repeat_or_go_back_are_read_and_told(tmp_path: Path, again: str, told: str) -> None:
+    recording = read(tmp_path, accel=GOOD.replace("0.002,", f"{again},"))
+    assert sum(len(batch.t_ns) for batch in recording.records() if batch.station is Station.LEFT) == 3
+    assert any(f"1 of 3 stamps {told}" in notice.text for notice in recording.notices)
 
 
 def test_errors_in_the_other_files_name_them(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def impute_clipped(values: Floats, beyond: Floats, interpolated: Floats) -> Floa
     rng = np.random.default_rng(_SEED)
     drawn = interpolated.copy()
     count, affected = values.shape[1], np.flatnonzero(np.any(beyond != 0.0, axis=1)).tolist()
-    smooth, model = _Smoother(count), None
+    smooth, model = Smoother(count), None
     for sweep in range(_SWEEPS):
         mean = drawn.mean(1, keepdims=True)
         spectrum = np.fft.rfft(drawn - mean, norm="ortho")
@@ -95,7 +95,7 @@ def _beyond(limit: Floats, side: Floats, middle: Floats, spread: float, rng: np.
     return np.asarray(middle - side * spread * ndtri_exp(tail))
 
 
-class _Smoother:
+class Smoother:
     """Means over neighbouring frequencies, more of them the higher they are."""
 
     def __init__(self, count: int) -> None:

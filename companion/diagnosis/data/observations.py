@@ -13,7 +13,7 @@ import numpy as np
 
 from companion.core.wing.samples import SampleDefect
 from companion.diagnosis.data.grid import TAPER, fast_length
-from companion.records import Bools, Floats, Side
+from companion.records import Bools, Floats, Ints, Side
 
 _FEWEST_EXPOSURES = 5  # for a likelihood
 _MARGIN_S = 1.0  # at either end, where the smoothed wing is not known
@@ -21,7 +21,7 @@ _MARGIN_S = 1.0  # at either end, where the smoothed wing is not known
 
 @dataclass(frozen=True, slots=True)
 class RawStream:
-    """One station's samples as recorded: ``t_s`` (n,) increasing, specific force (n,) in its own FRD axes.
+    """One station's samples as recorded: ``t_s`` (n,) as stamped, specific force (n,) in its own FRD axes.
 
     ``force_y_mps2`` where a tip's lateral axis was recorded: it tells how far the wing turns the vertical one.
     """
@@ -38,6 +38,11 @@ class RawRanges:
     t_s: Floats
     range_m: Floats
     reference_m: Floats | None = None
+
+    def taken(self, rows: Ints) -> RawRanges:
+        """Some rows, in this order."""
+        reference_m = None if self.reference_m is None else self.reference_m[rows]
+        return RawRanges(self.t_s[rows], self.range_m[rows], reference_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +114,12 @@ class Observations:
         What the aircraft's turning adds to the vertical specific force of each tip; it is out of ``up_mps2``.
     inputs : dict of str to (m,)
         Measured forces (input_n) and base accelerations (input_mps2), their means removed.
-    share : float
-        How much of its recording this part is: what is known of the whole (the mean) counts for that much here.
-    in_samples : tuple of SampleFinding
+    sample_defects : tuple of SampleDefect
         What the tips' samples themselves show; cut peaks have been restored.
+    used_ratio : float
+        How much of its recording this part is: what is known of the whole (the mean) counts for that much here.
+    recorded_ratio : float
+        How much of ``up_mps2`` was recorded; the rest lay in gaps and was drawn.
     notes : tuple of str
     start_s, centre_s : float
         Where this part begins in its recording, and the middle of the whole.
@@ -133,6 +140,7 @@ class Observations:
     fine_hz: float = 0.0
     sample_defects: tuple[SampleDefect, ...] = ()
     used_ratio: float = 1.0
+    recorded_ratio: float = 1.0
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
     centre_s: float = 0.0

@@ -1,7 +1,8 @@
-"""Raw streams of any rate, with gaps, on the one uniform grid of a recording."""
+"""Raw streams of any rate, with gaps and stamps that wander, on uniform grids."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
@@ -11,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from companion.core.wing.samples import SampleDefect
 from companion.diagnosis.data.declipping import impute_clipped
 from companion.diagnosis.data.grid import fast_length
+from companion.diagnosis.data.imputation import impute_missing
 from companion.diagnosis.data.observations import (
     Observations,
     RawRanges,
@@ -26,47 +28,86 @@ from companion.diagnosis.data.sample_defects import (
     interpolate_clipped,
     worst_defects,
 )
+from companion.diagnosis.data.segments import REQUIREMENT, Segment, Span, gaps_of, longest_stretch_s, segments_of
+from companion.diagnosis.data.stamps import by_stamp, in_order
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
-from companion.records import Floats, Side
+from companion.records import Bools, Floats, Side
 from companion.units import GRAVITY_MPS2
 
-_SHORTEST_S = 8.0
-_LONGEST_GAP_S = 0.02
+_FEWEST_EXPOSURES = 20  # convention: for a likelihood of the toe
+_GAP_MARGIN_S = 1.0  # about a bridged gap, at most: there the smoothed wing is not known
 _INPUT = "input_"
 _CROWDED = 0.2  # of the usual step: stamps so close together carry no slope
 
 
-def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observations:
-    """Put a recording on a grid that carries everything up to ``top_hz``.
+def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observations]:
+    """Put a recording on grids that carry everything up to ``top_hz``, one for each segment between long gaps.
 
     Raises
     ------
     RecordingError
-        No wing accelerometer, too slow, or no gap-free stretch of at least 8 s.
+        No wing accelerometer, or less than 8 s can be pieced together.
     """
     if not raw.tips:
         raise RecordingError("no wing accelerometer in this recording: diagnosis needs left_z or right_z")
-    notes: list[str] = []
-    streams = [*raw.tips.values(), *([raw.root] if raw.root else [])]
-    start_s, stop_s = _longest_stretch(streams, notes)
-    fine_hz = min(_rate(stream) for stream in raw.tips.values())
+    ordered, notes = _ordered(raw)
+    streams = [stream.t_s for stream in (*ordered.tips.values(), *([ordered.root] if ordered.root else []))]
+    segments = segments_of(streams)
+    if not segments:
+        raise RecordingError(
+            f"the longest stretch without a gap is {longest_stretch_s(streams):.1f} s; record {REQUIREMENT}"
+        )
+    notes += _gap_notes(streams, segments)
+    fine_hz = min(_rate(stream) for stream in ordered.tips.values())
     if fine_hz < 2.0 * top_hz:
         notes.append(f"sampled at {fine_hz:.0f} Hz: nothing above {0.45 * fine_hz:.0f} Hz can be judged")
-    fine_t = start_s + np.arange(int((stop_s - start_s) * fine_hz)) / fine_hz
+    defects = {side: _faults(raw.tips[side], segments, airframe, side) for side in sorted(raw.tips)}
+    observed = [_observed(ordered, airframe, segment, top_hz, fine_hz, defects) for segment in segments]
+    units = _units([entry.covariates for entry in observed], airframe)
+    begun_s = segments[0].start_s
+    return [
+        dataclasses.replace(
+            observations,
+            covariates={
+                name: (values - units[name][0]) / units[name][1]
+                for name, values in observations.covariates.items()
+                if name in units
+            },
+            units=units,
+            notes=tuple(notes),
+            used_ratio=observations.duration_s / sum(other.duration_s for other in observed),
+            toe=toe,
+            start_s=segment.start_s - begun_s,
+            centre_s=0.5 * (observed[-1].duration_s + segments[-1].start_s - begun_s),
+        )
+        for observations, segment, toe in zip(observed, segments, _toe(ordered.ranges, airframe, segments), strict=True)
+    ]
+
+
+def _observed(
+    raw: RawRecording,
+    airframe: Airframe,
+    segment: Segment,
+    top_hz: float,
+    fine_hz: float,
+    defects: Mapping[Side, Sequence[SampleDefect]],
+) -> Observations:
+    """One segment, its covariates still in their own units."""
+    fine_t = segment.start_s + np.arange(int((segment.stop_s - segment.start_s) * fine_hz)) / fine_hz
     rate_hz, keep = _coarse(len(fine_t), fine_hz, top_hz)
     sides = tuple(sorted(raw.tips))
-    faults = {side: _faults(raw.tips[side], start_s, stop_s, airframe, side) for side in sides}
-    tips = _tips_on_grid(raw, faults, fine_t)
+    tips = _tips_on_grid(raw, defects, fine_t)
     root, turning = np.full(len(fine_t), -GRAVITY_MPS2), None
     if raw.root:
         root = undo_lowpass(_on_grid(raw.root, fine_t), fine_hz, airframe.root.lowpass_accel_hz)
         tips, turning = _against_rigid(raw, tips, fine_t, fine_hz, airframe)
     up = root[:, None] - tips
+    missing = _missing(raw, sides, fine_t)
+    up = impute_missing(np.ascontiguousarray(up.T), missing).T if missing.any() else up
     load = -root / GRAVITY_MPS2
-    grid_t = start_s + np.arange(keep) / rate_hz
+    grid_t = segment.start_s + np.arange(keep) / rate_hz
     channels = {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.covariates.items()}
-    units = _units(channels, airframe)
     return Observations(
         rate_hz,
         sides,
@@ -74,18 +115,70 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> Observation
         np.asarray(tips.mean(0) - root.mean()),
         raw.root is not None,
         _resample(load - load.mean(), keep) + load.mean(),
-        {name: (values - units[name][0]) / units[name][1] for name, values in channels.items() if name in units},
-        _toe(raw.ranges, airframe, start_s, stop_s),
+        channels,
+        None,
         {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
         None if turning is None else _resample(turning, keep),
         {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
         up - up.mean(0),
         fine_hz,
-        worst_defects([entry for side in sides for entry in faults[side]]),
-        notes=tuple(notes),
-        centre_s=0.5 * keep / rate_hz,
-        units=units,
+        worst_defects([entry for side in sides for entry in defects[side]]),
+        recorded_ratio=1.0 - float(missing.mean()),
     )
+
+
+def _ordered(raw: RawRecording) -> tuple[RawRecording, list[str]]:
+    """The recording with every stream in order of time, and what had to be done for it."""
+    notes: list[str] = []
+    tips = {side: _stream_in_order(stream, side.name.lower(), notes) for side, stream in raw.tips.items()}
+    root, rigid = raw.root, dict(raw.rigid)
+    if raw.root is not None:
+        ordered = in_order(raw.root.t_s, raw.root.force_z_mps2)
+        root = _stream_in_order(raw.root, "root", notes)
+        rigid = {name: (ordered.t_s, values[ordered.rows]) for name, (_, values) in raw.rigid.items()}
+    covariates = {name: _sorted(t_s, values) for name, (t_s, values) in raw.covariates.items()}
+    return RawRecording(tips, root, raw.ranges and raw.ranges.taken(by_stamp(raw.ranges.t_s)), covariates, rigid), notes
+
+
+def _stream_in_order(stream: RawStream, name: str, notes: list[str]) -> RawStream:
+    ordered = in_order(stream.t_s, stream.force_z_mps2)
+    if ordered.note:
+        notes.append(f"{name}: {ordered.note}")
+    lateral = None if stream.force_y_mps2 is None else stream.force_y_mps2[ordered.rows]
+    return RawStream(ordered.t_s, stream.force_z_mps2[ordered.rows], lateral)
+
+
+def _sorted(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    order = by_stamp(t_s)
+    return t_s[order], values[order]
+
+
+def _gap_notes(streams: Sequence[Floats], segments: Sequence[Segment]) -> list[str]:
+    """Gaps and how they are treated, in words."""
+    gaps = {gap for t_s in streams for gap in gaps_of(t_s)}
+    if not gaps:
+        return []
+    inside = sum(len(segment.gaps) for segment in segments)
+    count, longest_ms = len(gaps), max(stop - start for start, stop in gaps) * 1e3
+    recorded_s = sum(segment.recorded_s for segment in segments)
+    judged = f"{recorded_s:.1f} s in {len(segments)} segment{'s' if len(segments) > 1 else ''} are judged"
+    filled = f", {inside} gap{'s' if inside > 1 else ''} in them bridged" if inside else ""
+    return [f"{count} gap{'s' if count > 1 else ''}, the longest {longest_ms:.0f} ms; {judged}{filled}"]
+
+
+def _missing(raw: RawRecording, sides: Sequence[Side], t_s: Floats) -> Bools:
+    """Where a tip against the rigid aircraft was not recorded, (c, m)."""
+    of_root = _inside(gaps_of(raw.root.t_s), t_s) if raw.root is not None else np.zeros(len(t_s), dtype=np.bool_)
+    return np.stack([_inside(gaps_of(raw.tips[side].t_s), t_s) | of_root for side in sides])
+
+
+def _inside(gaps: Sequence[Span], t_s: Floats, margin_s: float = 0.0) -> Bools:
+    """Which instants lie in a gap, or nearer to one than its length, at most ``margin_s``."""
+    inside = np.zeros(len(t_s), dtype=np.bool_)
+    for start, stop in gaps:
+        near = min(stop - start, margin_s)
+        inside |= (t_s > start - near) & (t_s < stop + near)
+    return inside
 
 
 def _tips_on_grid(raw: RawRecording, faults: Mapping[Side, Sequence[SampleDefect]], t_s: Floats) -> Floats:
@@ -118,33 +211,9 @@ def _rate(stream: RawStream) -> float:
     return float(1.0 / np.median(np.diff(stream.t_s)))
 
 
-def _longest_stretch(streams: list[RawStream], notes: list[str]) -> tuple[float, float]:
-    """The longest time in which no stream has a gap."""
-    start = max(float(stream.t_s[0]) for stream in streams)
-    stop = min(float(stream.t_s[-1]) for stream in streams)
-    holes: list[tuple[float, float]] = []
-    for stream in streams:
-        step = np.diff(stream.t_s)
-        wide = np.flatnonzero(step > max(_LONGEST_GAP_S, 5.0 * float(np.median(step))))
-        holes += [(float(stream.t_s[i]), float(stream.t_s[i + 1])) for i in wide]
-    edges = sorted([(start, start), *[hole for hole in holes if start < hole[0] < stop], (stop, stop)])
-    pieces = [(edges[i][1], edges[i + 1][0]) for i in range(len(edges) - 1)]
-    best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0.0, 0.0))
-    if holes:
-        count = len(set(holes))
-        notes.append(
-            f"{count} gap{'s' if count > 1 else ''}, the longest {max(b - a for a, b in holes) * 1e3:.0f} ms; "
-            f"judged is the longest stretch without one, {best[1] - best[0]:.1f} s"
-        )
-    if best[1] - best[0] < _SHORTEST_S:
-        raise RecordingError(
-            f"the longest stretch without a gap is {best[1] - best[0]:.1f} s; {_SHORTEST_S:g} s needed"
-        )
-    return best
-
-
-def _faults(stream: RawStream, start_s: float, stop_s: float, airframe: Airframe, side: Side) -> list[SampleDefect]:
-    inside = (stream.t_s >= start_s) & (stream.t_s <= stop_s)
+def _faults(stream: RawStream, segments: Sequence[Segment], airframe: Airframe, side: Side) -> list[SampleDefect]:
+    """Defects that the samples show as they were recorded."""
+    inside = (stream.t_s >= segments[0].start_s) & (stream.t_s <= segments[-1].stop_s)
     sensor = airframe.left if side is Side.LEFT else airframe.right
     return find_sample_defects(stream.t_s[inside], stream.force_z_mps2[inside], sensor)
 
@@ -171,7 +240,9 @@ def _on_grid(stream: RawStream, t_s: Floats) -> Floats:
     step = np.diff(stream.t_s)
     if float(step.min()) < _CROWDED * float(np.median(step)):  # a spline through crowded samples would swing
         return np.asarray(np.interp(t_s, stream.t_s, stream.force_z_mps2))
-    return np.asarray(CubicSpline(stream.t_s, stream.force_z_mps2)(t_s))
+    splined = np.asarray(CubicSpline(stream.t_s, stream.force_z_mps2)(t_s))
+    in_gap = _inside(gaps_of(stream.t_s), t_s)
+    return np.where(in_gap, np.interp(t_s, stream.t_s, stream.force_z_mps2), splined) if in_gap.any() else splined
 
 
 def _coarse(count: int, fine_hz: float, top_hz: float) -> tuple[float, int]:
@@ -194,8 +265,9 @@ def _resample(values: Floats, count: int) -> Floats:
     return np.asarray(thin + np.multiply.outer(np.linspace(0.0, 1.0, count, endpoint=False), across))
 
 
-def _units(channels: Mapping[str, Floats], airframe: Airframe) -> dict[str, tuple[float, float]]:
+def _units(covariates: Sequence[Mapping[str, Floats]], airframe: Airframe) -> dict[str, tuple[float, float]]:
     """Mean and rms that each covariate is counted in: those of an effect in force that follows it, or its own."""
+    channels = {name: np.concatenate([entry[name] for entry in covariates]) for name in covariates[0]}
     units = {
         name: (float(values.mean()), float(values.std()) or 1.0)
         for name, values in channels.items()
@@ -207,18 +279,34 @@ def _units(channels: Mapping[str, Floats], airframe: Airframe) -> dict[str, tupl
     return units
 
 
-def _toe(ranges: RawRanges | None, airframe: Airframe, start_s: float, stop_s: float) -> ToeData | None:
+def _toe(ranges: RawRanges | None, airframe: Airframe, segments: Sequence[Segment]) -> list[ToeData | None]:
+    """Toe in each segment; without a reference the mean distance of all of them stands for it."""
     left_camera, right_camera = airframe.left_camera, airframe.right_camera
     if ranges is None or left_camera is None or right_camera is None:
-        return None
+        return [None] * len(segments)
     baseline_m = right_camera.position_m[1] - left_camera.position_m[1]
-    inside = clear_of_ends(ranges.t_s, start_s, stop_s) & (ranges.range_m != 0.0)
-    inverse = 1.0 / ranges.range_m[inside]  # of an infinite range it is 0, which is what was measured
-    t_s = ranges.t_s[inside] - start_s
-    if len(t_s) < 20:
-        return None
-    has_reference = ranges.reference_m is not None
-    reference = (
-        1.0 / ranges.reference_m[inside] if ranges.reference_m is not None else np.full(len(t_s), inverse.mean())
-    )
-    return ToeData(t_s, baseline_m * (inverse - reference), reference, has_reference)
+    used = [_exposures(ranges, segment) for segment in segments]
+    inverse = np.zeros(len(ranges.t_s))  # of an infinite range it is 0, which is what was measured
+    np.divide(1.0, ranges.range_m, out=inverse, where=ranges.range_m != 0.0)
+    if ranges.reference_m is not None:
+        reference = 1.0 / ranges.reference_m
+    else:
+        reference = np.full(len(inverse), inverse[np.any(used, axis=0)].mean() if np.any(used) else 0.0)
+    toe_rad = baseline_m * (inverse - reference)
+    return [
+        ToeData(
+            ranges.t_s[exposures] - segments[0].start_s,
+            toe_rad[exposures],
+            reference[exposures],
+            ranges.reference_m is not None,
+        )
+        if exposures.sum() >= _FEWEST_EXPOSURES
+        else None
+        for exposures in used
+    ]
+
+
+def _exposures(ranges: RawRanges, segment: Segment) -> Bools:
+    """Which ranges were made where the smoothed wing is known."""
+    inside = clear_of_ends(ranges.t_s, segment.start_s, segment.stop_s) & (ranges.range_m != 0.0)
+    return np.asarray(inside & ~_inside(segment.gaps, ranges.t_s, _GAP_MARGIN_S))

@@ -46,7 +46,7 @@ class FlightModel:
         self._low = int(np.searchsorted(all_hz, low_hz))
         top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * observations.rate_hz), side="right"))
         self.band_hz: Floats = all_hz[self._low : top]
-        self.weight = self.transforms.weight
+        self.weight = self.transforms.weight * observations.recorded_ratio
         self._spectra = Spectra(belief.airframe, observations.sides, all_hz[:top], observations.has_root)
         lineariser = SensorLineariser(observations, self.transforms)
         up = lineariser.recorded_mps2

@@ -66,7 +66,7 @@ class CsvRecording(LoggedRecording):
     Attributes
     ----------
     streams : tuple of Stream
-        One for each place; axes that come in two files are interpolated to the stamps of the longer one.
+        One for each place, rows as they stand; axes that come in two files are interpolated to the longer one's stamps.
     covariates : dict of str to Covariate
     ranges : RangeTable or None
 
@@ -130,7 +130,7 @@ class CsvRecording(LoggedRecording):
             place = station.name.lower()
             if len(of_station) > 1 and of_station[0].axes & of_station[1].axes:
                 raise TableError(self.path / f"accel_{place}.csv", 1, f"axes of '{place}' are in accel.csv as well")
-            yield join(of_station)
+            yield join(of_station if len(of_station) == 1 else [increasing(stream) for stream in of_station])
 
     def _fitting(self, airframe: Airframe) -> Airframe:
         sensors: dict[str, Any] = {
@@ -205,6 +205,12 @@ def stream_of(station: Station, t_ns: Ints, columns: list[tuple[int, Floats]]) -
         values[:, index] = column
         axes |= Axis(1 << index)
     return InertialStream(station, ClockName.HOST, axes, t_ns, values)
+
+
+def increasing(stream: InertialStream) -> InertialStream:
+    """The samples by their stamps, of equal ones the first: axes in two files can be joined by nothing else."""
+    t_ns, rows = np.unique(stream.t_ns, return_index=True)
+    return dataclasses.replace(stream, t_ns=t_ns, values=stream.values[rows])
 
 
 def gravity(path: Path, stream: InertialStream) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import fnmatch
 import re
 from collections.abc import Mapping
@@ -13,7 +14,7 @@ import numpy as np
 from companion.adapters.recordings.tables.mapped_matlab import matlab_columns
 from companion.adapters.recordings.tables.mapped_text import text_columns
 from companion.adapters.recordings.tables.mapping import ColumnMapping, MatlabLayout, TableMapping
-from companion.errors import RecordingError, TableError
+from companion.errors import RecordingError
 from companion.records import Floats
 
 MAY_BE_MISSING = frozenset({"range_m", "reference_m", "disparity_px", "t_command_s"})
@@ -27,7 +28,7 @@ class MappedTable:
     Attributes
     ----------
     t_s : (n,)
-        Increasing.
+        As stamped, row by row.
     channels : dict of str to (n,)
         By the mapping's names, scaled; NaN only in the channels of :data:`MAY_BE_MISSING`.
     constants : dict of str to float
@@ -40,6 +41,15 @@ class MappedTable:
     channels: dict[str, Floats]
     constants: dict[str, float]
     notes: tuple[str, ...] = ()
+
+    def increasing(self) -> MappedTable:
+        """The rows in order of their stamps, of equal stamps the first; a note tells of it."""
+        t_s, rows = np.unique(self.t_s, return_index=True)
+        if np.array_equal(rows, np.arange(len(self.t_s))):
+            return self
+        note = f"{self.path.name}: {len(self.t_s)} rows out of order or with stamps that repeat; {len(rows)} are used"
+        channels = {name: values[rows] for name, values in self.channels.items()}
+        return dataclasses.replace(self, t_s=t_s, channels=channels, notes=(*self.notes, note))
 
 
 def files_of(path: Path, mapping: TableMapping) -> list[Path]:
@@ -68,7 +78,7 @@ def read_mapped(path: Path, mapping: TableMapping) -> MappedTable:
     RecordingError
         The file is missing or no such table.
     TableError
-        A column is missing, a cell is no number, or time does not increase; file, line and column are named.
+        A column is missing, or a cell is no number; file, line and column are named.
     """
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
@@ -81,7 +91,6 @@ def read_mapped(path: Path, mapping: TableMapping) -> MappedTable:
     t_s = channels.pop("t_s", None)
     if t_s is None:
         t_s = np.arange(len(next(iter(channels.values())))) / mapping.rate_hz
-    _check_increasing(path, mapping, t_s)
     missing = [column for column in mapping.columns if column.name not in raw]
     notes = tuple(f"{path.name}: no column '{column.name}' ({column.channel})" for column in missing)
     return MappedTable(path, t_s, channels, _constants(path, mapping.constants), notes)
@@ -93,13 +102,3 @@ def _scaled(values: Floats, column: ColumnMapping) -> Floats:
 
 def _constants(path: Path, by_file: Mapping[str, dict[str, float]]) -> dict[str, float]:
     return dict(by_file.get(path.name, {}))
-
-
-def _check_increasing(path: Path, mapping: TableMapping, t_s: Floats) -> None:
-    back = np.flatnonzero(np.diff(t_s) <= 0)
-    if not back.size:
-        return
-    row = int(back[0]) + 1
-    layout = mapping.layout
-    line = row + 1 if isinstance(layout, MatlabLayout) else layout.first_line + row
-    raise TableError(path, line, f"time must increase, but t_s = {t_s[row]:.9g} follows {t_s[row - 1]:.9g}")

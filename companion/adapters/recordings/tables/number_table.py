@@ -29,7 +29,7 @@ class NumberTable:
 def read_table(
     path: Path, required: tuple[str, ...] = (), may_be_infinite: frozenset[str] = frozenset()
 ) -> NumberTable:
-    """Read a CSV table whose first line is its header; ``t_s`` must be there and increase.
+    """Read a CSV table whose first line is its header; ``t_s`` must be there.
 
     Columns of ``required`` must be there too; ``inf`` is allowed in those of ``may_be_infinite``. Empty cells and
     not-a-number are allowed nowhere.
@@ -39,8 +39,8 @@ def read_table(
     RecordingError
         The file is missing or is no text.
     TableError
-        A missing or repeated column, a row with another number of cells, a cell that is empty, not a number or not
-        finite, or a time that does not increase.
+        A missing or repeated column, a row with another number of cells, or a cell that is empty, not a number or not
+        finite.
     """
     header = _header(path)
     for name in ("t_s", *required):
@@ -50,12 +50,6 @@ def read_table(
     strict = [i for i, name in enumerate(header) if name not in may_be_infinite]
     if not np.isfinite(values[:, strict]).all() or np.isnan(values).any():
         _find_bad_cell(path, header, may_be_infinite)
-    t_s = values[:, header.index("t_s")]
-    back = np.flatnonzero(np.diff(t_s) <= 0)
-    if back.size:
-        row = int(back[0]) + 1
-        line = _line_of_row(path, row)
-        raise TableError(path, line, f"time must increase, but t_s = {t_s[row]:.9g} follows {t_s[row - 1]:.9g}")
     return NumberTable(path, {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)})
 
 
@@ -119,10 +113,3 @@ def _check_cell(path: Path, line: int, name: str, cell: str, may_be_infinite: bo
         raise TableError(path, line, f"column '{name}': '{cell[:40]}' is not a number") from None
     if math.isnan(value) or (math.isinf(value) and not may_be_infinite):
         raise TableError(path, line, f"column '{name}': '{cell}' is not a finite number; leave the whole row out")
-
-
-def _line_of_row(path: Path, row: int) -> int:
-    with path.open(encoding="utf-8-sig") as file:
-        next(file)
-        filled = (number for number, line in enumerate(file, start=2) if line.strip())
-        return next(number for i, number in enumerate(filled) if i == row)

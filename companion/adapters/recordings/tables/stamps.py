@@ -24,7 +24,7 @@ def without_rounding(t_s: Floats) -> tuple[Floats, str]:
     Parameters
     ----------
     t_s : (n,)
-        Increasing stamps.
+        Stamps; those that do not increase are given back.
 
     Returns
     -------
@@ -34,8 +34,10 @@ def without_rounding(t_s: Floats) -> tuple[Floats, str]:
     note : str
         What was done, "" for nothing.
     """
+    if len(t_s) < _FIRST or np.any(np.diff(t_s) <= 0.0):
+        return t_s, ""
     lattice_s = _lattice(t_s)
-    if lattice_s == 0.0 or len(t_s) < _FIRST:
+    if lattice_s == 0.0:
         return t_s, ""
     usual_s = float(np.median(t_s[_FIRST - 1 :] - t_s[: len(t_s) - _FIRST + 1])) / (_FIRST - 1)
     holes = np.flatnonzero(np.diff(t_s) > max(_HOLE * usual_s, usual_s + 2.0 * lattice_s))

@@ -41,9 +41,11 @@ class Quantisation(Effect):
     def sample_defect(cls, t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> SampleDefect | None:
         """Values on a lattice whose step adds noise that counts beside what the sensor is believed to have."""
         step = lattice_step(force_z_mps2)
-        rate_hz = 1.0 / float(np.median(np.diff(t_s)))
-        noise = sensor.accel_noise_mps2_rthz**2 * 0.5 * rate_hz
-        if step <= 0.0 or step**2 / 12.0 < _COARSE * noise:
+        seconds = float(np.ptp(t_s))
+        if step <= 0.0 or seconds <= 0.0:
+            return None
+        noise = sensor.accel_noise_mps2_rthz**2 * 0.5 * (len(t_s) - 1) / seconds
+        if step**2 / 12.0 < _COARSE * noise:
             return None
         text = f"all values are multiples of {step:.4g} m/s^2: noise of {step / math.sqrt(12.0):.3g} m/s^2"
         return SampleDefect(cls.name, {"step_mps2": step}, {"step_mps2": 1e-3 * step}, text, CERTAIN)

@@ -9,20 +9,23 @@ from typing import ClassVar
 import numpy as np
 
 from companion.core.wing.effect import Effect, Group, parameter
-from companion.core.wing.samples import CERTAIN, SampleDefect
+from companion.core.wing.samples import CERTAIN, SampleDefect, evenly_stamped, smoothed_stamps
 from companion.params.airframe import Sensor
 from companion.records import Floats, Station
 
 _LOST = 0.005  # share of samples
 _LONGEST_LOSS = 10.0  # samples
 _WANDERING = 0.15  # of a period
+_FINE = 0.8  # of all values are distinct where none is rounded
+_SHARED = 0.1  # of the stamps
+_MEAN_OF = 65  # stamps
 
 
 @dataclass(frozen=True, slots=True)
 class DropoutJitter(Effect):
     """Stamps wander by ``jitter_s`` rms; a share of samples is lost, and what stands for them is the sample before.
 
-    Seen in the stamps themselves. A simulated stream holds the last value where a sample is lost.
+    Seen in the samples themselves. A simulated stream holds the last value where a sample is lost.
     """
 
     name: ClassVar[str] = "dropout-jitter"
@@ -44,8 +47,15 @@ class DropoutJitter(Effect):
 
     @classmethod
     def sample_defect(cls, t_s: Floats, force_z_mps2: Floats, sensor: Sensor) -> SampleDefect | None:
-        """Stamps that are missing, or wander about a steady rate."""
-        del force_z_mps2, sensor
+        """Stamps that are missing, go back or wander about a steady rate, or values that stand for lost ones."""
+        del sensor
+        held = _held(force_z_mps2)
+        if np.any(np.diff(t_s) <= 0.0):
+            by_stamp = np.unique(t_s)
+            if not evenly_stamped(by_stamp) or len(by_stamp) < (1.0 - _SHARED) * len(t_s):
+                period, wanders = _about_the_mean(t_s)
+                return cls._defect(t_s, period, wanders, held) if _is_defect(held, wanders, period) else None
+            t_s = by_stamp  # rows that arrived in another order, or twice
         steps = np.diff(t_s)
         period = float(np.median(steps))
         periods = np.maximum(np.round(steps / period), 1.0)
@@ -54,13 +64,39 @@ class DropoutJitter(Effect):
         index = np.concatenate([[0.0], np.cumsum(periods)])
         line = np.polynomial.Polynomial.fit(index, t_s, 1)
         wanders = float(np.std(np.where(periods > 1, 0.0, steps - period))) / math.sqrt(2.0)
-        if lost < _LOST and wanders < _WANDERING * period:
+        lost += (1.0 - lost) * held
+        if not _is_defect(lost, wanders, period):
             return None
-        jitter = min(float(np.std(t_s - line(index))), wanders)
-        text = f"{100 * lost:.1f} % of samples missing, stamps wander {1e3 * jitter:.2f} ms about {1e3 * period:.2f} ms"
-        count = len(steps)
-        sigmas = {"jitter_s": jitter / math.sqrt(2.0 * count), "lost": math.sqrt(max(lost, 1.0 / count) / count)}
-        return SampleDefect(cls.name, {"jitter_s": jitter, "lost": lost}, sigmas, text, CERTAIN)
+        return cls._defect(t_s, period, min(float(np.std(t_s - line(index))), wanders), lost)
+
+    @classmethod
+    def _defect(cls, t_s: Floats, period_s: float, jitter_s: float, lost: float) -> SampleDefect:
+        wander = f"stamps wander {1e3 * jitter_s:.2f} ms about {1e3 * period_s:.2f} ms"
+        text = f"{100 * lost:.1f} % of samples missing, {wander}"
+        count = len(t_s) - 1
+        sigmas = {"jitter_s": jitter_s / math.sqrt(2.0 * count), "lost": math.sqrt(max(lost, 1.0 / count) / count)}
+        return SampleDefect(cls.name, {"jitter_s": jitter_s, "lost": lost}, sigmas, text, CERTAIN)
+
+
+def _is_defect(lost: float, wanders_s: float, period_s: float) -> bool:
+    return lost >= _LOST or wanders_s >= _WANDERING * period_s
+
+
+def _held(values: Floats) -> float:
+    """Share of samples that repeat the one before to the last digit, of values so fine that none does by chance."""
+    fine = len(np.unique(values)) > _FINE * len(values)
+    return float(np.mean(np.diff(values) == 0.0)) if fine else 0.0
+
+
+def _about_the_mean(t_s: Floats) -> tuple[float, float]:
+    """Usual step, and how far stamps in the order of their rows lie about their running mean beyond their rounding."""
+    period = float(np.median(t_s[_MEAN_OF:] - t_s[:-_MEAN_OF])) / _MEAN_OF if len(t_s) > _MEAN_OF else math.inf
+    off = t_s - smoothed_stamps(t_s, _MEAN_OF)
+    usual = np.abs(off) < _LONGEST_LOSS * period  # about a gap the mean lies elsewhere
+    distinct = np.unique(t_s)
+    coarse = len(distinct) < (1.0 - _SHARED) * len(t_s)
+    rounding = float(np.median(np.diff(distinct))) ** 2 / 12.0 if coarse and len(distinct) > 1 else 0.0
+    return period, math.sqrt(max(float(np.mean(off[usual] ** 2)) - rounding, 0.0)) if usual.any() else 0.0
 
 
 def _chance(t_s: Floats, seed: float) -> Floats:
