@@ -11,12 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.kernels.compiled import compiled, plain
-from companion.records import Floats, Ints
+from companion.core.kernels.arrays import plain
+from companion.native.library import ARRAY, INTEGER, kernel
+from companion.records import Ints
 
 MOST_SLEW = 1e-3  # sample spacing is torn by 0.1 % at most, below what the filter feels
 _STEER_NS = 2.5e9  # half of the time after which a silent clock is lost: an error can only swing to its opposite
 _KNOTS = 128  # exchanges: twelve seconds at 10 Hz, more than the smoother asks for
+
+
+_to_host = kernel("clock_to_host", ARRAY, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,28 +85,13 @@ class ClockMap:
 
         Also give the oldest and the newest host stamp, and the largest bound [ns].
         """
-        return _mapped(plain(t_ns), self._stamps[: self._count], self._slopes[: self._count])
+        t_ns = plain(t_ns)
+        host_ns, ends_ns = np.empty(len(t_ns), np.int64), np.empty(3, np.int64)
+        _to_host(t_ns, self._stamps, self._slopes, self._count, host_ns, ends_ns)
+        oldest_ns, newest_ns, bound_ns = ends_ns.tolist()
+        return host_ns, oldest_ns, newest_ns, bound_ns
 
     def newest(self) -> Knot:
         """Give the segment in force."""
         assert self._newest is not None
         return self._newest
-
-
-@compiled
-def _mapped(t_ns: Ints, stamps: Ints, slopes: Floats) -> tuple[Ints, int, int, int]:
-    """See :meth:`ClockMap.to_host`."""
-    at = np.maximum(np.searchsorted(stamps[:, 0], t_ns, side="right") - 1, 0)
-    elapsed = t_ns - stamps[:, 0][at]
-    host = stamps[:, 1][at] + elapsed - (slopes[:, 0][at] * elapsed).astype(np.int64)
-    low, high, first, last = host[t_ns.argmin()], host[t_ns.argmax()], at.min(), at.max()
-    most = max(_bound_at_ns(slopes[first], stamps[first, 1], low), _bound_at_ns(slopes[last], stamps[last, 1], high))
-    for k in range(first, last):
-        most = max(most, _bound_at_ns(slopes[k], stamps[k, 1], stamps[k + 1, 1]))
-    return host, low, high, most
-
-
-@compiled
-def _bound_at_ns(slope: Floats, from_ns: int, host_ns: int) -> int:
-    """See :meth:`Knot.bound_at_ns`."""
-    return int(slope[1] + slope[2] * abs(host_ns - from_ns)) + 1

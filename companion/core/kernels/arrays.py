@@ -14,7 +14,7 @@ contradiction of the model, a lasting one is.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -25,7 +25,13 @@ GATE_SIGMAS = 5.0  # convention: a Gaussian innovation lies beyond once in 1.7 m
 LOAD_VARIANCE_RATIO = 2.0  # chosen: variance of the wing's load per variance of a shaken root's vertical force
 MAX_NOISE_INFLATION = 1e6  # numerical: bound on the process noise's factor
 MAX_STEP_NIS = 200.0  # chosen: a 20 ms blow (5 steps) then stays below validity.NIS_LIMIT over a second
+_Array = TypeVar("_Array", bound=Any)
 _TRANSITIONS = 8  # derived: parameters change once a second, and a history holds little more than one second
+
+
+def plain(array: _Array) -> _Array:
+    """The array, or a contiguous copy of a view with gaps, which no compiled loop takes."""
+    return array if array.flags.c_contiguous else cast(_Array, array.copy())
 
 
 class Epochs(NamedTuple):

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.kernels.compiled import compiled
 from companion.core.stereo.geometry import Rig
 from companion.core.tracking.prediction import Forecast
 from companion.core.trigger.latency import LatencyModel
+from companion.native.library import ARRAY, REAL, RECORD, kernel, packed
 from companion.params.airframe import Airframe, Camera
 from companion.records import Floats, Ints, Side
 
@@ -84,9 +84,16 @@ class BlurModel:
         step_s = float(forecast.t_host_ns[1] - forecast.t_host_ns[0]) * 1e-9
         nearness = 1.0 / motion.range_m if motion.range_m > 0 else 0.0
         rates, covariance = forecast.slope_rate_radps, forecast.slope_rate_covariance
-        rigid = (forecast.body_rate_radps, motion.velocity_body_mps, nearness)
-        image, per_rate, acceleration, rms = _streak_px(
-            self._eyes, rates, covariance, step_s, latency.shifts_ns(), latency.sigmas_ns(), *rigid
+        image, per_rate, acceleration, rms = streaks(
+            self._eyes,
+            rates,
+            covariance,
+            step_s,
+            np.array(latency.shifts_ns()),
+            np.array(latency.sigmas_ns()),
+            forecast.body_rate_radps,
+            motion.velocity_body_mps,
+            nearness,
         )
         return BlurForecast(
             t_host_ns=forecast.t_host_ns,
@@ -156,39 +163,35 @@ def _cross(vector: Floats) -> Floats:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-@compiled
-def _streak_px(
+class Streaks(NamedTuple):
+    """Image motion (n, 2, 3), what a slope rate adds to it (2, 3), slope accelerations and rms blur (n, 2)."""
+
+    image: Floats
+    per_rate: Floats
+    acceleration: Floats
+    rms: Floats
+
+
+_pack_eyes, _pack_streaks = packed(_Eyes), packed(Streaks)
+_streaks = kernel("trigger_streaks", RECORD, ARRAY, ARRAY, REAL, ARRAY, ARRAY, ARRAY, ARRAY, REAL, RECORD)
+
+
+def streaks(
     eyes: _Eyes,
     rates: Floats,
     covariance: Floats,
     step_s: float,
-    shifts_ns: tuple[float, float],
-    sigmas_ns: tuple[float, float],
+    shifts_ns: Floats,
+    sigmas_ns: Floats,
     body_rate_radps: Floats,
     velocity_mps: Floats,
     nearness: float,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Image motion, what a slope rate adds to it, slope accelerations and expected rms blur over the instants."""
-    acceleration, per_rate = _derivative(rates, step_s), eyes.by_slope + nearness * eyes.by_lift
-    image, rms = np.empty((len(rates), 2, 3)), np.empty((len(rates), 2))
-    for side in range(2):
-        rigid = eyes.by_rate[side] @ body_rate_radps
-        rigid += nearness * (eyes.by_velocity[side] @ velocity_mps + eyes.by_lever[side] @ body_rate_radps)
-        timing = (sigmas_ns[side] * 1e-9) ** 2 + eyes.exposure_s[side] ** 2 / 12.0
-        rate = rates[:, side] + acceleration[:, side] * (shifts_ns[side] * 1e-9)
-        square = (covariance[:, side, side] + acceleration[:, side] ** 2 * timing) * np.sum(per_rate[side] ** 2)
-        for axis in range(3):
-            moved = rigid[axis] + per_rate[side, axis] * rate
-            image[:, side, axis] = moved
-            square += moved**2
-        rms[:, side] = eyes.px * np.sqrt(square)
-    return image, per_rate, acceleration, rms
-
-
-@compiled
-def _derivative(rates: Floats, step_s: float) -> Floats:
-    """Slope acceleration (n, 2) of equally spaced instants, by central differences."""
-    derivative = np.empty_like(rates)
-    derivative[1:-1] = (rates[2:] - rates[:-2]) / (2 * step_s)
-    derivative[0], derivative[-1] = (rates[1] - rates[0]) / step_s, (rates[-1] - rates[-2]) / step_s
-    return derivative
+) -> Streaks:
+    """Blur over n instants, at least two: see :class:`BlurForecast` for the rest."""
+    n = len(rates)
+    out = Streaks(np.empty((n, 2, 3)), np.empty((2, 3)), np.empty((n, 2)), np.empty((n, 2)))
+    timing = (step_s, shifts_ns, sigmas_ns)
+    _streaks(
+        _pack_eyes(eyes), rates, covariance, *timing, body_rate_radps, velocity_mps, nearness, _pack_streaks(out)
+    )  # fmt: skip
+    return out
