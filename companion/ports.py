@@ -31,6 +31,10 @@ class Autopilot(Protocol):
         """Send an output record in the form that the autopilot understands."""
         ...
 
+    def set_own_parameter(self, name: str, value: float) -> None:
+        """Set one of our own parameters, as a ground station would; what comes of it is among the next polled."""
+        ...
+
     def close(self) -> None:
         """Release the link."""
         ...

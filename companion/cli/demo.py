@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.cli.steps.demo_realtime import fly_in_real_time
+from companion.cli.steps.live_view import add_live, live_session, read_live
 from companion.cli.steps.lockstep import LockStepService
 from companion.cli.steps.numbers import seconds, seed
 from companion.cli.steps.options import add_settings, make_folder, read_settings
@@ -24,6 +25,7 @@ from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.evaluation.flight_evaluation import evaluate_flight
 from companion.evaluation.pages.demo_picture import draw
 from companion.evaluation.rendered_shots import Stage
+from companion.live.session import Subject
 from companion.params.files import load_airframe
 from companion.reporting.plotting import require_report
 from companion.service.config import ServiceConfig
@@ -46,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--realtime", action="store_true",
         help="fly beside the live service's processes, in real time: figures are those of this machine, too",
     )  # fmt: skip
+    add_live(parser)
     add_settings(parser)
 
 
@@ -59,7 +62,8 @@ def execute(options: argparse.Namespace) -> int:
     recording = options.out / "flight.mcap"
     for old in (recording, options.out / "summary.png"):
         old.unlink(missing_ok=True)
-    config = ServiceConfig(airframe, read_settings(options), (), recording=recording)
+    live = read_live(options, recording)
+    config = ServiceConfig(airframe, read_settings(options), (), recording=recording, live=live)
     world = WORLDS[options.world]
     _say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s, {world.name} world) ...")
     flight = build_flight(airframe, options.seed, options.duration, world=world)
@@ -84,14 +88,16 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
     if options.realtime:
         return fly_in_real_time(config, flight, view, live=live)
     warm_up(config.airframe, config.settings, _say_compiling)
-    service = LockStepService(config, flight)
-    view.progress = service.progress()
-
-    def wait(real_s: float) -> None:
-        service.wait(real_s)
+    subject = Subject(config.airframe, config.settings, f"demo, seed {flight.seed}", is_recording=True)
+    with live_session(config.live, subject) as watched:
+        service = LockStepService(config, flight, watched)
         view.progress = service.progress()
 
-    fly(service, view, service.over, live=live, wait=wait)
+        def wait(real_s: float) -> None:
+            service.wait(real_s)
+            view.progress = service.progress()
+
+        fly(service, view, service.over, live=live, wait=wait)
     return EPOCH_NS, service.report()
 
 

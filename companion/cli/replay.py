@@ -18,12 +18,15 @@ from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter, machine
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.steps.live_view import add_live, live_session, read_live
 from companion.cli.steps.options import add_settings, check_output, read_settings
+from companion.cli.steps.paced_view import PacedView
 from companion.cli.terminal.progress import Progress, progress_of
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
 from companion.evaluation.replay import drive, foreign_inputs, own_inputs
 from companion.evaluation.replay_comparison import ReplayComparison
 from companion.evaluation.station_tones import StationAnalysis
+from companion.live.session import Subject
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -52,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="the result as JSON on standard output")
     parser.add_argument("--out", type=Path, metavar="FILE.mcap", help="write the outputs as a recording")
     parser.add_argument("--plain", action="store_true", help="progress as a line every few seconds (standard error)")
+    add_live(parser)
     add_settings(parser)
 
 
@@ -95,12 +99,17 @@ def execute(options: argparse.Namespace) -> int:
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
     recorded = _outputs_of(recording) if is_own_format and same_beliefs else None
     progress = progress_of(recording, "replaying", plain=options.plain)
-    for output in _replayed(recording, settings, is_own_format, stations, progress):
-        tally.take(output)
-        if writer is not None:
-            writer.write(output)
-        if recorded is not None and isinstance(output, _OUTPUTS):
-            comparison.compare(next(recorded, None), output, lossy=_lossy(recording))
+    live = read_live(options, recording.path)
+    with live_session(live, Subject(recording.airframe, settings, recording.path.name, is_recording=True)) as watched:
+        show = None if watched is None else PacedView(watched)
+        for output in _replayed(recording, settings, is_own_format, stations, progress, show):
+            tally.take(output)
+            if show is not None:
+                show.publish(output)
+            if writer is not None:
+                writer.write(output)
+            if recorded is not None and isinstance(output, _OUTPUTS):
+                comparison.compare(next(recorded, None), output, lossy=_lossy(recording))
     progress.close()
     if writer is not None:
         writer.close()
@@ -124,9 +133,14 @@ def _plain(record: Record | None) -> Any:
 
 
 def _replayed(
-    recording: Recording, settings: Settings, is_own_format: bool, stations: StationAnalysis, progress: Progress
+    recording: Recording,
+    settings: Settings,
+    is_own_format: bool,
+    stations: StationAnalysis,
+    progress: Progress,
+    show: PacedView | None,
 ) -> Iterator[Record]:
-    records = recording.records()
+    records = recording.records() if show is None else show.with_images(recording.records())
     inputs = own_inputs(records, recording.airframe, settings) if is_own_format else foreign_inputs(records)
     hub = None if recording.hub is ClockName.HOST else recording.hub
 
@@ -135,6 +149,9 @@ def _replayed(
             if isinstance(record, ImuBatch):
                 stations.add(record)
                 progress.at(record.received_host_ns)
+            if show is not None:
+                show.keep_pace(record)
+                show.publish(record)
             yield record
 
     return drive(watched(), recording.airframe, settings, hub)

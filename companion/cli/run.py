@@ -12,6 +12,7 @@ from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import link_firing
 from companion.adapters.triggers.oak import soft_line
+from companion.cli.steps.live_view import add_live, read_live
 from companion.cli.steps.numbers import number, seconds
 from companion.cli.steps.options import add_settings, read_settings, state_file
 from companion.cli.steps.simulated_devices import SPELLING, opens_at_take_off, simulated_cameras, simulated_trigger
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-standby", action="store_true", help="no second inertial process that waits to take over (saves 180 MB)"
     )
     parser.add_argument("--plain", action="store_true", help="a line every few seconds instead of the live view")
+    add_live(parser)
     add_settings(parser)
 
 
@@ -101,6 +103,7 @@ def service_config(options: argparse.Namespace) -> ServiceConfig:
         parameters=options.parameters,
         signing_key=options.sign_key,
         standby=not options.no_standby,
+        live=read_live(options, options.record),
     )
 
 

@@ -20,7 +20,7 @@ from companion.core.stereo.pairing import FramePairer
 from companion.errors import DeviceError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, MatchSet, Rejected
+from companion.records import ClockName, FramePair, MatchSet, Rejected
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.truth import FlightTruth
 from companion.sim.flight.worlds import ImageFaults
@@ -29,7 +29,7 @@ from companion.sim.vision.renderer import PERFECT, Renderer
 from companion.sim.vision.scene import Scene
 from companion.sim.vision.scenery import scene_of
 
-ShotRecords = list[MatchSet | Rejected]
+ShotRecords = list[MatchSet | Rejected | FramePair]
 _ENDED = "a process that renders the cameras' images has ended; its messages are above"
 _WORKERS = 2  # shots overlap by one at most: a third would wait
 
@@ -61,11 +61,15 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class Pull:
-    """One pull of the line: number of the shot, instant of the edge, and when its matches are ready (host ns)."""
+    """One pull of the line: number of the shot, instant of the edge, and when its matches are ready (host ns).
+
+    ``is_shown`` asks for the images too.
+    """
 
     shot: int
     edge_host_ns: int
     matched_host_ns: int
+    is_shown: bool = False
 
 
 class Studio:
@@ -86,10 +90,13 @@ class Studio:
         except ValueError:
             return []
         vision = dataclasses.replace(self._vision, pairer=FramePairer(next_id=pull.shot), numbers={})
-        said: ShotRecords = []
-        for frame in (pair.left, pair.right):
-            frames = dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + start_ns)
-            said += vision_step(vision, frames, pull.matched_host_ns)
+        left, right = (
+            dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + start_ns)
+            for frame in (pair.left, pair.right)
+        )
+        said: ShotRecords = [FramePair(pull.shot, left, right)] if pull.is_shown else []
+        for frame in (left, right):
+            said += vision_step(vision, frame, pull.matched_host_ns)
         return said
 
 

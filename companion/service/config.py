@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.live.config import LiveConfig
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.ports import CameraPair, Trigger
@@ -32,6 +33,8 @@ class ServiceConfig:
         Key file: with it only signed frames come in, and all that go out are signed. None leaves signing off.
     standby
         Keep a second inertial process loaded and compiled, to take over when the first dies.
+    live
+        Where the live view is served, or None.
     """
 
     airframe: Airframe
@@ -45,3 +48,4 @@ class ServiceConfig:
     parameters: Path | None = None
     signing_key: Path | None = None
     standby: bool = False
+    live: LiveConfig | None = None

@@ -30,6 +30,7 @@ from companion.records import (
     TriggerPlan,
 )
 from companion.service.pace import Overload, TickPace
+from companion.service.parameter_request import ParameterRequest
 from companion.units import Severity
 
 TICK_NS = 10_000_000
@@ -68,7 +69,7 @@ class InertialLoop:
     autopilot: Autopilot
     clock: Clock
     shots: ShotPort
-    inbox: Callable[[], Sequence[Record | Overload]]
+    inbox: Callable[[], Sequence[Record | Overload | ParameterRequest]]
     show: Callable[[Record], object]
     recorder: Recorder
     fires_by_link: bool = False
@@ -92,6 +93,8 @@ class InertialLoop:
         for said in self.inbox():
             if isinstance(said, Overload):
                 self._strained(said)
+            elif isinstance(said, ParameterRequest):
+                self.autopilot.set_own_parameter(said.name, said.value)
             else:
                 self._handle(said)
         now_ns = self.clock.now_ns()

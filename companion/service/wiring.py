@@ -7,7 +7,7 @@ import os
 import signal
 import socket
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
@@ -27,6 +27,11 @@ from companion.adapters.triggers.process import TriggerLink, line_pair, serve_tr
 from companion.core.pipeline import VisionState, start
 from companion.core.warmup import warm_up
 from companion.errors import ConfigError, SpanwiseError
+from companion.live.broadcaster import require_live
+from companion.live.door import listen
+from companion.live.feed import FeedEnd, Interest, LiveFeed
+from companion.live.process import serve_live
+from companion.live.session import Subject
 from companion.params.persist import Keeper, load_stored
 from companion.params.settings import Settings, tunables
 from companion.ports import Clock, Recorder
@@ -34,6 +39,7 @@ from companion.records import Health, Notice, Record, Rejected, ServiceStatus, S
 from companion.service import inertial, vision
 from companion.service.channel import Receiver, Sender, channel
 from companion.service.config import ServiceConfig
+from companion.service.parameter_request import ParameterRequest
 from companion.service.supervisor import StandbyGate, Supervisor
 from companion.units import Severity
 
@@ -64,14 +70,16 @@ class Service(Supervisor):
             if config.record_images and config.cameras is not None:
                 vision_tape, end = recorder_channel()
                 ends.append(end)
-        shots = updates_in = None
+        shots = None
         if config.trigger is not None:
             shots, line = line_pair()
             self.add("trigger", _trigger_process, config, line)
+        updates_in, updates = channel() if config.cameras is not None else (None, None)
+        inertial_eye, vision_eye = self._add_live(config, matches_in)
+        ends_of_inertial = (shots, matches, updates_in, shown_in, inertial_tape, inertial_eye)
         if config.cameras is not None:
-            updates_in, updates = channel()
-            self.add("vision", _vision_process, config, _stored(config), updates, matches_in, vision_tape)
-        ends_of_inertial = (shots, matches, updates_in, shown_in, inertial_tape)
+            ends_of_vision = (updates, matches_in, vision_tape, vision_eye)
+            self.add("vision", _vision_process, config, _stored(config), *ends_of_vision)
         gate = () if config.standby else (None,)
         stored = _stored(config)
         self.add("inertial", _inertial_process, config, stored, *ends_of_inertial, *gate, standby=config.standby)
@@ -79,6 +87,21 @@ class Service(Supervisor):
             about = About.of(config.airframe, config.settings)
             self.add("recorder", _recorder_process, config, about, ends, matches_in, optional=True, last=True)
         self._say = matches_in
+
+    def _add_live(self, config: ServiceConfig, say: Sender) -> tuple[FeedEnd | None, FeedEnd | None]:
+        """Register the live view; give the ends of the inertial and the vision process's feeds."""
+        self._listening = None
+        if config.live is None:
+            return None, None
+        require_live()
+        self._listening = listen(config.live)
+        interest = Interest()
+        channels = [recorder_channel() for _ in range(2)]
+        ends = [end for _, end in channels]
+        arguments = (config, _stored(config), self._listening, ends, interest, say)
+        self.add("live", _live_process, *arguments, optional=True)
+        inertial_eye, vision_eye = (FeedEnd(end, interest) for end, _ in channels)
+        return inertial_eye, vision_eye
 
     def shown(self) -> list[Record]:
         """Records for the display from the inertial process since the last call."""
@@ -94,6 +117,8 @@ class Service(Supervisor):
     def stop(self) -> None:
         """End the processes, and forget what was to outlive them alone."""
         super().stop()
+        if self._listening is not None:
+            self._listening.close()
         self._scratch.cleanup()
 
 
@@ -112,16 +137,6 @@ class _NoShots:
         return []
 
 
-class _NoRecorder:
-    """Stands in where nothing is recorded."""
-
-    def write(self, record: Record) -> None:
-        """Forget it."""
-
-    def close(self) -> None:
-        """Nothing to finish."""
-
-
 def _try_links(config: ServiceConfig) -> None:
     """Open and close every link once, so that a wrong one is told to the user and not to a log."""
     clock = MonotonicClock()
@@ -131,8 +146,28 @@ def _try_links(config: ServiceConfig) -> None:
         open_link(spelling, clock, number).close()
 
 
-def _recorder(tape: socket.socket | None) -> Recorder:
-    return _NoRecorder() if tape is None else RecorderClient(tape)
+class _Recorders:
+    """Several recorders in the place of one."""
+
+    def __init__(self, recorders: Sequence[Recorder]) -> None:
+        self._recorders = tuple(recorders)
+
+    def write(self, record: Record) -> None:
+        """Hand the record to each."""
+        for recorder in self._recorders:
+            recorder.write(record)
+
+    def close(self) -> None:
+        """Finish each."""
+        for recorder in self._recorders:
+            recorder.close()
+
+
+def _recorder(tape: socket.socket | None, eye: FeedEnd | None) -> Recorder:
+    """The recorder's client and the live view's feed, as far as they are there."""
+    clients: list[Recorder] = [] if tape is None else [RecorderClient(tape)]
+    clients += [] if eye is None else [LiveFeed(eye)]
+    return clients[0] if len(clients) == 1 else _Recorders(clients)
 
 
 def _ignore_interrupt() -> None:
@@ -162,6 +197,7 @@ def _inertial_process(
     vision_ear: Sender | None,
     shown: Sender,
     tape: socket.socket | None,
+    eye: FeedEnd | None,
     gate: StandbyGate | None,
     stop: Event,
 ) -> None:
@@ -187,7 +223,7 @@ def _inertial_process(
         shots=_NoShots() if shots is None else TriggerLink(shots),
         inbox=matches.receive,
         show=shown.send,
-        recorder=_recorder(tape),
+        recorder=_recorder(tape, eye),
         fires_by_link=firing is not None,
         tell_vision=_unheard if vision_ear is None else vision_ear.send,
         alive=manager.ticked,
@@ -251,18 +287,45 @@ def _recorder_process(config: ServiceConfig, about: About, ends: list[socket.soc
     keep_recording(config.recording, about, ends, lambda text: say.send(_warning(text)), stop, keep_bytes)
 
 
+def _live_process(
+    config: ServiceConfig,
+    stored_at_start: dict[str, float],
+    listening: socket.socket,
+    ends: list[socket.socket],
+    interest: Interest,
+    say: Sender,
+    stop: Event,
+) -> None:
+    _ignore_interrupt()
+    assert config.live is not None
+
+    def heed(mask: int) -> None:
+        interest.mask = mask
+
+    subject = Subject(
+        airframe=config.airframe,
+        settings=resumed(config.settings, stored_at_start, _stored(config)),
+        title="live",
+        ask=lambda name, value: say.send(ParameterRequest(name, value)),
+        heed=heed,
+        is_recording=config.recording is not None,
+    )
+    serve_live(config.live, subject, listening, ends, stop)
+
+
 def _vision_process(
     config: ServiceConfig,
     stored_at_start: dict[str, float],
     updates: Receiver,
     matches: Sender,
     tape: socket.socket | None,
+    eye: FeedEnd | None,
     stop: Event,
 ) -> None:
     _ignore_interrupt()
     assert config.cameras is not None
     outlive_full_disk()
-    recorder = None if tape is None else RecorderClient(tape)
+    recorder = _recorder(tape, eye)
     try:
         cameras = config.cameras()
     except SpanwiseError as error:
@@ -277,5 +340,4 @@ def _vision_process(
     except SpanwiseError as error:
         raise SystemExit(f"spanwise vision: {error}") from error
     finally:
-        if recorder is not None:
-            recorder.close()
+        recorder.close()

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-OPTIONAL = ("depthai", "gpiod", "mavsdk", "matplotlib", "jinja2", "rich")
+OPTIONAL = ("depthai", "gpiod", "mavsdk", "matplotlib", "jinja2", "rich", "foxglove")
 # a finder ahead of all others stands for an installation of the base alone
 BASE_ALONE = f"""
 import importlib, pkgutil, sys
@@ -39,7 +39,7 @@ def base_alone(program: str, folder: Path = ROOT) -> subprocess.CompletedProcess
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("room", ["core", "adapters", "service", "params", "calibration", "diagnosis", "sim"])
+@pytest.mark.parametrize("room", ["core", "adapters", "live", "service", "params", "calibration", "diagnosis", "sim"])
 def test_a_room_of_the_base_imports_no_extra(room: str) -> None:
     done = base_alone(EVERY_MODULE.format(room=f"companion.{room}"))
     assert done.returncode == 0, done.stderr
@@ -96,6 +96,14 @@ def test_a_gpio_trigger_names_its_extra(tmp_path: Path) -> None:
                  "gpio:/dev/gpiochip0,17", "--parameters", str(tmp_path / "kept")]  # fmt: skip
     assert refusal(arguments, tmp_path) == (
         "spanwise run: GPIO triggers need more than the base installation: pip install 'spanwise[gpio]'"
+    )
+
+
+def test_a_live_view_names_its_extra(tmp_path: Path) -> None:
+    arguments = ["run", "--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m", "--live",
+                 "--parameters", str(tmp_path / "kept")]  # fmt: skip
+    assert refusal(arguments, tmp_path) == (
+        "spanwise run: live pages need more than the base installation: pip install 'spanwise[live]'"
     )
 
 

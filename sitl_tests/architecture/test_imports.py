@@ -64,13 +64,41 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.evaluation": (_JUDGES | {"evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
     "companion.doctor": (_JUDGES | {"doctor", "evaluation.plan_outcomes"}, frozenset({"numpy", "pymavlink"})),
     "companion.paper": (_JUDGES | {"paper", "evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
+    # the live view: the recordings' topics and schemas over a websocket; the SDK comes with an extra
+    "companion.live": (
+        frozenset({"live", "adapters.recordings", "params", "records", "errors"}),
+        frozenset({"foxglove"}),
+    ),
     "companion.service": (
-        frozenset({"service", "core.pipeline", "core.containment", "lifetime", "ports", "params", "records", "errors"}),
+        frozenset(
+            {
+                "service",
+                "core.pipeline",
+                "core.containment",
+                "live.config",
+                "lifetime",
+                "ports",
+                "params",
+                "records",
+                "errors",
+            }
+        ),
         frozenset({"numpy"}),
     ),
     "companion.service.wiring": (
         frozenset(
-            {"service", "core.pipeline", "core.warmup", "lifetime", "ports", "params", "records", "errors", "adapters"}
+            {
+                "service",
+                "core.pipeline",
+                "core.warmup",
+                "lifetime",
+                "live",
+                "ports",
+                "params",
+                "records",
+                "errors",
+                "adapters",
+            }
         ),
         frozenset({"numpy"}),
     ),

@@ -16,8 +16,9 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.triggers.firing import WaitingPlan
 from companion.core.pipeline import start
 from companion.evaluation.rendered_shots import Pull, Stage, Studios
+from companion.live.session import LiveSession
 from companion.ports import Clock
-from companion.records import Record, Rejected, Shot, Side, TriggerPlan
+from companion.records import FramePair, Record, Rejected, Shot, Side, TriggerPlan
 from companion.service.config import ServiceConfig
 from companion.service.inertial import InertialLoop
 from companion.sim.flight.flight import Flight
@@ -30,6 +31,7 @@ MATCHING_NS = 80_000_000
 """What a small companion computer may take for a pair; a desktop core takes 30 to 35 ms for 640 x 480."""
 FIRE_LATE_NS = 8_000
 """Mean of the exponential by which the line is pulled late: 99 % within 37 us, as the bench measured (README)."""
+_IMAGE_PERIOD_NS = 500_000_000  # of the live view
 _AFTER_S = 1.5  # the last shots get through the smoother's lag
 
 
@@ -39,9 +41,11 @@ class LockStepCameras:
     A shot is begun in another process when its line is pulled, and is waited for only when its matches are due.
     """
 
-    def __init__(self, flight: Flight, studios: Studios, clock: Clock) -> None:
+    def __init__(self, flight: Flight, studios: Studios, clock: Clock, live: LiveSession | None = None) -> None:
         self._studios = studios
         self._clock = clock
+        self._live = live
+        self._shown_ns = 0
         self._shutters = Shutters(flight.real.actual, flight.seed)
         self._waiting = WaitingPlan()
         self._lateness = flight.generator("fire late")
@@ -81,7 +85,11 @@ class LockStepCameras:
         said: list[Record] = []
         now_ns = self._clock.now_ns()
         while self._coming and self._coming[0].matched_host_ns <= now_ns:
-            said += self._studios.result(self._coming.popleft().shot)
+            for record in self._studios.result(self._coming.popleft().shot):
+                if not isinstance(record, FramePair):
+                    said.append(record)
+                elif self._live is not None:
+                    self._live.publish(record)
         return said
 
     def _fire_due(self) -> None:
@@ -97,10 +105,28 @@ class LockStepCameras:
         exposures = [self._shutters.exposure(side, edge_ns, self._shots) for side in Side]
         self._busy_until_ns = max(each.mid_boot_ns + each.exposure_ns // 2 for each in exposures) + READOUT_NS
         self._matched_ns = max(self._busy_until_ns, self._matched_ns) + MATCHING_NS
-        pull = Pull(self._shots, edge_ns, self._matched_ns)
+        is_shown = self._live is not None and edge_ns - self._shown_ns >= _IMAGE_PERIOD_NS
+        self._shown_ns = edge_ns if is_shown else self._shown_ns
+        pull = Pull(self._shots, edge_ns, self._matched_ns, is_shown)
         self._shots += 1
         self._coming.append(pull)
         self._studios.begin(pull)
+
+
+class _Watched:
+    """The recorder, and beside it the live view."""
+
+    def __init__(self, recorder: McapWriter, live: LiveSession) -> None:
+        self._recorder, self._live = recorder, live
+
+    def write(self, record: Record) -> None:
+        """Record, and show to who looks."""
+        self._recorder.write(record)
+        self._live.publish(record)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._recorder.close()
 
 
 class LockStepService:
@@ -112,9 +138,11 @@ class LockStepService:
         Its connections, devices and parameter file are not looked at.
     flight
         What the vehicle flies.
+    live
+        Shows it meanwhile.
     """
 
-    def __init__(self, config: ServiceConfig, flight: Flight) -> None:
+    def __init__(self, config: ServiceConfig, flight: Flight, live: LiveSession | None = None) -> None:
         wire = MemoryWire()
         self.world = World(flight, WorldOptions(), wire)
         self.clock = LockStepClock(self.world)
@@ -124,9 +152,9 @@ class LockStepService:
         link = Link(0, "lock-step", wire, self.clock)
         autopilot = MavlinkAutopilot([link], config.airframe, config.settings, self.clock)
         assert config.recording is not None
-        self._recorder = McapWriter(config.recording, About.of(config.airframe, config.settings))
+        recorder = McapWriter(config.recording, About.of(config.airframe, config.settings))
         self.studios = Studios(Stage.of(flight, config.settings, EPOCH_NS))
-        cameras = LockStepCameras(flight, self.studios, self.clock)
+        cameras = LockStepCameras(flight, self.studios, self.clock, live)
         self.loop = InertialLoop(
             state=start(config.airframe, config.settings),
             autopilot=autopilot,
@@ -134,7 +162,7 @@ class LockStepService:
             shots=cameras,
             inbox=cameras.matched,
             show=self._shown.append,
-            recorder=self._recorder,
+            recorder=recorder if live is None else _Watched(recorder, live),
         )
 
     def __enter__(self) -> LockStepService:

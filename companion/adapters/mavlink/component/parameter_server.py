@@ -161,18 +161,35 @@ class ParameterServer:
             return
         row = self._rows[index]
         value = decimal32(message.param_value)
-        problem = row.check(value)
+        problem = self._problem(row, value)
         if message.param_type != _REAL32:
             problem = f"{row.name} is REAL32, not type {message.param_type}"
-        if problem is None:
-            clash = self._next.replace(row.name, value).conflict(self._reserved)
-            problem = None if clash is None else clash.text
         if problem is not None:
             self.refused += 1
             self._say(Severity.WARNING, problem, heard.received_host_ns)
             self._complain(heard, mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)
         elif value != self._values[row.name]:
             self._accept(row, value, heard.received_host_ns)
+        self._first(index)
+
+    def _problem(self, row: Tunable, value: float) -> str | None:
+        """Say why a value cannot be taken, None where it can."""
+        problem = row.check(value)
+        if problem is None:
+            clash = self._next.replace(row.name, value).conflict(self._reserved)
+            problem = None if clash is None else clash.text
+        return problem
+
+    def ask(self, name: str, value: float, now_host_ns: int) -> None:
+        """Set a value for who is no ground station; these see it too, and the operator reads why it was refused."""
+        index = self._index.get(name)
+        problem = f"no parameter '{name}'" if index is None else self._problem(self._rows[index], value)
+        if problem is not None or index is None:
+            self.refused += 1
+            self._say(Severity.WARNING, problem or "", now_host_ns)
+            return
+        if value != self._values[name]:
+            self._accept(self._rows[index], value, now_host_ns)
         self._first(index)
 
     def _accept(self, row: Tunable, value: float, now_host_ns: int) -> None:

@@ -267,6 +267,10 @@ class MavlinkAutopilot:
         to_us = message.target_component in (0, self._settings.component_id)
         return from_autopilot and to_us and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 
+    def set_own_parameter(self, name: str, value: float) -> None:
+        """Set one of our own parameters for who is no ground station."""
+        self.component.parameters.ask(name, value, self._clock.now_ns())
+
     # -------------------------------------------------------------------------------------------- what is due
 
     def _upkeep(self, now_host_ns: int) -> Iterator[Record]:

@@ -8,7 +8,6 @@ orderly end. The message's sequence number counts all records of the file.
 from __future__ import annotations
 
 import contextlib
-import json
 import platform
 from dataclasses import dataclass
 from importlib import metadata
@@ -17,18 +16,9 @@ from typing import Any
 
 from mcap.writer import Writer
 
-from companion.adapters.recordings.mcap import images
-from companion.adapters.recordings.mcap import ros1_codec as packed
-from companion.adapters.recordings.mcap.channels import (
-    CAMERA_TOPICS,
-    CHANNELS,
-    IMAGE_SCHEMA,
-    McapChannel,
-    Recordable,
-    topic_of,
-)
-from companion.adapters.recordings.mcap.codec import codec_of, dumps
+from companion.adapters.recordings.mcap.channels import CAMERA_TOPICS, CHANNELS, Recordable, topic_of
 from companion.adapters.recordings.mcap.images import ImageFormat
+from companion.adapters.recordings.mcap.messages import MessageForm, form_of, image_form, image_message, message_of
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
@@ -168,31 +158,19 @@ class McapWriter:
         topic = topic_of(record)
         channel = self._channels.get(topic)
         if channel is None:
-            channel = self._register(topic, listed)
-        if listed.packed:
-            data = packed.pack(record)
-        else:
-            data = dumps(listed.kind, record)
-        self._add(channel, getattr(record, listed.time), data)
+            channel = self._register(topic, form_of(listed))
+        self._add(channel, *message_of(record))
 
     def _write_frame(self, frame: Frame, pair_id: int | None) -> None:
         topic = CAMERA_TOPICS[frame.side]
         channel = self._channels.get(topic)
         if channel is None:
-            schema = self._writer.register_schema(IMAGE_SCHEMA, "jsonschema", json.dumps(images.SCHEMA).encode())
-            channel = self._channels[topic] = self._writer.register_channel(topic, "json", schema)
-        plain = images.frame_to_plain(frame, pair_id, self._format)
-        self._add(channel, self._latest_ns, json.dumps(plain).encode())
+            channel = self._register(topic, image_form())
+        self._add(channel, self._latest_ns, image_message(frame, pair_id, self._format))
 
-    def _register(self, topic: str, listed: McapChannel) -> int:
-        if listed.packed:
-            schema = self._writer.register_schema(listed.schema_name, "ros1msg", packed.SCHEMAS[listed.kind].encode())
-            encoding = "ros1"
-        else:
-            text = json.dumps({"title": listed.schema_name, **codec_of(listed.kind).schema})
-            schema = self._writer.register_schema(listed.schema_name, "jsonschema", text.encode())
-            encoding = "json"
-        channel = self._channels[topic] = self._writer.register_channel(topic, encoding, schema)
+    def _register(self, topic: str, form: MessageForm) -> int:
+        schema = self._writer.register_schema(form.schema_name, form.schema_encoding, form.schema)
+        channel = self._channels[topic] = self._writer.register_channel(topic, form.encoding, schema)
         return int(channel)
 
     def _add(self, channel: int, host_ns: int, data: bytes) -> None:

@@ -1,0 +1,49 @@
+"""The option ``--live`` of several commands, and the live view of a command that runs in one process."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from companion.cli.steps.options import state_file
+from companion.live.broadcaster import require_live
+from companion.live.config import DEFAULT_ADDRESS, LiveConfig, live_config
+from companion.live.door import listen
+from companion.live.session import LiveSession, Subject
+
+
+def add_live(parser: argparse.ArgumentParser) -> None:
+    """``--live [HOST:PORT]``."""
+    parser.add_argument(
+        "--live", nargs="?", const=DEFAULT_ADDRESS, metavar="HOST:PORT",
+        help=f"serve the live view for browsers, Foxglove and Lichtblick (default {DEFAULT_ADDRESS}); "
+        "beyond this machine with a token",
+    )  # fmt: skip
+
+
+def read_live(options: argparse.Namespace, recording: Path | None) -> LiveConfig | None:
+    """The live view that the options ask for, None where they do not; says its address."""
+    if options.live is None:
+        return None
+    require_live()
+    folder = state_file("recordings") if recording is None else recording.resolve().parent
+    config = live_config(options.live, folder, state_file("live-token"))
+    print(f"live view: {config.url}", file=sys.stderr, flush=True)
+    return config
+
+
+@contextmanager
+def live_session(config: LiveConfig | None, subject: Subject) -> Iterator[LiveSession | None]:
+    """Serve the live view from this process meanwhile."""
+    if config is None:
+        yield None
+        return
+    with listen(config) as listening:
+        session = LiveSession(config, subject, listening)
+        try:
+            yield session
+        finally:
+            session.close()

@@ -1,0 +1,138 @@
+"""The one port of the live view: page, downloads and changes by HTTP, and the websocket behind the same rule of access.
+
+Runs in a thread of its own. Every connection has a bounded head and body and a time in which they must come.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+import socket
+import threading
+from collections.abc import Callable
+from http import HTTPStatus
+
+from companion.errors import ConfigError
+from companion.live import tunnel
+from companion.live.access import COOKIE, Access
+from companion.live.config import LiveConfig
+from companion.live.requests import MOST_BODY_BYTES, MOST_HEAD_BYTES, Request, Response, parse_head, refusal
+
+_HEAD_S = 10.0
+_MOST_CONNECTIONS = 64  # bound of memory
+_CLOSING_S = 2.0
+_PIECE_BYTES = 262_144
+_SHUT_OUT = (
+    "the live view wants its token here: open the address that 'spanwise run --live' prints, "
+    "or put ?token=... behind this one"
+)
+
+
+def listen(config: LiveConfig) -> socket.socket:
+    """Bind the live view's address.
+
+    Raises
+    ------
+    ConfigError
+        The address is taken, or none of this machine's.
+    """
+    family = socket.AF_INET6 if ":" in config.host else socket.AF_INET
+    try:
+        return socket.create_server((config.host, config.port), family=family, backlog=_MOST_CONNECTIONS)
+    except OSError as error:
+        where = f"{config.host}:{config.port}"
+        raise ConfigError(f"--live {where}: {error.strerror or error}; give another HOST:PORT") from error
+
+
+class Door:
+    """Serves one live view.
+
+    Parameters
+    ----------
+    listening
+        The bound socket; its port is the door's.
+    answer
+        Gives the answer to an admitted request that is no websocket; called in a thread.
+    behind
+        Port of the SDK's server on this machine.
+    """
+
+    def __init__(
+        self, listening: socket.socket, access: Access, answer: Callable[[Request], Response], behind: int
+    ) -> None:
+        self._access, self._answer, self._behind = access, answer, behind
+        self._open = 0
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._thread = threading.Thread(target=self._serve, args=(listening,), name="live-door", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Let nobody in any more, and end."""
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(_CLOSING_S)
+
+    def _serve(self, listening: socket.socket) -> None:
+        asyncio.set_event_loop(self._loop)
+        self._loop.run_until_complete(self._until_closed(listening))
+
+    async def _until_closed(self, listening: socket.socket) -> None:
+        server = await asyncio.start_server(self._connected, sock=listening, limit=MOST_HEAD_BYTES)
+        await self._stop.wait()
+        server.close()
+        for task in asyncio.all_tasks() - {asyncio.current_task()}:
+            task.cancel()
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._open += 1
+        try:
+            if self._open <= _MOST_CONNECTIONS:
+                await self._attend(reader, writer)
+        except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
+            pass  # whoever it was has gone, or never spoke HTTP
+        finally:
+            self._open -= 1
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+
+    async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        request = await asyncio.wait_for(_read(reader), _HEAD_S)
+        if request is None:
+            return await _send(writer, refusal(HTTPStatus.BAD_REQUEST, "this is no request of HTTP"))
+        if not self._access.admits(request):
+            return await _send(writer, refusal(HTTPStatus.FORBIDDEN, _SHUT_OUT))
+        if request.is_websocket:
+            name = tunnel.subprotocol(request)
+            if name is not None:
+                return await tunnel.carry(request, name, reader, writer, self._behind)
+            return await _send(writer, refusal(HTTPStatus.BAD_REQUEST, "the websocket speaks foxglove.sdk.v1"))
+        response = await asyncio.to_thread(self._answer, request)
+        if self._access.token is not None and request.query.get("token") == self._access.token:
+            kept = f"{COOKIE}={self._access.token}; HttpOnly; SameSite=Strict; Path=/"
+            response = dataclasses.replace(response, headers=response.headers | {"Set-Cookie": kept})
+        return await _send(writer, response)
+
+
+async def _read(reader: asyncio.StreamReader) -> Request | None:
+    """Read a request whole; None where it is none, or too large."""
+    request = parse_head(await reader.readuntil(b"\r\n\r\n"))
+    length = "0" if request is None else request.headers.get("content-length", "0")
+    if request is None or not length.isdecimal() or int(length) > MOST_BODY_BYTES:
+        return None
+    return dataclasses.replace(request, body=await reader.readexactly(int(length)))
+
+
+async def _send(writer: asyncio.StreamWriter, response: Response) -> None:
+    if response.file is None:
+        writer.write(response.head(len(response.body)) + response.body)
+        await writer.drain()
+        return
+    with response.file.open("rb") as file:  # one that is being written is sent as long as it is now
+        remaining = response.file.stat().st_size
+        writer.write(response.head(remaining))
+        while remaining and (piece := await asyncio.to_thread(file.read, min(_PIECE_BYTES, remaining))):
+            writer.write(piece)
+            await writer.drain()
+            remaining -= len(piece)

@@ -1,0 +1,49 @@
+"""The live process: takes what the producers' feeds let through, and serves it; niced, and missed by nobody."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import signal
+import socket
+from collections.abc import Sequence
+from multiprocessing.synchronize import Event
+
+from companion.adapters.recordings.mcap.recorder_client import RecorderReceiver
+from companion.live.config import LiveConfig
+from companion.live.session import LiveSession, Subject
+
+_NICENESS = 10  # of 19: behind everything that flies
+_TURN_S = 0.1
+
+
+def serve_live(
+    config: LiveConfig, subject: Subject, listening: socket.socket, ends: Sequence[socket.socket], stop: Event
+) -> None:
+    """Serve until ``stop`` is set; a process target.
+
+    ``listening`` is the bound socket of the door; it outlives this process, so that a restarted one has the same
+    address. ``ends`` are the receiving ends of the producers' feeds.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(_NICENESS)
+    session = LiveSession(config, subject, listening)
+    try:
+        with selectors.DefaultSelector() as selector:
+            for end in ends:
+                selector.register(RecorderReceiver(end), selectors.EVENT_READ)
+            while not stop.is_set():
+                _turn(session, selector)
+    finally:
+        session.close()
+
+
+def _turn(session: LiveSession, selector: selectors.BaseSelector) -> None:
+    """Publish what has come, and tend."""
+    for key, _ in selector.select(_TURN_S):
+        receiver = key.fileobj
+        assert isinstance(receiver, RecorderReceiver)
+        batch = receiver.receive()
+        for record in () if batch is None else batch.records:
+            session.publish(record)
+    session.tend()

@@ -1,0 +1,211 @@
+"""One live view: records in, parameters and recordings by the page's buttons, everything behind one door."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import queue
+import socket
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from http import HTTPStatus
+from importlib import resources
+from typing import Any
+
+from companion.adapters.recordings.mcap.channels import Recordable
+from companion.adapters.recordings.mcap.writer import About
+from companion.errors import ConfigError, RecordingError
+from companion.live.about import facts, parameter_table
+from companion.live.access import Access
+from companion.live.broadcaster import Broadcaster
+from companion.live.config import LiveConfig
+from companion.live.door import Door
+from companion.live.feed import ALWAYS, TAPED
+from companion.live.requests import Request, Response, as_json, refusal
+from companion.live.tape import LiveTape
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings, tunables
+from companion.params.shipped import shipped
+from companion.records import Frame, FramePair, Notice, ParameterChange
+
+_CONTENT = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+_MOST_REQUESTS = 64  # bound of memory
+_MOST_EVENTS = 60  # that a page shows
+_MIDWAY = 2  # number of a recording's part whose estimation began before it
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """Content of the live view.
+
+    Attributes
+    ----------
+    title
+        What runs: "live", "demo", or the name of a recording.
+    ask
+        Hands on the wish to set a parameter (name, value); None where nothing can be set.
+    heed
+        Told the kinds of record that somebody looks at, as bits of :data:`companion.live.feed.BIT`.
+    """
+
+    airframe: Airframe
+    settings: Settings
+    title: str
+    ask: Callable[[str, float], object] | None = None
+    heed: Callable[[int], object] = lambda _mask: None
+    is_recording: bool = False
+
+
+class LiveSession:
+    """Serves one live view from one thread that publishes; the door and the SDK have threads of their own.
+
+    Raises
+    ------
+    MissingExtra
+        The extra ``live`` is not installed.
+    """
+
+    def __init__(self, config: LiveConfig, subject: Subject, listening: socket.socket) -> None:
+        self._subject, self._settings = subject, subject.settings
+        self._tape = LiveTape(config.folder)
+        self._watched = 0
+        self._switches: queue.Queue[bool] = queue.Queue(_MOST_REQUESTS)
+        self._failure = ""
+        self._events: deque[Notice] = deque(maxlen=_MOST_EVENTS)
+        self._broadcaster = Broadcaster(self._values, self._heed)
+        access = Access(config.token, config.is_loopback)
+        self._door = Door(listening, access, self._answer, self._broadcaster.port)
+
+    def publish(self, record: Recordable) -> None:
+        """Show one record to whoever looks, and record it where that is switched on."""
+        if isinstance(record, ParameterChange):
+            self._follow(record)
+        elif isinstance(record, Notice):
+            self._events.append(record)
+        self._broadcaster.publish(record)
+        if self._tape.is_on and not isinstance(record, Frame | FramePair):
+            try:
+                self._tape.write(record)
+            except RecordingError as error:
+                self._failure = str(error)
+                self._tell()
+
+    def tend(self) -> None:
+        """Do what the page's buttons asked for; call it a few times a second."""
+        while not self._switches.empty():
+            self._switch(is_on=self._switches.get_nowait())
+
+    def close(self) -> None:
+        """Let nobody in any more, and finish the recording."""
+        self._door.close()
+        self._broadcaster.close()
+        self._tape.end()
+
+    # ------------------------------------------------------------------------------- in the publishing thread
+
+    def _follow(self, change: ParameterChange) -> None:
+        try:
+            self._settings = self._settings.replace(change.name, change.value, flown=True)
+        except ConfigError:  # of a damaged recording
+            return
+        self._broadcaster.publish_parameter(change.name, change.value)
+
+    def _switch(self, *, is_on: bool) -> None:
+        self._failure = ""
+        try:
+            if is_on and not self._tape.is_on:
+                about = About.of(self._subject.airframe, self._settings)
+                self._tape.begin(dataclasses.replace(about, part_number=_MIDWAY))
+            elif not is_on:
+                self._tape.end()
+        except (RecordingError, OSError) as error:
+            self._failure = str(error)
+        self._tell()
+
+    # ------------------------------------------------------------------------------- in the servers' threads
+
+    def _heed(self, mask: int) -> None:
+        self._watched = mask
+        self._tell()
+
+    def _tell(self) -> None:
+        self._subject.heed(self._watched | ALWAYS | (TAPED if self._tape.is_on else 0))
+
+    def _values(self) -> dict[str, float]:
+        settings = self._settings
+        return {row.name: float(getattr(settings, row.attribute)) for row in tunables()}
+
+    def _answer(self, request: Request) -> Response:
+        """Answer one request of the page."""
+        if request.method == "GET":
+            return self._read(request.path)
+        if request.method == "POST" and request.headers.get("content-type") == "application/json":
+            return self._change(request)
+        return refusal(HTTPStatus.METHOD_NOT_ALLOWED, "only GET, and POST of JSON")
+
+    def _read(self, path: str) -> Response:
+        if path == "/about.json":
+            can_set = self._subject.ask is not None
+            about = facts(self._subject.airframe, self._subject.title)
+            said = [[notice.severity, notice.text, notice.at_host_ns] for notice in list(self._events)]
+            now = {"can_set": can_set, "parameters": parameter_table(self._values()), "events": said}
+            return as_json(about | now)
+        if path == "/recordings.json":
+            return as_json(self._recordings())
+        if path.startswith("/recordings/"):
+            return self._recording(path.removeprefix("/recordings/"))
+        if path == "/layout.json":
+            layout = (shipped("live") / "spanwise.json").read_bytes()
+            return Response(HTTPStatus.OK, layout, "application/json")
+        return _page_file("index.html" if path == "/" else path.removeprefix("/"))
+
+    def _recordings(self) -> dict[str, Any]:
+        return {
+            "always": self._subject.is_recording,
+            "on": self._tape.is_on,
+            "failure": self._failure,
+            "files": self._tape.listed(),
+        }
+
+    def _recording(self, name: str) -> Response:
+        file = self._tape.file(name)
+        if file is None:
+            return refusal(HTTPStatus.NOT_FOUND, "no such recording")
+        kept = {"Content-Disposition": f'attachment; filename="{name}"'} if name.isascii() and '"' not in name else {}
+        return Response(HTTPStatus.OK, content_type="application/octet-stream", headers=kept, file=file)
+
+    def _change(self, request: Request) -> Response:
+        try:
+            wish = json.loads(request.body)
+            if request.path == "/record":
+                self._switches.put_nowait(bool(wish["on"]))
+                return as_json({"asked": True}, HTTPStatus.ACCEPTED)
+            if request.path == "/parameters":
+                return self._ask(str(wish["name"]), float(wish["value"]))
+        except (ValueError, TypeError, LookupError, OverflowError):
+            return refusal(HTTPStatus.BAD_REQUEST, "give JSON: name and value, or on")
+        except queue.Full:
+            return refusal(HTTPStatus.SERVICE_UNAVAILABLE, "too many requests at once")
+        return refusal(HTTPStatus.NOT_FOUND, "nothing to change here")
+
+    def _ask(self, name: str, value: float) -> Response:
+        if self._subject.ask is None:
+            return refusal(HTTPStatus.CONFLICT, "nothing can be set here")
+        try:
+            clash = self._settings.replace(name, value).conflict()
+        except ConfigError as error:
+            return refusal(HTTPStatus.BAD_REQUEST, str(error))
+        if clash is not None:
+            return refusal(HTTPStatus.BAD_REQUEST, clash.text)
+        self._subject.ask(name, value)
+        return as_json({"asked": True}, HTTPStatus.ACCEPTED)
+
+
+def _page_file(name: str) -> Response:
+    """A file of the page; only those are there, whatever the name says."""
+    files = {entry.name: entry for entry in (resources.files("companion.live") / "page").iterdir()}
+    suffix = name[name.rfind(".") :]
+    if name not in files or suffix not in _CONTENT:
+        return refusal(HTTPStatus.NOT_FOUND, "no such page")
+    return Response(HTTPStatus.OK, files[name].read_bytes(), f"{_CONTENT[suffix]}; charset=utf-8")
