@@ -6,7 +6,6 @@ Runs in a thread of its own. Every connection has a bounded head and body and a 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import dataclasses
 import socket
 import threading
@@ -63,26 +62,29 @@ class Door:
     ) -> None:
         self._access, self._answer, self._behind = access, answer, behind
         self._open = 0
-        self._loop = asyncio.new_event_loop()
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._stop = asyncio.Event()
+        self._is_up = threading.Event()
         self._thread = threading.Thread(target=self._serve, args=(listening,), name="live-door", daemon=True)
         self._thread.start()
+        self._is_up.wait(_CLOSING_S)
 
     def close(self) -> None:
         """Let nobody in any more, and end."""
-        self._loop.call_soon_threadsafe(self._stop.set)
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(_CLOSING_S)
 
     def _serve(self, listening: socket.socket) -> None:
-        asyncio.set_event_loop(self._loop)
-        self._loop.run_until_complete(self._until_closed(listening))
+        asyncio.run(self._until_closed(listening))
 
     async def _until_closed(self, listening: socket.socket) -> None:
+        """Serve until told to stop; what is still connected is cut off when the loop ends."""
+        self._loop = asyncio.get_running_loop()
         server = await asyncio.start_server(self._connected, sock=listening, limit=MOST_HEAD_BYTES)
+        self._is_up.set()
         await self._stop.wait()
         server.close()
-        for task in asyncio.all_tasks() - {asyncio.current_task()}:
-            task.cancel()
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._open += 1
@@ -94,8 +96,6 @@ class Door:
         finally:
             self._open -= 1
             writer.close()
-            with contextlib.suppress(OSError):
-                await writer.wait_closed()
 
     async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         request = await asyncio.wait_for(_read(reader), _HEAD_S)

@@ -186,7 +186,7 @@ def test_pairs_are_numbered_on_when_vision_starts_anew(monkeypatch: pytest.Monke
             airframe=load_airframe("nadir-2m"), settings=Settings(), connections=(), trigger=Deaf,
             cameras=lambda stop=stop: Flashes(stop),
         )  # fmt: skip
-        wiring._vision_process(config, {}, told, matches_in, None, stop)
+        wiring._vision_process(config, {}, told, matches_in, None, None, stop)
         seen += [record.pair_id for record in matches.receive() if isinstance(record, MatchSet)]
         time.sleep(0.01)
     told_in.end.close()

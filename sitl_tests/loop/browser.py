@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
@@ -15,6 +16,7 @@ from typing import Any
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _ANSWER_S = 30.0
+_HIGH = 100  # descriptors that are free
 
 
 def browser_path() -> str | None:
@@ -30,18 +32,22 @@ class Browser:
         self._folder = tempfile.TemporaryDirectory(prefix="browser-")
         theirs_in, ours_out = os.pipe()
         ours_in, theirs_out = os.pipe()
-        # the protocol's pipe is descriptors 3 and 4 of the browser
-        command = f'exec "$0" "$@" 3<&{theirs_in} 4>&{theirs_out}'
+        high = [fcntl.fcntl(end, fcntl.F_DUPFD, _HIGH) for end in (theirs_in, theirs_out)]
+
+        def as_the_browser_wants() -> None:
+            for number, end in zip((3, 4), high, strict=True):  # descriptors of the protocol's pipe
+                os.dup2(end, number)
+
         words = [
             path, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--mute-audio",
             f"--user-data-dir={self._folder.name}", "--remote-debugging-pipe", f"--window-size={width_px},{height_px}",
         ]  # fmt: skip
         self._process = subprocess.Popen(
-            ["sh", "-c", command, *words], pass_fds=(theirs_in, theirs_out),
+            words, preexec_fn=as_the_browser_wants, pass_fds=(3, 4),
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        os.close(theirs_in)
-        os.close(theirs_out)
+        for end in (theirs_in, theirs_out, *high):
+            os.close(end)
         self._in, self._out = ours_in, ours_out
         self._buffer = b""
         self._number = 0

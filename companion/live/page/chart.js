@@ -2,7 +2,7 @@
 import { window_s } from "./state.js";
 
 const MARGIN = { left: 40, right: 8, top: 8, bottom: 18 };
-const GAP_S = 2.5;
+const GAP_S = 2.5, SHORTEST_S = 12;
 
 const make = (name, attributes, parent) => {
   const element = document.createElementNS("http://www.w3.org/2000/svg", name);
@@ -39,20 +39,21 @@ export class Chart {
     if (!width) return;
     this.svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
     const [low, high] = this.limits(points);
-    const x = (t_s) => MARGIN.left + (1 + (t_s - now_s) / window_s) * (width - MARGIN.left - MARGIN.right);
+    const span_s = points.length ? Math.min(window_s, Math.max(SHORTEST_S, 3 * Math.ceil((now_s - points[0].t_s) / 3))) : window_s;
+    const x = (t_s) => MARGIN.left + (1 + (t_s - now_s) / span_s) * (width - MARGIN.left - MARGIN.right);
     const y = (value) => {
       const share = Math.min(1, Math.max(0, (value - low) / (high - low)));
       return height - MARGIN.bottom - share * (height - MARGIN.top - MARGIN.bottom);
     };
-    const shown = points.filter(({ t_s }) => t_s > now_s - window_s);
-    this.#axes(low, high, x, y, now_s, width, height);
+    const shown = points.filter(({ t_s }) => t_s > now_s - span_s);
+    this.#axes(low, high, x, y, now_s, width, height, span_s);
     this.lines.forEach((line, i) => this.#line(this.layers[i], line, shown, x, y));
     this.dots.forEach((dot, i) => this.marks[i].setAttribute("d", shown.map((point) => dots(dot, point, x, y)).join("")));
   }
 
-  #axes(low, high, x, y, now_s, width, height) {
+  #axes(low, high, x, y, now_s, width, height, span_s) {
     const { list, digits } = ticks(low, high);
-    const key = `${list}|${width}|${height}`;
+    const key = `${list}|${low}|${high}|${width}|${height}|${span_s}`;
     if (key === this.key) return;
     this.key = key;
     this.grid.replaceChildren();
@@ -61,8 +62,9 @@ export class Chart {
       const label = make("text", { x: MARGIN.left - 6, y: y(value) + 4, "text-anchor": "end" }, this.grid);
       label.textContent = value.toFixed(digits);
     }
-    for (const ago_s of [60, 45, 30, 15, 0]) {
-      const anchor = ago_s === 0 ? "end" : ago_s === 60 ? "start" : "middle";
+    for (const part of [3, 2, 1, 0]) {
+      const ago_s = (part * span_s) / 3;
+      const anchor = part === 0 ? "end" : part === 3 ? "start" : "middle";
       const label = make("text", { x: x(now_s - ago_s), y: height - 4, "text-anchor": anchor }, this.grid);
       label.textContent = ago_s ? `\u2212${ago_s} s` : "now";
     }

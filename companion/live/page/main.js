@@ -37,7 +37,7 @@ function showMode(mode) {
     state.slow_m[i] = mode.q_m[i] - each.amplitude_m * Math.cos(each.phase_rad);
   });
   modes.add(at_s, { modes: [mode.symmetric, mode.antisymmetric] });
-  $("phase-word").textContent = `${mode.symmetric.instantaneous_hz.toFixed(2)} Hz, ${mode.validity}`;
+  $("phase-word").textContent = `${mode.symmetric.frequency_hz.toFixed(2)} Hz, ${mode.validity}`;
 }
 
 function showStatus(status, health) {

@@ -21,7 +21,7 @@ export class WingView {
     make("circle", { cx: ROOT_X, cy: ROOT_Y, r: 21, fill: "var(--card)", stroke: "var(--blue)", "stroke-width": 6 }, svg);
     make("circle", { cx: ROOT_X, cy: ROOT_Y, r: 5, fill: "var(--blue)" }, svg);
     this.cameras = [0, 1].map(() => make("rect", { x: -9, y: -8, width: 18, height: 16, rx: 4, fill: "var(--orange)" }, svg));
-    this.labels = [0, 1].map(() => make("text", { "text-anchor": "middle", style: "font-size:14px; font-weight:600" }, svg));
+    this.labels = [0, 1].map(() => make("text", { "text-anchor": "middle", class: "strong" }, svg));
     for (const [side, word] of [[0, "left"], [1, "right"]]) {
       make("text", { x: ROOT_X + (side ? 1 : -1) * SPAN_X, y: 244, "text-anchor": "middle" }, svg).textContent = word;
     }
@@ -48,7 +48,7 @@ export class WingView {
     // tips up turn the axes of a pair that looks down outwards
     const turn = way * Math.max(-0.6, Math.min(0.6, slope));
     this.cameras[side].setAttribute("transform", `translate(${x} ${y}) rotate(${(-turn * 180) / Math.PI})`);
-    this.labels[side].setAttribute("x", Math.max(30, Math.min(WIDTH - 30, x)));
+    this.labels[side].setAttribute("x", Math.max(52, Math.min(WIDTH - 52, x)));
     this.labels[side].setAttribute("y", Math.max(14, y - 26));
     this.labels[side].textContent = `${tip_m < 0 ? "\u2212" : "+"}${Math.abs(1e3 * tip_m).toFixed(1)} mm`;
     if (this.about.orientation !== DOWN || !this.about.cameras[side]) return;

@@ -1,0 +1,182 @@
+"""The page of the live view in a real browser, on a phone's screen and on a laptop's."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("foxglove", reason="the extra live is not installed")
+
+from companion.live.config import LiveConfig
+from companion.live.door import listen
+from companion.live.session import LiveSession, Subject
+from companion.params.files import load_airframe
+from companion.params.settings import Settings
+from companion.records import (
+    Axis,
+    ClockName,
+    ClockState,
+    CorrectedRange,
+    Firing,
+    Frame,
+    Health,
+    MatchSet,
+    ModeEstimate,
+    ModeState,
+    Notice,
+    ObstacleSectors,
+    ParameterChange,
+    Record,
+    Reject,
+    ServiceStatus,
+    Shot,
+    Side,
+    Station,
+    TriggerPlan,
+    Validity,
+)
+from sitl_tests.loop.browser import Browser, browser_path
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(browser_path() is None, reason="no Chromium or Chrome is installed")]
+S, MS = 1_000_000_000, 1_000_000
+STEP_NS = 100 * MS
+SIZES = {"phone": (390, 844), "laptop": (1440, 900)}
+
+
+def mode(frequency_hz: float, t_s: float) -> ModeEstimate:
+    phase_rad = math.remainder(2 * math.pi * frequency_hz * t_s, 2 * math.pi)
+    return ModeEstimate(frequency_hz, 0.05, 0.03, 0.01, 0.006, 0.0002, phase_rad, 0.1, frequency_hz, 0.1, 0.0042)
+
+
+def records_at(step: int) -> list[Record | Frame]:
+    """A tenth of a second of a flight at 60 m, with everything that the page shows."""
+    t_ns = 1_000 * S + step * STEP_NS
+    symmetric, antisymmetric = mode(5.0, step * 0.1), mode(6.4, step * 0.1)
+    q_m = np.array([0.015 + 0.006 * math.cos(symmetric.phase_rad), 0.006 * math.cos(antisymmetric.phase_rad)])
+    pixels = np.random.default_rng(step).uniform((0, 0), (64, 48), (40, 2))
+    middle_ns = np.array([t_ns, t_ns + 200_000])
+    image = np.random.default_rng(1).integers(0, 255, (48, 64)).astype(np.uint8)
+    known = np.zeros(72, bool)
+    known[2:9] = True
+    frames = [Frame(side, step, ClockName.HOST, int(middle_ns[side]), MS, 0, step, image) for side in Side]
+    return [
+        ModeState(t_ns, symmetric, antisymmetric, Validity.TRACKING, q_m, np.full(2, 1e-4), tuple(Station),
+                  (Axis.ALL,) * 3),
+        TriggerPlan(step, Firing.PEAK, t_ns + 20 * MS, t_ns + 28 * MS, MS, 0.4, t_ns + S, t_ns),
+        Shot(step, t_ns + 20 * MS, t_ns + 20 * MS + 9_000),
+        *frames,
+        MatchSet(step, step, (ClockName.HOST,) * 2, middle_ns, MS, 0, pixels, pixels - 3.0, np.full(40, 0.1), t_ns),
+        CorrectedRange(step, step, t_ns, 25, 60.25, 0.31, 0.0405, 0.0002, 27.1, 170, True, None),
+        ObstacleSectors(t_ns, np.full(72, 33.5), np.full(72, 0.5), known, ~known & (np.arange(72) < 12), 1.0, 100.0),
+        ClockState(ClockName.BOOT, t_ns, 5, 12.5, 400_000, step > 3),
+        ServiceStatus(t_ns, Health.ACTIVE, "tracking", {"samples left": 100 * step, str(Reject.CRC): 7}),
+    ]  # fmt: skip
+
+
+@dataclasses.dataclass
+class Flight:
+    """A session that is fed until it is told to stop."""
+
+    session: LiveSession
+    url: str
+    asked: list[tuple[str, float]]
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Iterator[Flight]:
+    config = LiveConfig("127.0.0.1", 0, None, tmp_path)
+    listening = listen(config)
+    asked: list[tuple[str, float]] = []
+    subject = Subject(load_airframe("nadir-2m"), Settings(), "test", ask=lambda *wish: asked.append(wish))
+    session = LiveSession(config, subject, listening)
+    over = threading.Event()
+
+    def fly() -> None:
+        step = changes = 0
+        session.publish(Notice(4, "node_left clock restarted; waiting for sync", 1_000 * S))
+        while not over.wait(0.1):
+            for record in records_at(step):
+                session.publish(record)
+            for name, value in asked[changes:]:
+                session.publish(ParameterChange(name, value, 1_000 * S + step * STEP_NS))
+            changes = len(asked)
+            session.tend()
+            step += 1
+
+    thread = threading.Thread(target=fly)
+    thread.start()
+    yield Flight(session, f"http://127.0.0.1:{listening.getsockname()[1]}/", asked)
+    over.set()
+    thread.join()
+    session.close()
+
+
+def text(browser: Browser, place: str) -> str:
+    return str(browser.value(f"document.querySelector('{place}').textContent"))
+
+
+@pytest.mark.parametrize("screen", SIZES)
+def test_the_page_shows_the_flight(flight: Flight, screen: str, tmp_path: Path) -> None:
+    width_px, height_px = SIZES[screen]
+    with Browser(width_px, height_px) as browser:
+        browser.open(flight.url)
+        browser.until("document.getElementById('range-now')?.textContent.startsWith('60.25')")
+        browser.until("document.getElementById('health').textContent === 'active'")
+        assert "trusted" in text(browser, "#range-word")
+        assert text(browser, "#rigid-now") == "27.1 m"
+        assert text(browser, "#toe-now").startswith("+40.50")
+        assert "node_left clock restarted" in text(browser, "#events")
+        assert "7 checksum wrong" in text(browser, "#refusals")
+        assert "nearest 33.5 m" in text(browser, "#sectors-word")
+        browser.until("document.querySelector('#clocks').textContent.includes('0.40 ms')")
+        browser.until("document.querySelectorAll('#phase g circle').length > 5")
+        browser.until("document.querySelector('#range-chart path[stroke-width=\"2\"]').getAttribute('d').length > 20")
+        bent = "document.querySelector('#wing path[stroke-width=\"7\"]').getAttribute('d')"
+        before = browser.value(bent)
+        browser.until(f"{bent} !== {before!r}")
+        browser.value("document.getElementById('images').scrollIntoView()")
+        browser.until(
+            "document.querySelector('#image-right image').getAttribute('href')?.startsWith('data:image/jpeg')"
+        )
+        browser.until("document.querySelector('#image-left path').getAttribute('d').length > 100")
+        assert text(browser, "#matches") == "40 matched features"
+        assert browser.value("document.documentElement.scrollWidth <= innerWidth"), "nothing is cut off at the side"
+        browser.screenshot(tmp_path / f"{screen}.png")
+        assert browser.complaints == []
+
+
+def test_a_parameter_is_set_and_a_recording_made_from_the_page(flight: Flight) -> None:
+    field = "[...document.querySelectorAll('.row')].find((row) => row.textContent.startsWith('RNG_MAX'))"
+    with Browser(*SIZES["laptop"]) as browser:
+        browser.open(flight.url)
+        browser.until("document.querySelectorAll('.row').length > 20")
+        set_to = (
+            f"(({{field}}) => {{ field.value = '90'; field.onchange(); }})({{field: {field}.querySelector('input')}})"
+        )
+        browser.value(set_to)
+        browser.until(f"{field}.classList.contains('changed')")
+        assert flight.asked == [("RNG_MAX", 90.0)]
+        browser.value(set_to.replace("'90'", "'1e9'"))
+        browser.until("document.getElementById('toast').textContent.includes('RNG_MAX')")
+        browser.until(f"{field}.querySelector('input').value === '90'")
+        assert flight.asked == [("RNG_MAX", 90.0)], "what is out of range is not asked for"
+        browser.until("!document.getElementById('record').hidden")
+        browser.value("document.getElementById('record').click()")
+        browser.until("document.getElementById('record').textContent === 'Stop recording'")
+        browser.value("document.getElementById('record').click()")
+        browser.until("document.querySelector('#files a')?.textContent === 'live.mcap'")
+
+
+def test_the_page_says_that_nothing_comes_any_more(flight: Flight) -> None:
+    with Browser(*SIZES["phone"]) as browser:
+        browser.open(flight.url)
+        browser.until("document.getElementById('health').textContent === 'active'")
+        flight.session.close()
+        browser.until("document.getElementById('health').textContent === 'no data'")
+        assert "does not answer" in text(browser, "#reason")
