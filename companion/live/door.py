@@ -16,7 +16,7 @@ from companion.errors import ConfigError
 from companion.live import tunnel
 from companion.live.access import COOKIE, Access
 from companion.live.config import LiveConfig
-from companion.live.requests import MOST_BODY_BYTES, MOST_HEAD_BYTES, Request, Response, parse_head, refusal
+from companion.live.requests import MOST_BODY_BYTES, MOST_HEAD_BYTES, HttpAnswer, Request, parse_head, refusal
 
 _HEAD_S = 10.0
 _MOST_CONNECTIONS = 64  # bound of memory
@@ -58,7 +58,7 @@ class Door:
     """
 
     def __init__(
-        self, listening: socket.socket, access: Access, answer: Callable[[Request], Response], behind: int
+        self, listening: socket.socket, access: Access, answer: Callable[[Request], HttpAnswer], behind: int
     ) -> None:
         self._access, self._answer, self._behind = access, answer, behind
         self._open = 0
@@ -70,7 +70,7 @@ class Door:
         self._is_up.wait(_CLOSING_S)
 
     def close(self) -> None:
-        """Let nobody in any more, and end."""
+        """Close the door, and end."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(_CLOSING_S)
@@ -110,8 +110,8 @@ class Door:
             return await _send(writer, refusal(HTTPStatus.BAD_REQUEST, "the websocket speaks foxglove.sdk.v1"))
         response = await asyncio.to_thread(self._answer, request)
         if self._access.token is not None and request.query.get("token") == self._access.token:
-            kept = f"{COOKIE}={self._access.token}; HttpOnly; SameSite=Strict; Path=/"
-            response = dataclasses.replace(response, headers=response.headers | {"Set-Cookie": kept})
+            cookie = f"{COOKIE}={self._access.token}; HttpOnly; SameSite=Strict; Path=/"
+            response = dataclasses.replace(response, headers=response.headers | {"Set-Cookie": cookie})
         return await _send(writer, response)
 
 
@@ -124,7 +124,7 @@ async def _read(reader: asyncio.StreamReader) -> Request | None:
     return dataclasses.replace(request, body=await reader.readexactly(int(length)))
 
 
-async def _send(writer: asyncio.StreamWriter, response: Response) -> None:
+async def _send(writer: asyncio.StreamWriter, response: HttpAnswer) -> None:
     if response.file is None:
         writer.write(response.head(len(response.body)) + response.body)
         await writer.drain()

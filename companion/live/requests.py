@@ -52,7 +52,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class HttpAnswer:
     """Answer to a request; ``file`` is sent in place of the body where there is one."""
 
     status: HTTPStatus
@@ -84,11 +84,11 @@ def parse_head(head: bytes) -> Request | None:
     return Request(words[0], words[1], headers)
 
 
-def as_json(content: Any, status: HTTPStatus = HTTPStatus.OK) -> Response:
+def as_json(content: Any, status: HTTPStatus = HTTPStatus.OK) -> HttpAnswer:
     """Answer with JSON."""
-    return Response(status, json.dumps(content, allow_nan=False).encode(), "application/json")
+    return HttpAnswer(status, json.dumps(content, allow_nan=False).encode(), "application/json")
 
 
-def refusal(status: HTTPStatus, sentence: str) -> Response:
+def refusal(status: HTTPStatus, sentence: str) -> HttpAnswer:
     """Answer with a sentence that says what is wrong."""
-    return Response(status, f"{sentence}\n".encode())
+    return HttpAnswer(status, f"{sentence}\n".encode())

@@ -22,7 +22,7 @@ from companion.live.broadcaster import Broadcaster
 from companion.live.config import LiveConfig
 from companion.live.door import Door
 from companion.live.feed import ALWAYS, TAPED
-from companion.live.requests import Request, Response, as_json, refusal
+from companion.live.requests import HttpAnswer, Request, as_json, refusal
 from companion.live.tape import LiveTape
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings, tunables
@@ -97,7 +97,7 @@ class LiveSession:
             self._switch(is_on=self._switches.get_nowait())
 
     def close(self) -> None:
-        """Let nobody in any more, and finish the recording."""
+        """Close the door, and finish the recording."""
         self._door.close()
         self._broadcaster.close()
         self._tape.end()
@@ -136,7 +136,7 @@ class LiveSession:
         settings = self._settings
         return {row.name: float(getattr(settings, row.attribute)) for row in tunables()}
 
-    def _answer(self, request: Request) -> Response:
+    def _answer(self, request: Request) -> HttpAnswer:
         """Answer one request of the page."""
         if request.method == "GET":
             return self._read(request.path)
@@ -144,7 +144,7 @@ class LiveSession:
             return self._change(request)
         return refusal(HTTPStatus.METHOD_NOT_ALLOWED, "only GET, and POST of JSON")
 
-    def _read(self, path: str) -> Response:
+    def _read(self, path: str) -> HttpAnswer:
         if path == "/about.json":
             can_set = self._subject.ask is not None
             about = facts(self._subject.airframe, self._subject.title)
@@ -157,7 +157,7 @@ class LiveSession:
             return self._recording(path.removeprefix("/recordings/"))
         if path == "/layout.json":
             layout = (shipped("live") / "spanwise.json").read_bytes()
-            return Response(HTTPStatus.OK, layout, "application/json")
+            return HttpAnswer(HTTPStatus.OK, layout, "application/json")
         return _page_file("index.html" if path == "/" else path.removeprefix("/"))
 
     def _recordings(self) -> dict[str, Any]:
@@ -168,14 +168,14 @@ class LiveSession:
             "files": self._tape.listed(),
         }
 
-    def _recording(self, name: str) -> Response:
+    def _recording(self, name: str) -> HttpAnswer:
         file = self._tape.file(name)
         if file is None:
             return refusal(HTTPStatus.NOT_FOUND, "no such recording")
-        kept = {"Content-Disposition": f'attachment; filename="{name}"'} if name.isascii() and '"' not in name else {}
-        return Response(HTTPStatus.OK, content_type="application/octet-stream", headers=kept, file=file)
+        named = {"Content-Disposition": f'attachment; filename="{name}"'} if name.isascii() and '"' not in name else {}
+        return HttpAnswer(HTTPStatus.OK, content_type="application/octet-stream", headers=named, file=file)
 
-    def _change(self, request: Request) -> Response:
+    def _change(self, request: Request) -> HttpAnswer:
         try:
             wish = json.loads(request.body)
             if request.path == "/record":
@@ -189,7 +189,7 @@ class LiveSession:
             return refusal(HTTPStatus.SERVICE_UNAVAILABLE, "too many requests at once")
         return refusal(HTTPStatus.NOT_FOUND, "nothing to change here")
 
-    def _ask(self, name: str, value: float) -> Response:
+    def _ask(self, name: str, value: float) -> HttpAnswer:
         if self._subject.ask is None:
             return refusal(HTTPStatus.CONFLICT, "nothing can be set here")
         try:
@@ -202,10 +202,10 @@ class LiveSession:
         return as_json({"asked": True}, HTTPStatus.ACCEPTED)
 
 
-def _page_file(name: str) -> Response:
+def _page_file(name: str) -> HttpAnswer:
     """A file of the page; only those are there, whatever the name says."""
     files = {entry.name: entry for entry in (resources.files("companion.live") / "page").iterdir()}
     suffix = name[name.rfind(".") :]
     if name not in files or suffix not in _CONTENT:
         return refusal(HTTPStatus.NOT_FOUND, "no such page")
-    return Response(HTTPStatus.OK, files[name].read_bytes(), f"{_CONTENT[suffix]}; charset=utf-8")
+    return HttpAnswer(HTTPStatus.OK, files[name].read_bytes(), f"{_CONTENT[suffix]}; charset=utf-8")
