@@ -264,7 +264,7 @@ def _tips_on_clock(airframe: Airframe, clock: ClockName) -> list[Station]:
 def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecord]:
     state.vehicle = vehicle
     if state.correction is not None:
-        state.correction.vehicles.append(vehicle)
+        state.correction.vehicle.add(vehicle)
     return []
 
 
@@ -353,9 +353,7 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
     if state.scheduling is not None and now_ns >= state.scheduling.next_plan_ns:
         outputs += state.scheduling.tick(state.tracker, state.validity, _motion(state), now_ns)
     if state.correction is not None:
-        climb_mps = state.vehicle.climb_mps if state.vehicle else 0.0
-        airspeed_mps = state.vehicle.airspeed_mps if state.vehicle else 0.0
-        outputs += state.correction.due(state.tracker, now_ns, climb_mps, airspeed_mps)
+        outputs += state.correction.due(state.tracker, now_ns)
     outputs += state.output_scheduler.tick(now_ns, outputs, state.tracker.describe, state.validity, state.settings)
     if state.correction is not None and state.validity is not None:
         state.silence.tick(now_ns, usable=_tracked(state) and _unlearned(state) is None)

@@ -100,7 +100,8 @@ class TrueGeometry:
     def _read(self, matches: MatchSet, rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> TrueReading | None:
         sight = range_axis_of_rig(self._belief, self._axis)
         depths = triangulate(match_rays(rig, moving, matches), sight, matches.sigma_px / rig.left.lens.focal_px)
-        reading = robust_inverse_depth(depths, RangeProduct(self.settings.product), self.settings.min_matches)
+        product, looks_down = RangeProduct(self.settings.product), self.flight.airframe.looks_down
+        reading = robust_inverse_depth(depths, product, self.settings.min_matches, one_surface=looks_down)
         if reading is None:
             return None
         true_inverse = self._true_inverse(matches)

@@ -22,6 +22,7 @@ from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import Depths, range_axis_of_rig
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
+from companion.params.settings import Settings
 from companion.records import ClockName, CorrectedRange, MatchSet, Side
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.lockstep import LockStepClock
@@ -167,9 +168,9 @@ class StruckCameras(Cameras):
         depth = (points - sight.origin_m) @ sight.axis
         tangent = ((points - sight.origin_m) @ sight.across.T) / depth[:, np.newaxis]
         parallax = 1e-9 * np.cos(np.arange(len(points)))
-        reading = robust_inverse_depth(
-            Depths(1.0 / depth, np.full(len(points), 1e-5), tangent, parallax), RangeProduct.MEDIAN, 4
-        )
+        depths = Depths(1.0 / depth, np.full(len(points), 1e-5), tangent, parallax)
+        down = self.flight.airframe.looks_down
+        reading = robust_inverse_depth(depths, RangeProduct.MEDIAN, Settings().min_matches, one_surface=down)
         assert reading is not None
         return 1.0 / reading.inverse_pm
 

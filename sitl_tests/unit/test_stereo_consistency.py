@@ -80,7 +80,7 @@ def flown(
         exposed_ns = 10_000 * MS + k * PERIOD_NS
         matches = match_set(left_px, right_px, strike.match_px, mid_exposure_ns=(exposed_ns, exposed_ns))
         list(correction.add(matches, strike.stamps))
-        for output in correction.due(told, exposed_ns + 1000 * MS, 0.0, 15.0):
+        for output in correction.due(told, exposed_ns + 1000 * MS):
             if isinstance(output, CorrectedRange):
                 ranges.append(output)
             elif isinstance(output, Notice):

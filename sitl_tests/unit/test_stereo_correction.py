@@ -68,11 +68,11 @@ def _corrected(
 ) -> list[OutputRecord]:
     correction = Correction.create(forward(rotation_sigma_rad=2e-5), settings)
     for t_ns in range(0, 1600 * MS, 100 * MS) if vehicles else ():
-        correction.vehicles.append(_vehicle(t_ns))
+        correction.vehicle.add(_vehicle(t_ns))
     outputs: list[OutputRecord] = []
     for number in range(pairs):
         outputs += correction.add(_matches(number), Reject.STAMP_OUTLIER if number in misstamped else None)
-        outputs += correction.due(tracker, EXPOSED_NS + (600 + 100 * number) * MS, 0.0, 20.0)
+        outputs += correction.due(tracker, EXPOSED_NS + (600 + 100 * number) * MS)
     return outputs
 
 

@@ -15,6 +15,7 @@ from companion.core.stereo.ranging import RangeAnswer, correct, orientation_axis
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import trim_search
 from companion.core.stereo.triangulation import points_of, range_axis_of_rig
+from companion.core.stereo.vehicle_motion import VehicleMotion
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.settings import Settings
@@ -126,11 +127,63 @@ def test_flight_between_unequal_exposures_is_bridged_with_the_velocity() -> None
     ahead = [points - velocity * after_s for after_s in (-0.0025, 0.0025)]
     pixels = [rig.project(side, rig.pose(side, 0.02, 0.0), ahead[side]) for side in Side]
     left, right = bend((0.02, 0.02), t_ns=-2_500_000), bend((0.02, 0.02), t_ns=2_500_000)
-    bridged = correct(match_set(*pixels), left, right, rig, airframe, SETTINGS, velocity_mps=velocity)
+    bridged = correct(
+        match_set(*pixels), left, right, rig, airframe, SETTINGS, motion=VehicleMotion(velocity, np.zeros((3, 3)))
+    )
     ignored = correct(match_set(*pixels), left, right, rig, airframe, SETTINGS)
     assert bridged.range.range_m == pytest.approx(60.0, abs=1e-5)
     assert ignored.range.range_m == pytest.approx(60.0 * 1.98 / 1.99, abs=0.02)
     assert np.abs(bridged.depths.parallax_rad).max() < 1e-9
+
+
+def test_a_crosswind_that_nobody_tells_is_in_the_sigma() -> None:
+    """5 ms at 3 m/s along the baseline are 15 mm of 1.98 m: 0.45 m of 60 m."""
+    airframe = nadir(**perfect_calibration())
+    rig, points = Rig.from_airframe(airframe), ground_below(60.0, 200, 4)
+    matches = match_set(*seen(rig, points, (0.02, 0.02)), 0.001)
+    left, right = bend((0.02, 0.02), t_ns=-2_500_000), bend((0.02, 0.02), t_ns=2_500_000)
+    still, blown = (
+        correct(matches, left, right, rig, airframe, SETTINGS, motion=VehicleMotion(np.zeros(3), covariance)).range
+        for covariance in (np.zeros((3, 3)), np.diag([0.0, 3.0, 0.0]) ** 2)
+    )
+    assert np.sqrt(blown.sigma_m**2 - still.sigma_m**2) == pytest.approx(60.0 * 0.015 / 1.98, rel=0.01)
+
+
+def _foot_of_a_wall(wall_m: float, height_m: float, edge_m: float, seed: int) -> np.ndarray:
+    """A wall across the path to the right of ``edge_m``, ground below it; points as the picture shows them."""
+    rng = np.random.default_rng(seed)
+    y, z = rng.uniform(-0.3, 0.3, 240), rng.uniform(-0.27, 0.27, 240)
+    ground_m = np.where(z > 0.0, height_m / np.maximum(z, 1e-9), np.inf)
+    depth_m = np.where(y * wall_m > edge_m, np.minimum(wall_m, ground_m), ground_m)
+    points = np.column_stack([np.ones(240), y, z]) * depth_m[:, np.newaxis]
+    return np.asarray(points[np.isfinite(depth_m)])
+
+
+@pytest.mark.parametrize("height_m", [2.0, 3.0, 4.0, 8.0])
+def test_a_wall_ahead_is_ranged_over_the_ground_before_it(height_m: float) -> None:
+    """A third of the picture or more is ground nearer than the wall: a plane through both lies 20 to 30 % too near."""
+    airframe = forward(**perfect_calibration())
+    rig = Rig.from_airframe(airframe)
+    for seed in range(5):
+        pixels = seen(rig, _foot_of_a_wall(30.0, height_m, -100.0, seed), (0.02, 0.02))
+        noise = 0.1 * np.random.default_rng(seed).standard_normal(pixels[1].shape)
+        answer = _range(airframe, match_set(pixels[0], pixels[1] + noise), bend((0.02, 0.02))).range
+        assert answer.range_m == pytest.approx(30.0, abs=4.0 * answer.sigma_m)
+        assert answer.trusted
+
+
+def test_a_range_with_an_edge_on_its_axis_is_one_of_both_or_not_trusted() -> None:
+    """A wall's edge on the axis, a second wall at twice the distance beside it."""
+    airframe = forward(**perfect_calibration())
+    rig = Rig.from_airframe(airframe)
+    for seed in range(20):
+        points = wall_ahead(30.0, 200, seed)
+        far = points[:, 1] < 0.0
+        points[far] *= 2.0
+        pixels = seen(rig, points, (0.02, 0.02))
+        noise = 0.1 * np.random.default_rng(seed).standard_normal(pixels[1].shape)
+        answer = _range(airframe, match_set(pixels[0], pixels[1] + noise), bend((0.02, 0.02))).range
+        assert not answer.trusted or min(abs(answer.range_m - 30.0), abs(answer.range_m - 60.0)) < 5.0 * answer.sigma_m
 
 
 def test_each_camera_is_corrected_with_the_bend_of_its_own_exposure() -> None:

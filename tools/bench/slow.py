@@ -45,6 +45,7 @@ from companion.records import (
     RelativeRotation,
     Side,
     Tick,
+    VehicleState,
 )
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
@@ -242,12 +243,15 @@ def _flown(flight: Flight, shots: list[MatchSet]) -> tuple[list[Record], list[Re
     for record in in_order(flight, shots):
         state, outputs = step(state, record)
         told[2].extend(outputs)
-        if isinstance(record, MatchSet):
+        if isinstance(record, VehicleState):
+            blind.vehicle.add(record)
+            untilted.vehicle.add(record)
+        elif isinstance(record, MatchSet):
             told[0].extend(blind.add(record))
             told[1].extend(untilted.add(record))
         elif isinstance(record, Tick):
-            told[0].extend(blind.due(state.tracker, record.now_host_ns, 0.0, 0.0))
-            told[1].extend(untilted.due(_Untilted(state.tracker), record.now_host_ns, 0.0, 0.0))
+            told[0].extend(blind.due(state.tracker, record.now_host_ns))
+            told[1].extend(untilted.due(_Untilted(state.tracker), record.now_host_ns))
     return told
 
 

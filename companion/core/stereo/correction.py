@@ -16,26 +16,23 @@ from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, RangeAnswer, correct
 from companion.core.stereo.triangulation import match_rays
+from companion.core.stereo.vehicle_motion import VehicleMotion, VehicleTrack
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
     ClockName,
     CorrectedRange,
     Deflection,
-    Floats,
     MatchSet,
     Notice,
     OutputRecord,
     Reject,
     Rejected,
     RelativeRotation,
-    VehicleState,
 )
 from companion.units import Severity
 
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
-_VEHICLES = 64  # states: some seconds of attitudes at the usual rates
-_ATTITUDE_NS = 500_000_000  # an attitude older than this is not that of the exposure (choice)
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
 
@@ -67,7 +64,7 @@ class Correction:
     settings: Settings
     drift_filter: ExtrinsicsDriftFilter
     pending: deque[PendingPair] = field(default_factory=deque)
-    vehicles: deque[VehicleState] = field(default_factory=lambda: deque(maxlen=_VEHICLES))
+    vehicle: VehicleTrack = field(default_factory=VehicleTrack)
     last_trusted: CorrectedRange | None = None
     _distrusted: bool = False
 
@@ -90,17 +87,13 @@ class Correction:
             dropped = self.pending.popleft().matches
             yield Rejected(Reject.QUEUE_FULL, f"pair {dropped.pair_id}", matches.matched_host_ns)
 
-    def due(
-        self, tracker: BendSource, now_host_ns: int, climb_mps: float, airspeed_mps: float
-    ) -> Iterator[OutputRecord]:
+    def due(self, tracker: BendSource, now_host_ns: int) -> Iterator[OutputRecord]:
         """Correct every pair whose exposures lie a full lag behind what the tracker has seen."""
         ready_ns = now_host_ns - int((self.settings.smoother_lag_s + self.settings.reorder_window_s) * 1e9)
         while self.pending and int(self.pending[0].matches.mid_exposure_ns.max()) <= ready_ns:
-            yield from self._correct(self.pending.popleft(), tracker, now_host_ns, climb_mps, airspeed_mps)
+            yield from self._correct(self.pending.popleft(), tracker, now_host_ns)
 
-    def _correct(
-        self, waiting: PendingPair, tracker: BendSource, now_host_ns: int, climb_mps: float, airspeed_mps: float
-    ) -> Iterator[OutputRecord]:
+    def _correct(self, waiting: PendingPair, tracker: BendSource, now_host_ns: int) -> Iterator[OutputRecord]:
         matches, reason = waiting.matches, tracker.distrust or waiting.stamps
         left, right = (tracker.smooth(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         if isinstance(left, Reject) or isinstance(right, Reject):
@@ -110,9 +103,10 @@ class Correction:
             return
         yield left
         yield right
-        velocity_mps = np.array([airspeed_mps, 0.0, -climb_mps])
+        middle_ns = (left.t_host_ns + right.t_host_ns) // 2
+        motion = self.vehicle.motion(middle_ns)
         self._doubtful(tracker.distrust)
-        turned = self._turned(matches, (left, right), velocity_mps, use_matches=reason is None)
+        turned = self._turned(matches, (left, right), motion, use_matches=reason is None)
         yield turned
         answer: RangeAnswer = correct(
             matches,
@@ -121,19 +115,14 @@ class Correction:
             self.rig,
             self.airframe,
             self.settings,
-            velocity_mps=velocity_mps,
+            motion=motion,
             turned=turned,
-            attitude_rad=self._attitude((left.t_host_ns + right.t_host_ns) // 2),
+            attitude_rad=self.vehicle.attitude(middle_ns),
         )
         if self.drift_filter.verdict is not MatchVerdict.AGREE:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)
-        judged = self.gate.judge(
-            withheld(answer.range, reason),
-            climb_mps,
-            range_slack_mps(self.airframe.looks_down, airspeed_mps),
-            lasting_m,
-        )
+        judged = self._judged(withheld(answer.range, reason), lasting_m)
         if judged.trusted:
             self.last_trusted = judged
         yield judged
@@ -143,6 +132,12 @@ class Correction:
             yield Notice(Severity.WARNING, _KNOCKED, now_host_ns)
         if answer.sectors is not None and reason is None:
             yield answer.sectors
+
+    def _judged(self, measured: CorrectedRange, lasting_m: float) -> CorrectedRange:
+        """The range as the gate has it, which moves the last ones on by the climb rate that was told last."""
+        newest = self.vehicle.newest
+        climb_mps, airspeed_mps = (0.0, 0.0) if newest is None else (newest.climb_mps, newest.airspeed_mps)
+        return self.gate.judge(measured, climb_mps, range_slack_mps(self.airframe.looks_down, airspeed_mps), lasting_m)
 
     def _lasting_m(self, turned: RelativeRotation, range_m: float) -> float:
         """The part of a range's sigma that its neighbours share: the slow toe's."""
@@ -158,21 +153,12 @@ class Correction:
         self.drift_filter.reopen()
         self.gate.reopened()
 
-    def _attitude(self, t_host_ns: int) -> tuple[float, float] | None:
-        """Roll and pitch at an instant, between the states that the autopilot sent; None without one nearby."""
-        at_ns = [vehicle.received_host_ns for vehicle in self.vehicles]
-        if not at_ns or min(abs(t_ns - t_host_ns) for t_ns in at_ns) > _ATTITUDE_NS:
-            return None
-        since_s = [1e-9 * (t_ns - t_host_ns) for t_ns in at_ns]
-        roll = float(np.interp(0.0, since_s, [vehicle.roll_rad for vehicle in self.vehicles]))
-        return roll, float(np.interp(0.0, since_s, [vehicle.pitch_rad for vehicle in self.vehicles]))
-
     def _turned(
-        self, matches: MatchSet, bend: tuple[Deflection, Deflection], velocity_mps: Floats, *, use_matches: bool
+        self, matches: MatchSet, bend: tuple[Deflection, Deflection], motion: VehicleMotion, *, use_matches: bool
     ) -> RelativeRotation:
         """Relative rotation from the matches, or its prediction where the bend at the stamps is not to be trusted."""
-        moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, velocity_mps)
+        moving = exposures(self.rig, TipMotion.from_airframe(self.airframe), *bend, motion.velocity_mps)
         matches = matches.features()
         rays = match_rays(self.rig, moving, matches)
         use_matches = use_matches and bool(self.settings.hold_slow)
-        return self.drift_filter.update(matches, rays, bend, moving, TIMING_SIGMA_S, use_matches=use_matches)
+        return self.drift_filter.update(matches, rays, bend, moving, TIMING_SIGMA_S, motion, use_matches=use_matches)

@@ -33,8 +33,9 @@ from companion.records import Floats, Reject
 
 PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, YAW_BIAS = range(9)
 _SLOW = 9  # states that stay from pair to pair
-_ALL = _SLOW + 6  # with this pair's error of the fast part, and its innovation
-_FAST, _INNOVATION = slice(_SLOW, _SLOW + 3), slice(_SLOW + 3, _ALL)
+_ALL = _SLOW + 8  # with this pair's error of the fast part, of the baseline's direction, and its innovation
+_FAST, _SHIFT, _INNOVATION = slice(_SLOW, _SLOW + 3), slice(_SLOW + 3, _SLOW + 5), slice(_SLOW + 5, _ALL)
+_BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
 _PARALLAX_STATES = 7  # states that the parallax has a column of its own for
 _MIN_MATCHES = 12  # seven columns, and as many again to tell outliers by (choice)
 _GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
@@ -114,6 +115,7 @@ class BendBelief:
 
 
 NO_BEND = BendBelief(np.zeros(3), 0.0, 1000.0)
+NO_SHIFT = np.zeros((2, 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +180,13 @@ class EpipolarFilter:
         self._test = MatchTest()
 
     def update(
-        self, rays: Rays, sigma_rad: Floats, fast_covariance: Floats, t_host_ns: int, bend: BendBelief = NO_BEND
+        self,
+        rays: Rays,
+        sigma_rad: Floats,
+        fast_covariance: Floats,
+        t_host_ns: int,
+        bend: BendBelief = NO_BEND,
+        shift_covariance: Floats = NO_SHIFT,
     ) -> EpipolarUpdate | Reject:
         """Take the matches of one pair.
 
@@ -194,6 +202,8 @@ class EpipolarFilter:
             Mid-exposure.
         bend : BendBelief
             Slow error of the believed bend; none where the fast covariance has it all.
+        shift_covariance : (2, 2) float64
+            Of this pair's own baseline direction, y and z: flight between the exposures.
 
         Returns
         -------
@@ -205,13 +215,14 @@ class EpipolarFilter:
         mean, predicted = self._predicted(t_host_ns, bend)
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        answer = _solve(epipolar_rays, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
+        prior = _joint(predicted, fast_covariance, shift_covariance)
+        answer = _solve(epipolar_rays, noise_rad, mean, prior, bend.direction)
         verdict, granted_rad2 = self._test.take(
             _innovation(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast_covariance)
         )
         if verdict is MatchVerdict.KNOCKED:
-            predicted[:3, :3] += KNOCK_RAD**2 * np.eye(3)
-            answer = _solve(epipolar_rays, noise_rad, mean, _joint(predicted, fast_covariance), bend.direction)
+            prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
+            answer = _solve(epipolar_rays, noise_rad, mean, prior, bend.direction)
         answer = _bound(answer, granted_rad2)
         self._mean, self._covariance, self._updated_ns = (
             answer.mean[:_SLOW],
@@ -291,7 +302,7 @@ def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
     x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
     x_r, y_r = right[:, 0] / right[:, 2], right[:, 1] / right[:, 2]
     apart = epipolar_rays.right_m - epipolar_rays.left_m
-    toward = apart[:, 1:] / apart[:, :1] + state[BASELINE_Y : BASELINE_Z + 1]
+    toward = apart[:, 1:] / apart[:, :1] + state[_BASELINE]
     disparity, twisted = x_l - x_r, x_r * y_l - y_r * x_l
     y = 0.5 * (y_l + y_r)
     cubic = 0.5 * (y_l * (x_l**2 + y_l**2) + y_r * (x_r**2 + y_r**2))
@@ -309,11 +320,11 @@ class _Posterior:
     used: int
 
 
-def _joint(slow_covariance: Floats, fast_covariance: Floats) -> Floats:
-    """Covariance (15, 15) of the slow part, the fast part and the innovation before a pair."""
+def _joint(slow_covariance: Floats, fast_covariance: Floats, shift_covariance: Floats) -> Floats:
+    """Covariance (17, 17) of the slow part, this pair's rotation, baseline and innovation, before a pair."""
     joint = np.zeros((_ALL, _ALL))
     joint[:_SLOW, :_SLOW], joint[_FAST, _FAST] = slow_covariance, fast_covariance
-    joint[_INNOVATION, _INNOVATION] = KNOCK_RAD**2 * np.eye(3)
+    joint[_SHIFT, _SHIFT], joint[_INNOVATION, _INNOVATION] = shift_covariance, KNOCK_RAD**2 * np.eye(3)
     return joint
 
 
@@ -326,9 +337,11 @@ def _solve(epipolar_rays: Rays, sigma_rad: Floats, slow: Floats, covariance: Flo
     state, scale = mean.copy(), 1.0
     weight, information = np.ones(len(sigma_rad)), prior_information
     for _ in range(_GAUSS_NEWTON_STEPS):
-        residual_rad, columns = parallax(epipolar_rays, np.concatenate([gather @ state, state[3:_PARALLAX_STATES]]))
+        total = np.concatenate([gather @ state, state[3:_PARALLAX_STATES]])
+        total[_BASELINE] += state[_SHIFT]
+        residual_rad, columns = parallax(epipolar_rays, total)
         design = columns[:, :3] @ gather
-        design[:, 3:_PARALLAX_STATES] = columns[:, 3:]
+        design[:, 3:_PARALLAX_STATES], design[:, _SHIFT] = columns[:, 3:], columns[:, _BASELINE]
         # the first rounds see the rotation itself and take it for noise; as it shrinks, outliers come to stand alone
         unit = residual_rad / sigma_rad
         scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
@@ -366,7 +379,7 @@ def _bound(answer: _Posterior, granted_rad2: Floats) -> _Posterior:
 
 
 def _gather(bend: Floats) -> Floats:
-    """Rows (3, 15) that add up the relative rotation: slow part, fast part and innovation."""
+    """Rows (3, 17) that add up the relative rotation: slow part, fast part and innovation."""
     rows = np.zeros((3, _ALL))
     rows[:, :3] = rows[:, _FAST] = rows[:, _INNOVATION] = np.eye(3)
     rows[:, BEND] = bend
@@ -382,7 +395,7 @@ def _describe(answer: _Posterior, bend: Floats, verdict: MatchVerdict) -> Epipol
         slow_covariance=slow @ answer.covariance @ slow.T,
         total_rad=total @ answer.mean,
         total_covariance=total @ answer.covariance @ total.T,
-        baseline_rad=answer.mean[BASELINE_Y : BASELINE_Z + 1],
+        baseline_rad=answer.mean[_BASELINE],
         parallax_scale=answer.scale,
         used=answer.used,
         verdict=verdict,

@@ -24,11 +24,14 @@ class CameraExposure:
         How fast the camera turns: rigid body rate and the wing's bending.
     velocity_mps : (3,) float64
         How fast the rigid body rate moves the camera.
+    after_s : float
+        How long after the instant midway.
     """
 
     pose: Pose
     rate_radps: Floats
     velocity_mps: Floats
+    after_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +97,7 @@ def with_relative_rotation(
             Pose(exposure.pose.camera_from_body @ exp_rotation(-half), exposure.pose.position_body_m),
             exposure.rate_radps,
             exposure.velocity_mps,
+            exposure.after_s,
         )
         for exposure, half in zip(pair, halves, strict=True)
     )
@@ -119,4 +123,4 @@ def _exposure(
         float((signs * tips.slope_radpm) @ bend.qdot_mps), float((signs * tips.twist_radpm) @ bend.qdot_mps)
     )
     lever = np.cross(bend.body_rate_radps, moved.position_body_m)
-    return CameraExposure(moved, bend.body_rate_radps + wing_rate, lever)
+    return CameraExposure(moved, bend.body_rate_radps + wing_rate, lever, after_s)

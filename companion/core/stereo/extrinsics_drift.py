@@ -22,6 +22,7 @@ from companion.core.stereo.epipolar import (
 from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.triangulation import Rays
+from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
 from companion.params.airframe import Airframe
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
 
@@ -67,6 +68,7 @@ class ExtrinsicsDriftFilter:
         bend: tuple[Deflection, Deflection],
         exposures: tuple[CameraExposure, CameraExposure],
         timing_sigma_s: float,
+        motion: VehicleMotion = STILL,
         *,
         use_matches: bool = True,
     ) -> RelativeRotation:
@@ -84,13 +86,16 @@ class ExtrinsicsDriftFilter:
             For how fast the cameras turn.
         timing_sigma_s : float
             One-sigma of each exposure's stamp.
+        motion : VehicleMotion
+            The aircraft's velocity, by which it is in the rays, and its covariance.
         use_matches : bool
             False: predict only, with the tracker's own uncertainty.
         """
         t_host_ns = (bend[0].t_host_ns + bend[1].t_host_ns) // 2
         belief, fast = self._belief(bend, t_host_ns), self._fast(bend, exposures, timing_sigma_s)
         sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
-        update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief) if use_matches else None
+        shift = self._shift(exposures, timing_sigma_s, motion)
+        update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift) if use_matches else None
         self.verdict = update.verdict if isinstance(update, EpipolarUpdate) else MatchVerdict.AGREE
         if isinstance(update, EpipolarUpdate):
             return RelativeRotation(
@@ -139,6 +144,16 @@ class ExtrinsicsDriftFilter:
         for side in Side:
             moved = timing_sigma_s * (self._filter.epipolar_from_body @ exposures[side].rate_radps)
             covariance = covariance + np.outer(moved, moved)
+        return covariance
+
+    def _shift(
+        self, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float, motion: VehicleMotion
+    ) -> Floats:
+        """Covariance (2, 2) of this pair's baseline direction, y and z: flight between the exposures, stamps of it."""
+        apart_s = exposures[Side.RIGHT].after_s - exposures[Side.LEFT].after_s
+        across = self._filter.epipolar_from_body[1:] / self._rig.baseline_m
+        stamps = math.sqrt(2.0) * timing_sigma_s * (across @ motion.velocity_mps)
+        covariance: Floats = apart_s**2 * (across @ motion.covariance @ across.T) + np.outer(stamps, stamps)
         return covariance
 
 

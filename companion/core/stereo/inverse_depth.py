@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +23,9 @@ _PARALLAX_RAD = 1e-4
 _PARALLAX_SLOPE = 0.02  # rad per unit tangent: about a degree of roll, one sigma
 _CLUSTER_SIGMAS = 3.0  # members of one thing differ by noise alone
 _CENTRE_FRACTION = 0.2  # of the matches, nearest to the axis (choice)
+# a surface that is rough by less than a hundredth of its depth is one surface still (choice)
+_ROUGHNESS = 0.01
+_ON_SURFACE = 2.0  # median departure, in sigmas, of matches that lie on the surface: 0.67 by noise alone
 
 
 class RangeProduct(enum.IntEnum):
@@ -46,6 +50,8 @@ class InverseDepthEstimate:
         Matches that count.
     edge_pm : float
         How much nearer than the middle of its matches a nearest thing begins; 0 for the other products.
+    slope_pm : (2,) float64
+        Change of the plane's inverse depth per unit of either tangent; zeros for the nearest thing.
     """
 
     inverse_pm: float
@@ -53,15 +59,22 @@ class InverseDepthEstimate:
     weights: Floats
     used: int
     edge_pm: float = 0.0
+    slope_pm: Floats = field(default_factory=lambda: np.zeros(2))
 
 
-def robust_inverse_depth(depths: Depths, product: RangeProduct, least: int) -> InverseDepthEstimate | None:
+def robust_inverse_depth(
+    depths: Depths, product: RangeProduct, least: int, *, one_surface: bool = True
+) -> InverseDepthEstimate | None:
     """Reduce inverse depths to one value, or None when fewer than ``least`` matches support it.
 
     ``MEDIAN`` and ``CENTRE`` fit a plane, whose inverse depth is linear in the tangents, with an M-estimator that
     starts from least absolute deviations, and take its value on the axis: the range of a beam along the axis, free of
     the scatter that sloping ground under a field of view of 40 degrees would bring. ``CENTRE`` uses only the matches
     nearest to the axis. ``NEAREST`` is where the nearest group of matches that agree among themselves begins.
+
+    The ground fills the picture of a pair that looks down. Ahead there are ground and obstacles (``one_surface``
+    false): one plane through both is neither, so the plane is fitted to as many of the matches around the axis as lie
+    on one surface with those nearest to it.
     """
     inliers = consistent(depths)
     if inliers.size < least:
@@ -74,8 +87,10 @@ def robust_inverse_depth(depths: Depths, product: RangeProduct, least: int) -> I
         )
     if product is RangeProduct.CENTRE:
         count = max(least, round(_CENTRE_FRACTION * inliers.size))
-        inliers = inliers[np.argsort(np.linalg.norm(depths.tangent[inliers], axis=1), kind="stable")[:count]]
-    return _solve(depths, inliers, np.column_stack([np.ones(inliers.size), depths.tangent[inliers]]))
+        inliers = _outward(depths, inliers)[:count]
+    elif not one_surface:
+        return _surface_on_axis(depths, _outward(depths, inliers), least)
+    return _plane(depths, inliers)
 
 
 def consistent(depths: Depths) -> Ints:
@@ -94,6 +109,38 @@ def consistent(depths: Depths) -> Ints:
     scale = _MAD_TO_SIGMA * float(np.median(np.abs(residual)))
     alike: Bools = np.abs(residual) <= 5.0 * scale + 1e-6
     return finite[alike]
+
+
+def _outward(depths: Depths, indices: Ints) -> Ints:
+    """The same indices, from the axis outward."""
+    return indices[np.argsort(np.linalg.norm(depths.tangent[indices], axis=1), kind="stable")]
+
+
+def _plane(depths: Depths, inliers: Ints) -> InverseDepthEstimate:
+    return _solve(depths, inliers, np.column_stack([np.ones(inliers.size), depths.tangent[inliers]]))
+
+
+def _surface_on_axis(depths: Depths, outward: Ints, least: int) -> InverseDepthEstimate:
+    """Plane through matches around the axis: all, or a half, a quarter ... of them, until the innermost lie on it.
+
+    Where it is not all of them, there are edges, maybe on the axis: the sigma has what the innermost depart by.
+    """
+    count, core = outward.size, outward[:least]
+    while True:
+        fitted = _plane(depths, outward[:count])
+        departure_pm, allowed_pm = _departure(depths, core, fitted)
+        if departure_pm <= allowed_pm or count == least:
+            edges_pm = departure_pm if count < outward.size else 0.0
+            return dataclasses.replace(fitted, sigma_pm=float(np.hypot(fitted.sigma_pm, edges_pm)))
+        count = max(count // 2, least)
+
+
+def _departure(depths: Depths, core: Ints, fitted: InverseDepthEstimate) -> tuple[float, float]:
+    """Median distance of matches from a fitted plane, and how far noise and roughness let them lie from it, 1/m."""
+    value, sigma = depths.inverse_pm[core], depths.sigma_pm[core]
+    plane = fitted.inverse_pm + depths.tangent[core] @ fitted.slope_pm
+    allowed = np.hypot(sigma, _ROUGHNESS * fitted.inverse_pm)
+    return float(np.median(np.abs(value - plane))), _ON_SURFACE * float(np.median(allowed))
 
 
 def _nearest_group(depths: Depths, inliers: Ints, size: int) -> Ints:
@@ -126,14 +173,15 @@ def _solve(depths: Depths, inliers: Ints, design: Floats) -> InverseDepthEstimat
     tilt_pm = _TILT * max(float(np.median(np.abs(value))), 1e-4)
     prior = np.zeros(design.shape[1])
     prior[1:] = tilt_pm**-2
-    _, weight, scale = _robust(design, value, sigma, prior)
+    coefficients, weight, scale = _robust(design, value, sigma, prior)
     normal = (design * weight[:, np.newaxis]).T @ design + np.diag(prior)
     row = np.linalg.solve(normal, np.eye(len(prior))[0])
     weights = np.zeros(depths.inverse_pm.size)
     weights[inliers] = weight * (design @ row)
     spread = float(np.sqrt(np.sum((weights[inliers] * sigma) ** 2))) * max(1.0, scale)
     used = int(np.count_nonzero(weight > 0.0))
-    return InverseDepthEstimate(float(weights[inliers] @ value), spread, weights, used)
+    slope_pm = coefficients[1:] if len(coefficients) > 1 else np.zeros(2)
+    return InverseDepthEstimate(float(weights[inliers] @ value), spread, weights, used, slope_pm=slope_pm)
 
 
 def _robust(design: Floats, value: Floats, sigma: Floats, prior: Floats) -> tuple[Floats, Floats, float]:

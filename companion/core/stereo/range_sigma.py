@@ -11,6 +11,7 @@ from companion.core.stereo.exposure import CameraExposure, TipMotion, tip_signs
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import skew
 from companion.core.stereo.triangulation import Rays
+from companion.core.stereo.vehicle_motion import VehicleMotion
 from companion.params.airframe import Airframe, Camera
 from companion.records import Deflection, Floats, Side
 
@@ -106,19 +107,21 @@ def budget(
     bend: Deflection,
     exposures: tuple[CameraExposure, CameraExposure],
     timing_sigma_s: float,
+    motion: VehicleMotion,
     apart_rad2: Floats | None = None,
 ) -> Budget:
     """Sigma of a result by cause.
 
     The two exposures are so near each other that one error of the modal state holds for both: modal errors are
-    propagated jointly, calibration and stamping errors of the two cameras are independent.
+    propagated jointly, calibration and stamping errors of the two cameras are independent. ``motion`` is the flight
+    between the exposures: what is not known of it, and stamps that are wrong, displace the cameras.
 
     ``apart_rad2`` (3, 3), body axes, is the covariance of the cameras' relative rotation where matches have measured it
     (:class:`companion.core.stereo.extrinsics_drift.ExtrinsicsDriftFilter`); of the other causes only those that turn
     both cameras alike remain.
     """
     if apart_rad2 is not None:
-        return _budget_with_rotation(gradient, rig, airframe, bend, exposures, timing_sigma_s, apart_rad2)
+        return _budget_with_rotation(gradient, rig, airframe, bend, exposures, timing_sigma_s, motion, apart_rad2)
     modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe))
     block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
     variance = float(modal @ bend.covariance[block] @ modal)
@@ -131,6 +134,7 @@ def budget(
         moving = exposures[side]
         rate = gradient.turn_prad[side] @ moving.rate_radps + gradient.shift_pm[side] @ moving.velocity_mps
         timing += (timing_sigma_s * float(rate)) ** 2
+    timing += _flight_variance(gradient, exposures, timing_sigma_s, motion)
     return Budget(float(np.sqrt(max(variance, 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
 
 
@@ -141,6 +145,7 @@ def _budget_with_rotation(
     bend: Deflection,
     exposures: tuple[CameraExposure, CameraExposure],
     timing_sigma_s: float,
+    motion: VehicleMotion,
     apart_rad2: Floats,
 ) -> Budget:
     modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe)) @ _TIPS_FROM_ANTISYMMETRIC.T
@@ -157,7 +162,17 @@ def _budget_with_rotation(
         calibration += (0.5 * camera.rotation_sigma_rad) ** 2 * float(alike @ alike)
         calibration += (camera.focal_px.sigma / camera.focal_px.value * float(gradient.focal[side])) ** 2
         timing += (timing_sigma_s * float(gradient.shift_pm[side] @ exposures[side].velocity_mps)) ** 2
+    timing += _flight_variance(gradient, exposures, timing_sigma_s, motion)
     return Budget(float(np.sqrt(max(float(variance), 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
+
+
+def _flight_variance(
+    gradient: Gradient, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float, motion: VehicleMotion
+) -> float:
+    """Variance of a result by the velocity, whose error both cameras share, and by stamps of cameras that fly."""
+    shared = sum(exposures[side].after_s * gradient.shift_pm[side] for side in Side)
+    stamps = timing_sigma_s * (gradient.shift_pm @ motion.velocity_mps)
+    return float(shared @ motion.covariance @ shared + stamps @ stamps)
 
 
 def modal_gradient(gradient: Gradient, rig: Rig, tips: TipMotion) -> Floats:

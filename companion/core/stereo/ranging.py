@@ -14,6 +14,7 @@ from companion.core.stereo.inverse_depth import InverseDepthEstimate, RangeProdu
 from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient_of, toe_gradient
 from companion.core.stereo.sectors import matched_sectors
 from companion.core.stereo.triangulation import Depths, RangeAxis, Rays, match_rays, range_axis_of_rig, triangulate
+from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -60,7 +61,7 @@ def correct(
     airframe: Airframe,
     settings: Settings,
     timing_sigma_s: float = TIMING_SIGMA_S,
-    velocity_mps: Floats | None = None,
+    motion: VehicleMotion = STILL,
     turned: RelativeRotation | None = None,
     attitude_rad: tuple[float, float] | None = None,
 ) -> RangeAnswer:
@@ -80,8 +81,8 @@ def correct(
         RangeProduct, limits, trust.
     timing_sigma_s : float
         One-sigma of each exposure's stamp.
-    velocity_mps : (3,) float64, optional
-        The aircraft's velocity in body axes, which moves it between unequal exposures.
+    motion : VehicleMotion, optional
+        The aircraft's velocity, which moves it between unequal exposures.
     turned : RelativeRotation, optional
         What the matches say about the relative rotation beyond the bend; without, the bend is taken as it is.
     attitude_rad : tuple, optional
@@ -93,9 +94,11 @@ def correct(
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
     all_matches, matches = matches, matches.features()
-    scene = _Scene.exposed(matches, left, right, rig, airframe, timing_sigma_s, velocity_mps, turned)
+    scene = _Scene.exposed(matches, left, right, rig, airframe, timing_sigma_s, motion, turned)
     depths = scene.depths(matches)
-    reading = robust_inverse_depth(depths, RangeProduct(settings.product), settings.min_matches)
+    reading = robust_inverse_depth(
+        depths, RangeProduct(settings.product), settings.min_matches, one_surface=airframe.looks_down
+    )
     toe = scene.toe()
     if reading is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
         reason = Reject.NO_MATCHES if reading is None else Reject.NOT_FINITE
@@ -134,6 +137,7 @@ class _Scene:
     t_host_ns: int
     moving: tuple[CameraExposure, CameraExposure]
     timing_sigma_s: float
+    motion: VehicleMotion
     apart_rad2: Floats | None
     range_axis: RangeAxis
     rays: Rays
@@ -147,11 +151,11 @@ class _Scene:
         rig: Rig,
         airframe: Airframe,
         timing_sigma_s: float,
-        velocity_mps: Floats | None,
+        motion: VehicleMotion,
         turned: RelativeRotation | None,
     ) -> _Scene:
         """Each camera at its own exposure, turned by what the matches have told."""
-        moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, velocity_mps)
+        moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, motion.velocity_mps)
         apart_rad2 = None
         if turned is not None:
             body_from_epipolar = epipolar_frame(rig).T
@@ -160,7 +164,9 @@ class _Scene:
         t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
         range_axis = range_axis_of_rig(rig, orientation_axis(airframe.orientation))
         rays = match_rays(rig, moving, matches)
-        return cls(matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, apart_rad2, range_axis, rays)
+        return cls(
+            matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, motion, apart_rad2, range_axis, rays
+        )
 
     def depths(self, matches: MatchSet) -> Depths:
         """Inverse depths of matches of this pair, along the range axis."""
@@ -169,7 +175,9 @@ class _Scene:
 
     def budget(self, gradient: Gradient) -> Budget:
         """Sigma of a result by cause."""
-        return budget(gradient, self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.apart_rad2)
+        return budget(
+            gradient, self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.motion, self.apart_rad2
+        )
 
     def toe(self) -> _Toe:
         """How far the optical axes part."""
