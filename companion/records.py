@@ -86,6 +86,7 @@ class Reject(enum.StrEnum):
     INCONSISTENT = "inconsistent with the last ranges"
     CONTRADICTED = "the sensors contradict the wing's model"
     MATCHES_CONTRADICT = "the matches contradict the sensors"
+    ON_GROUND = "aircraft on the ground"
     STAMP_OUTLIER = "exposure stamped off its learned latency"
     PEAK_UNCERTAIN = "peak time too uncertain"
     BLUR_TOO_LARGE = "predicted blur too large"
@@ -183,7 +184,7 @@ class ClockRestart:
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """The autopilot's own view of the flight."""
+    """The autopilot's own view of the flight; ``on_ground`` is None where it does not tell."""
 
     t_boot_ns: int
     received_host_ns: int
@@ -194,6 +195,7 @@ class VehicleState:
     climb_mps: float
     throttle: float
     armed: bool
+    on_ground: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,4 +106,5 @@ def test_a_landing_before_obstacles_publishes_no_wrong_range_ahead() -> None:
     assert figures["published"] > 100
     assert figures["wrong"] == 0
     assert figures["far"] == 0
+    assert figures["on_ground"] == 0
     assert figures["inside_3"] > 0.99

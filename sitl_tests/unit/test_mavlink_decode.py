@@ -19,7 +19,7 @@ from companion.adapters.mavlink.decode.layouts import TUNNEL_IMU_TYPE
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Source
 from companion.params.files import load_airframe
-from companion.records import Axis, ClockName, ImuBatch, RawChunk, Record, Reject, Rejected, Station
+from companion.records import Axis, ClockName, ImuBatch, RawChunk, Record, Reject, Rejected, Station, VehicleState
 
 G = 9.80665
 MS, S = 1_000_000, 1_000_000_000
@@ -64,6 +64,32 @@ def batches(records: list[Record]) -> list[ImuBatch]:
 
 def refusals(records: list[Record]) -> dict[Reject, int]:
     return {record.reason: record.count for record in records if isinstance(record, Rejected)}
+
+
+def _standing(stream: Stream, *frames: bytes, t_ms: int) -> bool | None:
+    """What the next state of the vehicle says of the ground after these messages."""
+    air = mavlink.MAVLink_vfr_hud_message(0.0, 0.0, 0, 0, 0.0, 0.0)
+    attitude = mavlink.MAVLink_attitude_message(t_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    found = [r for r in stream(*frames, packed(air), packed(attitude)) if isinstance(r, VehicleState)]
+    return found[-1].on_ground
+
+
+def test_the_ground_is_known_by_landed_state_or_by_the_heartbeats_standby() -> None:
+    """ArduPlane's heartbeat is in standby (3) until it flies; MAV_LANDED_STATE: 0 undefined, 1 ground, 2 air."""
+    stream, armed = Stream(), mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    beats = {
+        state: packed(mavlink.MAVLink_heartbeat_message(1, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, armed, 0, state, 3))
+        for state in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE, mavlink.MAV_STATE_CRITICAL)
+    }
+    landed = [packed(mavlink.MAVLink_extended_sys_state_message(0, state)) for state in range(5)]
+    assert _standing(stream, beats[mavlink.MAV_STATE_STANDBY], t_ms=1000) is True
+    assert _standing(stream, beats[mavlink.MAV_STATE_CRITICAL], t_ms=2000) is True, "a failsafe tells nothing of it"
+    assert _standing(stream, beats[mavlink.MAV_STATE_ACTIVE], t_ms=3000) is False
+    assert _standing(stream, landed[0], t_ms=4000) is False
+    assert _standing(stream, landed[1], t_ms=5000) is True, "the landed state is closer to it than the heartbeat"
+    assert _standing(stream, landed[3], t_ms=6000) is False
+    critical = Stream()
+    assert _standing(critical, beats[mavlink.MAV_STATE_CRITICAL], t_ms=1000) is None
 
 
 def test_highres_imu_becomes_one_batch_for_each_station() -> None:

@@ -63,6 +63,38 @@ def _matches(number: int = 0) -> MatchSet:
     return match_set(left[inside], pixels, 0.02, mid_exposure_ns=(exposed_ns, exposed_ns))
 
 
+def _states(on_ground_until_ns: int = 0) -> list[VehicleState]:
+    """The autopilot's states, on the ground until an instant."""
+    times_ns = range(0, 3000 * MS, 100 * MS)
+    return [dataclasses.replace(_vehicle(t_ns), on_ground=t_ns < on_ground_until_ns) for t_ns in times_ns]
+
+
+def test_on_the_ground_nothing_is_trusted_or_learnt_and_from_lift_off_on_it_is() -> None:
+    correction = Correction.create(forward(rotation_sigma_rad=2e-5), Settings())
+    lift_off_ns = EXPOSED_NS + 450 * MS
+    for state in _states(lift_off_ns):
+        correction.vehicle.add(state)
+    outputs: list[OutputRecord] = []
+    for number in range(12):
+        assert not list(correction.add(_matches(number)))
+        outputs += correction.due(Still(), EXPOSED_NS + (600 + 100 * number) * MS)
+    rolling = [one for one in _of(CorrectedRange, outputs) if one.t_host_ns < lift_off_ns]
+    assert len(rolling) == 5
+    assert {one.reject for one in rolling} == {Reject.ON_GROUND}
+    assert {one.matches for one in _of(RelativeRotation, outputs)[:5]} == {0}
+    assert min(one.t_host_ns for one in _of(ObstacleSectors, outputs)) > lift_off_ns
+    aloft = _of(CorrectedRange, outputs)[5:]
+    assert Reject.ON_GROUND not in {one.reject for one in aloft}
+    assert aloft[-1].trusted
+
+
+def test_an_autopilot_that_tells_nothing_of_the_ground_is_taken_to_fly() -> None:
+    correction = Correction.create(forward(rotation_sigma_rad=2e-5), Settings())
+    assert correction.vehicle.on_ground(EXPOSED_NS) is None
+    correction.vehicle.add(_vehicle(EXPOSED_NS))
+    assert correction.vehicle.on_ground(EXPOSED_NS) is None
+
+
 def _corrected(
     tracker: Any, settings: Settings, pairs: int = 1, *, vehicles: bool = True, misstamped: tuple[int, ...] = ()
 ) -> list[OutputRecord]:

@@ -222,6 +222,15 @@ def range_reject(matches: int, range_m: float, sigma_m: float, settings: Setting
     return None
 
 
+def ground_reject(on_ground: bool | None) -> Reject | None:
+    """Reason not to trust a pair of an aircraft that stands or rolls; None in the air, and where nobody tells.
+
+    Wheels carry what lift does not, and bumps shake what gusts do not: neither the static bend nor the spectrum of the
+    excitation is that of the model in flight.
+    """
+    return Reject.ON_GROUND if on_ground else None
+
+
 def withheld(measured: CorrectedRange, reason: Reject | None) -> CorrectedRange:
     """Range without trust where the wing, the stamps or the matches give a reason."""
     if reason is None or not measured.trusted:

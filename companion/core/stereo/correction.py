@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, range_slack_mps, withheld
+from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, ground_reject, range_slack_mps, withheld
 from companion.core.stereo.epipolar import YAW
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
@@ -94,7 +94,8 @@ class Correction:
             yield from self._correct(self.pending.popleft(), tracker, now_host_ns)
 
     def _correct(self, waiting: PendingPair, tracker: BendSource, now_host_ns: int) -> Iterator[OutputRecord]:
-        matches, reason = waiting.matches, tracker.distrust or waiting.stamps
+        matches, middle_ns = waiting.matches, int(waiting.matches.mid_exposure_ns.sum()) // 2
+        reason = tracker.distrust or waiting.stamps or ground_reject(self.vehicle.on_ground(middle_ns))
         left, right = (tracker.smooth(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         if isinstance(left, Reject) or isinstance(right, Reject):
             refused = left if isinstance(left, Reject) else right
@@ -103,7 +104,6 @@ class Correction:
             return
         yield left
         yield right
-        middle_ns = (left.t_host_ns + right.t_host_ns) // 2
         motion = self.vehicle.motion(middle_ns)
         self._doubtful(tracker.distrust)
         turned = self._turned(matches, (left, right), motion, use_matches=reason is None)

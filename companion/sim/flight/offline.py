@@ -107,4 +107,5 @@ def _vehicle_states(flight: Flight) -> Iterator[VehicleState]:
             climb_mps=float(-velocity[2]),
             throttle=float(throttle),
             armed=True,
+            on_ground=any(roll.from_s <= 1e-9 * t_ns < roll.until_s for roll in flight.plan.rolls_on_ground),
         )

@@ -337,12 +337,14 @@ class SimAutopilot:
     def _heartbeat(self) -> Any:
         if self.protocol:
             return self.protocol.heartbeat()
+        now_s = 1e-9 * self._tick_ns
+        on_ground = any(roll.from_s <= now_s < roll.until_s for roll in self._flight.plan.rolls_on_ground)
         return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_FIXED_WING,
             self._kind,
             mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED,
             10,
-            mavlink.MAV_STATE_ACTIVE,
+            mavlink.MAV_STATE_STANDBY if on_ground else mavlink.MAV_STATE_ACTIVE,
             3,
         )
 

@@ -76,6 +76,33 @@ def parameter_encoding(value: float, *, integer: bool) -> tuple[float, int]:
     return struct.unpack("<f", struct.pack("<i", round(value)))[0], int(mavlink.MAV_PARAM_TYPE_INT32)
 
 
+class GroundWitness:
+    """Whether an autopilot says that it is on the ground.
+
+    EXTENDED_SYS_STATE tells it (PX4 sends it unasked). Without, the heartbeat's system status: ArduPlane is in standby
+    until it flies and after it has landed, PX4 while it is disarmed.
+    """
+
+    def __init__(self) -> None:
+        self._landed: bool | None = None
+        self._standby: bool | None = None
+
+    @property
+    def verdict(self) -> bool | None:
+        """None where nothing has told it."""
+        return self._standby if self._landed is None else self._landed
+
+    def landed_state(self, state: int) -> None:
+        """Take MAV_LANDED_STATE; an undefined one tells nothing."""
+        if state != mavlink.MAV_LANDED_STATE_UNDEFINED:
+            self._landed = state == mavlink.MAV_LANDED_STATE_ON_GROUND
+
+    def system_status(self, state: int) -> None:
+        """Take MAV_STATE; critical and emergency are of both, and change nothing."""
+        if state in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_ACTIVE):
+            self._standby = state == mavlink.MAV_STATE_STANDBY
+
+
 class Translator:
     """Keeps the little state that rare messages need; driven by chunks alone, so that a replay repeats it."""
 
@@ -92,6 +119,7 @@ class Translator:
         self._air: Any = None
         self._last_state_ms: int | None = None
         self._images: dict[int, int] = {}
+        self._on_ground = GroundWitness()
         self.px4 = False
 
     @property
@@ -125,6 +153,8 @@ class Translator:
             yield from self._attitude(heard)
         elif name == "VFR_HUD":
             self._vfr_hud(heard)
+        elif name == "EXTENDED_SYS_STATE":
+            self._on_ground.landed_state(heard.message.landed_state)
         elif name == "PARAM_VALUE":
             yield from self._parameter(heard)
         elif name == "CAMERA_FEEDBACK":
@@ -142,6 +172,7 @@ class Translator:
         if heard.system == self.system:
             self.px4 = message.autopilot == mavlink.MAV_AUTOPILOT_PX4
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            self._on_ground.system_status(message.system_status)
 
     def _timesync(self, heard: Heard) -> Iterator[Record]:
         message = heard.message
@@ -191,6 +222,7 @@ class Translator:
             air.climb,
             air.throttle / 100.0,
             self.armed,
+            self._on_ground.verdict,
         )
 
     def _feedback(self, heard: Heard) -> Iterator[Record]:

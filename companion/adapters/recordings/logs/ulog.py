@@ -169,6 +169,8 @@ class UlogRecording(LoggedRecording):
             airspeed = self._latest("airspeed", "true_airspeed_m_s", t_us)
         climb = -self._latest("vehicle_local_position", "vz", t_us)
         armed = self._latest("vehicle_status", "arming_state", t_us) == _ARMED
+        landed = self._latest("vehicle_land_detected", "landed", t_us) > 0
+        detected = bool(self._log.take("vehicle_land_detected", 0, "timestamp", "landed"))
         for i, t_ns in enumerate((t_us * 1000).tolist()):
             yield (
                 t_ns,
@@ -182,6 +184,7 @@ class UlogRecording(LoggedRecording):
                     climb_mps=float(climb[i]),
                     throttle=0.0,
                     armed=bool(armed[i]),
+                    on_ground=bool(landed[i]) if detected else None,
                 ),
             )
 
