@@ -56,9 +56,9 @@ class VehicleTrack:
         return self._at(t_host_ns, lambda state: state.roll_rad), self._at(t_host_ns, lambda state: state.pitch_rad)
 
     def on_ground(self, t_host_ns: int) -> bool | None:
-        """What the autopilot had said by an instant, or says first; None where it does not tell."""
-        known = [state.on_ground for state in self._states if state.received_host_ns <= t_host_ns]
-        return known[-1] if known else next((state.on_ground for state in self._states), None)
+        """Whether the autopilot had said so by an instant, or says so first; None where it does not tell."""
+        until = [state.on_ground for state in self._states if state.received_host_ns <= t_host_ns]
+        return until[-1] if until else next((state.on_ground for state in self._states), None)
 
     def motion(self, t_host_ns: int) -> VehicleMotion:
         """Velocity at an instant, by airspeed, climb rate and attitude; along the body's x where none is nearby."""
