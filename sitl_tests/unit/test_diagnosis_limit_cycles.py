@@ -111,6 +111,23 @@ def test_a_wrong_airspeed_is_told_from_the_cycle_itself() -> None:
     assert judged(tracks_of(CYCLING, amplitude_of(CYCLING), 5)).doubts == ()
 
 
+@pytest.mark.parametrize(("which", "says"), [(0, 155.0), (1, 18.4), (3, 12.0)])
+def test_a_wrong_airspeed_is_told_from_growth_and_decay(which: int, says: float) -> None:
+    """Hammer tests below and above the onset, none of which settles on a limit cycle."""
+    speeds = np.array([15.0, 15.5, 16.0, 16.5, 17.3])
+    labels = speeds.copy()
+    labels[which] = says
+    start = np.full(len(speeds), 0.02)
+    cycles = tracks_of(CYCLING[3:], amplitude_of(CYCLING[3:]), 10)
+    judgement = judged([*tracks_of(speeds, start, 8, labels), *cycles])
+    (doubt,) = judgement.doubts
+    assert doubt.name == f"run{which}"
+    assert abs(doubt.tells_mps - speeds[which]) < 3.0 * doubt.scatter_mps + 0.2
+    assert judgement.onset is not None
+    assert abs(judgement.onset.airspeed_mps - ONSET_MPS) < 3.0 * judgement.onset.sigma_mps + 0.1
+    assert judged([*tracks_of(speeds, start, 9), *cycles]).doubts == ()
+
+
 def test_a_linear_wing_that_decays_gets_no_name() -> None:
     speeds = np.array([12.0, 13.0, 14.0, 15.0, 16.0])
     found = judged(tracks_of(speeds, np.full(5, 0.1), 6, cubic=0.0, limiting=0.0))

@@ -158,8 +158,8 @@ def _onset(diagnosis: FlutterDiagnosis) -> dict[str, Any] | None:
 
 def _doubt(entry: Any) -> dict[str, Any]:
     says = (
-        f"{entry.name} says {entry.says_mps:g} m/s, but its limit cycle is that of {entry.tells_mps:.1f} m/s "
-        f"(the others scatter by {entry.scatter_mps:.2f} m/s): left out"
+        f"{entry.name} says {entry.says_mps:g} m/s, but its {entry.by} is that of {entry.tells_mps:.1f} m/s "
+        f"(the others tell it to {entry.scatter_mps:.2f} m/s): left out"
     )
     return {"recording": entry.name, "says_mps": entry.says_mps, "tells_mps": entry.tells_mps, "says": says}
 

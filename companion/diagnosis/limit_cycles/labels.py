@@ -1,8 +1,12 @@
-"""Airspeeds that recordings say against those that their own limit cycles tell: one that disagrees is named."""
+"""Airspeeds that recordings say against those that their vibration tells: one that disagrees is named.
+
+A limit cycle tells it by its amplitude, a vibration that is still small by how fast it grows or decays.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,20 +19,102 @@ _FAR = 6.0  # times the scatter of the others
 _LEAST = 0.06  # of the airspeed: less is drift of the rig between days
 _DEGREE = 2  # of the airspeed over the logarithm of the amplitude
 _REWEIGHTED = 30  # steps to the least absolute deviation
+SMALL = 0.35
+"""Amplitude as a ratio of the largest below which a vibration is on its way."""
+NOISY = (0.02, 0.3)
+"""Ratios of the largest amplitude between which a window's error grows with the inverse; beyond, with its change."""
+_FEWEST_WINDOWS = 3  # of a recording that is judged by its growth
+_FEWEST_GROWING = 3  # recordings, which can judge a fourth
+_RELATED = 2.0  # gusts of the tunnel outlast a window: so much less do windows tell than if each stood alone
 
 
 @dataclass(frozen=True, slots=True)
 class LabelDoubt:
-    """A recording whose limit cycle is that of another airspeed than it says; ``scatter_mps`` is that of the others."""
+    """A recording whose vibration is that of another airspeed than it says.
+
+    ``scatter_mps`` is that of the others, or how well they tell it; ``by`` what tells it.
+    """
 
     recording: int
     name: str
     says_mps: float
     tells_mps: float
     scatter_mps: float
+    by: str = "limit cycle"
+
+
+@dataclass(frozen=True, slots=True)
+class _Growth:
+    """Windows of a recording while its vibration is small: amplitude by the largest, damping ratio, weight, (w,)."""
+
+    recording: int
+    airspeed_mps: float
+    amplitude: Floats
+    damping: Floats
+
+    @property
+    def weight(self) -> Floats:
+        return np.clip(self.amplitude, *NOISY)
 
 
 def doubtful_labels(tracks: Sequence[VibrationTrack]) -> tuple[LabelDoubt, ...]:
+    """Recordings whose airspeed is not that of their limit cycle, or of their growth or decay."""
+    by_cycle = _doubtful_cycles(tracks)
+    aside = {entry.recording for entry in by_cycle}
+    return (*by_cycle, *_doubtful_growths(tracks, _growths(tracks, aside)))
+
+
+def _growths(tracks: Sequence[VibrationTrack], aside: AbstractSet[int]) -> list[_Growth]:
+    first = [next(iter(entry.amplitude.values())) for entry in tracks]
+    largest = max((float(a.max()) for a in first if len(a)), default=0.0)
+    growths = []
+    for i, (entry, a) in enumerate(zip(tracks, first, strict=True)):
+        small = ~entry.steady & (a < SMALL * largest)
+        if i not in aside and entry.airspeed_mps and small.sum() >= _FEWEST_WINDOWS:
+            damping = -entry.growth_radps / (2.0 * np.pi * entry.frequency_hz)
+            growths.append(_Growth(i, float(entry.airspeed_mps), a[small] / largest, damping[small]))
+    return growths
+
+
+def _doubtful_growths(tracks: Sequence[VibrationTrack], growths: Sequence[_Growth]) -> list[LabelDoubt]:
+    """The recording furthest off as the others have it, then the furthest of the rest."""
+    if len(growths) <= _FEWEST_GROWING:
+        return []
+    doubts = []
+    for k, judged in enumerate(growths):
+        expected, sigma = _airspeed_by_growth(judged, [*growths[:k], *growths[k + 1 :]])
+        off = abs(judged.airspeed_mps - expected)
+        if off > max(_FAR * sigma, _LEAST * abs(expected)):
+            name, says = tracks[judged.recording].name, judged.airspeed_mps
+            doubts.append((off / sigma, k, LabelDoubt(judged.recording, name, says, expected, sigma, "growth")))
+    if not doubts:
+        return []
+    _, worst, furthest = max(doubts)
+    return [furthest, *_doubtful_growths(tracks, [*growths[:worst], *growths[worst + 1 :]])]
+
+
+def _airspeed_by_growth(judged: _Growth, others: Sequence[_Growth]) -> tuple[float, float]:
+    """Airspeed and sigma where the others' ``zeta = a + b (V - mean) + c A^2`` has a recording's damping ratio."""
+    speeds = np.concatenate([np.full(len(entry.amplitude), entry.airspeed_mps) for entry in others])
+    if np.ptp(speeds) == 0.0:
+        return judged.airspeed_mps, np.inf
+    a, zeta, weight = (
+        np.concatenate([getattr(entry, name) for entry in others]) for name in ("amplitude", "damping", "weight")
+    )
+    design = np.stack([np.ones(len(a)), speeds - speeds.mean(), a**2], 1) * weight[:, None]
+    values = np.linalg.lstsq(design, zeta * weight, rcond=None)[0]
+    residual = zeta * weight - design @ values
+    variance = _RELATED * float(residual @ residual) / max(len(a) - 3, 1)
+    covariance = variance * np.linalg.pinv(design.T @ design)
+    square = judged.weight**2
+    measured = float(square @ (judged.damping - values[2] * judged.amplitude**2)) / float(square.sum())
+    away = (measured - values[0]) / values[1]
+    slope = np.array([-1.0, -away]) / values[1]
+    sigma = np.sqrt(slope @ covariance[:2, :2] @ slope + variance / float(square.sum()) / values[1] ** 2)
+    return float(speeds.mean() + away), float(sigma)
+
+
+def _doubtful_cycles(tracks: Sequence[VibrationTrack]) -> tuple[LabelDoubt, ...]:
     """Each limit cycle's airspeed by its amplitude as the others have it, robust against other wrong labels."""
     steady = [i for i, entry in enumerate(tracks) if entry.steady.any() and entry.airspeed_mps is not None]
     if len(steady) < _FEWEST:

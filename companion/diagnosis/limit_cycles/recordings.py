@@ -18,7 +18,7 @@ import numpy as np
 from companion.core.wing.effects.damping.quadratic_damping import QuadraticDamping
 from companion.core.wing.effects.stiffness.airspeed_dependence import AirspeedDependence
 from companion.core.wing.effects.stiffness.cubic_stiffness import CubicStiffness
-from companion.diagnosis.limit_cycles.labels import LabelDoubt, doubtful_labels
+from companion.diagnosis.limit_cycles.labels import NOISY, SMALL, LabelDoubt, doubtful_labels
 from companion.diagnosis.limit_cycles.tracks import VibrationTrack
 from companion.diagnosis.selection.diagnosis import Diagnosis, diagnose
 from companion.diagnosis.selection.recordings import Progress
@@ -37,8 +37,6 @@ LIMIT_CYCLE = "limit-cycle"
 """Name of an amplitude that the wing itself settles on; no effect of the catalogue, which has stable wings only."""
 FREQUENCY, DAMPING = "square of the frequency", "damping ratio"
 CYCLE, AMPLITUDE = "logarithm of the cycle's frequency", "logarithm of the cycle's amplitude"
-_SMALL = 0.35  # of the largest amplitude: below, the vibration is on its way
-_NOISY = (0.02, 0.3)  # of the largest amplitude: a window's error grows with its inverse; beyond, with its change
 _FEWEST_CYCLES = 4  # that tell how the cycle grows with airspeed
 _FEWEST_WINDOWS = 6  # on the way to or from a cycle, which tell its damping
 _SLOWEST_MPS = 0.1  # below, the air does nothing
@@ -150,7 +148,7 @@ def _regressions(rows: Sequence[Row], names: Sequence[str], v: Floats) -> Regres
     relative = amplitude / amplitude.max(axis=0)
     f_hz, zeta = np.array([row.frequency_hz for row in rows]), np.array([row.damping for row in rows])
     cycle, speeds = np.array([row.cycle for row in rows]), np.array([row.airspeed_mps for row in rows])
-    scale: Floats = np.where(cycle, 1.0, 1.0 / np.clip(relative[:, 0], *_NOISY))
+    scale: Floats = np.where(cycle, 1.0, 1.0 / np.clip(relative[:, 0], *NOISY))
     group = np.asarray(cycle & (cycle.sum() >= _FEWEST_CYCLES)).astype(np.int64)
     square = f_hz**2
     level = float(np.median(square))
@@ -262,13 +260,13 @@ def _held_out(
 def _onset(rows: Sequence[Row]) -> Onset | None:
     """Zero of the damping ratio at small amplitude over airspeed and squared amplitude, by weighted least squares."""
     largest = max((row.amplitude[0] for row in rows), default=0.0)
-    small = [row for row in rows if not row.cycle and row.airspeed_mps > 0.0 and row.amplitude[0] < _SMALL * largest]
+    small = [row for row in rows if not row.cycle and row.airspeed_mps > 0.0 and row.amplitude[0] < SMALL * largest]
     speeds = np.array([row.airspeed_mps for row in small])
     if len(small) < 6 or np.ptp(speeds) == 0.0:
         return None
     a = np.array([row.amplitude[0] for row in small]) / largest
     design = np.stack([np.ones(len(a)), speeds - speeds.mean(), a**2], 1)
-    weight = np.clip(a, *_NOISY)[:, None]
+    weight = np.clip(a, *NOISY)[:, None]
     zeta = np.array([row.damping for row in small])[:, None] * weight
     values, rest, *_ = np.linalg.lstsq(design * weight, zeta[:, 0], rcond=None)
     variance = float(rest[0]) / max(len(a) - 3, 1) if len(rest) else 0.0
