@@ -26,6 +26,8 @@ _COMMANDS = {
     "report": "one flight as a page: could its ranges be trusted, and why not",
     "info": "what a recording holds: streams, rates, gaps, losses",
     "convert": "a recording as a telemetry log (.tlog) or as CSV tables",
+    "tune": "parameter values proposed from a recording, with what each would have changed",
+    "fleet": "report, diagnose, identify or tune many flights into one table and page",
     "paper": "reproduce and audit the paper, table by table and figure by figure",
     "doctor": "look at a live vehicle or a log: what is wrong, and the exact fix",
     "diagnose": "what the simulation gets wrong on a recording, why, and what it is worth",

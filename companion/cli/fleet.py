@@ -1,0 +1,78 @@
+"""``spanwise fleet``: report, diagnose, identify or tune many flights, a process a file, into one table and page."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from companion.cli.steps.fleet_tasks import work
+from companion.cli.steps.numbers import integer
+from companion.cli.steps.options import make_folder
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
+from companion.evaluation.fleet import page
+from companion.evaluation.fleet.rows import as_csv
+from companion.evaluation.fleet.runner import run, tasks_of
+from companion.reporting.plotting import require_report
+
+KINDS = ("report", "diagnose", "identify", "tune")
+_SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
+_MOST_WORKERS = 256
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("kind", choices=KINDS, help="what is done with each file, as by the command of this name")
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOGS", help="recordings, and folders of them")
+    parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own")
+    parser.add_argument("--workers", type=integer(1, _MOST_WORKERS), default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, default=Path("out/fleet"), metavar="FOLDER", help="table, page and parts")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Work off what is missing, and write table and page of all; 3 where no file gave a result."""
+    require_report()
+    if options.kind == "tune" and options.airframe:
+        raise ConfigError("fleet tune: only recordings of Spanwise can be tuned, and they hold their airframe")
+    paths = _files(options.logs)
+    make_folder(options.out)
+    words = (options.kind, *(("--airframe", options.airframe) if options.airframe else ()))
+    tasks = tasks_of(paths, words, options.out)
+    rows: dict[Path, dict[str, Any]] = {}
+    began_s = time.monotonic()
+    for task, row in run(tasks, work, options.workers):
+        rows[task.path] = row
+        _say(len(rows), len(tasks), began_s, row)
+    ordered = [rows[task.path] for task in tasks]
+    (options.out / "fleet.csv").write_text(as_csv(ordered), encoding="utf-8")
+    (options.out / "fleet.html").write_text(page.render(options.kind, ordered), encoding="utf-8")
+    failed = sum(bool(row.get("failed")) for row in ordered)
+    for sentence in page.findings([row for row in ordered if not row.get("failed")]):
+        print(f"  {sentence}")
+    print(f"{len(ordered) - failed} of {len(ordered)} files; wrote {options.out / 'fleet.html'} and fleet.csv")
+    return 0 if failed < len(ordered) else NOTHING_TO_ESTIMATE
+
+
+def _files(logs: list[Path]) -> list[Path]:
+    files: list[Path] = []
+    for path in logs:
+        if not path.exists():
+            raise ConfigError(f"{path}: no such file or folder")
+        is_table = path.is_dir() and (path / "accel.csv").exists()
+        if path.is_dir() and not is_table:
+            files += sorted(each for each in path.rglob("*") if each.suffix.lower() in _SUFFIXES and each.is_file())
+        else:
+            files.append(path)
+    if not files:
+        raise ConfigError(f"no recording ({', '.join(_SUFFIXES)}) in {', '.join(map(str, logs))}")
+    return files
+
+
+def _say(done: int, total: int, began_s: float, row: dict[str, Any]) -> None:
+    """A line for each file."""
+    took_s = time.monotonic() - began_s
+    what = f"failed: {row['failed']}" if row.get("failed") else "done"
+    print(f"{done}/{total}, {took_s:.0f} s: {Path(row['file']).name} {what}", file=sys.stderr, flush=True)

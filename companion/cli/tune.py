@@ -1,0 +1,136 @@
+"""``spanwise tune``: parameter values proposed from a recording, with what each would have changed."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import multiprocessing
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.cli.steps.numbers import integer
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
+from companion.evaluation.tuning import Trial, TrialOutcome, try_out, usual_trials, verdict_of
+
+_MOST_WORKERS = 64
+_HEADS = ("trial", "plans", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument("recording", type=Path, help="a recording of Spanwise with ranges")
+    parser.add_argument(
+        "--try", action="append", default=[], metavar="NAME=VALUE", dest="tries",
+        help="a value to try in place of the usual ones; may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=integer(1, _MOST_WORKERS), default=1, help="replays at a time")
+    parser.add_argument("--json", action="store_true", help="the result as JSON on standard output")
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Replay the flight with each value, and say which would have been better; 3 where no range was trusted."""
+    settings = open_recording(options.recording, None).settings
+    trials = [_trial(text) for text in options.tries] or usual_trials(settings)
+    for trial in trials:
+        trial.over(settings)
+    rows = [_row(Trial(()), try_out(options.recording, Trial(())), None)]
+    flown = TrialOutcome(**rows[0]["outcome"])
+    _show(rows[0], options)
+    if not flown.trusted:
+        print("spanwise tune: no range of this flight was trusted; spanwise report says why", file=sys.stderr)
+        return NOTHING_TO_ESTIMATE
+    for trial, outcome in _tried(options.recording, trials, options.workers):
+        rows.append(_row(trial, outcome, flown))
+        _show(rows[-1], options)
+    together = proposal(rows, settings)
+    if len(together.changes) > 1:
+        rows.append(_row(together, try_out(options.recording, together), flown))
+        _show(rows[-1], options)
+    result = {"recording": str(options.recording), "trials": rows, "proposal": _proposed(rows, together)}
+    print(json.dumps(result, indent=2) if options.json else _sentence(result))
+    return 0
+
+
+def _trial(text: str) -> Trial:
+    name, equals, value = text.partition("=")
+    try:
+        return Trial(((name.strip(), float(value)),))
+    except ValueError as error:
+        what = "give NAME=VALUE with a number" if equals else "give NAME=VALUE"
+        raise ConfigError(f"--try {text}: {what}") from error
+
+
+def _tried(path: Path, trials: list[Trial], workers: int) -> Iterator[tuple[Trial, TrialOutcome]]:
+    """Outcomes in the order of the trials, whatever the number of processes."""
+    if workers == 1:
+        for trial in trials:
+            yield trial, try_out(path, trial)
+        return
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from zip(trials, pool.map(try_out, [path] * len(trials), trials), strict=True)
+
+
+def _row(trial: Trial, outcome: TrialOutcome, flown: TrialOutcome | None) -> dict[str, Any]:
+    is_better, why = (False, "") if flown is None else verdict_of(flown, outcome)
+    return {
+        "trial": trial.text,
+        "changes": dict(trial.changes),
+        "outcome": dataclasses.asdict(outcome),
+        "proposed": is_better,
+        "why": why,
+    }
+
+
+def proposal(rows: list[dict[str, Any]], settings: Any) -> Trial:
+    """Join the proposed values, of each parameter the one with the most trusted ranges, then the smallest sigma."""
+    best: dict[str, dict[str, Any]] = {}
+    for row in [row for row in rows if row["proposed"] and len(row["changes"]) == 1]:
+        (name,) = row["changes"]
+        if name not in best or _merit(row) > _merit(best[name]):
+            best[name] = row
+    joined = Trial(tuple((name, row["changes"][name]) for name, row in best.items()))
+    return joined if joined.over(settings).conflict() is None else Trial(())
+
+
+def _merit(row: dict[str, Any]) -> tuple[int, float]:
+    return row["outcome"]["trusted"], -row["outcome"]["sigma_ratio"]
+
+
+def _proposed(rows: list[dict[str, Any]], together: Trial) -> dict[str, float]:
+    """The joined values where they hold up together, the best single one else."""
+    if len(together.changes) > 1 and not rows[-1]["proposed"]:
+        single = max((row for row in rows[:-1] if row["proposed"]), key=_merit)
+        return dict(single["changes"])
+    return dict(together.changes)
+
+
+def _show(row: dict[str, Any], options: argparse.Namespace) -> None:
+    """One line of the table as soon as it is known."""
+    out = sys.stderr if options.json else sys.stdout
+    if not row["changes"]:
+        print(_line(_HEADS), file=out)
+    got = row["outcome"]
+    counts = (got[name] for name in ("planned", "skipped", "ranges", "trusted"))
+    sigma, delay = f"{100 * got['sigma_ratio']:.2f} %", f"{1e3 * got['delay_s']:.0f} ms"
+    mark = "better: " if row["proposed"] else ""
+    cells = (row["trial"], *counts, sigma, f"{got['scatter_ratio']:.2f}", delay, mark + row["why"])
+    print(_line(cells), file=out, flush=True)
+
+
+def _line(cells: tuple[object, ...]) -> str:
+    name, *figures, why = cells
+    return f"  {name!s:28s}" + "".join(f"{cell!s:>9s}" for cell in figures) + f"  {why}"
+
+
+def _sentence(result: dict[str, Any]) -> str:
+    values = result["proposal"]
+    note = "ranges are of the pairs that were flown; another trigger setting would have made others (plans)"
+    if not values:
+        return f"nothing to change: no trial betters one figure and worsens none ({note})"
+    settings = " ".join(f"--set {name}={value:g}" for name, value in values.items())
+    return f"proposed: {settings}  (or as MAVLink parameters; {note})"

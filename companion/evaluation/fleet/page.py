@@ -1,0 +1,102 @@
+"""The fleet's page: what could not be read, which aircraft's mode drifts, which sensor ages, and every flight."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.reporting import page
+from companion.reporting.blocks import Block, Findings, Heading, Page, Table
+
+_SIGMAS = 3.0  # by which a flight's frequency leaves its aircraft's median
+_FEWEST = 3  # flights of an aircraft that have a median worth the name
+_SLOW_RATIO = 0.02  # of its own median rate: a sensor that comes slower has lost samples
+_MOST_COLUMNS = 9
+_MOST_RECURRING = 12
+
+Rows = Sequence[Mapping[str, Any]]
+
+
+def render(kind: str, rows: Rows) -> str:
+    """The page as HTML."""
+    failed = [row for row in rows if row.get("failed")]
+    good = [row for row in rows if not row.get("failed")]
+    aircraft = {row["airframe"] for row in good if row.get("airframe")}
+    headline = f"{len(good)} of {len(rows)} files give a result"
+    headline += f", {len(aircraft)} airframe{'s' if len(aircraft) > 1 else ''}" if aircraft else ""
+    grade = "adequate" if not failed else "fair"
+    return page.render(Page(f"Fleet: {kind}", headline, list(_body(good, failed)), subject=kind, grade=grade))
+
+
+def _body(good: Rows, failed: Rows) -> Iterator[Block]:
+    yield Findings(findings(good) or ["no mode left its aircraft's median, and no sensor lost its rate"])
+    if failed:
+        yield Heading("Files without a result")
+        yield Table(("file", "why"), [(Path(str(row["file"])).name, str(row["failed"])) for row in failed])
+    recurring = _recurring(good)
+    if recurring:
+        yield Heading("What recurs")
+        yield Table(("what", "files"), [(text, str(count)) for text, count in recurring])
+    yield Heading("Every file")
+    columns = [name for name in dict.fromkeys(name for row in good for name in row) if name != "file"]
+    shown = [name for name in columns if not name.startswith("withheld: ")][:_MOST_COLUMNS]
+    cells = [(Path(str(row["file"])).name, *(_cell(row.get(name)) for name in shown)) for row in good]
+    yield Table(("file", *shown), cells, note="all columns are in fleet.csv")
+
+
+def findings(rows: Rows) -> list[str]:
+    """Sentences on modes that left their aircraft's median, and sensors that lost their rate; worst first."""
+    by_aircraft: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+    for row in rows:
+        if row.get("airframe"):
+            by_aircraft[row["airframe"]].append(row)
+    told: list[tuple[float, str]] = []
+    for name, flights in by_aircraft.items():
+        if len(flights) >= _FEWEST:
+            told += _drifts(name, flights)
+            told += _slow_sensors(name, flights)
+    return [text for _, text in sorted(told, key=lambda entry: -entry[0])]
+
+
+def _drifts(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
+    for mode in ("symmetric", "antisymmetric"):
+        known = [row for row in flights if row.get(f"{mode}_hz") is not None]
+        if len(known) < _FEWEST:
+            continue
+        median_hz = float(np.median([row[f"{mode}_hz"] for row in known]))
+        for row in known:
+            off_hz, sigma_hz = row[f"{mode}_hz"] - median_hz, row[f"{mode}_sigma_hz"]
+            if abs(off_hz) > _SIGMAS * sigma_hz:
+                what = f"{airframe}: {mode} mode {off_hz:+.2f} Hz off its median {median_hz:.2f} Hz"
+                yield abs(off_hz) / max(sigma_hz, 1e-9), f"{what} in {Path(row['file']).name}"
+
+
+def _slow_sensors(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
+    for station in ("root", "left", "right"):
+        known = [row for row in flights if row.get(f"{station}_rate_hz")]
+        if len(known) < _FEWEST:
+            continue
+        median_hz = float(np.median([row[f"{station}_rate_hz"] for row in known]))
+        for row in known:
+            lost = 1.0 - row[f"{station}_rate_hz"] / median_hz
+            if lost > _SLOW_RATIO:
+                what = f"{airframe}: {station} sensor {100 * lost:.0f} % slower than usual"
+                yield 100.0 * lost, f"{what} in {Path(row['file']).name}"
+
+
+def _recurring(rows: Rows) -> list[tuple[str, int]]:
+    """Reasons and words that several files share."""
+    counts: Counter[str] = Counter()
+    for row in rows:
+        words = {name for name, value in row.items() if name.startswith("withheld: ") and value}
+        words |= {f"{name}: {value}" for name, value in row.items() if isinstance(value, str) and name not in ("file",)}
+        counts.update(words)
+    return [(text, count) for text, count in counts.most_common(_MOST_RECURRING) if count > 1]
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)

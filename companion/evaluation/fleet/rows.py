@@ -1,0 +1,81 @@
+"""A flight as one row of the fleet's table: scalars by name."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from companion.adapters.recordings.recording import Recording
+from companion.evaluation.flight_log import FlightLog
+from companion.evaluation.pages.flight_report import verdict
+from companion.records import Health, Station, Validity
+
+_DEEPEST = 3  # levels of a nested result that become columns
+_MOST_TEXT = 160  # characters of a cell
+
+
+def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:
+    """Figures of one flight that can be compared with another's."""
+    judged = verdict(log)
+    trusted = log.trusted()
+    tracked = [mode for mode in log.modes if mode.validity is Validity.TRACKING]
+    row: dict[str, Any] = {
+        "airframe": recording.airframe.name,
+        "duration_s": round(log.info.duration_s, 1),
+        "verdict": judged.key,
+        "ranges": len(log.ranges),
+        "published": len(trusted),
+        "sigma_ratio": _median([entry.sigma_m / entry.range_m for entry in trusted]),
+        "tracked_ratio": round(log.tracked_share(), 4),
+        "active_ratio": round(sum(each.health is Health.ACTIVE for each in log.status) / max(len(log.status), 1), 4),
+    }
+    for name in ("symmetric", "antisymmetric"):
+        modes = [getattr(mode, name) for mode in tracked]
+        row[f"{name}_hz"] = _median([mode.frequency_hz for mode in modes])
+        row[f"{name}_sigma_hz"] = _median([mode.frequency_sigma_hz for mode in modes])
+        row[f"{name}_rms_m"] = _median([mode.rms_m for mode in modes])
+    for station in Station:
+        stream = log.info.streams.get(station)
+        rate_hz = None if stream is None else stream.rate_hz
+        row[f"{station.name.lower()}_rate_hz"] = None if rate_hz is None else round(rate_hz, 2)
+    for reason, count in log.withheld().items():
+        row[f"withheld: {reason}"] = count
+    return row
+
+
+def flattened(result: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, Any]:
+    """Scalars of a nested result, by dotted names; lists are counted."""
+    row: dict[str, Any] = {}
+    for key, value in result.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping) and depth < _DEEPEST:
+            row |= flattened(value, f"{name}.", depth + 1)
+        elif isinstance(value, list):
+            row[name] = ", ".join(map(str, value))[:_MOST_TEXT] if _is_plain(value) else len(value)
+        elif isinstance(value, str):
+            row[name] = value[:_MOST_TEXT]
+        elif not isinstance(value, Mapping):
+            row[name] = value
+    return row
+
+
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """All rows as one table, columns in the order in which they first come."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    table = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return text.getvalue()
+
+
+def _median(values: list[float]) -> float | None:
+    return float(f"{np.median(values):.6g}") if values else None
+
+
+def _is_plain(values: list[Any]) -> bool:
+    return all(isinstance(value, str | int | float) for value in values)

@@ -1,0 +1,133 @@
+"""Values tried on a recording: what counts as better, and what a replay with another value changes."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from companion.cli.main import main
+from companion.errors import RecordingError
+from companion.evaluation.tuning import Trial, TrialOutcome, scatter, try_out, usual_trials, verdict_of
+from companion.params.files import load_airframe
+from companion.params.settings import Settings, tunables
+from companion.records import CorrectedRange, TriggerPlan
+from companion.sim.flight.flight import build_flight
+from sitl_tests.loop.simulated_service import SimulatedService
+
+FLOWN = TrialOutcome(planned=200, skipped=20, ranges=180, trusted=150, sigma_ratio=0.01, scatter_ratio=0.9, delay_s=0.6)
+S = 1_000_000_000
+
+
+def like_flown(**changes: float) -> TrialOutcome:
+    return dataclasses.replace(FLOWN, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("tried", "words"),
+    [
+        (like_flown(trusted=165), "more trusted ranges"),
+        (like_flown(sigma_ratio=0.008), "smaller sigma"),
+        (like_flown(delay_s=0.4), "earlier ranges"),
+        (like_flown(delay_s=0.4, sigma_ratio=0.0101), "earlier ranges"),
+    ],
+)
+def test_a_gain_without_a_loss_is_proposed(tried: TrialOutcome, words: str) -> None:
+    assert verdict_of(FLOWN, tried) == (True, words)
+
+
+@pytest.mark.parametrize(
+    ("tried", "words"),
+    [
+        (FLOWN, "no difference"),
+        (like_flown(trusted=152), "no difference"),
+        (like_flown(trusted=180, sigma_ratio=0.02), "larger sigma"),
+        (like_flown(trusted=0, sigma_ratio=0.0), "no range would be trusted"),
+        (like_flown(sigma_ratio=0.005, scatter_ratio=1.8), "scatter more than their sigmas say"),
+        (like_flown(delay_s=0.9, sigma_ratio=0.009), "later ranges"),
+    ],
+)
+def test_a_gain_that_costs_something_else_is_not(tried: TrialOutcome, words: str) -> None:
+    is_better, why = verdict_of(FLOWN, tried)
+    assert not is_better
+    assert words in why
+
+
+def test_the_usual_trials_are_values_that_the_table_takes() -> None:
+    for settings in (Settings(), Settings().replace("RNG_TRUST", 0.005), Settings().replace("TRK_LAG", 1.0)):
+        trials = usual_trials(settings)
+        assert len(trials) > 8
+        for trial in trials:
+            assert trial.over(settings) != settings
+
+
+def trusted(t_s: float, range_m: float, sigma_m: float = 0.5) -> CorrectedRange:
+    return CorrectedRange(0, 0, round(t_s * S), 25, range_m, sigma_m, 0.0, 0.0, 0.0, 50, True, None)
+
+
+def test_scatter_is_in_sigmas_of_a_difference_and_leaves_gaps_out() -> None:
+    steps = [trusted(0.0, 50.0), trusted(0.1, 50.0 + 0.5 * 2**0.5), trusted(0.2, 50.0)]
+    assert scatter(steps) == pytest.approx(1.0)
+    assert scatter([trusted(0.0, 50.0), trusted(5.0, 90.0)]) == 0.0
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tuned") / "flight.mcap"
+    run = SimulatedService(build_flight(load_airframe("nadir-2m"), 4, 18.0), recording=path)
+    run.fly(16.0)
+    run.close()
+    return path
+
+
+@pytest.mark.slow
+def test_a_trial_of_nothing_is_the_flight_as_it_was_published(flight: Path) -> None:
+    from companion.adapters.recordings.mcap.reader import McapRecording
+
+    records = list(McapRecording(flight).records())
+    got = try_out(flight, Trial(()))
+    assert got.trusted == sum(isinstance(record, CorrectedRange) and record.trusted for record in records)
+    assert got.planned + got.skipped == sum(isinstance(record, TriggerPlan) for record in records)
+    assert got.trusted > 5
+
+
+@pytest.mark.slow
+def test_a_shorter_lag_gives_earlier_ranges_by_as_much(flight: Path) -> None:
+    lags_s = (0.5, 0.25)
+    early, late = (try_out(flight, Trial((("TRK_LAG", lag_s),))).delay_s for lag_s in reversed(lags_s))
+    assert late - early == pytest.approx(lags_s[0] - lags_s[1], abs=0.06)
+
+
+@pytest.mark.slow
+def test_a_stricter_limit_of_trust_lets_fewer_ranges_pass(flight: Path) -> None:
+    strict, lenient = (try_out(flight, Trial((("RNG_TRUST", value),))) for value in (0.006, 0.2))
+    assert strict.trusted < lenient.trusted
+
+
+@pytest.mark.slow
+def test_the_command_prints_the_same_for_one_process_and_for_two(
+    flight: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    printed = []
+    for workers in ("1", "2"):
+        words = ["tune", str(flight), "--json", "--workers", workers, "--try", "RNG_TRUST=0.06", "--try", "TRG_RATE=5"]
+        assert main(words) == 0
+        printed.append(json.loads(capsys.readouterr().out))
+    assert printed[0] == printed[1]
+    assert [row["trial"] for row in printed[0]["trials"][:3]] == ["as flown", "RNG_TRUST 0.06", "TRG_RATE 5"]
+    names = {row.name for row in tunables()}
+    assert set(printed[0]["proposal"]) <= names
+
+
+@pytest.mark.parametrize("words", [["--try", "RNG_TRUST"], ["--try", "RNG_TRUST=much"], ["--try", "RNG_TRUST=9"]])
+@pytest.mark.slow
+def test_a_value_that_cannot_be_tried_is_refused(words: list[str], flight: Path) -> None:
+    assert main(["tune", str(flight), *words]) == 1
+
+
+def test_a_foreign_log_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "accel.csv").write_text("t_ns,x,y,z\n0,0,0,-9.8\n1000000,0,0,-9.8\n")
+    with pytest.raises(RecordingError):
+        try_out(tmp_path, Trial(()))
