@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -9,14 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from companion.reporting import page
+from companion.reporting import page, plotting
 from companion.reporting.blocks import Block, Findings, Heading, Page, Table
+from companion.reporting.embedding import embed
 
 _SIGMAS = 3.0  # by which a flight's frequency leaves its aircraft's median
 _FEWEST = 3  # flights of an aircraft that have a median worth the name
 _SLOW_RATIO = 0.02  # of its own median rate: a sensor that comes slower has lost samples
-_MOST_COLUMNS = 9
+_COLORS = (plotting.BLUE, plotting.VERMILLION, plotting.GREEN, plotting.ORANGE, plotting.PURPLE, plotting.SKY)
+_MOST_COLUMNS = 8
 _MOST_RECURRING = 12
+_OWN = ("file", "airframe")  # words that tell files apart, not what they share
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -34,6 +38,7 @@ def render(kind: str, rows: Rows) -> str:
 
 def _body(good: Rows, failed: Rows) -> Iterator[Block]:
     yield Findings(findings(good) or ["no mode left its aircraft's median, and no sensor lost its rate"])
+    yield from _frequencies(good)
     if failed:
         yield Heading("Files without a result")
         yield Table(("file", "why"), [(Path(str(row["file"])).name, str(row["failed"])) for row in failed])
@@ -46,6 +51,25 @@ def _body(good: Rows, failed: Rows) -> Iterator[Block]:
     shown = [name for name in columns if not name.startswith("withheld: ")][:_MOST_COLUMNS]
     cells = [(Path(str(row["file"])).name, *(_cell(row.get(name)) for name in shown)) for row in good]
     yield Table(("file", *shown), cells, note="all columns are in fleet.csv")
+
+
+def _frequencies(rows: Rows) -> Iterator[Block]:
+    """Frequency of each aircraft's first mode over its flights, in the order of their names."""
+    tracked = [row for row in rows if row.get("airframe") and row.get("symmetric_hz") is not None]
+    if len(tracked) < _FEWEST:
+        return
+    figure = plotting.new_figure(10.0, 3.2)
+    axes = figure.subplots()
+    for name, color in zip(sorted({row["airframe"] for row in tracked}), itertools.cycle(_COLORS), strict=False):
+        flights = [(place, row) for place, row in enumerate(tracked) if row["airframe"] == name]
+        places, values = [place for place, _ in flights], [row["symmetric_hz"] for _, row in flights]
+        sigmas = [row["symmetric_sigma_hz"] for _, row in flights]
+        axes.errorbar(places, values, sigmas, fmt="o", color=color, ms=4, label=name)
+    axes.set(xlabel="flight", ylabel="symmetric mode, Hz")
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.legend(frameon=False)
+    yield Heading("First symmetric mode")
+    yield embed(figure, "frequency of the first symmetric mode by flight, with sigma")
 
 
 def findings(rows: Rows) -> list[str]:
@@ -93,7 +117,7 @@ def _recurring(rows: Rows) -> list[tuple[str, int]]:
     counts: Counter[str] = Counter()
     for row in rows:
         words = {name for name, value in row.items() if name.startswith("withheld: ") and value}
-        words |= {f"{name}: {value}" for name, value in row.items() if isinstance(value, str) and name not in ("file",)}
+        words |= {f"{name}: {value}" for name, value in row.items() if isinstance(value, str) and name not in _OWN}
         counts.update(words)
     return [(text, count) for text, count in counts.most_common(_MOST_RECURRING) if count > 1]
 

@@ -106,7 +106,8 @@ function animate(wing, phase) {
     const plan = state.plan, planned_s = plan && plan.firing !== SKIP ? plan.exposure_host_ns / 1e9 : null;
     const planned = planned_s !== null && Math.abs(planned_s - now_s) < 1 ? swings[0].phase(planned_s) : null;
     phase.draw(swings[0].phase(now_s), phase_sigma_rad, Math.max(0.15, amplitude_m / highest_m), planned);
-    $("tips").textContent = `Toe by bending now ${signed(1e3 * 2 * wing.about.modes[0].slope_factor_radpm * symmetric_m, 1)} mrad, `
+    const turn = wing.looksDown ? "Toe by bending now" : "Roll of the cameras against each other by bending now";
+    $("tips").textContent = `${turn} ${signed(1e3 * 2 * wing.about.modes[0].slope_factor_radpm * symmetric_m, 1)} mrad, `
       + `swing ${(1e3 * amplitude_m).toFixed(1)} mm at ${swings[0].mode.frequency_hz.toFixed(2)} Hz`;
   }
   requestAnimationFrame(() => animate(wing, phase));
@@ -127,6 +128,7 @@ async function start() {
   const health = new Health(about), events = new Events(), parameters = new Parameters(about);
   new Recordings();
   wing.draw([0, 0]);
+  if (wing.looksDown) $("sectors-legend").textContent = "no obstacle picture: this pair looks down";
   const connection = new Connection((word) => {
     $("link").textContent = word;
     if (word === "disconnected") { $("health").className = "pill"; $("health").textContent = "no data"; $("reason").textContent = "the service does not answer; tried again every two seconds"; }

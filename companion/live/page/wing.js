@@ -12,6 +12,7 @@ const shape = (eta) => (3 * eta ** 2 - eta ** 3) / 2;
 export class WingView {
   constructor(svg, about) {
     this.about = about;
+    this.looksDown = about.orientation === DOWN;
     const raised = (RAISED_PX_PER_M * about.semispan_m) / SPAN_X;
     document.getElementById("exaggeration").textContent =
       `seen from behind, bending \u00d7${raised.toFixed(0)}, toe \u00d7${TURNED}`;
@@ -51,7 +52,7 @@ export class WingView {
     this.labels[side].setAttribute("x", Math.max(52, Math.min(WIDTH - 52, x)));
     this.labels[side].setAttribute("y", Math.max(14, y - 26));
     this.labels[side].textContent = `${tip_m < 0 ? "\u2212" : "+"}${Math.abs(1e3 * tip_m).toFixed(1)} mm`;
-    if (this.about.orientation !== DOWN || !this.about.cameras[side]) return;
+    if (!this.looksDown || !this.about.cameras[side]) return;
     const ray = (spread) => `${(x + LOOK_PX * Math.sin(turn + spread)).toFixed(1)},${(y + LOOK_PX * Math.cos(turn + spread)).toFixed(1)}`;
     this.looks[side].setAttribute("d", `M${x},${y}L${ray(-0.2)}L${ray(0.2)}Z`);
   }
