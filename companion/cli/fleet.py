@@ -20,7 +20,7 @@ from companion.reporting.plotting import require_report
 
 KINDS = ("report", "diagnose", "identify", "tune")
 _SUFFIXES = (".mcap", ".tlog", ".bin", ".ulg")
-_MOST_WORKERS = 256
+_MOST_WORKERS = 256  # more than any machine has use for
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -15,9 +15,9 @@ from typing import Any
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.numbers import integer
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
-from companion.evaluation.tuning import Trial, TrialOutcome, try_out, usual_trials, verdict_of
+from companion.evaluation.tuning import ParameterTrial, TrialOutcome, try_out, usual_trials, verdict_of
 
-_MOST_WORKERS = 64
+_MOST_WORKERS = 64  # more than there are trials
 _HEADS = ("trial", "plans", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
 
 
@@ -38,7 +38,7 @@ def execute(options: argparse.Namespace) -> int:
     trials = [_trial(text) for text in options.tries] or usual_trials(settings)
     for trial in trials:
         trial.over(settings)
-    rows = [_row(Trial(()), try_out(options.recording, Trial(())), None)]
+    rows = [_row(ParameterTrial(()), try_out(options.recording, ParameterTrial(())), None)]
     flown = TrialOutcome(**rows[0]["outcome"])
     _show(rows[0], options)
     if not flown.trusted:
@@ -56,16 +56,16 @@ def execute(options: argparse.Namespace) -> int:
     return 0
 
 
-def _trial(text: str) -> Trial:
+def _trial(text: str) -> ParameterTrial:
     name, equals, value = text.partition("=")
     try:
-        return Trial(((name.strip(), float(value)),))
+        return ParameterTrial(((name.strip(), float(value)),))
     except ValueError as error:
         what = "give NAME=VALUE with a number" if equals else "give NAME=VALUE"
         raise ConfigError(f"--try {text}: {what}") from error
 
 
-def _tried(path: Path, trials: list[Trial], workers: int) -> Iterator[tuple[Trial, TrialOutcome]]:
+def _tried(path: Path, trials: list[ParameterTrial], workers: int) -> Iterator[tuple[ParameterTrial, TrialOutcome]]:
     """Outcomes in the order of the trials, whatever the number of processes."""
     if workers == 1:
         for trial in trials:
@@ -75,7 +75,7 @@ def _tried(path: Path, trials: list[Trial], workers: int) -> Iterator[tuple[Tria
         yield from zip(trials, pool.map(try_out, [path] * len(trials), trials), strict=True)
 
 
-def _row(trial: Trial, outcome: TrialOutcome, flown: TrialOutcome | None) -> dict[str, Any]:
+def _row(trial: ParameterTrial, outcome: TrialOutcome, flown: TrialOutcome | None) -> dict[str, Any]:
     is_better, why = (False, "") if flown is None else verdict_of(flown, outcome)
     return {
         "trial": trial.text,
@@ -86,22 +86,22 @@ def _row(trial: Trial, outcome: TrialOutcome, flown: TrialOutcome | None) -> dic
     }
 
 
-def proposal(rows: list[dict[str, Any]], settings: Any) -> Trial:
+def proposal(rows: list[dict[str, Any]], settings: Any) -> ParameterTrial:
     """Join the proposed values, of each parameter the one with the most trusted ranges, then the smallest sigma."""
     best: dict[str, dict[str, Any]] = {}
     for row in [row for row in rows if row["proposed"] and len(row["changes"]) == 1]:
         (name,) = row["changes"]
         if name not in best or _merit(row) > _merit(best[name]):
             best[name] = row
-    joined = Trial(tuple((name, row["changes"][name]) for name, row in best.items()))
-    return joined if joined.over(settings).conflict() is None else Trial(())
+    joined = ParameterTrial(tuple((name, row["changes"][name]) for name, row in best.items()))
+    return joined if joined.over(settings).conflict() is None else ParameterTrial(())
 
 
 def _merit(row: dict[str, Any]) -> tuple[int, float]:
     return row["outcome"]["trusted"], -row["outcome"]["sigma_ratio"]
 
 
-def _proposed(rows: list[dict[str, Any]], together: Trial) -> dict[str, float]:
+def _proposed(rows: list[dict[str, Any]], together: ParameterTrial) -> dict[str, float]:
     """The joined values where they hold up together, the best single one else."""
     if len(together.changes) > 1 and not rows[-1]["proposed"]:
         single = max((row for row in rows[:-1] if row["proposed"]), key=_merit)

@@ -35,7 +35,7 @@ _SWITCHES = ("TRK_ADAPT", "RNG_EPIPOLAR")
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class ParameterTrial:
     """One set of changes to the settings that were flown, by MAVLink name."""
 
     changes: tuple[tuple[str, float], ...]
@@ -60,7 +60,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
-    """What a trial made of the flight.
+    """Figures of the flight as a trial makes it.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class TrialOutcome:
     delay_s: float
 
 
-def usual_trials(settings: Settings) -> list[Trial]:
+def usual_trials(settings: Settings) -> list[ParameterTrial]:
     """Trials worth making on any flight: halves and doubles within range, and switches turned."""
     rows = {row.name: row for row in tunables()}
     trials = []
@@ -94,13 +94,13 @@ def usual_trials(settings: Settings) -> list[Trial]:
         now = float(getattr(settings, row.attribute))
         tried = [min(max(factor * now, row.minimum), row.maximum) for factor in factors]
         tried = [float(round(value)) if row.integer else float(f"{value:.3g}") for value in tried]
-        trials += [Trial(((name, value),)) for value in dict.fromkeys(tried) if value != now]
+        trials += [ParameterTrial(((name, value),)) for value in dict.fromkeys(tried) if value != now]
     for name in _SWITCHES:
-        trials.append(Trial(((name, 1.0 - getattr(settings, rows[name].attribute)),)))
+        trials.append(ParameterTrial(((name, 1.0 - getattr(settings, rows[name].attribute)),)))
     return trials
 
 
-def try_out(path: Path, trial: Trial) -> TrialOutcome:
+def try_out(path: Path, trial: ParameterTrial) -> TrialOutcome:
     """Estimate a recording of ours again with a trial's settings.
 
     Raises
@@ -136,7 +136,7 @@ def try_out(path: Path, trial: Trial) -> TrialOutcome:
     )
 
 
-def _flown(inputs: Iterable[Record], trial: Trial, now_ns: list[int]) -> Iterator[Record]:
+def _flown(inputs: Iterable[Record], trial: ParameterTrial, now_ns: list[int]) -> Iterator[Record]:
     """The inputs, without changes in flight of what is tried; notes the time of the last tick."""
     names = {name for name, _ in trial.changes}
     for record in inputs:
@@ -164,11 +164,11 @@ def verdict_of(flown: TrialOutcome, tried: TrialOutcome) -> tuple[bool, str]:
         "more trusted ranges": _gain(flown.trusted, tried.trusted),
         "smaller sigma": -_gain(flown.sigma_ratio, tried.sigma_ratio),
         "earlier ranges": -_gain(flown.delay_s, tried.delay_s),
-        "more shots": _gain(flown.planned, tried.planned),
+        "more plans to fire": _gain(flown.planned, tried.planned),
     }
-    honesty = _gain(max(flown.scatter_ratio, 1.0), max(tried.scatter_ratio, 1.0))
+    growth = _gain(max(flown.scatter_ratio, 1.0), max(tried.scatter_ratio, 1.0))
     losses = [_opposite(name) for name, gain in gains.items() if gain < -_WORSE_RATIO]
-    losses += ["ranges scatter more than their sigmas say"] if honesty > _BETTER_RATIO else []
+    losses += ["ranges scatter more than their sigmas say"] if growth > _BETTER_RATIO else []
     better = [name for name, gain in gains.items() if gain >= _BETTER_RATIO]
     if better and not losses:
         return True, ", ".join(better)

@@ -10,7 +10,7 @@ import pytest
 
 from companion.cli.main import main
 from companion.errors import RecordingError
-from companion.evaluation.tuning import Trial, TrialOutcome, scatter, try_out, usual_trials, verdict_of
+from companion.evaluation.tuning import ParameterTrial, TrialOutcome, scatter, try_out, usual_trials, verdict_of
 from companion.params.files import load_airframe
 from companion.params.settings import Settings, tunables
 from companion.records import CorrectedRange, TriggerPlan
@@ -87,7 +87,7 @@ def test_a_trial_of_nothing_is_the_flight_as_it_was_published(flight: Path) -> N
     from companion.adapters.recordings.mcap.reader import McapRecording
 
     records = list(McapRecording(flight).records())
-    got = try_out(flight, Trial(()))
+    got = try_out(flight, ParameterTrial(()))
     assert got.trusted == sum(isinstance(record, CorrectedRange) and record.trusted for record in records)
     assert got.planned + got.skipped == sum(isinstance(record, TriggerPlan) for record in records)
     assert got.trusted > 5
@@ -96,13 +96,13 @@ def test_a_trial_of_nothing_is_the_flight_as_it_was_published(flight: Path) -> N
 @pytest.mark.slow
 def test_a_shorter_lag_gives_earlier_ranges_by_as_much(flight: Path) -> None:
     lags_s = (0.5, 0.25)
-    early, late = (try_out(flight, Trial((("TRK_LAG", lag_s),))).delay_s for lag_s in reversed(lags_s))
+    early, late = (try_out(flight, ParameterTrial((("TRK_LAG", lag_s),))).delay_s for lag_s in reversed(lags_s))
     assert late - early == pytest.approx(lags_s[0] - lags_s[1], abs=0.06)
 
 
 @pytest.mark.slow
 def test_a_stricter_limit_of_trust_lets_fewer_ranges_pass(flight: Path) -> None:
-    strict, lenient = (try_out(flight, Trial((("RNG_TRUST", value),))) for value in (0.006, 0.2))
+    strict, lenient = (try_out(flight, ParameterTrial((("RNG_TRUST", value),))) for value in (0.006, 0.2))
     assert strict.trusted < lenient.trusted
 
 
@@ -130,4 +130,4 @@ def test_a_value_that_cannot_be_tried_is_refused(words: list[str], flight: Path)
 def test_a_foreign_log_is_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "accel.csv").write_text("t_ns,x,y,z\n0,0,0,-9.8\n1000000,0,0,-9.8\n")
     with pytest.raises(RecordingError):
-        try_out(tmp_path, Trial(()))
+        try_out(tmp_path, ParameterTrial(()))

@@ -18,9 +18,9 @@ _SIGMAS = 3.0  # by which a flight's frequency leaves its aircraft's median
 _FEWEST = 3  # flights of an aircraft that have a median worth the name
 _SLOW_RATIO = 0.02  # of its own median rate: a sensor that comes slower has lost samples
 _COLORS = (plotting.BLUE, plotting.VERMILLION, plotting.GREEN, plotting.ORANGE, plotting.PURPLE, plotting.SKY)
-_MOST_COLUMNS = 8
-_MOST_RECURRING = 12
-_OWN = ("file", "airframe")  # words that tell files apart, not what they share
+_MOST_COLUMNS = 8  # that a page is wide enough for
+_MOST_RECURRING = 12  # most frequent first
+_LABELS = ("file", "airframe")  # words that tell files apart, not what they share
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -78,21 +78,21 @@ def findings(rows: Rows) -> list[str]:
     for row in rows:
         if row.get("airframe"):
             by_aircraft[row["airframe"]].append(row)
-    told: list[tuple[float, str]] = []
+    drifted: list[tuple[float, str]] = []
     for name, flights in by_aircraft.items():
         if len(flights) >= _FEWEST:
-            told += _drifts(name, flights)
-            told += _slow_sensors(name, flights)
-    return [text for _, text in sorted(told, key=lambda entry: -entry[0])]
+            drifted += _drifts(name, flights)
+            drifted += _slow_sensors(name, flights)
+    return [text for _, text in sorted(drifted, key=lambda entry: -entry[0])]
 
 
 def _drifts(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
     for mode in ("symmetric", "antisymmetric"):
-        known = [row for row in flights if row.get(f"{mode}_hz") is not None]
-        if len(known) < _FEWEST:
+        measured = [row for row in flights if row.get(f"{mode}_hz") is not None]
+        if len(measured) < _FEWEST:
             continue
-        median_hz = float(np.median([row[f"{mode}_hz"] for row in known]))
-        for row in known:
+        median_hz = float(np.median([row[f"{mode}_hz"] for row in measured]))
+        for row in measured:
             off_hz, sigma_hz = row[f"{mode}_hz"] - median_hz, row[f"{mode}_sigma_hz"]
             if abs(off_hz) > _SIGMAS * sigma_hz:
                 what = f"{airframe}: {mode} mode {off_hz:+.2f} Hz off its median {median_hz:.2f} Hz"
@@ -101,11 +101,11 @@ def _drifts(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
 
 def _slow_sensors(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
     for station in ("root", "left", "right"):
-        known = [row for row in flights if row.get(f"{station}_rate_hz")]
-        if len(known) < _FEWEST:
+        measured = [row for row in flights if row.get(f"{station}_rate_hz")]
+        if len(measured) < _FEWEST:
             continue
-        median_hz = float(np.median([row[f"{station}_rate_hz"] for row in known]))
-        for row in known:
+        median_hz = float(np.median([row[f"{station}_rate_hz"] for row in measured]))
+        for row in measured:
             lost = 1.0 - row[f"{station}_rate_hz"] / median_hz
             if lost > _SLOW_RATIO:
                 what = f"{airframe}: {station} sensor {100 * lost:.0f} % slower than usual"
@@ -117,7 +117,7 @@ def _recurring(rows: Rows) -> list[tuple[str, int]]:
     counts: Counter[str] = Counter()
     for row in rows:
         words = {name for name, value in row.items() if name.startswith("withheld: ") and value}
-        words |= {f"{name}: {value}" for name, value in row.items() if isinstance(value, str) and name not in _OWN}
+        words |= {f"{name}: {value}" for name, value in row.items() if isinstance(value, str) and name not in _LABELS}
         counts.update(words)
     return [(text, count) for text, count in counts.most_common(_MOST_RECURRING) if count > 1]
 

@@ -43,7 +43,7 @@ class FileTask:
         return f"{self.path.stem}-{digest[:12]}"
 
     @property
-    def part(self) -> Path:
+    def result_file(self) -> Path:
         """Where the result lies when it is made."""
         return self.folder / "parts" / f"{self.key}.json"
 
@@ -55,7 +55,7 @@ Work = Callable[[FileTask], Row]
 def stored(task: FileTask) -> Row | None:
     """Result of an earlier run; None where there is none, or it failed."""
     try:
-        row = json.loads(task.part.read_text(encoding="utf-8"))
+        row = json.loads(task.result_file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return row if isinstance(row, dict) and not row.get("failed") else None
@@ -74,7 +74,7 @@ def run(tasks: Sequence[FileTask], work: Work, workers: int) -> Iterator[tuple[F
         else:
             yield task, row
     if missing:
-        missing[0][0].part.parent.mkdir(parents=True, exist_ok=True)
+        missing[0][0].result_file.parent.mkdir(parents=True, exist_ok=True)
         yield from _made(missing, work, min(workers, len(missing)))
 
 
@@ -154,9 +154,9 @@ def failure(task: FileTask, reason: str) -> Row:
 
 def keep(task: FileTask, row: Row) -> None:
     """Write the part, whole or not at all."""
-    beside = task.part.with_suffix(f".{os.getpid()}")
+    beside = task.result_file.with_suffix(f".{os.getpid()}")
     beside.write_text(json.dumps(row), encoding="utf-8")
-    beside.replace(task.part)
+    beside.replace(task.result_file)
 
 
 def tasks_of(paths: Sequence[Path], words: tuple[str, ...], folder: Path) -> list[FileTask]:
