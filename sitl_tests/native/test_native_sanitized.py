@@ -13,7 +13,13 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECKS = "-fsanitize=address,undefined -fno-sanitize-recover=all -g -fno-omit-frame-pointer"
-DRIVERS = ("sitl_tests/native", "sitl_tests/unit/test_mavlink_bulk.py", "sitl_tests/unit/test_mavlink_scan.py")
+DRIVERS = (
+    "sitl_tests/native",
+    "sitl_tests/unit/test_mavlink_bulk.py",
+    "sitl_tests/unit/test_mavlink_scan.py",
+    "sitl_tests/unit/test_tracking_averaging.py",
+    "sitl_tests/unit/test_tracking_lapses.py",
+)
 _WRONG = """
 #include <stdlib.h>
 #include "arrays.h"

@@ -33,7 +33,7 @@ def test_only_what_is_compiled_decides_where_machine_code_is_kept(tmp_path: Path
     assert first.startswith(str(tmp_path))
     (tmp_path / "companion/cli/demo.py").write_text("changed = True\n")
     assert _cache(tmp_path) == first
-    callee = tmp_path / "companion/core/tracking/resampling.py"
+    callee = tmp_path / "companion/core/tracking/smoother.py"
     callee.write_text(callee.read_text() + "changed = True\n")
     assert _cache(tmp_path) != first
     assert _cache(tmp_path, NUMBA_CACHE_DIR="/elsewhere") == "/elsewhere"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.tracking.resampling import (
+from sitl_tests.native.averaging import (
     edge_aliasing,
     epoch_averages,
     epoch_averages_deconvolved,

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from companion.core.kernels.compiled import COMPILED
 from companion.core.pipeline import start, step
 from companion.core.tracking.filter import SeparatedBiasFilter
-from companion.core.tracking.streams import respaced
 from companion.core.tracking.tracker import WingTracker
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ImuBatch, Reject, Station, Tick, Validity
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
+from sitl_tests.native.averaging import respaced
 
 PERIOD_NS = 3_000_000
 BROKEN_S, MENDED_S, END_S = 12.0, 14.0, 32.0

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.kernels.compiled import compiled
 from companion.records import Floats, Ints
 
 VERTICAL = 2  # channel
@@ -19,7 +18,6 @@ VERTICAL = 2  # channel
 _LOST_SAMPLE_VARIANCE = 35.0 / 6.0
 
 
-@compiled
 def epoch_averages(t: Floats, y: Floats, edges: Floats) -> tuple[Floats, Floats]:
     """Mean of every channel and first moment of the vertical one, from samples that are averages themselves.
 
@@ -58,7 +56,6 @@ def epoch_averages(t: Floats, y: Floats, edges: Floats) -> tuple[Floats, Floats]
     return mean, _moments(np.ascontiguousarray(y[:, VERTICAL]), h, sample, s, edges[1] - edges[0])
 
 
-@compiled
 def _moments(z: Floats, h: Floats, sample: Ints, s: Floats, width: float) -> Floats:
     """First moments of one channel; an edge lies at fraction ``s`` of the sample ``sample``, (n + 1,) each."""
     total, twice, level = np.zeros(len(z) + 1), np.zeros(len(z) + 1), np.empty(len(z) + 1)
@@ -75,7 +72,6 @@ def _moments(z: Floats, h: Floats, sample: Ints, s: Floats, width: float) -> Flo
     return moment
 
 
-@compiled
 def interpolate_lost(t: Floats, y: Floats, period_s: float, limit_s: float) -> tuple[Floats, Floats]:
     """Fill gaps of lost samples with cubics: :func:`epoch_averages` takes each for the average up to the next.
 
@@ -120,7 +116,6 @@ def interpolate_lost(t: Floats, y: Floats, period_s: float, limit_s: float) -> t
     return full_t, full_y
 
 
-@compiled
 def edge_aliasing(t: Floats, edges: Floats) -> Floats:
     """Aliasing noise of each epoch by edges that cut samples: 0 where they fall between two, 1 on average.
 
@@ -146,7 +141,6 @@ def edge_aliasing(t: Floats, edges: Floats) -> Floats:
     return variance_ratio
 
 
-@compiled
 def gap_aliasing(t: Floats, edges: Floats, period_s: float) -> Floats:
     """Aliasing noise of each epoch by lost samples: their neighbours say nothing of a white load in the gap.
 
@@ -172,7 +166,6 @@ def gap_aliasing(t: Floats, edges: Floats, period_s: float) -> Floats:
     return variance_ratio
 
 
-@compiled
 def epoch_averages_deconvolved(t: Floats, y: Floats, edges: Floats, cutoff_hz: Floats) -> Floats:
     """Mean of every channel ahead of its 2nd-order Butterworth low-pass.
 
