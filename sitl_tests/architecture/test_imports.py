@@ -53,7 +53,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"numpy", "scipy", "cv2"}),
     ),
     "companion.diagnosis": (
-        frozenset({"diagnosis", "core", "sim", "records", "errors", "params"}),
+        frozenset({"diagnosis", "core", "native", "sim", "records", "errors", "params"}),
         frozenset({"numpy", "scipy"}),
     ),
     "companion.setup": (frozenset({"setup", "params", "errors", "records"}), frozenset()),

@@ -19,6 +19,7 @@ DRIVERS = (
     "sitl_tests/unit/test_mavlink_scan.py",
     "sitl_tests/unit/test_tracking_averaging.py",
     "sitl_tests/unit/test_tracking_lapses.py",
+    "sitl_tests/unit/test_tracking_kernel.py",
 )
 _WRONG = """
 #include <stdlib.h>

@@ -18,6 +18,7 @@ from companion.diagnosis.free_decay.views import backbone
 from companion.errors import RecordingError
 from companion.params.airframe import Uncertain
 from companion.records import Floats
+from sitl_tests.reference.kernels.decay import filter_batch
 
 RATE_HZ = 1500.0
 BAND_HZ = (4.0, 14.0)
@@ -89,12 +90,10 @@ def test_the_compiled_sweep_and_numpy_s_give_the_same() -> None:
     )
     steps = kalman.matrices(modes, 0.025)
     y = rng.standard_normal((60, 4))
-    found = []
-    for sweep in (kalman.filter_batch, kalman.filter_each):
-        out = np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))
-        sweep(steps, y, *out)
-        found.append(out)
-    for one, other in zip(*found, strict=True):
+    found, expected = ((np.empty((60, 4)), np.empty((60, 4)), np.empty((60, 4, 4))) for _ in range(2))
+    kalman._filter(kalman._pack_steps(steps), y, kalman._AT_REST, *found)
+    filter_batch(steps, y, *expected)
+    for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from companion.core.kernels import filter_loops as kernel_loops
-from companion.core.kernels import filter_numpy as kernel_numpy
 from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants, FilterState, History
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import build_model
@@ -16,6 +15,7 @@ from companion.core.tracking.parameters import ModeParameters, prior_parameters
 from companion.core.tracking.states import ROWS, Y_LEFT, make_layout, make_noise
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
+from sitl_tests.reference.kernels import filter_numpy as kernel_numpy
 
 AIRFRAME = load_airframe("nadir-2m")
 EXACT_SCALES = replace(

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 from companion.core.tracking.adaptation.frequency_drift import estimate_drift_rate, time_warped
-from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_gradient, make_grid
+from companion.core.tracking.adaptation.model_spectrum import make_grid
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram, make_periodograms
 from companion.core.tracking.adaptation.whittle import LogNormalPrior, expected_power, find_unmodelled_peak, fit
 from companion.core.tracking.discretise import stationary_covariance, van_loan
 from companion.core.tracking.parameters import parameter_index
+from sitl_tests.native.spectra import acceleration_density, acceleration_gradient
 
 STEP_S = 0.004
 COHERENCE = -0.4

@@ -1,1 +1,1 @@
-"""The compiled inner loops, their array types, and their readable twins."""
+"""The filter's inner loop and its array types."""

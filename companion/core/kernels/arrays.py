@@ -1,8 +1,7 @@
 """Array types of the filter's inner loop: constants, discrete model, measurements, state and history.
 
-The equations are in :mod:`companion.core.tracking.filter`. The loop exists twice: :mod:`filter_loops` is compiled,
-:mod:`filter_numpy` is its readable twin and runs where nothing can be compiled. Both process the rows that were
-measured and whiten them: with ``S = L L^T`` the history holds ``L^-1 H``, ``L^-1 e`` and ``L^-1 C^T``, from which gain,
+The equations are in :mod:`companion.core.tracking.filter`. The loop is C and processes the rows that were measured and
+whitens them: with ``S = L L^T`` the history holds ``L^-1 H``, ``L^-1 e`` and ``L^-1 C^T``, from which gain,
 likelihood and smoother follow as products.
 
 Process and measurement noise have heavy tails. An innovation of a vertical row beyond the gate raises the process noise

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.kernels.compiled import compiled
 from companion.records import Floats
 
 
@@ -46,7 +45,6 @@ def van_loan(system: Floats, intensity: Floats, step_s: float) -> tuple[Floats, 
 _TERMS = 14  # of the series; the last one is below 1e-18 at a norm of a half
 
 
-@compiled
 def _exponential(matrix: Floats) -> Floats:
     """Matrix exponential by scaling, Taylor series and squaring: for small systems, ten times scipy's speed."""
     norm = np.abs(matrix).sum(axis=1).max()

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.kernels.compiled import compiled
 from companion.core.tracking.parameters import DAMPING, FREQUENCY, ModeParameters
 from companion.core.tracking.states import ModeFamily, StateLayout
+from companion.native.library import ARRAY, REAL, kernel
 from companion.records import Floats, ModeEstimate
 
 
@@ -146,7 +146,7 @@ def mode_estimate(
     """
     relative = parameters.log_sigma
     frequency_sigma = parameters.frequency_hz * float(relative[FREQUENCY])
-    amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = _oscillation(
+    amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = oscillation(
         state,
         covariance,
         (family.q, family.v, family.gust_2),
@@ -170,8 +170,10 @@ def mode_estimate(
     )
 
 
-@compiled
-def _oscillation(
+_oscillation = kernel("estimate_oscillation", ARRAY, ARRAY, ARRAY, REAL, REAL, REAL, REAL, ARRAY)
+
+
+def oscillation(
     state: Floats,
     covariance: Floats,
     index: tuple[int, int, int],
@@ -179,42 +181,10 @@ def _oscillation(
     frequency_hz: float,
     damping: float,
     frequency_sigma_hz: float,
-) -> tuple[float, float, float, float, float, float]:
+) -> list[float]:
     """Amplitude, phase and instantaneous frequency of one mode, each with its sigma."""
-    q, v, load = state[index[0]] - static_m, state[index[1]], state[index[2]]
-    omega = 2.0 * np.pi * frequency_hz
-    s = v / omega
-    square = q * q + s * s
-    power = max(square, 1e-18)
-    pull = -2.0 * damping * omega * v - omega**2 * q + load
-    rate = (v * s - q * pull / omega) / power
-    by_state = np.array([q, s / omega, 0.0]) / np.sqrt(power)
-    by_phase = np.array([s, -q / omega, 0.0]) / power
-    by_rate = _rate_gradient(q, v, omega, damping, pull, rate, power)
-    two_pi = 2.0 * np.pi
-    return (
-        np.sqrt(square),
-        np.sqrt(max(_variance(by_state, covariance, index), 0.0)),
-        np.arctan2(-s, q),
-        np.sqrt(max(_variance(by_phase, covariance, index), 0.0)),
-        rate / two_pi,
-        np.sqrt(_variance(by_rate, covariance, index) + (two_pi * frequency_sigma_hz) ** 2) / two_pi,
-    )
-
-
-@compiled
-def _variance(by: Floats, covariance: Floats, index: tuple[int, int, int]) -> float:
-    """Variance ``g^T P g`` over three states."""
-    total = 0.0
-    for i in range(3):
-        for j in range(3):
-            total += by[i] * by[j] * covariance[index[i], index[j]]
-    return total
-
-
-@compiled
-def _rate_gradient(q: float, v: float, omega: float, damping: float, pull: float, rate: float, square: float) -> Floats:
-    """Gradient of the phase rate with respect to deflection, rate and load."""
-    by_q = (-pull / omega + q * omega - 2.0 * q * rate) / square
-    by_v = (2.0 * v / omega + 2.0 * damping * q - 2.0 * v / omega**2 * rate) / square
-    return np.array([by_q, by_v, -q / omega / square])
+    out = np.empty(6)
+    mode = (static_m, frequency_hz, damping, frequency_sigma_hz)
+    _oscillation(state, covariance, np.array(index, np.int64), *mode, out)
+    described: list[float] = out.tolist()
+    return described

@@ -14,10 +14,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from companion.core.kernels import filter_loops as kernel_loops
-from companion.core.kernels import filter_numpy as kernel_numpy
 from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants, FilterState, make_history
-from companion.core.kernels.compiled import COMPILED, compiled
+from companion.core.kernels.filter_loops import filter_epochs
 from companion.core.tracking.error_jacobians import measured_regressors
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
 from companion.core.tracking.states import (
@@ -32,7 +30,6 @@ from companion.core.tracking.states import (
 )
 from companion.records import Floats, Ints
 
-kernel = kernel_loops if COMPILED else kernel_numpy
 _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
 # that is not white, and a scale estimated from it is wrong. The biases of its rates are estimated.
@@ -213,7 +210,7 @@ class SeparatedBiasFilter:
         first = 0
         while first < epochs.length and self.finite:
             last = min(epochs.length, first + _SOLVE_EVERY - self._steps_since_solution)
-            self.finite = kernel.filter_epochs(
+            self.finite = filter_epochs(
                 self._constants, self._discrete_model, epochs, self._filter_state, self.history, first, last, self.steps
             )
             self.steps += last - first
@@ -319,7 +316,6 @@ class SeparatedBiasFilter:
         self._one_and_bias[1:] = self.bias_parameters
 
 
-@compiled
 def _age_information(
     accumulated: Floats,
     state_and_sensitivity: Floats,
@@ -345,7 +341,6 @@ def _age_information(
         state_and_sensitivity[:-1, column] *= autocorrelation
 
 
-@compiled
 def _solve_parameters(
     accumulated: Floats, sigma: Floats, estimated: Ints, considered: Ints, bias_parameters: Floats, covariance: Floats
 ) -> None:

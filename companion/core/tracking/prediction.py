@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.kernels.compiled import compiled
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel, modal_propagation
 from companion.core.tracking.states import StateLayout
+from companion.native.library import ARRAY, RECORD, kernel, packed
 from companion.records import Floats, Ints
 
 
@@ -68,7 +68,7 @@ class Forecaster:
         snapshot = _FilterSnapshot(
             kalman.state_and_sensitivity, kalman.one_and_bias, kalman.covariance, kalman.bias_parameter_covariance
         )
-        values, spread = _run_ahead(
+        values, spread = run_ahead(
             self._transition_powers, self._accumulated_Q, self._slope, self._output_indices, snapshot
         )
         stamps = newest_ns + step_ns * np.arange(1, count + 1, dtype=np.int64)
@@ -81,26 +81,11 @@ class Forecaster:
             transition, noise = model.transition[modal, modal], model.noise[modal, modal]
         else:
             transition, noise = modal_propagation(self._layout, model.parameters, step_ns * 1e-9)
-        self._transition_powers, self._accumulated_Q = _powers(
+        self._transition_powers, self._accumulated_Q = powers(
             np.ascontiguousarray(transition), np.ascontiguousarray(noise), self._output_indices.modal_states, count
         )
         self._slope[:, ::2], self._slope[:, 1::2] = 0.0, model.slope[:, modal_states[::2]]
         self._model, self._step_ns = model, step_ns
-
-
-@compiled
-def _powers(transition: Floats, noise: Floats, modal_states: Ints, count: int) -> tuple[Floats, Floats]:
-    """``E A^k``, (m, count, n), and ``E W_k E^T``, (m, m, count), for the selected states ``E``."""
-    transition_powers, process_cov = (
-        np.empty((len(modal_states), count, len(noise))),
-        np.empty((len(modal_states), len(modal_states), count)),
-    )
-    rows, covariance = np.eye(len(noise))[modal_states], np.zeros_like(noise)
-    for k in range(count):
-        rows = rows @ transition
-        covariance = transition @ covariance @ transition.T + noise
-        transition_powers[:, k], process_cov[:, :, k] = rows, covariance[modal_states][:, modal_states]
-    return transition_powers, process_cov
 
 
 class _FilterSnapshot(NamedTuple):
@@ -126,61 +111,6 @@ class _OutputIndices(NamedTuple):
     signs: Floats
 
 
-@compiled
-def _run_ahead(
-    transition_powers: Floats, noise: Floats, slope: Floats, indices: _OutputIndices, snapshot: _FilterSnapshot
-) -> tuple[Floats, Floats]:
-    """Modal coordinates and slope rates at all instants, (2, k, 2), and covariances, (2, k, 2, 2).
-
-    Modal states follow from the state by ``transition_powers`` (m, k, n), with process covariance ``noise`` (m, m, k).
-    """
-    m, count, n = transition_powers.shape
-    static_state = np.zeros(n)
-    static_state[indices.static] = snapshot.state_and_sensitivity[-1] @ snapshot.one_and_bias
-    deviation = snapshot.state_and_sensitivity[:n] @ snapshot.one_and_bias - static_state
-    bias_sensitivity = np.ascontiguousarray(snapshot.state_and_sensitivity[:n, 1:])
-    covariance = (
-        snapshot.covariance[:n, :n] + bias_sensitivity @ snapshot.bias_parameter_covariance @ bias_sensitivity.T
-    )
-    outputs = _outputs(slope, indices, snapshot.one_and_bias)
-    rows = (outputs @ transition_powers.reshape(m, -1)).reshape(-1, n)
-    rows_cov, row_values = (rows @ covariance).reshape(4, count, n), (rows @ deviation).reshape(4, count)
-    outputs_noise, unit_weights = (outputs @ noise.reshape(m, -1)).reshape(4, m, count), np.ones(n)
-    rows_of, static_values = rows.reshape(4, count, n), outputs @ static_state[indices.modal_states]
-    values, spread = np.empty((2, count, 2)), np.empty((2, count, 2, 2))
-    for pair in range(2):
-        for i in range(2):
-            first_output = 2 * pair + i
-            values[pair, :, i] = row_values[first_output] + static_values[first_output]
-            for j in range(i, 2):
-                second_output = 2 * pair + j
-                covariance_ij = (rows_cov[first_output] * rows_of[second_output]) @ unit_weights + outputs[
-                    second_output
-                ] @ outputs_noise[first_output]
-                spread[pair, :, i, j] = covariance_ij
-                spread[pair, :, j, i] = covariance_ij
-    for k in range(len(indices.rate)):
-        rate, at = (
-            transition_powers[indices.rate[k]] @ deviation + static_state[indices.modal_states[indices.rate[k]]],
-            indices.constant[k],
-        )
-        spread[1, :, 0, 0] += snapshot.bias_parameter_covariance[at, at] * rate**2
-        spread[1, :, 1, 1] += snapshot.bias_parameter_covariance[at, at] * rate**2
-    return values, spread
-
-
-@compiled
-def _outputs(slope: Floats, indices: _OutputIndices, one_and_bias: Floats) -> Floats:
-    """Rows of modal coordinates and slope rates, slope factors as estimated, on the modal states, (4, m)."""
-    outputs = np.zeros((4, slope.shape[1]))
-    for side in range(2):
-        outputs[side, indices.q[side]] = 1.0
-        outputs[2 + side] = slope[side]
-        for k in range(len(indices.rate)):
-            outputs[2 + side, indices.rate[k]] += indices.signs[k, side] * one_and_bias[1 + indices.constant[k]]
-    return outputs
-
-
 def _output_indices(layout: StateLayout, modal_states: list[int]) -> _OutputIndices:
     """Indices of the outputs for a layout."""
     factors = [(column - 1, modal_states.index(v), sign) for column, _, v, sign in layout.slope_factors]
@@ -188,3 +118,29 @@ def _output_indices(layout: StateLayout, modal_states: list[int]) -> _OutputIndi
     signs = np.array([factor[2] for factor in factors], dtype=np.float64).reshape(-1, 2)
     q = np.array([modal_states.index(family.q) for family in layout.families], dtype=np.int64)
     return _OutputIndices(np.array(modal_states, dtype=np.int64), q, layout.symmetric.q, constant, rate_at, signs)
+
+
+_powers = kernel("forecast_powers", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY)
+_run = kernel("forecast_run", ARRAY, ARRAY, ARRAY, RECORD, RECORD, ARRAY, ARRAY)
+_pack_indices, _pack_snapshot = packed(_OutputIndices), packed(_FilterSnapshot)
+
+
+def powers(transition: Floats, noise: Floats, modal_states: Ints, count: int) -> tuple[Floats, Floats]:
+    """``E A^k``, (m, count, n), and ``E W_k E^T``, (m, m, count), for the selected states ``E``."""
+    m = len(modal_states)
+    transition_powers, process_cov = np.empty((m, count, len(noise))), np.empty((m, m, count))
+    _powers(transition, noise, modal_states, transition_powers, process_cov)
+    return transition_powers, process_cov
+
+
+def run_ahead(
+    transition_powers: Floats, noise: Floats, slope: Floats, indices: _OutputIndices, snapshot: _FilterSnapshot
+) -> tuple[Floats, Floats]:
+    """Modal coordinates and slope rates at all instants, (2, k, 2), and covariances, (2, k, 2, 2).
+
+    Modal states follow from the state by ``transition_powers`` (m, k, n), with process covariance ``noise`` (m, m, k).
+    """
+    count = transition_powers.shape[1]
+    values, spread = np.empty((2, count, 2)), np.empty((2, count, 2, 2))
+    _run(transition_powers, noise, slope, _pack_indices(indices), _pack_snapshot(snapshot), values, spread)
+    return values, spread

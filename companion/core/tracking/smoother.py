@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.kernels.arrays import History
-from companion.core.kernels.compiled import compiled
+from companion.core.kernels.filter_loops import pack_history
 from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.native.library import ARRAY, INTEGER, RECORD, kernel
 from companion.records import Floats
 
 
@@ -94,7 +95,9 @@ def _between(
     )
 
 
-@compiled
+_backward = kernel("smoother_backward", RECORD, INTEGER, INTEGER, ARRAY, ARRAY, ARRAY)
+
+
 def backward_pass(history: History, first: int, count: int) -> tuple[Floats, Floats, Floats]:
     """Run the adjoint recursion back over ``count`` steps to ``first``.
 
@@ -114,18 +117,7 @@ def backward_pass(history: History, first: int, count: int) -> tuple[Floats, Flo
     adjoint_information : (n, n) float64
         ``W`` at ``first``.
     """
-    size, n, state_and_sensitivity = history.state.shape
-    adjoint, adjoint_information = np.zeros((n, state_and_sensitivity)), np.zeros((n, n))
-    next_adjoint = adjoint
-    for back in range(1, count + 1):
-        slot = (first + count - back) % size
-        used = history.row_count[slot]
-        H = history.whitened_H[slot, :used]
-        H_t = np.ascontiguousarray(H.T)
-        cross_cov_t = np.ascontiguousarray(history.whitened_cross_cov[slot, :used].T)
-        closed_loop = history.transition[history.transition_index[slot]] - cross_cov_t @ H
-        closed_loop_t = np.ascontiguousarray(closed_loop.T)
-        next_adjoint = adjoint
-        adjoint = closed_loop_t @ adjoint + H_t @ history.whitened_innovation[slot, :used]
-        adjoint_information = closed_loop_t @ (adjoint_information @ closed_loop) + H_t @ H
-    return adjoint, next_adjoint, adjoint_information
+    _, n, width = history.state.shape
+    adjoint, next_adjoint, information = np.empty((n, width)), np.empty((n, width)), np.empty((n, n))
+    _backward(pack_history(history), first, count, adjoint, next_adjoint, information)
+    return adjoint, next_adjoint, information

@@ -7,7 +7,6 @@ from collections import deque
 
 import numpy as np
 
-from companion.core.kernels.compiled import compiled
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters
@@ -76,14 +75,11 @@ class ModalActivity:
         return self._rms
 
 
-@compiled
 def _rate_squares(states: Floats, first: int, count: int, rate_states: Ints, one_and_bias: Floats) -> Floats:
     """Sum of squares of both families' rates over ``count`` steps of the history from ``first`` on, (2,)."""
-    total = np.zeros(len(rate_states))
-    for k in range(first, first + count):
-        for family in range(len(rate_states)):
-            total[family] += np.dot(states[k % len(states), rate_states[family]], one_and_bias) ** 2
-    return total
+    rates = states[np.arange(first, first + count) % len(states)][:, rate_states] @ one_and_bias
+    squares: Floats = (rates**2).sum(axis=0)
+    return squares
 
 
 def classify_validity(

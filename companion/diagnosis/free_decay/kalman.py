@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.kernels.compiled import COMPILED, compiled
+from companion.native.library import ARRAY, REAL, RECORD, kernel, packed
 from companion.records import Floats
 
 _AT_REST = 1e-3  # initial variance over the noise variance: the wing rests before the first impulse
@@ -70,6 +70,10 @@ class Steps(NamedTuple):
     variance: Floats
 
 
+_pack_steps = packed(Steps)
+_filter = kernel("decay_filter", RECORD, ARRAY, REAL, ARRAY, ARRAY, ARRAY)
+
+
 def run(modes: Modes, y: Floats, step_s: float, ahead: int = 0) -> Filtered:
     """Filter ``y`` (b, t) under each hypothesis; with ``ahead`` > 0 also predict so many steps.
 
@@ -79,69 +83,8 @@ def run(modes: Modes, y: Floats, step_s: float, ahead: int = 0) -> Filtered:
     count, batch, order = steps.H.shape
     innovation, variance = np.empty((count, batch)), np.empty((count, batch))
     state = np.empty((count, batch, order))
-    kalman_filter = filter_each if COMPILED else filter_batch
-    kalman_filter(steps, np.ascontiguousarray(y.T), innovation, variance, state)
+    _filter(_pack_steps(steps), np.ascontiguousarray(y.T), _AT_REST, innovation, variance, state)
     return Filtered(innovation.T, variance.T, _ahead(steps, state, ahead) if ahead else None)
-
-
-def filter_batch(steps: Steps, y: Floats, innovation: Floats, variance: Floats, state: Floats) -> None:
-    """Step by step, all hypotheses at once: numpy's way. Fills the last three, (t, b) and (t, b, n)."""
-    transition, process_noise, H, cross_covariance, noise = steps
-    count, batch, order = H.shape
-    x, p = np.zeros((batch, order, 1)), np.zeros((batch, order, order))
-    p[:, range(order), range(order)] = _AT_REST * noise[0][:, None]
-    h_rows, h_columns, added, transposed = (
-        H[:, :, None, :],
-        H[..., None],
-        cross_covariance[..., None],
-        transition.swapaxes(2, 3),
-    )
-    for t in range(count):
-        ph = p @ h_columns[t]
-        s = (h_rows[t] @ ph) + noise[t][:, None, None]
-        e = y[t][:, None, None] - h_rows[t] @ x
-        gain = (transition[t] @ ph + added[t]) / s
-        x = transition[t] @ x + gain * e
-        p = transition[t] @ p @ transposed[t] + process_noise[t] - (gain * s) * gain.swapaxes(1, 2)
-        innovation[t], variance[t], state[t] = e[:, 0, 0], s[:, 0, 0], x[:, :, 0]
-
-
-@compiled
-def filter_each(steps: Steps, y: Floats, innovation: Floats, variance: Floats, state: Floats) -> None:
-    """Hypothesis by hypothesis: the compiler's way, with the numbers of :func:`filter_batch`."""
-    transition, process_noise, H, cross_covariance, noise = steps
-    count, batch, n = H.shape
-    for b in range(batch):
-        x, moved, ph, gain = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-        p, half = np.zeros((n, n)), np.zeros((n, n))
-        for i in range(n):
-            p[i, i] = _AT_REST * noise[0, b]
-        for t in range(count):
-            a = transition[t, b]
-            s, e = noise[t, b], y[t, b]
-            for i in range(n):
-                ph[i] = 0.0
-                for j in range(n):
-                    ph[i] += p[i, j] * H[t, b, j]
-                s += ph[i] * H[t, b, i]
-                e -= x[i] * H[t, b, i]
-            for i in range(n):
-                gain[i], moved[i] = cross_covariance[t, b, i], 0.0
-                for j in range(n):
-                    gain[i] += a[i, j] * ph[j]
-                    moved[i] += a[i, j] * x[j]
-                    half[i, j] = 0.0
-                    for k in range(n):
-                        half[i, j] += a[i, k] * p[k, j]
-                gain[i] /= s
-            for i in range(n):
-                x[i] = moved[i] + gain[i] * e
-                state[t, b, i] = x[i]
-                for j in range(n):
-                    p[i, j] = process_noise[t, b, i, j] - gain[i] * gain[j] * s
-                    for k in range(n):
-                        p[i, j] += half[i, k] * a[j, k]
-            innovation[t, b], variance[t, b] = e, s
 
 
 def _ahead(steps: Steps, states: Floats, ahead: int) -> Floats:

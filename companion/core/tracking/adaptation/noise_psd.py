@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from companion.core.kernels.compiled import compiled
 from companion.records import Floats
 
 Complexes = npt.NDArray[np.complex128]
@@ -75,7 +74,6 @@ class NoiseSpectrum:
         return density
 
 
-@compiled
 def _derivative_power_gain(frequency_hz: Floats, step_s: float) -> Floats:
     """Squared gain of the smooth derivative, 1/s^2; its kernel is odd, so a sine series suffices."""
     sine_sum = np.zeros(len(frequency_hz))

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.kernels.compiled import COMPILED, compiled, compiled_loops
 from companion.core.tracking.adaptation.model_spectrum import SpectralGrid, make_grid
 from companion.records import Floats, Ints
 
@@ -52,30 +51,6 @@ class Periodogram(NamedTuple):
     stride: int
     low_bins: int
     low_grid: int
-
-
-@compiled_loops
-def _convolved_by_loops(periodogram: Periodogram, density: Floats) -> Floats:
-    """Expected periodogram, compiled."""
-    low, kernel = periodogram.low_bins, periodogram.kernel
-    expected = np.empty(len(periodogram.power))
-    expected[low:] = density[periodogram.low_grid :]
-    for k in range(low):
-        first, total = k * periodogram.stride, 0.0
-        for j in range(len(kernel)):
-            total += kernel[j] * density[first + j]
-        expected[k] = total
-    return expected
-
-
-def _convolved_by_numpy(periodogram: Periodogram, density: Floats) -> Floats:
-    """Expected periodogram, numpy."""
-    fine = np.lib.stride_tricks.sliding_window_view(density[: periodogram.low_grid], len(periodogram.kernel))
-    return np.concatenate([fine[:: periodogram.stride] @ periodogram.kernel, density[periodogram.low_grid :]])
-
-
-window_convolved = _convolved_by_loops if COMPILED else _convolved_by_numpy
-"""Expected periodogram (b,) of a signal of this density (g,)."""
 
 
 def make_periodogram(
@@ -157,7 +132,6 @@ def _window(n: int, stride: int) -> tuple[Floats, float, float, Floats]:
     return taper, energy, energy**2 / (n * float(np.sum(taper**4))), kernel / float(kernel.sum())
 
 
-@compiled
 def _group_edges(first: int, last: int) -> Ints:
     """Bin numbers at which groups begin; each group is a small fraction of its frequency wide."""
     edges = [first]

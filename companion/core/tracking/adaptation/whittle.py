@@ -13,17 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.core.kernels.compiled import compiled
-from companion.core.tracking.adaptation.model_spectrum import acceleration_density, acceleration_gradient
-from companion.core.tracking.adaptation.periodogram import Periodogram, window_convolved
+from companion.core.tracking.adaptation.periodogram import Periodogram
 from companion.core.tracking.parameters import ParameterIndex
+from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
 from companion.records import Floats
 
 _PEAK_WIDTH = 0.03  # chosen, relative half width: of a lightly damped mode
-_MAX_LOG_STEP = 1.0  # numerical: a factor of e in one step
-_CONVERGED = 0.02  # numerical, log posterior: far below one sigma
-_MAX_DAMPING = 1e4  # numerical: Levenberg-Marquardt gives up
-_MIN_EXPECTED = 1e-12  # numerical, (m/s^2)^2/Hz: below any sensor's noise
 
 
 class LogNormalPrior(NamedTuple):
@@ -64,7 +59,13 @@ class WhittleFit:
     neg_log_posterior: float
 
 
-@compiled
+_pack_periodogram, _pack_prior = packed(Periodogram), packed(LogNormalPrior)
+_expected = kernel("whittle_expected", RECORD, RECORD, ARRAY, ARRAY)
+_cost = kernel("whittle_cost", RECORD, RECORD, ARRAY, ARRAY)
+_gradient = kernel("whittle_gradient", RECORD, RECORD, ARRAY, ARRAY, ARRAY)
+_improve = kernel("whittle_improve", RECORD, RECORD, ARRAY, INTEGER, ARRAY, ARRAY)
+
+
 def expected_power(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> Floats:
     """Expected periodogram at the parameters.
 
@@ -82,26 +83,27 @@ def expected_power(periodogram: Periodogram, prior: LogNormalPrior, log_params: 
     (b,) float64
         (m/s^2)^2/Hz.
     """
-    density = periodogram.noise_density.copy()
-    for family in range(len(prior.reference_hz)):
-        family_params = log_params[prior.places.first[family] : prior.places.end[family]]
-        density += acceleration_density(family_params, periodogram.grid, prior.reference_hz[family])
-    return np.maximum(window_convolved(periodogram, density), _MIN_EXPECTED)
+    expected = np.empty(len(periodogram.power))
+    _expected(_pack_periodogram(periodogram), _pack_prior(prior), log_params, expected)
+    return expected
 
 
-@compiled
 def neg_log_likelihood(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> float:
     """Whittle's negative log likelihood of the periodogram at ``log_params`` (p,)."""
-    expected = expected_power(periodogram, prior, log_params)
-    return float(np.sum(periodogram.weight * (np.log(expected) + periodogram.power / expected)))
+    return _costs(periodogram, prior, log_params)[0]
 
 
-@compiled
 def neg_log_posterior(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> float:
     """Negative log posterior at ``log_params`` (p,), up to a constant."""
-    return neg_log_likelihood(periodogram, prior, log_params) + 0.5 * float(
-        np.sum(((log_params - prior.mean) / prior.sigma) ** 2)
-    )
+    return _costs(periodogram, prior, log_params)[1]
+
+
+def _costs(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> tuple[float, float]:
+    """Negative log likelihood and posterior."""
+    costs = np.empty(2)
+    _cost(_pack_periodogram(periodogram), _pack_prior(prior), log_params, costs)
+    likelihood, posterior = costs.tolist()
+    return likelihood, posterior
 
 
 def fit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats, rounds: int) -> WhittleFit:
@@ -112,54 +114,12 @@ def fit(periodogram: Periodogram, prior: LogNormalPrior, start: Floats, rounds: 
     WhittleFit
         ``log_sigma`` is from the inverse Fisher information at the end.
     """
-    log_params, best, information = _improve(periodogram, prior, start, rounds)
+    log_params, best, information = start.copy(), np.empty(1), np.empty((len(start), len(start)))
+    _improve(_pack_periodogram(periodogram), _pack_prior(prior), log_params, rounds, information, best)
     spread: Floats = np.sqrt(np.diag(np.asarray(np.linalg.inv(information), dtype=np.float64)))
-    return WhittleFit(log_params, spread, float(best))
+    return WhittleFit(log_params, spread, float(best[0]))
 
 
-@compiled
-def _improve(
-    periodogram: Periodogram, prior: LogNormalPrior, start: Floats, rounds: int
-) -> tuple[Floats, float, Floats]:
-    """Parameters after the rounds, their negative log posterior and the information there."""
-    log_params, best, damping = start.copy(), neg_log_posterior(periodogram, prior, start), 1e-3
-    gradient, information = gradient_and_fisher(periodogram, prior, log_params)
-    for _ in range(rounds):
-        value, promised = best, np.inf
-        while value >= best and promised > _CONVERGED and damping < _MAX_DAMPING:  # a step is cheap beside a slope
-            tried = _moved(prior, log_params, gradient, information, damping)
-            promised = -0.5 * float(gradient @ (tried - log_params))
-            value = neg_log_posterior(periodogram, prior, tried)
-            damping = 0.2 * damping if value < best else max(8.0 * damping, 1e-2)
-        if value >= best:
-            break
-        done = best - value < _CONVERGED
-        log_params, best = tried, value
-        gradient, information = gradient_and_fisher(periodogram, prior, log_params)
-        if done:
-            break
-    return log_params, best, information
-
-
-@compiled
-def _moved(prior: LogNormalPrior, log_params: Floats, gradient: Floats, information: Floats, damping: float) -> Floats:
-    """One damped step; parameters at a bound are held where the step would push them out."""
-    at_limit = ((log_params <= prior.low) & (gradient > 0.0)) | ((log_params >= prior.high) & (gradient < 0.0))
-    pushed, reduced = -gradient, information.copy()
-    for k in range(len(log_params)):
-        reduced[k, k] *= 1.0 + damping
-    for k in range(len(log_params)):
-        if at_limit[k]:
-            pushed[k] = 0.0
-            reduced[k, :] = 0.0
-            reduced[:, k] = 0.0
-            reduced[k, k] = 1.0
-    step = np.minimum(np.maximum(np.linalg.solve(reduced, pushed), -_MAX_LOG_STEP), _MAX_LOG_STEP)
-    moved: Floats = np.minimum(np.maximum(log_params + step, prior.low), prior.high)
-    return moved
-
-
-@compiled
 def gradient_and_fisher(periodogram: Periodogram, prior: LogNormalPrior, log_params: Floats) -> tuple[Floats, Floats]:
     """Gradient and Fisher information of the negative log posterior.
 
@@ -178,20 +138,8 @@ def gradient_and_fisher(periodogram: Periodogram, prior: LogNormalPrior, log_par
     information : (p, p) float64
         Expected, prior included.
     """
-    jacobian = np.empty((len(log_params), len(periodogram.power)))
-    density = periodogram.noise_density.copy()
-    for family in range(len(prior.reference_hz)):
-        first, end = prior.places.first[family], prior.places.end[family]
-        family_params = log_params[first:end]
-        rows = acceleration_gradient(family_params, periodogram.grid, prior.reference_hz[family])
-        density += rows[0]
-        for k in range(end - first):
-            jacobian[first + k] = window_convolved(periodogram, rows[1 + k])
-    expected = np.maximum(window_convolved(periodogram, density), _MIN_EXPECTED)
-    jacobian /= expected
-    pull = (log_params - prior.mean) / prior.sigma**2
-    gradient = jacobian @ (periodogram.weight * (1.0 - periodogram.power / expected)) + pull
-    information = (periodogram.weight * jacobian) @ jacobian.T + np.diag(1.0 / prior.sigma**2)
+    gradient, information = np.empty(len(log_params)), np.empty((len(log_params), len(log_params)))
+    _gradient(_pack_periodogram(periodogram), _pack_prior(prior), log_params, gradient, information)
     return gradient, information
 
 

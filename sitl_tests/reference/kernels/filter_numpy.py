@@ -1,6 +1,6 @@
-"""Readable twin of the filter's inner loop, in numpy's matrix products; runs where nothing can be compiled.
+"""The filter's inner loop in numpy's matrix products: ``native/filter.c``.
 
-One function per equation of :mod:`companion.core.tracking.filter`; ``test_tracking_kernel`` holds both to one result.
+One function per equation of :mod:`companion.core.tracking.filter`; ``test_native_filter`` holds both to one result.
 """
 
 from __future__ import annotations

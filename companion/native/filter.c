@@ -1,0 +1,572 @@
+/* One step of the Kalman filter with separated bias an epoch: see core/tracking/filter.py for its equations, and
+ * core/kernels/arrays.py for its arrays and the gate. Absent rows cost nothing, and the zeros of the transition (nine
+ * tenths of it) are skipped. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "history.h"
+#include "linear.h"
+
+#define LOAD_FACTOR_TIME_S 0.1  /* kernels/arrays.py has the reasons of all of these */
+#define GATE_SIGMAS 5.0
+#define LOAD_VARIANCE_RATIO 2.0
+#define MAX_NOISE_INFLATION 1e6
+#define MAX_STEP_NIS 200.0
+
+typedef struct {
+    double step_s, trim_m, bend_per_g_m, root_z_variance, root_y_variance;
+    int64_t trim_column, bend_column;
+    const array *sensor_variance, *lateral_bias_state, *roll_misalignment_column, *vertical_bias_state,
+        *bias_projection;
+    int64_t common_bias_column;
+    const array *slope_factor_rows, *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources,
+        *regressor_signs;
+} constants_record;
+
+typedef struct {
+    const array *transition, *static_input, *row, *col, *value;
+    int64_t transition_index;
+    const array *H, *Q, *cross_cov, *process_noise_in_rows, *linearisation_rows;
+    double aliasing_variance;
+    int64_t moments_beside_gyro;
+} model_record;
+
+typedef struct {
+    const array *state_and_sensitivity, *covariance, *information, *one_and_bias, *nis_sums;
+} state_record;
+
+/* Everything of a run as plain pointers, and scratch arrays of one step. `used` are the numbers of the used rows,
+ * `position` each row's place among them (-1: absent); the scratch matrices hold the used rows. */
+typedef struct {
+    const constants_record *constants;
+    const double *sensor_variance, *bias_projection, *regressor_signs;
+    const int64_t *lateral_bias_state, *roll_misalignment_column, *vertical_bias_state, *slope_factor_rows,
+        *slope_factor_columns, *regressor_rows, *regressor_columns, *regressor_sources;
+    int64_t slope_factors, regressors;
+
+    const model_record *model;
+    const double *static_input, *value, *model_H, *Q, *cross_cov, *process_noise, *linearisation_rows;
+    const int64_t *row, *col;
+    int64_t entries, linearised_rows;
+
+    const double *rows, *vertical_mps2, *lateral_mps2, *slope_rate_gain, *lateral_gain, *load_g, *row_sensitivity,
+        *aliasing_noise, *root_motion_variance;
+    const uint8_t *present;
+
+    double *x, *covariance, *information, *one_and_bias, *nis_sums; /* x: [x | V], static bend in the last row */
+    history h;
+
+    int64_t count, used[ROWS], position[ROWS];
+    double innovation[ROWS], predicted_variance[ROWS], whitened[ROWS], row_innovation[ROWS], S[ROWS][ROWS];
+    double *state, *linearised, *H, *HP, *next_state, *next_covariance;
+} run;
+
+/* Static bend over the coming step and its sensitivities, in the last row of [x | V]. */
+static void set_static_bend(run *f, double load_g)
+{
+    const constants_record *c = f->constants;
+    double *bend = f->x + f->h.n * f->h.width;
+    bend[0] = c->trim_m + c->bend_per_g_m * load_g;
+    if (c->trim_column)
+        bend[c->trim_column] = 1.0;
+    if (c->bend_column) /* smoothed, because the noise of the load is in the innovations too */
+        bend[c->bend_column] += c->step_s / LOAD_FACTOR_TIME_S * (load_g - bend[c->bend_column]);
+}
+
+/* State, covariance and transition at the start of the step into the history. */
+static void store_prior(run *f, int64_t slot)
+{
+    int64_t n = f->h.n, width = f->h.width;
+    memcpy(f->h.state + slot * n * width, f->x, (size_t)(n * width) * sizeof(double));
+    memcpy(f->h.covariance + slot * n * n, f->covariance, (size_t)(n * n) * sizeof(double));
+    memcpy(f->h.static_m + slot * width, f->x + n * width, (size_t)width * sizeof(double));
+    f->h.transition_index[slot] = f->model->transition_index;
+}
+
+/* State at the estimated bias parameters, static bend last, and the linearisation rows of it. */
+static void linearise_state(run *f)
+{
+    int64_t n = f->h.n + 1;
+    for (int64_t i = 0; i < n; i++)
+        f->state[i] = dot(f->x + i * f->h.width, f->one_and_bias, f->h.width);
+    for (int64_t i = 0; i < f->linearised_rows; i++)
+        f->linearised[i] = dot(f->linearisation_rows + i * n, f->state, n);
+}
+
+/* Measured rows; first moments only where they add to a gyro. */
+static void select_rows(run *f, const uint8_t *present)
+{
+    f->count = 0;
+    for (int row = 0; row < ROWS; row++) {
+        bool moment = M_LEFT <= row && row < Y_LEFT;
+        f->position[row] = -1;
+        if (!present[row] || (moment && !f->model->moments_beside_gyro && present[P_LEFT + row - M_LEFT]))
+            continue;
+        f->used[f->count] = row;
+        f->position[row] = f->count++;
+    }
+}
+
+/* H of the used rows, with the tip's tilt linearised at the predicted state: through the tilt gravity shows slow
+ * bending. */
+static void linearise_rows(run *f, int64_t k)
+{
+    int64_t n = f->h.n + 1;
+    for (int64_t r = 0; r < f->count; r++)
+        memcpy(f->H + r * n, f->model_H + f->used[r] * n, (size_t)n * sizeof(double));
+    for (int side = 0; side < 2; side++) {
+        int64_t r = f->position[Z_LEFT + side], bias = f->lateral_bias_state[side];
+        double vertical = f->vertical_mps2[2 * k + side];
+        if (r >= 0)
+            add_scaled(f->H + r * n, f->linearisation_rows + side * n,
+                       -(vertical * f->linearised[side] + f->lateral_mps2[2 * k + side]), n);
+        r = f->position[Y_LEFT + side];
+        if (r >= 0 && bias >= 0)
+            f->H[r * n + bias] = f->lateral_gain[2 * k + side];
+        if (r >= 0 && f->constants->common_bias_column) /* the slope seen is lateral over vertical force */
+            for (int tip = 0; tip < 2; tip++)
+                f->H[r * n + f->vertical_bias_state[tip]] -=
+                    f->linearised[side] / vertical * f->bias_projection[2 * side + tip];
+    }
+}
+
+/* Replace the measurement by its prediction in the sensitivities that contain it. */
+static void regress_on_prediction(run *f, double *out)
+{
+    int64_t width = f->h.width;
+    for (int row = 0; row < ROWS; row++) {
+        int64_t at = f->position[row];
+        f->row_innovation[row] = at >= 0 ? dot(out + at * width, f->one_and_bias, width) : 0.0;
+    }
+    for (int64_t j = 0; j < f->regressors; j++) {
+        int64_t at = f->position[f->regressor_rows[j]];
+        if (at >= 0)
+            out[at * width + f->regressor_columns[j]] +=
+                f->regressor_signs[j] * f->row_innovation[f->regressor_sources[j]];
+    }
+}
+
+/* Innovation e of the used rows and its sensitivity D to the bias parameters, into (count, width). */
+static void find_innovation(run *f, int64_t k, double *out)
+{
+    int64_t n = f->h.n + 1, width = f->h.width;
+    for (int64_t r = 0; r < f->count; r++) {
+        const double *sensitivity = f->row_sensitivity + (k * ROWS + f->used[r]) * (width - 1);
+        out[r * width] = f->rows[k * ROWS + f->used[r]];
+        for (int64_t j = 1; j < width; j++)
+            out[r * width + j] = -sensitivity[j - 1];
+    }
+    for (int side = 0; side < 2; side++) {
+        double slope = f->linearised[side], rate = f->linearised[2 + side], vertical = f->vertical_mps2[2 * k + side];
+        int64_t r = f->position[Z_LEFT + side], roll = f->roll_misalignment_column[side];
+        if (r >= 0) {
+            out[r * width] -= 0.5 * vertical * slope * slope;
+            /* gravity along the lateral axis, by the predicted tilt: the axis itself would have measured it */
+            if (roll && !f->present[k * ROWS + Y_LEFT + side])
+                out[r * width + roll] += (1.0 - 2.0 * side) * vertical * slope;
+        }
+        r = f->position[Y_LEFT + side];
+        if (r >= 0) {
+            out[r * width] += f->slope_rate_gain[2 * k + side] * rate;
+            if (f->constants->common_bias_column)
+                out[r * width + f->constants->common_bias_column] += slope / vertical;
+        }
+    }
+    for (int64_t j = 0; j < f->slope_factors; j++) {
+        int64_t r = f->position[f->slope_factor_rows[j]];
+        if (r >= 0)
+            out[r * width + f->slope_factor_columns[j]] = f->linearised[4 + j];
+    }
+    for (int64_t r = 0; r < f->count; r++)
+        for (int64_t i = 0; i < n; i++)
+            if (f->H[r * n + i] != 0.0)
+                add_scaled(out + r * width, f->x + i * width, -f->H[r * n + i], width);
+    regress_on_prediction(f, out);
+}
+
+/* H P. */
+static void project_covariance(run *f)
+{
+    int64_t n = f->h.n;
+    memset(f->HP, 0, (size_t)(f->count * n) * sizeof(double));
+    for (int64_t r = 0; r < f->count; r++)
+        for (int64_t i = 0; i < n; i++)
+            if (f->H[r * (n + 1) + i] != 0.0)
+                add_scaled(f->HP + r * n, f->covariance + i * n, f->H[r * (n + 1) + i], n);
+}
+
+/* S = H P H^T + inflated process noise + sensor noise of the used rows; lower half. */
+static void find_innovation_covariance(run *f, int64_t k, double noise_inflation)
+{
+    int64_t n = f->h.n;
+    const double *motion = f->root_motion_variance + 3 * k, *gain = f->lateral_gain + 2 * k;
+    for (int64_t r = 0; r < f->count; r++) {
+        int64_t row = f->used[r];
+        for (int64_t q = 0; q <= r; q++)
+            f->S[r][q] = noise_inflation * f->process_noise[row * ROWS + f->used[q]] +
+                         dot(f->HP + r * n, f->H + q * (n + 1), n);
+        bool lateral = Y_LEFT <= row && row < P_LEFT;
+        f->S[r][r] += f->sensor_variance[row] * (lateral ? squared(gain[row - Y_LEFT]) : 1.0);
+        if (row < M_LEFT)
+            f->S[r][r] += noise_inflation * f->model->aliasing_variance * f->aliasing_noise[2 * k + row];
+        if (row == P_ROOT)
+            f->S[r][r] += motion[2];
+    }
+    for (int side = 0; side < 2; side++)
+        for (int other = 0; other <= side; other++) {
+            int64_t r = f->position[Z_LEFT + side], q = f->position[Z_LEFT + other];
+            if (r >= 0 && q >= 0)
+                f->S[r][q] += f->constants->root_z_variance + motion[0];
+            r = f->position[Y_LEFT + side];
+            q = f->position[Y_LEFT + other];
+            if (r >= 0 && q >= 0)
+                f->S[r][q] += (f->constants->root_y_variance + motion[1]) * gain[side] * gain[other];
+        }
+}
+
+/* Innovations at the estimated bias parameters, with their covariance; both are noted in the history. */
+static void sum_innovation(run *f, int64_t slot)
+{
+    double *innovation = f->h.innovation + slot * ROWS, *covariance = f->h.innovation_covariance + slot * ROWS * ROWS;
+    const double *rows = f->h.whitened_innovation + slot * ROWS * f->h.width;
+    memset(innovation, 0, ROWS * sizeof *innovation);
+    for (int row = 0; row < ROWS; row++)
+        memset(covariance + row * ROWS, 0, (size_t)(row + 1) * sizeof *covariance);
+    for (int64_t r = 0; r < f->count; r++) {
+        int64_t row = f->used[r];
+        innovation[row] = f->innovation[r] = dot(rows + r * f->h.width, f->one_and_bias, f->h.width);
+        f->predicted_variance[r] = f->S[r][r];
+        for (int64_t q = 0; q <= r; q++)
+            covariance[row * ROWS + f->used[q]] = f->S[r][q];
+    }
+}
+
+/* Cholesky factor L of S in place, diagonal inverted, and the whitened innovation; false without one. `robust`: the
+ * pivot of each row beyond the gate is raised until its innovation lies on the gate (Huber). */
+static bool factorise(run *f, bool robust)
+{
+    for (int64_t r = 0; r < f->count; r++) {
+        double innovation = f->innovation[r];
+        for (int64_t q = 0; q < r; q++) {
+            double total = f->S[r][q];
+            for (int64_t j = 0; j < q; j++)
+                total -= f->S[r][j] * f->S[q][j];
+            f->S[r][q] = total * f->S[q][q];
+            innovation -= f->S[r][q] * f->whitened[q];
+        }
+        double pivot = f->S[r][r];
+        for (int64_t j = 0; j < r; j++)
+            pivot -= f->S[r][j] * f->S[r][j];
+        if (!(0.0 < pivot && pivot < INFINITY))
+            return false;
+        if (robust)
+            pivot = most(pivot, fabs(innovation) * sqrt(pivot) / GATE_SIGMAS);
+        f->S[r][r] = 1.0 / sqrt(pivot);
+        f->whitened[r] = innovation * f->S[r][r];
+    }
+    return true;
+}
+
+/* Accumulate the NIS and note what teaches nothing; whether a row lies beyond the gate. */
+static bool gate(run *f, int64_t k, double *excess)
+{
+    double square_sum = 0.0, fade = 1.0 - f->constants->step_s;
+    bool gated = false;
+    memset(excess, 0, ROWS * sizeof *excess);
+    for (int64_t r = 0; r < f->count; r++) {
+        int64_t row = f->used[r];
+        double square = squared(f->whitened[r]), by_root = 0.0;
+        if (square > squared(GATE_SIGMAS)) {
+            gated = true;
+            double beyond = most(fabs(f->innovation[r]) - GATE_SIGMAS * sqrt(f->predicted_variance[r]), 0.0);
+            excess[row] = f->innovation[r] < 0.0 ? -beyond : beyond;
+        }
+        if (row < M_LEFT)
+            by_root = (1.0 + LOAD_VARIANCE_RATIO) * f->root_motion_variance[3 * k];
+        else if (row == P_ROOT)
+            by_root = f->root_motion_variance[3 * k + 2];
+        if (by_root > 0.5 * f->predicted_variance[r])
+            excess[row] = f->innovation[r];
+        square_sum += square;
+    }
+    f->nis_sums[0] = fade * f->nis_sums[0] + least(square_sum, MAX_STEP_NIS);
+    f->nis_sums[1] = fade * f->nis_sums[1] + (double)f->count;
+    return gated;
+}
+
+/* Factor on the process noise that puts the innovations of the gated vertical rows on the gate. */
+static double inflate_process_noise(const run *f, double before)
+{
+    double inflation = before;
+    for (int64_t r = 0; r < f->count; r++) {
+        int64_t row = f->used[r];
+        if (row >= M_LEFT || !(squared(f->whitened[r]) > squared(GATE_SIGMAS)))
+            continue;
+        double uncovered = squared(f->innovation[r]) - squared(GATE_SIGMAS) * f->predicted_variance[r];
+        inflation = most(inflation, before + uncovered / f->process_noise[row * ROWS + row]);
+    }
+    return least(inflation, MAX_NOISE_INFLATION);
+}
+
+/* C^T = H P A^T + H1 Q, with inflated process noise, into (count, n). */
+static void find_cross_covariance(const run *f, double noise_inflation, double *out)
+{
+    int64_t n = f->h.n;
+    for (int64_t r = 0; r < f->count; r++) {
+        const double *noise = f->cross_cov + f->used[r] * n, *HP = f->HP + r * n;
+        double *row = out + r * n;
+        for (int64_t i = 0; i < n; i++)
+            row[i] = noise_inflation * noise[i];
+        for (int64_t e = 0; e < f->entries; e++)
+            row[f->row[e]] += f->value[e] * HP[f->col[e]];
+    }
+}
+
+/* L^-1 times the rows (count, width), in place. */
+static void whiten(const run *f, double *rows, int64_t width)
+{
+    for (int64_t r = 0; r < f->count; r++) {
+        for (int64_t q = 0; q < r; q++)
+            add_scaled(rows + r * width, rows + q * width, -f->S[r][q], width);
+        for (int64_t j = 0; j < width; j++)
+            rows[r * width + j] *= f->S[r][r];
+    }
+}
+
+/* Add A rows, (n, width), to `out`. */
+static void add_transition_product(const run *f, const double *rows, int64_t width, double *out)
+{
+    for (int64_t e = 0; e < f->entries; e++)
+        add_scaled(out + f->row[e] * width, rows + f->col[e] * width, f->value[e], width);
+}
+
+/* [x | V] after the step: A x + b u + C S^-1 e, likewise for every column. */
+static void propagate_state(run *f, const double *cross_cov, const double *innovation)
+{
+    int64_t n = f->h.n, width = f->h.width;
+    memset(f->next_state, 0, (size_t)(n * width) * sizeof(double));
+    add_transition_product(f, f->x, width, f->next_state);
+    for (int64_t i = 0; i < n; i++) {
+        double *next = f->next_state + i * width;
+        if (f->static_input[i] != 0.0)
+            add_scaled(next, f->x + n * width, f->static_input[i], width);
+        for (int64_t r = 0; r < f->count; r++)
+            add_scaled(next, innovation + r * width, cross_cov[r * n + i], width);
+    }
+    memcpy(f->x, f->next_state, (size_t)(n * width) * sizeof(double));
+}
+
+/* P = A P A^T + inflated Q - C S^-1 C^T: the lower half, mirrored. */
+static void propagate_covariance(run *f, double noise_inflation, const double *cross_cov)
+{
+    int64_t n = f->h.n;
+    double *P = f->covariance, *product = f->next_covariance;
+    memset(product, 0, (size_t)(n * n) * sizeof(double));
+    add_transition_product(f, P, n, product);
+    for (int64_t i = 0; i < n; i++)
+        for (int64_t j = 0; j < i; j++) {
+            double kept = product[i * n + j];
+            product[i * n + j] = product[j * n + i];
+            product[j * n + i] = kept;
+        }
+    for (int64_t i = 0; i < n * n; i++)
+        P[i] = noise_inflation * f->Q[i];
+    add_transition_product(f, product, n, P);
+    for (int64_t i = 0; i < n; i++)
+        for (int64_t r = 0; r < f->count; r++)
+            add_scaled(P + i * n, cross_cov + r * n, -cross_cov[r * n + i], i + 1);
+    for (int64_t i = 0; i < n; i++)
+        for (int64_t j = 0; j < i; j++)
+            P[j * n + i] = P[i * n + j];
+}
+
+/* Predict, gate, update and propagate through epoch k; false where the numbers have run away. */
+static bool step(run *f, int64_t k, int64_t slot)
+{
+    int64_t n = f->h.n, width = f->h.width;
+    double *whitened_H = f->h.whitened_H + slot * ROWS * n;
+    double *innovation = f->h.whitened_innovation + slot * ROWS * width;
+    double *cross_cov = f->h.whitened_cross_cov + slot * ROWS * n;
+    set_static_bend(f, f->load_g[k]);
+    store_prior(f, slot);
+    linearise_state(f);
+    select_rows(f, f->present + k * ROWS);
+    f->h.row_count[slot] = f->count;
+    linearise_rows(f, k);
+    find_innovation(f, k, innovation);
+    project_covariance(f);
+    double shaken = LOAD_VARIANCE_RATIO * f->root_motion_variance[3 * k] / f->process_noise[Z_LEFT * ROWS + Z_LEFT];
+    double noise_inflation = least(1.0 + shaken, MAX_NOISE_INFLATION);
+    find_innovation_covariance(f, k, noise_inflation);
+    sum_innovation(f, slot);
+    if (!factorise(f, false))
+        return false;
+    bool gated = gate(f, k, f->h.gate_excess + slot * ROWS);
+    if (gated) {
+        noise_inflation = inflate_process_noise(f, noise_inflation);
+        find_innovation_covariance(f, k, noise_inflation);
+        if (!factorise(f, true))
+            return false;
+    }
+    find_cross_covariance(f, noise_inflation, cross_cov);
+    for (int64_t r = 0; r < f->count; r++)
+        memcpy(whitened_H + r * n, f->H + r * (n + 1), (size_t)n * sizeof(double));
+    whiten(f, whitened_H, n);
+    whiten(f, innovation, width);
+    whiten(f, cross_cov, n);
+    for (int64_t r = 0; r < (gated ? 0 : f->count); r++)
+        for (int64_t i = 0; i < width; i++)
+            add_scaled(f->information + i * width, innovation + r * width, innovation[r * width + i], width);
+    propagate_state(f, cross_cov, innovation);
+    propagate_covariance(f, noise_inflation, cross_cov);
+    return true;
+}
+
+static bool read_constants(const constants_record *record, run *f)
+{
+    bool good = true;
+    f->constants = record;
+    f->sensor_variance = reals(record->sensor_variance, 1, &good);
+    f->lateral_bias_state = integers(record->lateral_bias_state, 1, &good);
+    f->roll_misalignment_column = integers(record->roll_misalignment_column, 1, &good);
+    f->vertical_bias_state = integers(record->vertical_bias_state, 1, &good);
+    f->bias_projection = reals(record->bias_projection, 2, &good);
+    f->slope_factor_rows = integers(record->slope_factor_rows, 1, &good);
+    f->slope_factor_columns = integers(record->slope_factor_columns, 1, &good);
+    f->regressor_rows = integers(record->regressor_rows, 1, &good);
+    f->regressor_columns = integers(record->regressor_columns, 1, &good);
+    f->regressor_sources = integers(record->regressor_sources, 1, &good);
+    f->regressor_signs = reals(record->regressor_signs, 1, &good);
+    f->slope_factors = extent(record->slope_factor_rows, 0);
+    f->regressors = extent(record->regressor_rows, 0);
+    return good && extent(record->sensor_variance, 0) == ROWS && extent(record->bias_projection, 0) == 2;
+}
+
+static bool read_model(const model_record *record, run *f)
+{
+    bool good = true;
+    int64_t n = f->h.n;
+    f->model = record;
+    f->static_input = reals(record->static_input, 1, &good);
+    f->row = integers(record->row, 1, &good);
+    f->col = integers(record->col, 1, &good);
+    f->value = reals(record->value, 1, &good);
+    f->model_H = reals(record->H, 2, &good);
+    f->Q = reals(record->Q, 2, &good);
+    f->cross_cov = reals(record->cross_cov, 2, &good);
+    f->process_noise = reals(record->process_noise_in_rows, 2, &good);
+    f->linearisation_rows = reals(record->linearisation_rows, 2, &good);
+    f->entries = extent(record->value, 0);
+    f->linearised_rows = extent(record->linearisation_rows, 0);
+    return good && extent(record->static_input, 0) == n && has_shape(record->H, ROWS, n + 1, -1) &&
+           has_shape(record->Q, n, n, -1) && has_shape(record->cross_cov, ROWS, n, -1) &&
+           has_shape(record->process_noise_in_rows, ROWS, ROWS, -1) && extent(record->row, 0) == f->entries &&
+           extent(record->linearisation_rows, 1) == n + 1 && f->linearised_rows == 4 + f->slope_factors &&
+           record->transition_index < f->h.transitions;
+}
+
+static bool read_epochs(const epochs_record *record, int64_t last, run *f)
+{
+    bool good = true;
+    f->rows = reals(record->rows, 2, &good);
+    f->present = truths(record->present, 2, &good);
+    f->vertical_mps2 = reals(record->vertical_mps2, 2, &good);
+    f->lateral_mps2 = reals(record->lateral_mps2, 2, &good);
+    f->slope_rate_gain = reals(record->slope_rate_gain, 2, &good);
+    f->lateral_gain = reals(record->lateral_gain, 2, &good);
+    f->load_g = reals(record->load_g, 1, &good);
+    f->row_sensitivity = reals(record->sensitivity, 3, &good);
+    f->aliasing_noise = reals(record->aliasing_noise, 2, &good);
+    f->root_motion_variance = reals(record->root_motion_variance, 2, &good);
+    return good && extent(record->rows, 0) >= last && extent(record->present, 0) >= last &&
+           extent(record->sensitivity, 0) >= last && extent(record->sensitivity, 2) == f->h.width - 1 &&
+           extent(record->root_motion_variance, 0) >= last;
+}
+
+static bool read_state(const state_record *record, run *f)
+{
+    bool good = true;
+    int64_t n = f->h.n, width = f->h.width;
+    f->x = reals(record->state_and_sensitivity, 2, &good);
+    f->covariance = reals(record->covariance, 2, &good);
+    f->information = reals(record->information, 2, &good);
+    f->one_and_bias = reals(record->one_and_bias, 1, &good);
+    f->nis_sums = reals(record->nis_sums, 1, &good);
+    return good && has_shape(record->state_and_sensitivity, n + 1, width, -1) &&
+           has_shape(record->covariance, n, n, -1) && has_shape(record->information, width, width, -1) &&
+           extent(record->one_and_bias, 0) == width;
+}
+
+/* Filter the epochs first:last in place, the first of which is step `steps`; 0 where the innovation covariance is not
+ * positive definite or not finite: the filter has run away. */
+EXPORT int64_t filter_epochs(const constants_record *constants, const model_record *model,
+                             const epochs_record *epochs, const state_record *state, const history_record *past,
+                             int64_t first, int64_t last, int64_t steps)
+{
+    run f;
+    if (!read_history(past, &f.h) || !read_constants(constants, &f) || !read_model(model, &f) || first < 0 ||
+        !read_epochs(epochs, last, &f) || !read_state(state, &f))
+        return BAD_ARRAY;
+    int64_t n = f.h.n, width = f.h.width;
+    size_t room = (size_t)(n + 1 + f.linearised_rows + ROWS * (n + 1) + ROWS * n + n * width + n * n);
+    f.state = malloc(room * sizeof(double));
+    if (!f.state)
+        return NO_MEMORY;
+    f.linearised = f.state + n + 1;
+    f.H = f.linearised + f.linearised_rows;
+    f.HP = f.H + ROWS * (n + 1);
+    f.next_state = f.HP + ROWS * n;
+    f.next_covariance = f.next_state + n * width;
+    bool finite = true;
+    for (int64_t k = first; k < last && finite; k++)
+        finite = step(&f, k, (steps + k - first) % f.h.size);
+    free(f.state);
+    return finite;
+}
+
+/* Run the adjoint recursion of the smoother back over `count` steps to `first` (core/tracking/smoother.py): l (n, width)
+ * at it and at the step after it, W (n, n) at it. */
+EXPORT int64_t smoother_backward(const history_record *past, int64_t first, int64_t count, const array *adjoint_out,
+                                 const array *next_out, const array *information_out)
+{
+    bool good = true;
+    history h;
+    double *adjoint = reals(adjoint_out, 2, &good), *next = reals(next_out, 2, &good);
+    double *W = reals(information_out, 2, &good);
+    if (!good || !read_history(past, &h) || !has_shape(adjoint_out, h.n, h.width, -1) ||
+        !has_shape(next_out, h.n, h.width, -1) || !has_shape(information_out, h.n, h.n, -1) || first < 0)
+        return BAD_ARRAY;
+    int64_t n = h.n, width = h.width;
+    double *closed = malloc((size_t)(2 * n * n) * sizeof *closed), *product = closed + n * n;
+    if (!closed)
+        return NO_MEMORY;
+    memset(adjoint, 0, (size_t)(n * width) * sizeof *adjoint);
+    memset(next, 0, (size_t)(n * width) * sizeof *next);
+    memset(W, 0, (size_t)(n * n) * sizeof *W);
+    for (int64_t back = 1; back <= count; back++) {
+        int64_t slot = (first + count - back) % h.size, used = h.row_count[slot];
+        const double *H = h.whitened_H + slot * ROWS * n, *cross_cov = h.whitened_cross_cov + slot * ROWS * n;
+        const double *innovation = h.whitened_innovation + slot * ROWS * width;
+        memcpy(closed, h.transition + h.transition_index[slot] * n * n, (size_t)(n * n) * sizeof *closed);
+        for (int64_t i = 0; i < n; i++)
+            for (int64_t r = 0; r < used; r++)
+                add_scaled(closed + i * n, H + r * n, -cross_cov[r * n + i], n);
+        memcpy(next, adjoint, (size_t)(n * width) * sizeof *next);
+        multiply(W, closed, n, n, n, product);
+        memset(adjoint, 0, (size_t)(n * width) * sizeof *adjoint);
+        memset(W, 0, (size_t)(n * n) * sizeof *W);
+        for (int64_t k = 0; k < n; k++)
+            for (int64_t i = 0; i < n; i++) {
+                add_scaled(adjoint + i * width, next + k * width, closed[k * n + i], width);
+                add_scaled(W + i * n, product + k * n, closed[k * n + i], n);
+            }
+        for (int64_t r = 0; r < used; r++)
+            for (int64_t i = 0; i < n; i++) {
+                add_scaled(adjoint + i * width, innovation + r * width, H[r * n + i], width);
+                add_scaled(W + i * n, H + r * n, H[r * n + i], n);
+            }
+    }
+    free(closed);
+    return 0;
+}

@@ -1,0 +1,81 @@
+/* Linear algebra of small matrices, row after row: a library's calls cost more than these loops. */
+#ifndef SPANWISE_LINEAR_H
+#define SPANWISE_LINEAR_H
+
+#include <math.h>
+
+#include "arrays.h"
+
+/* Sum of products in four parts, so that the processor need not wait for each sum. */
+static inline double dot(const double *a, const double *b, int64_t n)
+{
+    double parts[4] = {0.0, 0.0, 0.0, 0.0};
+    int64_t k = 0;
+    for (; k + 4 <= n; k += 4)
+        for (int p = 0; p < 4; p++)
+            parts[p] += a[k + p] * b[k + p];
+    for (; k < n; k++)
+        parts[0] += a[k] * b[k];
+    return (parts[0] + parts[1]) + (parts[2] + parts[3]);
+}
+
+/* Add `factor` times a row to another. */
+static inline void add_scaled(double *restrict to, const double *restrict row, double factor, int64_t n)
+{
+    for (int64_t k = 0; k < n; k++)
+        to[k] += factor * row[k];
+}
+
+/* out = a b, (n, m) (m, w). */
+static inline void multiply(const double *a, const double *b, int64_t n, int64_t m, int64_t w, double *restrict out)
+{
+    for (int64_t i = 0; i < n; i++) {
+        for (int64_t j = 0; j < w; j++)
+            out[i * w + j] = 0.0;
+        for (int64_t k = 0; k < m; k++)
+            add_scaled(out + i * w, b + k * w, a[i * m + k], w);
+    }
+}
+
+/* out = a b^T, (n, m) (w, m). */
+static inline void multiply_transposed(const double *a, const double *b, int64_t n, int64_t m, int64_t w,
+                                       double *restrict out)
+{
+    for (int64_t i = 0; i < n; i++)
+        for (int64_t j = 0; j < w; j++)
+            out[i * w + j] = dot(a + i * m, b + j * m, m);
+}
+
+/* Solve a x = b by Gauss with the largest pivots of columns, in place of both; false where `a` is singular. */
+static inline bool solve(double *a, double *b, int64_t n)
+{
+    for (int64_t column = 0; column < n; column++) {
+        int64_t pivot = column;
+        for (int64_t row = column + 1; row < n; row++)
+            if (fabs(a[row * n + column]) > fabs(a[pivot * n + column]))
+                pivot = row;
+        if (!(fabs(a[pivot * n + column]) > 0.0))
+            return false;
+        for (int64_t k = column; k < n && pivot != column; k++) {
+            double kept = a[pivot * n + k];
+            a[pivot * n + k] = a[column * n + k];
+            a[column * n + k] = kept;
+        }
+        double kept = b[pivot];
+        b[pivot] = b[column];
+        b[column] = kept;
+        for (int64_t row = column + 1; row < n; row++) {
+            double factor = a[row * n + column] / a[column * n + column];
+            add_scaled(a + row * n + column, a + column * n + column, -factor, n - column);
+            b[row] -= factor * b[column];
+        }
+    }
+    for (int64_t row = n - 1; row >= 0; row--) {
+        for (int64_t k = row + 1; k < n; k++)
+            b[row] -= a[row * n + k] * b[k];
+        b[row] /= a[row * n + row];
+    }
+    return true;
+}
+
+#endif

@@ -1,0 +1,165 @@
+"""Smoother, forecast, lines and the Whittle fit against their numpy versions; the filter: test_tracking_kernel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.kernels.arrays import make_history
+from companion.core.tracking import prediction
+from companion.core.tracking.adaptation import whittle
+from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram
+from companion.core.tracking.adaptation.whittle import LogNormalPrior
+from companion.core.tracking.estimates import oscillation
+from companion.core.tracking.line_removal import LineStates, copied, line_states, remove_lines
+from companion.core.tracking.parameters import parameter_index
+from companion.core.tracking.prediction import _FilterSnapshot, _OutputIndices
+from companion.core.tracking.smoother import backward_pass
+from companion.records import Floats
+from sitl_tests.native import spectra
+from sitl_tests.reference.kernels import lines as plain_lines
+from sitl_tests.reference.kernels import model_spectrum as plain_spectrum
+from sitl_tests.reference.kernels import prediction as plain_prediction
+from sitl_tests.reference.kernels import smoother as plain_smoother
+from sitl_tests.reference.kernels import whittle as plain_whittle
+
+STEP_S = 0.004
+
+
+def _agree(got: object, expected: object, rtol: float = 1e-9, name: str = "") -> None:
+    size = float(np.abs(np.asarray(expected)).max(initial=0.0))
+    np.testing.assert_allclose(got, expected, rtol=rtol, atol=1e-2 * rtol * size + 1e-300, err_msg=name)
+
+
+def _stable(rng: np.random.Generator, n: int) -> Floats:
+    return 0.7 * np.linalg.qr(rng.standard_normal((n, n)))[0]
+
+
+def _spread(rng: np.random.Generator, n: int) -> Floats:
+    root = rng.standard_normal((n, n))
+    return root @ root.T / n
+
+
+@pytest.mark.parametrize(("n", "parameters", "size", "count"), [(12, 5, 40, 40), (24, 21, 16, 9), (3, 0, 1, 1)])
+def test_the_adjoint_runs_back_as_in_numpy(n: int, parameters: int, size: int, count: int) -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        history = make_history(size, n, parameters, 9)
+        for column in (history.whitened_H, history.whitened_innovation, history.whitened_cross_cov):
+            column[:] = 0.2 * rng.standard_normal(column.shape)
+        history.transition[:] = [_stable(rng, n) for _ in history.transition]
+        history.transition_index[:] = rng.integers(0, len(history.transition), size)
+        history.row_count[:] = rng.integers(0, 10, size)
+        first = int(rng.integers(0, 100))
+        for got, expected in zip(
+            backward_pass(history, first, count), plain_smoother.backward_pass(history, first, count), strict=True
+        ):
+            _agree(got, expected)
+
+
+@pytest.mark.parametrize("factors", [0, 2])
+def test_the_wing_runs_ahead_as_in_numpy(factors: int) -> None:
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        states, n, c, count = 20, 16, 7, int(rng.integers(1, 40))
+        modal_states = np.array([0, 1, 4, 5, 8, 9, 12, 13])
+        transition, noise = _stable(rng, n), _spread(rng, n)
+        powers = prediction.powers(transition, noise, modal_states, count)
+        for got, expected in zip(powers, plain_prediction.powers(transition, noise, modal_states, count), strict=True):
+            _agree(got, expected)
+        indices = _OutputIndices(
+            modal_states, np.array([0, 4]), 0, np.arange(factors), np.array([1, 5][:factors], np.int64),
+            rng.standard_normal((factors, 2)),
+        )  # fmt: skip
+        snapshot = _FilterSnapshot(
+            rng.standard_normal((states + 1, 1 + c)), rng.standard_normal(1 + c), _spread(rng, states), _spread(rng, c)
+        )
+        arguments = (*powers, rng.standard_normal((2, 8)), indices, snapshot)
+        for got, expected in zip(
+            prediction.run_ahead(*arguments), plain_prediction.run_ahead(*arguments), strict=True
+        ):  # fmt: skip
+            _agree(got, expected)
+
+
+def test_an_oscillation_is_described_as_in_numpy() -> None:
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        state, covariance = 0.02 * rng.standard_normal(12), 1e-6 * _spread(rng, 12)
+        index = tuple(int(each) for each in rng.choice(12, 3, replace=False))
+        arguments = (state, covariance, index, 0.01, rng.uniform(2, 30), 0.03, rng.uniform(0, 0.5))
+        _agree(oscillation(*arguments), plain_prediction.oscillation(*arguments))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_lines_are_followed_and_removed_as_in_python(count: int) -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        t_ns = np.cumsum(rng.integers(900_000, 1_100_000, 400))
+        t_ns[int(rng.integers(50, 350)) :] += int(rng.choice([0, 1_000_000, 5_000_000]))
+        frequency_hz = rng.uniform(40, 180, count)
+        t = 1e-9 * t_ns[:, None]
+        values = 0.01 * rng.standard_normal((400, 6))
+        for hz in frequency_hz:
+            values += rng.standard_normal(6) * np.cos(2 * np.pi * 1.01 * hz * t + rng.uniform(0, 6, 6))
+        values[int(rng.integers(0, 400)), 2] += 100.0
+        mine: LineStates = line_states(frequency_hz, np.full(6, 1e4))
+        plain = copied(mine)
+        for first, end in ((0, 250), (250, 251), (251, 400)):
+            arguments = (t_ns[:end], values[:end], first, 1e-3)
+            got = remove_lines(*arguments, mine)
+            with np.errstate(invalid="ignore"):  # before the first sample there is an infinite gap
+                _agree(got, plain_lines.remove_lines(*arguments, plain), 1e-7)
+        for name, one, other in zip(LineStates._fields, mine, plain, strict=True):
+            _agree(one, other, 1e-6, name)
+
+
+def _family(modes: int) -> Floats:
+    """Log parameters of a family: the first mode with the gust's corners, then the further ones."""
+    further = [[*np.log([27.0 + 9.0 * k, 0.02, 3e-3]), 0.3] for k in range(1, modes)]
+    return np.concatenate([np.log([5.0, 0.04, 0.2, 2.0, 20.0]), *further])
+
+
+def _problem(rng: np.random.Generator, modes: list[int]) -> tuple[Periodogram, LogNormalPrior, Floats]:
+    samples = np.convolve(rng.standard_normal(1020), np.sin(0.13 * np.arange(60)) * 0.95 ** np.arange(60))[:1000]
+    noise = 10.0 ** rng.uniform(-4, -2)
+    periodogram = make_periodogram(samples, STEP_S, (0.25, 11.0, 120.0), lambda hz: np.full_like(hz, noise))
+    start = np.concatenate([_family(count) for count in modes])
+    mean = start + 0.3 * rng.standard_normal(len(start))
+    sigma = rng.uniform(0.1, 2.0, len(start))
+    reach = rng.choice([0.2, 4.0])
+    prior = LogNormalPrior(
+        mean, sigma, mean - reach * sigma, mean + reach * sigma, rng.uniform(4, 7, len(modes)), parameter_index(modes)
+    )
+    return periodogram, prior, np.clip(start, prior.low, prior.high)
+
+
+@pytest.mark.parametrize("modes", [[1], [2], [3], [2, 2]])
+def test_the_whittle_fit_is_that_of_numpy(modes: list[int]) -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        periodogram, prior, start = _problem(rng, modes)
+        problem = (periodogram, prior, start)
+        _agree(whittle.expected_power(*problem), plain_whittle.expected_power(*problem))
+        assert whittle.neg_log_likelihood(*problem) == pytest.approx(
+            plain_whittle.neg_log_likelihood(*problem), rel=1e-9
+        )
+        assert whittle.neg_log_posterior(*problem) == pytest.approx(plain_whittle.neg_log_posterior(*problem), rel=1e-9)
+        for got, expected in zip(
+            whittle.gradient_and_fisher(*problem), plain_whittle.gradient_and_fisher(*problem), strict=True
+        ):  # fmt: skip
+            _agree(got, expected, 1e-7)
+        fitted = whittle.fit(*problem, 3)
+        log_params, best, information = plain_whittle.improve(*problem, 3)
+        np.testing.assert_allclose(fitted.log_params, log_params, rtol=1e-5, atol=1e-6)
+        assert fitted.neg_log_posterior == pytest.approx(best, rel=1e-7)
+        np.testing.assert_allclose(fitted.log_sigma, np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-4)
+
+
+@pytest.mark.parametrize("modes", [1, 2, 4])
+def test_a_family_s_spectrum_and_its_slopes_are_those_of_numpy(modes: int) -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        periodogram, _, log_params = _problem(rng, [modes])
+        arguments = (log_params, periodogram.grid, 5.3)
+        _agree(spectra.acceleration_density(*arguments), plain_spectrum.acceleration_density(*arguments))
+        _agree(spectra.acceleration_gradient(*arguments), plain_spectrum.acceleration_gradient(*arguments), 1e-8)
