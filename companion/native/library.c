@@ -3,6 +3,16 @@
 
 EXPORT const char *sources_digest(void) { return SOURCES_DIGEST; }
 
+/* Whether this processor runs the library that is compiled for AVX2. */
+EXPORT int has_avx2(void)
+{
+#if defined(__x86_64__)
+    return __builtin_cpu_supports("avx2") != 0;
+#else
+    return 0;
+#endif
+}
+
 /* Whether an array of (3, 5) float64 at this address is read as what it is. */
 EXPORT int layout_agrees(const array *probe, int64_t address)
 {

@@ -80,7 +80,17 @@ def _checked(result: int, function: Any, _: Any) -> int:
 
 
 def _load() -> Any:
-    path = _HERE / "kernels.so"
+    library, wider = _opened(_HERE / "kernels.so"), _HERE / "kernels-avx2.so"
+    if library.has_avx2() and wider.exists():
+        library = _opened(wider)
+    probe = np.empty((3, 5))
+    library.layout_agrees.argtypes = (ARRAY, INTEGER)
+    if not library.layout_agrees(probe, probe.ctypes.data):
+        raise NativeLibraryError("this Python or numpy lays out its arrays in a way that the library does not know")
+    return library
+
+
+def _opened(path: Path) -> Any:
     try:
         library = ctypes.PyDLL(str(path))
     except OSError as error:
@@ -89,10 +99,6 @@ def _load() -> Any:
     library.sources_digest.restype = ctypes.c_char_p
     if sources_digest(_HERE) not in (None, library.sources_digest().decode()):
         raise NativeLibraryError(f"the compiled library {path} is not of the sources beside it: {_BUILD}")
-    probe = np.empty((3, 5))
-    library.layout_agrees.argtypes = (ARRAY, INTEGER)
-    if not library.layout_agrees(probe, probe.ctypes.data):
-        raise NativeLibraryError("this Python or numpy lays out its arrays in a way that the library does not know")
     return library
 
 

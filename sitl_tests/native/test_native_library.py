@@ -18,6 +18,15 @@ from companion.records import Floats
 
 ROOT = Path(__file__).resolve().parents[2]
 _seek = kernel("mavlink_seek", ARRAY, ARRAY, ARRAY, ARRAY)
+_SMOOTHED = """
+import numpy as np
+from companion.native.library import ARRAY, kernel
+rng = np.random.default_rng(1)
+powers, noise = np.empty((8, 40, 24)), np.empty((8, 8, 40))
+made = kernel("forecast_powers", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY)
+made(0.2 * rng.standard_normal((24, 24)), rng.standard_normal((24, 24)), np.arange(8), powers, noise)
+print(powers.tobytes().hex(), noise.tobytes().hex())
+"""
 
 
 def _loaded(tree: Path) -> subprocess.CompletedProcess[str]:
@@ -50,6 +59,21 @@ def test_a_library_older_than_its_sources_is_not_run(tree: Path) -> None:
     source = tree / "companion/native/mavlink.c"
     source.write_text(source.read_text() + "/* changed */\n")
     assert "is not of the sources beside it" in _loaded(tree).stderr
+
+
+def test_both_libraries_give_the_same_bits(tree: Path) -> None:
+    """The wider one, where this processor has what it needs, only adds and multiplies more numbers at once."""
+    wider = tree / "companion/native/kernels-avx2.so"
+    if not wider.exists():
+        pytest.skip("this machine has one library")
+    given = {**os.environ, "PYTHONPATH": f"{tree}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+    said = []
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "-P", "-c", _SMOOTHED], env=given, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout)
+        wider.unlink(missing_ok=True)
+    assert said[0] == said[1] != ""
 
 
 def test_an_installed_library_has_no_sources_beside_it(tree: Path) -> None:
