@@ -8,7 +8,7 @@ READY  := $(NATIVE)/kernels.so
 SECONDS ?= 120
 WAITING := sitl_tests/loop/test_missions.py
 
-.PHONY: demo test long check native warm fuzz fast lint types architecture generated bench trials lock clean help
+.PHONY: demo test long check native sanitize fuzz fast lint types architecture generated bench trials lock clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -55,8 +55,8 @@ fast: $(READY)
 
 native: $(READY) ## compile the inner loops in C (setup.py)
 
-warm: $(READY)   ## compile the inner loops ahead of their first use
-	$(BIN)/python -c 'from companion.core.warmup import warm_up; from companion.params.files import load_airframe; from companion.params.settings import Settings; warm_up(load_airframe("nadir-2m"), Settings())'
+sanitize: $(READY) ## run the inner loops under the address and undefined-behaviour sanitizers
+	$(BIN)/python -m pytest -m long sitl_tests/native/test_native_sanitized.py
 
 bench: $(READY)  ## speed, memory and accuracy figures, side by side with the alternatives
 	$(BIN)/python -m tools.bench

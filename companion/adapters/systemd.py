@@ -11,7 +11,6 @@ import socket
 from collections.abc import Mapping
 
 _FEEDS_PER_LIMIT = 4  # systemd asks for two
-_EXTENSION_US = 180_000_000
 _LONGEST_STATUS = 200  # characters that fit a line of systemctl
 
 
@@ -47,11 +46,6 @@ class ServiceManager:
             self._next_feed_ns = now_host_ns + self._interval_ns
         if status != self._status and self._tell(_status(status)):
             self._status = status
-
-    def preparing(self, status: str) -> None:
-        """Say what is done before the loop begins, and ask for three minutes more."""
-        if self._socket is not None:
-            self._tell(f"EXTEND_TIMEOUT_USEC={_EXTENSION_US}\n{_status(status)}")
 
     def close(self) -> None:
         """Release the socket."""

@@ -20,7 +20,6 @@ from companion.cli.steps.options import add_settings, make_folder, read_settings
 from companion.cli.terminal.demo_tables import print_summary
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View, live_view_possible
-from companion.core.warmup import warm_up
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.evaluation.flight_evaluation import evaluate_flight
 from companion.evaluation.pages.demo_picture import draw
@@ -87,7 +86,6 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
     live = live_view_possible(plain=options.plain or options.json)
     if options.realtime:
         return fly_in_real_time(config, flight, view, live=live)
-    warm_up(config.airframe, config.settings, _say_compiling)
     subject = Subject(config.airframe, config.settings, f"demo, seed {flight.seed}", is_recording=True)
     with live_session(config.live, subject) as watched:
         service = LockStepService(config, flight, watched)
@@ -99,12 +97,6 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
 
         fly(service, view, service.over, live=live, wait=wait)
     return EPOCH_NS, service.report()
-
-
-def _say_compiling(begun: int) -> None:
-    """Once; the view is not there yet."""
-    if begun == 1:
-        _say("compiling the estimator: one to two minutes of processor time, at the first start only ...")
 
 
 def _say(sentence: str) -> None:

@@ -4,7 +4,7 @@ A process that never ran for a minute is set up wrongly: after a few tries the s
 screen. One that has run (a camera that came loose in flight) is tried again for as long as the service lives, in
 growing pauses, while the others go on and the heartbeat tells.
 
-A worker may have a spare: a second process of it that has loaded and compiled everything and waits. It takes over as
+A worker may have a spare: a second process of it that has loaded everything and waits. It takes over as
 soon as the first is found dead, and the next spare is made once the new one has settled.
 """
 

@@ -7,12 +7,11 @@ import os
 import signal
 import socket
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
 from companion.adapters.clocks import MonotonicClock
-from companion.adapters.compiler_cache import outlive_full_disk
 from companion.adapters.mavlink.component.component import OnboardComponent
 from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.link.link import open_link
@@ -25,7 +24,6 @@ from companion.adapters.systemd import ServiceManager
 from companion.adapters.triggers.mavlink import CAMERAS, link_firing
 from companion.adapters.triggers.process import TriggerLink, line_pair, serve_trigger
 from companion.core.pipeline import VisionState, start
-from companion.core.warmup import warm_up
 from companion.errors import ConfigError, SpanwiseError
 from companion.live.broadcaster import require_live
 from companion.live.door import listen
@@ -35,7 +33,7 @@ from companion.live.session import Subject
 from companion.params.persist import Keeper, load_stored
 from companion.params.settings import Settings, tunables
 from companion.ports import Clock, Recorder
-from companion.records import Health, Notice, Record, Rejected, ServiceStatus, Shot, Station, TriggerPlan
+from companion.records import Notice, Record, Rejected, Shot, Station, TriggerPlan
 from companion.service import inertial, vision
 from companion.service.channel import Receiver, Sender, channel
 from companion.service.config import ServiceConfig
@@ -203,10 +201,7 @@ def _inertial_process(
 ) -> None:
     _ignore_interrupt()
     clock: Clock = MonotonicClock()
-    outlive_full_disk()
     manager = ServiceManager(os.environ)
-    tell = _unheard if gate is not None and gate.spare else _announced(shown, manager)
-    warm_up(config.airframe, config.settings, lambda begun: tell(compiling_status(begun, clock.now_ns())))
     if gate is not None and not gate.wait_for_turn(stop):
         return
     config = dataclasses.replace(config, settings=resumed(config.settings, stored_at_start, _stored(config)))
@@ -229,22 +224,6 @@ def _inertial_process(
         alive=manager.ticked,
     )
     inertial.run(loop, stop)
-
-
-def compiling_status(begun: int, now_host_ns: int) -> ServiceStatus:
-    """Status shown while the estimator is compiled and the link is not yet open."""
-    text = f"compiling the estimator, one to two minutes, at the first start only ({begun} functions so far)"
-    return ServiceStatus(now_host_ns, Health.BOOT, text, {})
-
-
-def _announced(shown: Sender, manager: ServiceManager) -> Callable[[ServiceStatus], object]:
-    """Where the state goes while the loop does not run yet: to the screen, and to systemd, which would give up else."""
-
-    def tell(status: ServiceStatus) -> None:
-        shown.send(status)
-        manager.preparing(status.reason)
-
-    return tell
 
 
 def _unheard(record: Record) -> None:
@@ -324,7 +303,6 @@ def _vision_process(
 ) -> None:
     _ignore_interrupt()
     assert config.cameras is not None
-    outlive_full_disk()
     recorder = _recorder(tape, eye)
     try:
         cameras = config.cameras()

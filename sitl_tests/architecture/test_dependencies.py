@@ -32,7 +32,7 @@ COMMAND = "from companion.cli.main import main\nsys.exit(main({arguments!r}))"
 
 
 def base_alone(program: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    surroundings = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "NUMBA_DISABLE_JIT": "1"}
+    surroundings = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"}
     return subprocess.run(
         [sys.executable, "-c", BASE_ALONE + program], cwd=folder, env=surroundings, capture_output=True, text=True,
         timeout=120,

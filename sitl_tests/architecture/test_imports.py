@@ -28,8 +28,6 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.native": (frozenset({"native", "errors"}), frozenset({"numpy"})),
     "companion.ports": (frozenset({"records", "errors"}), frozenset()),
     "companion.core": (frozenset({"core", "native", "records", "errors", "params"}), frozenset({"numpy", "scipy"})),
-    # the optional accelerator, in one file
-    "companion.core.kernels.compiled": (frozenset(), frozenset({"numba"})),
     "companion.core.stereo": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy", "cv2"})),
     "companion.adapters": (frozenset({"adapters", "native", "lifetime", "ports", "records", "errors", "params"}), ANY),
     "companion.sim": (
@@ -86,20 +84,7 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"numpy"}),
     ),
     "companion.service.wiring": (
-        frozenset(
-            {
-                "service",
-                "core.pipeline",
-                "core.warmup",
-                "lifetime",
-                "live",
-                "ports",
-                "params",
-                "records",
-                "errors",
-                "adapters",
-            }
-        ),
+        frozenset({"service", "core.pipeline", "lifetime", "live", "ports", "params", "records", "errors", "adapters"}),
         frozenset({"numpy"}),
     ),
     "companion.cli": (ANY, ANY),

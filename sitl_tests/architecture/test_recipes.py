@@ -61,7 +61,6 @@ def tree(tmp_path: Path) -> Path:
 
 def _run(tree: Path, *words: str) -> str:
     environment = {**os.environ, "PYTHONPATH": str(tree)}
-    environment.setdefault("NUMBA_CACHE_DIR", str(tree / "machine-code"))
     ran = subprocess.run(
         [sys.executable, *words], cwd=tree, env=environment, capture_output=True, text=True, timeout=240, check=False
     )

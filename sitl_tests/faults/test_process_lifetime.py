@@ -322,27 +322,6 @@ def test_workers_that_do_not_obey_are_ended_in_time() -> None:
     assert not any(worker.alive() for worker in supervisor._workers)
 
 
-_COMPILE = """
-import resource, sys
-from companion.adapters.compiler_cache import outlive_full_disk
-outlive_full_disk()
-resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-from numba import njit
-sys.path.insert(0, sys.argv[1])
-import small
-sys.exit(0 if small.twice(3) == 6 else 1)
-"""
-
-
-@pytest.mark.slow
-def test_a_compiler_that_cannot_keep_its_work_goes_on(tmp_path: Path) -> None:
-    pytest.importorskip("numba")
-    (tmp_path / "small.py").write_text("from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return 2 * x\n")
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-c", _COMPILE, str(tmp_path)]
-    assert subprocess.run(command, env=environment, check=False).returncode == 0
-
-
 def test_an_optional_worker_that_is_given_up_does_not_end_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
     supervisor = Supervisor(TurnedClock())
     supervisor.add("recorder", print, optional=True)

@@ -17,9 +17,6 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.core.warmup import warm_up
-from companion.params.files import load_airframe
-from companion.params.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 _RANGES_S = 200.0
@@ -80,7 +77,6 @@ def until(process: subprocess.Popen[str], pattern: str, timeout_s: float) -> str
 @pytest.mark.slow
 def test_the_tour_goes_as_the_readme_says(tmp_path: Path) -> None:
     vehicle, doctor, service, replay, diagnose = tour()
-    warm_up(load_airframe("nadir-2m"), Settings())  # as make demo has, before the tour
     port = str(free_port())
     doctor, service = doctor.replace("14550", port), service.replace("14550", port)
     with started(f"{vehicle} --connect udpout:127.0.0.1:{port}", tmp_path) as flying:

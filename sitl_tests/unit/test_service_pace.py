@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 
 from companion.adapters.clocks import ManualClock
-from companion.core import warmup as warming
 from companion.core.pipeline import VisionState, start
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, Frame, Health, Notice, Record, ServiceStatus, Side, Tick
+from companion.records import ClockName, Frame, Notice, Record, ServiceStatus, Side, Tick
 from companion.service import vision
 from companion.service.inertial import InertialLoop
 from companion.service.pace import Overload, TickPace, VisionPace
-from companion.service.wiring import compiling_status
 
 MS = 1_000_000
 SECOND = 1_000_000_000
@@ -194,17 +192,3 @@ def test_the_operator_and_the_state_hear_of_it_and_the_recording_stays_what_a_re
     states = [record for record in recorded if isinstance(record, ServiceStatus)]
     assert not any("keep up" in state.reason for state in states), "the recording must replay to what is in it"
     assert sum(isinstance(record, Tick) for record in recorded) > 500
-
-
-def test_while_the_estimator_compiles_it_is_said_and_afterwards_it_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    njit = pytest.importorskip("numba").njit
-    doubled = njit(lambda x: 2.0 * x)  # its machine code is kept in memory alone: this process compiles it once
-    told: list[int] = []
-    monkeypatch.setattr(warming, "_fly", lambda airframe, settings: doubled(1.0))
-    warming.warm_up(load_airframe("nadir-2m"), Settings(), told.append)
-    assert told == [1]
-    warming.warm_up(load_airframe("nadir-2m"), Settings(), told.append)
-    assert told == [1]
-    status = compiling_status(3, SECOND)
-    assert status.health is Health.BOOT
-    assert "compiling the estimator" in status.reason

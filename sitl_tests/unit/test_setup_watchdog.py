@@ -123,12 +123,6 @@ def test_the_loop_s_state_is_systemd_s_status(systemd: Listener) -> None:
     assert loop.status.split(":")[0] in ("boot", "standby")
 
 
-def test_what_is_prepared_is_told_with_a_plea_for_time(systemd: Listener) -> None:
-    ServiceManager(systemd.surroundings()).preparing("compiling\nthe estimator")
-    systemd.listen(0)
-    assert [line for _, line in systemd.heard] == ["EXTEND_TIMEOUT_USEC=180000000", "STATUS=compiling the estimator"]
-
-
 def test_without_a_watchdog_only_readiness_is_told(systemd: Listener) -> None:
     manager = ServiceManager({"NOTIFY_SOCKET": systemd.address})
     for tick in range(1000):
@@ -140,7 +134,6 @@ def test_without_a_watchdog_only_readiness_is_told(systemd: Listener) -> None:
 def test_without_systemd_nothing_is_done() -> None:
     manager = ServiceManager({"WATCHDOG_USEC": "1000000"})
     manager.ticked(SECOND, "active: tracking")
-    manager.preparing("compiling")
     manager.close()
 
 
@@ -148,7 +141,7 @@ def test_a_socket_that_is_full_or_gone_never_stops_the_loop_and_the_word_is_said
     manager = ServiceManager(systemd.surroundings())
     flood = ServiceManager({"NOTIFY_SOCKET": systemd.address})
     for turn in range(5000):  # until the listener's queue is full
-        flood.preparing(str(turn))
+        flood.ticked(turn * 10 * SECOND, str(turn))
     manager.ticked(SECOND, "standby: nothing arrives")
     systemd.listen(0)
     systemd.heard.clear()

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.core.kernels.compiled import COMPILED
 from companion.core.pipeline import start, step
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.tracker import WingTracker
@@ -84,49 +80,6 @@ def test_sensors_that_contradict_the_model_cost_the_trust_and_give_it_back(fligh
     assert all(validity is Validity.INCONSISTENT for _, validity, _, _ in during)
     assert history[-1][2] is None
     assert all(np.isfinite(nis) for *_, nis in history)
-
-
-_COLD = """
-import sys
-from companion.core.pipeline import smoothed, start, step
-from companion.core.warmup import warm_up
-from companion.params.files import load_airframe
-from companion.params.settings import Settings
-from companion.records import ClockName, Tick, TimesyncReply
-from companion.sim.flight.flight import build_flight
-from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
-
-def compiled():
-    owned = [vars(module) for name, module in sys.modules.items() if name.startswith("companion.core")]
-    found = [each for names in owned for each in names.values() if hasattr(each, "signatures")]
-    return {(each.__name__, str(signature)) for each in found for signature in each.signatures}
-
-for name in sys.argv[1:]:
-    airframe = load_airframe(name)
-    warm_up(airframe, Settings())
-    warm, state, now_ns = compiled(), start(airframe, Settings()), HOST_EPOCH_NS
-    for record in flight_records(build_flight(airframe, 3, 12.5)):
-        while now_ns <= record.received_host_ns:
-            state, _ = step(state, TimesyncReply(ClockName.BOOT, now_ns - 900_000, now_ns - 3_000_000_000, now_ns))
-            state, _ = step(state, Tick(now_ns))
-            now_ns += 20_000_000
-        state, _ = step(state, record)
-    smoothed(state, now_ns - 500_000_000)
-    print(name, len(warm), *sorted(compiled() - warm))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not COMPILED, reason="nothing is compiled without numba")
-def test_nothing_is_left_to_the_compiler_after_warming_up() -> None:
-    """In a process of its own, where no other test has compiled anything."""
-    names = ["nadir-2m", "sitl-plane"]  # nodes of their own; all sensors on the autopilot's link
-    run = subprocess.run([sys.executable, "-c", _COLD, *names], capture_output=True, text=True, check=True)
-    for name, line in zip(names, run.stdout.splitlines(), strict=True):
-        reported, count, *late = line.split(maxsplit=2)
-        assert reported == name
-        assert int(count) > 10
-        assert not late
 
 
 def _knowledge(kalman: SeparatedBiasFilter, others: list[int]) -> tuple[np.ndarray, ...]:

@@ -17,7 +17,7 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-EXTRAS = ("", "fast", "report", "oak", "all")
+EXTRAS = ("", "report", "oak", "all")
 _PACKAGED = ("companion", "config", "mission_scripts", "tools")
 _MB = 1e6
 _BASE_LIMIT_MB = 450.0  # what fits beside a 64-bit system on a 4 GB card, twice over; a convention

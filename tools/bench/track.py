@@ -21,7 +21,6 @@ from companion.adapters.mavlink.decode.decoder import Decoder
 from companion.core.pipeline import start, step
 from companion.core.tracking.states import make_layout
 from companion.core.trigger.scheduling import Scheduling
-from companion.core.warmup import warm_up
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -51,7 +50,6 @@ def run(seconds: float = SECONDS) -> list[dict[str, Any]]:
     frames = _frames(flight, round(seconds * 1000))
     chunks = _chunks(frames)
     inputs = _inputs(flight, chunks)
-    warm_up(belief, Settings())
     decode = _cpu_s(lambda: _decoded(chunks))
     early, late, plan = _driven(inputs, belief)
     decode, settled = decode / seconds, seconds - SETTLE_S

@@ -27,9 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.core.warmup import warm_up
 from companion.evaluation.metrics import rms, slow_part
-from companion.params.settings import Settings
 from companion.records import Floats
 from companion.sim.flight.worlds import WORLDS
 from tools.bench.publish_results import commit
@@ -213,8 +211,6 @@ def main(arguments: list[str] | None = None) -> int:
     wanted = rows(options.world, options.airframe, options.sensors)
     folder = options.parts or Path("out/world") / commit()
     if not options.table:
-        for name in {row.airframe for row in wanted}:
-            warm_up(CampaignRow("ideal", name, "6-axis").belief(), Settings())
         campaign(wanted, range(options.first, options.first + options.flights), folder)
     text, failures = show(gathered(wanted, folder))
     print(text)

@@ -185,7 +185,7 @@ class McapWriter:
 
 def machine() -> str:
     """Processor architecture and the packages whose arithmetic the estimates rest on, with their versions."""
-    packages = (f"{name} {_version(name)}" for name in ("numpy", "scipy", "opencv-python-headless", "numba"))
+    packages = (f"{name} {_version(name)}" for name in ("numpy", "scipy", "opencv-python-headless"))
     return ", ".join([platform.machine(), f"python {platform.python_version()}", *packages])
 
 
