@@ -11,7 +11,8 @@ through depth that varies. Yaw is the toe that falsifies ranges; its covariance 
 What two lenses may have wrong differently (focal length, radial distortion) is carried as two constants with a prior.
 
 The wing tracker's own slow error (trim bend, tilt bias) turns the cameras about one known axis; it is a state of its
-own, so that what the accelerometers know of it counts, and only that: see :class:`BendBelief`.
+own, so that what the accelerometers know of it counts, and only that: see :class:`BendBelief`. An error of scale of the
+tracker (gyros, slope factor) turns them by a constant share of the fast bend: another state, that pairs teach together.
 
 Matches of one pair, and of pairs that follow each other, share errors: interpolation, lenses and blur leave hundredths
 of a pixel that stay in their places. Across the lines they look like a yaw that is none. That false yaw is a constant
@@ -31,8 +32,8 @@ from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
-PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, YAW_BIAS = range(9)
-_SLOW = 9  # states that stay from pair to pair
+PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, YAW_BIAS, BEND_SCALE = range(10)
+_SLOW = 10  # states that stay from pair to pair
 _ALL = _SLOW + 8  # with this pair's error of the fast part, of the baseline's direction, and its innovation
 _FAST, _SHIFT, _INNOVATION = slice(_SLOW, _SLOW + 3), slice(_SLOW + 3, _SLOW + 5), slice(_SLOW + 5, _ALL)
 _BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
@@ -69,6 +70,8 @@ class ExtrinsicsPrior:
         Sigma of the difference of the lenses' relative focal lengths, and of their first radial terms; constants.
     yaw_bias_rad : float
         Sigma of the yaw that errors common to all pairs make up; a constant.
+    bend_scale : float
+        Sigma of the relative error of the tracked bend's fast part; a constant of a flight.
     parallax_rad : float
         What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
     systematic_rad : tuple of float
@@ -81,11 +84,12 @@ class ExtrinsicsPrior:
     focal: float = 0.0007
     radial: float = 0.002
     yaw_bias_rad: float = 0.0
+    bend_scale: float = 0.0
     parallax_rad: float = 0.00005
     systematic_rad: tuple[float, float, float] = SYSTEMATIC_DOWN_RAD
 
     def variances(self) -> Floats:
-        """Diagonal (7,) of the first covariance, bend and steady error left out."""
+        """Diagonal (7,) of the first covariance, of what the parallax has a column of its own for."""
         sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + [self.focal, self.radial]
         return np.array(sigmas, dtype=np.float64) ** 2
 
@@ -97,7 +101,7 @@ class ExtrinsicsPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendBelief:
-    """Slow error of the wing tracker, a slope common to both tips: axis, sigma and correlation time.
+    """Errors of the wing tracker that last, slopes common to both tips: slow error, and one of scale.
 
     Attributes
     ----------
@@ -107,11 +111,14 @@ class BendBelief:
         Of the slope, now.
     time_s : float
         How long the error stays what it is: that of the inertial biases.
+    fast_rad : float
+        The fast part of the tracked slope: an error of scale turns the cameras by a constant share of it.
     """
 
     direction: Floats
     sigma_rad: float
     time_s: float
+    fast_rad: float = 0.0
 
 
 NO_BEND = BendBelief(np.zeros(3), 0.0, 1000.0)
@@ -163,7 +170,7 @@ class EpipolarFilter:
         self.epipolar_from_body = epipolar_frame(rig)
         self._prior = prior
         self._mean = np.zeros(_SLOW)
-        self._covariance = np.diag([*prior.variances(), 0.0, prior.yaw_bias_rad**2])
+        self._covariance = np.diag([*prior.variances(), 0.0, prior.yaw_bias_rad**2, prior.bend_scale**2])
         self._bend_variance = 0.0
         self._updated_ns: int | None = None
         self._test = MatchTest()
@@ -216,13 +223,13 @@ class EpipolarFilter:
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
         prior = _joint(predicted, fast_covariance, shift_covariance)
-        answer = _solve(epipolar_rays, noise_rad, mean, prior, bend.direction)
+        answer = _solve(epipolar_rays, noise_rad, mean, prior, bend)
         verdict, granted_rad2 = self._test.take(
             _innovation(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast_covariance)
         )
         if verdict is MatchVerdict.KNOCKED:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
-            answer = _solve(epipolar_rays, noise_rad, mean, prior, bend.direction)
+            answer = _solve(epipolar_rays, noise_rad, mean, prior, bend)
         answer = _bound(answer, granted_rad2)
         self._mean, self._covariance, self._updated_ns = (
             answer.mean[:_SLOW],
@@ -230,12 +237,12 @@ class EpipolarFilter:
             t_host_ns,
         )
         self._bend_variance = bend.sigma_rad**2
-        return _describe(answer, bend.direction, verdict)
+        return _describe(answer, bend, verdict)
 
     def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
-        """Slow rotation (3,) and its covariance (3, 3) at a time at or after the last update."""
+        """Rotation (3,) and its covariance (3, 3) at or after the last update, by what stays between pairs."""
         mean, covariance = self._predicted(t_host_ns, bend)
-        gather = _gather(bend.direction)[:, :_SLOW]
+        gather = _gather(bend)[:, :_SLOW]
         return gather @ mean, gather @ covariance @ gather.T
 
     def _predicted(self, t_host_ns: int, bend: BendBelief) -> tuple[Floats, Floats]:
@@ -321,14 +328,14 @@ class _Posterior:
 
 
 def _joint(slow_covariance: Floats, fast_covariance: Floats, shift_covariance: Floats) -> Floats:
-    """Covariance (17, 17) of the slow part, this pair's rotation, baseline and innovation, before a pair."""
+    """Covariance (18, 18) of the slow part, this pair's rotation, baseline and innovation, before a pair."""
     joint = np.zeros((_ALL, _ALL))
     joint[:_SLOW, :_SLOW], joint[_FAST, _FAST] = slow_covariance, fast_covariance
     joint[_SHIFT, _SHIFT], joint[_INNOVATION, _INNOVATION] = shift_covariance, KNOCK_RAD**2 * np.eye(3)
     return joint
 
 
-def _solve(epipolar_rays: Rays, sigma_rad: Floats, slow: Floats, covariance: Floats, bend: Floats) -> _Posterior:
+def _solve(epipolar_rays: Rays, sigma_rad: Floats, slow: Floats, covariance: Floats, bend: BendBelief) -> _Posterior:
     """Maximum a posteriori by Gauss-Newton; bend, fast part and innovation add to the first three."""
     mean = np.concatenate([slow, np.zeros(_ALL - _SLOW)])
     gather = _gather(bend)
@@ -378,18 +385,18 @@ def _bound(answer: _Posterior, granted_rad2: Floats) -> _Posterior:
     )
 
 
-def _gather(bend: Floats) -> Floats:
-    """Rows (3, 17) that add up the relative rotation: slow part, fast part and innovation."""
+def _gather(bend: BendBelief) -> Floats:
+    """Rows (3, 18) that add up the relative rotation: slow part, fast part and innovation."""
     rows = np.zeros((3, _ALL))
     rows[:, :3] = rows[:, _FAST] = rows[:, _INNOVATION] = np.eye(3)
-    rows[:, BEND] = bend
+    rows[:, BEND], rows[:, BEND_SCALE] = bend.direction, bend.fast_rad * bend.direction
     return rows
 
 
-def _describe(answer: _Posterior, bend: Floats, verdict: MatchVerdict) -> EpipolarUpdate:
+def _describe(answer: _Posterior, bend: BendBelief, verdict: MatchVerdict) -> EpipolarUpdate:
     total = _gather(bend)
     slow = total.copy()
-    slow[:, _SLOW:] = 0.0
+    slow[:, BEND_SCALE:] = 0.0
     return EpipolarUpdate(
         slow_rad=slow @ answer.mean,
         slow_covariance=slow @ answer.covariance @ slow.T,

@@ -34,6 +34,7 @@ _YAW_BIAS_PX = 0.01  # what matching and lens model leave in its place from pair
 # milliradian of pitch and roll for seconds. Yaw is granted no more than to a pair that looks down: its innovation in
 # three rendered flights is 0.2 mrad rms, at most 2.3 of these sigmas, and a knock in yaw alone shows in nothing else.
 _SYSTEMATIC_AHEAD_RAD = (5e-4, 3e-4, 5e-4)
+_FAST_TIME_S = 2.0  # bend that lasts longer is slow: trim, load factor; the first modes lie far above (choice)
 _RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone
 
 
@@ -47,6 +48,7 @@ class ExtrinsicsDriftFilter:
         self.verdict = MatchVerdict.AGREE
         self._bend_variance = math.inf
         self._bend_ns = 0
+        self._mean_slope_rad: float | None = None
         self._per_slope = np.stack(
             [-rig.left.turn_rad(1.0), rig.right.turn_rad(1.0)], axis=1
         )  # relative rotation, body axes, per radian of left and right tip slope
@@ -124,8 +126,17 @@ class ExtrinsicsDriftFilter:
         aged = -math.expm1(-2e-9 * max(t_host_ns - self._bend_ns, 0) / self._time_s)
         least = min(self._bend_variance, stated)
         least += aged * (stated - least)
+        fast_rad = self._fast_slope_rad(bend, t_host_ns)
         self._bend_variance, self._bend_ns = max(least, stated / _RIPPLE**2), t_host_ns
-        return BendBelief(direction, math.sqrt(self._bend_variance), self._time_s)
+        return BendBelief(direction, math.sqrt(self._bend_variance), self._time_s, fast_rad)
+
+    def _fast_slope_rad(self, bend: tuple[Deflection, Deflection], t_host_ns: int) -> float:
+        """Mean slope of both tips less its moving average over the pairs, rad."""
+        slope_rad = 0.5 * float(bend[0].slope_rad[Side.LEFT] + bend[1].slope_rad[Side.RIGHT])
+        before_rad = slope_rad if self._mean_slope_rad is None else self._mean_slope_rad
+        gain = -math.expm1(-1e-9 * max(t_host_ns - self._bend_ns, 0) / _FAST_TIME_S)
+        self._mean_slope_rad = before_rad + gain * (slope_rad - before_rad)
+        return slope_rad - self._mean_slope_rad
 
     def _fast(
         self,
@@ -170,12 +181,20 @@ def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
         focal=focal,
         radial=_RADIAL_SIGMA,
         yaw_bias_rad=_yaw_bias_rad(rig),
+        bend_scale=_bend_scale_sigma(airframe),
         systematic_rad=SYSTEMATIC_DOWN_RAD if airframe.looks_down else _SYSTEMATIC_AHEAD_RAD,
     )
 
 
+def _bend_scale_sigma(airframe: Airframe) -> float:
+    """Sigma of the tracked fast bend's relative error: tip gyros (without: accelerometers) and slope factor."""
+    slope, tips = airframe.wing.symmetric.slope_factor_radpm, (airframe.left, airframe.right)
+    scales = [tip.gyro_scale_sigma if "p" in tip.sends else tip.accel_scale_sigma for tip in tips]
+    return math.hypot(0.5 * math.hypot(*scales), slope.sigma / slope.value)
+
+
 def _yaw_bias_rad(rig: Rig) -> float:
-    """The yaw that an error of :data:`_STEADY_PX` across the epipolar lines pretends to be: it shows as ``x y``."""
+    """The yaw that an error of :data:`_YAW_BIAS_PX` across the epipolar lines pretends to be: it shows as ``x y``."""
     lens = rig.left.lens
     width_px, height_px = lens.size_px
     return float(_YAW_BIAS_PX * lens.focal_px / (0.25 * width_px * height_px))
