@@ -39,6 +39,10 @@ class Interest:
         value: int = self._mask.value
         return value
 
+    def view(self) -> memoryview:
+        """The number in place, for who reads it for every record."""
+        return memoryview(self._mask).cast("B").cast("Q")
+
     @mask.setter
     def mask(self, value: int) -> None:
         self._mask.value = value
@@ -75,7 +79,7 @@ class LiveFeed:
 
     def __init__(self, feed_end: FeedEnd) -> None:
         self._end = feed_end.end
-        self._interest = feed_end.interest
+        self._mask = feed_end.interest.view()
         self._client: RecorderClient | None = None
         self._pace = ImagePace()
 
@@ -86,7 +90,7 @@ class LiveFeed:
 
     def write(self, record: Recordable) -> None:
         """Hand over one record if somebody looks at its kind; never blocks."""
-        if not self._interest.mask & BIT[type(record)]:
+        if not self._mask[0] & BIT[type(record)]:
             return
         if isinstance(record, Frame) and not self._pace.take(record):
             return
