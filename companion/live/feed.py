@@ -39,13 +39,13 @@ class Interest:
         value: int = self._mask.value
         return value
 
-    def view(self) -> memoryview:
-        """The number in place, for who reads it for every record."""
-        return memoryview(self._mask).cast("B").cast("Q")
-
     @mask.setter
     def mask(self, value: int) -> None:
         self._mask.value = value
+
+    def view(self) -> memoryview:
+        """The number in place, for who reads it for every record."""
+        return memoryview(self._mask).cast("B").cast("Q")
 
 
 @dataclass(slots=True)
