@@ -6,19 +6,20 @@
 #include "arrays.h"
 
 #define TWO_PI 6.28318530717958647692
-#define AMPLITUDE_RADPS (TWO_PI * 2.0) /* line_removal.py has the reasons of all of these */
-#define PHASE_RADPS (TWO_PI * 4.0)
-#define K1 (2.0 * PHASE_RADPS)
+#define AMPLITUDE_RADPS (TWO_PI * 2.0) /* chosen: settles in 0.25 s */
+#define PHASE_RADPS (TWO_PI * 4.0)     /* chosen: rpm that jumps by a tenth within half a second stays in lock */
+#define K1 (2.0 * PHASE_RADPS)         /* derived, like the next two: Butterworth's polynomial */
 #define K2 (2.0 * PHASE_RADPS * PHASE_RADPS)
 #define K3 (PHASE_RADPS * PHASE_RADPS * PHASE_RADPS)
-#define FLOOR 0.05
-#define MAX_TURN_RAD 0.5
-#define MAX_PERIODS 2.5
-#define MIN_GAIN 0.02
-#define OMEGA_RATIO 0.3
-#define MAX_ALPHA_RADPS2 (TWO_PI * 100.0)
-#define MAX_ERRORS 6.0
-#define ERROR_MEMORY_S 0.5
+#define FLOOR 0.05       /* chosen, of the usual error squared: a line that is not yet seen turns nothing */
+#define MAX_TURN_RAD 0.5 /* chosen: of psi; a larger one is no small angle */
+#define MIN_PERIODS 0.1  /* chosen: no difference is taken across a shorter gap */
+#define MAX_PERIODS 2.5  /* chosen: or across a longer one */
+#define MIN_GAIN 0.002   /* chosen, |g|^2: samples that hardly differ along the line say nothing of it (34 Hz at 1 kHz) */
+#define OMEGA_RATIO 0.3  /* chosen: a line this far from where the spectrum showed it is lost */
+#define MAX_ALPHA_RADPS2 (TWO_PI * 100.0) /* chosen: of a harmonic; a shaft's inertia allows less */
+#define MAX_ERRORS 6.0     /* chosen, of the mean magnitude: a blow or a lie is no line */
+#define ERROR_MEMORY_S 0.5 /* chosen: a few periods of the wing */
 
 typedef struct {
     double re, im;
@@ -105,8 +106,10 @@ static void clean_sample(lines *l, const int64_t *t_ns, const double *values, in
 {
     int64_t channels = l->channels;
     double dt = k > 0 ? (double)(t_ns[k] - t_ns[k - 1]) * 1e-9 : period_s;
-    double before = k > 1 ? (double)(t_ns[k - 1] - t_ns[k - 2]) * 1e-9 : INFINITY, ratio = dt / before;
-    bool even = dt < MAX_PERIODS * period_s && before < MAX_PERIODS * period_s;
+    double before = k > 1 ? (double)(t_ns[k - 1] - t_ns[k - 2]) * 1e-9 : INFINITY;
+    double shorter = dt < before ? dt : before, longer = dt < before ? before : dt;
+    bool even = shorter > MIN_PERIODS * period_s && longer < MAX_PERIODS * period_s;
+    double ratio = even ? dt / before : 0.0;
     const double *here = values + k * channels;
     go_on(l, dt, before, ratio, even);
     for (int64_t c = 0; c < (even ? channels : 0); c++) {

@@ -12,8 +12,8 @@ _PHASE_RADPS = 2.0 * np.pi * 4.0  # chosen: rpm that jumps by a tenth within hal
 _K1, _K2, _K3 = 2.0 * _PHASE_RADPS, 2.0 * _PHASE_RADPS**2, _PHASE_RADPS**3  # derived: Butterworth's polynomial
 _FLOOR = 0.05  # chosen, of the usual error squared: a line that is not yet seen turns nothing
 _MAX_TURN_RAD = 0.5  # chosen: of psi; a larger one is no small angle
-_MAX_PERIODS = 2.5  # chosen: no difference is taken across a longer gap
-_MIN_GAIN = 0.02  # chosen, |g|^2: samples that hardly differ along the line say nothing of it
+_MIN_PERIODS, _MAX_PERIODS = 0.1, 2.5  # chosen: no difference is taken across a shorter or longer gap
+_MIN_GAIN = 0.002  # chosen, |g|^2: samples that hardly differ along the line say nothing of it (34 Hz at 1 kHz)
 _OMEGA_RATIO = 0.3  # chosen: a line this far from where the spectrum showed it is lost
 _MAX_ALPHA_RADPS2 = 2.0 * np.pi * 100.0  # chosen: of a harmonic; a shaft's inertia allows less
 _MAX_ERRORS, _ERROR_MEMORY_S = 6.0, 0.5  # chosen: times the mean magnitude, over a few periods of the wing
@@ -45,8 +45,9 @@ def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states
     for k in range(first, len(t_ns)):
         dt = (t_ns[k] - t_ns[k - 1]) * 1e-9 if k > 0 else period_s
         before = (t_ns[k - 1] - t_ns[k - 2]) * 1e-9 if k > 1 else np.inf
-        ratio = dt / before
-        even = dt < _MAX_PERIODS * period_s and before < _MAX_PERIODS * period_s
+        shorter, longer = min(dt, before), max(dt, before)
+        even = shorter > _MIN_PERIODS * period_s and longer < _MAX_PERIODS * period_s
+        ratio = dt / before if even else 0.0
         for j in range(lines):
             states.omega_radps[j] += states.alpha_radps2[j] * dt if even else 0.0
             states.phase_rad[j] = (states.phase_rad[j] + states.omega_radps[j] * dt) % (2.0 * np.pi)
