@@ -364,6 +364,8 @@ class Deflection:
         Rigid body rate at that instant, for bridging unequal exposures.
     slow_slope_sigma_rad : float
         The part of the symmetric slope's sigma that is slow (trim bend, tilt bias), one tip.
+    fast_slope_time_s : float
+        Correlation time of the rest of the symmetric slope's error: the noisier the sensors, the longer.
     """
 
     t_host_ns: int
@@ -374,6 +376,7 @@ class Deflection:
     body_rate_radps: Floats
     lag_ns: int
     slow_slope_sigma_rad: float
+    fast_slope_time_s: float = 0.0
 
 
 # --------------------------------------------------------------------------------------------- outputs

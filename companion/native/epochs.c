@@ -187,28 +187,27 @@ static void set(const jacobian *j, int row, int64_t column, double value)
 
 /* Columns of a tip's scale, misalignment and stamp errors. The rigid part of what is scaled is that of some epochs
  * earlier: the filter takes the row's innovation, tip less rigid motion, out of the regressor, and with it the root's
- * noise, which must then be in the regressor too. */
+ * noise, which must then be in the regressor too. What a misalignment mixes in from other axes is the rigid motion, as
+ * the root had it some epochs earlier: the tip's own axes carry vibration that is coherent with the row's. */
 static void tip_errors(const jacobian *j, const motion *m, int64_t k, int side, double gain, const int64_t *columns)
 {
     const double *tip = m->tip[side] + k * CHANNELS, *rate = m->d_tip[side] + k * CHANNELS;
-    double x = tip[0], y = tip[1], z = tip[2], scaled_y = y, scaled_z = z, scaled_p = tip[3];
-    if (k >= m->earlier) {
-        const double *now = m->rigid[side] + 3 * k, *before = now - 3 * m->earlier;
-        scaled_y += before[1] - now[1];
-        scaled_z += before[2] - now[2];
-        scaled_p += m->smooth[(k - m->earlier) * CHANNELS + ROLL] - m->smooth[k * CHANNELS + ROLL];
-    }
+    int64_t past = k >= m->earlier ? k - m->earlier : k;
+    const double *now = m->rigid[side] + 3 * k, *rigid = m->rigid[side] + 3 * past;
+    const double *turn = m->smooth + past * CHANNELS + ROLL;
+    double y = tip[1], z = tip[2], scaled_y = y + rigid[1] - now[1], scaled_z = z + rigid[2] - now[2];
+    double scaled_p = tip[3] + turn[0] - m->smooth[k * CHANNELS + ROLL];
     int vertical = Z_LEFT + side, lateral = Y_LEFT + side, roll = P_LEFT + side;
     set(j, vertical, columns[KZ], scaled_z);
     set(j, lateral, columns[KZ], -scaled_y * gain);
     set(j, lateral, columns[KY], scaled_y * gain);
     set(j, roll, columns[KP], scaled_p);
-    set(j, vertical, columns[MX], -y);
+    set(j, vertical, columns[MX], -rigid[1]);
     set(j, lateral, columns[MX], z * gain);
-    set(j, vertical, columns[MY], x);
-    set(j, roll, columns[MY], -tip[5]);
-    set(j, lateral, columns[MZ], -x * gain);
-    set(j, roll, columns[MZ], tip[4]);
+    set(j, vertical, columns[MY], rigid[0]);
+    set(j, roll, columns[MY], -turn[2]);
+    set(j, lateral, columns[MZ], -rigid[0] * gain);
+    set(j, roll, columns[MZ], turn[1]);
     set(j, vertical, columns[TAU], -rate[2]);
     set(j, lateral, columns[TAU], -(rate[1] - y * rate[2] * fabs(gain) * sign_of(z)) * gain);
     set(j, roll, columns[TAU], -rate[3]);

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.epipolar import EpipolarFilter, ExtrinsicsPrior, epipolar_frame, in_frame
+from companion.core.stereo.epipolar import EpipolarFilter, ExtrinsicsPrior, FastBelief, epipolar_frame, in_frame
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of
@@ -58,7 +58,7 @@ def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str
             one = EpipolarFilter(rig, prior) if way == "epipolar" else running
             rays = rays_of(rig, pair.matches, fast, mine)
             sigma_rad = pair.matches.sigma_px[mine] / rig.right.lens.focal_px
-            update = one.update(rays, sigma_rad, fast_sigma**2 * np.eye(3), pair.t_ns)
+            update = one.update(rays, sigma_rad, FastBelief(fast_sigma**2 * np.eye(3)), pair.t_ns)
             assert not isinstance(update, str), update
             correction, sigma = update.total_rad, np.sqrt(np.diag(update.total_covariance))
         believed = exp_rotation(epipolar_from_camera.T @ correction) @ exp_rotation(fast)

@@ -33,9 +33,10 @@ from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
 PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, YAW_BIAS, BEND_SCALE = range(10)
-_SLOW = 10  # states that stay from pair to pair
-_ALL = _SLOW + 8  # with this pair's error of the fast part, of the baseline's direction, and its innovation
-_FAST, _SHIFT, _INNOVATION = slice(_SLOW, _SLOW + 3), slice(_SLOW + 3, _SLOW + 5), slice(_SLOW + 5, _ALL)
+_SLOW = 10  # states of the slow part
+_KEPT = _SLOW + 3  # with the error of the fast part: states that stay from pair to pair
+_ALL = _KEPT + 5  # with this pair's error of the baseline's direction, and its innovation
+_FAST, _SHIFT, _INNOVATION = slice(_SLOW, _KEPT), slice(_KEPT, _KEPT + 2), slice(_KEPT + 2, _ALL)
 _BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
 _PARALLAX_STATES = 7  # states that the parallax has a column of its own for
 _MIN_MATCHES = 12  # seven columns, and as many again to tell outliers by (choice)
@@ -121,6 +122,22 @@ class BendBelief:
     fast_rad: float = 0.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FastBelief:
+    """Error of the wing tracker's fast part: a process of first order.
+
+    Attributes
+    ----------
+    covariance : (3, 3) float64
+        Of pitch, yaw, roll in the epipolar frame, now; rad^2.
+    time_s : float
+        Correlation time; 0: independent from pair to pair.
+    """
+
+    covariance: Floats
+    time_s: float = 0.0
+
+
 NO_BEND = BendBelief(np.zeros(3), 0.0, 1000.0)
 NO_SHIFT = np.zeros((2, 2))
 
@@ -158,8 +175,8 @@ class EpipolarUpdate:
 class EpipolarFilter:
     """Iterated, robust Kalman filter of the slow relative rotation, one update per matched pair.
 
-    The fast part comes from the wing tracker: its pose is in the rays that are given, its error is white from pair to
-    pair with the covariance that is given. The slow part walks at random.
+    The fast part comes from the wing tracker: its pose is in the rays that are given, its error has the covariance and
+    the correlation time that are given. The slow part walks at random.
 
     Each pair is solved with a rotation of its own that may be anything, the innovation. Where it goes with zero, it is
     set to zero again; where it contradicts, the pair has it (a stamp that is wrong), and where the contradiction stays
@@ -169,8 +186,10 @@ class EpipolarFilter:
     def __init__(self, rig: Rig, prior: ExtrinsicsPrior) -> None:
         self.epipolar_from_body = epipolar_frame(rig)
         self._prior = prior
-        self._mean = np.zeros(_SLOW)
-        self._covariance = np.diag([*prior.variances(), 0.0, prior.yaw_bias_rad**2, prior.bend_scale**2])
+        self._mean = np.zeros(_KEPT)
+        constants = [*prior.variances(), 0.0, prior.yaw_bias_rad**2, prior.bend_scale**2]
+        self._covariance = np.diag([*constants, 0.0, 0.0, 0.0])
+        self._fast_covariance = np.zeros((3, 3))
         self._bend_variance = 0.0
         self._updated_ns: int | None = None
         self._test = MatchTest()
@@ -190,7 +209,7 @@ class EpipolarFilter:
         self,
         rays: Rays,
         sigma_rad: Floats,
-        fast_covariance: Floats,
+        fast: FastBelief,
         t_host_ns: int,
         bend: BendBelief = NO_BEND,
         shift_covariance: Floats = NO_SHIFT,
@@ -203,8 +222,8 @@ class EpipolarFilter:
             Matched rays in body axes, by the believed fast part (``triangulation.match_rays``).
         sigma_rad : (n,) float64
             One-sigma of each parallax.
-        fast_covariance : (3, 3) float64
-            Of the believed fast relative rotation, pitch, yaw, roll in the epipolar frame; rad^2.
+        fast : FastBelief
+            Error of the believed fast relative rotation.
         t_host_ns : int
             Mid-exposure.
         bend : BendBelief
@@ -219,33 +238,33 @@ class EpipolarFilter:
         refused = self._refuse(rays, sigma_rad, t_host_ns)
         if refused is not None:
             return refused
-        mean, predicted = self._predicted(t_host_ns, bend)
+        mean, predicted = self._predicted(t_host_ns, bend, fast)
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        prior = _joint(predicted, fast_covariance, shift_covariance)
+        prior = _joint(predicted, shift_covariance)
         answer = _solve(epipolar_rays, noise_rad, mean, prior, bend)
         verdict, granted_rad2 = self._test.take(
-            _innovation(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast_covariance)
+            _innovation(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast.covariance)
         )
         if verdict is MatchVerdict.KNOCKED:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
             answer = _solve(epipolar_rays, noise_rad, mean, prior, bend)
         answer = _bound(answer, granted_rad2)
         self._mean, self._covariance, self._updated_ns = (
-            answer.mean[:_SLOW],
-            answer.covariance[:_SLOW, :_SLOW],
+            answer.mean[:_KEPT],
+            answer.covariance[:_KEPT, :_KEPT],
             t_host_ns,
         )
-        self._bend_variance = bend.sigma_rad**2
+        self._bend_variance, self._fast_covariance = bend.sigma_rad**2, fast.covariance
         return _describe(answer, bend, verdict)
 
     def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
-        """Rotation (3,) and its covariance (3, 3) at or after the last update, by what stays between pairs."""
-        mean, covariance = self._predicted(t_host_ns, bend)
+        """Rotation (3,) and its covariance (3, 3) at or after the last update, by what is slow."""
+        mean, covariance = self._predicted(t_host_ns, bend, FastBelief(np.zeros((3, 3))))
         gather = _gather(bend)[:, :_SLOW]
-        return gather @ mean, gather @ covariance @ gather.T
+        return gather @ mean[:_SLOW], gather @ covariance[:_SLOW, :_SLOW] @ gather.T
 
-    def _predicted(self, t_host_ns: int, bend: BendBelief) -> tuple[Floats, Floats]:
+    def _predicted(self, t_host_ns: int, bend: BendBelief, fast: FastBelief) -> tuple[Floats, Floats]:
         """Mean and covariance before the pair: the rotation wanders, the bend's error shrinks as the tracker learns.
 
         The tracker's next error is independent of what it learns until then, so of the part ``1 - s1^2/s0^2`` that it
@@ -253,15 +272,21 @@ class EpipolarFilter:
         """
         first = self._updated_ns is None
         passed_s = 0.0 if self._updated_ns is None else max(t_host_ns - self._updated_ns, 0) * 1e-9
-        keep = np.ones(_SLOW)
+        keep = np.ones(_KEPT)
         keep[:3] = np.exp(-passed_s / self._prior.time_s)
         before, now = self._bend_variance, bend.sigma_rad**2
         learnt = 0.0 if first or before <= 0.0 else min(now / before, 1.0)
         keep[BEND] = learnt * np.exp(-passed_s / bend.time_s)
-        fresh = np.zeros(_SLOW)
+        fresh = np.zeros(_KEPT)
         fresh[:3] = (1.0 - keep[:3] ** 2) * self._prior.rotation_rad**2
         fresh[BEND] = now - keep[BEND] ** 2 * before
+        before_fast, now_fast = float(np.trace(self._fast_covariance)), float(np.trace(fast.covariance))
+        if fast.time_s > 0.0 and before_fast > 0.0:
+            keep[_FAST] = min(now_fast / before_fast, 1.0) * np.exp(-passed_s / fast.time_s)
+        else:
+            keep[_FAST] = 0.0
         covariance = self._covariance * np.outer(keep, keep) + np.diag(fresh)
+        covariance[_FAST, _FAST] += _positive(fast.covariance - keep[_SLOW] ** 2 * self._fast_covariance)
         return keep * self._mean, covariance
 
     def _refuse(self, rays: Rays, sigma_rad: Floats, t_host_ns: int) -> Reject | None:
@@ -327,17 +352,23 @@ class _Posterior:
     used: int
 
 
-def _joint(slow_covariance: Floats, fast_covariance: Floats, shift_covariance: Floats) -> Floats:
-    """Covariance (18, 18) of the slow part, this pair's rotation, baseline and innovation, before a pair."""
+def _positive(covariance: Floats) -> Floats:
+    """Covariance (3, 3) without its negative eigenvalues."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _joint(kept_covariance: Floats, shift_covariance: Floats) -> Floats:
+    """Covariance (18, 18) of what is kept from pair to pair, this pair's baseline and innovation, before a pair."""
     joint = np.zeros((_ALL, _ALL))
-    joint[:_SLOW, :_SLOW], joint[_FAST, _FAST] = slow_covariance, fast_covariance
+    joint[:_KEPT, :_KEPT] = kept_covariance
     joint[_SHIFT, _SHIFT], joint[_INNOVATION, _INNOVATION] = shift_covariance, KNOCK_RAD**2 * np.eye(3)
     return joint
 
 
-def _solve(epipolar_rays: Rays, sigma_rad: Floats, slow: Floats, covariance: Floats, bend: BendBelief) -> _Posterior:
+def _solve(epipolar_rays: Rays, sigma_rad: Floats, kept: Floats, covariance: Floats, bend: BendBelief) -> _Posterior:
     """Maximum a posteriori by Gauss-Newton; bend, fast part and innovation add to the first three."""
-    mean = np.concatenate([slow, np.zeros(_ALL - _SLOW)])
+    mean = np.concatenate([kept, np.zeros(_ALL - _KEPT)])
     gather = _gather(bend)
     gather[YAW, YAW_BIAS] = 1.0
     prior_information = np.linalg.inv(covariance + _VARIANCE_FLOOR_RAD2 * np.eye(len(mean)))

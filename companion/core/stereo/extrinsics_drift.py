@@ -1,7 +1,7 @@
 """Holds the slow part of the relative rotation: what the tracker tells, what the matches say, and both fused.
 
 The tracker gives each tip's slope with a covariance, and which part of it is slow (trim bend, tilt bias). The rest is
-fast and independent from pair to pair. Mounting and thermal set of the cameras no inertial sensor sees. Out comes the
+fast: a process of first order. Mounting and thermal set of the cameras no inertial sensor sees. Out comes the
 relative rotation to take out of this pair, with its covariance; without matches, what is left of the last ones.
 """
 
@@ -18,6 +18,7 @@ from companion.core.stereo.epipolar import (
     EpipolarFilter,
     EpipolarUpdate,
     ExtrinsicsPrior,
+    FastBelief,
 )
 from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.geometry import Rig
@@ -111,7 +112,8 @@ class ExtrinsicsDriftFilter:
                 update.parallax_scale,
             )
         slow, covariance = self._filter.predict(t_host_ns, belief)
-        return RelativeRotation(matches.pair_id, t_host_ns, slow, covariance + fast, slow, covariance, 0, 0.0)
+        total_covariance = covariance + fast.covariance
+        return RelativeRotation(matches.pair_id, t_host_ns, slow, total_covariance, slow, covariance, 0, 0.0)
 
     def _belief(self, bend: tuple[Deflection, Deflection], t_host_ns: int) -> BendBelief:
         """Slow error of the tracker, without the ripple of its stated sigma.
@@ -143,8 +145,8 @@ class ExtrinsicsDriftFilter:
         bend: tuple[Deflection, Deflection],
         exposures: tuple[CameraExposure, CameraExposure],
         timing_sigma_s: float,
-    ) -> Floats:
-        """Covariance (3, 3) of the fast part: the slopes less what of them is slow, and stamps of moving cameras."""
+    ) -> FastBelief:
+        """Error of the fast part: the slopes' less what of it is slow, and stamps of moving cameras."""
         left, right = bend
         slopes = np.nan_to_num(0.5 * (left.covariance[4:, 4:] + right.covariance[4:, 4:]))
         slow = 0.5 * (left.slow_slope_sigma_rad + right.slow_slope_sigma_rad)
@@ -155,7 +157,7 @@ class ExtrinsicsDriftFilter:
         for side in Side:
             moved = timing_sigma_s * (self._filter.epipolar_from_body @ exposures[side].rate_radps)
             covariance = covariance + np.outer(moved, moved)
-        return covariance
+        return FastBelief(covariance, 0.5 * (left.fast_slope_time_s + right.fast_slope_time_s))
 
     def _shift(
         self, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float, motion: VehicleMotion

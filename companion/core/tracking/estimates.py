@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.parameters import DAMPING, FREQUENCY, ModeParameters
+from companion.core.tracking.smoother import error_after
 from companion.core.tracking.states import ModeFamily, StateLayout
 from companion.native.library import ARRAY, REAL, kernel
 from companion.records import Floats, ModeEstimate
+
+_LAG_S = 0.1  # chosen: about the time between two pairs
+_LONGEST_S = 5.0  # chosen: beyond, it makes no difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,3 +194,41 @@ def oscillation(
     _oscillation(state, covariance, np.array(index, np.int64), *mode, out)
     described: list[float] = out.tolist()
     return described
+
+
+def fast_slope_time_s(kalman: SeparatedBiasFilter, slope: Floats, step: int) -> float:
+    """Correlation time of the error of the mean slope that is not the biases', from the last tenth of a second, s.
+
+    The filter's error at one step, carried on by its closed loop, against its covariance; 0 where too few steps are
+    known.
+
+    Parameters
+    ----------
+    kalman : SeparatedBiasFilter
+        Filter with its history.
+    slope : (2, n) float64
+        From :func:`companion.core.tracking.model.slope_rows`.
+    step : int
+        At its end.
+    """
+    lag = round(_LAG_S / kalman.model.step_s)
+    first = step - lag
+    if first <= kalman.steps - kalman.history_length or first < 0:
+        return 0.0
+    mean, biases, size = 0.5 * (slope[0] + slope[1]), kalman.layout.bias_states, kalman.history_length
+    error = kalman.history.covariance[first % size] @ mean
+    carried = error_after(kalman.history, first, lag, error)
+    before, after = (_without_biases(kalman.history.covariance[at % size], mean, biases) for at in (first, step))
+    bias_gain = error[biases]
+    covariance = kalman.history.covariance[first % size][biases, biases]
+    kept = float(mean @ carried) - float(bias_gain @ np.linalg.solve(covariance, bias_gain))
+    variance = math.sqrt(before * after)
+    if not 0.0 < kept < variance:
+        return 0.0 if kept <= 0.0 else _LONGEST_S
+    return min(-lag * kalman.model.step_s / math.log(kept / variance), _LONGEST_S)
+
+
+def _without_biases(covariance: Floats, mean: Floats, biases: slice) -> float:
+    """Variance of the mean slope given the drifting biases, rad^2."""
+    gain = mean @ covariance[:, biases]
+    return max(float(mean @ covariance @ mean - gain @ np.linalg.solve(covariance[biases, biases], gain)), 0.0)

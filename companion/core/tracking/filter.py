@@ -32,8 +32,9 @@ from companion.records import Floats, Ints
 
 _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
-# that is not white, and a scale estimated from it is wrong. The biases of its rates are estimated.
-_CONSIDERED = frozenset(f"root.{error}" for error in SENSOR_ERRORS)
+# that is not white, and a scale estimated from it is wrong. The biases of its rates are estimated. The tips' stamps are
+# considered too: a gust that comes later is as likely, and a Taylor series in the offset would claim microseconds.
+_CONSIDERED = frozenset([*(f"root.{error}" for error in SENSOR_ERRORS), "left.tau", "right.tau"])
 _WANDERING = tuple(f"root.{error}" for error in ROOT_ERRORS)  # first-order processes
 
 

@@ -121,3 +121,14 @@ def backward_pass(history: History, first: int, count: int) -> tuple[Floats, Flo
     adjoint, next_adjoint, information = np.empty((n, width)), np.empty((n, width)), np.empty((n, n))
     _backward(pack_history(history), first, count, adjoint, next_adjoint, information)
     return adjoint, next_adjoint, information
+
+
+def error_after(history: History, first: int, count: int, error: Floats) -> Floats:
+    """Carry an error of the filter (n,) at step ``first`` over ``count`` steps, by ``F = A - K H``; (n,)."""
+    for step in range(first, first + count):
+        slot = step % len(history.state)
+        used = history.row_count[slot]
+        innovation = history.whitened_H[slot, :used] @ error
+        error = history.transition[history.transition_index[slot]] @ error
+        error = error - innovation @ history.whitened_cross_cov[slot, :used]
+    return error

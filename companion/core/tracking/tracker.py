@@ -12,7 +12,7 @@ import numpy as np
 
 from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.adaptation import Adaptation
-from companion.core.tracking.estimates import mode_estimate, tip_estimate, tip_output_matrix
+from companion.core.tracking.estimates import fast_slope_time_s, mode_estimate, tip_estimate, tip_output_matrix
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.line_search import KnownLines
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
@@ -384,6 +384,7 @@ class WingTracker:
             body_rate_radps=self._body_rate_at(int(step), fraction),
             lag_ns=self._next_ns - t_host_ns,
             slow_slope_sigma_rad=estimate.slow_slope_sigma_rad,
+            fast_slope_time_s=fast_slope_time_s(kalman, self._rows[4:], int(step)),
         )
 
     def _body_rate_at(self, step: int, fraction: float) -> Floats:

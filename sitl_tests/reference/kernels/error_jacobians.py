@@ -108,20 +108,21 @@ def _set_column(out: Floats, row: int, column: int, values: Floats) -> None:
 def _tip_errors(out: Floats, motion: SensedMotion, side: int, gain: Floats, columns: Ints) -> None:
     """Columns of a tip's scale, misalignment and stamp errors."""
     tip, rate = motion.tip[:, side], motion.d_tip[:, side]
-    x, y, z, p, q, r = tip[:, 0], tip[:, 1], tip[:, 2], tip[:, 3], tip[:, 4], tip[:, 5]
+    y, z, p = tip[:, 1], tip[:, 2], tip[:, 3]
     dy, dz, dp = rate[:, 1], rate[:, 2], rate[:, 3]
+    rigid, omega = _earlier(motion.rigid[:, side]), _earlier(motion.omega)
     vertical, lateral, roll = _Z + side, _Y + side, _P + side
     scaled_y, scaled_z = _with_earlier_rigid(motion, side, 1), _with_earlier_rigid(motion, side, 2)
     _set_column(out, vertical, columns[_KZ], scaled_z)
     _set_column(out, lateral, columns[_KZ], -scaled_y * gain)
     _set_column(out, lateral, columns[_KY], scaled_y * gain)
     _set_column(out, roll, columns[_KP], p + _earlier_less_present_roll(motion))
-    _set_column(out, vertical, columns[_MX], -y)
+    _set_column(out, vertical, columns[_MX], -rigid[:, 1])
     _set_column(out, lateral, columns[_MX], z * gain)
-    _set_column(out, vertical, columns[_MY], x)
-    _set_column(out, roll, columns[_MY], -r)
-    _set_column(out, lateral, columns[_MZ], -x * gain)
-    _set_column(out, roll, columns[_MZ], q)
+    _set_column(out, vertical, columns[_MY], rigid[:, 0])
+    _set_column(out, roll, columns[_MY], -omega[:, 2])
+    _set_column(out, lateral, columns[_MZ], -rigid[:, 0] * gain)
+    _set_column(out, roll, columns[_MZ], omega[:, 1])
     _set_column(out, vertical, columns[_TAU], -dz)
     _set_column(out, lateral, columns[_TAU], -(dy - y * dz * np.abs(gain) * np.sign(z)) * gain)
     _set_column(out, roll, columns[_TAU], -dp)
@@ -180,6 +181,13 @@ def _root_biases(out: Floats, motion: SensedMotion, side: int, gain: Floats, col
     _set_column(out, lateral, columns[_BP], (2.0 * aside * p - ahead * q) * gain)
     _set_column(out, vertical, columns[_BR], -(ahead * p + aside * q))
     _set_column(out, lateral, columns[_BR], (2.0 * aside * r - below * q) * gain)
+
+
+def _earlier(values: Floats) -> Floats:
+    """Values (n, 3) of :data:`EARLIER` epochs earlier."""
+    out = values.copy()
+    out[EARLIER:] = values[:-EARLIER]
+    return out
 
 
 def _one_epoch_earlier(values: Floats) -> Floats:
