@@ -121,13 +121,18 @@ class SeparatedBiasFilter:
         self._solve_bias_parameters()
         for name in names:
             column = self.layout.column(name)
-            if column is not None and name not in _CONSIDERED:
-                self._marginalise(column)
+            if column is not None:
+                self._marginalise(column, considered=name in _CONSIDERED)
         self._solve_bias_parameters()
 
-    def _marginalise(self, column: int) -> None:
-        """Integrate one bias parameter out of information, sensitivities and covariance."""
+    def _marginalise(self, column: int, *, considered: bool) -> None:
+        """Integrate one bias parameter out of information, sensitivities and covariance.
+
+        Of a considered one nothing is learned: its prior alone says how uncertain it was.
+        """
         accumulated = self._filter_state.information
+        if considered:
+            accumulated[column, :], accumulated[:, column] = 0.0, 0.0
         others = np.flatnonzero(np.arange(len(accumulated)) != column)
         strength = accumulated[column, column] + self._prior[column - 1, column - 1]
         regression = accumulated[column, others] / strength  # with minus sign: how the constant follows from the others
