@@ -45,7 +45,7 @@ def compiler() -> list[str]:
     if (command := installed_compiler()) is not None:
         return command
     if importlib.util.find_spec("ziglang") is not None:
-        return [sys.executable, "-m", "ziglang", "cc"]
+        return [sys.executable, "-m", "ziglang", "cc", "-s"]
     sys.exit("Spanwise needs a C compiler: install cc, gcc or clang, or `pip install ziglang` into this environment")
 
 

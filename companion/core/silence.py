@@ -28,6 +28,9 @@ NO_PAIRS = "shots bring no image pairs: trigger, cameras?"
 """Cause of silence, and reason of a CRITICAL status, where exposures bring no matches."""
 
 
+_TELLING = (CorrectedRange, TriggerPlan, Shot, MatchSet, Rejected)
+
+
 @dataclass(slots=True)
 class RangeSilence:
     """Adds up the time in which the tracker could have given ranges and none was trusted.
@@ -50,6 +53,8 @@ class RangeSilence:
 
     def note(self, record: Record) -> None:
         """Look at an input or output of the pipeline."""
+        if not isinstance(record, _TELLING):
+            return
         if isinstance(record, CorrectedRange) and record.trusted:
             self._begin_anew()
         elif not self._usable:

@@ -358,12 +358,9 @@ def _solve_parameters(
     consider_gain = consider_map * sigma[considered] ** 2
     estimated_total = estimated_covariance + consider_gain @ consider_map.T
     bias_parameters[estimated] = -estimated_covariance @ np.ascontiguousarray(accumulated[estimated + 1, 0])
-    for i in range(len(estimated)):
-        for j in range(len(estimated)):
-            covariance[estimated[i], estimated[j]] = estimated_total[i, j]
-        for j in range(len(considered)):
-            covariance[estimated[i], considered[j]] = consider_gain[i, j]
-            covariance[considered[j], estimated[i]] = consider_gain[i, j]
+    covariance[estimated[:, None], estimated] = estimated_total
+    covariance[estimated[:, None], considered] = consider_gain
+    covariance[considered[:, None], estimated] = consider_gain.T
 
 
 def _constants(

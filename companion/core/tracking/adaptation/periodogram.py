@@ -134,9 +134,10 @@ def _window(n: int, stride: int) -> tuple[Floats, float, float, Floats]:
 
 def _group_edges(first: int, last: int) -> Ints:
     """Bin numbers at which groups begin; each group is a small fraction of its frequency wide."""
-    edges = [first]
-    while edges[-1] < last:
-        edges.append(edges[-1] + max(1, int(_GROUP_WIDTH * edges[-1])))
+    edges, at = [first], first
+    while at < last:
+        at += max(1, int(_GROUP_WIDTH * at))
+        edges.append(at)
     return np.array(edges, dtype=np.int64)
 
 
