@@ -12,6 +12,11 @@ import pytest
 
 from companion.adapters.recordings.tables.number_table import read_table
 from companion.cli.main import main
+from companion.core.wing.effects import catalogue
+from companion.diagnosis.flights.adequacy import check
+from companion.diagnosis.flights.recordings import Flights
+from companion.evaluation.flight_models import models_of
+from companion.params.files import load_airframe
 from companion.records import Floats
 from sitl_tests.trials.stranger import GRAVITY, Flight, write
 
@@ -81,6 +86,37 @@ def test_a_torn_recording_is_diagnosed_like_a_whole_one(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, Flight(62), torn)
     assert found["verdict"] == "adequate"
     assert any("in 2 segments are judged" in note for note in found["notes"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "flight", "truth"),
+    [
+        ("camera-asymmetry", {"camera_gain": (1.0, 1.25)}, {"ratio": 0.125, "both": 0.125}),
+        ("mount-resonance", {"mount_hz": 16.0}, {"softness_s2": (2.0 * np.pi * 16.0) ** -2}),
+        ("sensor-filter", {"sensor_corner_hz": 45.0}, {"lag_s": 2.0**0.5 / (2.0 * np.pi * 45.0)}),
+    ],
+)
+def test_another_hand_s_form_of_an_effect_is_explained_by_its_name(
+    tmp_path: Path, name: str, flight: dict[str, Any], truth: dict[str, float]
+) -> None:
+    """One camera alone; a mount with a damper; a Butterworth filter."""
+    write(tmp_path, AIRFRAME, Flight(71, duration_s=40.0, rate_hz=400.0, decimals=5, **flight))
+    models = models_of([tmp_path], load_airframe("nadir-2m"))
+    flights = Flights(models, [catalogue()[name]])
+    null = flights.null()
+    assert any(abs(entry.z) > 5.0 for entry in check(models, null))
+    (candidate,) = flights.screen(null, lambda _what, _ratio: None).candidates
+    refitted = flights.refit(null, candidate)
+    assert refitted is not None
+    fitted = flights.fit(refitted[1].terms, refitted[1])
+    assert all(entry.passed for entry in check(models, fitted))
+    assert fitted.log_evidence > null.log_evidence + 50.0
+    names = [entry.name for entry in fitted.terms[0].effect.parameters()]
+    for parameter, value in truth.items():
+        place = fitted.blocks[0][names.index(parameter)]
+        # sigmas are of the model; of the sampled filter and the mount's loss 3 % are another hand's
+        assert abs(fitted.values[place] - value) < 3.0 * fitted.spread[place] + 0.03 * abs(value)
 
 
 @pytest.mark.slow

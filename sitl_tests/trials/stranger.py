@@ -46,6 +46,17 @@ class Flight:
     right_scale: float = 1.0
     jump: float = 0.0
     """By what share the first frequency jumps in the middle."""
+    camera_gain: tuple[float, float] = (1.0, 1.0)
+    """How far each camera turns per turn of its station, left and right."""
+    exposure_jitter_s: float = 0.0
+    """Each camera's exposure wanders by itself."""
+    skew_s_per_min: tuple[float, float] = (0.0, 0.0)
+    """What each node's clock gains a minute; both were right in the middle of the recording."""
+    sensor_corner_hz: float = 0.0
+    """Of a Butterworth filter of second order in both nodes."""
+    mount_hz: float = 0.0
+    mount_damping: float = 0.05
+    """Of an oscillator between each station and its camera."""
 
 
 @dataclass(frozen=True)
@@ -159,11 +170,31 @@ def _write_accel(
     for side, name in enumerate(("left", "right")):
         density = np.var(signal.sosfilt(lower, up[side])) * 10.0 ** (-0.1 * flight.snr_db) / _BAND_HZ
         late_s = rng.normal() * believed[name]["time_offset_sigma_s"] + side * flight.right_late_s
-        mean = np.interp(at_s - late_s, t, np.convolve(up[side], window, mode="same"))
+        taken_s = at_s - late_s - flight.skew_s_per_min[side] / 60.0 * (at_s - 0.5 * flight.duration_s)
+        mean = np.interp(taken_s, t, np.convolve(_filtered(up[side], flight), window, mode="same"))
         scale = (1.0 + rng.normal() * believed[name]["accel_scale_sigma"]) * (flight.right_scale if side else 1.0)
         noise = rng.standard_normal(len(at_s)) * math.sqrt(0.5 * density * flight.rate_hz)
         rows.append(scale * (-GRAVITY - mean) + noise)
     _save(folder / "accel.csv", "t_s,left_z_mps2,right_z_mps2", rows, (f"%.{flight.decimals}f", "%.5f", "%.5f"))
+
+
+def _filtered(values: Array, flight: Flight) -> Array:
+    if not flight.sensor_corner_hz:
+        return values
+    top, bottom = signal.butter(2, flight.sensor_corner_hz, fs=flight.rate_hz * _SUBSTEPS)
+    return np.asarray(signal.lfilter(top, bottom, values), dtype=np.float64)
+
+
+def _turned(slope: Array, flight: Flight, dt: float) -> Array:
+    """What the cameras turn by, (2, n): gains, then each on its mount."""
+    turned = slope * np.array(flight.camera_gain)[:, None]
+    if not flight.mount_hz:
+        return turned
+    omega = 2.0 * math.pi * flight.mount_hz
+    mount = (np.array([omega**2]), np.array([1.0, 2.0 * flight.mount_damping * omega, omega**2]))
+    top, bottom, _ = signal.cont2discrete(mount, dt)
+    rest = turned[:, :1]
+    return np.asarray(rest + signal.lfilter(top.ravel(), bottom, turned - rest, axis=1), dtype=np.float64)
 
 
 def _write_range(
@@ -175,7 +206,11 @@ def _write_range(
     at_s = np.arange(0.5 / _CAMERA_HZ, flight.duration_s, 1.0 / _CAMERA_HZ)
     inward = math.atan2(0.5 * baseline_m, flight.distance_m)
     focal_px = _drawn(rng, left["focal_px"])
-    disparity_px = focal_px * sum(np.tan(inward + np.interp(at_s, t, slope[side])) for side in range(2))
+    seen_s = np.stack([at_s, at_s])
+    if flight.exposure_jitter_s:
+        seen_s = seen_s + flight.exposure_jitter_s * rng.standard_normal(seen_s.shape)
+    turned = _turned(slope, flight, float(t[1] - t[0]))
+    disparity_px = focal_px * sum(np.tan(inward + np.interp(seen_s[side], t, turned[side])) for side in range(2))
     disparity_px = disparity_px + _MATCH_PX * rng.standard_normal(len(at_s))
     range_m = _value(left["focal_px"]) * baseline_m / disparity_px
     _save(folder / "range.csv", "t_s,range_m", [at_s, range_m], ("%.6f", "%.5f"))

@@ -144,6 +144,8 @@ def test_a_ringing_mount_gains_and_a_slow_shutter_loses() -> None:
     omega = 2 * np.pi * 5.0
     ringing = CameraView(softness_s2=1.0 / (2 * np.pi * 25.0) ** 2).follows(np.array([omega]))
     assert abs(ringing[0]) == pytest.approx(1.0 / (1.0 - 0.04), rel=1e-4)
+    damped = CameraView(softness_s2=1.0 / (2 * np.pi * 25.0) ** 2, damper_s=0.002).follows(np.array([omega]))
+    assert np.angle(damped[0]) == pytest.approx(-np.arctan2(0.002 * omega + 2 * 0.02 * 0.04, 1.0 - 0.04), rel=1e-4)
     slow = CameraView(readout2_s2=0.02**2).follows(np.array([omega]))
     rows = np.linspace(-0.01, 0.01, 2001)
     assert slow[0].real == pytest.approx(np.mean(np.cos(omega * rows)), rel=1e-4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, freqs
 
 from companion.core.wing.effect import Effect, ModalMotion, viewed
 from companion.core.wing.effects import catalogue
@@ -61,6 +62,20 @@ def test_response_and_samples_agree(name: str) -> None:
     response = effect.response(Station.RIGHT, np.array([f_hz]))
     assert response is not None
     assert seen == pytest.approx(complex(response[0]), abs=1e-6)
+
+
+def test_a_filter_of_second_order_is_the_butterworth_s() -> None:
+    corner_radps = 2.0 * np.pi * 45.0
+    effect = catalogue()["sensor-filter"](2.0**0.5 / corner_radps, corner_radps**-2)
+    response = effect.response(Station.LEFT, F_HZ)
+    assert response is not None
+    top, bottom = butter(2, corner_radps, analog=True)
+    assert response == pytest.approx(freqs(top, bottom, 2.0 * np.pi * F_HZ)[1])
+
+
+def test_one_camera_alone_turns_more() -> None:
+    effect = catalogue()["camera-asymmetry"](0.1, 0.1)
+    assert [viewed([effect], side, 0.0).slope_gain for side in Side] == pytest.approx([1.0, 1.2])
 
 
 @pytest.mark.parametrize("delay_s", [0.004, -0.004])

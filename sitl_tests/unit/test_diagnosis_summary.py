@@ -53,6 +53,12 @@ def test_what_betters_no_range_is_named_but_not_worth_flying(at_60_m: tuple[floa
     assert "--apply" not in told["next"]
 
 
+def test_the_gain_is_told_in_mrad_of_toe_too() -> None:
+    plain = diagnosed("explained", (1.82, 0.46))
+    plain["gain"]["toe_rms_rad"] = {"before": 1.0e-3, "after": 0.25e-3}
+    assert "(1.00 to 0.25 mrad of relative toe)" in summary_sentences(plain, [])["worth"]
+
+
 def test_without_matches_nothing_is_said_in_metres() -> None:
     plain = diagnosed("explained", None)
     assert worthwhile(plain) is None

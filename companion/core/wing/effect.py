@@ -105,8 +105,8 @@ class CameraView:
     """Camera as the effects have changed it: extra rotation vector (camera axes) and shift (body), focal, time.
 
     The mount follows the tip station's slope ``slope_gain`` times, ``lag_s`` late (first order), through a resonance at
-    ``1/sqrt(softness_s2)`` rad/s; the image is the mean over a readout of ``readout2_s2`` seconds squared; ``jitter_s``
-    is the standard deviation of what the exposure's instant wanders.
+    ``1/sqrt(softness_s2)`` rad/s with a damper of ``damper_s`` beside its loss; the image is the mean over a readout of
+    ``readout2_s2`` seconds squared; ``jitter_s`` is the standard deviation of what the exposure's instant wanders.
     """
 
     rotation_rad: Floats = field(default_factory=lambda: np.zeros(3))
@@ -117,16 +117,17 @@ class CameraView:
     lag_s: float = 0.0
     jitter_s: float = 0.0
     softness_s2: float = 0.0
+    damper_s: float = 0.0
     readout2_s2: float = 0.0
 
     def follows(self, omega_radps: Floats) -> Complexes:
         """Camera slope per station slope, (f,); (1,) where it is the same at every frequency."""
-        if not (self.lag_s or self.softness_s2 or self.readout2_s2):
+        if not (self.lag_s or self.softness_s2 or self.damper_s or self.readout2_s2):
             return np.array([self.slope_gain + 0.0j])
         omega: Floats = np.asarray(omega_radps)
         lag = 1.0 / (1.0 + 1j * omega * self.lag_s)
         soft = self.softness_s2 * omega**2
-        resonance = 1.0 / (1.0 - soft * (1.0 - 2j * MOUNT_DAMPING))
+        resonance = 1.0 / (1.0 - soft * (1.0 - 2j * MOUNT_DAMPING) + 1j * omega * self.damper_s)
         # a mean over T passes sinc(omega T / 2) = 1 - omega^2 T^2 / 24 + ...
         mean = np.sinc(np.sqrt(np.maximum(self.readout2_s2, 0.0)) * omega / (2.0 * np.pi))
         return np.asarray(self.slope_gain * lag * resonance * mean, dtype=np.complex128)

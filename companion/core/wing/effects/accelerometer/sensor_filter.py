@@ -13,7 +13,10 @@ from companion.records import Floats, Station
 
 @dataclass(frozen=True, slots=True)
 class SensorFilter(Effect):
-    """Both accelerometers pass a first-order lag of ``lag_s``."""
+    """Both accelerometers pass ``1 / (1 + lag s + second s^2)``.
+
+    A first-order lag has no second term; of a Butterworth filter of second order it is ``lag_s**2 / 2``.
+    """
 
     name: ClassVar[str] = "sensor-filter"
     group: ClassVar[Group] = Group.SENSING
@@ -21,12 +24,14 @@ class SensorFilter(Effect):
     advice: ClassVar[str] = "read the filter setting of the nodes; set lowpass_accel_hz"
 
     lag_s: float = parameter("s", 0.003, "time constant; its corner is 1/(2 pi lag) Hz")
+    second_s2: float = parameter("s^2", 5e-6, "of a filter of second order: one over its squared corner, rad/s")
 
     def response(self, station: Station, f_hz: Floats) -> Complexes:
         """A single pole."""
         if station is Station.ROOT:
             return np.ones(len(f_hz), dtype=np.complex128)
-        return np.asarray(1.0 / (1.0 + 2j * np.pi * f_hz * self.lag_s), dtype=np.complex128)
+        omega = 2.0 * np.pi * f_hz
+        return np.asarray(1.0 / (1.0 - self.second_s2 * omega**2 + 1j * omega * self.lag_s), dtype=np.complex128)
 
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
         """Filter a block of samples on an even grid."""

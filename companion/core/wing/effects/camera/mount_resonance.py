@@ -27,11 +27,13 @@ class MountResonance(Effect):
     advice: ClassVar[str] = "tap the camera and film; excite the wing at two frequencies: only a mount's gain grows"
 
     softness_s2: float = parameter("s^2", 2e-5, "one over omega_m squared (2e-5: 36 Hz)")
+    damper_s: float = parameter("s", 1e-3, "2 zeta / omega_m of its damper, beside a loss of 4 %")
 
     def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:
         """Follow as an oscillator."""
         del side, t_s
-        return dataclasses.replace(view, softness_s2=view.softness_s2 + self.softness_s2)
+        softness_s2, damper_s = view.softness_s2 + self.softness_s2, view.damper_s + self.damper_s
+        return dataclasses.replace(view, softness_s2=softness_s2, damper_s=damper_s)
 
     @classmethod
     def trial_values(cls, first_hz: float) -> tuple[dict[str, float], ...]:
