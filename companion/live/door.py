@@ -93,6 +93,8 @@ class Door:
                 await self._attend(reader, writer)
         except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
             pass  # whoever it was has gone, or never spoke HTTP
+        except asyncio.CancelledError:
+            pass  # the door closes, which is no error to be told
         finally:
             self._open -= 1
             writer.close()
