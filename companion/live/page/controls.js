@@ -1,7 +1,7 @@
 // Parameters and recordings: what can be changed from here, and what can be fetched.
 import { address } from "./protocol.js";
 
-const LIST_MS = 3000;
+const LIST_MS = 3000, REFRESH_MS = 1500;
 const element = (name, attributes = {}, ...children) => {
   const made = Object.assign(document.createElement(name), attributes);
   made.append(...children);
@@ -47,6 +47,13 @@ export class Parameters {
     entry.line.classList.toggle("changed", value !== entry.row.default);
   }
 
+  // What is in force now: changes made while this page was not connected are not told again.
+  async refresh() {
+    const answer = await fetch(address("about.json")).catch(() => null);
+    if (!answer?.ok) return;
+    for (const { name, value } of (await answer.json()).parameters) this.set(name, value);
+  }
+
   #row(row, canSet) {
     const field = row.choices.length
       ? element("select", {}, ...row.choices.map((word, i) => element("option", { value: String(row.minimum + i) }, word)))
@@ -57,6 +64,7 @@ export class Parameters {
     field.onchange = async () => {
       try {
         await post("parameters", { name: row.name, value: Number(field.value) });
+        setTimeout(() => this.refresh(), REFRESH_MS);
         toast(row.live ? `${row.name} asked for: ${field.value}` : `${row.name} ${field.value}: from the next start on`);
       } catch (error) {
         toast(error.message);

@@ -9,11 +9,11 @@ import { Clock, History, Swing } from "./state.js";
 import { Events, Health } from "./tables.js";
 import { WingView } from "./wing.js";
 
-const DRAW_MS = 200, STALE_S = 2.5, SKIP = "skip";
+const DRAW_MS = 200, STALE_S = 2.5, SKIP = "skip", SAME_SHOT_NS = 20e6;
 const $ = (id) => document.getElementById(id);
 const clock = new Clock(), ranges = new History(), modes = new History();
 const swings = [new Swing(), new Swing()];
-const shots = { fired: 0, skipped: 0, plans: new Map() };
+const shots = { fired: 0, skipped: 0, exposed_ns: -Infinity };
 let state = { plan: null, slow_m: [0, 0], heard_s: -Infinity, range: null, first_s: null };
 
 const signed = (value, digits) => `${value < 0 ? "\u2212" : "+"}${Math.abs(value).toFixed(digits)}`;
@@ -53,14 +53,14 @@ function showPlan(plan) {
   clock.hear(plan.planned_host_ns);
   state.plan = plan;
   if (plan.firing === SKIP) shots.skipped += 1;
-  else shots.plans.set(plan.plan_id, plan.exposure_host_ns / 1e9);
-  if (shots.plans.size > 50) shots.plans.delete(shots.plans.keys().next().value);
 }
 
-function showShot(shot, view) {
-  shots.fired += 1;
-  const exposed_s = shots.plans.get(shot.plan_id) ?? shot.fired_host_ns / 1e9;
-  if (swings[0].mode) view.shot(swings[0].phase(exposed_s));
+// The smoothed deflection at an exposure tells its phase better than the tracker's swing, carried on, would.
+function showExposure({ t_host_ns, q_m, qdot_mps }, view) {
+  if (!swings[0].mode || Math.abs(t_host_ns - shots.exposed_ns) < SAME_SHOT_NS) return;
+  shots.exposed_ns = t_host_ns;
+  const turn_radps = 2 * Math.PI * swings[0].mode.frequency_hz;
+  view.shot(Math.atan2(-qdot_mps[0] / turn_radps, q_m[0] - state.slow_m[0]));
 }
 
 function charts() {
@@ -131,6 +131,7 @@ async function start() {
   if (wing.looksDown) $("sectors-legend").textContent = "no obstacle picture: this pair looks down";
   const connection = new Connection((word) => {
     $("link").textContent = word;
+    if (word === "connected") parameters.refresh();
     if (word === "disconnected") { $("health").className = "pill"; $("health").textContent = "no data"; $("reason").textContent = "the service does not answer; tried again every two seconds"; }
   });
   const seconds = (host_ns) => host_ns / 1e9 - (state.first_s ??= host_ns / 1e9);
@@ -139,7 +140,8 @@ async function start() {
   connection.on("/range/none", ({ reject }) => { $("range-word").textContent = `none: ${reject}`; $("range-now").classList.add("withheld"); });
   connection.on("/range/sectors", (record) => sectors.draw(record));
   connection.on("/trigger/plan", showPlan);
-  connection.on("/trigger/shot", (shot) => showShot(shot, phase));
+  connection.on("/trigger/shot", () => { shots.fired += 1; });
+  connection.on("/wing/deflection", (deflection) => showExposure(deflection, phase));
   connection.on("/status/service", (status) => { seconds(status.at_host_ns); showStatus(status, health); });
   connection.on("/status/notice", ({ severity, text, at_host_ns }) => events.add(severity, text, seconds(at_host_ns)));
   connection.on("/time/clock", (record) => health.clock(record));

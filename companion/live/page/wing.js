@@ -1,9 +1,9 @@
 // The wing seen from behind, bending as the tracker says, with both cameras and where they look.
 import { make } from "./chart.js";
 
-const WIDTH = 640, ROOT_X = 320, ROOT_Y = 88, SPAN_X = 262;
+const WIDTH = 640, ROOT_X = 320, ROOT_Y = 112, SPAN_X = 262;
 const RAISED_PX_PER_M = 2600; // 10 mm at the tip is 26 px
-const LOOK_PX = 118, DOWN = 25, STATIONS = 24;
+const LOOK_PX = 104, DOWN = 25, STATIONS = 24;
 const TURNED = 6; // times that the cameras' turn is exaggerated
 
 // Deflection of a cantilever's tip load, 1 at the tip.
@@ -24,7 +24,7 @@ export class WingView {
     this.cameras = [0, 1].map(() => make("rect", { x: -9, y: -8, width: 18, height: 16, rx: 4, fill: "var(--orange)" }, svg));
     this.labels = [0, 1].map(() => make("text", { "text-anchor": "middle", class: "strong" }, svg));
     for (const [side, word] of [[0, "left"], [1, "right"]]) {
-      make("text", { x: ROOT_X + (side ? 1 : -1) * SPAN_X, y: 244, "text-anchor": "middle" }, svg).textContent = word;
+      make("text", { x: ROOT_X + (side ? 1 : -1) * SPAN_X, y: 264, "text-anchor": "middle" }, svg).textContent = word;
     }
   }
 
