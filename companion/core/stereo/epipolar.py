@@ -34,9 +34,13 @@ from companion.records import Floats, Reject
 
 PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, YAW_BIAS, BEND_SCALE = range(10)
 _SLOW = 10  # states of the slow part
-_KEPT = _SLOW + 3  # with the error of the fast part: states that stay from pair to pair
-_ALL = _KEPT + 5  # with this pair's error of the baseline's direction, and its innovation
-_FAST, _SHIFT, _INNOVATION = slice(_SLOW, _KEPT), slice(_KEPT, _KEPT + 2), slice(_KEPT + 2, _ALL)
+_PERSISTENT = _SLOW + 3  # with the error of the fast part: states that stay from pair to pair
+_ALL = _PERSISTENT + 5  # with this pair's error of the baseline's direction, and its innovation
+_FAST, _SHIFT, _INNOVATION = (
+    slice(_SLOW, _PERSISTENT),
+    slice(_PERSISTENT, _PERSISTENT + 2),
+    slice(_PERSISTENT + 2, _ALL),
+)
 _BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
 _PARALLAX_STATES = 7  # states that the parallax has a column of its own for
 _MIN_MATCHES = 12  # seven columns, and as many again to tell outliers by (choice)
@@ -186,7 +190,7 @@ class EpipolarFilter:
     def __init__(self, rig: Rig, prior: ExtrinsicsPrior) -> None:
         self.epipolar_from_body = epipolar_frame(rig)
         self._prior = prior
-        self._mean = np.zeros(_KEPT)
+        self._mean = np.zeros(_PERSISTENT)
         constants = [*prior.variances(), 0.0, prior.yaw_bias_rad**2, prior.bend_scale**2]
         self._covariance = np.diag([*constants, 0.0, 0.0, 0.0])
         self._fast_covariance = np.zeros((3, 3))
@@ -251,8 +255,8 @@ class EpipolarFilter:
             answer = _solve(epipolar_rays, noise_rad, mean, prior, bend)
         answer = _bound(answer, granted_rad2)
         self._mean, self._covariance, self._updated_ns = (
-            answer.mean[:_KEPT],
-            answer.covariance[:_KEPT, :_KEPT],
+            answer.mean[:_PERSISTENT],
+            answer.covariance[:_PERSISTENT, :_PERSISTENT],
             t_host_ns,
         )
         self._bend_variance, self._fast_covariance = bend.sigma_rad**2, fast.covariance
@@ -272,12 +276,12 @@ class EpipolarFilter:
         """
         first = self._updated_ns is None
         passed_s = 0.0 if self._updated_ns is None else max(t_host_ns - self._updated_ns, 0) * 1e-9
-        keep = np.ones(_KEPT)
+        keep = np.ones(_PERSISTENT)
         keep[:3] = np.exp(-passed_s / self._prior.time_s)
         before, now = self._bend_variance, bend.sigma_rad**2
         learnt = 0.0 if first or before <= 0.0 else min(now / before, 1.0)
         keep[BEND] = learnt * np.exp(-passed_s / bend.time_s)
-        fresh = np.zeros(_KEPT)
+        fresh = np.zeros(_PERSISTENT)
         fresh[:3] = (1.0 - keep[:3] ** 2) * self._prior.rotation_rad**2
         fresh[BEND] = now - keep[BEND] ** 2 * before
         before_fast, now_fast = float(np.trace(self._fast_covariance)), float(np.trace(fast.covariance))
@@ -358,17 +362,17 @@ def _positive(covariance: Floats) -> Floats:
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def _joint(kept_covariance: Floats, shift_covariance: Floats) -> Floats:
+def _joint(persistent_covariance: Floats, shift_covariance: Floats) -> Floats:
     """Covariance (18, 18) of what is kept from pair to pair, this pair's baseline and innovation, before a pair."""
     joint = np.zeros((_ALL, _ALL))
-    joint[:_KEPT, :_KEPT] = kept_covariance
+    joint[:_PERSISTENT, :_PERSISTENT] = persistent_covariance
     joint[_SHIFT, _SHIFT], joint[_INNOVATION, _INNOVATION] = shift_covariance, KNOCK_RAD**2 * np.eye(3)
     return joint
 
 
-def _solve(epipolar_rays: Rays, sigma_rad: Floats, kept: Floats, covariance: Floats, bend: BendBelief) -> _Posterior:
+def _solve(epipolar_rays: Rays, sigma_rad: Floats, carried: Floats, covariance: Floats, bend: BendBelief) -> _Posterior:
     """Maximum a posteriori by Gauss-Newton; bend, fast part and innovation add to the first three."""
-    mean = np.concatenate([kept, np.zeros(_ALL - _KEPT)])
+    mean = np.concatenate([carried, np.zeros(_ALL - _PERSISTENT)])
     gather = _gather(bend)
     gather[YAW, YAW_BIAS] = 1.0
     prior_information = np.linalg.inv(covariance + _VARIANCE_FLOOR_RAD2 * np.eye(len(mean)))

@@ -221,11 +221,11 @@ def fast_slope_time_s(kalman: SeparatedBiasFilter, slope: Floats, step: int) -> 
     before, after = (_without_biases(kalman.history.covariance[at % size], mean, biases) for at in (first, step))
     bias_gain = error[biases]
     covariance = kalman.history.covariance[first % size][biases, biases]
-    kept = float(mean @ carried) - float(bias_gain @ np.linalg.solve(covariance, bias_gain))
+    remaining_variance = float(mean @ carried) - float(bias_gain @ np.linalg.solve(covariance, bias_gain))
     variance = math.sqrt(before * after)
-    if not 0.0 < kept < variance:
-        return 0.0 if kept <= 0.0 else _LONGEST_S
-    return min(-lag * kalman.model.step_s / math.log(kept / variance), _LONGEST_S)
+    if not 0.0 < remaining_variance < variance:
+        return 0.0 if remaining_variance <= 0.0 else _LONGEST_S
+    return min(-lag * kalman.model.step_s / math.log(remaining_variance / variance), _LONGEST_S)
 
 
 def _without_biases(covariance: Floats, mean: Floats, biases: slice) -> float:

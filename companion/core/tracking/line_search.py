@@ -88,7 +88,7 @@ class _KnownLine:
     number: int
     frequency_hz: float
     searches: int = _MEMORY
-    astray: int = 0
+    misses: int = 0
 
 
 class KnownLines:
@@ -132,18 +132,20 @@ class KnownLines:
 
     def _found_again(self, line: _KnownLine, frequency_hz: float) -> None:
         line.searches = _MEMORY
-        line.astray = line.astray + 1 if abs(line.frequency_hz - frequency_hz) > NEAR_HZ else 0
-        if line.astray > 1:
+        line.misses = line.misses + 1 if abs(line.frequency_hz - frequency_hz) > NEAR_HZ else 0
+        if line.misses > 1:
             self._lines.remove(line)
             self._begin(frequency_hz)
 
     def _drop(self) -> None:
         """Drop lines that are gone, and the younger of two that follow the same one."""
-        kept: list[_KnownLine] = []
+        distinct: list[_KnownLine] = []
         for line in self._lines:
-            if line.searches > 0 and not any(abs(line.frequency_hz - other.frequency_hz) < _ONE_HZ for other in kept):
-                kept.append(line)
-        self._lines = kept[:_MOST]
+            if line.searches > 0 and not any(
+                abs(line.frequency_hz - other.frequency_hz) < _ONE_HZ for other in distinct
+            ):
+                distinct.append(line)
+        self._lines = distinct[:_MOST]
 
 
 def _near(frequency_hz: float, others: list[float]) -> bool:

@@ -253,13 +253,15 @@ class SampleBuffer:
         Where none was, the newest samples at hand tell the amplitudes.
         """
         fresh = line_states(np.array(list(frequency_hz.values())), self._line_weight)
-        kept = [number for number in self._line_numbers if number in frequency_hz] if self._lines is not None else []
-        if self._lines is not None and kept:
-            before = [self._line_numbers.index(number) for number in kept]
-            take_over(fresh, [list(frequency_hz).index(number) for number in kept], self._lines, before)
+        retained = (
+            [number for number in self._line_numbers if number in frequency_hz] if self._lines is not None else []
+        )
+        if self._lines is not None and retained:
+            before = [self._line_numbers.index(number) for number in retained]
+            take_over(fresh, [list(frequency_hz).index(number) for number in retained], self._lines, before)
         self._line_numbers = list(frequency_hz)
         self._lines = fresh if frequency_hz else None
-        if self._lines is not None and not kept:
+        if self._lines is not None and not retained:
             self._clean_ns, values = self.ring.held()
             self._clean = remove_lines(self._clean_ns, values, 0, 1.0 / self.sensor.rate_hz, self._lines)
 
