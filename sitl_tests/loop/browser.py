@@ -29,7 +29,9 @@ class Browser:
     def __init__(self, width_px: int, height_px: int) -> None:
         path = browser_path()
         assert path is not None
-        self._folder = tempfile.TemporaryDirectory(prefix="browser-")
+        self._folder = tempfile.TemporaryDirectory(
+            prefix="browser-", ignore_cleanup_errors=True
+        )  # it writes while it ends
         theirs_in, ours_out = os.pipe()
         ours_in, theirs_out = os.pipe()
         high = [fcntl.fcntl(end, fcntl.F_DUPFD, _HIGH) for end in (theirs_in, theirs_out)]

@@ -256,7 +256,9 @@ def test_a_mount_that_rings_is_found_where_it_rings() -> None:
     assert led is not None
     assert led.log_trials > 0.0
     found = fit([model], (led,), null.values)
-    assert found.values[-1] == pytest.approx(8e-5, rel=0.02)
+    softness_s2, damper_s = found.values[-2:]
+    assert softness_s2 == pytest.approx(8e-5, rel=0.02)
+    assert abs(damper_s) < 1e-4, "beside a loss of 4 %, which is 3.6e-4 s at that frequency, nothing damps it"
     assert found.log_evidence > null.log_evidence + 50.0
 
 
