@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from companion.calibration.boards import LEAST_CORNERS, Board, Corners, common, find_corners
 from companion.calibration.bundle import LENS, Bundle, adjust
+from companion.calibration.lens_sigmas import LensSigmas, lens_sigmas, look_sigma_rad
 from companion.core.stereo.geometry import axes_from_body
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.errors import ConfigError
@@ -198,22 +199,24 @@ def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
     """
     if base.left_camera is None or base.right_camera is None:
         raise ConfigError(f"airframe '{base.name}' has no cameras to calibrate")
-    left = _with_lens(base.left_camera, fit.lenses[0], fit.size_px)
-    right = _with_lens(base.right_camera, fit.lenses[1], fit.size_px)
+    sigmas = lens_sigmas(fit.bundle, fit.size_px)
+    left = _with_lens(base.left_camera, fit.lenses[0], sigmas[0], fit.size_px)
+    right = _with_lens(base.right_camera, fit.lenses[1], sigmas[1], fit.size_px)
     left_from_body = exp_rotation(-np.array(left.rotation_rad)) @ axes_from_body(left.axes, "left_camera.axes")
     right_from_left = exp_rotation(fit.rotation_rad)
     turned = right_from_left @ left_from_body @ axes_from_body(right.axes, "right_camera.axes").T
     x, y, z = (float(entry) for entry in -log_rotation(turned))
     centre_left = -right_from_left.T @ fit.translation_m
     px, py, pz = (float(entry) for entry in np.array(left.position_m) + left_from_body.T @ centre_left)
-    sigma = float(np.sqrt(np.mean(fit.rotation_sigma_rad**2) / 2.0))  # each camera is given half of the variance
+    # each camera is given half of the variance; what rotation and principal points trade is in neither
+    sigma = float(np.sqrt(np.mean(look_sigma_rad(fit.bundle, fit.size_px) ** 2) / 2.0))
     right = dataclasses.replace(right, rotation_rad=(x, y, z), position_m=(px, py, pz), rotation_sigma_rad=sigma)
     return dataclasses.replace(
         base, left_camera=dataclasses.replace(left, rotation_sigma_rad=sigma), right_camera=right
     )
 
 
-def _with_lens(camera: Camera, fit: LensFit, size_px: tuple[int, int]) -> Camera:
+def _with_lens(camera: Camera, fit: LensFit, sigmas: LensSigmas, size_px: tuple[int, int]) -> Camera:
     fx, fy, cx, cy, *bent = (float(value) for value in fit.values)
     return dataclasses.replace(
         camera,
@@ -223,6 +226,9 @@ def _with_lens(camera: Camera, fit: LensFit, size_px: tuple[int, int]) -> Camera
         focal_ratio=fy / fx,
         principal_px=(cx, cy),
         distortion=tuple(bent),
+        tilt_sigma_rad=sigmas.tilt_rad,
+        prism_sigma=sigmas.prism,
+        radial_sigma=sigmas.radial,
     )
 
 

@@ -14,8 +14,9 @@ from companion.core.stereo.epipolar import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.inverse_depth import RangeProduct, robust_inverse_depth
+from companion.core.stereo.lens_residual import straightened
 from companion.core.stereo.ranging import divergence, orientation_axis
-from companion.core.stereo.triangulation import match_rays, range_axis_of_rig, triangulate
+from companion.core.stereo.triangulation import Rays, match_rays, range_axis_of_rig, triangulate
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Side
@@ -63,10 +64,12 @@ class TrueGeometry:
         self, matches: MatchSet, left: Deflection, right: Deflection, turned: RelativeRotation | None = None
     ) -> TrueReading | None:
         """The estimate's own extrinsics: the tracked bend, and what the matches told of the rotation beyond it."""
-        moving = exposures(self._belief, self._tips, left, right)
-        if turned is not None:
-            moving = with_relative_rotation(moving, epipolar_frame(self._belief).T @ turned.rotation_rad)
-        return self._read(matches, self._belief, moving)
+        moving, frame = exposures(self._belief, self._tips, left, right), epipolar_frame(self._belief)
+        if turned is None:
+            return self._read(matches, self._belief, moving)
+        moving = with_relative_rotation(moving, frame.T @ turned.rotation_rad)
+        rays = straightened(match_rays(self._belief, moving, matches), turned.lens, frame)
+        return self._read_rays(matches, self._belief, rays)
 
     def oracle(self, matches: MatchSet) -> TrueReading | None:
         """The true extrinsics and lenses."""
@@ -98,8 +101,11 @@ class TrueGeometry:
         )
 
     def _read(self, matches: MatchSet, rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> TrueReading | None:
+        return self._read_rays(matches, rig, match_rays(rig, moving, matches))
+
+    def _read_rays(self, matches: MatchSet, rig: Rig, rays: Rays) -> TrueReading | None:
         sight = range_axis_of_rig(self._belief, self._axis)
-        depths = triangulate(match_rays(rig, moving, matches), sight, matches.sigma_px / rig.left.lens.focal_px)
+        depths = triangulate(rays, sight, matches.sigma_px / rig.left.lens.focal_px)
         product, looks_down = RangeProduct(self.settings.product), self.flight.airframe.looks_down
         reading = robust_inverse_depth(depths, product, self.settings.min_matches, one_surface=looks_down)
         if reading is None:

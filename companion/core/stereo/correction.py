@@ -117,6 +117,7 @@ class Correction:
             self.settings,
             motion=motion,
             turned=turned,
+            joint_covariance=self.drift_filter.joint_covariance,
             attitude_rad=self.vehicle.attitude(middle_ns),
         )
         if self.drift_filter.verdict is not MatchVerdict.AGREE:

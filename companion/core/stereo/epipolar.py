@@ -8,7 +8,8 @@ really points to ``(1, b_y, b_z)``, leave the parallax
 
 so pitch ``phi_x`` and roll ``phi_z`` are seen strongly, yaw ``phi_y`` only through ``x y``, and the baseline only
 through depth that varies. Yaw is the toe that falsifies ranges; its covariance tells how weakly a picture shows it.
-What two lenses may have wrong differently (focal length, radial distortion) is carried as two constants with a prior.
+What a calibration left in the two lenses is carried as six constants with a prior; see
+:mod:`companion.core.stereo.lens_residual`.
 
 The wing tracker's own slow error (trim bend, tilt bias) turns the cameras about one known axis; it is a state of its
 own, so that what the accelerometers know of it counts, and only that: see :class:`BendBelief`. An error of scale of the
@@ -28,22 +29,23 @@ import numpy as np
 
 from companion.core.stereo.consistency_gate import KNOCK_RAD, Innovation, MatchTest, MatchVerdict
 from companion.core.stereo.geometry import Rig
+from companion.core.stereo.lens_residual import CONSIDERED, PAIR_TERMS, parallax_columns
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
 
-PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z, FOCAL, RADIAL, BEND, YAW_BIAS, BEND_SCALE = range(10)
-_SLOW = 10  # states of the slow part
+PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z = range(5)
+_BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
+_PARALLAX_STATES = BASELINE_Z + 1 + PAIR_TERMS  # states that the parallax has a column of its own for
+_LENS = slice(BASELINE_Z + 1, _PARALLAX_STATES)
+_CONSIDERED = [_LENS.start + term for term in CONSIDERED]
+BEND, YAW_BIAS, BEND_SCALE = range(_PARALLAX_STATES, _PARALLAX_STATES + 3)
+_SLOW = BEND_SCALE + 1  # states of the slow part
 _PERSISTENT = _SLOW + 3  # with the error of the fast part: states that stay from pair to pair
 _ALL = _PERSISTENT + 5  # with this pair's error of the baseline's direction, and its innovation
-_FAST, _SHIFT, _INNOVATION = (
-    slice(_SLOW, _PERSISTENT),
-    slice(_PERSISTENT, _PERSISTENT + 2),
-    slice(_PERSISTENT + 2, _ALL),
-)
-_BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
-_PARALLAX_STATES = 7  # states that the parallax has a column of its own for
-_MIN_MATCHES = 12  # seven columns, and as many again to tell outliers by (choice)
+_FAST, _SHIFT = slice(_SLOW, _PERSISTENT), slice(_PERSISTENT, _PERSISTENT + 2)
+_INNOVATION = slice(_PERSISTENT + 2, _ALL)
+_MIN_MATCHES = 12  # three of a rotation, and three times as many to tell outliers by (choice)
 _GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
 # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
 _STUDENT_DOF = 5.0
@@ -59,6 +61,10 @@ SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
 """Pitch, yaw and roll that a rendered pair over ground shows for seconds without having turned, rad (1 sigma)."""
 
 
+DEFAULT_LENS = (0.0007, 0.002, 0.0006, 0.0006, 0.00024, 0.00024, 0.001)
+"""Sigma of the difference of two lenses that were calibrated as the defaults of an airframe's camera say."""
+
+
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsPrior:
     """Prior of the slow relative rotation and of the lenses' differences, before any picture.
@@ -70,9 +76,10 @@ class ExtrinsicsPrior:
     walk_rad_rts : float
         How fast it wanders, per square root of a second; it is pulled back so that its sigma stays ``rotation_rad``.
     baseline_rad : float
-        Sigma of the baseline's direction, a constant: mounting, and static bend that differs between the wings.
-    focal, radial : float
-        Sigma of the difference of the lenses' relative focal lengths, and of their first radial terms; constants.
+        Sigma of the baseline's direction, a constant: mounting, static bend that differs between the wings, keystone
+        that both lenses share.
+    lens : tuple of float
+        Sigma of each term of the lens residual, in the order of ``lens_residual``; constants.
     yaw_bias_rad : float
         Sigma of the yaw that errors common to all pairs make up; a constant.
     bend_scale : float
@@ -86,16 +93,15 @@ class ExtrinsicsPrior:
     rotation_rad: float = 0.005
     walk_rad_rts: float = 0.0005
     baseline_rad: float = 0.001
-    focal: float = 0.0007
-    radial: float = 0.002
+    lens: tuple[float, ...] = DEFAULT_LENS
     yaw_bias_rad: float = 0.0
     bend_scale: float = 0.0
     parallax_rad: float = 0.00005
     systematic_rad: tuple[float, float, float] = SYSTEMATIC_DOWN_RAD
 
     def variances(self) -> Floats:
-        """Diagonal (7,) of the first covariance, of what the parallax has a column of its own for."""
-        sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + [self.focal, self.radial]
+        """Diagonal (12,) of the first covariance, bend and steady error left out."""
+        sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + list(self.lens)
         return np.array(sigmas, dtype=np.float64) ** 2
 
     @property
@@ -156,6 +162,8 @@ class EpipolarUpdate:
         Pitch, yaw, roll of the slow part alone, the bend's included: what to carry to the next pair.
     total_rad, total_covariance : (3,), (3, 3) float64
         Slow part and this pair's error of the fast part: what to correct this pair by.
+    lens, joint_covariance : (7,), (10, 10) float64
+        Terms of the lens residual; covariance of total rotation and lens terms together.
     baseline_rad : (2,) float64
         Error of the baseline's direction toward y and z.
     parallax_scale : float
@@ -170,6 +178,8 @@ class EpipolarUpdate:
     slow_covariance: Floats
     total_rad: Floats
     total_covariance: Floats
+    lens: Floats
+    joint_covariance: Floats
     baseline_rad: Floats
     parallax_scale: float
     used: int
@@ -253,7 +263,7 @@ class EpipolarFilter:
         if verdict is MatchVerdict.KNOCKED:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
             answer = _solve(epipolar_rays, noise_rad, mean, prior, bend)
-        answer = _bound(answer, granted_rad2)
+        answer = _considered(_bound(answer, granted_rad2), mean, prior)
         self._mean, self._covariance, self._updated_ns = (
             answer.mean[:_PERSISTENT],
             answer.covariance[:_PERSISTENT, :_PERSISTENT],
@@ -263,9 +273,12 @@ class EpipolarFilter:
         return _describe(answer, bend, verdict)
 
     def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
-        """Rotation (3,) and its covariance (3, 3) at or after the last update, by what is slow."""
+        """Rotation and lens terms (10,) and their covariance (10, 10) at a time at or after the last update.
+
+        The rotation is slow part and error of scale; this pair's own fast part is not in it.
+        """
         mean, covariance = self._predicted(t_host_ns, bend, FastBelief(np.zeros((3, 3))))
-        gather = _gather(bend)[:, :_SLOW]
+        gather = _with_lens(_gather(bend))[:, :_SLOW]
         return gather @ mean[:_SLOW], gather @ covariance[:_SLOW, :_SLOW] @ gather.T
 
     def _predicted(self, t_host_ns: int, bend: BendBelief, fast: FastBelief) -> tuple[Floats, Floats]:
@@ -325,14 +338,14 @@ def with_right_rotated(rays: Rays, rotation_rad: Floats, epipolar_from_body: Flo
 
 
 def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
-    """Parallax (n,) that a state (7,) leaves, and how it falls with each of its entries (n, 7).
+    """Parallax (n,) that a state (12,) leaves, and how it falls with each of its entries (n, 12).
 
     Parameters
     ----------
     epipolar_rays : Rays
         Matched rays in the epipolar frame.
-    state : (7,) float64
-        Pitch, yaw, roll of the right camera in all, baseline y and z, focal and radial difference of the lenses.
+    state : (12,) float64
+        Pitch, yaw, roll of the right camera in all, baseline y and z, terms of the lens residual.
     """
     left, right = epipolar_rays.left, epipolar_rays.right @ exp_rotation(state[:3]).T
     x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
@@ -340,12 +353,10 @@ def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
     apart = epipolar_rays.right_m - epipolar_rays.left_m
     toward = apart[:, 1:] / apart[:, :1] + state[_BASELINE]
     disparity, twisted = x_l - x_r, x_r * y_l - y_r * x_l
-    y = 0.5 * (y_l + y_r)
-    cubic = 0.5 * (y_l * (x_l**2 + y_l**2) + y_r * (x_r**2 + y_r**2))
-    residual_rad = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted
-    residual_rad = residual_rad - state[FOCAL] * y - state[RADIAL] * cubic
-    columns = [-(1.0 + y_r**2), x_r * y_r, x_r, disparity, twisted, y, cubic]
-    return residual_rad, np.stack(columns, axis=1)
+    lens = parallax_columns(np.column_stack([x_l, y_l]), np.column_stack([x_r, y_r]))
+    residual_rad = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted - lens @ state[_LENS]
+    columns = np.stack([-(1.0 + y_r**2), x_r * y_r, x_r, disparity, twisted], axis=1)
+    return residual_rad, np.concatenate([columns, lens], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -363,7 +374,7 @@ def _positive(covariance: Floats) -> Floats:
 
 
 def _joint(persistent_covariance: Floats, shift_covariance: Floats) -> Floats:
-    """Covariance (18, 18) of what is kept from pair to pair, this pair's baseline and innovation, before a pair."""
+    """Covariance of what stays from pair to pair, this pair's baseline and innovation, before a pair."""
     joint = np.zeros((_ALL, _ALL))
     joint[:_PERSISTENT, :_PERSISTENT] = persistent_covariance
     joint[_SHIFT, _SHIFT], joint[_INNOVATION, _INNOVATION] = shift_covariance, KNOCK_RAD**2 * np.eye(3)
@@ -420,23 +431,40 @@ def _bound(answer: _Posterior, granted_rad2: Floats) -> _Posterior:
     )
 
 
+def _considered(answer: _Posterior, mean: Floats, prior: Floats) -> _Posterior:
+    """The answer with the considered states as they were before (Schmidt 1966); the others have the best gain."""
+    after, covariance = answer.mean.copy(), answer.covariance.copy()
+    after[_CONSIDERED] = mean[_CONSIDERED]
+    block = np.ix_(_CONSIDERED, _CONSIDERED)
+    covariance[block] = prior[block]
+    return dataclasses.replace(answer, mean=after, covariance=covariance)
+
+
 def _gather(bend: BendBelief) -> Floats:
-    """Rows (3, 18) that add up the relative rotation: slow part, fast part and innovation."""
+    """Rows (3, all states) that add up the relative rotation: slow part, fast part and innovation."""
     rows = np.zeros((3, _ALL))
     rows[:, :3] = rows[:, _FAST] = rows[:, _INNOVATION] = np.eye(3)
     rows[:, BEND], rows[:, BEND_SCALE] = bend.direction, bend.fast_rad * bend.direction
     return rows
 
 
+def _with_lens(rotation: Floats) -> Floats:
+    """Rows that give the lens terms, below those that add up a rotation."""
+    return np.concatenate([rotation, np.eye(rotation.shape[1])[_LENS]])
+
+
 def _describe(answer: _Posterior, bend: BendBelief, verdict: MatchVerdict) -> EpipolarUpdate:
     total = _gather(bend)
     slow = total.copy()
     slow[:, BEND_SCALE:] = 0.0
+    joint = _with_lens(total)
     return EpipolarUpdate(
         slow_rad=slow @ answer.mean,
         slow_covariance=slow @ answer.covariance @ slow.T,
         total_rad=total @ answer.mean,
         total_covariance=total @ answer.covariance @ total.T,
+        lens=answer.mean[_LENS],
+        joint_covariance=joint @ answer.covariance @ joint.T,
         baseline_rad=answer.mean[_BASELINE],
         parallax_scale=answer.scale,
         used=answer.used,

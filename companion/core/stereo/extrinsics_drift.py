@@ -22,6 +22,7 @@ from companion.core.stereo.epipolar import (
 )
 from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.geometry import Rig
+from companion.core.stereo.lens_residual import PAIR_TERMS, mean_tilt_variance, pair_variances
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
 from companion.params.airframe import Airframe
@@ -29,8 +30,7 @@ from companion.records import Deflection, Floats, MatchSet, RelativeRotation, Si
 
 _MIN_WALK_RAD_RTS = 1e-5  # a calibration that is wrong beyond its sigma is found again, slowly
 _CAMERA_PLACE_SIGMA_M = 0.0005  # how well a camera's place across the baseline is known
-_RADIAL_SIGMA = 0.002  # difference of k1 between two lenses calibrated alike (choice)
-_YAW_BIAS_PX = 0.01  # what matching and lens model leave in its place from pair to pair, in the corner of the image
+_YAW_BIAS_PX = 0.01  # what matching leaves in its place from pair to pair, in the corner of the image
 # Obstacles at many distances show what is wrong with the cameras' places (wind, exposures apart) as rotations: half a
 # milliradian of pitch and roll for seconds. Yaw is granted no more than to a pair that looks down: its innovation in
 # three rendered flights is 0.2 mrad rms, at most 2.3 of these sigmas, and a knock in yaw alone shows in nothing else.
@@ -47,6 +47,8 @@ class ExtrinsicsDriftFilter:
         self._filter = EpipolarFilter(rig, extrinsics_prior(rig, airframe))
         self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
         self.verdict = MatchVerdict.AGREE
+        self.joint_covariance: Floats = np.zeros((3 + PAIR_TERMS, 3 + PAIR_TERMS))
+        """Covariance (10, 10) of the last rotation that was given and of its lens terms, epipolar frame."""
         self._bend_variance = math.inf
         self._bend_ns = 0
         self._mean_slope_rad: float | None = None
@@ -101,6 +103,7 @@ class ExtrinsicsDriftFilter:
         update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift) if use_matches else None
         self.verdict = update.verdict if isinstance(update, EpipolarUpdate) else MatchVerdict.AGREE
         if isinstance(update, EpipolarUpdate):
+            self.joint_covariance = update.joint_covariance
             return RelativeRotation(
                 matches.pair_id,
                 t_host_ns,
@@ -110,10 +113,13 @@ class ExtrinsicsDriftFilter:
                 update.slow_covariance,
                 update.used,
                 update.parallax_scale,
+                update.lens,
             )
-        slow, covariance = self._filter.predict(t_host_ns, belief)
-        total_covariance = covariance + fast.covariance
-        return RelativeRotation(matches.pair_id, t_host_ns, slow, total_covariance, slow, covariance, 0, 0.0)
+        mean, joint = self._filter.predict(t_host_ns, belief)
+        slow, covariance = mean[:3], joint[:3, :3].copy()
+        joint[:3, :3] += fast.covariance
+        self.joint_covariance = joint
+        return RelativeRotation(matches.pair_id, t_host_ns, slow, joint[:3, :3], slow, covariance, 0, 0.0, mean[3:])
 
     def _belief(self, bend: tuple[Deflection, Deflection], t_host_ns: int) -> BendBelief:
         """Slow error of the tracker, without the ripple of its stated sigma.
@@ -175,13 +181,11 @@ def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
     cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
     mounting = math.sqrt(sum(camera.rotation_sigma_rad**2 + camera.drift_sigma_rad**2 for camera in cameras))
     walk = math.sqrt(sum(2.0 * camera.drift_sigma_rad**2 / camera.drift_time_s for camera in cameras))
-    focal = math.sqrt(sum((camera.focal_px.sigma / camera.focal_px.value) ** 2 for camera in cameras))
     return ExtrinsicsPrior(
         rotation_rad=mounting,
         walk_rad_rts=max(walk, _MIN_WALK_RAD_RTS),
-        baseline_rad=math.sqrt(2.0) * _CAMERA_PLACE_SIGMA_M / rig.baseline_m,
-        focal=focal,
-        radial=_RADIAL_SIGMA,
+        baseline_rad=math.sqrt(2.0 * (_CAMERA_PLACE_SIGMA_M / rig.baseline_m) ** 2 + mean_tilt_variance(airframe)),
+        lens=tuple(np.sqrt(pair_variances(airframe)).tolist()),
         yaw_bias_rad=_yaw_bias_rad(rig),
         bend_scale=_bend_scale_sigma(airframe),
         systematic_rad=SYSTEMATIC_DOWN_RAD if airframe.looks_down else _SYSTEMATIC_AHEAD_RAD,

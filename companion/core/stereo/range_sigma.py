@@ -9,6 +9,7 @@ import numpy as np
 
 from companion.core.stereo.exposure import CameraExposure, TipMotion, tip_signs
 from companion.core.stereo.geometry import Rig
+from companion.core.stereo.lens_residual import PAIR_TERMS, straightened
 from companion.core.stereo.rotation import skew
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import VehicleMotion
@@ -36,11 +37,14 @@ class Gradient:
         Per metre of displacement of the camera.
     focal : (2,) float64
         Per relative change of the focal length.
+    lens : (7,) float64
+        Per unit of each term by which the lens residual is taken out more than it is.
     """
 
     turn_prad: Floats
     shift_pm: Floats
     focal: Floats
+    lens: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +66,7 @@ def gradient_of(
     weights: Floats,
     rays: Rays,
     exposures: tuple[CameraExposure, CameraExposure],
+    epipolar_from_body: Floats,
 ) -> Gradient:
     """Differentiate ``weights @ inverse_depths(rays)`` numerically, all cameras and axes in one evaluation.
 
@@ -75,6 +80,8 @@ def gradient_of(
         n matched rays.
     exposures : tuple
         Left and right exposure, for the optical axes.
+    epipolar_from_body : (3, 3) float64
+        Frame of the lens terms.
     """
     changed = [rays]
     for side in Side:
@@ -85,10 +92,14 @@ def gradient_of(
         # a longer focal length makes every ray flatter: its part across the optical axis shrinks
         flat = direction - (direction @ look)[:, np.newaxis] * look
         changed.append(_with(rays, side, origin, direction - _STEP_RELATIVE * flat))
+    changed += [straightened(rays, _STEP_RELATIVE * term, epipolar_from_body) for term in np.eye(PAIR_TERMS)]
     stacked = Rays(*(np.concatenate([getattr(each, name) for each in changed]) for name in _RAY_FIELDS))
     results = np.nan_to_num(inverse_depths(stacked)).reshape(len(changed), -1) @ weights
-    steps = (results[1:] - results[0]).reshape(2, 7)
-    return Gradient(steps[:, :3] / _STEP_RAD, steps[:, 3:6] / _STEP_M, steps[:, 6] / _STEP_RELATIVE)
+    changes = results[1:] - results[0]
+    steps, lens = changes[:-PAIR_TERMS].reshape(2, 7), changes[-PAIR_TERMS:]
+    return Gradient(
+        steps[:, :3] / _STEP_RAD, steps[:, 3:6] / _STEP_M, steps[:, 6] / _STEP_RELATIVE, lens / _STEP_RELATIVE
+    )
 
 
 def toe_gradient(epipolar_y: Floats) -> Gradient:
@@ -97,7 +108,7 @@ def toe_gradient(epipolar_y: Floats) -> Gradient:
     A camera turned by ``r`` moves its axis toward the right wing by ``r . y``, with y the third axis of the frame whose
     x is the baseline and z the viewing direction.
     """
-    return Gradient(np.stack([-epipolar_y, epipolar_y]), np.zeros((2, 3)), np.zeros(2))
+    return Gradient(np.stack([-epipolar_y, epipolar_y]), np.zeros((2, 3)), np.zeros(2), np.zeros(PAIR_TERMS))
 
 
 def budget(
@@ -108,7 +119,7 @@ def budget(
     exposures: tuple[CameraExposure, CameraExposure],
     timing_sigma_s: float,
     motion: VehicleMotion,
-    apart_rad2: Floats | None = None,
+    apart: Floats | None = None,
 ) -> Budget:
     """Sigma of a result by cause.
 
@@ -116,12 +127,12 @@ def budget(
     propagated jointly, calibration and stamping errors of the two cameras are independent. ``motion`` is the flight
     between the exposures: what is not known of it, and stamps that are wrong, displace the cameras.
 
-    ``apart_rad2`` (3, 3), body axes, is the covariance of the cameras' relative rotation where matches have measured it
-    (:class:`companion.core.stereo.extrinsics_drift.ExtrinsicsDriftFilter`); of the other causes only those that turn
-    both cameras alike remain.
+    ``apart`` (10, 10), body axes, is the covariance of the cameras' relative rotation and of the lens residual
+    where matches have measured it (:class:`companion.core.stereo.extrinsics_drift.ExtrinsicsDriftFilter`); of the other
+    causes only those that both cameras share remain.
     """
-    if apart_rad2 is not None:
-        return _budget_with_rotation(gradient, rig, airframe, bend, exposures, timing_sigma_s, motion, apart_rad2)
+    if apart is not None:
+        return _budget_with_rotation(gradient, rig, airframe, bend, exposures, timing_sigma_s, motion, apart)
     modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe))
     block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
     variance = float(modal @ bend.covariance[block] @ modal)
@@ -146,21 +157,24 @@ def _budget_with_rotation(
     exposures: tuple[CameraExposure, CameraExposure],
     timing_sigma_s: float,
     motion: VehicleMotion,
-    apart_rad2: Floats,
+    apart: Floats,
 ) -> Budget:
     modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe)) @ _TIPS_FROM_ANTISYMMETRIC.T
     block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
-    apart = 0.5 * (gradient.turn_prad[Side.RIGHT] - gradient.turn_prad[Side.LEFT])
+    apart_gradient = np.concatenate(
+        [0.5 * (gradient.turn_prad[Side.RIGHT] - gradient.turn_prad[Side.LEFT]), gradient.lens]
+    )
     alike = gradient.turn_prad[Side.RIGHT] + gradient.turn_prad[Side.LEFT]
     variance = (
         modal @ (_ANTISYMMETRIC_FROM_TIPS @ bend.covariance[block] @ _ANTISYMMETRIC_FROM_TIPS.T) @ modal
-        + apart @ apart_rad2 @ apart
+        + apart_gradient @ apart @ apart_gradient
     )
     calibration = timing = 0.0
     for side in Side:
         camera = _camera(airframe, side)
+        relative_focal = camera.focal_px.sigma / camera.focal_px.value
         calibration += (0.5 * camera.rotation_sigma_rad) ** 2 * float(alike @ alike)
-        calibration += (camera.focal_px.sigma / camera.focal_px.value * float(gradient.focal[side])) ** 2
+        calibration += (0.5 * relative_focal * float(gradient.focal.sum())) ** 2
         timing += (timing_sigma_s * float(gradient.shift_pm[side] @ exposures[side].velocity_mps)) ** 2
     timing += _flight_variance(gradient, exposures, timing_sigma_s, motion)
     return Budget(float(np.sqrt(max(float(variance), 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))

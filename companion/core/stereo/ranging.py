@@ -11,6 +11,7 @@ from companion.core.stereo.epipolar import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig, axes_from_body
 from companion.core.stereo.inverse_depth import InverseDepthEstimate, RangeProduct, robust_inverse_depth
+from companion.core.stereo.lens_residual import PAIR_TERMS, straightened
 from companion.core.stereo.range_sigma import Budget, Gradient, budget, gradient_of, toe_gradient
 from companion.core.stereo.sectors import matched_sectors
 from companion.core.stereo.triangulation import Depths, RangeAxis, Rays, match_rays, range_axis_of_rig, triangulate
@@ -63,6 +64,7 @@ def correct(
     timing_sigma_s: float = TIMING_SIGMA_S,
     motion: VehicleMotion = STILL,
     turned: RelativeRotation | None = None,
+    joint_covariance: Floats | None = None,
     attitude_rad: tuple[float, float] | None = None,
 ) -> RangeAnswer:
     """Range along the airframe's orientation from one matched pair.
@@ -84,7 +86,10 @@ def correct(
     motion : VehicleMotion, optional
         The aircraft's velocity, which moves it between unequal exposures.
     turned : RelativeRotation, optional
-        What the matches say about the relative rotation beyond the bend; without, the bend is taken as it is.
+        What the matches say about the relative rotation beyond the bend, and about the lenses; without, the bend is
+        taken as it is.
+    joint_covariance : (10, 10) float64, optional
+        Of that rotation and of the lens terms; without, the lenses are taken as they were calibrated.
     attitude_rad : tuple, optional
         Roll and pitch at exposure, by which sectors are levelled.
 
@@ -94,7 +99,7 @@ def correct(
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
     all_matches, matches = matches, matches.features()
-    scene = _Scene.exposed(matches, left, right, rig, airframe, timing_sigma_s, motion, turned)
+    scene = _Scene.exposed(matches, left, right, rig, airframe, timing_sigma_s, motion, turned, joint_covariance)
     depths = scene.depths(matches)
     reading = robust_inverse_depth(
         depths, RangeProduct(settings.product), settings.min_matches, one_surface=airframe.looks_down
@@ -105,7 +110,9 @@ def correct(
         refused = _refused(matches, scene.t_host_ns, airframe.orientation, settings, reason)
         return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
 
-    causes = scene.budget(gradient_of(scene.inverse_depths, reading.weights, scene.rays, scene.moving))
+    causes = scene.budget(
+        gradient_of(scene.inverse_depths, reading.weights, scene.rays, scene.moving, epipolar_frame(rig))
+    )
     match_pm = float(np.hypot(reading.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
     answer = _answer(scene, settings, toe, reading, float(np.hypot(match_pm, causes.total)))
     square = answer.range_m**2
@@ -127,7 +134,8 @@ class _Toe:
 class _Scene:
     """One pair as it was exposed: where the cameras were, how well that is known, and the rays of its matches.
 
-    ``apart_rad2`` (3, 3), body axes, is the covariance of the relative rotation where matches have told it.
+    ``lens`` (7,) are the terms of the lens residual; ``apart`` (10, 10), body axes, is the covariance of the relative
+    rotation and of these terms where matches have told them.
     """
 
     matches: MatchSet
@@ -138,7 +146,8 @@ class _Scene:
     moving: tuple[CameraExposure, CameraExposure]
     timing_sigma_s: float
     motion: VehicleMotion
-    apart_rad2: Floats | None
+    lens: Floats
+    apart: Floats | None
     range_axis: RangeAxis
     rays: Rays
 
@@ -153,30 +162,38 @@ class _Scene:
         timing_sigma_s: float,
         motion: VehicleMotion,
         turned: RelativeRotation | None,
+        joint_covariance: Floats | None,
     ) -> _Scene:
         """Each camera at its own exposure, turned by what the matches have told."""
         moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, motion.velocity_mps)
-        apart_rad2 = None
+        lens, apart = np.zeros(PAIR_TERMS), None
         if turned is not None:
             body_from_epipolar = epipolar_frame(rig).T
             moving = with_relative_rotation(moving, body_from_epipolar @ turned.rotation_rad)
-            apart_rad2 = body_from_epipolar @ turned.covariance @ body_from_epipolar.T
+            lens = turned.lens
+            covariance = turned.covariance if joint_covariance is None else joint_covariance
+            to_body = np.zeros((3 + PAIR_TERMS, len(covariance)))
+            to_body[:3, :3] = body_from_epipolar
+            to_body[3:, 3:] = np.eye(PAIR_TERMS)[:, : len(covariance) - 3]
+            apart = to_body @ covariance @ to_body.T
         t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
         range_axis = range_axis_of_rig(rig, orientation_axis(airframe.orientation))
-        rays = match_rays(rig, moving, matches)
+        rays = straightened(match_rays(rig, moving, matches), lens, epipolar_frame(rig))
         return cls(
-            matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, motion, apart_rad2, range_axis, rays
+            matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, motion, lens, apart, range_axis, rays
         )
 
     def depths(self, matches: MatchSet) -> Depths:
         """Inverse depths of matches of this pair, along the range axis."""
-        rays = self.rays if matches is self.matches else match_rays(self.rig, self.moving, matches)
+        rays = self.rays
+        if matches is not self.matches:
+            rays = straightened(match_rays(self.rig, self.moving, matches), self.lens, epipolar_frame(self.rig))
         return triangulate(rays, self.range_axis, matches.sigma_px / self.rig.left.lens.focal_px)
 
     def budget(self, gradient: Gradient) -> Budget:
         """Sigma of a result by cause."""
         return budget(
-            gradient, self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.motion, self.apart_rad2
+            gradient, self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.motion, self.apart
         )
 
     def toe(self) -> _Toe:

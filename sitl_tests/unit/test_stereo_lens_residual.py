@@ -1,0 +1,222 @@
+"""Lenses that are not what their calibration says: the field is as stated, and toe and range err by what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from companion.core.stereo.epipolar import YAW, epipolar_frame
+from companion.core.stereo.exposure import TipMotion, exposures
+from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
+from companion.core.stereo.geometry import MountedCamera, Rig
+from companion.core.stereo.lens_residual import (
+    FOCAL,
+    PRISM_X,
+    PRISM_Y,
+    RADIAL,
+    TILT_X,
+    TILT_Y,
+    residual_field,
+    with_residual,
+)
+from companion.core.stereo.ranging import correct
+from companion.core.stereo.triangulation import match_rays
+from companion.params.airframe import Airframe, Camera
+from companion.params.settings import Settings
+from companion.records import Deflection, RelativeRotation, Side
+from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
+
+Looks = Callable[..., Airframe]
+NOTHING = np.zeros(6)
+SLOPE_RAD, TILT_RAD, MATCH_PX = 0.02, 3e-4, 0.05
+PAIR_NS, PAIRS, SETTLED = 1_000_000_000, 20, 8
+
+
+def _of(**terms: float) -> np.ndarray:
+    """A residual by the names of its terms."""
+    names = {
+        "focal": FOCAL,
+        "radial": RADIAL,
+        "tilt_x": TILT_X,
+        "tilt_y": TILT_Y,
+        "prism_x": PRISM_X,
+        "prism_y": PRISM_Y,
+    }
+    residual = np.zeros(6)
+    for name, value in terms.items():
+        residual[names[name]] = value
+    return residual
+
+
+TANGENTIAL_X = _of(prism_x=3e-4, tilt_x=6e-4)
+"""OpenCV's ``p2 = 3e-4``: 0.06 px across the lines in the corner."""
+
+
+def _with(airframe: Airframe, left: np.ndarray, right: np.ndarray) -> Airframe:
+    assert airframe.left_camera is not None
+    assert airframe.right_camera is not None
+    return dataclasses.replace(
+        airframe,
+        left_camera=with_residual(airframe.left_camera, left),
+        right_camera=with_residual(airframe.right_camera, right),
+    )
+
+
+def _camera(airframe: Airframe) -> Camera:
+    assert airframe.right_camera is not None
+    return airframe.right_camera
+
+
+@pytest.mark.parametrize(
+    "residual",
+    [_of(focal=4e-4), _of(radial=2e-3), _of(tilt_x=5e-4), _of(tilt_y=-5e-4), _of(prism_x=3e-4), _of(prism_y=2e-4)],
+)
+def test_the_true_camera_differs_from_its_belief_by_the_residual(residual: np.ndarray) -> None:
+    """Rays of one pixel, by belief and by truth, in the camera's axes: their slopes differ by the field."""
+    believed = _camera(nadir(rotation_rad=(0.003, -0.002, 0.004)))
+    pixels = np.array([(u, v) for u in np.linspace(5.0, 634.0, 9) for v in np.linspace(5.0, 474.0, 7)])
+    belief, truth = (
+        MountedCamera.from_record(Side.RIGHT, camera, "camera")
+        for camera in (believed, with_residual(believed, residual))
+    )
+    into = belief.rest.camera_from_body
+    slopes = [rays[:, :2] / rays[:, 2:] for rays in (c.rays(c.rest, pixels) @ into.T for c in (belief, truth))]
+    expected = residual_field(*slopes[0].T) @ residual
+    assert np.abs(slopes[0] - slopes[1] - expected).max() < 0.01 * np.abs(expected).max()
+
+
+def test_opencvs_tangential_term_is_a_prism_and_twice_as_much_tilt() -> None:
+    camera = with_residual(_camera(nadir()), TANGENTIAL_X)
+    assert camera.distortion == pytest.approx((0.0, 0.0, 0.0, 3e-4, 0.0))
+    assert camera.principal_px == pytest.approx((319.5, 239.5))
+    assert camera.rotation_rad == pytest.approx((0.0, 0.0, 0.0))
+
+
+@dataclasses.dataclass
+class Flown:
+    """Pairs of one flight after the first few: toe error over sigma; relative errors of trusted ranges over sigma."""
+
+    toe_over: np.ndarray
+    range_over: np.ndarray
+    trusted: int
+    last: RelativeRotation
+    joint: np.ndarray
+
+
+def _believed(off_rad: float, t_ns: int) -> Deflection:
+    """A tracked slope whose error is slow, and lasts."""
+    base = bend((SLOPE_RAD - off_rad, SLOPE_RAD - off_rad), t_ns=t_ns)
+    covariance = base.covariance.copy()
+    covariance[4:, 4:] += TILT_RAD**2
+    return dataclasses.replace(base, covariance=covariance, slow_slope_sigma_rad=TILT_RAD)
+
+
+def _mounted(airframe: Airframe, random: np.random.Generator) -> tuple[Airframe, float]:
+    """The right camera turned by twice the variance of one, as a true pair is; its yaw."""
+    turn = np.sqrt(2.0) * _camera(airframe).rotation_sigma_rad * random.standard_normal(3)
+    x, y, z = turn.tolist()
+    camera = dataclasses.replace(_camera(airframe), rotation_rad=(x, y, z))
+    return dataclasses.replace(airframe, right_camera=camera), y
+
+
+def _fly(airframe: Airframe, residuals: tuple[np.ndarray, np.ndarray], seed: int) -> Flown:
+    """A climb from 20 to 100 m (walls as far ahead) with noisy matches through the true lenses and mounting."""
+    left_node, right_node = (dataclasses.replace(node, bias_time_s=1e7) for node in (airframe.left, airframe.right))
+    airframe = dataclasses.replace(airframe, left=left_node, right=right_node)
+    rig, settings, random = Rig.from_airframe(airframe), Settings(), np.random.default_rng([seed, 0x1E])
+    mounted, yaw_rad = _mounted(airframe, random)
+    true_rig, drift = Rig.from_airframe(_with(mounted, *residuals)), ExtrinsicsDriftFilter(rig, airframe)
+    true_rotation = yaw_rad * np.eye(3)[YAW]
+    off_rad = TILT_RAD * random.standard_normal()
+    toe_over, range_over = [], []
+    for k in range(PAIRS):
+        range_m = 20.0 * 5.0 ** random.uniform()
+        points = (
+            ground_below(range_m, 500, 1000 * seed + k, tilt=(0.05, -0.08), spread=0.42)
+            if airframe.looks_down
+            else wall_ahead(range_m, 500, 1000 * seed + k)
+        )
+        left, right = seen(true_rig, points, (SLOPE_RAD, SLOPE_RAD))
+        inside = np.all((np.minimum(left, right) > 10.0) & (np.maximum(left, right) < (630.0, 470.0)), axis=1)
+        left, right = left[inside][:150], right[inside][:150]
+        matches = match_set(left, right + MATCH_PX * random.standard_normal(right.shape), MATCH_PX)
+        wing = _believed(off_rad, k * PAIR_NS)
+        moving = exposures(rig, TipMotion.from_airframe(airframe), wing, wing)
+        told = drift.update(matches, match_rays(rig, moving, matches), (wing, wing), moving, 0.0)
+        joint = drift.joint_covariance
+        answer = correct(matches, wing, wing, rig, airframe, settings, turned=told, joint_covariance=joint).range
+        if k >= SETTLED:
+            true_rad = true_rotation + 2.0 * off_rad * (epipolar_frame(rig) @ rig.right.turn_rad(1.0))
+            toe_over.append((told.rotation_rad - true_rad)[YAW] / np.sqrt(told.covariance[YAW, YAW]))
+            if answer.trusted:
+                range_over.append((answer.range_m - range_m) / answer.sigma_m)
+    return Flown(np.array(toe_over), np.array(range_over), len(range_over), told, joint)
+
+
+@pytest.mark.parametrize("looks", [nadir, forward], ids=["down", "ahead"])
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_tangential_distortion_puts_no_trusted_range_beyond_five_sigma(
+    looks: Callable[..., Airframe], side: int
+) -> None:
+    """One lens of ``p2 = 3e-4``, either sign, under the default sigmas of a calibration: 1.8 of their one-sigmas."""
+    airframe = _calibrated_by_default(looks(rotation_sigma_rad=3e-4))
+    for sign in (-1.0, 1.0):
+        residuals = [NOTHING, NOTHING]
+        residuals[side] = sign * TANGENTIAL_X
+        flown = _fly(airframe, (residuals[0], residuals[1]), 5)
+        assert flown.trusted == PAIRS - SETTLED
+        assert np.abs(flown.range_over).max() < 3.0
+        assert np.abs(flown.toe_over).max() < 3.0
+
+
+def _calibrated_by_default(airframe: Airframe) -> Airframe:
+    usual = {
+        entry.name: entry.default
+        for entry in dataclasses.fields(Camera)
+        if entry.name in ("tilt_sigma_rad", "prism_sigma", "radial_sigma")
+    }
+    return dataclasses.replace(
+        airframe,
+        left_camera=dataclasses.replace(_camera(airframe), **usual, position_m=(0.0, -0.99, 0.0)),
+        right_camera=dataclasses.replace(_camera(airframe), **usual),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("looks", [nadir, forward], ids=["down", "ahead"])
+def test_lenses_drawn_from_the_prior_leave_honest_sigmas(looks: Looks) -> None:
+    """Toe and range of 16 flights, each one draw of what no match tells: chi-square within 99.8 %; no 5 sigma."""
+    airframe, flights = _calibrated_by_default(looks(rotation_sigma_rad=3e-4)), 16
+    camera = _camera(airframe)
+    tilt, prism = camera.tilt_sigma_rad, camera.prism_sigma
+    sigmas = np.array([camera.focal_px.sigma / 800.0, camera.radial_sigma, tilt, tilt, prism, prism])
+    flown = [
+        _fly(airframe, tuple(sigmas * np.random.default_rng([seed, 7]).standard_normal((2, 6))), seed)
+        for seed in range(flights)
+    ]
+    low, high = chi2.ppf([0.001, 0.999], flights) / flights
+    toe, ranges = (np.concatenate([getattr(f, name) for f in flown]) for name in ("toe_over", "range_over"))
+    assert low < np.mean(toe**2) < high
+    assert np.mean(ranges**2) < high
+    assert np.abs(ranges).max() < 5.0
+    assert sum(f.trusted for f in flown) > 0.95 * flights * (PAIRS - SETTLED)
+
+
+def test_keystone_and_prism_across_the_lines_are_learnt_and_along_them_only_believed() -> None:
+    """``t_x`` shows as a yaw does and ``s_x`` not at all; the other two are parallaxes of their own.
+
+    A tenth of ``t_x`` may be learnt from near things, by how little a baseline's direction is believed to be off.
+    """
+    airframe = _calibrated_by_default(nadir(rotation_sigma_rad=0.003))
+    truth = _of(tilt_y=8e-4, prism_y=-4e-4)
+    flown = _fly(airframe, (truth, NOTHING), 1)
+    prior = np.sqrt(2.0) * np.array([_camera(airframe).tilt_sigma_rad] * 2 + [_camera(airframe).prism_sigma] * 2)
+    sigma = np.sqrt(np.diag(flown.joint))[3 + TILT_X : 3 + PRISM_Y + 1]
+    assert np.all(sigma[[0, 2]] > 0.9 * prior[[0, 2]])
+    assert np.all(sigma[[1, 3]] < 0.5 * prior[[1, 3]])
+    error = flown.last.lens[TILT_X : PRISM_Y + 1] - truth[TILT_X : PRISM_Y + 1]
+    assert np.all(np.abs(error) < 3.0 * sigma)
