@@ -116,9 +116,7 @@ def tip_estimate(
     bias_jacobian[4:] += factor
     total = rows @ covariance @ rows.T + bias_jacobian @ bias_parameter_covariance @ bias_jacobian.T
     mean = 0.5 * (rows[4] + rows[5])
-    bias_covariance = covariance[layout.bias_states, layout.bias_states]
-    bias_gain = mean @ covariance[:, layout.bias_states]
-    slow = bias_gain @ np.linalg.solve(bias_covariance, bias_gain) + 0.25 * float(
+    slow = _variance_by_biases(covariance, mean, layout.bias_states) + 0.25 * float(
         (bias_jacobian[4] + bias_jacobian[5]) @ bias_parameter_covariance @ (bias_jacobian[4] + bias_jacobian[5])
     )
     return TipEstimate(values, 0.5 * (total + total.T), float(np.sqrt(max(slow, 0.0))))
@@ -215,20 +213,19 @@ def fast_slope_time_s(kalman: SeparatedBiasFilter, slope: Floats, step: int) -> 
     first = step - lag
     if first <= kalman.steps - kalman.history_length or first < 0:
         return 0.0
-    mean, biases, size = 0.5 * (slope[0] + slope[1]), kalman.layout.bias_states, kalman.history_length
-    error = kalman.history.covariance[first % size] @ mean
-    carried = error_after(kalman.history, first, lag, error)
-    before, after = (_without_biases(kalman.history.covariance[at % size], mean, biases) for at in (first, step))
-    bias_gain = error[biases]
-    covariance = kalman.history.covariance[first % size][biases, biases]
-    remaining_variance = float(mean @ carried) - float(bias_gain @ np.linalg.solve(covariance, bias_gain))
-    variance = math.sqrt(before * after)
+    mean, history, size = 0.5 * (slope[0] + slope[1]), kalman.history, kalman.history_length
+    before, after = history.covariance[first % size], history.covariance[step % size]
+    by_biases, by_biases_after = (_variance_by_biases(at, mean, kalman.layout.bias_states) for at in (before, after))
+    variance = math.sqrt(
+        max(float(mean @ before @ mean) - by_biases, 0.0) * max(float(mean @ after @ mean) - by_biases_after, 0.0)
+    )
+    remaining_variance = float(mean @ error_after(history, first, lag, before @ mean)) - by_biases
     if not 0.0 < remaining_variance < variance:
         return 0.0 if remaining_variance <= 0.0 else _LONGEST_S
     return min(-lag * kalman.model.step_s / math.log(remaining_variance / variance), _LONGEST_S)
 
 
-def _without_biases(covariance: Floats, mean: Floats, biases: slice) -> float:
-    """Variance of the mean slope given the drifting biases, rad^2."""
+def _variance_by_biases(covariance: Floats, mean: Floats, biases: slice) -> float:
+    """Part of the mean slope's variance that follows from the drifting biases, rad^2."""
     gain = mean @ covariance[:, biases]
-    return max(float(mean @ covariance @ mean - gain @ np.linalg.solve(covariance[biases, biases], gain)), 0.0)
+    return float(gain @ np.linalg.solve(covariance[biases, biases], gain))

@@ -253,9 +253,7 @@ class SampleBuffer:
         Where none was, the newest samples at hand tell the amplitudes.
         """
         fresh = line_states(np.array(list(frequency_hz.values())), self._line_weight)
-        retained = (
-            [number for number in self._line_numbers if number in frequency_hz] if self._lines is not None else []
-        )
+        retained = [number for number in self._line_numbers if number in frequency_hz]
         if self._lines is not None and retained:
             before = [self._line_numbers.index(number) for number in retained]
             take_over(fresh, [list(frequency_hz).index(number) for number in retained], self._lines, before)
