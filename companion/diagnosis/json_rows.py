@@ -7,6 +7,7 @@ from typing import Any
 
 from companion.diagnosis.selection.block_bootstrap import Interval
 from companion.diagnosis.selection.check import Check
+from companion.diagnosis.selection.cross_validation import HeldOut
 from companion.diagnosis.selection.recordings import Cause
 
 _SIGMAS_95 = 1.959964  # two-sided 95 % of a normal distribution
@@ -48,6 +49,24 @@ def cause_head(cause: Cause[Any], channel: str) -> dict[str, Any]:
 def nats(gain: Interval) -> dict[str, Any]:
     """Gain of a held-out log score."""
     return {"before": 0.0, "after": gain[0], "unit": "nat", "interval": [gain[1], gain[2]]}
+
+
+def held_out_gain(before: HeldOut, after: HeldOut, unit: str, error_of: str) -> dict[str, Any]:
+    """Gain on blocks that were not fitted: log score, and the error's decrease with its 95 % interval."""
+    gone, low, high = after.gone(before)
+    return {
+        "held_out": True,
+        "total": nats(after.gained(before)["total"]),
+        "error": {
+            "before": before.rms,
+            "after": after.rms,
+            "unit": unit,
+            "what": error_of,
+            "share_of_signal": [before.share_of_signal, after.share_of_signal],
+            "share_of_square_gone": gone,
+            "interval": [low, high],
+        },
+    }
 
 
 def deviation(name: str, value: float, sigma: float, prior_sigma: float, logarithmic: bool) -> dict[str, Any]:

@@ -20,8 +20,8 @@ from companion.diagnosis.free_decay.recordings import diagnose as diagnose_decay
 from companion.diagnosis.limit_cycles.json_report import as_json as flutter_json
 from companion.diagnosis.limit_cycles.recordings import diagnose_vibration
 from companion.diagnosis.limit_cycles.tracks import RawVibration, VibrationTrack, track
-from companion.diagnosis.modal_tests.run_comparison import as_json as comparison_json
-from companion.diagnosis.modal_tests.run_comparison import compare
+from companion.diagnosis.modal_tests.json_report import as_json as modal_json
+from companion.diagnosis.modal_tests.recordings import diagnose_modal_test
 from companion.diagnosis.modal_tests.vibration import VibrationRun, modes_of_runs, responses
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, RecordingError
 from companion.evaluation.findings_output import write_findings
@@ -88,8 +88,8 @@ def _vibration(
     if len({run.frequency_hz.size for run in runs}) > 1:
         raise RecordingError("the runs are of different length or rate: compare runs of one kind")
     progress("fit the modes of every run", 0.0)
-    diagnosis = compare(modes_of_runs(runs), [run.constants for run in runs])
-    plain = comparison_json(diagnosis, [str(table.path) for table in tables], options.airframe)
+    diagnosis = diagnose_modal_test(modes_of_runs(runs), [run.constants for run in runs], progress)
+    plain = modal_json(diagnosis, [str(table.path) for table in tables], options.airframe)
     return plain, lambda: vibration_page(diagnosis, runs, plain, mapping.description)
 
 

@@ -14,7 +14,7 @@ from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightsLikelihood, expect, fit, log_likelihood
-from companion.params.airframe import Airframe
+from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text
@@ -31,12 +31,18 @@ def airframe() -> Airframe:
 @pytest.fixture(scope="module")
 def drawn(airframe: Airframe) -> FlightModel:
     """A recording drawn from the model's own spectrum."""
+    return draw(airframe, {})
+
+
+def draw(airframe: Airframe, truth: dict[str, float]) -> FlightModel:
+    """A recording drawn from the model's own spectrum with some deviations."""
     rng = np.random.default_rng(5)
     m = 3000
     empty = Observations(RATE_HZ, (Side.LEFT, Side.RIGHT), rng.standard_normal((m, 2)), np.zeros(2), False,
                          np.ones(m), {}, None)  # fmt: skip
     model = FlightModel(believe(airframe, empty.sides, False, False), empty, TOP_HZ)
-    spectrum = np.moveaxis(model.expect(np.zeros(len(model.belief.nuisances))).spectrum, -1, 0)
+    deviations = np.array([truth.get(entry.key, 0.0) for entry in model.belief.nuisances])
+    spectrum = np.moveaxis(model.expect(deviations).spectrum, -1, 0)
     root = np.linalg.cholesky(spectrum)
     noise = rng.standard_normal((len(spectrum), 2, 2)) @ np.array([1.0, 1j]) / np.sqrt(2.0)
     bins = np.zeros((m // 2 + 1, 2), dtype=complex)
@@ -93,6 +99,18 @@ def test_a_fit_of_the_models_own_draw_stays_at_the_truth(drawn: FlightModel) -> 
     assert fitted.converged
     away = fitted.values / np.sqrt(np.diag(fitted.covariance))
     assert np.abs(away).max() < 4.0
+
+
+def test_a_third_mode_of_the_file_is_fitted_like_the_others(airframe: Airframe) -> None:
+    """A frequency 8 % off comes back: 30 s of a mode of 30 Hz tell it to sqrt(0.03 / (2 pi 30 x 30)), 0.23 %."""
+    modes = [
+        dataclasses.replace(airframe.wing.symmetric, frequency_hz=Uncertain(f_hz, 0.05 * f_hz)) for f_hz in (14.0, 30.0)
+    ]
+    wing = dataclasses.replace(airframe.wing, second_symmetric=modes[0], further_symmetric=(modes[1],))
+    fitted = fit([draw(dataclasses.replace(airframe, wing=wing), {"further_symmetric.0.frequency": 0.08})], ())
+    value, sigma = fitted.value("further_symmetric.0.frequency")
+    assert 0.0015 < sigma < 0.006
+    assert value == pytest.approx(0.08, abs=4.0 * sigma)
 
 
 def _raw(t_s: Floats, force: Floats) -> RawRecording:

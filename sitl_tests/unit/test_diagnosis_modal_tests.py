@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.diagnosis.modal_tests.run_comparison import as_json, compare, disagreement
+from companion.diagnosis.modal_tests.frequency_changes import disagreement
+from companion.diagnosis.modal_tests.json_report import as_json
+from companion.diagnosis.modal_tests.recordings import diagnose_modal_test
 from companion.diagnosis.modal_tests.vibration import VibrationRun, mode_of, modes_of_runs, responses
 from companion.diagnosis.selection.check import DiagnosisVerdict
+from companion.errors import RecordingError
 from companion.records import Floats
 
 F_HZ: Floats = np.arange(5.0, 20.0, 1.0 / 60.0)
@@ -44,8 +47,8 @@ def test_responses_of_a_whole_record_are_the_ratio_of_its_transforms() -> None:
 
 def judge(frequencies: list[float], positions: list[float]) -> tuple[DiagnosisVerdict, dict[str, object]]:
     runs = [run_of(k + 1, f, position_m=x) for k, (f, x) in enumerate(zip(frequencies, positions, strict=True))]
-    found = compare(modes_of_runs(runs), [run.constants for run in runs])
-    return found.verdict, as_json(found, [run.name for run in runs], None)
+    diagnosis = diagnose_modal_test(modes_of_runs(runs), [run.constants for run in runs], lambda _what, _ratio: None)
+    return diagnosis.outcome.verdict, as_json(diagnosis, [run.name for run in runs], None)
 
 
 def test_equal_runs_are_adequate() -> None:
@@ -70,6 +73,24 @@ def test_the_same_change_is_explained_where_positions_came_back_with_their_frequ
     assert verdict is DiagnosisVerdict.EXPLAINED
     (cause,) = plain["causes"]  # type: ignore[misc]
     assert (cause["name"], cause["channel"]) == ("covariate-frequency", "position_m")
+    # a run is foretold by the other one of its position: to the noise of both, where 0.1 Hz lay between positions
+    assert cause["gain"]["before"] > 0.05
+    assert cause["gain"]["after"] < 0.005
+
+
+def test_a_mode_that_stays_has_the_inverse_variance_mean_of_its_runs_as_frequency() -> None:
+    modes = modes_of_runs([run_of(k, 9.2, position_m=0.0) for k in range(4)])
+    fitted = diagnose_modal_test(modes, [{"position_m": 0.0}] * 4, lambda _what, _ratio: None).outcome.final
+    mode = modes[0]
+    weight = mode.sigma_hz**-2
+    value, sigma = fitted.value(fitted.keys[0])
+    assert value == pytest.approx(np.average(mode.frequency_hz, weights=weight), abs=1e-6)
+    assert sigma == pytest.approx(weight.sum() ** -0.5, rel=1e-3)
+
+
+def test_responses_without_a_peak_are_refused_with_what_to_check() -> None:
+    with pytest.raises(RecordingError, match="no mode stands out of the responses: check 'band_hz'"):
+        diagnose_modal_test([], [], lambda _what, _ratio: None)
 
 
 def test_where_positions_came_back_and_the_frequency_did_not_nothing_is_named() -> None:

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from companion.diagnosis.forced.recordings import LAWS, ForcedDiagnosis
-from companion.diagnosis.json_rows import adequacy, cause_head, failures, nats, quantity
+from companion.diagnosis.json_rows import adequacy, cause_head, failures, held_out_gain, quantity
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.recordings import Cause
 from companion.diagnosis.selection.regression import RegressionTerm
@@ -56,20 +56,8 @@ def _gain(diagnosis: ForcedDiagnosis) -> dict[str, Any] | None:
     gain = diagnosis.outcome.gain
     if gain is None:
         return None
-    gone, low, high = gain.after.gone(gain.before)
-    return {
-        "held_out": True,
-        "total": nats(gain.log_score["total"]),
-        "error": {
-            "before": gain.before.rms,
-            "after": gain.after.rms,
-            "unit": "of the spectrum",
-            "what": "force in the band, on segments that were not fitted",
-            "share_of_signal": [gain.before.share_of_signal, gain.after.share_of_signal],
-            "share_of_square_gone": gone,
-            "interval": [low, high],
-        },
-    }
+    error_of = "force in the band, on segments that were not fitted"
+    return held_out_gain(gain.before, gain.after, "of the spectrum", error_of)
 
 
 def _linear(diagnosis: ForcedDiagnosis, extended: bool) -> dict[str, float]:

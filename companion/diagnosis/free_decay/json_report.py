@@ -19,7 +19,7 @@ from companion.diagnosis.free_decay.laws import Extension, Law
 from companion.diagnosis.free_decay.model import key_of
 from companion.diagnosis.free_decay.record import Scale
 from companion.diagnosis.free_decay.recordings import FreeDecayDiagnosis
-from companion.diagnosis.json_rows import deviation, failures, nats, quantity
+from companion.diagnosis.json_rows import deviation, failures, held_out_gain, quantity
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.diagnosis.selection.cross_validation import HeldOut
 from companion.diagnosis.selection.score_tests import Candidate
@@ -154,20 +154,8 @@ def _of_second(diagnosis: FreeDecayDiagnosis) -> dict[str, Any]:
 
 
 def _gain(diagnosis: FreeDecayDiagnosis, before: HeldOut, after: HeldOut) -> dict[str, Any]:
-    gone, gone_low, gone_high = after.gone(before)
-    return {
-        "held_out": True,
-        "total": nats(after.gained(before)["total"]),
-        "error": {
-            "before": before.rms,
-            "after": after.rms,
-            "unit": "m/s^2",
-            "what": f"acceleration {1e3 * diagnosis.ahead_s:.0f} ms ahead, between knocks",
-            "share_of_signal": [before.share_of_signal, after.share_of_signal],
-            "share_of_square_gone": gone,
-            "interval": [gone_low, gone_high],
-        },
-    }
+    error_of = f"acceleration {1e3 * diagnosis.ahead_s:.0f} ms ahead, between knocks"
+    return held_out_gain(before, after, "m/s^2", error_of)
 
 
 def _residual(diagnosis: FreeDecayDiagnosis) -> dict[str, Any]:

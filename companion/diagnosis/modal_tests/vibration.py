@@ -56,6 +56,11 @@ class ModeOverRuns:
     of_runs: tuple[ModeOfRun, ...]
 
     @property
+    def near_hz(self) -> float:
+        """Median of the natural frequencies, by which the mode is named."""
+        return float(np.median(self.frequency_hz))
+
+    @property
     def frequency_hz(self) -> Floats:
         """Natural frequency in each run, (runs,)."""
         return np.array([mode.frequency_hz for mode in self.of_runs])

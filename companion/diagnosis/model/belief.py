@@ -11,15 +11,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from companion.core.wing.effects import make_effect
-from companion.core.wing.structure import SLOT_NAMES
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import ADDED
-from companion.params.airframe import Airframe, Mode, Uncertain, Wing
+from companion.params.airframe import FAMILIES, Airframe, Mode, Uncertain, Wing
 from companion.records import Floats, Side
 
 _INPUT_MPS2 = 10.0  # what a measured input may do to the wing at most
@@ -73,15 +71,10 @@ class Belief:
 
     def wing(self, deviation: dict[str, float]) -> Wing:
         """The wing with its deviations put in."""
-        wing = self.airframe.wing
-        modes: dict[str, Any] = {}
-        for name in SLOT_NAMES:
-            mode: Mode | None = getattr(wing, name)
-            if mode is not None:
-                modes[name] = _moved(mode, name, deviation)
+        wing = self.airframe.wing.with_modes(lambda name, mode: _moved(mode, name, deviation))
         trim = Uncertain(wing.trim_bend_m.value + deviation.get("trim_bend_m", 0.0), wing.trim_bend_m.sigma)
         per_g = Uncertain(wing.bend_per_g_m.value + deviation.get("bend_per_g_m", 0.0), wing.bend_per_g_m.sigma)
-        return dataclasses.replace(wing, trim_bend_m=trim, bend_per_g_m=per_g, **modes)
+        return dataclasses.replace(wing, trim_bend_m=trim, bend_per_g_m=per_g)
 
     def match_sigma_rad(self) -> float:
         """Believed noise of one measured toe."""
@@ -103,9 +96,10 @@ def believe(
     What differs from flight to flight (gust, noise, bias, matching) is a nuisance of each recording. ``inputs`` are the
     measured ones with their rms: what they do to the wing per unit is free.
     """
-    nuisances = [entry for name in SLOT_NAMES for entry in _of_mode(getattr(airframe.wing, name), name, with_range)]
-    seconds = [name for name in SLOT_NAMES[2:] if getattr(airframe.wing, name) is not None]
-    nuisances += [Nuisance(f"{name}.coherence", _COHERENCE) for name in (*seconds, ADDED)]
+    modes = airframe.wing.modes
+    nuisances = [entry for name, mode in modes.items() for entry in _of_mode(mode, name, with_range)]
+    above_first = [name for name in modes if name not in FAMILIES]
+    nuisances += [Nuisance(f"{name}.coherence", _COHERENCE) for name in (*above_first, ADDED)]
     nuisances += [Nuisance(f"corner{i}", _CORNER_SIGMA, True) for i, c in enumerate(airframe.wing.gust.corners_hz) if c]
     for side in sides:
         sensor = (airframe.left, airframe.right)[side]
@@ -147,15 +141,13 @@ def _for_each(entry: Nuisance, recordings: int) -> list[Nuisance]:
     return [dataclasses.replace(entry, key=f"{entry.key}{_RECORDING_MARK}{k}") for k in range(recordings)]
 
 
-def _of_mode(mode: Mode | None, name: str, with_range: bool) -> list[Nuisance]:
-    if mode is None:
-        return []
+def _of_mode(mode: Mode, name: str, with_range: bool) -> list[Nuisance]:
     nuisances = [
         Nuisance(f"{name}.frequency", mode.frequency_hz.sigma / mode.frequency_hz.value, True),
         Nuisance(f"{name}.damping", mode.damping.sigma / max(mode.damping.value, 1e-6), True),
         Nuisance(f"{name}.level", _UNKNOWN_LEVEL, True),
     ]
-    if with_range and not name.endswith("antisymmetric"):
+    if with_range and "antisymmetric" not in name:
         slope = mode.slope_factor_radpm
         nuisances.append(Nuisance(f"{name}.slope", slope.sigma / max(slope.value, 1e-6), True))
     return nuisances

@@ -79,6 +79,8 @@ class RegressionResponse:
         Prior of the mean, and where the noise is sought.
     nuisances : tuple of Coefficient
         Columns that are in every model.
+    noise_sigma : float
+        Prior of the noise's logarithm.
     """
 
     name: str
@@ -91,6 +93,7 @@ class RegressionResponse:
     sigma: float
     noise: float
     nuisances: tuple[Coefficient, ...] = ()
+    noise_sigma: float = _NOISE_SIGMA
 
 
 class RegressionModel:
@@ -113,7 +116,9 @@ class RegressionModel:
             self.parameters += [Parameter(entry.name, entry.level, entry.sigma)]
             groups = range(int(entry.group.max()) + 1)
             noise = math.log(entry.noise)
-            self.parameters += [Parameter(f"noise {group} of {entry.name}", noise, _NOISE_SIGMA) for group in groups]
+            self.parameters += [
+                Parameter(f"noise {group} of {entry.name}", noise, entry.noise_sigma) for group in groups
+            ]
             self.parameters += [Parameter(column.key, 0.0, column.sigma) for column in entry.nuisances]
         count = len(self.parameters)
         self.parameters += [Parameter(entry.key, 0.0, wider * entry.sigma) for entry in added]

@@ -12,7 +12,7 @@ from companion.diagnosis.free_decay.likelihood import FreeDecayFit
 from companion.diagnosis.free_decay.record import Scale
 from companion.diagnosis.free_decay.recordings import FreeDecayDiagnosis
 from companion.diagnosis.free_decay.views import backbone, restoring_force
-from companion.diagnosis.modal_tests.run_comparison import Comparison
+from companion.diagnosis.modal_tests.recordings import ModalTestDiagnosis
 from companion.diagnosis.modal_tests.vibration import VibrationRun
 from companion.reporting.blocks import Advice, Block, Heading, Page, Paragraph, Table
 from companion.reporting.embedding import embed
@@ -45,7 +45,9 @@ def ringing_page(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], pla
     return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, {seconds:.0f} s, fitted jointly", body)
 
 
-def vibration_page(diagnosis: Comparison, runs: Sequence[VibrationRun], plain: dict[str, Any], what: str) -> str:
+def vibration_page(
+    diagnosis: ModalTestDiagnosis, runs: Sequence[VibrationRun], plain: dict[str, Any], what: str
+) -> str:
     """The page of a vibration test."""
     body: list[Block] = [
         *[Advice(f"Record: {line}.") for line in plain["advice"]],
@@ -220,7 +222,7 @@ def _forces(diagnosis: FreeDecayDiagnosis) -> Any:
     return figure
 
 
-def _by_run(diagnosis: Comparison) -> Any:
+def _by_run(diagnosis: ModalTestDiagnosis) -> Any:
     shown = [recording.mode for recording in diagnosis.changed] or list(diagnosis.modes)
     figure = new_figure(11, 3.2)
     axes = np.atleast_1d(figure.subplots(1, min(len(shown), 4)))
@@ -233,7 +235,7 @@ def _by_run(diagnosis: Comparison) -> Any:
     return figure
 
 
-def _by_constant(diagnosis: Comparison, runs: Sequence[VibrationRun]) -> Any:
+def _by_constant(diagnosis: ModalTestDiagnosis, runs: Sequence[VibrationRun]) -> Any:
     leading = diagnosis.changed[0]
     names = [recording.name for recording in leading.channels] or ["run_order"]
     figure = new_figure(11, 3.2)
@@ -265,8 +267,6 @@ def _responses(runs: Sequence[VibrationRun]) -> Any:
 
 
 def _modes(plain: dict[str, Any]) -> list[Block]:
-    if not plain["modes"]:
-        return [Paragraph("No mode stands out.")]
     changes = sorted(plain["modes"], key=lambda mode: -abs(_change(mode)))
     rows = [
         [f"near {mode['near_hz']:.2f} Hz", f"{min(mode['frequency_hz']):.3f} to {max(mode['frequency_hz']):.3f} Hz",
