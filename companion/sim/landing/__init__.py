@@ -1,0 +1,1 @@
+"""A flexible aeroplane in six degrees of freedom and the small autopilot that lands it."""
