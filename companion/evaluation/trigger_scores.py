@@ -76,8 +76,7 @@ def trigger_scores(
     """
     aimed = _aimed(list(plans), matches, start_host_ns)
     peaks, swing = true_peaks(flight), _FreeSwing(flight)
-    rng = np.random.default_rng([flight.seed, _RANDOM_SEED])
-    random_s = rng.uniform(SETTLED_S, max(flight.duration_s - 1.0, SETTLED_S + 1e-3), _RANDOM_INSTANTS)
+    random_s = _random_instants_s(flight)
     fired_s = np.array([shot_s for shot_s, _ in aimed])
     scores: dict[str, Any] = {"shots": len(aimed)}
     for name, true_s in (("deflection", peaks.deflection_s), ("toe", peaks.toe_s)):
@@ -93,6 +92,14 @@ def trigger_scores(
     scores["blur_px"] = {way: spread(values) for way, values in blur.items()}
     scores["share_of_gain"] = (means["at_random"] - means["at_plan"]) / (means["at_random"] - means["limit"])
     return scores
+
+
+def _random_instants_s(flight: Flight) -> Floats:
+    """Instants (n,) over the settled part of the flight; over all of it where it ends before that."""
+    last_s = flight.duration_s - 1.0
+    begin_s, end_s = (SETTLED_S, last_s) if last_s > SETTLED_S else (0.0, flight.duration_s)
+    rng = np.random.default_rng([flight.seed, _RANDOM_SEED])
+    return np.asarray(rng.uniform(begin_s, end_s, _RANDOM_INSTANTS))
 
 
 def _aimed(plans: list[TriggerPlan], matches: Iterable[MatchSet], start_host_ns: int) -> list[tuple[float, float]]:

@@ -71,3 +71,12 @@ def test_no_aimed_shot_is_no_score(flight: Flight) -> None:
     scores = trigger_scores(flight, [], [], START_NS)
     assert scores["shots"] == 0
     assert scores["toe_peak_ms"]["at_plan"] == {"n": 0}
+
+
+@pytest.mark.parametrize("duration_s", [0.2, 1.0, 5.0, 10.5])
+def test_a_flight_that_ends_before_the_tracker_settles_is_scored_over_its_length(duration_s: float) -> None:
+    short = build_flight(load_airframe("nadir-2m"), 3, plan=still_plan(duration_s), gust=GustKind.WHITE)
+    scores = trigger_scores(short, *aimed(np.array([0.6 * duration_s]), 0.01), START_NS)
+    assert scores["shots"] == 1
+    assert scores["blur_px"]["at_random"]["n"] == 2000
+    assert scores["blur_px"]["at_random"]["rms"] > 0.0
