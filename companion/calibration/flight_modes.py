@@ -55,7 +55,10 @@ def wing_motion(records: Iterable[Record], airframe: Airframe, hub: ClockName) -
             raise RecordingError(f"the recording has no samples of the {station.name.lower()} station")
     first, last = _shared(streams)
     if last - first < _LEAST_S * 1e9:
-        raise RecordingError(f"root, left and right share only {max(last - first, 0) * 1e-9:.1f} s without a gap")
+        shared_s = max(last - first, 0) * 1e-9
+        raise RecordingError(
+            f"root, left and right share only {shared_s:.1f} s without a gap; {_LEAST_S:g} s are needed"
+        )
     grid = np.arange(first, last, round(1e9 / _RATE_HZ))
     root, left, right = (_on_grid(*streams[station], grid) for station in Station)
     roll_rate = root[:, 3]

@@ -1,4 +1,7 @@
-"""``spanwise fleet``: report, diagnose, identify or tune many flights, a process a file, into one table and page."""
+"""``spanwise fleet``: report, diagnose, identify or tune many flights, a process a file, into one table and page.
+
+On an existing Dask cluster with ``--scheduler``; the results are the same.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,20 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from companion.cli.steps.fleet_tasks import work
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import make_folder
-from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, MissingExtra
 from companion.evaluation.fleet import page
+from companion.evaluation.fleet.cluster import require_dask, run_on_cluster
+from companion.evaluation.fleet.file_task import FileTask, tasks_of
+from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv
-from companion.evaluation.fleet.runner import run, tasks_of
+from companion.evaluation.fleet.runner import Row, run
+from companion.evaluation.fleet.trends import findings
 from companion.reporting.plotting import require_report
 
 KINDS = ("report", "diagnose", "identify", "tune")
@@ -29,31 +36,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOGS", help="recordings, and folders of them")
     parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own")
     parser.add_argument("--workers", type=integer(1, _MOST_WORKERS), default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask cluster in place of processes; see the README")
     parser.add_argument("--out", type=Path, default=Path("out/fleet"), metavar="FOLDER", help="table, page and parts")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Work off what is missing, and write table and page of all; 3 where no file gave a result."""
     require_report()
+    if options.scheduler:
+        require_dask()
     if options.kind == "tune" and options.airframe:
         raise ConfigError("fleet tune: only recordings of Spanwise can be tuned, and they hold their airframe")
     paths = _files(options.logs)
     make_folder(options.out)
     words = (options.kind, *(("--airframe", options.airframe) if options.airframe else ()))
     tasks = tasks_of(paths, words, options.out)
-    rows: dict[Path, dict[str, Any]] = {}
+    rows: dict[Path, Row] = {}
     began_s = time.monotonic()
-    for task, row in run(tasks, work, options.workers):
+    for task, row in _results(tasks, options):
         rows[task.path] = row
         _say(len(rows), len(tasks), began_s, row)
     ordered = [rows[task.path] for task in tasks]
-    (options.out / "fleet.csv").write_text(as_csv(ordered), encoding="utf-8")
+    tables = _write_tables(ordered, options.out)
     (options.out / "fleet.html").write_text(page.render(options.kind, ordered), encoding="utf-8")
     failed = sum(bool(row.get("failed")) for row in ordered)
-    for sentence in page.findings([row for row in ordered if not row.get("failed")]):
+    for sentence in findings([row for row in ordered if not row.get("failed")]):
         print(f"  {sentence}")
-    print(f"{len(ordered) - failed} of {len(ordered)} files; wrote {options.out / 'fleet.html'} and fleet.csv")
+    print(f"{len(ordered) - failed} of {len(ordered)} files; wrote {options.out / 'fleet.html'}, {tables}")
     return 0 if failed < len(ordered) else NOTHING_TO_ESTIMATE
+
+
+def _results(tasks: list[FileTask], options: argparse.Namespace) -> Iterator[tuple[FileTask, Row]]:
+    if options.scheduler:
+        return run_on_cluster(tasks, work, options.scheduler)
+    return run(tasks, work, options.workers)
+
+
+def _write_tables(rows: list[Row], folder: Path) -> str:
+    """Write the rows as CSV and, where its library is installed, as Parquet; say what was written."""
+    (folder / "fleet.csv").write_text(as_csv(rows), encoding="utf-8")
+    try:
+        write_parquet(rows, folder / "fleet.parquet")
+    except MissingExtra as absent:
+        return f"fleet.csv ({absent})"
+    return "fleet.csv, fleet.parquet"
 
 
 def _files(logs: list[Path]) -> list[Path]:
@@ -71,7 +97,7 @@ def _files(logs: list[Path]) -> list[Path]:
     return files
 
 
-def _say(done: int, total: int, began_s: float, row: dict[str, Any]) -> None:
+def _say(done: int, total: int, began_s: float, row: Row) -> None:
     """A line for each file."""
     took_s = time.monotonic() - began_s
     what = f"failed: {row['failed']}" if row.get("failed") else "done"

@@ -31,6 +31,7 @@ from companion.records import (
 SPECTRUM_SEGMENT_S = 8.0  # of Welch's average: bins of 1/8 Hz tell a mode from its neighbour
 _LINE_RATIO = 12.0  # a vibration line stands so far above the median of its neighbours
 _NEIGHBOURHOOD_HZ = 6.0
+_NOISE_BAND = (0.5, 0.9)  # of half the rate: above the wing's motion, below the sensor's own low-pass edge
 _LINES = 6  # that are worth naming
 
 
@@ -118,6 +119,21 @@ class FlightLog:
             return None
         f_hz, density = signal.welch(values - values.mean(), stream.rate_hz, nperseg=length)
         return Spectrum(np.asarray(f_hz), np.asarray(density))
+
+    def noise_density(self, station: Station) -> float | None:
+        """Noise of the vertical accelerometer, (m/s^2)/sqrt(Hz): the median of its spectrum above the wing's motion.
+
+        Lines of propulsion raise few bins and no median. None for less than two seconds or an unknown rate.
+        """
+        stream = self.info.streams.get(station)
+        if stream is None or stream.rate_hz is None:
+            return None
+        values, length = np.concatenate(self._vertical[station]), int(stream.rate_hz)
+        if length < 2 or len(values) < 2 * length:
+            return None
+        f_hz, density = signal.welch(values - values.mean(), stream.rate_hz, nperseg=length)
+        low_hz, high_hz = (ratio * 0.5 * stream.rate_hz for ratio in _NOISE_BAND)
+        return float(np.sqrt(np.median(density[(f_hz >= low_hz) & (f_hz <= high_hz)])))
 
     def blur_px(self) -> Floats:
         """Predicted blur of each plan to fire, px."""

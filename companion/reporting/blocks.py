@@ -52,7 +52,10 @@ class Answers:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Table of ready cells; columns of numbers are set right, a cell ``failed`` and the row ``worst`` stand out."""
+    """Table of ready cells; columns of numbers are set right, a cell ``failed`` and the row ``worst`` stand out.
+
+    ``links`` has for each row where its first cell leads, "" for nowhere.
+    """
 
     kind: ClassVar[str] = "table"
     heads: Sequence[str]
@@ -60,6 +63,7 @@ class Table:
     worst: int | None = None
     title: str = ""
     note: str = ""
+    links: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,6 +60,8 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
         frozenset({"numpy", "matplotlib", "jinja2", "markupsafe"}),
     ),
     "companion.evaluation": (_JUDGES | {"evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
+    "companion.evaluation.fleet.cluster": (frozenset({"evaluation.fleet", "errors"}), frozenset({"distributed"})),
+    "companion.evaluation.fleet.parquet": (frozenset({"errors"}), frozenset({"pyarrow"})),
     "companion.doctor": (_JUDGES | {"doctor", "evaluation.plan_outcomes"}, frozenset({"numpy", "pymavlink"})),
     "companion.paper": (_JUDGES | {"paper", "evaluation"}, frozenset({"numpy", "scipy", "matplotlib", "cv2"})),
     # the live view: the recordings' topics and schemas over a websocket; the SDK comes with an extra

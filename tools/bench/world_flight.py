@@ -66,7 +66,7 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
     """One flight of a row as plain values: every judged shot with its peers' toes, and what was withheld."""
     flight = build_flight(row.belief(), row.seed(number), plan=row.plan(), world=WORLDS[row.world])
     pair = StruckPair(flight, row.accident.knock_rad)
-    shots = list(_shots(flight, pair))
+    shots = list(judged_shots(flight, pair))
     told = [_stamped_late(matches, row.accident, flight) for matches in shots]
     inputs = list(_lying(in_order(flight, told), row.accident))
     outputs = _driven(flight.airframe, inputs)
@@ -114,7 +114,7 @@ def _driven(airframe: Airframe, inputs: list[Record]) -> PipelineOutputs:
 # ------------------------------------------------------------------------------------------------ matches
 
 
-def _shots(flight: Flight, pair: StruckPair) -> Iterator[MatchSet]:
+def judged_shots(flight: Flight, pair: StruckPair) -> Iterator[MatchSet]:
     """Matches at a steady rate, each camera exposed by its own latency."""
     shutters = Shutters(flight.real.actual, flight.seed)
     rng = flight.generator("match ratio")

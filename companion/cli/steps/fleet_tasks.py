@@ -10,8 +10,8 @@ from typing import Any
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
+from companion.evaluation.fleet.file_task import FileTask
 from companion.evaluation.fleet.rows import flattened, flight_row
-from companion.evaluation.fleet.runner import FileTask
 from companion.evaluation.flight_log import gather
 from companion.evaluation.pages.flight_report import render
 from companion.params.files import load_airframe
@@ -39,7 +39,7 @@ def _report(task: FileTask) -> dict[str, Any]:
     pages = task.folder / "pages"
     pages.mkdir(exist_ok=True)
     (pages / f"{task.key}.html").write_text(render(recording, log), encoding="utf-8")
-    return flight_row(recording, log)
+    return {"page": f"pages/{task.key}.html"} | flight_row(recording, log)
 
 
 def _command(task: FileTask) -> dict[str, Any]:

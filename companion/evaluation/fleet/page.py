@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from companion.evaluation.fleet.trends import findings
 from companion.reporting import page, plotting
 from companion.reporting.blocks import Block, Findings, Heading, Page, Table
 from companion.reporting.embedding import embed
 
-_SIGMAS = 3.0  # by which a flight's frequency leaves its aircraft's median
-_FEWEST = 3  # flights of an aircraft that have a median worth the name
-_SLOW_RATIO = 0.02  # of its own median rate: a sensor that comes slower has lost samples
+_FEWEST = 3  # points that make a picture
 _COLORS = (plotting.BLUE, plotting.VERMILLION, plotting.GREEN, plotting.ORANGE, plotting.PURPLE, plotting.SKY)
 _MOST_COLUMNS = 8  # that a page is wide enough for
 _MOST_RECURRING = 12  # most frequent first
-_LABELS = ("file", "airframe")  # words that tell files apart, not what they share
+_PLACES = ("file", "page")
+_LABELS = (*_PLACES, "airframe")  # words that tell files apart, not what they share
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -47,10 +45,11 @@ def _body(good: Rows, failed: Rows) -> Iterator[Block]:
         yield Heading("What recurs")
         yield Table(("what", "files"), [(text, str(count)) for text, count in recurring])
     yield Heading("Every file")
-    columns = [name for name in dict.fromkeys(name for row in good for name in row) if name != "file"]
+    columns = [name for name in dict.fromkeys(name for row in good for name in row) if name not in _PLACES]
     shown = [name for name in columns if not name.startswith("withheld: ")][:_MOST_COLUMNS]
     cells = [(Path(str(row["file"])).name, *(_cell(row.get(name)) for name in shown)) for row in good]
-    yield Table(("file", *shown), cells, note="all columns are in fleet.csv")
+    links = [str(row.get("page", "")) for row in good]
+    yield Table(("file", *shown), cells, note="all columns are in fleet.csv and fleet.parquet", links=links)
 
 
 def _frequencies(rows: Rows) -> Iterator[Block]:
@@ -70,46 +69,6 @@ def _frequencies(rows: Rows) -> Iterator[Block]:
     axes.legend(frameon=False)
     yield Heading("First symmetric mode")
     yield embed(figure, "frequency of the first symmetric mode by flight, with sigma")
-
-
-def findings(rows: Rows) -> list[str]:
-    """Sentences on modes that left their aircraft's median, and sensors that lost their rate; worst first."""
-    by_aircraft: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
-    for row in rows:
-        if row.get("airframe"):
-            by_aircraft[row["airframe"]].append(row)
-    drifted: list[tuple[float, str]] = []
-    for name, flights in by_aircraft.items():
-        if len(flights) >= _FEWEST:
-            drifted += _drifts(name, flights)
-            drifted += _slow_sensors(name, flights)
-    return [text for _, text in sorted(drifted, key=lambda entry: -entry[0])]
-
-
-def _drifts(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
-    for mode in ("symmetric", "antisymmetric"):
-        measured = [row for row in flights if row.get(f"{mode}_hz") is not None]
-        if len(measured) < _FEWEST:
-            continue
-        median_hz = float(np.median([row[f"{mode}_hz"] for row in measured]))
-        for row in measured:
-            off_hz, sigma_hz = row[f"{mode}_hz"] - median_hz, row[f"{mode}_sigma_hz"]
-            if abs(off_hz) > _SIGMAS * sigma_hz:
-                what = f"{airframe}: {mode} mode {off_hz:+.2f} Hz off its median {median_hz:.2f} Hz"
-                yield abs(off_hz) / max(sigma_hz, 1e-9), f"{what} in {Path(row['file']).name}"
-
-
-def _slow_sensors(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
-    for station in ("root", "left", "right"):
-        measured = [row for row in flights if row.get(f"{station}_rate_hz")]
-        if len(measured) < _FEWEST:
-            continue
-        median_hz = float(np.median([row[f"{station}_rate_hz"] for row in measured]))
-        for row in measured:
-            lost = 1.0 - row[f"{station}_rate_hz"] / median_hz
-            if lost > _SLOW_RATIO:
-                what = f"{airframe}: {station} sensor {100 * lost:.0f} % slower than usual"
-                yield 100.0 * lost, f"{what} in {Path(row['file']).name}"
 
 
 def _recurring(rows: Rows) -> list[tuple[str, int]]:

@@ -14,6 +14,7 @@ from companion.evaluation.flight_log import FlightLog
 from companion.evaluation.pages.flight_report import verdict
 from companion.records import Health, Station, Validity
 
+_VERDICTS = {"adequate": "usable", "unexplained": "often withheld", "not-identifiable": "nothing to judge"}
 _DEEPEST = 3  # levels of a nested result that become columns
 _MOST_TEXT = 160  # characters of a cell
 
@@ -26,7 +27,7 @@ def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:
     row: dict[str, Any] = {
         "airframe": recording.airframe.name,
         "duration_s": round(log.info.duration_s, 1),
-        "verdict": judged.key,
+        "verdict": _VERDICTS.get(judged.key, judged.key),
         "ranges": len(log.ranges),
         "published": len(trusted),
         "sigma_ratio": _median([entry.sigma_m / entry.range_m for entry in trusted]),
@@ -42,6 +43,7 @@ def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:
         stream = log.info.streams.get(station)
         rate_hz = None if stream is None else stream.rate_hz
         row[f"{station.name.lower()}_rate_hz"] = None if rate_hz is None else round(rate_hz, 2)
+        row[f"{station.name.lower()}_noise"] = _rounded(log.noise_density(station))
     for reason, count in log.withheld().items():
         row[f"withheld: {reason}"] = count
     return row
@@ -74,7 +76,12 @@ def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _median(values: list[float]) -> float | None:
-    return float(f"{np.median(values):.6g}") if values else None
+    return _rounded(float(np.median(values))) if values else None
+
+
+def _rounded(value: float | None) -> float | None:
+    """Six digits: what a table holds and a further run gives again."""
+    return None if value is None else float(f"{value:.6g}")
 
 
 def _is_plain(values: list[Any]) -> bool:

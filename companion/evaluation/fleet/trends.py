@@ -1,0 +1,124 @@
+"""Sentences on a fleet: whose mode drifts, whose sensor ages, and which single flight stands out of its aircraft's.
+
+Flights of an aircraft are compared in the order of their files' names. A drift is the change of the median from the
+first to the last third of them, and is named where it exceeds three of its sigmas; each median's sigma comes from the
+median absolute deviation of its flights (1.25 times that of a mean, for the normal law).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from companion.records import Floats
+
+_SIGMAS = 3.0  # by which a change or a flight is no chance
+_MOST = 20  # sentences that are read; the table has the rest
+_FEWEST = 3  # flights of an aircraft that have a median worth the name
+_THIRDS_FEWEST = 9  # flights that have thirds with medians
+_MAD_SIGMA = 1.4826  # of a normal law, per median absolute deviation
+_MEDIAN_SIGMA = 1.2533  # of a median, per sigma of a mean (sqrt(pi / 2))
+_DRIFT_RATIO = 0.005  # of its aircraft's median: a twentieth of what an airframe file believes of a mode
+_SLOW_RATIO = 0.02  # of its aircraft's median: a sensor that comes slower has lost samples
+_NOISE_RATIO = 0.25  # of its aircraft's median: a sensor that is noisier is loose, warm or worn
+_STATIONS = ("root", "left", "right")
+
+Rows = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Figure:
+    """A column that is followed over an aircraft's flights: what it is called, and the least change worth a word."""
+
+    column: str
+    name: str
+    unit: str
+    least_ratio: float
+    sigma_column: str = ""
+    worse: int = 0
+    """1 where only a rise is worse, -1 where only a fall is, 0 for both."""
+
+    def values(self, flights: Rows) -> list[tuple[Mapping[str, Any], float]]:
+        """The flights that have it, each with its value."""
+        return [(row, float(row[self.column])) for row in flights if row.get(self.column) is not None]
+
+    def matters(self, change: float, usual: float) -> bool:
+        """Whether a change from the usual value is large enough, in the direction that is worse."""
+        return abs(change) > self.least_ratio * abs(usual) and change * self.worse >= 0.0
+
+
+_MODES = tuple(
+    _Figure(f"{mode}_hz", f"{mode} mode", "Hz", _DRIFT_RATIO, f"{mode}_sigma_hz")
+    for mode in ("symmetric", "antisymmetric")
+)
+_RATES = tuple(
+    _Figure(f"{place}_rate_hz", f"{place} sensor's rate", "Hz", _SLOW_RATIO, worse=-1) for place in _STATIONS
+)
+_NOISES = tuple(
+    _Figure(f"{place}_noise", f"{place} sensor's noise", "m/s²/√Hz", _NOISE_RATIO, worse=1) for place in _STATIONS
+)
+FIGURES = (*_MODES, *_RATES, *_NOISES)
+
+
+def findings(rows: Rows) -> list[str]:
+    """All sentences: drifts first, then single flights; each kind's clearest first."""
+    by_aircraft: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+    for row in rows:
+        if row.get("airframe"):
+            by_aircraft[row["airframe"]].append(row)
+    drifts: list[tuple[float, str]] = []
+    singles: list[tuple[float, str]] = []
+    for airframe, flights in by_aircraft.items():
+        for figure in FIGURES:
+            drift = _drift(airframe, flights, figure)
+            if drift is not None:
+                drifts.append(drift)
+            else:
+                singles += _outliers(airframe, flights, figure)
+    texts = [text for _, text in [*sorted(drifts, key=_clearest), *sorted(singles, key=_clearest)]]
+    return texts if len(texts) <= _MOST else [*texts[:_MOST], f"and {len(texts) - _MOST} more"]
+
+
+def _clearest(entry: tuple[float, str]) -> float:
+    return -entry[0]
+
+
+def _drift(airframe: str, flights: Rows, figure: _Figure) -> tuple[float, str] | None:
+    """Clearness in sigmas and sentence of a change from the first to the last third of the flights."""
+    values = np.array([value for _, value in figure.values(flights)])
+    if len(values) < _THIRDS_FEWEST:
+        return None
+    third = len(values) // 3
+    first, first_sigma = _median(values[:third])
+    last, last_sigma = _median(values[-third:])
+    sigmas = abs(last - first) / max(float(np.hypot(first_sigma, last_sigma)), 1e-9 * abs(first), 1e-12)
+    if sigmas < _SIGMAS or not figure.matters(last - first, first):
+        return None
+    change = f"went from {first:.4g} to {last:.4g} {figure.unit} ({100 * (last / first - 1):+.1f} %)"
+    return sigmas, f"{airframe}: {figure.name} {change} between the first and the last third of {len(values)} flights"
+
+
+def _median(values: Floats) -> tuple[float, float]:
+    """Median and its sigma."""
+    middle = float(np.median(values))
+    scatter = _MAD_SIGMA * float(np.median(np.abs(values - middle)))
+    return middle, _MEDIAN_SIGMA * scatter / float(np.sqrt(len(values)))
+
+
+def _outliers(airframe: str, flights: Rows, figure: _Figure) -> Iterator[tuple[float, str]]:
+    """Clearness and sentence of each flight that left its aircraft's median."""
+    measured = figure.values(flights)
+    if len(measured) < _FEWEST:
+        return
+    usual = float(np.median([value for _, value in measured]))
+    for row, value in measured:
+        sigma = row.get(figure.sigma_column) if figure.sigma_column else figure.least_ratio * abs(usual) / _SIGMAS
+        sigmas = abs(value - usual) / max(float(sigma or 0.0), 1e-9)
+        if sigmas > _SIGMAS and figure.matters(value - usual, usual):
+            where = f"in {Path(row['file']).name}"
+            yield sigmas, f"{airframe}: {figure.name} {value:.4g}, usually {usual:.4g} {figure.unit}, {where}"
