@@ -8,7 +8,7 @@ READY  := $(NATIVE)/kernels.so
 SECONDS ?= 120
 WAITING := sitl_tests/loop/test_missions.py
 
-.PHONY: demo test long check native sanitize fuzz fast lint types architecture generated bench trials lock clean help
+.PHONY: demo test long check native wheels sanitize fuzz fast lint types architecture generated bench trials lock clean help
 
 help:            ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
@@ -56,6 +56,10 @@ fast: $(READY)
 
 native: $(READY) ## compile the inner loops in C (setup.py)
 
+wheels: $(READY) ## wheels for x86_64 and aarch64 in dist/, compiled by the ziglang package
+	@$(BIN)/python -c 'import ziglang' 2>/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-ziglang.lock
+	$(BIN)/python -m tools.wheels
+
 sanitize: $(READY) ## run the inner loops under the address and undefined-behaviour sanitizers
 	$(BIN)/python -m pytest -m long sitl_tests/native/test_native_sanitized.py
 
@@ -72,4 +76,4 @@ lock: $(STAMP)   ## pin every dependency with its hashes (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate --no-header --extra all --extra dev -q pyproject.toml requirements-build.in -o requirements.lock
 
 clean:
-	rm -rf $(VENV) out build *.egg-info $(READY)
+	rm -rf $(VENV) out build dist *.egg-info $(READY)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import platform
 import runpy
 import shlex
 import shutil
@@ -49,6 +48,12 @@ def compiler() -> list[str]:
     sys.exit("Spanwise needs a C compiler: install cc, gcc or clang, or `pip install ziglang` into this environment")
 
 
+def compiles_for_x86_64() -> bool:
+    """Tell whether the compiler's target, which need not be this machine, is an x86_64 processor."""
+    asked = [*compiler(), "-dM", "-E", "-x", "c", os.devnull]
+    return "__x86_64__" in subprocess.run(asked, check=True, capture_output=True, text=True).stdout
+
+
 class BuildNative(build_ext):
     """Compiles the library; its name has no Python's in it."""
 
@@ -69,8 +74,7 @@ class BuildNative(build_ext):
     def _variants(self, ext: Extension) -> dict[str, list[str]]:
         """Name the libraries, with what each is compiled for: AVX2 doubles the speed where there is some, same bits."""
         name = self.get_ext_filename(ext.name)
-        x86_64 = platform.machine().lower() in ("x86_64", "amd64")
-        return {name: []} | ({name.replace(".so", "-avx2.so"): ["-mavx2"]} if x86_64 else {})
+        return {name: []} | ({name.replace(".so", "-avx2.so"): ["-mavx2"]} if compiles_for_x86_64() else {})
 
     def copy_extensions_to_source(self) -> None:
         """Put the library into the checkout, at once whole: somebody may be loading it."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -13,9 +12,9 @@ import pytest
 
 from companion.params.files import shipped_airframes
 from companion.params.shipped import shipped
+from tools.wheels import copy_sources
 
 ROOT = Path(__file__).resolve().parents[2]
-_NEEDED = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
 _LOOK = """
 import companion
 from companion.params.files import shipped_airframes, load_airframe
@@ -30,11 +29,7 @@ print(len([load_mapping(name) for name in shipped_mappings()]))
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("setuptools")
-    checkout, out = tmp_path_factory.mktemp("checkout"), tmp_path_factory.mktemp("wheel")
-    for folder in ("companion", "config", "mission_scripts", "tools"):
-        shutil.copytree(ROOT / folder, checkout / folder, ignore=shutil.ignore_patterns("__pycache__", ".build"))
-    for name in _NEEDED:
-        shutil.copy(ROOT / name, checkout)
+    checkout, out = copy_sources(tmp_path_factory.mktemp("checkout")), tmp_path_factory.mktemp("wheel")
     options = ("--no-deps", "--no-build-isolation", "--disable-pip-version-check", "-q", "-w", str(out))
     subprocess.run([sys.executable, "-m", "pip", "wheel", *options, str(checkout)], check=True, timeout=120)
     (built,) = out.glob("*.whl")

@@ -16,9 +16,10 @@ import tempfile
 import venv
 from pathlib import Path
 
+from tools.wheels import copy_sources
+
 ROOT = Path(__file__).resolve().parents[2]
 EXTRAS = ("", "report", "oak", "all")
-_PACKAGED = ("companion", "config", "mission_scripts", "tools")
 _MB = 1e6
 _BASE_LIMIT_MB = 450.0  # what fits beside a 64-bit system on a 4 GB card, twice over; a convention
 _INSTALL_S = 900
@@ -40,23 +41,11 @@ def installed_mb(extra: str, folder: Path) -> float:
                                         text=True).strip())  # fmt: skip
     before = _bytes(site)
     pip = (place / "bin/python", "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-compile")
-    wanted = f"{_checkout(folder)}[{extra}]" if extra else str(_checkout(folder))
+    wanted = f"{folder / 'checkout'}[{extra}]" if extra else str(folder / "checkout")
     subprocess.run([*pip, "-c", constraints, wanted], check=True, timeout=_INSTALL_S)
     grown = _bytes(site) - before
     shutil.rmtree(place)
     return grown / _MB
-
-
-def _checkout(folder: Path) -> Path:
-    """Copy of what the wheel is built from, so that the build leaves nothing behind in the tree."""
-    copy = folder / "checkout"
-    if not copy.exists():
-        for name in _PACKAGED:
-            shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__", ".build"))
-        for path in ROOT.iterdir():
-            if path.is_file():
-                shutil.copy(path, copy)
-    return copy
 
 
 def _bytes(site: Path) -> int:
@@ -70,6 +59,7 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     sizes_mb = {}
     with tempfile.TemporaryDirectory(prefix="spanwise-size-") as folder:
+        copy_sources(Path(folder))
         for extra in options.extras:
             sizes_mb[extra] = installed_mb(extra, Path(folder))
             name = f"spanwise[{extra}]" if extra else "spanwise (base)"
