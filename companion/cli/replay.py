@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.recordings.mcap.codec import codec_of
+from companion.adapters.recordings.mcap.machine import machine
 from companion.adapters.recordings.mcap.reader import McapRecording
-from companion.adapters.recordings.mcap.writer import About, McapWriter, machine
+from companion.adapters.recordings.mcap.writer import About, McapWriter, software_version
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.live_view import add_live, live_session, read_live
@@ -24,7 +25,7 @@ from companion.cli.steps.paced_view import PacedView
 from companion.cli.terminal.progress import Progress, progress_of
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
 from companion.evaluation.replay import drive, foreign_inputs, own_inputs
-from companion.evaluation.replay_comparison import ReplayComparison
+from companion.evaluation.replay_comparison import ROUNDING_RATIO, ReplayComparison
 from companion.evaluation.station_tones import StationAnalysis
 from companion.live.session import Subject
 from companion.params.files import load_airframe
@@ -94,7 +95,7 @@ def execute(options: argparse.Namespace) -> int:
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     is_own_format = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
     same_beliefs = airframe is None and settings == recording.settings and _begins_with_the_service(recording)
-    tally, comparison = OutputTally(), ReplayComparison()
+    tally, comparison = OutputTally(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
     recorded = _outputs_of(recording) if is_own_format and same_beliefs else None
@@ -182,6 +183,13 @@ def _loss(recording: Recording) -> dict[str, Any] | None:
     return {"where": where, "missing_s": recording.missing_s, "dropped": recording.dropped}
 
 
+def _made_here(recording: Recording) -> bool:
+    """Whether the same version on an equal machine made it: every bit agrees then."""
+    if not isinstance(recording, McapRecording):
+        return False
+    return (recording.machine, recording.software) == (machine(), software_version())
+
+
 def _left_over(comparison: ReplayComparison, recorded: Iterator[Record] | None) -> None:
     """The live service may have been stopped between an input and its outputs, but never made more than the replay."""
     if recorded is not None and not comparison.behind_loss:
@@ -250,7 +258,7 @@ def _verdict(recording: Recording, comparison: ReplayComparison) -> str:
     """How the replay compares, as far as the recording goes, and on which machine it was made where that may matter."""
     sentence, loss = comparison.sentence(), _loss(recording)
     if not comparison.identical and isinstance(recording, McapRecording):
-        sentence += f"; recorded with {recording.machine or 'an unknown machine'}, replayed with {machine()}"
+        sentence += f"; {_machines(recording)}"
     if loss is None or comparison.difference is not None:
         return sentence
     missing_s = loss["missing_s"]
@@ -259,6 +267,12 @@ def _verdict(recording: Recording, comparison: ReplayComparison) -> str:
         missing = f"{loss['dropped']} records missing"
     agrees = "as published" if comparison.identical else sentence
     return f"{agrees} up to the {loss['where']}, {missing}"
+
+
+def _machines(recording: McapRecording) -> str:
+    if _made_here(recording):
+        return f"recorded with an equal machine ({machine()}), where every bit agrees unless the program was changed"
+    return f"recorded with {recording.machine or 'an unknown machine'}, replayed with {machine()}"
 
 
 def _wing_text(wing: dict[str, Any]) -> str:

@@ -20,16 +20,22 @@ _STAMP_SCALE = 1e9  # of integers that are stamps, ns: the ratio allows 1 us
 class ReplayComparison:
     """Published outputs held against replayed ones, one by one.
 
+    Parameters
+    ----------
+    tolerance : float
+        Largest difference that is rounding: :data:`ROUNDING_RATIO` between two machines, 0 on an equal one.
+
     Attributes
     ----------
     compared : int
         Pairs so far.
     difference : str or None
-        The first one beyond :data:`ROUNDING_RATIO`, or in anything that is no number: field, time and values.
+        The first one beyond the tolerance, or in anything that is no number: field, time and values.
     largest_ratio, largest_field : float, str
         The largest difference within it, relative to the field's largest value so far.
     """
 
+    tolerance: float = ROUNDING_RATIO
     compared: int = 0
     difference: str | None = None
     largest_ratio: float = 0.0
@@ -73,14 +79,14 @@ class ReplayComparison:
             return "identical to what was published"
         return (
             f"same to rounding as what was published (largest relative difference {self.largest_ratio:.1e}, "
-            f"{self.largest_field}; {ROUNDING_RATIO:.0e} is allowed)"
+            f"{self.largest_field}; {self.tolerance:.0e} is allowed)"
         )
 
     def _hold(self, name: str, before: object, after: object, at_s: float) -> None:
         ratio = self._ratio(name, before, after)
-        if ratio > ROUNDING_RATIO and self.difference is None:
+        if ratio > self.tolerance and self.difference is None:
             self.difference = f"output {self.compared}, {at_s:.3f} s: {name} recorded {before!r}, replayed {after!r}"
-        elif self.largest_ratio < ratio <= ROUNDING_RATIO:
+        elif self.largest_ratio < ratio <= self.tolerance:
             self.largest_ratio, self.largest_field = ratio, f"{name} at {at_s:.3f} s"
 
     def _ratio(self, name: str, before: object, after: object) -> float:

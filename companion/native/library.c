@@ -3,6 +3,16 @@
 
 EXPORT const char *sources_digest(void) { return SOURCES_DIGEST; }
 
+/* What compiled the library: the bits of its sums are the sources', those of sin, cos, exp and log its library's. */
+EXPORT const char *compiler(void)
+{
+#if defined(__clang__)
+    return "clang " __clang_version__;
+#else
+    return "gcc " __VERSION__;
+#endif
+}
+
 /* Whether this processor runs the library that is compiled for AVX2. */
 EXPORT int has_avx2(void)
 {

@@ -54,6 +54,12 @@ def packed(record: type[Any]) -> Callable[[Any], bytes]:
     return laid_out
 
 
+def library_variant() -> str:
+    """Name of the library that is in use, and of what compiled it: its results may depend on both in the last bits."""
+    _LIBRARY.compiler.restype = ctypes.c_char_p
+    return f"{Path(_LIBRARY._name).stem} by {_LIBRARY.compiler().decode().strip()}"
+
+
 def _codes(record: type[Any]) -> list[Any]:
     """Code of each member of a named tuple for :mod:`struct`; a list for a nested one."""
     scalars = {int: "q", bool: "q", float: "d"}

@@ -128,22 +128,43 @@ def test_a_changed_output_is_found_and_named(flown: Flown, tmp_path: Path, capsy
 
 @pytest.mark.parametrize(("ratio", "code"), [(1e-12, 0), (1e-3, 1)], ids=["rounding", "difference"])
 def test_rounding_of_another_machine_is_told_from_a_difference(
-    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str], ratio: float, code: int
+    flown: Flown,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    ratio: float,
+    code: int,
 ) -> None:
-    """A recording whose ranges are longer by a ratio, as another machine's arithmetic would have them."""
-    other = tmp_path / "other.mcap"
-    writer = McapWriter(other, About.of(load_airframe("nadir-2m"), Settings()))
-    for record in flown.records:
-        longer = isinstance(record, CorrectedRange)
-        writer.write(dataclasses.replace(record, range_m=record.range_m * (1.0 + ratio)) if longer else record)
-    writer.close()
+    """A recording of another machine whose ranges are longer by a ratio, as its arithmetic would have them."""
+    monkeypatch.setattr("companion.adapters.recordings.mcap.writer.machine", lambda: "another, numpy 2.2.0")
+    other = longer_ranges(flown, tmp_path / "other.mcap", ratio)
     got, result, problems = replay(other, capsys)
     assert got == code
     assert result["reproduced"] is False
     assert result["reproduced_to_rounding"] is (code == 0)
     assert ("same to rounding" in result["verdict"]) is (code == 0)
     assert "CorrectedRange.range_m" in (result["verdict"] if code == 0 else problems)
+    assert "recorded with another, numpy 2.2.0" in result["verdict"]
     assert f"numpy {np.__version__}" in result["verdict"], "both machines are named"
+
+
+def test_on_an_equal_machine_rounding_is_a_difference(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, result, problems = replay(longer_ranges(flown, tmp_path / "here.mcap", 1e-12), capsys)
+    assert code == 1
+    assert result["reproduced_to_rounding"] is False
+    assert "an equal machine" in result["verdict"]
+    assert "CorrectedRange.range_m" in problems
+
+
+def longer_ranges(flown: Flown, path: Path, ratio: float) -> Path:
+    writer = McapWriter(path, About.of(load_airframe("nadir-2m"), Settings()))
+    for record in flown.records:
+        longer = isinstance(record, CorrectedRange)
+        writer.write(dataclasses.replace(record, range_m=record.range_m * (1.0 + ratio)) if longer else record)
+    writer.close()
+    return path
 
 
 def test_a_truncated_recording_replays_up_to_the_cut_and_says_so(

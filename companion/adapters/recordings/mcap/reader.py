@@ -75,7 +75,7 @@ class McapRecording:
     Attributes
     ----------
     machine : str
-        Architecture and package versions that made the recording; "" where it is older than this entry.
+        What made the recording (:func:`.machine.machine`); "" where it is older than this entry.
     part_number : int
         Number of the file among those of one run of the service.
     complete : bool

@@ -8,7 +8,6 @@ orderly end. The message's sequence number counts all records of the file.
 from __future__ import annotations
 
 import contextlib
-import platform
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -18,6 +17,7 @@ from mcap.writer import Writer
 
 from companion.adapters.recordings.mcap.channels import CAMERA_TOPICS, CHANNELS, Recordable, topic_of
 from companion.adapters.recordings.mcap.images import ImageFormat
+from companion.adapters.recordings.mcap.machine import machine
 from companion.adapters.recordings.mcap.messages import MessageForm, form_of, image_form, image_message, message_of
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
@@ -181,19 +181,6 @@ class McapWriter:
             self._chunk_start_ns = self._latest_ns
         elif self._latest_ns - self._chunk_start_ns >= _CHUNK_NS:
             self.flush()
-
-
-def machine() -> str:
-    """Processor architecture and the packages whose arithmetic the estimates rest on, with their versions."""
-    packages = (f"{name} {_version(name)}" for name in ("numpy", "scipy", "opencv-python-headless"))
-    return ", ".join([platform.machine(), f"python {platform.python_version()}", *packages])
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "none"
 
 
 def software_version() -> str:
