@@ -16,6 +16,7 @@ from companion.errors import ConfigError
 from companion.live import tunnel
 from companion.live.access import COOKIE, Access
 from companion.live.config import LiveConfig
+from companion.live.public import public_answer
 from companion.live.requests import MOST_BODY_BYTES, MOST_HEAD_BYTES, HttpAnswer, Request, parse_head, refusal
 
 _HEAD_S = 10.0
@@ -104,7 +105,8 @@ class Door:
         if request is None:
             return await _send(writer, refusal(HTTPStatus.BAD_REQUEST, "this is no request of HTTP"))
         if not self._access.admits(request):
-            return await _send(writer, refusal(HTTPStatus.FORBIDDEN, _SHUT_OUT))
+            public = public_answer(request, is_loopback=self._access.is_loopback)
+            return await _send(writer, public or refusal(HTTPStatus.FORBIDDEN, _SHUT_OUT))
         if request.is_websocket:
             name = tunnel.subprotocol(request)
             if name is not None:

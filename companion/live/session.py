@@ -22,6 +22,7 @@ from companion.live.broadcaster import Broadcaster
 from companion.live.config import LiveConfig
 from companion.live.door import Door
 from companion.live.feed import ALWAYS, TAPED
+from companion.live.public import REGISTRATION, registration
 from companion.live.requests import HttpAnswer, Request, as_json, refusal
 from companion.live.tape import LiveTape
 from companion.params.airframe import Airframe
@@ -155,6 +156,8 @@ class LiveSession:
             return as_json(self._recordings())
         if path.startswith("/recordings/"):
             return self._recording(path.removeprefix("/recordings/"))
+        if path == REGISTRATION:
+            return as_json(registration())
         if path == "/layout.json":
             layout = (shipped("live") / "spanwise.json").read_bytes()
             return HttpAnswer(HTTPStatus.OK, layout, "application/json")

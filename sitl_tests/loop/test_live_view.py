@@ -51,8 +51,8 @@ class View:
     masks: list[int] = field(default_factory=list)
 
 
-def make_view(folder: Path, token: str | None = None, *, can_set: bool = True) -> View:
-    config = LiveConfig("127.0.0.1", 0, token, folder)
+def make_view(folder: Path, token: str | None = None, *, can_set: bool = True, host: str = "127.0.0.1") -> View:
+    config = LiveConfig(host, 0, token, folder)
     asked: list[tuple[str, float]] = []
     masks: list[int] = []
     subject = Subject(
@@ -143,6 +143,25 @@ def test_the_token_opens_everything_and_stays_as_a_cookie(tmp_path: Path) -> Non
         assert "HttpOnly" in cookie
         assert "SameSite=Strict" in cookie
         assert ask(view.port, "GET", "/about.json", Cookie=cookie.split(";")[0], **strange)[0] == 200
+    finally:
+        view.session.close()
+
+
+def test_blueos_learns_who_this_is_and_a_person_is_asked_for_the_token(tmp_path: Path) -> None:
+    """In the order in which BlueOS asks: the first page, then its entry; a person types the token then."""
+    view = make_view(tmp_path, TOKEN, host="0.0.0.0")
+    try:
+        status, _, page = ask(view.port, "GET", "/")
+        assert (status, b"<form" in page) == (200, True)
+        status, _, entry = ask(view.port, "GET", "/register_service")
+        assert (status, json.loads(entry)["name"]) == (200, "Spanwise")
+        assert ask(view.port, "GET", "/about.json")[0] == 403
+        with pytest.raises(Refused, match="403"):
+            LiveClient(view.port, path="/register_service")
+        status, headers, page = ask(view.port, "GET", f"/?token={TOKEN}")
+        assert (status, b"<form" in page) == (200, False)
+        cookie = headers["Set-Cookie"].split(";")[0]
+        assert ask(view.port, "GET", "/register_service", Cookie=cookie)[2] == entry
     finally:
         view.session.close()
 

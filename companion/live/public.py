@@ -1,0 +1,49 @@
+"""Answers that need no token: the page that asks for it, and who this is, for BlueOS's menu.
+
+BlueOS looks at every port that listens beyond loopback (``core/services/helper/main.py`` there): where ``/`` gets 200
+there is a web server, and ``/register_service`` says what the menu shows of it. Nothing here is private; what both lead
+to needs the token.
+"""
+
+from __future__ import annotations
+
+from http import HTTPStatus
+from importlib import resources
+from typing import Any
+
+from companion.adapters.recordings.mcap.writer import software_version
+from companion.live.requests import HttpAnswer, Request, as_json
+
+REGISTRATION = "/register_service"
+_WRONG = "<!-- wrong token -->"
+
+
+def public_answer(request: Request, *, is_loopback: bool) -> HttpAnswer | None:
+    """Answer for a request that is not admitted; None where it is refused."""
+    if request.method != "GET" or request.is_websocket:
+        return None
+    if request.path == REGISTRATION:
+        return as_json(registration())
+    return token_page(wrong="token" in request.query) if request.path == "/" and not is_loopback else None
+
+
+def registration() -> dict[str, Any]:
+    """Entry of BlueOS's menu; the page opens in a tab of its own, for it refuses to be shown inside another's."""
+    return {
+        "name": "Spanwise",
+        "description": "Stereo ranges that stay true while the wing bends",
+        "icon": "mdi-airplane",
+        "company": "Spanwise",
+        "version": software_version(),
+        "webpage": "",
+        "api": "",
+        "new_page": True,
+        "avoid_iframes": True,
+    }
+
+
+def token_page(*, wrong: bool) -> HttpAnswer:
+    """Page with a field for the token; it loads nothing else."""
+    text = (resources.files("companion.live") / "page" / "token.html").read_text(encoding="utf-8")
+    text = text.replace(_WRONG, "<p><b>That is not the token.</b></p>" if wrong else "")
+    return HttpAnswer(HTTPStatus.OK, text.encode(), "text/html; charset=utf-8")
