@@ -103,11 +103,13 @@ class Observations:
     has_root : bool
     load_factor : (m,)
         1 everywhere without a root sensor.
+    bending_factor : (m,) or None
+        ``load_factor`` as far as it bends the wing from outside; None where that is all of it.
     covariates : dict of str to (m,)
         About their means, in units of their rms over the whole recording; ``units`` has both.
     toe : ToeData or None
     rigid : dict of str to (m,)
-        The root's further axes by letter (x, y, p, q, r), where they were recorded.
+        The root's further axes by letter (x, y, p, q, r), where they were recorded, as far as they bend the wing.
     fine_mps2 : (M, c) or None
         ``up_mps2`` at the sensors' own rate ``fine_hz``, over the same time: what is nonlinear bends the whole band.
     turning_mps2 : (m, c) or None
@@ -145,6 +147,12 @@ class Observations:
     start_s: float = 0.0
     centre_s: float = 0.0
     units: dict[str, tuple[float, float]] = field(default_factory=dict)
+    bending_factor: Floats | None = None
+
+    @property
+    def wing_load_factor(self) -> Floats:
+        """Load factor that drives the wing, (m,)."""
+        return self.load_factor if self.bending_factor is None else self.bending_factor
 
     @property
     def duration_s(self) -> float:
@@ -167,6 +175,7 @@ class Observations:
             self,
             up_mps2=up - up.mean(0),
             load_factor=self.load_factor[first:last],
+            bending_factor=None if self.bending_factor is None else self.bending_factor[first:last],
             covariates={name: values[first:last] for name, values in self.covariates.items()},
             rigid={name: values[first:last] for name, values in self.rigid.items()},
             turning_mps2=None if self.turning_mps2 is None else self.turning_mps2[first:last],

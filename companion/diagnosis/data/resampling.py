@@ -21,7 +21,14 @@ from companion.diagnosis.data.observations import (
     ToeData,
     clear_of_ends,
 )
-from companion.diagnosis.data.rigid_motion import lateral_force, rotation_forces, tip_axes_corrected, undo_lowpass
+from companion.diagnosis.data.rigid_motion import (
+    bending_load,
+    lateral_force,
+    rolled_together_hz,
+    rotation_forces,
+    tip_axes_corrected,
+    undo_lowpass,
+)
 from companion.diagnosis.data.sample_defects import (
     clipped_sides,
     find_sample_defects,
@@ -105,7 +112,8 @@ def _observed(
     up = root[:, None] - tips
     missing = _missing(raw, sides, fine_t)
     up = impute_missing(np.ascontiguousarray(up.T), missing).T if missing.any() else up
-    load = -root / GRAVITY_MPS2
+    first_hz = airframe.wing.symmetric.frequency_hz.value
+    load = _resample(-root / GRAVITY_MPS2 + root.mean() / GRAVITY_MPS2, keep) - root.mean() / GRAVITY_MPS2
     grid_t = segment.start_s + np.arange(keep) / rate_hz
     channels = {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.covariates.items()}
     return Observations(
@@ -114,16 +122,20 @@ def _observed(
         _resample(up - up.mean(0), keep),
         np.asarray(tips.mean(0) - root.mean()),
         raw.root is not None,
-        _resample(load - load.mean(), keep) + load.mean(),
+        load,
         channels,
         None,
-        {name: np.interp(grid_t, t_s, values) for name, (t_s, values) in raw.rigid.items()},
-        None if turning is None else _resample(turning, keep),
+        {
+            name: bending_load(np.interp(grid_t, t_s, values), rate_hz, first_hz)
+            for name, (t_s, values) in raw.rigid.items()
+        },
+        None if turning is None else bending_load(_resample(turning, keep), rate_hz, first_hz),
         {name: values - values.mean() for name, values in channels.items() if name.startswith(_INPUT)},
         up - up.mean(0),
         fine_hz,
         worst_defects([entry for side in sides for entry in defects[side]]),
         recorded_ratio=1.0 - float(missing.mean()),
+        bending_factor=bending_load(load, rate_hz, first_hz) if raw.root else None,
     )
 
 
@@ -196,7 +208,8 @@ def _against_rigid(
 ) -> tuple[Floats, Floats]:
     """Tips (m, c) in the aircraft's axes without what its turning adds, and that, (m, c)."""
     sides, upright = sorted(raw.tips), tips.copy()
-    felt = rotation_forces(raw.rigid, t_s, rate_hz, airframe, sides)
+    rolled_hz = rolled_together_hz(raw.rigid, t_s, rate_hz, airframe, tips)
+    felt = rotation_forces(raw.rigid, t_s, rate_hz, airframe, sides, rolled_hz)
     lateral = lateral_force(raw.rigid, t_s, rate_hz, airframe)
     for i, side in enumerate(sides):
         recorded = raw.tips[side].force_y_mps2

@@ -102,7 +102,7 @@ class SensorLineariser:
         load = np.zeros((wing.count, len(observations.up_mps2)))
         if observations.has_root:
             bend = structure.stiffness_radps2 @ structure.static_per_g_m
-            load += np.outer(bend, observations.load_factor - np.mean(observations.load_factor))
+            load += np.outer(bend, observations.wing_load_factor - np.mean(observations.wing_load_factor))
         for name, values in observations.inputs.items():
             load[0] += gains.get(name, 0.0) * values
         return load if np.any(load) else None
@@ -216,7 +216,9 @@ class SensorLineariser:
         """Error that an effect adds to a root sensor, which tells the load factor, m/s^2."""
         fine = self._fine
         return (
-            fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.load_factor) if self._observations.has_root else 0.0
+            fine.sensed(effect, Station.ROOT, -GRAVITY_MPS2 * fine.wing_load_factor)
+            if self._observations.has_root
+            else 0.0
         )
 
 
@@ -229,6 +231,7 @@ class _Fine:
         self.up_mps2: Floats = np.ascontiguousarray(up.T)
         self._t_s: Floats = observations.start_s + np.arange(len(up)) / rate_hz
         self.load_factor: Floats = np.interp(self._t_s, observations.t_s, observations.load_factor)
+        self.wing_load_factor: Floats = np.interp(self._t_s, observations.t_s, observations.wing_load_factor)
         self._weight: Floats = np.interp(self._t_s, observations.t_s, weight)
         # a law may know the samples' own mean, which a bump of all alike would move
         self._signs = _signs(len(up))
@@ -287,9 +290,8 @@ def _rigid_mps2(observations: Observations) -> tuple[Floats, Floats] | None:
     if observations.turning_mps2 is None:
         return None
     turning = observations.turning_mps2 - observations.turning_mps2.mean(0)
-    return GRAVITY_MPS2 * (np.mean(observations.load_factor) - observations.load_factor), np.ascontiguousarray(
-        turning.T
-    )
+    factor = observations.wing_load_factor
+    return GRAVITY_MPS2 * (np.mean(factor) - factor), np.ascontiguousarray(turning.T)
 
 
 def _signs(count: int) -> Floats:

@@ -78,7 +78,7 @@ class ToeModel:
         if not toe_terms:
             return 0.0
         toe = self._toe
-        load = np.interp(toe.t_s, self._observations.t_s, self._observations.load_factor)
+        load = np.interp(toe.t_s, self._observations.t_s, self._observations.wing_load_factor)
         reading_rad = self.baseline_m * toe.inverse_m + expected
         offered = toe_regressors(toe, *self._modes(motion), load, reading_rad)
         return sum(effect.added(offered) for effect in toe_terms)
