@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl_tests.trials.cases import SEEN, SIGMA, Hidden, hide
+from sitl_tests.trials.cases import SEEN, SIGMA, Hidden
+from tools.trial_generators import FIRST, GENERATORS, STRANGER, Generator
 
 STRONG = (8.0, 14.0)
 _TOGETHER = 60
 CURVE = (2.0, 4.0, 5.0, 6.0, 8.0)
-_CORNERS_HZ = (0.0, 0.0, 12.0, 30.0)
-"""Of the gust that is believed where nothing is hidden: white twice, coloured twice; the truth is drawn about it."""
+_STRANGERS_TOGETHER = 10
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Trial:
     Attributes
     ----------
     kind : str
-        single, pair, triple, curve or nothing.
+        single, pair, triple, curve, nothing, or outside (of the catalogue).
     label : Hidden
     snr_db : float
     corner_hz : float
@@ -32,6 +32,8 @@ class Trial:
         With the whole catalogue (False), and with what is hidden taken from it (True).
     oracle : bool
         Whether the gain of the true effect is measured too.
+    generator : str
+        Who flies it.
     """
 
     kind: str
@@ -40,6 +42,12 @@ class Trial:
     corner_hz: float = 0.0
     judged: tuple[bool, ...] = (False,)
     oracle: bool = False
+    generator: str = FIRST.name
+
+    @property
+    def hand(self) -> Generator:
+        """Who flies it."""
+        return GENERATORS[self.generator]
 
 
 def singles(
@@ -50,22 +58,58 @@ def singles(
     judged: tuple[bool, ...] = (False,),
     oracle: bool = False,
     kind: str = "single",
+    hand: Generator = FIRST,
 ) -> list[Trial]:
     """One trial for every name."""
-    return [Trial(kind, hide([name], strength, rng, snr_db), snr_db, 0.0, judged, oracle) for name in names]
+    return [
+        Trial(kind, hand.hide([name], strength, rng, snr_db), snr_db, 0.0, judged, oracle, hand.name) for name in names
+    ]
 
 
-def several(rng: np.random.Generator, count: int, how_many: int, strength: tuple[float, float] = STRONG) -> list[Trial]:
+def several(
+    rng: np.random.Generator, count: int, how_many: int, strength: tuple[float, float] = STRONG, hand: Generator = FIRST
+) -> list[Trial]:
     """``how_many`` trials with ``count`` effects each, which no sample gives away."""
     kind = {2: "pair", 3: "triple"}[count]
-    names = list(SIGMA)
-    return [Trial(kind, hide(rng.choice(names, count, replace=False).tolist(), strength, rng)) for _ in range(how_many)]
+    names = [name for name in hand.names if name not in SEEN]
+    return [
+        Trial(
+            kind, hand.hide(rng.choice(names, count, replace=False).tolist(), strength, rng, 20.0), generator=hand.name
+        )
+        for _ in range(how_many)
+    ]
 
 
-def nothing(rng: np.random.Generator, how_many: int, snr_db: float = 20.0, first: int = 0) -> list[Trial]:
+def nothing(
+    rng: np.random.Generator, how_many: int, snr_db: float = 20.0, first: int = 0, hand: Generator = FIRST
+) -> list[Trial]:
     """Recordings in which nothing is hidden; gusts white and coloured inside their specification."""
-    corners = [_CORNERS_HZ[(first + k) % len(_CORNERS_HZ)] for k in range(how_many)]
-    return [Trial("nothing", hide([], STRONG, rng), snr_db, corner) for corner in corners]
+    corners = [hand.corners_hz[(first + k) % len(hand.corners_hz)] for k in range(how_many)]
+    return [
+        Trial("nothing", hand.hide([], STRONG, rng, snr_db), snr_db, corner, generator=hand.name) for corner in corners
+    ]
+
+
+def outside(rng: np.random.Generator, hand: Generator) -> list[Trial]:
+    """One trial for everything that no catalogue has."""
+    return [
+        Trial("outside", hand.hide([name], STRONG, rng, 20.0), judged=(True,), generator=hand.name)
+        for name in hand.outside
+    ]
+
+
+def strangers_acceptance(seed: int) -> list[list[Trial]]:
+    """What is promised of the other hand, 238 judgements in batches of ten, every kind from the first on."""
+    rng = np.random.default_rng(seed)
+    mixed = [
+        *singles(rng, names=STRANGER.names, judged=(False, True), hand=STRANGER),
+        *outside(rng, STRANGER),
+        *outside(rng, STRANGER),
+        *several(rng, 2, 20, hand=STRANGER),
+        *nothing(rng, 100, hand=STRANGER),
+    ]
+    mixed = [mixed[i] for i in rng.permutation(len(mixed))]
+    return [mixed[first : first + _STRANGERS_TOGETHER] for first in range(0, len(mixed), _STRANGERS_TOGETHER)]
 
 
 def acceptance(seed: int) -> list[list[Trial]]:

@@ -22,7 +22,8 @@ def summary(rows: Rows) -> dict[str, Any]:
             "two effects": [row for row in mine if len(row["hidden"]) == 2 and not row["left_out"]],
             "three effects": [row for row in mine if len(row["hidden"]) == 3 and not row["left_out"]],
             "nothing hidden": [row for row in mine if not row["hidden"]],
-            "left out of the catalogue": [row for row in mine if row["left_out"] and row["hidden"]],
+            "left out of the catalogue": [row for row in mine if row["left_out"] and row["kind"] != "outside"],
+            "never in the catalogue": [row for row in mine if row["kind"] == "outside"],
         }
         found[f"{snr:g} dB"] = {name: _figures(name, part) for name, part in kinds.items() if part}
     return found
@@ -38,7 +39,7 @@ def _figures(name: str, rows: Rows) -> dict[str, Any]:
     seconds = {"cpu_s_median": float(np.median([row["cpu_s"] for row in rows]))}
     if name == "nothing hidden":
         return {"false alarms": of(sum(row["verdict"] != "adequate" for row in rows)), **seconds}
-    if name == "left out of the catalogue":
+    if name in ("left out of the catalogue", "never in the catalogue"):
         unexplained = sum(row["verdict"] == "unexplained" for row in rows)
         wrong = sum(row["verdict"] == "explained" for row in rows)
         alike = sum(bool(row.get("own_group")) for row in rows)
@@ -97,7 +98,7 @@ def _line(row: dict[str, Any]) -> str:
     named = ", ".join("/".join(group) for group in row["groups"]) or f"(nearest {row['nearest'] or 'none'})"
     if row["left_out"]:
         mark = "good" if row["verdict"] == "unexplained" else "WRONG" if row["named"] else "missed"
-        hidden += " (left out)"
+        hidden += " (outside)" if row["kind"] == "outside" else " (left out)"
     else:
         mark = "exact" if row["exact"] else "group" if row["right"] else "missed" if not row["named"] else "WRONG"
     return f"{mark:6s} {hidden:58s} {row['verdict']:12s} {named}  ({row['cpu_s']:.0f} s)"

@@ -5,6 +5,7 @@
     python -m tools.trials --leave-out              what is hidden is taken from the catalogue
     python -m tools.trials --pairs 20 --each 0      two effects at once
     python -m tools.trials --curve 2 4 6 8          how strong an effect must be to be found
+    python -m tools.trials --generator stranger     any of these by the other hand, with --outside what no catalogue has
     python -m tools.trials --snr 10 --seed 5 --add  more of them, at 10 dB, beside those of earlier runs
     python -m tools.trials --show                   tabulate what earlier runs have left in the folder
 
@@ -37,16 +38,14 @@ from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.selection.forward_selection import SAME
 from companion.evaluation.flight_models import belief_for
 from companion.params.airframe import Airframe
-from companion.params.files import parse_airframe
 from companion.records import Side
-from sitl_tests.trials.belief import airframe_text
-from sitl_tests.trials.cases import AIRSPEED_RMS_MPS, SEEN, SIGMA, Hidden, Tables, fly, noise_density
+from sitl_tests.trials.cases import SEEN, Hidden, Tables
+from tools.trial_generators import FIRST, GENERATORS, Generator
 from tools.trial_oracle import oracle_gain
-from tools.trial_plan import STRONG, Trial, acceptance, nothing, several, singles
+from tools.trial_plan import STRONG, Trial, acceptance, nothing, outside, several, singles, strangers_acceptance
 from tools.trial_report import draw, summary, table
 from tools.trial_results import commit, results
 
-_TOP_HZ = 51.2
 _BATCH = 60
 _PUBLISHED = Path(__file__).resolve().parents[1] / "sitl_tests" / "trials"
 Rows = list[dict[str, Any]]
@@ -67,7 +66,7 @@ def run(batches: Sequence[Sequence[Trial]], seed: int, kept: Path | None = None,
         if not open_:
             continue
         _show(f"flying {len(batch)} recordings of {duration_s:g} s")
-        flown = fly(
+        flown = batch[0].hand.fly(
             [trial.label for trial in batch],
             [trial.snr_db for trial in batch],
             seed + number,
@@ -88,21 +87,22 @@ def run(batches: Sequence[Sequence[Trial]], seed: int, kept: Path | None = None,
 def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]:
     """Diagnose one recording, then open its label."""
     begun = time.process_time()
-    airframe = parse_airframe(airframe_text(noise_density(trial.snr_db), trial.corner_hz), "trial")
+    airframe = trial.hand.airframe(trial.snr_db, trial.corner_hz)
     kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in trial.label.effects)]
-    model = model_of(tables, airframe)
+    model = model_of(tables, airframe, trial.hand.top_hz)
     found = diagnose([model], kinds)
-    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db, swings(tables))
+    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db, swings(tables, trial.hand))
     if trial.oracle and not leave_out and found.gain is not None:
         row["oracle_gain"] = oracle_gain(model, found.null, trial.label)
     if leave_out and found.causes:
         row["own_group"] = own_group(model, found, trial.label)
+    row |= {"generator": trial.generator}
     return {**row, "kind": trial.kind, "snr_db": trial.snr_db, "corner_hz": trial.corner_hz, "left_out": leave_out}
 
 
 def own_group(model: FlightModel, found: FlightDiagnosis, label: Hidden) -> bool:
     """Whether this recording cannot tell what was hidden from a name that was given for it (scores that are one)."""
-    names = {*label.effects, *(cause.term.effect.name for cause in found.causes)}
+    names = {*(set(label.effects) & set(catalogue())), *(cause.term.effect.name for cause in found.causes)}
     kinds = [catalogue()[name] for name in sorted(names)]
     offered = candidates_of(kinds, sorted(model.observations.covariates), find_proposals([model], found.null))
     screening = screen([model], found.null, offered)
@@ -111,23 +111,25 @@ def own_group(model: FlightModel, found: FlightDiagnosis, label: Hidden) -> bool
     return bool(across.size and np.max(across) > SAME)
 
 
-def model_of(tables: Tables, airframe: Airframe) -> FlightModel:
+def model_of(tables: Tables, airframe: Airframe, top_hz: float = 51.2) -> FlightModel:
     """A trial's tables as the diagnosis sees a recording."""
     tips = {side: RawStream(tables.t_s, tables.force_z_mps2[:, side]) for side in Side}
     ranges = RawRanges(tables.range_t_s, tables.range_m, tables.reference_m)
     channels = {"roller_v": (tables.t_s, tables.roller), "airspeed_mps": (tables.t_s, tables.airspeed)}
-    (seen,) = observe(RawRecording(tips, None, ranges, channels), airframe, _TOP_HZ)
-    return FlightModel(belief_for(airframe, [[seen]]), seen, _TOP_HZ)
+    rigid = dict(tables.root)
+    root = RawStream(*rigid.pop("z")) if rigid else None
+    (seen,) = observe(RawRecording(tips, root, ranges, channels, rigid), airframe, top_hz)
+    return FlightModel(belief_for(airframe, [[seen]]), seen, top_hz)
 
 
-def swings(tables: Tables) -> dict[str, float]:
+def swings(tables: Tables, hand: Generator = FIRST) -> dict[str, float]:
     """How large the rms of a channel is in this very recording, in the units of the effect that follows it.
 
     A channel counts by its rms over the recording, and slow waves of unit rms have another one in a minute.
     """
     return {
         "covariate-frequency": float(np.std(tables.roller)),
-        "airspeed-dependence": float(np.std(tables.airspeed)) / AIRSPEED_RMS_MPS,
+        "airspeed-dependence": float(np.std(tables.airspeed)) / hand.airspeed_rms_mps,
     }
 
 
@@ -149,7 +151,9 @@ def judge(
         exact = sorted(named) == hidden
     return {
         "hidden": label.effects,
-        "sigmas": {name: label.strength(name, snr_db) for name in label.effects if name in SIGMA},
+        "sigmas": {
+            name: label.strength(name, snr_db) for name in label.effects if name in catalogue() and name not in SEEN
+        },
         "seal": label.seal,
         "verdict": str(found.verdict),
         "reason": found.reason,
@@ -178,20 +182,22 @@ def _inside(label: Hidden, found: FlightDiagnosis, units: Mapping[str, float]) -
 
 
 def _plan(options: argparse.Namespace) -> list[list[Trial]]:
+    hand = GENERATORS[options.generator]
     if options.acceptance:
-        return acceptance(options.seed)
+        return acceptance(options.seed) if hand is FIRST else strangers_acceptance(options.seed)
     rng = np.random.default_rng(options.seed)
     judged = (options.leave_out,)
     trials: list[Trial] = []
     for _ in range(options.each):
-        names = [name for name in options.only if name in SIGMA or not options.curve]
+        names = [name for name in options.only or hand.names if name not in SEEN or not options.curve]
         for size in options.curve or [None]:
             strength = (size, size) if size else tuple(options.strength)
             kind = "curve" if size else "single"
-            trials += singles(rng, options.snr, names, strength, judged, options.oracle, kind)
-    trials += [*several(rng, 2, options.pairs), *several(rng, 3, options.triples)]
+            trials += singles(rng, options.snr, names, strength, judged, options.oracle, kind, hand)
+    trials += [*several(rng, 2, options.pairs, hand=hand), *several(rng, 3, options.triples, hand=hand)]
+    trials += [trial for _ in range(options.outside) for trial in outside(rng, hand)]
     if not (options.leave_out or options.curve):
-        trials += nothing(rng, options.nothing, options.snr)
+        trials += nothing(rng, options.nothing, options.snr, hand=hand)
     trials = [trials[i] for i in rng.permutation(len(trials))]
     return [trials[first : first + _BATCH] for first in range(0, len(trials), _BATCH)]
 
@@ -229,7 +235,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--nothing", type=int, default=8, help="recordings with nothing hidden")
     parser.add_argument("--pairs", type=int, default=0, help="recordings with two effects")
     parser.add_argument("--triples", type=int, default=0, help="recordings with three effects")
-    parser.add_argument("--only", nargs="*", default=sorted({*SIGMA, *SEEN}), help="effects to hide")
+    parser.add_argument("--only", nargs="*", default=[], help="effects to hide, of all")
+    parser.add_argument("--generator", choices=sorted(GENERATORS), default=FIRST.name, help="whose truth")
+    parser.add_argument("--outside", type=int, default=0, help="times everything that no catalogue has")
     parser.add_argument("--strength", type=float, nargs=2, default=STRONG, help="in posterior sigmas")
     parser.add_argument("--curve", type=float, nargs="*", default=[], help="exact strengths instead, in sigmas")
     parser.add_argument("--snr", type=float, default=20.0, help="dB")

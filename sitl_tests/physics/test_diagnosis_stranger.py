@@ -18,7 +18,9 @@ from companion.diagnosis.flights.recordings import Flights
 from companion.evaluation.flight_models import models_of
 from companion.params.files import load_airframe
 from companion.records import Floats
-from sitl_tests.trials.stranger import GRAVITY, Flight, write
+from sitl_tests.trials.stranger.folder import GRAVITY, Flight, write
+from tools.trial_generators import GENERATORS
+from tools.trials import model_of
 
 AIRFRAME = Path(__file__).parents[2] / "config" / "airframes" / "nadir-2m.toml"
 
@@ -71,6 +73,19 @@ def torn(rows: Floats) -> Floats:
     rows = rows[(rows[:, 0] < 16.0) | (rows[:, 0] > 18.0)]
     rows = np.repeat(rows, np.where(rng.uniform(size=len(rows)) < 0.02, 2, 1), axis=0)
     return rows[np.argsort(np.arange(len(rows)) + 15.0 * rng.uniform(size=len(rows)))]
+
+
+@pytest.mark.slow
+def test_a_fuselage_that_recoils_is_no_fault() -> None:
+    """What the root sensor shows of the wing's own bending is neither a load nor a leak."""
+    hand = GENERATORS["stranger"]
+    label = hand.hide([], (8.0, 14.0), np.random.default_rng(1), 20.0)
+    (tables,) = hand.fly([label], [20.0], 1, 30.0, [0.0])
+    model = model_of(tables, hand.airframe(20.0, 0.0), hand.top_hz)
+    flights = Flights([model], [catalogue()["rigid-body-leak"], catalogue()["load-dependent-bend"]])
+    null = flights.null()
+    assert all(entry.passed for entry in check([model], null))
+    assert all(entry.z < 4.4 for entry in flights.screen(null, lambda _what, _ratio: None).candidates)
 
 
 @pytest.mark.slow

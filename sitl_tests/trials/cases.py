@@ -245,7 +245,10 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Tables:
-    """One recording: accelerometers (m, 2) vertical specific force, ranges, a covariate."""
+    """One recording: accelerometers (m, 2) vertical specific force, ranges, covariates.
+
+    ``root`` has the axes of a root sensor by letter (z and y in m/s^2, p in rad/s), where there is one.
+    """
 
     t_s: Array
     force_z_mps2: Array
@@ -254,6 +257,7 @@ class Tables:
     reference_m: Array
     roller: Array
     airspeed: Array
+    root: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
 
 def fly(

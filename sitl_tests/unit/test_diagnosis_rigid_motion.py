@@ -11,7 +11,7 @@ import pytest
 
 from companion.diagnosis.data.observations import Observations, RawRecording, RawStream
 from companion.diagnosis.data.resampling import observe
-from companion.diagnosis.data.rigid_motion import tip_axes_corrected
+from companion.diagnosis.data.rigid_motion import bending_load, rolled_together_hz, tip_axes_corrected
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.evaluation.flight_models import belief_for, top_of
 from companion.params.airframe import Airframe, Uncertain
@@ -141,3 +141,23 @@ def test_a_late_tip_is_late_with_the_rigid_motion_too(airframe: Airframe, key: s
     before, after = model.expect(np.zeros(len(keys))), model.expect(deviations)
     power = [float(np.sum(np.abs(found.residual) ** 2)) for found in (before, after)]
     assert power[1] < 0.01 * power[0]
+
+
+def test_what_the_fuselage_recoils_is_no_load_on_the_wing() -> None:
+    """A pull-up of 0.5 Hz stays as it is; a recoil at the first mode is gone."""
+    slow, ringing = np.sin(2.0 * math.pi * 0.5 * T_S), np.sin(2.0 * math.pi * 5.0 * T_S)
+    left = bending_load(1.0 + 0.3 * slow + 0.1 * ringing, RATE_HZ, 5.0)
+    assert left[INSIDE] == pytest.approx(1.0 + 0.3 * slow[INSIDE], abs=0.01)
+
+
+@pytest.mark.parametrize("rolls", [True, False])
+def test_a_roll_that_tips_and_gyro_share_is_followed_as_far_as_they_do(airframe: Airframe, rolls: bool) -> None:
+    """Antisymmetric bending up to 30 Hz rolls a light fuselage; a heavy one leaves the gyro its noise."""
+    rng = np.random.default_rng(8)
+    spectrum = np.fft.rfft(rng.standard_normal(len(T_S)))
+    spectrum[np.fft.rfftfreq(len(T_S), 1.0 / RATE_HZ) > 30.0] = 0.0
+    bent = np.fft.irfft(spectrum, len(T_S))
+    rate = 1e-4 * rng.standard_normal(len(T_S)) + (0.01 * np.cumsum(bent) / RATE_HZ * 50.0 if rolls else 0.0)
+    bare = dataclasses.replace(airframe, root=dataclasses.replace(airframe.root, lowpass_gyro_hz=0.0))
+    top_hz = rolled_together_hz({"p": (T_S, rate)}, T_S, RATE_HZ, bare, np.stack([-bent, bent], 1))
+    assert top_hz == pytest.approx(30.0, abs=3.0) if rolls else top_hz == 16.0

@@ -92,7 +92,7 @@ def test_a_wrong_name_is_counted_and_listed() -> None:
     wrong = row(right=False, exact=False, groups=[["hysteresis"]], gain=8.0)
     left_out = row(left_out=True, verdict="unexplained", right=False, exact=False, groups=[], gain=None)
     told = results([row(), wrong, left_out])
-    assert "| single, 20 dB | wrong name | 1/2 |" in told
-    assert "| left out, 20 dB | unexplained | 1/1 |" in told
-    assert "| gain as a share of the oracle's | worst | 2 | 80 % |" in told
+    assert "| single, 20 dB | wrong name | 1/2: 50 %" in told
+    assert "| left out, 20 dB | unexplained | 1/1: 100 %" in told
+    assert "| gain as a share of the oracle's | worst | 80 % of 2 |" in told
     assert told.count("hysteresis") == 1

@@ -1,0 +1,72 @@
+"""The other hand's truth: beam, steps and recoil against closed forms, and a plan that every kind of trial is in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from sitl_tests.trials.stranger import beam
+from sitl_tests.trials.stranger.cases import OUTSIDE, SIGMA, fly_all, hide
+from sitl_tests.trials.stranger.steps import propagated
+from tools.trial_generators import STRANGER
+from tools.trial_plan import strangers_acceptance
+
+
+def test_elements_ring_like_a_uniform_cantilever() -> None:
+    """Of unit stiffness, mass and length: (1.8751)^2, (4.6941)^2 rad/s."""
+    count = 8
+    stiffness, mass = (np.zeros((2 * count + 2, 2 * count + 2)) for _ in range(2))
+    for i in range(count):
+        at = np.ix_(range(2 * i, 2 * i + 4), range(2 * i, 2 * i + 4))
+        stiffness[at] += beam._element_stiffness(1.0 / count)
+        mass[at] += beam._element_mass(1.0 / count)
+    squares = eigh(stiffness[2:, 2:], mass[2:, 2:], eigvals_only=True)
+    assert np.sqrt(squares[:2]) == pytest.approx([1.8751**2, 4.6941**2], rel=1e-3)
+
+
+def test_the_fuselage_recoils_against_the_tips() -> None:
+    modes = beam.modes()
+    assert list(modes.symmetric) == [True, False] * beam.FAMILY
+    assert modes.heave[0] < -0.02
+    assert modes.roll_radpm[1] < -0.02
+    # what a tip does against the ground is what it does against the fuselage, and what that does
+    arms = np.array([[-beam.SEMISPAN_M], [beam.SEMISPAN_M]])
+    assert modes.tip_free == pytest.approx(modes.tip + modes.heave + arms * modes.roll_radpm, abs=1e-9)
+
+
+def test_a_step_is_the_exact_free_vibration() -> None:
+    omega, zeta, dt = np.array([30.0]), np.array([0.05]), 0.01
+    q_of_q, _, v_of_q, _, q_of_f, _ = propagated(omega, zeta, dt)
+    ringing = omega * np.sqrt(1.0 - zeta**2)
+    expected = np.exp(-zeta * omega * dt) * (np.cos(ringing * dt) + zeta * omega / ringing * np.sin(ringing * dt))
+    assert q_of_q == pytest.approx(expected)
+    assert v_of_q[0] < 0.0
+    assert q_of_f[0] == pytest.approx(0.5 * dt**2, rel=0.05)
+
+
+def test_tables_show_gravity_and_ranges_that_read_short() -> None:
+    label = hide([], (8.0, 14.0), np.random.default_rng(3))
+    (tables,) = fly_all([label], [20.0], 3, 10.0)
+    assert np.mean(tables.force_z_mps2) == pytest.approx(np.mean(tables.root["z"][1]), abs=0.1)
+    assert np.mean(tables.root["z"][1]) == pytest.approx(-9.80665, abs=1.0)
+    # 13.5 mm in trim diverge the axes by 37 mrad
+    short = np.mean(2.34 * (1.0 / tables.range_m - 1.0 / tables.reference_m))
+    assert short == pytest.approx(2.0 * 1.37 * 0.0135, rel=0.1)
+
+
+def test_the_plan_has_every_name_with_and_without_it_and_what_no_catalogue_has() -> None:
+    trials = [trial for batch in strangers_acceptance(1) for trial in batch]
+    assert sum(len(trial.judged) for trial in trials) >= 200
+    single = [trial for trial in trials if trial.kind == "single"]
+    assert {name for trial in single for name in trial.label.effects} == set(STRANGER.names)
+    assert all(trial.judged == (False, True) for trial in single)
+    outside = {name for trial in trials if trial.kind == "outside" for name in trial.label.effects}
+    assert outside == set(OUTSIDE)
+    assert len(outside) >= 12
+
+
+@pytest.mark.parametrize("name", sorted(SIGMA))
+def test_what_is_hidden_is_as_strong_as_asked(name: str) -> None:
+    label = hide([name], (8.0, 8.0), np.random.default_rng(4))
+    assert label.strength(name, 20.0) == pytest.approx(8.0, rel=1e-6)
