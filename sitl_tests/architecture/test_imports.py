@@ -19,7 +19,7 @@ _JUDGES = frozenset(
 
 # room (longest prefix wins) -> (rooms of ours, third parties)
 TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
-    "companion.records": (frozenset(), frozenset({"numpy"})),
+    "companion.records": (frozenset({"records"}), frozenset({"numpy"})),
     "companion.errors": (frozenset(), frozenset({"numpy"})),
     "companion.units": (frozenset(), frozenset()),
     "companion.rate_limiter": (frozenset(), frozenset()),

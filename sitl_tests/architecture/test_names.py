@@ -19,7 +19,7 @@ EMPTY_WORDS = frozenset(
 )
 
 # names that stand in recordings and airframe files
-ON_DISK = {("companion/records.py", "known"), ("companion/core/wing/effects/damping/hysteresis.py", "share")}
+ON_DISK = {("companion/records/ranging.py", "known"), ("companion/core/wing/effects/damping/hysteresis.py", "share")}
 
 # class names that stand twice, and why
 DUPLICATES = {"SecondMode": "the effect of the catalogue and the law of a free decay are one phenomenon"}
