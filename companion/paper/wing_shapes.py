@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,70 +22,96 @@ from companion.reporting.plotting import INK, dots
 
 def section() -> Section:
     """Simulated wing always; the measured one where its data are."""
-    airframe = load_airframe("paper-flying-wing")
-    simulated = fit_edges(simulated_points(airframe))
-    first, _ = true_shapes(airframe)
-    camera = np.array([CAMERA_M])
-    truth = float(first.slope(camera)[0])
-    factor = clamped_factor(simulated.points)
-    span_factor = simulated.slope_factor_radpm(CAMERA_M, airframe.wing.semispan_m)
-    ways = survey(airframe)
-    data: dict[str, Any] = {
-        "simulated": {
-            **_numbers(simulated),
-            "slope_factor_radpm": factor,
-            "whole_span_slope_factor_radpm": span_factor,
-            "true_slope_factor_radpm": truth,
-            "deviation": deviation(factor, truth),
-            "ways": {name: {"mean": mean, "spread": spread} for name, (mean, spread) in ways.items()},
-        }
-    }
-    scaled = _scaled_mm(factor)
-    data["deflection_of_table_3_mm"] = scaled
-    findings = [
-        f"Simulated wing: each half fitted with its root held gives {number(factor)} rad of camera slope per metre of "
-        f"tip deflection ({percent(deviation(factor, truth))}), one polynomial over the whole span "
-        f"{number(span_factor)} ({percent(deviation(span_factor, truth))}); its truth is {number(truth)}.",
-        f"A slope from a fitted polynomial is poor: over {TESTS} tests with accelerometers good to "
-        f"{percent(GAIN_SIGMA, 0)} "
-        + "; ".join(f"{name}: {percent(mean, 1)} ± {percent(spread, 1)}" for name, (mean, spread) in ways.items())
-        + ". The correction angle is wrong by as much before any camera looks.",
-        f"Table 3's angles are {', '.join(f'{value:.2f}' for value in scaled)} mm of tip deflection.",
+    simulated = _simulated()
+    real, numbers, text = _measured_where_present()
+    pictures = [
+        _draw("simulated wing", simulated.fitted, simulated.factor, simulated.scaled_mm[0] / 1e3, simulated.first)
     ]
-    pictures = [_draw("simulated wing", simulated, factor, scaled[0] / 1e3, first)]
-    rows = [_row("simulated, 2 m span", simulated, span_factor)]
+    rows = [_row("simulated, 2 m span", simulated.fitted, simulated.span_factor)]
+    if real is not None and numbers is not None:
+        factor = numbers["slope_factor_radpm"]
+        pictures.append(_draw("measured wing (mAEWing1)", real, factor, None))
+        rows.append(_row("measured, mAEWing1", real, factor))
+    data = {"simulated": simulated.data(), "deflection_of_table_3_mm": simulated.scaled_mm, "measured": numbers}
+    title = "Figs. 9 and 10: mode shape of the flying wing"
+    tables = (_fit_table(rows), _polynomial_table(simulated.ways))
+    return Section("figs_9_10", title, (*simulated.findings(), text), tables, tuple(pictures), data)
+
+
+@dataclass(frozen=True, slots=True)
+class _Simulated:
+    """Fits of the simulated wing, rad/m, beside its true slope factor; ``ways`` are mean and spread of other fits."""
+
+    fitted: Fitted
+    first: BeamMode
+    factor: float
+    span_factor: float
+    truth: float
+    ways: dict[str, tuple[float, float]]
+    scaled_mm: list[float]
+
+    def data(self) -> dict[str, Any]:
+        """Numbers of the section."""
+        return {
+            **_numbers(self.fitted),
+            "slope_factor_radpm": self.factor,
+            "whole_span_slope_factor_radpm": self.span_factor,
+            "true_slope_factor_radpm": self.truth,
+            "deviation": deviation(self.factor, self.truth),
+            "ways": {name: {"mean": mean, "spread": spread} for name, (mean, spread) in self.ways.items()},
+        }
+
+    def findings(self) -> tuple[str, str, str]:
+        """Sentences of the section."""
+        halves, whole_span = (percent(deviation(value, self.truth)) for value in (self.factor, self.span_factor))
+        each = "; ".join(
+            f"{name}: {percent(mean, 1)} ± {percent(spread, 1)}" for name, (mean, spread) in self.ways.items()
+        )
+        return (
+            f"Simulated wing: each half fitted with its root held gives {number(self.factor)} rad of camera slope per "
+            f"metre of tip deflection ({halves}), one polynomial over the whole span "
+            f"{number(self.span_factor)} ({whole_span}); its truth is {number(self.truth)}.",
+            f"A slope from a fitted polynomial is poor: over {TESTS} tests with accelerometers good to "
+            f"{percent(GAIN_SIGMA, 0)} {each}. The correction angle is wrong by as much before any camera looks.",
+            f"Table 3's angles are {', '.join(f'{value:.2f}' for value in self.scaled_mm)} mm of tip deflection.",
+        )
+
+
+def _simulated() -> _Simulated:
+    airframe = load_airframe("paper-flying-wing")
+    fitted = fit_edges(simulated_points(airframe))
+    first, _ = true_shapes(airframe)
+    factor = clamped_factor(fitted.points)
+    span_factor = fitted.slope_factor_radpm(CAMERA_M, airframe.wing.semispan_m)
+    truth = float(first.slope(np.array([CAMERA_M]))[0])
+    return _Simulated(fitted, first, factor, span_factor, truth, survey(airframe), _scaled_mm(factor))
+
+
+def _measured_where_present() -> tuple[Fitted | None, dict[str, Any] | None, str]:
     folder = gvt_folder()
-    if folder.is_dir():
-        real = fit_edges(measured_points(folder))
-        numbers, text = _measured(real)
-        data["measured"] = numbers
-        findings.append(text)
-        pictures.append(_draw("measured wing (mAEWing1)", real, numbers["slope_factor_radpm"], None))
-        rows.append(_row("measured, mAEWing1", real, numbers["slope_factor_radpm"]))
-    else:
-        data["measured"] = None
-        findings.append("The measured wing was skipped: measured/maewing1-gvt is not here (SPANWISE_DATA).")
-    compared = SectionTable(
+    if not folder.is_dir():
+        return None, None, "The measured wing was skipped: measured/maewing1-gvt is not here (SPANWISE_DATA)."
+    real = fit_edges(measured_points(folder))
+    return real, *_measured(real)
+
+
+def _polynomial_table(ways: dict[str, tuple[float, float]]) -> SectionTable:
+    return SectionTable(
         "What a polynomial makes of the slope at the camera",
         ("fit", "mean deviation", "spread"),
         tuple((name, percent(mean, 1), percent(spread, 1)) for name, (mean, spread) in ways.items()),
         f"{TESTS} simulated tests, {len(STATIONS_M)} stations on each half of each edge.",
     )
-    header = (
-        "wing",
-        "resonances, Hz",
-        "fit residual / tip, leading",
-        "trailing",
-        "slope factor, rad/m",
-        "times semispan",
-    )
+
+
+def _fit_table(rows: list[tuple[str, ...]]) -> SectionTable:
+    residual = "fit residual / tip, leading"
+    header = ("wing", "resonances, Hz", residual, "trailing", "slope factor, rad/m", "times semispan")
     note = (
         f"Polynomials of degree {WHOLE_DEGREE} over both halves, as the paper fits them; deflection counts from the "
         "root, as the cameras' pose does."
     )
-    table = SectionTable("Polynomial fits of modal peaks", header, tuple(rows), note)
-    title = "Figs. 9 and 10: mode shape of the flying wing"
-    return Section("figs_9_10", title, tuple(findings), (table, compared), tuple(pictures), data)
+    return SectionTable("Polynomial fits of modal peaks", header, tuple(rows), note)
 
 
 def _measured(real: Fitted) -> tuple[dict[str, Any], str]:

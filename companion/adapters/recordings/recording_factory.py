@@ -9,7 +9,7 @@ from companion.adapters.recordings.logs.dataflash import MAGIC as BIN_MAGIC
 from companion.adapters.recordings.logs.tlog import TlogRecording
 from companion.adapters.recordings.logs.ulog import UlogRecording
 from companion.adapters.recordings.logs.ulog_messages import MAGIC as ULOG_MAGIC
-from companion.adapters.recordings.mcap.reader import MAGIC as MCAP_MAGIC
+from companion.adapters.recordings.mcap.container import MAGIC as MCAP_MAGIC
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.tables.csv import CsvRecording

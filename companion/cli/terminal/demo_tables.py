@@ -89,10 +89,15 @@ def _number(value: float | None, digits: int) -> str:
 
 
 def _sentences(summary: dict[str, Any]) -> list[str]:
-    target, trigger, shots = summary["targets"], summary["trigger"], summary["shots"]
-    aimed, blur, removed = trigger["aimed"], trigger["blur_px"], target["share_of_error_removed"]
-    excess, oracle = target["fast_excess_mrad2"], target["oracle_median_at_60_m"]
-    lines = [
+    return [*_accuracy_sentences(summary), *_trigger_sentences(summary["trigger"]), *_shot_sentences(summary)]
+
+
+def _accuracy_sentences(summary: dict[str, Any]) -> list[str]:
+    target = summary["targets"]
+    removed, excess, oracle = (
+        target[name] for name in ("share_of_error_removed", "fast_excess_mrad2", "oracle_median_at_60_m")
+    )
+    return [
         f"error removed: {100 * removed['of_rigid']:.1f} % of rigid stereo's, "
         f"{100 * removed['of_rigid_calibrated_in_trim']:.1f} % of rigid stereo calibrated in trim (the paper: 55.6 %)",
         f"above 0.5 Hz: corrected² - oracle² = {excess['value']:.4f} mrad², limit {excess['limit']:.4f}: "
@@ -101,6 +106,10 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
         f"slow part over its own sigma: {summary['sigma']['slow_error_over_sigma_rms']:.2f} rms (one draw a flight); "
         f"published ranges beyond 5 sigma: {summary['sigma']['published_beyond_5_sigma']}",
     ]
+
+
+def _trigger_sentences(trigger: dict[str, Any]) -> list[str]:
+    aimed, lines = trigger["aimed"], []
     if aimed["shots"]:
         lines += [_peak_sentence(aimed, kind) for kind in ("deflection", "toe")]
         wing = aimed["blur_px"]
@@ -108,28 +117,29 @@ def _sentences(summary: dict[str, Any]) -> list[str]:
             f"blur of aimed shots, rms: {wing['at_plan']['rms']:.3f} px; limit {wing['limit']['rms']:.3f}, "
             f"random {wing['at_random']['rms']:.3f}: {100 * aimed['share_of_gain']:.0f} % of the possible gain"
         )
-    lines.append(
-        "blur by the wing: "
-        + ", ".join(
-            f"{values['median']:.3f} px median {name.replace('_', ' ')}" for name, values in blur.items() if values["n"]
-        )
+    medians = (
+        f"{values['median']:.3f} px median {name.replace('_', ' ')}"
+        for name, values in trigger["blur_px"].items()
+        if values["n"]
     )
-    lines.append(
-        f"shots: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected, {shots['trusted']} "
-        f"trusted and published; planned {_joined(shots['planned'])}"
-    )
-    settled = shots["settled"]
-    lines.append(
-        f"from {settled['from_s']:.0f} s on {settled['trusted']} of {settled['pairs']} pairs were trusted "
-        f"({100 * settled['trusted'] / max(settled['pairs'], 1):.0f} %), {summary['world']} world"
-    )
-    lines.append(f"plans: {_joined(shots['fates'])}")
-    lines.append(f"not trusted: {_joined(shots['not_trusted']) or 'none'}")
+    return [*lines, f"blur by the wing: {', '.join(medians)}"]
+
+
+def _shot_sentences(summary: dict[str, Any]) -> list[str]:
+    shots = summary["shots"]
+    settled, no_range = shots["settled"], []
     if shots["no_range"]:
-        lines.append(f"shots without a range: {_joined(shots['no_range'])} (a slow machine renders and matches late)")
-    received = summary["published"]["received"] or {}
-    lines.append(f"received by the autopilot: {_joined(received)}")
-    return lines
+        no_range = [f"shots without a range: {_joined(shots['no_range'])} (a slow machine renders and matches late)"]
+    return [
+        f"shots: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected, {shots['trusted']} "
+        f"trusted and published; planned {_joined(shots['planned'])}",
+        f"from {settled['from_s']:.0f} s on {settled['trusted']} of {settled['pairs']} pairs were trusted "
+        f"({100 * settled['trusted'] / max(settled['pairs'], 1):.0f} %), {summary['world']} world",
+        f"plans: {_joined(shots['fates'])}",
+        f"not trusted: {_joined(shots['not_trusted']) or 'none'}",
+        *no_range,
+        f"received by the autopilot: {_joined(summary['published']['received'] or {})}",
+    ]
 
 
 def _peak_sentence(aimed: dict[str, Any], kind: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,6 +146,20 @@ def build_flight(
     real = draw_truth(airframe, rng, effects) if perturbed else exact_truth(airframe, effects)
     real = worn(real, world, wear_rng)
     model = WingModel.from_airframe(real.actual)
+    truth = _fly(real, model, plan, gust, rng)
+    disturbed = disturbances(world, truth, shake_rng)
+    sensors = [
+        RealSensor(truth, model, station, real.actual.sensor(station), real.errors[station], disturbed.get(station))
+        for station in Station
+    ]
+    backends, nodes = _sampled(sensors, real, plan.duration_s, seed)
+    return Flight(airframe, real, model, truth, plan, seed, backends, nodes, world)
+
+
+def _fly(
+    real: TruthAirframe, model: WingModel, plan: FlightPlan, gust: GustKind, rng: np.random.Generator
+) -> FlightTruth:
+    """Motion of the rigid aircraft by the plan, with the wing bending in its load factor and the gust."""
     knots, derivatives = fly(plan, rng, round((plan.duration_s + _TAIL_S) * 1000) + 1)
     shape = TipShape.from_model(model)
     further = ((0, 0), (0, model.structure.slot_count - len(SLOT_NAMES)))
@@ -154,21 +168,23 @@ def build_flight(
     load_factor = rigid.series(rigid.t_boot_ns).load_factor
     q, qdot = _bend(real, model, plan, gust, load_factor, rng)
     knots[:, MODAL], derivatives[:, MODAL] = model.all_slots(q), model.all_slots(qdot)
-    truth = FlightTruth(knots, derivatives, shape)
-    disturbed = disturbances(world, truth, shake_rng)
+    return FlightTruth(knots, derivatives, shape)
+
+
+def _sampled(
+    sensors: Sequence[RealSensor], real: TruthAirframe, duration_s: float, seed: int
+) -> tuple[dict[Station, BackendImu], dict[Station, SensorStream]]:
+    """Samples of the autopilot's own sensors, and of those that nodes send on clocks of their own."""
     backends: dict[Station, BackendImu] = {}
     nodes: dict[Station, SensorStream] = {}
-    for station in Station:
-        sensor = RealSensor(
-            truth, model, station, real.actual.sensor(station), real.errors[station], disturbed.get(station)
-        )
-        draws = np.random.default_rng([seed, 1, station])
+    for sensor in sensors:
+        draws = np.random.default_rng([seed, 1, sensor.station])
         clock = sensor.sensor.source.clock
         if clock is ClockName.BOOT:
-            backends[station] = backend_imu(sensor, draws)
+            backends[sensor.station] = backend_imu(sensor, draws)
         else:
-            nodes[station] = node_stream(sensor, real.clocks[clock], plan.duration_s, draws)
-    return Flight(airframe, real, model, truth, plan, seed, backends, nodes, world)
+            nodes[sensor.station] = node_stream(sensor, real.clocks[clock], duration_s, draws)
+    return backends, nodes
 
 
 def _bend(

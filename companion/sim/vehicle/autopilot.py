@@ -77,7 +77,7 @@ class SimAutopilot:
         self._origin_ns = 0
         self._shots = 0
         self._components: set[int] = {AUTOPILOT_ID, *(s.sensor.source.component for s in flight.nodes.values())}
-        self._imus = {self._message_of(imu): imu for imu in flight.backends.values()}
+        self._imus = {imu.sensor.source.message: imu for imu in flight.backends.values()}
         self._packed: dict[str, list[bytes]] = {}
         self._streams: dict[str, Interval] = {}
         self._start()
@@ -347,7 +347,3 @@ class SimAutopilot:
             mavlink.MAV_STATE_STANDBY if on_ground else mavlink.MAV_STATE_ACTIVE,
             3,
         )
-
-    @staticmethod
-    def _message_of(imu: BackendImu) -> str:
-        return imu.sensor.source.message

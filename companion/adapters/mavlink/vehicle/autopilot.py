@@ -6,7 +6,6 @@ import dataclasses
 import select
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 from companion.adapters.mavlink.component import encode
 from companion.adapters.mavlink.component.component import OnboardComponent
@@ -14,14 +13,16 @@ from companion.adapters.mavlink.component.message_outputs import OutputPublisher
 from companion.adapters.mavlink.component.parameter_server import ParameterServer
 from companion.adapters.mavlink.component.range_publisher import RangePublisher
 from companion.adapters.mavlink.decode.decoder import OUTGOING, Decoded, Decoder
-from companion.adapters.mavlink.decode.message_records import INTEGER_TYPES, Heard, parameter_encoding
+from companion.adapters.mavlink.decode.message_records import INTEGER_TYPES, Heard
 from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
 from companion.adapters.mavlink.link.dialect import ID_OF, mavlink
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.vehicle.absence import Absence
+from companion.adapters.mavlink.vehicle.component_sender import ComponentSender
 from companion.adapters.mavlink.vehicle.periodic_requests import NEEDED_PARAMETERS, ParameterReader, TimesyncTimer
 from companion.adapters.mavlink.vehicle.rates import RateKeeper
 from companion.adapters.mavlink.vehicle.senders import ClockConflictDetector
+from companion.adapters.mavlink.vehicle.vehicle_choice import ChoiceNotices
 from companion.adapters.triggers.mavlink import CAMERAS, LinkFiring
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -49,14 +50,11 @@ from companion.records import (
     TimesyncReply,
     Validity,
 )
-from companion.units import Severity
 
 _SECOND_NS = 1_000_000_000
 _STATE_RATE_HZ = 20.0  # attitude and airspeed, for display and rigid motion
-_KNOCK_SYSTEM = 1  # system id of our first heartbeat; ArduPilot's default
 _MOST_ANSWERS = 16  # TIMESYNC answers in one chunk; bound of the time of one read
 _MOST_HELD = 16  # bound of memory
-_MOST_OTHERS = 8  # bound of memory and of sentences
 
 
 class MavlinkAutopilot:
@@ -95,8 +93,6 @@ class MavlinkAutopilot:
     ) -> None:
         self.decoder = Decoder(airframe, settings.component_id, settings.system_id)
         self.health = Health.BOOT
-        self.refused = 0
-        self.requests_answered = 0
         self._firing = firing
         self._fired: int | None = None
         self._unfired: list[Rejected] = []
@@ -111,7 +107,7 @@ class MavlinkAutopilot:
         self._gather_ns = round(gather_s * _SECOND_NS)
         self._listener = listener
         self.component = OnboardComponent(ParameterServer(settings)) if component is None else component
-        self._packer = mavlink.MAVLink(None, _KNOCK_SYSTEM, settings.component_id)
+        self._sender = ComponentSender(self._links, self.component, settings.component_id)
         self._timesync = TimesyncTimer()
         self._parameters = ParameterReader(needed)
         self._integer_parameters: set[str] = set()
@@ -123,11 +119,15 @@ class MavlinkAutopilot:
         self._read_host_ns = 0
         self._boot_offset_ns = 0
         self._ranges = RangePublisher(settings, airframe.orientation)
-        self._texts = 0
         self._absence = Absence()
-        self._others: set[int | None] = set()  # further autopilots of which the operator knows
+        self._choices = ChoiceNotices()
         self._held: deque[Notice] = deque(maxlen=_MOST_HELD)  # until somebody is there to read them
         self._outputs = OutputPublisher()
+
+    @property
+    def refused(self) -> int:
+        """Messages that were not sent because a value was not finite."""
+        return self._sender.refused
 
     def _wanted_rates(self, settings: Settings) -> dict[int, float]:
         wanted = {ID_OF["ATTITUDE"]: _STATE_RATE_HZ, ID_OF["VFR_HUD"]: _STATE_RATE_HZ}
@@ -135,8 +135,6 @@ class MavlinkAutopilot:
             if source.component == AUTOPILOT_COMPONENT:
                 wanted[source.message] = settings.imu_rate_hz
         return wanted
-
-    # -------------------------------------------------------------------------------------------- reading
 
     def poll(self, timeout_s: float) -> Iterator[Record]:
         """Yield what has arrived within the timeout, raw bytes first, then what they decode to.
@@ -150,10 +148,11 @@ class MavlinkAutopilot:
                 chunk = link.read()
                 if chunk is not None:
                     yield chunk
-                    served = self.decoder.system_id
                     decoded = self.decoder.decode(chunk)
                     self._attend(decoded, chunk.received_host_ns)
-                    yield from self._choices(served, chunk.received_host_ns)
+                    yield from self._choices.due(
+                        self.decoder.system_id, self.decoder.other_systems, chunk.received_host_ns
+                    )
                     yield from decoded.records
             self._read_host_ns = self._clock.now_ns()
         yield from self._unfired
@@ -168,18 +167,6 @@ class MavlinkAutopilot:
             if isinstance(event, ParameterChange):
                 self.adopt(self.component.parameters.settings)
             yield event
-
-    def _choices(self, served: int | None, now_host_ns: int) -> Iterator[Notice]:
-        """Say that another autopilot is there too, once for each, and that the served one has changed."""
-        now_served = self.decoder.system_id
-        if served not in (None, now_served):
-            yield Notice(Severity.WARNING, f"autopilot {served}/1 is silent: serving {now_served}/1 now", now_host_ns)
-            self._others |= {served}
-        for system in sorted(self.decoder.other_systems - self._others)[:_MOST_OTHERS]:
-            self._others |= {system}
-            if now_served is not None and len(self._others) <= _MOST_OTHERS:
-                text = f"autopilot {system}/1 is heard too: serving {now_served}/1 (SW_SYSID chooses)"
-                yield Notice(Severity.WARNING, text, now_host_ns)
 
     def _refusals(self) -> Iterator[Record]:
         for link in self._links:
@@ -214,24 +201,13 @@ class MavlinkAutopilot:
 
     def _attend(self, decoded: Decoded, now_host_ns: int) -> None:
         """Answer and take note of what concerns the adapter itself."""
-        answers = 0
         for echo in decoded.echoed:
             self.component.echoed(echo)
+        asked = [heard for heard in decoded.heard if heard.name == "TIMESYNC" and heard.message.tc1 == 0]
+        for heard in asked[:_MOST_ANSWERS]:
+            self._sender.send(mavlink.MAVLink_timesync_message(self._clock.now_ns(), heard.message.ts1), heard.link)
         for heard in decoded.heard:
-            if heard.name == "TIMESYNC" and heard.message.tc1 == 0 and answers < _MOST_ANSWERS:
-                answers += 1
-                self._send(mavlink.MAVLink_timesync_message(self._clock.now_ns(), heard.message.ts1), heard.link)
-                self.requests_answered += 1
-            elif heard.name == "COMMAND_ACK" and self._is_ours(heard):
-                self.rates.acknowledged(heard.message.result, now_host_ns)
-            elif heard.name == "COMMAND_ACK" and heard.message.command == self._fired:
-                self._acknowledge_shot(heard, now_host_ns)
-            elif heard.name == "PARAM_VALUE" and heard.component == AUTOPILOT_COMPONENT:
-                self._parameters.arrived(heard.message.param_id)
-                if heard.message.param_type in INTEGER_TYPES:
-                    self._integer_parameters.add(heard.message.param_id)
-            elif heard.name == "HEARTBEAT":
-                self._absence.beat(heard.system, heard.component)
+            self._hear(heard, now_host_ns)
             if self.decoder.system_id is not None:
                 self.component.hear(heard, self.decoder.system_id)
             if self._listener is not None:
@@ -240,18 +216,35 @@ class MavlinkAutopilot:
             notice_of_clocks = self._two_clocks.hear(record)
             if notice_of_clocks is not None:
                 self._said.append(notice_of_clocks)
-            if isinstance(record, AutopilotParameter) and implausible(record.name, record.value) is None:
-                if record.name == "SCHED_LOOP_RATE":
-                    self.rates.loop_rate(record.value)
-                elif record.name == "IMU_INTEG_RATE":
-                    self.rates.integration_rate(record.value)
-            elif isinstance(record, TimesyncReply):
-                self._timesync.answered(record.clock)
-            elif isinstance(record, ClockRestart):
-                self._timesync.hurry(now_host_ns)
-                if record.clock == ClockName.BOOT:
-                    self.rates.restart(now_host_ns)
-                    self._parameters.restart()
+            self._note(record, now_host_ns)
+
+    def _hear(self, heard: Heard, now_host_ns: int) -> None:
+        """Take note of an acknowledgement, a parameter or a heartbeat."""
+        if heard.name == "COMMAND_ACK" and self._is_ours(heard):
+            self.rates.acknowledged(heard.message.result, now_host_ns)
+        elif heard.name == "COMMAND_ACK" and heard.message.command == self._fired:
+            self._acknowledge_shot(heard, now_host_ns)
+        elif heard.name == "PARAM_VALUE" and heard.component == AUTOPILOT_COMPONENT:
+            self._parameters.arrived(heard.message.param_id)
+            if heard.message.param_type in INTEGER_TYPES:
+                self._integer_parameters.add(heard.message.param_id)
+        elif heard.name == "HEARTBEAT":
+            self._absence.beat(heard.system, heard.component)
+
+    def _note(self, record: Record, now_host_ns: int) -> None:
+        """Keep rates and clocks by what was decoded."""
+        if isinstance(record, AutopilotParameter) and implausible(record.name, record.value) is None:
+            if record.name == "SCHED_LOOP_RATE":
+                self.rates.loop_rate(record.value)
+            elif record.name == "IMU_INTEG_RATE":
+                self.rates.integration_rate(record.value)
+        elif isinstance(record, TimesyncReply):
+            self._timesync.answered(record.clock)
+        elif isinstance(record, ClockRestart):
+            self._timesync.hurry(now_host_ns)
+            if record.clock == ClockName.BOOT:
+                self.rates.restart(now_host_ns)
+                self._parameters.restart()
 
     def _acknowledge_shot(self, heard: Heard, now_host_ns: int) -> None:
         """A shot that the autopilot refuses is a device that failed: counted and told, not mistaken for a late one."""
@@ -271,22 +264,20 @@ class MavlinkAutopilot:
         """Set one of our own parameters for who is no ground station."""
         self.component.parameters.ask(name, value, self._clock.now_ns())
 
-    # -------------------------------------------------------------------------------------------- what is due
-
     def _upkeep(self, now_host_ns: int) -> Iterator[Record]:
         system = self.decoder.system_id
         if system is not None:
-            self._packer.srcSystem = system
+            self._sender.system = system
             while self._held:
-                self._tell(dataclasses.replace(self._held.popleft(), at_host_ns=now_host_ns))
+                self._sender.tell(dataclasses.replace(self._held.popleft(), at_host_ns=now_host_ns))
         if self._heartbeats.take(now_host_ns):
             for link in self._links:
                 if system is not None or link.knocks:
-                    self._send(encode.heartbeat(self.health), link.number)
+                    self._sender.send(encode.heartbeat(self.health), link.number)
         if system is None:
             return
         for message in self.component.due(now_host_ns):
-            self._send(message)
+            self._sender.send(message)
         if self._timesync.due(now_host_ns):
             yield from self._ask_time()
         request = self.rates.due(now_host_ns)
@@ -294,7 +285,7 @@ class MavlinkAutopilot:
             self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, request.message, request.interval_us)
         name = self._parameters.due(now_host_ns)
         if name is not None:
-            self._send(mavlink.MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode(), -1))
+            self._sender.request_parameter(name)
         if self._verifications.take(now_host_ns):
             delivered = self.decoder.delivered
             counts = {message: n for (message, component), n in delivered.items() if component == AUTOPILOT_COMPONENT}
@@ -303,14 +294,12 @@ class MavlinkAutopilot:
     def _ask_time(self) -> Iterator[Record]:
         """Send one TIMESYNC request on all links; it is answered by everyone who keeps a clock."""
         sent_host_ns = self._clock.now_ns()
-        frame = self._pack(mavlink.MAVLink_timesync_message(0, sent_host_ns))
+        frame = self._sender.pack(mavlink.MAVLink_timesync_message(0, sent_host_ns))
         for link in self._links:
             link.write(frame)
         chunk = RawChunk(OUTGOING + self._links[0].number, sent_host_ns, frame)
         yield chunk
         yield from self.decoder.decode_chunk(chunk)
-
-    # -------------------------------------------------------------------------------------------- telling
 
     def publish(self, record: Record) -> None:
         """Send a record in the form that the autopilot understands; others are not sent.
@@ -319,7 +308,7 @@ class MavlinkAutopilot:
         """
         if isinstance(record, CorrectedRange | NoRange | ObstacleSectors):
             for message in self._ranges.messages(record, self._boot_offset_ns, self._clock.now_ns()):
-                self._send(message)
+                self._sender.send(message)
         elif isinstance(record, Shot):
             request = self._firing.command(record, px4=self.decoder.px4)
             self._fired = request.command
@@ -329,7 +318,7 @@ class MavlinkAutopilot:
                 if not self._absence.is_absence_notice(record):
                     self._held.append(record)
             else:
-                self._tell(record)
+                self._sender.tell(record)
         elif isinstance(record, ServiceStatus):
             self.health = record.health
         elif isinstance(record, ClockState) and record.clock == ClockName.BOOT and record.synced:
@@ -337,17 +326,7 @@ class MavlinkAutopilot:
         if isinstance(record, ModeState) and record.validity is Validity.TRACKING:
             self.rates.mode(max(record.symmetric.frequency_hz, record.antisymmetric.frequency_hz))
         for message in self._outputs.messages(record, self._settings, self._boot_offset_ns):
-            if message is None:
-                self.refused += 1
-            else:
-                self._send(message)
-
-    def _tell(self, notice: Notice) -> None:
-        text = self.component.texts.admit(notice)
-        if text is not None:
-            self._texts += 1
-            for piece in encode.status_text(notice.severity, text, self._texts):
-                self._send(piece)
+            self._sender.send(message)
 
     def adopt(self, settings: Settings) -> None:
         """Use changed live settings from now on."""
@@ -356,33 +335,14 @@ class MavlinkAutopilot:
 
     def command(self, command: int, *parameters: float) -> None:
         """Send a COMMAND_LONG to the autopilot; parameters that are left out are 0."""
-        filled = [float(value) for value in parameters] + [0.0] * (7 - len(parameters))
-        system = self._packer.srcSystem
-        self._send(mavlink.MAVLink_command_long_message(system, AUTOPILOT_COMPONENT, command, 0, *filled))
+        self._sender.command(command, *parameters)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Ask the autopilot to set one of its parameters; its PARAM_VALUE in answer tells what is in force."""
-        system = self._packer.srcSystem
-        value, kind = parameter_encoding(value, integer=self.decoder.px4 and name in self._integer_parameters)
-        self._send(mavlink.MAVLink_param_set_message(system, AUTOPILOT_COMPONENT, name.encode(), value, kind))
+        self._sender.set_parameter(name, value, integer=self.decoder.px4 and name in self._integer_parameters)
 
     def close(self) -> None:
         """Release the links, and store what waits to be stored."""
         self.component.close()
         for link in self._links:
             link.close()
-
-    def _send(self, message: Any, number: int | None = None) -> None:
-        if not encode.sendable(message):
-            self.refused += 1
-            return
-        frame = self._pack(message)
-        for link in self._links:
-            if number is None or link.number == number:
-                link.write(frame)
-
-    def _pack(self, message: Any) -> bytes:
-        frame = bytes(message.pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        self.component.identity.sent(message.get_msgId(), bytes(message.get_payload()))
-        return frame

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection, Iterator
+
+from companion.records import Notice
+from companion.units import Severity
 
 _SILENT_NS = 5_000_000_000
+_MOST_OTHERS = 8  # bound of memory and of sentences
 _CONFIRMATIONS = 3  # heartbeats: a stray frame moves nothing
 
 
@@ -67,3 +72,23 @@ class VehicleChoice:
         self._beat_host_ns = self._answer_host_ns = now_host_ns
         self._beats.clear()
         self._answers.clear()
+
+
+class ChoiceNotices:
+    """Says that another autopilot is heard too, once for each, and that the served one has changed."""
+
+    def __init__(self) -> None:
+        self._served: int | None = None
+        self._named: set[int] = set()
+
+    def due(self, served: int | None, others: Collection[int], now_host_ns: int) -> Iterator[Notice]:
+        """Sentences of which the operator does not know yet; ``others`` are further systems that were heard."""
+        before, self._served = self._served, served
+        if before is not None and before != served:
+            yield Notice(Severity.WARNING, f"autopilot {before}/1 is silent: serving {served}/1 now", now_host_ns)
+            self._named.add(before)
+        for system in sorted(set(others) - self._named)[:_MOST_OTHERS]:
+            self._named.add(system)
+            if served is not None and len(self._named) <= _MOST_OTHERS:
+                text = f"autopilot {system}/1 is heard too: serving {served}/1 (SW_SYSID chooses)"
+                yield Notice(Severity.WARNING, text, now_host_ns)

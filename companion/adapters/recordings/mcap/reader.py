@@ -4,25 +4,30 @@ from __future__ import annotations
 
 import contextlib
 import json
-import struct
-import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import zstandard
 from mcap import records as mcap
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.stream_reader import CRCValidationError, breakup_chunk
+from mcap.stream_reader import breakup_chunk
 
 from companion.adapters.recordings.mcap import images
 from companion.adapters.recordings.mcap import ros1_codec as packed
 from companion.adapters.recordings.mcap.channels import IMAGE_SCHEMA, KINDS, Recordable
 from companion.adapters.recordings.mcap.codec import loads
+from companion.adapters.recordings.mcap.container import (
+    DAMAGE,
+    LONGEST_CHUNK_S,
+    TIME_SPAN,
+    Segment,
+    check_attachment,
+    check_size,
+    learn,
+    parse,
+    recorded_duration_s,
+    scan,
+)
 from companion.adapters.recordings.mcap.images import ImageFormat
 from companion.adapters.recordings.mcap.writer import FORMAT_VERSION
 from companion.adapters.recordings.recording import Notes
@@ -33,35 +38,6 @@ from companion.params.settings import Settings, tunables
 from companion.params.toml import parse_toml, settings_of
 from companion.records import ClockName, Frame, FramePair, Notice, Side
 from companion.units import Severity
-
-MAGIC = b"\x89MCAP0\r\n"
-_HEAD = 9  # bytes: opcode and length of a record (MCAP specification)
-_INDEXED_OPCODES = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT))
-_MOST_CHUNK_BYTES = 1 << 28
-_LONGEST_CHUNK_S = 60.0
-_DAMAGE = (
-    McapError,
-    CRCValidationError,
-    struct.error,
-    ValueError,
-    TypeError,
-    LookupError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    zstandard.ZstdError,
-    RuntimeError,
-)
-_PARTLY = struct.Struct("<QQ")  # the first fields of a chunk: its first and last time
-
-
-@dataclass(frozen=True, slots=True)
-class _Segment:
-    """One top-level MCAP record: where its content lies."""
-
-    opcode: int
-    offset: int
-    length: int
 
 
 class McapRecording:
@@ -95,13 +71,13 @@ class McapRecording:
     def __init__(self, path: Path, airframe: Airframe | None = None) -> None:
         self.path = path
         self._notes = Notes()
-        self._segments, self._end = _scan(path)
+        self._segments, self._end = scan(path)
         self._damaged_s: dict[int, float] = {}  # by the place of the chunk
         self._drops: list[int] = []  # how many records stand before what was dropped
         try:
             facts, texts = self._header()
             self._understand(facts, texts)
-        except (*_DAMAGE, KeyError) as error:
+        except (*DAMAGE, KeyError) as error:
             raise RecordingError(f"{path}: its header is damaged, nothing can be read ({error})") from error
         if airframe is not None:
             self.airframe = airframe
@@ -154,7 +130,7 @@ class McapRecording:
         if self._finished:
             return lost_s
         behind_s = -1.0 if self._end.cut_chunk_ns is None else (self._end.cut_chunk_ns - self.span_ns()[1]) * 1e-9
-        return lost_s + behind_s if 0.0 <= behind_s < _LONGEST_CHUNK_S else None
+        return lost_s + behind_s if 0.0 <= behind_s < LONGEST_CHUNK_S else None
 
     def records(self) -> Iterator[Recordable]:
         """Every record in arrival order; what is damaged is left out and named in the notices."""
@@ -174,7 +150,7 @@ class McapRecording:
         for schema, message in self._messages():
             try:
                 record = _record_of(schema, message, unpaired)
-            except _DAMAGE as error:
+            except DAMAGE as error:
                 self.complete = False
                 what = f"{type(error).__name__}: {error}"[:120]
                 self._notes.add(f"{self.path.name}: a message of '{schema.name}' is damaged and left out ({what})")
@@ -189,12 +165,12 @@ class McapRecording:
         channels: dict[int, mcap.Channel] = {}
         with self.path.open("rb") as file:
             for segment in [record for record in self._segments if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL)]:
-                with contextlib.suppress(*_DAMAGE):  # copies of what the chunks declare
-                    _learn(_parse(file, segment), schemas, channels)
+                with contextlib.suppress(*DAMAGE):  # copies of what the chunks declare
+                    learn(parse(file, segment), schemas, channels)
             for segment in [record for record in self._segments if record.opcode == Opcode.CHUNK]:
                 for record in self._chunk(file, segment):
                     if not isinstance(record, mcap.Message):
-                        _learn(record, schemas, channels)
+                        learn(record, schemas, channels)
                     elif record.channel_id in channels and channels[record.channel_id].schema_id in schemas:
                         yield schemas[channels[record.channel_id].schema_id], record
                     else:
@@ -202,14 +178,14 @@ class McapRecording:
                             f"{self.path.name}: channel {record.channel_id} was declared in a damaged chunk; left out"
                         )
 
-    def _chunk(self, file: BinaryIO, segment: _Segment) -> list[Any]:
+    def _chunk(self, file: BinaryIO, segment: Segment) -> list[Any]:
         try:
-            chunk = _parse(file, segment)
-            _check_size(chunk)
+            chunk = parse(file, segment)
+            check_size(chunk)
             return list(breakup_chunk(chunk, validate_crc=True))
-        except _DAMAGE as error:
+        except DAMAGE as error:
             self.complete = False
-            self._damaged_s[segment.offset] = _lasted_s(file, segment)
+            self._damaged_s[segment.offset] = recorded_duration_s(file, segment)
             what = f"{type(error).__name__}: {error}"[:120]
             self._notes.add(f"{self.path.name}: the chunk at byte {segment.offset} is damaged and left out ({what})")
             return []
@@ -220,13 +196,13 @@ class McapRecording:
         with self.path.open("rb") as file:
             for segment in self._segments:
                 if segment.opcode == Opcode.METADATA:
-                    record = _parse(file, segment)
+                    record = parse(file, segment)
                     facts[record.name] = record.metadata
                     if record.name == "spanwise.drops":
                         self._drops.append(int(record.metadata["after"]))
                 elif segment.opcode == Opcode.ATTACHMENT:
-                    _check_attachment(file, segment)
-                    record = _parse(file, segment)
+                    check_attachment(file, segment)
+                    record = parse(file, segment)
                     texts[record.name] = record.data.decode()
         return facts, texts
 
@@ -257,9 +233,9 @@ class McapRecording:
         spans = []
         with self.path.open("rb") as file:
             for segment in [record for record in self._segments if record.opcode == Opcode.CHUNK]:
-                if segment.length >= _PARTLY.size:
+                if segment.length >= TIME_SPAN.size:
                     file.seek(segment.offset)
-                    spans.append(_PARTLY.unpack(file.read(_PARTLY.size)))
+                    spans.append(TIME_SPAN.unpack(file.read(TIME_SPAN.size)))
         return (min(start for start, _ in spans), max(end for _, end in spans)) if spans else (0, 0)
 
 
@@ -277,40 +253,6 @@ def load_settings(text: str) -> Settings:
     return settings
 
 
-@dataclass(frozen=True, slots=True)
-class _End:
-    """How a file ends: in order, or within a chunk, whose last time its head still tells."""
-
-    orderly: bool
-    cut_chunk_ns: int | None = None
-
-
-def _scan(path: Path) -> tuple[list[_Segment], _End]:
-    """Walk the top-level records, and look at the end."""
-    segments: list[_Segment] = []
-    cut_chunk_ns = None
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            raise RecordingError(f"{path}: not an MCAP file")
-        at = len(MAGIC)
-        while at + _HEAD <= size:
-            file.seek(at)
-            opcode, length = struct.unpack("<BQ", file.read(_HEAD))
-            if at + _HEAD + length > size:
-                if opcode == Opcode.CHUNK and at + _HEAD + _PARTLY.size <= size:
-                    cut_chunk_ns = _PARTLY.unpack(file.read(_PARTLY.size))[1]
-                break
-            if opcode in _INDEXED_OPCODES:
-                segments.append(_Segment(opcode, at + _HEAD, length))
-            at += _HEAD + length
-            if opcode == Opcode.FOOTER:
-                return segments, _End(orderly=True)
-    if not segments:
-        raise RecordingError(f"{path}: cut off in its first bytes; nothing can be read")
-    return segments, _End(orderly=False, cut_chunk_ns=cut_chunk_ns)
-
-
 def _record_of(schema: mcap.Schema, message: mcap.Message, unpaired: dict[int, Frame]) -> Recordable | None:
     """The record of a message; None for one that is not known, or the left image of a pair, which waits."""
     if schema.name == IMAGE_SCHEMA:
@@ -326,50 +268,3 @@ def _record_of(schema: mcap.Schema, message: mcap.Message, unpaired: dict[int, F
     kind = KINDS[schema.name]
     record: Recordable = packed.unpack(kind, message.data) if kind in packed.SCHEMAS else loads(kind, message.data)
     return record
-
-
-def _check_size(chunk: mcap.Chunk) -> None:
-    """Raise ValueError for a chunk that says it is larger than we make them: what it says would be allocated."""
-    sizes = [chunk.uncompressed_size]
-    if chunk.compression == "zstd":
-        sizes.append(zstandard.frame_content_size(chunk.data))
-    if max(sizes) > _MOST_CHUNK_BYTES:
-        raise ValueError(f"{max(sizes)} bytes in a chunk")
-
-
-def _lasted_s(file: BinaryIO, segment: _Segment) -> float:
-    """Recorded time in a chunk, by its head; 0 where that is damaged too."""
-    if segment.length < _PARTLY.size:
-        return 0.0
-    file.seek(segment.offset)
-    start_ns, end_ns = _PARTLY.unpack(file.read(_PARTLY.size))
-    lasted_s = (end_ns - start_ns) * 1e-9
-    return lasted_s if 0.0 <= lasted_s < _LONGEST_CHUNK_S else 0.0
-
-
-_PARSERS = {
-    Opcode.SCHEMA: mcap.Schema,
-    Opcode.CHANNEL: mcap.Channel,
-    Opcode.CHUNK: mcap.Chunk,
-    Opcode.METADATA: mcap.Metadata,
-    Opcode.ATTACHMENT: mcap.Attachment,
-}
-
-
-def _parse(file: BinaryIO, segment: _Segment) -> Any:
-    file.seek(segment.offset)
-    return _PARSERS[Opcode(segment.opcode)].read(ReadDataStream(BytesIO(file.read(segment.length))))
-
-
-def _check_attachment(file: BinaryIO, segment: _Segment) -> None:
-    file.seek(segment.offset)
-    content = file.read(segment.length)
-    if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little"):
-        raise ValueError("checksum of an attachment")
-
-
-def _learn(record: Any, schemas: dict[int, mcap.Schema], channels: dict[int, mcap.Channel]) -> None:
-    if isinstance(record, mcap.Schema):
-        schemas[record.id] = record
-    elif isinstance(record, mcap.Channel):
-        channels[record.id] = record

@@ -1,0 +1,83 @@
+"""Frames of our own component on every link: numbered, remembered by its identity, refused where not finite."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from companion.adapters.mavlink.component import encode
+from companion.adapters.mavlink.component.component import OnboardComponent
+from companion.adapters.mavlink.decode.message_records import parameter_encoding
+from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT
+from companion.adapters.mavlink.link.dialect import mavlink
+from companion.adapters.mavlink.link.link import Link
+from companion.records import Notice
+
+_FIRST_SYSTEM = 1  # system id of our first heartbeat; ArduPilot's default
+_COMMAND_PARAMETERS = 7  # of a COMMAND_LONG
+
+
+class ComponentSender:
+    """Packs pymavlink messages as our component and writes them to the links.
+
+    Attributes
+    ----------
+    system : int
+        System id that we send with, which is the autopilot's.
+    refused : int
+        Messages that were not sent because a value was not finite.
+    """
+
+    def __init__(self, links: Sequence[Link], component: OnboardComponent, component_id: int) -> None:
+        self.refused = 0
+        self._links, self._component = links, component
+        self._packer = mavlink.MAVLink(None, _FIRST_SYSTEM, component_id)
+        self._texts = 0
+
+    @property
+    def system(self) -> int:
+        """System id of every frame."""
+        return int(self._packer.srcSystem)
+
+    @system.setter
+    def system(self, system: int) -> None:
+        self._packer.srcSystem = system
+
+    def send(self, message: Any, number: int | None = None) -> None:
+        """Send a message on all links, or on the one of a number."""
+        if message is None or not encode.sendable(message):
+            self.refused += 1
+            return
+        frame = self.pack(message)
+        for link in self._links:
+            if number is None or link.number == number:
+                link.write(frame)
+
+    def pack(self, message: Any) -> bytes:
+        """Bytes of a message, with the next sequence number."""
+        frame = bytes(message.pack(self._packer))
+        self._packer.seq = (self._packer.seq + 1) % 256
+        self._component.identity.sent(message.get_msgId(), bytes(message.get_payload()))
+        return frame
+
+    def command(self, command: int, *parameters: float) -> None:
+        """Send a COMMAND_LONG to the autopilot; parameters that are left out are 0."""
+        filled = [float(value) for value in parameters] + [0.0] * (_COMMAND_PARAMETERS - len(parameters))
+        self.send(mavlink.MAVLink_command_long_message(self.system, AUTOPILOT_COMPONENT, command, 0, *filled))
+
+    def request_parameter(self, name: str) -> None:
+        """Ask the autopilot for one of its parameters."""
+        self.send(mavlink.MAVLink_param_request_read_message(self.system, AUTOPILOT_COMPONENT, name.encode(), -1))
+
+    def set_parameter(self, name: str, value: float, *, integer: bool) -> None:
+        """Ask the autopilot to set one of its parameters; ``integer`` as PX4 encodes them, in the bytes of a float."""
+        value, kind = parameter_encoding(value, integer=integer)
+        self.send(mavlink.MAVLink_param_set_message(self.system, AUTOPILOT_COMPONENT, name.encode(), value, kind))
+
+    def tell(self, notice: Notice) -> None:
+        """Send a sentence as STATUSTEXT, in pieces, unless it repeats one just sent."""
+        text = self._component.texts.admit(notice)
+        if text is not None:
+            self._texts += 1
+            for piece in encode.status_text(notice.severity, text, self._texts):
+                self.send(piece)
