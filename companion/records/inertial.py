@@ -1,4 +1,4 @@
-"""What arrives on the link: bytes, inertial samples, clock exchanges, the vehicle, parameters, the timer."""
+"""Records that arrive on the link: bytes, inertial samples, clock exchanges, the vehicle, parameters, the timer."""
 
 from __future__ import annotations
 
