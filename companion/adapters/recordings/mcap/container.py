@@ -44,7 +44,7 @@ TIME_SPAN = struct.Struct("<QQ")
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
+class FileSegment:
     """One top-level MCAP record: where its content lies."""
 
     opcode: int
@@ -60,9 +60,9 @@ class FileEnd:
     cut_chunk_ns: int | None = None
 
 
-def scan(path: Path) -> tuple[list[Segment], FileEnd]:
+def scan(path: Path) -> tuple[list[FileSegment], FileEnd]:
     """Walk the top-level records, and look at the end."""
-    segments: list[Segment] = []
+    segments: list[FileSegment] = []
     cut_chunk_ns = None
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -77,7 +77,7 @@ def scan(path: Path) -> tuple[list[Segment], FileEnd]:
                     cut_chunk_ns = TIME_SPAN.unpack(file.read(TIME_SPAN.size))[1]
                 break
             if opcode in _INDEXED_OPCODES:
-                segments.append(Segment(opcode, at + _HEAD, length))
+                segments.append(FileSegment(opcode, at + _HEAD, length))
             at += _HEAD + length
             if opcode == Opcode.FOOTER:
                 return segments, FileEnd(orderly=True)
@@ -95,7 +95,7 @@ def check_size(chunk: mcap.Chunk) -> None:
         raise ValueError(f"{max(sizes)} bytes in a chunk")
 
 
-def recorded_duration_s(file: BinaryIO, segment: Segment) -> float:
+def recorded_duration_s(file: BinaryIO, segment: FileSegment) -> float:
     """Recorded time in a chunk, by its head; 0 where that is damaged too."""
     if segment.length < TIME_SPAN.size:
         return 0.0
@@ -114,13 +114,13 @@ _PARSERS = {
 }
 
 
-def parse(file: BinaryIO, segment: Segment) -> Any:
+def parse(file: BinaryIO, segment: FileSegment) -> Any:
     """Content of a record, as the library's class of its kind."""
     file.seek(segment.offset)
     return _PARSERS[Opcode(segment.opcode)].read(ReadDataStream(BytesIO(file.read(segment.length))))
 
 
-def check_attachment(file: BinaryIO, segment: Segment) -> None:
+def check_attachment(file: BinaryIO, segment: FileSegment) -> None:
     """Raise ValueError for an attachment whose checksum is wrong."""
     file.seek(segment.offset)
     content = file.read(segment.length)

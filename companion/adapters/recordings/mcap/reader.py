@@ -20,7 +20,7 @@ from companion.adapters.recordings.mcap.container import (
     DAMAGE,
     LONGEST_CHUNK_S,
     TIME_SPAN,
-    Segment,
+    FileSegment,
     check_attachment,
     check_size,
     learn,
@@ -178,7 +178,7 @@ class McapRecording:
                             f"{self.path.name}: channel {record.channel_id} was declared in a damaged chunk; left out"
                         )
 
-    def _chunk(self, file: BinaryIO, segment: Segment) -> list[Any]:
+    def _chunk(self, file: BinaryIO, segment: FileSegment) -> list[Any]:
         try:
             chunk = parse(file, segment)
             check_size(chunk)
