@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Protocol
 
-from companion.records import Frame, ImuBatch, Record, Shot, TriggerPlan
+from companion.records import Frame, Record, Shot, TriggerPlan
 
 
 class Clock(Protocol):
@@ -37,18 +37,6 @@ class Autopilot(Protocol):
 
     def close(self) -> None:
         """Release the link."""
-        ...
-
-
-class AccelSource(Protocol):
-    """Inertial samples that do not come through the autopilot's link."""
-
-    def poll(self, timeout_s: float) -> Iterable[ImuBatch]:
-        """Batches that have arrived within the timeout."""
-        ...
-
-    def close(self) -> None:
-        """Release the device."""
         ...
 
 

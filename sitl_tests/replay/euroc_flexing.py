@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from companion.adapters.cameras.euroc import euroc_cameras
 from companion.adapters.cameras.folder import FolderPair
 from companion.core.stereo.geometry import Pose, Rig
 from companion.core.stereo.matching import Matches, match
@@ -18,6 +17,7 @@ from companion.core.stereo.search import Search
 from companion.core.stereo.triangulation import Rays
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
+from sitl_tests.replay.euroc_calibration import euroc_cameras
 
 FAST_SIGMA_RAD = 0.0003
 

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.adapters.cameras.euroc import euroc_cameras
 from companion.adapters.cameras.folder import FolderPair
 from companion.adapters.cameras.video import CapturePair
 from companion.core.stereo.geometry import Rig
 from companion.errors import DeviceError
 from companion.params.files import load_airframe
 from companion.records import ClockName, Side
+from sitl_tests.replay.euroc_calibration import euroc_cameras
 
 
 def _write(folder: Path, camera: str, stamps: list[int]) -> None:

@@ -17,7 +17,6 @@ import pytest
 from companion.adapters.cameras import camera_factory as cameras
 from companion.adapters.cameras.oak import OakPair, OakSensor
 from companion.adapters.cameras.paced import PacedPair, RecordedPair
-from companion.adapters.clocks import ManualClock
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.triggers import trigger_factory as triggers
 from companion.adapters.triggers.mavlink import LinkFiring, MavlinkTrigger, link_firing
@@ -31,6 +30,7 @@ from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Side
 from companion.service import vision
+from sitl_tests.manual_clock import ManualClock
 
 MS = 1_000_000
 

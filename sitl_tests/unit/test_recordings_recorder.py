@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 from companion.adapters.recordings.mcap.reader import McapRecording
-from companion.adapters.recordings.mcap.recorder import ProcessRecorder, free_path, keep_recording, run_recorder
+from companion.adapters.recordings.mcap.recorder import free_path, keep_recording, run_recorder
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
-from companion.errors import RecordingError
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import ClockName, Frame, Notice, RawChunk, Side, Tick
@@ -177,23 +176,6 @@ def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) ->
     assert [record.text for record in records if isinstance(record, Notice)] == [str(i) for i in range(50)]
     assert recording.dropped == 4
     assert not recording.replayable
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="no folder"):
-        ProcessRecorder(tmp_path / "none" / "a.mcap", ABOUT)
-
-
-@pytest.mark.realtime
-def test_a_process_of_its_own_writes_it_all(tmp_path: Path) -> None:
-    recorder = ProcessRecorder(tmp_path / "own.mcap", ABOUT)
-    for i in range(2000):
-        recorder.write(Tick(i * 1_000_000))
-    recorder.close()
-    recording = McapRecording(tmp_path / "own.mcap")
-    assert [record.now_host_ns for record in recording.records()] == [i * 1_000_000 for i in range(2000)]  # type: ignore[union-attr]
-    assert recording.replayable
-    assert recording.notices == []
 
 
 _PRODUCER = """

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.adapters.clocks import ManualClock
 from companion.core.pipeline import VisionState, start
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -16,6 +15,7 @@ from companion.records import ClockName, Frame, Notice, Record, ServiceStatus, S
 from companion.service import vision
 from companion.service.inertial import InertialLoop
 from companion.service.pace import Overload, TickPace, VisionPace
+from sitl_tests.manual_clock import ManualClock
 
 MS = 1_000_000
 SECOND = 1_000_000_000

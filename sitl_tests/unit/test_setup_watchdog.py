@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from companion.adapters.clocks import ManualClock
 from companion.adapters.systemd import ServiceManager
 from companion.core.pipeline import start
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.service.inertial import InertialLoop
+from sitl_tests.manual_clock import ManualClock
 
 MS = 1_000_000
 SECOND = 1_000_000_000

@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from companion.core.wing.lowpass import Biquad, Butterworth2
 
@@ -21,16 +19,6 @@ def test_phase_at_the_recorded_flights_frequency(cutoff_hz: float, phase_deg: fl
 def test_the_phase_of_20_hz_is_11_7_ms_at_7_3_hz() -> None:
     phase = np.angle(Butterworth2(20.0).response(np.array([7.3]))[0])
     assert -phase / (2 * math.pi * 7.3) == pytest.approx(0.0117, abs=5e-5)
-
-
-@given(cutoff_hz=st.floats(1.0, 200.0), ratio=st.floats(0.01, 3.0))
-def test_group_delay_is_the_derivative_of_the_phase(cutoff_hz: float, ratio: float) -> None:
-    filter_ = Butterworth2(cutoff_hz)
-    step = 1e-5 * cutoff_hz
-    frequency = np.array([ratio * cutoff_hz - step, ratio * cutoff_hz + step])
-    phase = np.unwrap(np.angle(filter_.response(frequency)))
-    expected = -(phase[1] - phase[0]) / (2 * math.pi * 2 * step)
-    assert filter_.group_delay_s(np.array([ratio * cutoff_hz]))[0] == pytest.approx(expected, rel=1e-5)
 
 
 def test_state_space_has_the_same_response() -> None:

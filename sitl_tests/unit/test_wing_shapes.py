@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.wing.beam import Beam
-from companion.core.wing.shapes import EdgePoints, WingShape, fit_polynomial, fit_spline
+from companion.core.wing.shapes import EdgePoints, WingShape, fit_polynomial
 
 SPAN = np.linspace(0.0, 1.0, 13)
 
@@ -32,26 +31,8 @@ def test_a_clamped_edge_starts_flat_and_reaches_back_to_the_root() -> None:
     assert fit.slope(np.array([0.0]))[0] == 0.0
 
 
-def test_a_spline_follows_a_beam_mode_and_its_slope() -> None:
-    mode = Beam(1.0, 1.0, 1.0, 1.0, 1.0).modes(2)[1]
-    span = np.linspace(0.0, 1.0, 40)
-    fit = fit_spline(EdgePoints(span, mode.shape(span)))
-    inside = np.linspace(0.05, 1.0, 20)
-    assert fit.deflection(inside) == pytest.approx(mode.shape(inside), abs=2e-3)
-    assert fit.slope(inside) == pytest.approx(mode.slope(inside), abs=0.06)
-
-
-def test_a_spline_through_noise_is_smoother_than_the_points() -> None:
-    generator = np.random.default_rng(4)
-    span = np.linspace(0.0, 1.0, 60)
-    fit = fit_spline(EdgePoints(span, _bent(span) + generator.normal(0.0, 0.01, 60)))
-    assert np.sqrt(np.mean((fit.deflection(span) - _bent(span)) ** 2)) < 0.005
-    assert fit.residual_sigma == pytest.approx(0.01, rel=0.3)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["polynomial", "spline"])
-def test_sigma_is_the_spread_of_repeated_measurements(kind: str) -> None:
+def test_sigma_is_the_spread_of_repeated_measurements() -> None:
     generator = np.random.default_rng(11)
     span = np.linspace(0.0, 1.0, 25)
     place, tip = (0.9, 0.3, 0.2), (1.0, 0.5, 0.2)
@@ -59,10 +40,7 @@ def test_sigma_is_the_spread_of_repeated_measurements(kind: str) -> None:
     truth = np.array([_bent(0.9), 0.6 * 0.9 + 2.1 * 0.81, 0.0])
     for _ in range(300):
         edges = [EdgePoints(span, _bent(span) + generator.normal(0.0, 0.004, 25)) for _ in range(2)]
-        fits = [
-            fit_polynomial(edge, 3, clamped=True) if kind == "polynomial" else fit_spline(edge, 5) for edge in edges
-        ]
-        shape = WingShape(*fits)
+        shape = WingShape(*(fit_polynomial(edge, 3, clamped=True) for edge in edges))
         at = shape.at(*place)
         errors.append((np.array([at.deflection, at.slope, at.twist]) - truth) / at.sigma)
         factors = shape.factors(place, tip)
@@ -91,7 +69,7 @@ def test_too_few_points_are_refused_by_number() -> None:
     with pytest.raises(ValueError, match=r"4 distinct stations are too few: 5"):
         fit_polynomial(EdgePoints(SPAN[:4], _bent(SPAN[:4])), 3)
     with pytest.raises(ValueError, match="2 distinct stations are too few"):
-        fit_spline(EdgePoints(np.array([0.1, 0.1, 0.2, 0.2, 0.1, 0.2]), np.zeros(6)))
+        fit_polynomial(EdgePoints(np.array([0.1, 0.1, 0.2, 0.2, 0.1, 0.2]), np.zeros(6)), 3)
 
 
 def test_nothing_is_said_outside_the_measured_span() -> None:

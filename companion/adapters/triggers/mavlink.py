@@ -92,8 +92,3 @@ def link_firing(factory: Callable[[], Trigger] | None) -> LinkFiring | None:
         firing: LinkFiring = factory.args[0]
         return firing
     return None
-
-
-def capture_command(shot: Shot) -> CaptureCommand:
-    """IMAGE_START_CAPTURE of one picture by every camera."""
-    return CAMERAS.command(shot)

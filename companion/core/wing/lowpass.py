@@ -31,12 +31,6 @@ class Butterworth2:
         r = np.asarray(frequency_hz, dtype=np.float64) / self.cutoff_hz
         return np.asarray(1.0 / (1.0 - r**2 + 1j * math.sqrt(2.0) * r))
 
-    def group_delay_s(self, frequency_hz: Floats) -> Floats:
-        """-d(phase)/d(omega); sqrt(2)/omega_c at zero frequency."""
-        r = np.asarray(frequency_hz, dtype=np.float64) / self.cutoff_hz
-        scale = math.sqrt(2.0) / (2.0 * math.pi * self.cutoff_hz)
-        return np.asarray(scale * (1.0 + r**2) / (1.0 + r**4))
-
     def state_space(self) -> tuple[Floats, Floats, Floats]:
         """Give a (2, 2), b (2,), c (2,) with states [output, its rate]: x' = a x + b u, y = c x."""
         wc = 2.0 * math.pi * self.cutoff_hz

@@ -7,16 +7,14 @@ q'' + C q' + K (q - q_static) = g + effects, in metres at the tip, tips-up posit
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from companion.core.wing.effect import Effect, ModalMotion
 from companion.core.wing.effects import make_effects
 from companion.core.wing.structure import Structure, structure_of
-from companion.params.airframe import Airframe, Uncertain, Wing
+from companion.params.airframe import Airframe, Wing
 from companion.records import Floats
 
 Memories = tuple[Floats | None, ...]
@@ -131,10 +129,6 @@ class WingModel:
         """Up-bend slope of left and right tip station, (..., 2) from (..., n); rates go the same way."""
         return np.asarray(q_m @ self.structure.slope_radpm.T)
 
-    def tip_twist_rad(self, q_m: Floats) -> Floats:
-        """Nose-up twist of left and right tip station, (..., 2) from (..., n)."""
-        return np.asarray(q_m @ self.structure.twist_radpm.T)
-
     def all_slots(self, q_m: Floats) -> Floats:
         """Spread (..., n) present coordinates over the s slots, at least four: (..., s), zero in empty ones."""
         spread = np.zeros((*q_m.shape[:-1], self.structure.slot_count))
@@ -144,43 +138,3 @@ class WingModel:
     def present(self, q_all_m: Floats) -> Floats:
         """Pick the coordinates that this wing has, (..., n) from (..., s)."""
         return np.asarray(q_all_m[..., list(self.structure.slots)])
-
-    def with_parameters(self, changes: Mapping[str, float]) -> WingModel:
-        """Give the model with some airframe values changed.
-
-        Parameters
-        ----------
-        changes : mapping
-            Dotted names below ``wing``, e.g. ``{"symmetric.frequency_hz": 5.3, "trim_bend_m": 0.016}``.
-            Prior sigmas stay.
-
-        Raises
-        ------
-        KeyError
-            For a name that is not a number of this wing.
-        """
-        params: Any = self.params
-        for name, value in changes.items():
-            params = _replaced(params, name.split("."), value, name)
-        return WingModel(params, self.effects)
-
-    def with_effects(self, effects: Iterable[Effect]) -> WingModel:
-        """Give the model with further effects after those in force."""
-        return WingModel(self.params, (*self.effects, *effects))
-
-
-def _replaced(record: Any, path: list[str], value: float, name: str) -> Any:
-    if isinstance(record, tuple) and path[0].isdecimal() and int(path[0]) < len(record):
-        at = int(path[0])
-        return (*record[:at], _replaced(record[at], path[1:], value, name), *record[at + 1 :])
-    names = {entry.name for entry in dataclasses.fields(record)} if dataclasses.is_dataclass(record) else set()
-    if not path or path[0] not in names:
-        raise KeyError(f"the wing has no parameter '{name}'")
-    old = getattr(record, path[0])
-    if len(path) > 1:
-        return dataclasses.replace(record, **{path[0]: _replaced(old, path[1:], value, name)})
-    if isinstance(old, Uncertain):
-        return dataclasses.replace(record, **{path[0]: Uncertain(value, old.sigma)})
-    if isinstance(old, float):
-        return dataclasses.replace(record, **{path[0]: value})
-    raise KeyError(f"the wing's '{name}' is not a number")

@@ -6,8 +6,8 @@ With r the station's place from the root sensor, w its upward displacement and p
     f_station = f_root + omega' x r + omega x (omega x r) + (0, 0, -w'')
     f_sensed = R f_station,   gyro = R omega + phi',   R = exp(-[phi]x)
 
-:func:`sense_station` is exact, for simulation and tests; :func:`sensing_rows` is its linearisation for the estimator.
-Sensor errors (bias, scale, noise, filter) come after this.
+Exact, for simulation and tests; the filter's linearisation is in ``core/tracking/model.py``. Sensor errors (bias,
+scale, noise, filter) come after this.
 """
 
 from __future__ import annotations
@@ -47,16 +47,6 @@ def lever_arm_mps2(motion: RigidMotion, position_m: Floats) -> Floats:
     return np.asarray(tangential + np.cross(omega, np.cross(omega, position_m)))
 
 
-def remove_rigid_motion(values: Floats, motion: RigidMotion, position_m: Floats) -> Floats:
-    """Take the root's specific force, rate and lever arms out of a station's (m, 6) readings.
-
-    What is left of an untilted station is the wing's own: (0, 0, -w'') and the slope rate. A tilted one keeps the
-    projections of gravity that tell its slope.
-    """
-    rigid = np.hstack([motion.specific_force_mps2 + lever_arm_mps2(motion, position_m), motion.rate_radps])
-    return np.asarray(values - rigid)
-
-
 def rotation_rows(model: WingModel, side: Side) -> Floats:
     """Rotation vector of a tip station per modal coordinate, body axes, (3, n) in rad/m."""
     slope, twist = model.structure.slope_radpm[side], model.structure.twist_radpm[side]
@@ -78,63 +68,6 @@ def sense_station(model: WingModel, side: Side, position_m: Floats, motion: Rigi
     turned_force = np.einsum("mij,mj->mi", sensor_from_body, force)
     turned_rate = np.einsum("mij,mj->mi", sensor_from_body, motion.rate_radps)
     return np.hstack([turned_force, turned_rate + path.qdot_mps @ rows.T])
-
-
-@dataclass(frozen=True, slots=True)
-class SensingRows:
-    """Readings near an operating point: values = offset + per_q dq + per_qdot dqdot + per_qddot qddot.
-
-    Attributes
-    ----------
-    offset : (6,)
-        Readings at the operating point with ``qdot = qddot = 0``.
-    at_q_m : (n,)
-        The operating point; ``dq = q - at_q_m``.
-    per_q, per_qdot, per_qddot : (6, n)
-    """
-
-    offset: Floats
-    at_q_m: Floats
-    per_q: Floats
-    per_qdot: Floats
-    per_qddot: Floats
-
-    def in_state(self, model: WingModel, load_factor: float) -> tuple[Floats, Floats, Floats]:
-        """Substitute the modal equation for q'': ``values = constant + c [q, qdot] + d g``.
-
-        Returns
-        -------
-        constant (6,), c (6, 2n), d (6, n)
-            An accelerometer feels gust load and spring force alike, so d is per_qddot itself.
-        """
-        n = model.count
-        space = model.state_space()
-        driven = space.offset_trim + space.offset_per_g * (load_factor - 1.0)
-        c = np.hstack([self.per_q, self.per_qdot]) + self.per_qddot @ space.a[n:]
-        constant = self.offset - self.per_q @ self.at_q_m + self.per_qddot @ driven[n:]
-        return constant, c, self.per_qddot
-
-
-def sensing_rows(model: WingModel, side: Side, position_m: Floats, motion: RigidMotion, at_q_m: Floats) -> SensingRows:
-    """Linearise :func:`sense_station` about a modal deflection (n,) and one instant of rigid motion.
-
-    First order in the modal coordinates about ``at_q_m``; the tilt at the operating point is taken exactly, its change
-    as a small rotation. Products of tilt change and q'' are second order and left out.
-    """
-    rows = rotation_rows(model, side)
-    force = (motion.specific_force_mps2 + lever_arm_mps2(motion, position_m))[0]
-    turn = _rotations(-(rows @ at_q_m)[None])[0]
-    turned = np.concatenate([turn @ force, turn @ motion.rate_radps[0]])
-    # R(phi + dphi) v is about R v - dphi x (R v) = R v + [R v]x dphi
-    per_q = np.vstack([_cross(turned[:3]) @ rows, _cross(turned[3:]) @ rows])
-    heave = np.outer(turn[:, 2], -model.structure.lift[side])
-    none = np.zeros_like(heave)
-    return SensingRows(turned, at_q_m, per_q, np.vstack([none, rows]), np.vstack([heave, none]))
-
-
-def _cross(vector: Floats) -> Floats:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _rotations(vectors: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """Measured mode shapes: points on the leading and trailing edge -> deflection, slope and twist at a camera.
 
-As in the paper's Fig. 9 and 10, each edge gets a polynomial (or a smoothing spline) in the span station. Both are
-linear in their coefficients, so the uncertainty of every figure follows from the fit's covariance.
+As in the paper's Fig. 9 and 10, each edge gets a polynomial in the span station. It is linear in its coefficients, so
+the uncertainty of every figure follows from the fit's covariance.
 """
 
 from __future__ import annotations
@@ -11,13 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from companion.records import Floats
-
-_CUBIC = 3  # degree of the spline
-_PENALTIES = np.logspace(-9, 3, 49)
-_STRAIGHT = 2  # straight lines have no bending energy
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,62 +103,6 @@ def fit_polynomial(points: EdgePoints, degree: int, *, clamped: bool = False) ->
     return EdgeFit(
         basis, np.asarray(coefficients, dtype=np.float64), covariance, sigma, (min(low, 0.0) if clamped else low, high)
     )
-
-
-def fit_spline(points: EdgePoints, intervals: int = 8) -> EdgeFit:
-    """Smoothing spline: cubic, bending energy penalised, weight by restricted maximum likelihood.
-
-    The penalty is the curve's prior and the covariance its posterior (Wahba 1983; Wood 2017, section 6.2).
-
-    Raises
-    ------
-    ValueError
-        For fewer than 5 distinct stations.
-    """
-    _enough(points, _CUBIC + 1)
-    low, high = float(np.min(points.span_m)), float(np.max(points.span_m))
-    inner = np.linspace(low, high, intervals + 1)
-    spline = BSpline(np.concatenate([[low] * _CUBIC, inner, [high] * _CUBIC]), np.eye(intervals + _CUBIC), _CUBIC)
-
-    def basis(span_m: Floats, derivative: int) -> Floats:
-        return np.asarray(spline(np.clip(span_m, low, high), nu=derivative))
-
-    rows = basis(points.span_m, 0)
-    normal, roughness = rows.T @ rows, _roughness(spline, inner)
-    roughness *= np.trace(normal) / np.trace(roughness)
-    costs = [_restricted_likelihood(points, rows, penalty, roughness) for penalty in _PENALTIES]
-    inverse = np.linalg.inv(normal + _PENALTIES[int(np.argmin(costs))] * roughness)
-    coefficients = inverse @ rows.T @ points.deflection
-    sigma = points.sigma
-    if sigma is None:
-        sigma = _noise_sigma(points, rows, coefficients)
-    return EdgeFit(basis, coefficients, sigma**2 * inverse, sigma, (low, high))
-
-
-def _noise_sigma(points: EdgePoints, rows: Floats, coefficients: Floats) -> float:
-    """The noise as likelihood sees it: penalised misfit over the points that straight lines leave."""
-    residual = float(points.deflection @ (points.deflection - rows @ coefficients))
-    return math.sqrt(max(residual, 0.0) / (len(points.deflection) - _STRAIGHT))
-
-
-def _restricted_likelihood(points: EdgePoints, rows: Floats, penalty: float, roughness: Floats) -> float:
-    """-2 log restricted likelihood of a penalty weight, up to a constant."""
-    penalised = rows.T @ rows + penalty * roughness
-    coefficients = np.linalg.solve(penalised, rows.T @ points.deflection)
-    determinant = float(np.linalg.slogdet(penalised)[1]) - (len(penalised) - _STRAIGHT) * math.log(penalty)
-    residual = float(points.deflection @ (points.deflection - rows @ coefficients))
-    if points.sigma is not None:
-        return residual / points.sigma**2 + determinant
-    tiny = np.finfo(np.float64).eps * float(points.deflection @ points.deflection)
-    return (len(rows) - _STRAIGHT) * math.log(max(residual, tiny, np.finfo(np.float64).tiny)) + determinant
-
-
-def _roughness(spline: BSpline, inner: Floats) -> Floats:
-    """Integral of the product of second derivatives: piecewise linear ones, so Simpson's rule is exact."""
-    middle = 0.5 * (inner[:-1] + inner[1:])
-    step = np.diff(inner)[0]
-    ends, centre = spline(inner, nu=2), spline(middle, nu=2)
-    return np.asarray(step / 6.0 * (ends[:-1].T @ ends[:-1] + 4.0 * centre.T @ centre + ends[1:].T @ ends[1:]))
 
 
 def _enough(points: EdgePoints, unknowns: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
 import re
 import selectors
 import signal
@@ -13,8 +12,7 @@ from collections.abc import Callable, Sequence
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
-from companion.adapters.recordings.mcap.channels import Recordable
-from companion.adapters.recordings.mcap.recorder_client import Batch, RecorderClient, RecorderReceiver, recorder_channel
+from companion.adapters.recordings.mcap.recorder_client import Batch, RecorderReceiver
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.errors import RecordingError
 
@@ -184,45 +182,3 @@ def _family(path: Path) -> list[tuple[int, Path]]:
     files = path.parent.iterdir() if path.parent.is_dir() else ()
     fits = ((pattern.fullmatch(file.name), file) for file in files)
     return [(int(match[1] or 1), file) for match, file in fits if match is not None and file.exists()]
-
-
-class ProcessRecorder:
-    """A recorder port with a recorder process of its own, for a single producer.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be created here and now.
-    """
-
-    def __init__(self, path: Path, about: About, capacity_bytes: int = 64 << 20) -> None:
-        if not path.parent.is_dir():
-            raise RecordingError(f"{path}: cannot be written: no folder {path.parent}")
-        own_end, theirs = recorder_channel()
-        spawn = multiprocessing.get_context("spawn")
-        self._process = spawn.Process(target=run_recorder, args=(path, about, [theirs]), name="spanwise-recorder")
-        self._process.start()
-        theirs.close()
-        self._client = RecorderClient(own_end, capacity_bytes)
-
-    @property
-    def dropped(self) -> int:
-        """Records that will never be in the file."""
-        return self._client.dropped
-
-    @property
-    def alive(self) -> bool:
-        """Whether the recorder process runs."""
-        return self._process.is_alive()
-
-    def write(self, record: Recordable) -> None:
-        """Append one record, or drop and count it; never blocks."""
-        self._client.write(record)
-
-    def close(self) -> None:
-        """Wait until everything is in the file and the file is finished."""
-        self._client.close()
-        self._process.join(_JOIN_S)
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join()
