@@ -62,7 +62,7 @@ class Board:
 
 @dataclass(frozen=True, slots=True)
 class Corners:
-    """Corners that were found: which of the board's (n,), and where (n, 2), px."""
+    """Detected corners: their numbers on the board (n,), and places in the image (n, 2), px."""
 
     ids: Ints
     pixels: Floats
@@ -85,7 +85,7 @@ def _upright(pixels: Floats) -> Floats:
 
 
 def _refined(image: Bytes, detected: Corners, board: Board) -> Floats:
-    """Saddle points by gradients (Foerstner): the detectors' own corners are off twice as far, and not at random."""
+    """Saddle points by gradients (Foerstner): the detectors' own corners have twice the error, and a systematic one."""
     place = {int(number): index for index, number in enumerate(detected.ids)}
     across = board.inner[0]
     beside = [(i, place[n + 1]) for n, i in place.items() if (n + 1) % across and n + 1 in place]

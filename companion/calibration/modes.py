@@ -22,7 +22,7 @@ class FrequencyResponse:
     ----------
     name : str
     points : (m,) int64
-        Which points of the structure.
+        Numbers of the measured points of the structure.
     frequency_hz : (k,) float64
     response : (m, k) complex128
         Acceleration over force, m/s^2/N.

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Work off what is missing, and write table and page of all; 3 where no file gave a result."""
+    """Process the files that have no result yet, write table and page of all; 3 where no file gave a result."""
     require_report()
     if options.scheduler:
         require_dask()

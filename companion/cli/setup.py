@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Check, ask, show, write, and say what comes next; 4 where a check found something to mend."""
+    """Check, ask, show, write, and name the next steps; 4 where a check has something to mend."""
     tree = Tree(options.root)
     previous = manifest.load(tree)
     if options.undo:
@@ -132,7 +132,7 @@ def _answers(tree: Tree, board: CompanionBoard, previous: Manifest, options: arg
 
 
 def _checked(choices: Choices) -> Choices:
-    """As ``run`` will read them."""
+    """The choices, whose cameras and trigger are refused here if ``spanwise run`` would refuse them."""
     trigger_factory(choices.trigger or "none")
     if choices.cameras and ":" not in choices.cameras:
         raise SetupError(f"cameras '{choices.cameras}': name kind and place, as in oak:CAM_B,CAM_C; - for none")

@@ -1,9 +1,9 @@
-"""How near to the peaks a flight's shots came, and how still their images were, beside the limit and beside chance.
+"""Trigger accuracy of a flight: time from each shot to the nearest peak, and motion blur, against limit and chance.
 
-Peaks of deflection are those of the dominating mode, the paper's sense: extremes of the modal coordinate with the
-largest rate, band-passed about its frequency. Peaks of toe are extremes that stand out by the toe's own rms above
-0.5 Hz, so that a moment of stillness on the way counts for none. The limit is what a trigger reaches that knows the
-wing's true state when the plan is made, and nothing of the gusts to come: it lets that state swing out freely.
+Peaks of deflection are those of the dominating mode, as in the paper: extremes of the modal coordinate with the
+largest rate, band-passed about its frequency. Peaks of toe are extremes whose prominence is at least the toe's rms
+above 0.5 Hz, so that a short halt between two peaks is not counted. The limit is a trigger that knows the wing's true
+state when the plan is made, but no later gust: it predicts a free decay from that state.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def trigger_scores(
     flight : Flight
         The truth.
     plans : iterable of TriggerPlan
-        Those that aimed at a still instant, each in its last form.
+        Plans aimed at an instant of least blur, each as last revised.
     matches : iterable of MatchSet
         The pairs to judge; those that no plan aimed at are left out.
     start_host_ns : int
@@ -119,7 +119,7 @@ def _aimed(plans: list[TriggerPlan], matches: Iterable[MatchSet], start_host_ns:
 
 
 class _FreeSwing:
-    """The true state of an instant, let go: modal motion on a grid of the truth's steps from there on."""
+    """Free decay from the true state of an instant: modal motion on a grid of the truth's steps."""
 
     def __init__(self, flight: Flight) -> None:
         self._flight = flight

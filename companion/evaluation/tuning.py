@@ -1,8 +1,8 @@
 """Parameters tried on a recording: the same flight estimated again with one value changed, and what that is worth.
 
-A replay uses the images that were flown: with other values the planner would have fired other shots, which it tells as
-plans, while ranges come of the pairs that were really made. No truth is known; a change is proposed where it betters
-one figure and worsens none.
+A replay uses the images of the flight. With other values the planner would have fired other shots: these are counted as
+plans, while ranges still come from the recorded pairs. No truth is known; a change is proposed where it improves one
+figure and worsens none.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ class ParameterTrial:
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
-    """Figures of the flight as a trial makes it.
+    """Figures of the flight, replayed with the trial's values.
 
     Attributes
     ----------
     planned, skipped : int
-        Plans to fire, and plans that said why not.
+        Plans to fire, and plans to skip with a reason.
     ranges, trusted : int
         Ranges, and those that would have been published.
     sigma_ratio : float
@@ -137,7 +137,7 @@ def try_out(path: Path, trial: ParameterTrial) -> TrialOutcome:
 
 
 def _flown(inputs: Iterable[Record], trial: ParameterTrial, now_ns: list[int]) -> Iterator[Record]:
-    """The inputs, without changes in flight of what is tried; notes the time of the last tick."""
+    """The inputs, without in-flight changes of the parameters on trial; notes the time of the last tick."""
     names = {name for name, _ in trial.changes}
     for record in inputs:
         if isinstance(record, Tick):

@@ -63,7 +63,7 @@ def quadrature_peak(force: Floats, accel: Floats, band_hz: tuple[float, float]) 
 
 
 def data_folder() -> Path:
-    """Where measured data lie: ``$SPANWISE_DATA``, or ``shared`` beside the repository."""
+    """Folder of the measured data: ``$SPANWISE_DATA``, or ``shared`` beside the repository."""
     return Path(os.environ.get("SPANWISE_DATA", Path(__file__).resolve().parents[3] / "shared"))
 
 

@@ -1,9 +1,9 @@
 """Calibration before the vibration, as in the paper: flat targets at known distances, the wing at rest.
 
 Fitted are the right camera's rotation and both focal lengths, with the airframe's sigmas as priors. A static bend of
-the hanging wing goes into the rotation, as it does in the paper's calibration; what the pictures leave open of all that
-stands in the calibrated airframe as the right camera's rotation sigma and the focal lengths' sigmas, and the static
-bend is known with it.
+the hanging wing goes into the rotation, as it does in the paper's calibration; the uncertainty that the
+pictures leave goes into the calibrated airframe as the sigmas of the right camera's rotation and of the focal lengths;
+the static bend is known to the same.
 """
 
 from __future__ import annotations

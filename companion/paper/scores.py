@@ -1,4 +1,4 @@
-"""Scores of an experiment's shots: errors of every way of ranging, blur, phase, and what did not count."""
+"""Scores of an experiment's shots: errors of every ranging method, blur, phase, and shots left out."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Results:
 
     @property
     def untried(self) -> list[str]:
-        """Keys of those that it did not."""
+        """Keys of the experiments that the paper did not do."""
         return [key for key, outcome in self.outcomes.items() if not outcome.trial.of_paper]
 
 
@@ -75,7 +75,7 @@ def summary(outcome: Outcome, planned: bool) -> dict[str, Any]:
 
 
 def errors(readings: Iterable[TrueReading | None]) -> dict[str, Any]:
-    """Range errors in percent where there is a range, and in inverse range, which never ends.
+    """Range errors in percent where there is a range, and in inverse range, which is finite for parallel axes too.
 
     ``without`` counts shots that this way gives no reading for; ``beyond_infinity`` those whose axes do not meet.
     """

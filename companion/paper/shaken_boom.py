@@ -108,8 +108,8 @@ def respond(shaken: Shaken) -> Response:
 def closed_gain(frequency_hz: Floats, modes: Sequence[BeamMode], damping: float) -> Floats:
     """Closed form of the tip's over the base's acceleration, (k,).
 
-    ``|1 + sum p f^2 / (f_k^2 - f^2 + 2 i zeta f_k f)|``, ``p`` each mode's base participation: what a moving clamp
-    does to it.
+    ``|1 + sum p f^2 / (f_k^2 - f^2 + 2 i zeta f_k f)|``, ``p`` each mode's base participation: how
+    strongly a moving clamp drives it.
     """
     total = np.ones(len(frequency_hz), dtype=np.complex128)
     for mode in modes:
@@ -123,7 +123,7 @@ def closed_gain(frequency_hz: Floats, modes: Sequence[BeamMode], damping: float)
 
 
 def white_share(modes: tuple[BeamMode, BeamMode], *, of_slope: bool) -> float:
-    """Closed form of mode 2's variance over mode 1's at the tip, were the drive white without end.
+    """Closed form of mode 2's variance over mode 1's at the tip, for a drive that is white at all frequencies.
 
     A mode of participation p driven by white noise has variance proportional to ``p^2 / (zeta f^3)``; damping is equal.
     """

@@ -12,7 +12,7 @@ _DPI = 130  # 1430 px for a figure 11 inches wide: sharp on a page of 1070 px; a
 
 
 def embed(figure: Any, text: str, caption: str = "") -> Picture:
-    """Matplotlib figure as a PNG inside the page; ``text`` describes it to those who cannot see it."""
+    """Matplotlib figure as a PNG inside the page; ``text`` is its alternative text."""
     return embed_image(png(figure), "png", text, caption)
 
 

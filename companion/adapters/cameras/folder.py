@@ -38,9 +38,9 @@ class FolderPair:
     folder : Path
         Holds ``cam0`` and ``cam1``.
     clock : ClockName
-        What the stamps are to be called; in a replay the log's only clock is the hub.
+        Clock that the stamps belong to; in a replay the log's only clock is the hub.
     exposure_ns, row_time_ns : int
-        Of the recording; the stamps are taken as mid-exposure after ``stamp_to_middle_ns`` has been added.
+        Properties of the recording; the stamps are taken as mid-exposure after ``stamp_to_middle_ns`` has been added.
     """
 
     def __init__(

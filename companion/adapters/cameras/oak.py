@@ -132,7 +132,7 @@ class OakPair(QueuePair):
             raise DeviceError(f"DepthAI camera: {error}") from error
 
     def close(self) -> None:
-        """Fall silent, stop the pipelines, release the devices."""
+        """Stop firing and the pipelines, release the devices."""
         if self._ear is not None:
             self._ear.close()
         super().close()
@@ -153,7 +153,7 @@ class OakPair(QueuePair):
 class OakReplayPair(QueuePair):
     """Two video files through DepthAI's own replay nodes, on a pipeline without a device, at their own pace.
 
-    What comes after the queues is what comes after them with a device. The two nodes keep no common time; frames of
+    Everything behind the queues is the same as with a device. The two nodes keep no common time; frames of
     equal number get the left one's stamp.
 
     Parameters
@@ -245,7 +245,7 @@ def frame_of(image: Any, side: Side, timing: OakTiming, dai: Any) -> Frame:
 
 
 def untouched(pipeline: Any, dai: Any) -> Any:
-    """The pipeline, forbidden to calibrate the device.
+    """The pipeline with DepthAI's automatic calibration disabled.
 
     Where a calibrated pair of cameras is in it, DepthAI 3.6 and later would put a node in that calibrates when the
     pipeline starts, and writes the result to the device. On a wing that bends it would calibrate the bend.
@@ -255,7 +255,7 @@ def untouched(pipeline: Any, dai: Any) -> Any:
 
 
 def library() -> Any:
-    """The ``depthai`` module, which tells its maker nothing unless the user says so (``DEPTHAI_TELEMETRY=1``).
+    """The ``depthai`` module, with telemetry off unless the user turns it on (``DEPTHAI_TELEMETRY=1``).
 
     Raises
     ------

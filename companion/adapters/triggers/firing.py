@@ -20,10 +20,10 @@ _MEMORY_NS = 2_000_000_000
 
 
 class WaitingPlan:
-    """The plan that waits for its instant, and the rules of the line, whatever clock it hangs on.
+    """Pending plan, and the rules by which it is replaced and fired; independent of any clock.
 
     A plan replaces the one that waits; a SKIP plan withdraws it. An id that was fired within two seconds is not fired
-    again, nor one that was planned before the last shot: it was to replace that shot's plan, and came too late. A plan
+    again, nor one that was planned before the last shot: it came too late to replace that shot's plan. A plan
     past its expiry is reported as ``PLAN_EXPIRED``, a line that fails as ``DEVICE_FAILED``.
     """
 
@@ -42,7 +42,7 @@ class WaitingPlan:
             self.plan = None if plan.firing is Firing.SKIP else plan
 
     def fire(self, trigger: Trigger, now_host_ns: int) -> Shot | Rejected:
-        """Pull the line for the plan that waits; what came of it."""
+        """Fire the pending plan; return the shot, or the refusal."""
         plan, self.plan = self.plan, None
         assert plan is not None
         if now_host_ns > plan.expires_host_ns:
@@ -59,7 +59,7 @@ class WaitingPlan:
 class FiringLoop:
     """One trigger line and the plan that waits for it (:class:`WaitingPlan`), on the monotonic clock.
 
-    What is no plan is reported as ``CRC``; nothing ends the loop.
+    A message that is no plan is reported as ``CRC``; no error ends the loop.
     """
 
     def __init__(self, trigger: Trigger, end: socket.socket, stopped: Callable[[], bool]) -> None:

@@ -1,4 +1,4 @@
-"""The line that is not there: stamps the instant and starts nothing (free-running cameras, benches)."""
+"""Trigger without a device: stamps the instant and starts nothing (free-running cameras, benches)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The trigger process: fires the line at the planned instant, whatever the rest of the service is busy with.
 
 A thread that shares the interpreter with busy Python fires milliseconds late; a process of its own with a real-time
-priority fires within microseconds. The planner may be late or busy, the shot is not.
+priority fires within microseconds. A planner that is late or busy does not delay the shot.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def serve_trigger(
     *,
     fifo: bool = True,
 ) -> None:
-    """Be the trigger process: the target of a supervisor, or of :class:`TriggerProcess`.
+    """Entry point of the trigger process, for a supervisor or :class:`TriggerProcess`.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class TriggerLink:
         return [report for report in self._reports() if not isinstance(report, Realtime)]
 
     def warnings(self) -> list[str]:
-        """Warnings for the operator since the last call: that the process was not granted punctuality."""
+        """Warnings for the operator since the last call: that the process was refused a real-time priority."""
         taken, self._warnings = self._warnings, []
         return taken
 
@@ -116,7 +116,7 @@ class TriggerLink:
 
 
 class TriggerProcess(TriggerLink):
-    """A trigger process with its link, for a service (or bench) that keeps it itself. Use as a context manager.
+    """A trigger process with its link, for a service (or bench) that has no supervisor. Use as a context manager.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _WIDTH_US = 1000
 
 @dataclass(frozen=True, slots=True)
 class BoardExchange:
-    """One question for the board's time: offset (board minus host), and half of what the way took, ns."""
+    """One exchange of times with the board: offset (board minus host), and half the round-trip time, ns."""
 
     at_host_ns: int
     offset_ns: int
@@ -35,7 +35,7 @@ class BoardExchange:
 
 
 class BoardClock:
-    """Offset of the board's clock from its best recent exchange: short ways count, old ones lose."""
+    """Offset of the board's clock by its best recent exchange: the one of least round trip plus drift since then."""
 
     def __init__(self) -> None:
         self._exchanges: deque[BoardExchange] = deque(maxlen=_EXCHANGES)

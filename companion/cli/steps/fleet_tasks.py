@@ -61,7 +61,7 @@ def _command(task: FileTask) -> dict[str, Any]:
 
 
 def _ending(task: FileTask) -> list[str]:
-    """How each command is asked for a result that a program reads."""
+    """Options that make a command give its result as JSON."""
     if task.words[0] == "identify":
         return ["--out", str(task.folder / "pages" / task.key)]
     return ["--json", "-"] if task.words[0] == "diagnose" else ["--json"]

@@ -1,4 +1,4 @@
-"""Numbers on the command line: what cannot be is wrong usage, told with the range before anything begins."""
+"""Argument types of numbers: a value outside its range is wrong usage (exit code 2); the message names the range."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _LONGEST_S = 1e6
 
 
 def seconds(text: str) -> float:
-    """A time that passes; for argparse."""
+    """Positive duration; for argparse."""
     return number(0.0, _LONGEST_S, "seconds")(text)
 
 

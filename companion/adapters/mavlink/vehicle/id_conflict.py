@@ -1,7 +1,7 @@
-"""Tells whether somebody else speaks with our system and component id.
+"""Detects another sender with our system and component id.
 
 Routers send our own frames back to us, so hearing our id proves nothing. What proves it is content that we did not send
-lately: another Spanwise differs at the latest in its TIMESYNC requests, which carry its own clock.
+lately: another Spanwise differs in its TIMESYNC requests, if in nothing else, for they carry its own clock.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class _Place:
 class Senders:
     """Guards the ids of autopilot and sensors.
 
-    A router may bring the same frame twice, by another way: such a copy is refused like anything else from another
+    A router may deliver the same frame twice, by another route: such a copy is refused like anything else from another
     address, but nobody is warned of it.
 
     Attributes
@@ -56,7 +56,7 @@ class Senders:
         self._warnings = RateLimiter(_REPEAT_NS)
 
     def guards(self, key: Key) -> bool:
-        """Whether this id is one that matters."""
+        """Whether an id is guarded."""
         return key[1] in self.guarded and self.system in (None, key[0])
 
     def has(self, address: Address, key: Key, frame: bytes, now_host_ns: int) -> bool:
@@ -69,7 +69,7 @@ class Senders:
         return True
 
     def admit(self, address: Address, key: Key, frame: bytes, now_host_ns: int) -> bool:
-        """Give the id to who has it or comes first; refuse and count the frames of others."""
+        """Give the id to its holder or to the first sender; refuse and count the frames of others."""
         place = self._places.get(key)
         if place is None or (place.address != address and now_host_ns - place.heard_host_ns > _ALIVE_NS):
             place = self._places[key] = _Place(address, now_host_ns)
@@ -102,7 +102,7 @@ class Senders:
 
 
 class ClockConflictDetector:
-    """Suspects two senders behind one address or wire: their stamps are of two clocks, and leap again and again.
+    """Suspects two senders behind one address or wire: stamps of two clocks jump back and forth again and again.
 
     A clock that restarts does so once; what is late in a network is a sample or two.
     """

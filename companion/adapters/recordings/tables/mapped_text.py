@@ -92,7 +92,7 @@ def _cells(line: str, layout: TextLayout) -> list[str]:
 
 
 def _rows(path: Path, layout: TextLayout) -> Iterator[tuple[int, str]]:
-    """Numbered lines that hold something."""
+    """Numbered lines that are not empty."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
             if number >= layout.first_line and line.strip():
@@ -102,7 +102,7 @@ def _rows(path: Path, layout: TextLayout) -> Iterator[tuple[int, str]]:
 def _cell_by_cell(
     path: Path, mapping: TableMapping, layout: TextLayout, places: dict[str, int], may_be_missing: frozenset[str]
 ) -> Floats:
-    """Slow, for tables with cells that may be empty, or to find the one that is wrong."""
+    """Slow path: for tables with empty cells, and to name the cell that is wrong."""
     columns = {column.name: column for column in mapping.columns}
     rows = []
     for number, line in _rows(path, layout):

@@ -1,4 +1,4 @@
-"""MATLAB's v5 files: numeric, character and cell arrays, with every length held against the bytes that are there.
+"""MATLAB's v5 files: numeric, character and cell arrays; every length is checked against the size of the file.
 
 The format is MathWorks' "MAT-File Format" (level 5). Structures, objects, sparse arrays and functions are left out.
 """
