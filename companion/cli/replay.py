@@ -37,7 +37,6 @@ from companion.records import (
     ImuBatch,
     ModeState,
     NoRange,
-    Notice,
     ObstacleSectors,
     Record,
     Rejected,
@@ -204,7 +203,7 @@ def _result(
         "recording": str(recording.path),
         "airframe": recording.airframe.name,
         "clock": str(recording.hub),
-        "notices": [_sentence(notice) for notice in recording.notices],
+        "notices": [notice.text for notice in recording.notices],
         "stations": stations.result(),
         "wing": _wing(tally),
         "ranges": {
@@ -221,10 +220,6 @@ def _result(
         "loss": _loss(recording),
         "compared": comparison.compared if comparison else 0,
     }
-
-
-def _sentence(notice: Notice) -> str:
-    return notice.text
 
 
 def _wing(tally: OutputTally) -> dict[str, Any]:

@@ -74,7 +74,7 @@ def _raw_ringing(table: MappedTable) -> RawFreeDecay:
     if not tips:
         raise RecordingError(f"{table.path}: the mapping gives no {' or '.join(_TIPS)}: nothing to follow")
     others = {name: values for name, values in table.channels.items() if name not in _TIPS}
-    return RawFreeDecay(_name(table), table.t_s, -np.mean(tips, axis=0), others)
+    return RawFreeDecay(f"{table.path.parent.name}/{table.path.name}", table.t_s, -np.mean(tips, axis=0), others)
 
 
 def _vibration(
@@ -171,10 +171,6 @@ def _band(mapping: TableMapping) -> tuple[float, float]:
     if mapping.band_hz is None:
         raise ConfigError(f"{mapping.origin}: 'band_hz' is missing: where the modes of interest are")
     return mapping.band_hz
-
-
-def _name(table: MappedTable) -> str:
-    return f"{table.path.parent.name}/{table.path.name}"
 
 
 def _tell(plain: dict[str, Any]) -> None:

@@ -80,11 +80,10 @@ def _streams(recording: Recording) -> dict[Station, tuple[Floats, Floats]]:
                 times, values = by_station.setdefault(record.station, ([], []))
                 times.append(host_stamps[0])
                 values.append(record.values)
-    return {station: (_seconds(times), np.concatenate(values)) for station, (times, values) in by_station.items()}
-
-
-def _seconds(times: list[Ints]) -> Floats:
-    return np.asarray(np.concatenate(times) * 1e-9, dtype=np.float64)
+    return {
+        station: (np.concatenate(times) * np.float64(1e-9), np.concatenate(values))
+        for station, (times, values) in by_station.items()
+    }
 
 
 def _tables(recording: Recording) -> tuple[dict[str, tuple[Floats, Floats]], RawRanges | None]:

@@ -123,11 +123,8 @@ def section() -> Section:
         f"55.5 % is {percent(scaled['range_error_removed'])}, of the range error; of the angle, which is what is "
         f"corrected, it is {percent(scaled['share_corrected_by_printed'], 1)}.",
     )
-    return Section("tables_3_4", "Tables 3 and 4: the flying wing", findings, _tables(rows, scaled, angle), (), data)
-
-
-def _tables(rows: list[dict[str, Any]], scaled: dict[str, float], angle_rad: float) -> tuple[SectionTable, ...]:
-    return _angles(rows), _percentages(rows), _one_angle_table(angle_rad), _far_table(scaled)
+    tables = (_angles(rows), _percentages(rows), _one_angle_table(angle), _far_table(scaled))
+    return Section("tables_3_4", "Tables 3 and 4: the flying wing", findings, tables, (), data)
 
 
 def _angles(rows: list[dict[str, Any]]) -> SectionTable:

@@ -20,6 +20,7 @@ def section(results: Results) -> Section:
     gain = [randoms[key]["blur_median_px"] / peaks[key]["blur_median_px"] for key in ("wing_60m", "wing_random")]
     far, near = randoms["wing_60m"], peaks["wing_60m"]
     steady, random = peaks["wing_60m"]["phase_median_deg"], peaks["wing_random"]["phase_median_deg"]
+    largest_px = float(np.nanmax([scores["blur_median_px"] for scores in randoms.values()]))
     findings = (
         f"At 60 m correction without triggering leaves {percent(far['corrected']['rms_percent'] / 100)}, with it "
         f"{percent(near['corrected']['rms_percent'] / 100)}: with a smoother at the measured exposure, the instant "
@@ -31,17 +32,13 @@ def section(results: Results) -> Section:
         "A peak is the worst instant for a pair that is not corrected: there the toe is largest "
         f"({percent(near['rigid']['rms_percent'] / 100, 1)} of error at peaks, "
         f"{percent(far['rigid']['rms_percent'] / 100, 1)} at random instants).",
-        f"Even so, blur by bending is small in these set-ups (largest median {_largest_blur(results):.2f} px), and the "
+        f"Even so, blur by bending is small in these set-ups (largest median {largest_px:.2f} px), and the "
         f"features are found as well either way: true extrinsics leave at most {_largest_oracle(results):.4f} mrad at "
         "peaks or at random.",
     )
     data = {"random": dict(randoms), "peaks": dict(peaks)}
     picture = _blur(results)
     return Section("triggering", "Triggering against correction", findings, (_table(results),), (picture,), data)
-
-
-def _largest_blur(results: Results) -> float:
-    return float(np.nanmax([scores["blur_median_px"] for scores in results.randoms.values()]))
 
 
 def _largest_oracle(results: Results) -> float:

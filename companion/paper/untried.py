@@ -20,7 +20,8 @@ _WAYS = ("rigid", "in_trim", "corrected", "published", "oracle")
 def section(results: Results) -> Section:
     """All that goes beyond the paper, scored at random instants."""
     scores = results.randoms
-    tips = {key: one_tip_toe_error_mrad(results.outcomes[key].flown.shots) for key in _antisymmetric(results)}
+    antisymmetric = [key for key in results.untried if key.startswith("antisymmetric")]
+    tips = {key: one_tip_toe_error_mrad(results.outcomes[key].flown.shots) for key in antisymmetric}
     disparity_px, parallax_px = forward_errors_px()
     findings = (
         _of_lift(scores["lift"]),
@@ -37,10 +38,6 @@ def section(results: Results) -> Section:
         "trim_toe_mrad": trim_toe_mrad(),
     }
     return Section("beyond", "What the paper did not try", findings, (_table(results),), (), data)
-
-
-def _antisymmetric(results: Results) -> list[str]:
-    return [key for key in results.untried if key.startswith("antisymmetric")]
 
 
 def _of_lift(lift: dict[str, Any]) -> str:

@@ -37,7 +37,8 @@ def write_report(diagnosis: FlightDiagnosis, models: Sequence[FlightModel], plai
             Heading("What was tested, and what cannot be told apart"),
             embed(figures.screening(diagnosis), "strength of each effect and confusion matrix"),
         ]
-    body += [*_advices(plain), *_checks(plain), *_parameters(plain), *_notes(plain)]
+    notes = [Paragraph(f"Note: {note}") for note in plain["notes"]]
+    body += [*_advices(plain), *_checks(plain), *_parameters(plain), *notes]
     page = Page(
         title=f"Diagnosis: {diagnosis.verdict}", headline=sentence(diagnosis), body=body, subject=_what(plain, models),
         grade=str(diagnosis.verdict),
@@ -178,10 +179,6 @@ def _parameters(plain: dict[str, Any]) -> list[Block]:
     ]
     heads = ["airframe parameter", "deviation from the belief (positive ones: of the logarithm)", "prior sigma", "away"]
     return [Details("What the fit makes of the believed airframe", Table(heads, rows))]
-
-
-def _notes(plain: dict[str, Any]) -> list[Block]:
-    return [Paragraph(f"Note: {note}") for note in plain["notes"]]
 
 
 def _number(value: float) -> str:

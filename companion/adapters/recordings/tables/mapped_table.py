@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from companion.adapters.recordings.tables.mapped_matlab import matlab_columns
 from companion.adapters.recordings.tables.mapped_text import text_columns
-from companion.adapters.recordings.tables.mapping import ColumnMapping, MatlabLayout, TableMapping
+from companion.adapters.recordings.tables.mapping import MatlabLayout, TableMapping
 from companion.errors import RecordingError
 from companion.records import Floats
 
@@ -87,18 +86,11 @@ def read_mapped(path: Path, mapping: TableMapping) -> MappedTable:
         raw = matlab_columns(path, mapping, layout)
     else:
         raw = text_columns(path, mapping, layout, MAY_BE_MISSING)
-    channels = {column.channel: _scaled(raw[column.name], column) for column in mapping.columns if column.name in raw}
+    present = [column for column in mapping.columns if column.name in raw]
+    channels = {column.channel: raw[column.name] * column.scale + column.offset for column in present}
     t_s = channels.pop("t_s", None)
     if t_s is None:
         t_s = np.arange(len(next(iter(channels.values())))) / mapping.rate_hz
     missing = [column for column in mapping.columns if column.name not in raw]
     notes = tuple(f"{path.name}: no column '{column.name}' ({column.channel})" for column in missing)
-    return MappedTable(path, t_s, channels, _constants(path, mapping.constants), notes)
-
-
-def _scaled(values: Floats, column: ColumnMapping) -> Floats:
-    return values * column.scale + column.offset
-
-
-def _constants(path: Path, by_file: Mapping[str, dict[str, float]]) -> dict[str, float]:
-    return dict(by_file.get(path.name, {}))
+    return MappedTable(path, t_s, channels, dict(mapping.constants.get(path.name, {})), notes)
