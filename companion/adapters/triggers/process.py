@@ -72,7 +72,6 @@ class TriggerLink:
         self._end = end
         self.realtime: Realtime | None = None
         self.dropped = 0
-        self.garbled = 0
         self._warnings: list[str] = []
 
     def fileno(self) -> int:
@@ -104,9 +103,7 @@ class TriggerLink:
                     self.realtime = report
                     if not (report.fifo and report.memory_locked):
                         self._warnings.append(report.sentence())
-                if report is None:
-                    self.garbled += 1
-                else:
+                if report is not None:
                     reports.append(report)
         return reports
 

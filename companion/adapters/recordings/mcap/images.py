@@ -25,11 +25,6 @@ class ImageFormat(enum.StrEnum):
     PNG = "png"
     JPEG = "jpeg"
 
-    @property
-    def lossless(self) -> bool:
-        """Whether the stored image equals the camera's."""
-        return self is ImageFormat.PNG
-
 
 _INTEGER = {"type": "integer"}
 SCHEMA: dict[str, Any] = {
