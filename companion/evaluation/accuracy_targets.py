@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from companion.evaluation.metrics import FAST_HZ, Scored, near, rms, slow_part, spread
+from companion.evaluation.shot_scores import PipelineOutputs, Shots
 from companion.evaluation.trigger_scores import trigger_scores
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.records import Firing, Floats, MatchSet, Side
-
-if TYPE_CHECKING:
-    from companion.evaluation.flight_evaluation import PipelineOutputs, Shots
 
 TARGET_FAST_MRAD = 0.15
 TARGET_SHARE = 0.01  # of the rigid error above 0.5 Hz: what is promised

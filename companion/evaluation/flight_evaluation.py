@@ -10,7 +10,7 @@ import dataclasses
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,52 +19,19 @@ import numpy as np
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.evaluation.accuracy_targets import sigma_calibration, targets, trigger_summary, wing_blur_px
 from companion.evaluation.metrics import Scored, range_summary, toe_summary
-from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studios
-from companion.evaluation.replay import drive, own_inputs
-from companion.evaluation.true_geometry import TrueGeometry, TrueReading
-from companion.params.airframe import Airframe
-from companion.params.settings import Settings
-from companion.records import (
-    Axis,
-    CorrectedRange,
-    Deflection,
-    Floats,
-    ImuBatch,
-    MatchSet,
-    Record,
-    Reject,
-    Rejected,
-    RelativeRotation,
-    Shot,
-    Station,
-    Tick,
-    TriggerPlan,
-)
+from companion.evaluation.replay import own_inputs
+from companion.evaluation.shot_scores import SETTLED_S, PipelineOutputs, Shots, collect, paired, replayed, score_shots
+from companion.evaluation.true_geometry import TrueGeometry
+from companion.records import Axis, Floats, ImuBatch, MatchSet, Record, Reject, Station, Tick
 from companion.sim.flight.flight import Flight
 
-SETTLED_S = 10.0
 TRUSTED_FROM_S = 15.0
-WAYS = ("rigid", "rigid_in_trim", "tilt_only", "corrected", "oracle")
 _RANDOM_RATE_HZ = 4.0
 _RANDOM_SEED = 0xA11  # convention: keeps random instants apart from the flight's own draws
 _ARRIVAL_NS = 100_000_000
 _NO_RANGE = (Reject.FRAME_LOST, Reject.UNPAIRED, Reject.OUT_OF_WINDOW, Reject.QUEUE_FULL)
 """What happens to images on their way; nothing else is refused for these reasons."""
-
-
-@dataclass(slots=True)
-class PipelineOutputs:
-    """Outputs of one run of the pipeline over the shots."""
-
-    matches: dict[int, MatchSet] = field(default_factory=dict)
-    ranges: dict[int, CorrectedRange] = field(default_factory=dict)
-    bends: dict[int, tuple[Deflection, Deflection]] = field(default_factory=dict)
-    turned: dict[int, RelativeRotation] = field(default_factory=dict)
-    plans: dict[int, TriggerPlan] = field(default_factory=dict)
-    shots: dict[int, Shot] = field(default_factory=dict)
-    rejected: Counter[str] = field(default_factory=Counter)
-    plan_outcomes: PlanOutcomes = field(default_factory=PlanOutcomes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,50 +115,6 @@ def _compared(
     return {"vertical_only": vertical, "random_instants": random}, wing_blur_px(geometry, extra)
 
 
-# ------------------------------------------------------------------------------------------------ collecting
-
-
-def collect(records: Iterable[Record]) -> PipelineOutputs:
-    """Sort one run's records by what they are about."""
-    outputs = PipelineOutputs()
-    bends: dict[int, Deflection] = {}
-    for record in records:
-        outputs.plan_outcomes.take(record)
-        if isinstance(record, MatchSet):
-            outputs.matches[record.pair_id] = record.features()
-        elif isinstance(record, Deflection):
-            bends[record.t_host_ns] = record
-        elif isinstance(record, RelativeRotation):
-            outputs.turned[record.pair_id] = record
-        elif isinstance(record, CorrectedRange):
-            outputs.ranges[record.pair_id] = record
-            left, right = (bends[int(t_ns)] for t_ns in outputs.matches[record.pair_id].mid_exposure_ns)
-            outputs.bends[record.pair_id] = (left, right)
-            bends.clear()
-        elif isinstance(record, TriggerPlan):
-            outputs.plans[record.plan_id] = record
-        elif isinstance(record, Shot):
-            outputs.shots[record.plan_id] = record
-        elif isinstance(record, Rejected):
-            outputs.rejected[str(record.reason)] += record.count
-    return outputs
-
-
-def replayed(inputs: Iterable[Record], airframe: Airframe, settings: Settings) -> PipelineOutputs:
-    """Outputs of the pipeline for these inputs."""
-    records_made: list[Record] = []
-
-    def watched() -> Iterator[Record]:
-        for record in inputs:
-            if isinstance(record, MatchSet):
-                records_made.append(record)
-            yield record
-
-    for output in drive(watched(), airframe, settings, None):
-        records_made.append(output)
-    return collect(records_made)
-
-
 def vertical_only(inputs: Iterable[Record]) -> Iterator[Record]:
     """The same inputs with every axis of the wing nodes hidden but the vertical accelerometer (the paper's case)."""
     for record in inputs:
@@ -231,68 +154,6 @@ def with_matches(inputs: Iterable[Record], extra: Iterable[MatchSet]) -> Iterato
         while isinstance(record, Tick) and waiting and waiting[0].matched_host_ns <= record.now_host_ns:
             yield waiting.popleft()
         yield record
-
-
-# ------------------------------------------------------------------------------------------------ judging
-
-
-@dataclass(frozen=True, slots=True)
-class Shots:
-    """The settled shots of one run: ids, exposure instants (s of boot time), and each way's readings."""
-
-    ids: list[int]
-    t_s: Floats
-    ways: dict[str, Scored]
-
-
-def score_shots(geometry: TrueGeometry, outputs: PipelineOutputs) -> Shots:
-    """Read every settled shot in all ways; a shot that one way cannot read is left out of all."""
-    rows: list[tuple[int, float, dict[str, TrueReading]]] = []
-    for pair_id in sorted(outputs.bends):
-        matches = outputs.matches[pair_id]
-        t_s = (float(matches.mid_exposure_ns.mean()) - geometry.start_host_ns) * 1e-9
-        if t_s < SETTLED_S:
-            continue
-        readings = {
-            "rigid": geometry.rigid(matches),
-            "rigid_in_trim": geometry.rigid_in_trim(matches),
-            "tilt_only": geometry.corrected(matches, *outputs.bends[pair_id]),
-            "corrected": geometry.corrected(matches, *outputs.bends[pair_id], outputs.turned.get(pair_id)),
-            "oracle": geometry.oracle(matches),
-        }
-        complete = {name: reading for name, reading in readings.items() if reading is not None}
-        if len(complete) == len(readings):
-            rows.append((pair_id, t_s, complete))
-    return Shots([row[0] for row in rows], np.array([row[1] for row in rows]), _ways(geometry, rows))
-
-
-def paired(shots: Shots, other: Shots) -> dict[str, Any]:
-    """Another run's corrected ranges against ours, shot by shot where both judged the same exposures.
-
-    ``same`` says whether all of them are the same; ``nearer`` is the share of the common ones in which the other is
-    nearer the truth. Pair ids of different flights mean different shots, so instants count, not ids.
-    """
-    _, ours, theirs = np.intersect1d(shots.t_s, other.t_s, assume_unique=True, return_indices=True)
-    error, other_error = (run.ways["corrected"].toe_error_rad[at] for run, at in ((shots, ours), (other, theirs)))
-    comparison: dict[str, Any] = {"n": len(ours), "same": len(ours) == len(shots.ids) == len(other.ids)}
-    if len(ours):
-        comparison["rms_mrad"] = {name: 1e3 * float(np.sqrt(np.mean(e**2))) for name, e in
-                             (("corrected", error), ("other", other_error))}  # fmt: skip
-        comparison["nearer"] = float(np.mean(np.abs(other_error) < np.abs(error)))
-    return comparison
-
-
-def _ways(geometry: TrueGeometry, rows: list[tuple[int, float, dict[str, TrueReading]]]) -> dict[str, Scored]:
-    t_s = np.array([row[1] for row in rows])
-    ways = {}
-    for name in WAYS:
-        inverse = np.array([row[2][name].inverse_pm for row in rows])
-        true_m = np.array([1.0 / row[2][name].true_inverse_pm for row in rows])
-        ways[name] = Scored(name, geometry.baseline_m, t_s, true_m, inverse)
-    return ways
-
-
-# ------------------------------------------------------------------------------------------------ telling
 
 
 def _truth(flight: Flight) -> dict[str, float]:

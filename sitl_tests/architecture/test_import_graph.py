@@ -17,9 +17,10 @@ FILES = {_module_name(path): path for path in sorted((ROOT / "companion").rglob(
 
 
 def _imported_modules(path: Path) -> set[str]:
-    """Modules of ours that a file imports when it is loaded; what a function imports later is no edge."""
+    """Modules of ours that a file imports when it is loaded or checked; what a function imports later is no edge."""
     edges: set[str] = set()
-    for node in ast.parse(path.read_text()).body:
+    body = ast.parse(path.read_text()).body
+    for node in [*body, *(inner for outer in body if isinstance(outer, ast.If) for inner in outer.body)]:
         if isinstance(node, ast.Import):
             edges |= {alias.name for alias in node.names if alias.name in FILES}
         elif isinstance(node, ast.ImportFrom) and node.module in FILES:

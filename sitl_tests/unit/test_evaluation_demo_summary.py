@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from companion.cli.terminal.demo_tables import print_summary
-from companion.evaluation.flight_evaluation import Shots, json_plain, paired
+from companion.evaluation.flight_evaluation import json_plain
 from companion.evaluation.metrics import Scored, range_summary, toe_summary
+from companion.evaluation.shot_scores import Shots, paired
 
 BASELINE_M = 2.0
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from companion.evaluation.accuracy_targets import sigma_calibration
-from companion.evaluation.flight_evaluation import PipelineOutputs, Shots
 from companion.evaluation.metrics import Scored
+from companion.evaluation.shot_scores import PipelineOutputs, Shots
 from companion.records import CorrectedRange
 
 BASELINE_M = 2.0

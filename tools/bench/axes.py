@@ -17,10 +17,11 @@ import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.lockstep import LockStepService
-from companion.evaluation.flight_evaluation import Shots, collect, replayed, score_shots, vertical_only
+from companion.evaluation.flight_evaluation import vertical_only
 from companion.evaluation.metrics import DISTANCES_M, FAST_HZ, near, slow_part
 from companion.evaluation.rendered_shots import Stage
 from companion.evaluation.replay import own_inputs
+from companion.evaluation.shot_scores import Shots, collect, replayed, score_shots
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.pipeline import start, step
-from companion.evaluation.flight_evaluation import PipelineOutputs, collect
+from companion.evaluation.shot_scores import PipelineOutputs, collect
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
