@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from typing import Protocol
 
 import cv2
 
@@ -98,6 +99,41 @@ class Studio:
         for frame in (left, right):
             said += vision_step(vision, frame, pull.matched_host_ns)
         return said
+
+
+class StudioPort(Protocol):
+    """Makes shots that were begun, for whoever waits for them."""
+
+    def begin(self, pull: Pull) -> None:
+        """Begin a shot."""
+        ...
+
+    def result(self, shot: int) -> ShotRecords:
+        """Matches of a shot that was begun."""
+        ...
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        ...
+
+
+class InProcessStudio:
+    """Makes each shot when its matches are asked for, in this process: for a truth that grows meanwhile."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._studio = Studio(stage)
+        self._begun: dict[int, Pull] = {}
+
+    def begin(self, pull: Pull) -> None:
+        """Note the shot."""
+        self._begun[pull.shot] = pull
+
+    def result(self, shot: int) -> ShotRecords:
+        """Make it."""
+        return self._studio.shoot(self._begun.pop(shot))
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing to end."""
 
 
 class Studios:

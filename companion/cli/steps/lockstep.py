@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any
+from typing import Any, Self
 
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.vehicle.autopilot import MavlinkAutopilot
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.adapters.triggers.firing import WaitingPlan
 from companion.core.pipeline import start
-from companion.evaluation.rendered_shots import Pull, Stage, Studios
+from companion.evaluation.rendered_shots import Pull, Stage, StudioPort, Studios
 from companion.live.session import LiveSession
-from companion.ports import Clock
+from companion.ports import Clock, Recorder
 from companion.records import FramePair, Record, Rejected, Shot, Side, TriggerPlan
 from companion.service.config import ServiceConfig
 from companion.service.inertial import InertialLoop
@@ -41,7 +41,7 @@ class LockStepCameras:
     A shot is begun in another process when its line is pulled, and is waited for only when its matches are due.
     """
 
-    def __init__(self, flight: Flight, studios: Studios, clock: Clock, live: LiveSession | None = None) -> None:
+    def __init__(self, flight: Flight, studios: StudioPort, clock: Clock, live: LiveSession | None = None) -> None:
         self._studios = studios
         self._clock = clock
         self._live = live
@@ -113,10 +113,20 @@ class LockStepCameras:
         self._studios.begin(pull)
 
 
+class _Unrecorded:
+    """Stands where no recording is wanted."""
+
+    def write(self, record: Record) -> None:
+        """Drop it."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
 class _Watched:
     """The recorder, and beside it the live view."""
 
-    def __init__(self, recorder: McapWriter, live: LiveSession) -> None:
+    def __init__(self, recorder: Recorder, live: LiveSession) -> None:
         self._recorder, self._live = recorder, live
 
     def write(self, record: Record) -> None:
@@ -144,16 +154,30 @@ class LockStepService:
 
     def __init__(self, config: ServiceConfig, flight: Flight, live: LiveSession | None = None) -> None:
         wire = MemoryWire()
-        self.world = World(flight, WorldOptions(), wire)
+        studios = Studios(Stage.of(flight, config.settings, EPOCH_NS))
+        self._build(config, World(flight, WorldOptions(), wire), wire, studios, live)
+
+    def _build(
+        self,
+        config: ServiceConfig,
+        world: World,
+        wire: MemoryWire,
+        studios: StudioPort,
+        live: LiveSession | None = None,
+    ) -> None:
+        """Join a vehicle, its link and its cameras with the live service's loop."""
+        flight = world.flight
+        self.world = world
+        self.studios = studios
         self.clock = LockStepClock(self.world)
         self._shown: list[Record] = []
         self._ends_s = flight.duration_s + _AFTER_S
         self._began_s: float | None = None
         link = Link(0, "lock-step", wire, self.clock)
         autopilot = MavlinkAutopilot([link], config.airframe, config.settings, self.clock)
-        assert config.recording is not None
-        recorder = McapWriter(config.recording, About.of(config.airframe, config.settings))
-        self.studios = Studios(Stage.of(flight, config.settings, EPOCH_NS))
+        recorder: Recorder = _Unrecorded()
+        if config.recording is not None:
+            recorder = McapWriter(config.recording, About.of(config.airframe, config.settings))
         cameras = LockStepCameras(flight, self.studios, self.clock, live)
         self.loop = InertialLoop(
             state=start(config.airframe, config.settings),
@@ -165,7 +189,7 @@ class LockStepService:
             recorder=recorder if live is None else _Watched(recorder, live),
         )
 
-    def __enter__(self) -> LockStepService:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -229,7 +229,7 @@ class SimAutopilot:
             return mavlink.MAVLink_attitude_message(boot_ms, roll, pitch, yaw, *truth.body_rate_radps[0].tolist())
         heading = np.degrees(yaw) % 360.0
         if name == "VFR_HUD":
-            speed = self._flight.plan.airspeed_mps
+            speed = self._airspeed_mps(truth.velocity_ned_mps[0])
             return mavlink.MAVLink_vfr_hud_message(speed, speed, int(heading), 60, -down, -vd)
         degrees = 1e7 * 180.0 / (np.pi * 6378137.0)
         return mavlink.MAVLink_global_position_int_message(
@@ -337,13 +337,21 @@ class SimAutopilot:
     def _heartbeat(self) -> Any:
         if self.protocol:
             return self.protocol.heartbeat()
-        now_s = 1e-9 * self._tick_ns
-        on_ground = any(roll.from_s <= now_s < roll.until_s for roll in self._flight.plan.rolls_on_ground)
         return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_FIXED_WING,
             self._kind,
             mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED,
             10,
-            mavlink.MAV_STATE_STANDBY if on_ground else mavlink.MAV_STATE_ACTIVE,
+            mavlink.MAV_STATE_STANDBY if self._on_ground() else mavlink.MAV_STATE_ACTIVE,
             3,
         )
+
+    def _on_ground(self) -> bool:
+        """Whether it stands or rolls on its wheels."""
+        now_s = 1e-9 * self._tick_ns
+        return any(roll.from_s <= now_s < roll.until_s for roll in self._flight.plan.rolls_on_ground)
+
+    def _airspeed_mps(self, velocity_ned_mps: Floats) -> float:
+        """Airspeed that it tells; a prescribed flight's is the plan's."""
+        del velocity_ned_mps
+        return self._flight.plan.airspeed_mps

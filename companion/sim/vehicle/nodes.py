@@ -36,6 +36,12 @@ class WingNode:
         self._next_heartbeat_ns = 0
         self._replies: list[bytes] = []
 
+    def extend(self, stream: SensorStream) -> None:
+        """Take further samples of the same sensor, of a flight that is flown while they are sent."""
+        self._rest += payloads(stream.values, stream.sensor.source)
+        self._stamps += stream.stamp_ns.tolist()
+        self._sent += stream.sent_boot_ns.tolist()
+
     def advance(self, now_boot_ns: int) -> list[bytes]:
         """Give the frames that are due."""
         t_s = now_boot_ns * 1e-9
