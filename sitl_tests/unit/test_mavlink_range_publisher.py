@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -14,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from companion.adapters.mavlink.component import encode
 from companion.adapters.mavlink.component.range_publisher import RangePublisher
 from companion.params.settings import Settings
-from companion.records import CorrectedRange, NoRange, ObstacleSectors, Reject
+from companion.records import CorrectedRange, NoRange, ObstacleSectors, Reject, VehicleState
 
 MS = 1_000_000
 ANY = st.floats(allow_nan=True, allow_infinity=True)
@@ -107,3 +108,39 @@ def test_obstacles_take_the_form_that_is_set_and_alive_without_range_is_all_unkn
     circle = sent(outputs.messages(none(0, 0), 0, 0)[1])
     assert set(circle.distances) == {65535}
     assert [m.get_type() for m in RangePublisher(Settings(), 25).messages(none(0), 0, 0)] == ["DISTANCE_SENSOR"]
+
+
+def state(t_ns: int, climb_mps: float) -> VehicleState:
+    return VehicleState(t_ns, t_ns, 0.0, 0.0, 0.0, 20.0, climb_mps, 0.5, True)
+
+
+def test_a_downward_range_is_moved_on_to_the_instant_of_sending() -> None:
+    """42 m at the exposure, 0.6 s of sinking at 2 m/s: 40.8 m now, stamped now; 0.18 m of sigma by the climb rate."""
+    outputs = RangePublisher(Settings(), 25)
+    for k in range(10):
+        outputs.climbs(state(1000 * MS + 100 * k * MS, -2.0))
+    (message,) = outputs.messages(measured(1100 * MS), 50 * MS, 1700 * MS)
+    assert sent(message).current_distance == 4080
+    assert sent(message).time_boot_ms == 1750
+    assert sent(message).covariance == 255, "424 cm^2: more than the field holds"
+
+
+def test_the_climb_since_the_exposure_counts_not_that_before() -> None:
+    outputs = RangePublisher(Settings(), 25)
+    for k in range(10):
+        outputs.climbs(state(100 * k * MS, -5.0))
+    for k in range(10, 15):
+        outputs.climbs(state(100 * k * MS, 1.0))
+    (message,) = outputs.messages(measured(1000 * MS), 0, 1500 * MS)
+    assert sent(message).current_distance == 4250
+
+
+@pytest.mark.parametrize(("orientation", "climb_at_ms", "now_ms"), [(0, 1200, 1500), (25, 900, 1500), (25, 1200, 4000)])
+def test_a_range_stays_where_nothing_tells_how_it_changed(orientation: int, climb_at_ms: int, now_ms: int) -> None:
+    """A pair that looks ahead, no climb rate since the exposure, an exposure too long ago."""
+    outputs = RangePublisher(Settings(), orientation)
+    outputs.climbs(state(climb_at_ms * MS, -2.0))
+    record = dataclasses.replace(measured(1000 * MS), orientation=orientation)
+    (message,) = outputs.messages(record, 0, now_ms * MS)
+    assert sent(message).current_distance == 4200
+    assert sent(message).time_boot_ms == 1000

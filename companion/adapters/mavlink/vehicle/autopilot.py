@@ -49,6 +49,7 @@ from companion.records import (
     Shot,
     TimesyncReply,
     Validity,
+    VehicleState,
 )
 
 _SECOND_NS = 1_000_000_000
@@ -238,6 +239,8 @@ class MavlinkAutopilot:
                 self.rates.loop_rate(record.value)
             elif record.name == "IMU_INTEG_RATE":
                 self.rates.integration_rate(record.value)
+        elif isinstance(record, VehicleState):
+            self._ranges.climbs(record)
         elif isinstance(record, TimesyncReply):
             self._timesync.answered(record.clock)
         elif isinstance(record, ClockRestart):
