@@ -1,21 +1,24 @@
 """``spanwise demo``: a simulated aircraft speaks MAVLink to the service; then its truth judges the flight.
 
 Vehicle and service keep step: simulated time waits for both, and for the renderer, so that the figures are those of the
-method on any machine, and equal for equal seeds. ``--realtime`` flies beside the live service's processes instead.
+method on any machine, and equal for equal seeds. ``--realtime`` flies beside the live service's processes instead;
+``--landing`` lets an autopilot land by the ranges.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
 from companion.cli.steps.demo_realtime import fly_in_real_time
+from companion.cli.steps.landing_demo import land
 from companion.cli.steps.live_view import add_live, live_session, read_live
 from companion.cli.steps.lockstep import LockStepService
-from companion.cli.steps.numbers import seconds, seed
+from companion.cli.steps.numbers import integer, seconds, seed
 from companion.cli.steps.options import add_settings, make_folder, read_settings
 from companion.cli.terminal.demo_tables import print_summary
 from companion.cli.terminal.run_loop import fly
@@ -47,6 +50,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--realtime", action="store_true",
         help="fly beside the live service's processes, in real time: figures are those of this machine, too",
     )  # fmt: skip
+    parser.add_argument(
+        "--landing", action="store_true",
+        help="land instead: a small autopilot flies by rigid stereo, by Spanwise and by the true range",
+    )  # fmt: skip
+    parser.add_argument("--flights", type=integer(1, 1000), default=1, help="landings of each kind, with --landing")
+    parser.add_argument(
+        "--workers", type=integer(1, 256), default=os.cpu_count() or 1, help="processes, with --landing"
+    )
     add_live(parser)
     add_settings(parser)
 
@@ -58,6 +69,8 @@ def execute(options: argparse.Namespace) -> int:
     if airframe.left_camera is None or airframe.right_camera is None:
         raise ConfigError(f"airframe '{airframe.name}' has no camera pair; the demo needs one")
     make_folder(options.out)
+    if options.landing:
+        return land(airframe, read_settings(options), options)
     recording = options.out / "flight.mcap"
     for old in (recording, options.out / "summary.png"):
         old.unlink(missing_ok=True)

@@ -17,6 +17,7 @@ from companion.sim.landing.approach import LandingParameters
 from companion.sim.landing.landing_flight import LandingFlight, RangeSource, TrueRange, fly_landing
 
 CALM, GUSTS = "calm", "gusts"
+_UNSAID = "TRG_RATE="  # the rate of the images is that of every range finder, and not named with one
 _BEFORE_SLOPE_S = 1.0  # rigid stereo's first image
 
 
@@ -46,7 +47,8 @@ def fly_task(task: FileTask) -> Row:
         parameter, _, value = change.partition("=")
         settings = settings.replace(parameter, float(value))
     airframe, gusts = load_airframe(name), air == GUSTS
-    return fly_one(airframe, int(seed), RangeKind(kind), settings, gusts=gusts)
+    row = fly_one(airframe, int(seed), RangeKind(kind), settings, gusts=gusts)
+    return row | {"settings": " ".join(change for change in changes if not change.startswith(_UNSAID))}
 
 
 def fly_one(airframe: Airframe, seed: int, kind: RangeKind, settings: Settings, *, gusts: bool) -> Row:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -66,14 +66,11 @@ def landing_row(kind: RangeKind, landing: LandingFlight, path: Sequence[PathPoin
         "outcome": _outcome(landing),
         "why": pilot.why,
         "barometer_m": landing.senses.barometer_m,
-        "flare": None if flare is None else {"height_m": flare.height_m, "intended_m": flare.intended_m},
-        "touch": None if touch is None else {
-            "north_m": touch.north_m, "east_m": touch.east_m, "sink_mps": touch.sink_mps,
-            "airspeed_mps": touch.airspeed_mps,
-        },
+        "flare": None if flare is None else asdict(flare),
+        "touch": None if touch is None else asdict(touch),
         "dropped": pilot.correction.dropped,
         "path": [(round(p.t_s, 2), round(p.north_m, 2), round(p.height_m, 3), p.range_m) for p in path],
-    }  # fmt: skip
+    }
 
 
 def _outcome(landing: LandingFlight) -> str:

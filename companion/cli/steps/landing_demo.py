@@ -1,0 +1,93 @@
+"""``spanwise demo --landing``: the same landings by four range finders, a table and a picture."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from companion.cli.steps.landing_tasks import fly_all, landing_tasks
+from companion.cli.terminal.status_view import console
+from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
+from companion.evaluation.landing.landing_rows import RangeKind, Row
+from companion.evaluation.landing.landing_table import HEADS, cells
+from companion.evaluation.pages.landing_picture import draw_landings
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings, tunables
+
+
+def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) -> int:
+    """Fly ``options.flights`` landings from ``options.seed`` on with each range finder, and show them.
+
+    Raises
+    ------
+    ConfigError
+        The cameras do not look down.
+    """
+    if not airframe.looks_down:
+        raise ConfigError(f"airframe '{airframe.name}' does not look down; a landing needs the range to the ground")
+    shutil.rmtree(options.out / "parts", ignore_errors=True)
+    seeds = range(options.seed, options.seed + options.flights)
+    tasks = landing_tasks(options.airframe, seeds, list(RangeKind), options.out, changed(settings))
+    rows: list[Row] = []
+    began_s = time.monotonic()
+    for _, row in fly_all(tasks, options.workers):
+        rows.append(row)
+        _say(f"{len(rows)}/{len(tasks)}, {time.monotonic() - began_s:.0f} s: {sentence(row)}")
+    flown = [row for row in rows if not row.get("failed")]
+    write_landings(flown, options.out)
+    if options.json:
+        print((options.out / "landings.json").read_text(encoding="utf-8"), end="")
+    else:
+        print_table(flown)
+    _say(f"wrote {options.out / 'landings.json'}" + (f" and {options.out / 'landing.png'}" if flown else ""))
+    return 0 if flown else NOTHING_TO_ESTIMATE
+
+
+def changed(settings: Settings) -> list[str]:
+    """NAME=VALUE of every setting that is not its default."""
+    return [
+        f"{row.name}={getattr(settings, row.attribute)!r}"
+        for row in tunables()
+        if getattr(settings, row.attribute) != row.default
+    ]
+
+
+def sentence(row: Row) -> str:
+    """One landing in a line."""
+    if row.get("failed"):
+        return f"{Path(row['file']).name} failed: {row['failed']}"
+    air = "gusts" if row["gusts"] else "calm"
+    text = f"seed {row['seed']}, {air}, {row['range']}: {row['outcome']}"
+    if row["flare"] is not None:
+        text += f", flare at {row['flare']['height_m']:.1f} m (intended {row['flare']['intended_m']:.1f})"
+    if row["touch"] is not None:
+        text += f", touch-down at {row['touch']['sink_mps']:.2f} m/s {row['touch']['north_m']:+.0f} m from the point"
+    return text + (f" ({row['why']})" if row["why"] else "")
+
+
+def write_landings(rows: Sequence[Row], folder: Path) -> None:
+    """Write rows and picture."""
+    (folder / "landings.json").write_text(json.dumps(list(rows)) + "\n", encoding="utf-8")
+    if rows:
+        draw_landings(rows, folder / "landing.png")
+
+
+def print_table(rows: Sequence[Row]) -> None:
+    """Print the table; medians with the extremes in parentheses."""
+    from rich.table import Table  # an extra
+
+    table = Table(title="landings: median (least to most)", title_justify="left")
+    for head in HEADS:
+        table.add_column(head)
+    for row in cells(rows):
+        table.add_row(*row)
+    console().print(table)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
