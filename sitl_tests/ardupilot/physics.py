@@ -33,6 +33,7 @@ from companion.sim.vehicle.nodes import WingNode
 from companion.sim.vehicle.world import VehicleLink
 from companion.sim.vision.cameras import PLAN_UNKNOWN, SimTriggerLine
 from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, flight_motion, launch_motion, lines
+from sitl_tests.ardupilot.steered import SteeredFrames
 
 SERVOS_16, SERVOS_32 = 18458, 29569
 SERVO_HEAD = struct.Struct("<HHI")
@@ -56,6 +57,9 @@ class PhysicsOptions:
         Where the wing nodes speak, ``udpout:host:port``; empty for an aircraft whose nodes are off.
     trigger_line : Path, optional
         The simulated cameras' line.
+    steered : bool
+        The autopilot's surfaces and motor fly the flexible aeroplane from standing on its wheels; otherwise it is
+        carried along a prescribed flight. Wing nodes and cameras belong to the prescribed flight.
     """
 
     airframe: Airframe
@@ -64,6 +68,7 @@ class PhysicsOptions:
     port: int
     nodes: str = ""
     trigger_line: Path | None = None
+    steered: bool = False
 
 
 class Frames:
@@ -76,6 +81,9 @@ class Frames:
     def __init__(self, flight: Flight, duration_s: float) -> None:
         self._moving = lines(launch_motion(flight.truth)) + lines(flight_motion(flight.truth, duration_s))
         self.launch_frame = 1 << 62
+
+    def steer(self, servos: tuple[int, ...]) -> None:
+        """Surfaces do not steer what is carried."""
 
     def line(self, frame: int) -> bytes:
         """Sensors of one frame."""
@@ -171,7 +179,9 @@ class Physics:
     def __init__(self, options: PhysicsOptions) -> None:
         self.flight = build_flight(options.airframe, options.seed, options.duration_s)
         self._options = options
-        self._frames = Frames(self.flight, options.duration_s)
+        self._frames: Frames | SteeredFrames = Frames(self.flight, options.duration_s)
+        if options.steered:
+            self._frames = SteeredFrames(options.airframe)
         self._nodes: Nodes | None = None
         line = None if options.trigger_line is None else SimTriggerLine(options.trigger_line)
         self._shutter = Shutter(line, [], {})
@@ -187,8 +197,10 @@ class Physics:
 
     def launch(self) -> None:
         """Begin the run-up with the next frame, and let the nodes stream from the flight's first instant on."""
-        self._frames.launch_frame = len(self.sent_ns)
-        first = self._frames.launch_frame + round(LAUNCH_S * RATE_HZ)
+        launch_frame = len(self.sent_ns)
+        if isinstance(self._frames, Frames):
+            self._frames.launch_frame = launch_frame
+        first = launch_frame + round(LAUNCH_S * RATE_HZ)
         self.flight_ns = self.start_ns + first * 1_000_000_000 // RATE_HZ
         self._waiting = True
 
@@ -201,6 +213,7 @@ class Physics:
         servos = servo_outputs(data)
         if servos is not None:
             self._shutter.watch(servos, now_ns)
+            self._frames.steer(servos)
             self._pin(now_ns)
         if self._nodes is not None:
             if self._waiting and now_ns >= self.flight_ns:
@@ -232,6 +245,10 @@ class Physics:
         with contextlib.suppress(ConnectionRefusedError):
             self._socket.sendto(line, peer)
         self.sent_ns.append(time.monotonic_ns())
+
+    def close(self) -> None:
+        """Release the port."""
+        self._socket.close()
 
     def report(self) -> dict[str, Any]:
         """What happened, as plain values."""

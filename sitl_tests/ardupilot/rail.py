@@ -71,10 +71,10 @@ def lines(motion: Motion) -> list[bytes]:
         airspeed,
         strict=True,
     )
-    return [_line(*row).encode() for row in rows]
+    return [line_of(*row).encode() for row in rows]
 
 
-def _line(
+def line_of(
     gyro: list[float],
     force: list[float],
     position: list[float],
@@ -82,6 +82,7 @@ def _line(
     velocity: list[float],
     airspeed_mps: float,
 ) -> str:
+    """Line of one frame but its time stamp; lists of three, NED and body FRD."""
     roll, pitch, yaw = euler
     heading = (yaw + math.pi) % (2 * math.pi) - math.pi
     return (
