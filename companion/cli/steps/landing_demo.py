@@ -35,7 +35,7 @@ def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) ->
     tasks = landing_tasks(options.airframe, seeds, list(RangeKind), options.out, changed(settings))
     rows: list[Row] = []
     began_s = time.monotonic()
-    for _, row in fly_all(tasks, options.workers):
+    for row in fly_all(tasks, options.workers):
         rows.append(row)
         _say(f"{len(rows)}/{len(tasks)}, {time.monotonic() - began_s:.0f} s: {sentence(row)}")
     flown = [row for row in rows if not row.get("failed")]
@@ -60,7 +60,7 @@ def changed(settings: Settings) -> list[str]:
 def sentence(row: Row) -> str:
     """One landing in a line."""
     if row.get("failed"):
-        return f"{Path(row['file']).name} failed: {row['failed']}"
+        return f"{row['file']} failed: {row['failed']}"
     air = "gusts" if row["gusts"] else "calm"
     text = f"seed {row['seed']}, {air}, {row['range']}: {row['outcome']}"
     if row["flare"] is not None:

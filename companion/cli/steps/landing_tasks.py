@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from companion.cli.steps.landing_lockstep import LandingService
-from companion.evaluation.fleet.runner import FileTask, run
+from companion.evaluation.fleet.runner import run
 from companion.evaluation.landing.landing_rows import RangeKind, Row, WatchedRange, landing_row
 from companion.evaluation.landing.rigid_stereo import RigidStereo
 from companion.params.airframe import Airframe
@@ -16,39 +17,60 @@ from companion.service.config import ServiceConfig
 from companion.sim.landing.approach import LandingParameters
 from companion.sim.landing.landing_flight import LandingFlight, RangeSource, TrueRange, fly_landing
 
-CALM, GUSTS = "calm", "gusts"
 _UNSAID = "TRG_RATE="  # the rate of the images is that of every range finder, and not named with one
 _BEFORE_SLOPE_S = 1.0  # rigid stereo's first image
 
 
+@dataclass(frozen=True, slots=True)
+class LandingTask:
+    """One landing: a task of :func:`companion.evaluation.fleet.runner.run`.
+
+    ``changes`` are NAME=VALUE of settings, and ``folder`` is where its part goes.
+    """
+
+    airframe: str
+    seed: int
+    gusts: bool
+    kind: RangeKind
+    changes: tuple[str, ...]
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Landing in a word."""
+        return "-".join((self.airframe, "gusts" if self.gusts else "calm", str(self.seed), self.kind, *self.changes))
+
+    @property
+    def result_file(self) -> Path:
+        """Where the row lies once it is made."""
+        return self.folder / "parts" / f"{self.name}.json"
+
+
 def landing_tasks(
-    airframe: str, seeds: Sequence[int], kinds: Sequence[RangeKind], folder: Path, changes: Sequence[str] = ()
-) -> list[FileTask]:
-    """Tasks of every seed, in calm and in gusts, with every range finder; ``changes`` are NAME=VALUE of settings."""
-    tasks = []
-    for seed in seeds:
-        for air in (CALM, GUSTS):
-            for kind in kinds:
-                words = (airframe, str(seed), air, str(kind), *changes)
-                tasks.append(FileTask(Path(f"{kind}-{air}-{seed}"), words, folder))
-    return tasks
+    airframe: str, seeds: Iterable[int], kinds: Sequence[RangeKind], folder: Path, changes: Sequence[str] = ()
+) -> list[LandingTask]:
+    """Tasks of every seed, in calm and in gusts, with every range finder."""
+    return [
+        LandingTask(airframe, seed, gusts, kind, tuple(changes), folder)
+        for seed in seeds
+        for gusts in (False, True)
+        for kind in kinds
+    ]
 
 
-def fly_all(tasks: Sequence[FileTask], workers: int) -> Iterator[tuple[FileTask, Row]]:
+def fly_all(tasks: Sequence[LandingTask], workers: int) -> Iterator[Row]:
     """Fly the tasks, each in a process of its own; a row that has ``failed`` says why."""
-    return run(tasks, fly_task, workers)
+    return (row for _, row in run(tasks, fly_task, workers))
 
 
-def fly_task(task: FileTask) -> Row:
+def fly_task(task: LandingTask) -> Row:
     """Fly one landing."""
-    name, seed, air, kind, *changes = task.words
     settings = Settings()
-    for change in changes:
+    for change in task.changes:
         parameter, _, value = change.partition("=")
         settings = settings.replace(parameter, float(value))
-    airframe, gusts = load_airframe(name), air == GUSTS
-    row = fly_one(airframe, int(seed), RangeKind(kind), settings, gusts=gusts)
-    return row | {"settings": " ".join(change for change in changes if not change.startswith(_UNSAID))}
+    row = fly_one(load_airframe(task.airframe), task.seed, task.kind, settings, gusts=task.gusts)
+    return row | {"settings": " ".join(change for change in task.changes if not change.startswith(_UNSAID))}
 
 
 def fly_one(airframe: Airframe, seed: int, kind: RangeKind, settings: Settings, *, gusts: bool) -> Row:

@@ -1,0 +1,71 @@
+"""Landings that an autopilot flies by rigid stereo, by Spanwise and by the true range, in calm and in gusts.
+
+``--write`` puts table and picture into sitl_tests/README.md. What an earlier run left in ``--out`` is not flown again:
+begin with an empty folder after a change of the code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from companion.cli.steps.landing_demo import sentence
+from companion.cli.steps.landing_tasks import LandingTask, fly_all, landing_tasks
+from companion.evaluation.fleet.runner import stored
+from companion.evaluation.landing.landing_rows import RangeKind, Row, figures
+from companion.evaluation.landing.landing_table import markdown
+from companion.evaluation.pages.landing_picture import draw_landings
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE, PICTURE = ROOT / "sitl_tests" / "README.md", ROOT / "sitl_tests" / "landing.png"
+_BEGIN_MARK, _END_MARK = "<!-- landings: begin (generated) -->", "<!-- landings: end -->"
+_IMAGES_HZ = 5.0  # of every range finder that has cameras
+_SOFT_MPS = 1.5  # sink at touch-down that the gear is asked to take in gusts (choice)
+
+
+def main(arguments: list[str]) -> int:
+    """Fly, print the table; 1 where Spanwise's landings are not those of the true range."""
+    parser = argparse.ArgumentParser(prog="landing", description=__doc__)
+    parser.add_argument("--flights", type=int, default=10, help="landings of each kind")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, default=Path("out/bench-landing"), help="where parts are left")
+    parser.add_argument("--write", action="store_true", help="table and picture into sitl_tests/README.md")
+    options = parser.parse_args(arguments)
+    tasks = _tasks(options.flights, options.out)
+    ready = sum(stored(task) is not None for task in tasks)
+    rows = [row for row in fly_all(tasks, options.workers) if _flown(row)]
+    print(f"{len(rows)} landings, {ready} of them flown by an earlier run; images at {_IMAGES_HZ:g} Hz\n")
+    print(markdown(rows))
+    if options.write:
+        _write(rows)
+    return int(not _spanwise_lands(rows))
+
+
+def _tasks(flights: int, folder: Path) -> list[LandingTask]:
+    changes = (f"TRG_RATE={_IMAGES_HZ:g}",)
+    seeds = range(1, flights + 1)
+    return [task for seed in seeds for task in landing_tasks("nadir-2m", (seed,), list(RangeKind), folder, changes)]
+
+
+def _flown(row: Row) -> bool:
+    if row.get("failed"):
+        print(sentence(row))
+    return not row.get("failed")
+
+
+def _spanwise_lands(rows: list[Row]) -> bool:
+    """Whether every landing by Spanwise flared where it should, and met the ground softly."""
+    summed = figures([row for row in rows if row["range"] == RangeKind.SPANWISE])
+    softly = not len(summed.sink_mps) or float(summed.sink_mps.max()) < _SOFT_MPS
+    return summed.landed == summed.flights and summed.high_flares == summed.no_flare == 0 and softly
+
+
+def _write(rows: list[Row]) -> None:
+    """Replace the block between the marks, and the picture."""
+    draw_landings(rows, PICTURE)
+    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(_BEGIN_MARK)
+    _, end, after = rest.partition(_END_MARK)
+    if not (begin and end):
+        raise ValueError(f"{PAGE.name} has no marks {_BEGIN_MARK} and {_END_MARK}")
+    PAGE.write_text(f"{before}{begin}\n{markdown(rows)}\n{end}{after}", encoding="utf-8")
