@@ -13,7 +13,7 @@ from companion.records import Floats
 
 # Okabe and Ito's palette, in which any two differ for every kind of colour vision, and in lightness
 BLUE, VERMILLION, ORANGE, GREEN, SKY, PURPLE = "#0072B2", "#D55E00", "#E69F00", "#009E73", "#56B4E9", "#CC79A7"
-GREY, INK = "#7F868D", "#20262D"
+GREY, INK, PALE = "#7F868D", "#20262D", "#D9DEE3"
 BEFORE, AFTER, DATA = VERMILLION, BLUE, GREY  # a model before and after a cause is named, and the recording
 
 _LETTERS_PER_IN = 11.0  # of a title of 12.5 points in matplotlib's own typeface; measured on a rendered figure
