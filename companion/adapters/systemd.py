@@ -1,4 +1,4 @@
-"""Telling systemd how the service stands: ready, alive, in words (sd_notify's protocol, without its library).
+"""State of the service for systemd: ready, alive, and a sentence (protocol of sd_notify, without its library).
 
 Datagrams of ``NAME=value`` lines go to the socket named by ``NOTIFY_SOCKET``; without that variable nothing is done.
 The process that ticks is a child of the one that systemd started, so ``WATCHDOG_PID`` is not asked: the unit has

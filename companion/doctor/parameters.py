@@ -1,4 +1,4 @@
-"""Whether what the vehicle says of itself can be so."""
+"""Plausibility of the parameters that the vehicle reports."""
 
 from __future__ import annotations
 

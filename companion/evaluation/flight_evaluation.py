@@ -1,4 +1,4 @@
-"""After a simulated flight: every shot of the recording judged by the truth, and the same flight flown two other ways.
+"""Evaluation of a simulated flight by its truth, and of the same flight replayed in two other ways.
 
 "Vertical accelerometers alone" replays the recording with every other axis of the wing nodes hidden; "random instants"
 renders the same flight at instants that have nothing to do with the wing, and corrects those with the same estimates.

@@ -1,4 +1,4 @@
-"""Each station of a recording by itself: is there a steady tone, of which frequency, amplitude and phase?
+"""Steady tone of each station of a recording by itself: frequency, amplitude and phase.
 
 This looks at the vertical axis before any rigid motion is taken out, so that it holds for a shaker, for injected sines
 and for sensors that are not on one wing.

@@ -1,4 +1,4 @@
-"""Judges shots of a simulated flight by its truth: what rigid, corrected and perfectly known extrinsics make of them.
+"""True geometry of a simulated flight's shots: readings by rigid, corrected and perfectly known extrinsics.
 
 Every way of ranging reads the same matches with the same robust product; the true inverse range is what that product
 gives for the true depths of the very same features, so that nothing but the extrinsics and the matching is scored.

@@ -1,4 +1,4 @@
-"""Which camera pair a word stands for: ``kind:where``, as ``spanwise run --cameras`` takes it."""
+"""Camera pair of a ``--cameras`` option: ``kind:where`` becomes a picklable function that opens it."""
 
 from __future__ import annotations
 

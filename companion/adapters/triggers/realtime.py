@@ -1,4 +1,4 @@
-"""Asking Linux for punctuality; each wish may be refused, and then that is said."""
+"""Requests to Linux for real-time scheduling and locked memory; what is refused is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which trigger a word stands for: ``kind:where``, as ``spanwise run --trigger`` takes it."""
+"""Trigger line of a ``--trigger`` option: ``kind:where`` becomes a picklable function that opens it."""
 
 from __future__ import annotations
 

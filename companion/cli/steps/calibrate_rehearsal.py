@@ -1,4 +1,4 @@
-"""A calibration rehearsed: somebody holds a board before simulated cameras whose truth is known afterwards."""
+"""Rehearsal of a calibration: a board moved before simulated cameras, whose truth then judges the result."""
 
 from __future__ import annotations
 

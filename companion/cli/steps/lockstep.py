@@ -1,4 +1,4 @@
-"""The service in lock-step with the simulated vehicle: simulated time waits for whoever is at work.
+"""The service in lock-step with the simulated vehicle: simulated time stands while either computes.
 
 The loop, the autopilot adapter, the trigger's rules, the vision step and the recording's writer are the live service's
 own. What the machine would decide is stated here instead: how late the line is pulled, and when a pair is matched.

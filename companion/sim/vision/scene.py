@@ -1,4 +1,4 @@
-"""The world to look at: textured planes in NED, and the ranges that a perfect eye would read."""
+"""Scene before the cameras: textured planes in NED, and the true ranges to them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ground texture without end: band-limited noise in octaves of equal contrast, deterministic by seed.
+"""Unbounded ground texture: band-limited noise in octaves of equal contrast, deterministic by seed.
 
 Every octave is the same noise tile, turned, shifted and scaled differently on every surface, so that the periods of the
 octaves never meet again: the pattern as a whole does not repeat. An octave is sampled only where the image can resolve

@@ -1,4 +1,4 @@
-"""The compiled way of plain inertial messages: from a chunk's bytes to SI samples of every source, in one pass.
+"""Compiled path of plain inertial messages: a chunk's bytes to SI samples of every source in one pass.
 
 It reads what a healthy vehicle sends thousands of times a second: HIGHRES_IMU, RAW_IMU and SCALED_IMU* of our sources
 with nothing odd about them, in ``native/mavlink.c``. Every other frame is found there too, and read one by one; so is

@@ -1,4 +1,4 @@
-"""Which autopilot is served: the configured one, else the first that is heard, as long as it is really there."""
+"""Choice of the autopilot to serve: the configured one, else the first that beats and answers."""
 
 from __future__ import annotations
 

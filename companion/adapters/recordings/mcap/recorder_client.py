@@ -1,4 +1,4 @@
-"""Records on their way to the recorder process: the producer never waits, what does not fit is dropped and counted.
+"""Client of the recorder process: the producer never waits; what does not fit is dropped and counted.
 
 A thread sends what has gathered every 20 ms as one pickled batch, cut into packets that keep their borders, so that a
 recorder that is started again finds the next whole batch.

@@ -1,4 +1,4 @@
-"""Units of CSV columns: which are known, and what makes SI of them."""
+"""Units of CSV columns, with their factors and offsets to SI."""
 
 from __future__ import annotations
 
