@@ -59,8 +59,8 @@ class DiscreteWingModel:
         ``[A | b]``: the last column takes the static bend.
     H : (9, n + 1) float64
         ``H1 [A | b] + H0``: the measurement in terms of state and static bend before the step.
-    Q : (n, n) float64
-        Process noise.
+    noise : (n, n) float64
+        Process noise Q of one step.
     cross_cov : (n, 9) float64
         ``Q H1^T``.
     process_noise_in_rows : (9, 9) float64
