@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from companion.diagnosis.modal_tests.frequency_changes import disagreement
 from companion.diagnosis.modal_tests.json_report import as_json
 from companion.diagnosis.modal_tests.recordings import diagnose_modal_test
-from companion.diagnosis.modal_tests.vibration import VibrationRun, mode_of, modes_of_runs, responses
+from companion.diagnosis.modal_tests.vibration import ModeOverRuns, VibrationRun, mode_of, modes_of_runs, responses
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.errors import RecordingError
 from companion.records import Floats
 
 F_HZ: Floats = np.arange(5.0, 20.0, 1.0 / 60.0)
 NOISE = 0.05
+MOVED_HZ = [9.2, 9.3, 9.4, 9.2, 9.4, 9.3]
+POSITIONS_M = [0.0, 1.0, 2.0, 0.0, 2.0, 1.0]
 
 
 def run_of(seed: int, natural_hz: float, zeta: float = 0.008, **constants: float) -> VibrationRun:
@@ -69,7 +73,7 @@ def test_a_change_that_goes_hand_in_hand_with_run_order_has_no_identifiable_caus
 
 
 def test_the_same_change_is_explained_where_positions_came_back_with_their_frequency() -> None:
-    verdict, plain = judge([9.2, 9.3, 9.4, 9.2, 9.4, 9.3], [0.0, 1.0, 2.0, 0.0, 2.0, 1.0])
+    verdict, plain = judge(MOVED_HZ, POSITIONS_M)
     assert verdict is DiagnosisVerdict.EXPLAINED
     (cause,) = plain["causes"]  # type: ignore[misc]
     assert (cause["name"], cause["channel"]) == ("covariate-frequency", "position_m")
@@ -97,6 +101,18 @@ def test_where_positions_came_back_and_the_frequency_did_not_nothing_is_named() 
     verdict, plain = judge([9.2, 9.2, 9.2, 9.3, 9.4, 9.5], [0.0, 1.0, 2.0, 0.0, 1.0, 2.0])
     assert verdict is DiagnosisVerdict.UNEXPLAINED
     assert plain["causes"] == []
+
+
+def test_a_second_mode_that_does_not_follow_the_channel_is_left_over() -> None:
+    runs = [run_of(k, f, position_m=x) for k, (f, x) in enumerate(zip(MOVED_HZ, POSITIONS_M, strict=True), 1)]
+    modes = modes_of_runs(runs)
+    drifting = ModeOverRuns(modes[1].runs, tuple(
+        dataclasses.replace(mode, frequency_hz=mode.frequency_hz + 0.05 * k) for k, mode in enumerate(modes[1].of_runs)
+    ))  # fmt: skip
+    diagnosis = diagnose_modal_test([modes[0], drifting], [run.constants for run in runs], lambda _what, _ratio: None)
+    assert diagnosis.outcome.verdict is DiagnosisVerdict.UNEXPLAINED
+    reason = as_json(diagnosis, ["a"], None)["reason"]
+    assert "position goes with it, but: left over: one frequency near 15" in reason
 
 
 @pytest.mark.parametrize("count", [2, 5, 10])

@@ -54,6 +54,8 @@ def _reason(diagnosis: ModalTestDiagnosis) -> str:
             return f"{change}; runs of equal {named} agree, whenever they were made"
         case DiagnosisVerdict.NOT_IDENTIFIABLE:
             return f"{change}, but its cause is not identifiable: {_confounded_in_words(leading)}"
+        case _ if leading.causes():
+            return f"{change}; {_plainly(leading.causes()[0].name)} goes with it, but: {diagnosis.outcome.reason}"
         case _:
             return f"{change}; nothing that was recorded of the runs goes with it"
 

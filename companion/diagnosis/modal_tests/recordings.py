@@ -66,7 +66,7 @@ class ModalTestRuns(Regressions):
         )
 
     def not_identifiable(self, null: RegressionFit) -> str:
-        """Whether no channel that came back explains the change, while another goes hand in hand with run order."""
+        """Channels that go hand in hand with run order, where none that came back explains the change."""
         del null
         if not self._changed or self._changed[0].causes():
             return ""
