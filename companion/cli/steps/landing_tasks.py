@@ -18,7 +18,6 @@ from companion.sim.landing.approach import LandingParameters
 from companion.sim.landing.landing_flight import LandingFlight, RangeSource, TrueRange, fly_landing
 
 _UNSAID = "TRG_RATE="  # the rate of the images is that of every range finder, and not named with one
-_BEFORE_SLOPE_S = 1.0  # rigid stereo's first image
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,5 +88,4 @@ def fly_one(airframe: Airframe, seed: int, kind: RangeKind, settings: Settings, 
 def _source(landing: LandingFlight, kind: RangeKind, settings: Settings) -> RangeSource:
     if kind is RangeKind.TRUTH:
         return TrueRange(landing)
-    from_s = landing.approach.level_s - _BEFORE_SLOPE_S
-    return RigidStereo(landing, settings, in_trim=kind is RangeKind.IN_TRIM, from_s=from_s)
+    return RigidStereo(landing, settings, in_trim=kind is RangeKind.IN_TRIM)
