@@ -35,9 +35,8 @@ def main(arguments: list[str]) -> int:
     tasks = _tasks(options.flights, options.out)
     ready = sum(stored(task) is not None for task in tasks)
     rows = [row for row in fly_all(tasks, options.workers) if _flown(row)]
-    print(
-        f"{len(rows)} landings, {ready} of them flown by an earlier run; pairs at {_IMAGES_HZ:g} Hz: rendered for Spanwise,\nperfect matches without images for rigid stereo\n"
-    )
+    print(f"{len(rows)} landings, {ready} of them flown by an earlier run; pairs at {_IMAGES_HZ:g} Hz: rendered for")
+    print("Spanwise, perfect matches without images for rigid stereo\n")
     print(markdown(rows))
     if options.write:
         _write(rows)
