@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -60,8 +62,11 @@ class LandingAutopilot(SimAutopilot):
         del imu
         return self._live.setdefault(name, [])
 
-    def _airspeed_mps(self, velocity_ned_mps: Floats) -> float:
-        return float(np.linalg.norm(velocity_ned_mps))
+    def _motion(self, name: str, sent_ns: int, boot_ms: int) -> Any:
+        message = super()._motion(name, sent_ns, boot_ms)
+        if name == "VFR_HUD":  # a prescribed flight's airspeed is its plan's
+            message.airspeed = message.groundspeed = math.hypot(*self._landing.present.velocity_ned_mps)
+        return message
 
     def _on_ground(self) -> bool:
         return self._landing.on_ground

@@ -229,7 +229,7 @@ class SimAutopilot:
             return mavlink.MAVLink_attitude_message(boot_ms, roll, pitch, yaw, *truth.body_rate_radps[0].tolist())
         heading = np.degrees(yaw) % 360.0
         if name == "VFR_HUD":
-            speed = self._airspeed_mps(truth.velocity_ned_mps[0])
+            speed = self._flight.plan.airspeed_mps
             return mavlink.MAVLink_vfr_hud_message(speed, speed, int(heading), 60, -down, -vd)
         degrees = 1e7 * 180.0 / (np.pi * 6378137.0)
         return mavlink.MAVLink_global_position_int_message(
@@ -347,11 +347,4 @@ class SimAutopilot:
         )
 
     def _on_ground(self) -> bool:
-        """Whether it stands or rolls on its wheels."""
-        now_s = 1e-9 * self._tick_ns
-        return any(roll.from_s <= now_s < roll.until_s for roll in self._flight.plan.rolls_on_ground)
-
-    def _airspeed_mps(self, velocity_ned_mps: Floats) -> float:
-        """Airspeed that it tells; a prescribed flight's is the plan's."""
-        del velocity_ned_mps
-        return self._flight.plan.airspeed_mps
+        return any(roll.from_s <= 1e-9 * self._tick_ns < roll.until_s for roll in self._flight.plan.rolls_on_ground)

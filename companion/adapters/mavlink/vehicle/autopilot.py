@@ -192,12 +192,11 @@ class MavlinkAutopilot:
             self._clock.sleep_until(min(gathered, deadline))
             if gathered > deadline:
                 return False
-        remaining_ms = max(0, deadline - self._clock.now_ns()) / 1e6
         waiter = select.poll()
         for link in self._links:
             if link.fileno() >= 0:
                 waiter.register(link.fileno(), select.POLLIN)
-        waiter.poll(remaining_ms)
+        waiter.poll(max(0, deadline - self._clock.now_ns()) / 1e6)
         return True
 
     def _attend(self, decoded: Decoded, now_host_ns: int) -> None:
