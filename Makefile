@@ -15,6 +15,7 @@ help:            ## list the targets
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Spanwise needs Python 3.11 or newer; set PYTHON=/path/to/python3.11"; exit 1; }
+	@echo "making $(VENV): the pinned packages are some 0.9 GB, minutes the first time and 1 to 2 from the package cache"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	@{ command -v $(firstword $(CC)) || command -v gcc || command -v clang; } >/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-ziglang.lock
@@ -22,6 +23,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@touch $@
 
 $(READY): $(wildcard $(NATIVE)/*.[ch]) setup.py $(STAMP)
+	@echo "compiling the inner loops: 15 s with gcc, a minute with ziglang"
 	$(BIN)/python setup.py -q build_ext --inplace
 	@touch $@
 

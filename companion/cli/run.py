@@ -176,7 +176,7 @@ def serve(config: ServiceConfig, options: argparse.Namespace) -> int:
     stopped: list[int] = []
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, lambda caught, _: stopped.append(caught))
-    view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}")
+    view = View(f"spanwise run {config.airframe.name} on {', '.join(config.connections)}", options.seconds)
     live = live_view_possible(plain=options.plain)
     began = time.monotonic()
     keeper = LatencyKeeper(_latency_file(options), _path(options))

@@ -30,7 +30,7 @@ from companion.sim.vision.scene import Scene
 from companion.sim.vision.scenery import scene_of
 
 _SETTLE_S = 1.5
-_START_S = 300.0  # the first start of all compiles the estimator
+_START_S = 300.0  # a machine may be busy
 
 
 @dataclass(slots=True)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from companion.cli.terminal.status_view import View, console
+from companion.cli.terminal.waiting import RepeatPause
 from companion.errors import DeviceError
 from companion.records import Record
 
@@ -50,6 +51,8 @@ def fly(
 ) -> None:
     """Run until ``ended`` says so; show a live view, or a line every few seconds where there is no terminal.
 
+    What is waited for is a line when it changes, and again in growing pauses.
+
     ``wait`` lets some seconds pass between two looks.
 
     Raises
@@ -59,7 +62,7 @@ def fly(
     """
     began = time.monotonic()
     with service, _screen() if live else _Lines() as screen:
-        next_line_s = 0.0
+        pause = RepeatPause(_LINE_S)
         while not ended():
             for record in service.shown():
                 view.take(record)
@@ -74,8 +77,7 @@ def fly(
                 raise DeviceError(f"process {', '.join(service.failed())} keeps dying; its messages are above")
             if live:
                 screen.update(view.render(elapsed_s))
-            elif elapsed_s >= next_line_s:
-                next_line_s = elapsed_s + _LINE_S
+            elif pause.due(elapsed_s, view.waiting(elapsed_s)):
                 refused = view.refusals()
                 _print([] if refused is None else [refused], elapsed_s)
                 print(view.line(elapsed_s), file=sys.stderr, flush=True)

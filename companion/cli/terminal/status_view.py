@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
+from companion.cli.terminal.waiting import waiting_text
 from companion.errors import missing_extra
 from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.records import (
@@ -30,10 +31,12 @@ class View:
     """Collects records; :meth:`render` draws them. Plain lines are used where there is no terminal.
 
     ``progress`` stands in the place of the seconds that have passed, where those mean nothing.
+    ``limit_s`` is when the run ends by itself, None where it does not.
     ``began`` says that the service ever got further than waiting for the vehicle.
     """
 
     title: str
+    limit_s: float | None = None
     mode: ModeState | None = None
     range: CorrectedRange | None = None
     no_range: NoRange | None = None
@@ -93,7 +96,7 @@ class View:
         table = Table.grid(padding=(0, 2))
         table.add_column(style="bold", width=10)
         table.add_column()
-        for name, text in self._rows():
+        for name, text in self._rows(elapsed_s):
             table.add_row(name, text)
         head = Text(f"{self.title}   {self.progress or f'{elapsed_s:5.1f} s'}", style="bold cyan")
         return Group(head, table, *(Text(f"  {line}", style="yellow") for line in self.recent))
@@ -101,10 +104,16 @@ class View:
     def line(self, elapsed_s: float) -> str:
         """One line for a log or a pipe."""
         return f"{self.progress or f'{elapsed_s:6.1f} s'}  " + " | ".join(
-            f"{name} {text}" for name, text in self._rows()
+            f"{name} {text}" for name, text in self._rows(elapsed_s)
         )
 
-    def _rows(self) -> list[tuple[str, str]]:
+    def waiting(self, elapsed_s: float) -> str | None:
+        """Sentence of what is waited for; None where the service is at work, or shows a progress of its own."""
+        return None if self.progress else waiting_text(self.status, elapsed_s, self.limit_s)
+
+    def _rows(self, elapsed_s: float) -> list[tuple[str, str]]:
+        if (awaited := self.waiting(elapsed_s)) is not None:
+            return [("state", awaited)]
         rows = [("state", f"{self.status.health.value}: {self.status.reason}" if self.status else "starting")]
         if self.mode is not None:
             rows.append(("bending", _mode(self.mode.symmetric)))
