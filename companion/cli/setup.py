@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from companion.adapters.triggers.trigger_factory import trigger_factory
+from companion.cli.steps import setup_wing
 from companion.errors import TO_FIX, SetupError, SpanwiseError
 from companion.setup import manifest
 from companion.setup.boards import BOARDS, CompanionBoard, board_of
@@ -32,6 +33,9 @@ _ASKED = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
+    parts = parser.add_subparsers(dest="part", metavar="wing")
+    text = "guided: nodes, axes and signs by hand, modes, stereo, first range, each with its figure"
+    setup_wing.add_arguments(parts.add_parser("wing", help=text, description=text, allow_abbrev=False))
     parser.add_argument("--dry-run", action="store_true", help="show what would be written, and write nothing")
     parser.add_argument("--undo", action="store_true", help="put every file back to what it was before")
     parser.add_argument("--yes", action="store_true", help="ask nothing")
@@ -59,6 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Check, ask, show, write, and name the next steps; 4 where a check has something to mend."""
+    if options.part == "wing":
+        return setup_wing.execute(options)
     tree = Tree(options.root)
     previous = manifest.load(tree)
     if options.undo:

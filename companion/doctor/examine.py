@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from companion.adapters.mavlink.decode.decoder import Decoder
@@ -46,12 +46,20 @@ WANTED = (
 class Examination:
     """A live vehicle, listened to for a while. ``turn`` does one pass, so that tests can turn it by hand.
 
-    Rates are taken over the last 60 % of the time: the first part is spent on asking for them.
+    Rates are taken over the last 60 % of the time: the first part is spent on asking for them. ``each`` is shown
+    every record, afterwards too.
     """
 
     def __init__(
-        self, links: Sequence[Link], airframe: Airframe, settings: Settings, clock: Clock, seconds: float
+        self,
+        links: Sequence[Link],
+        airframe: Airframe,
+        settings: Settings,
+        clock: Clock,
+        seconds: float,
+        each: Callable[[Record], None] | None = None,
     ) -> None:
+        self._each = each
         self.pilot = MavlinkAutopilot(links, airframe, settings, clock, listener=self._hear, needed=WANTED)
         self._evidence = Evidence(airframe, settings, live=True, seconds=seconds)
         self._links = list(links)
@@ -71,6 +79,8 @@ class Examination:
         """Take in what has arrived, and let the adapter ask what it asks."""
         for record in self.pilot.poll(timeout_s):
             self._take(record)
+            if self._each is not None:
+                self._each(record)
 
     def evidence(self) -> Evidence:
         """Evidence gathered until now."""

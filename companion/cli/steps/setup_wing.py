@@ -1,0 +1,179 @@
+"""``spanwise setup wing``: from an installed service to the first range, each step with a figure that passes or not."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from companion.adapters.clocks import MonotonicClock
+from companion.adapters.mavlink.link.link import Link, open_link
+from companion.cli import calibrate, run
+from companion.cli.doctor import diagnose
+from companion.cli.steps.numbers import number, seconds
+from companion.cli.steps.options import add_settings, read_settings
+from companion.cli.steps.wing_guide import GuideStep, WingGuide
+from companion.cli.terminal.run_loop import fly
+from companion.cli.terminal.status_view import View
+from companion.doctor.examine import Examination
+from companion.errors import TO_FIX, ConfigError
+from companion.params.airframe import Airframe
+from companion.params.files import load_airframe
+from companion.ports import Clock
+from companion.records import CorrectedRange, Record
+from companion.service.wiring import Service
+from companion.sim.rehearsal.bench import Handling, Miswiring, Motion, bench_flight
+from companion.sim.vehicle.lockstep import LockStepClock, MemoryWire
+from companion.sim.vehicle.world import World, WorldOptions
+
+BENCH_STEPS = ("nodes", "taps", "tilts", "modes")
+STEPS = (*BENCH_STEPS, "stereo", "range")
+SIMULATED = "sim"
+_LOOK_NS = 2_000_000  # of simulated time between two looks at the link
+_HANDLED_S, _PLUCKED_S = 60.0, 110.0  # of simulated time
+_SCRIPT = (
+    Handling(Motion.TAP_LEFT, 16.0), Handling(Motion.TAP_RIGHT, 20.0), Handling(Motion.RIGHT_WING_DOWN, 25.0),
+    Handling(Motion.NOSE_UP, 40.0),
+    *(Handling((Motion.PLUCK_BOTH, Motion.PLUCK_ACROSS)[n % 2], 56.0 + 3.1 * n) for n in range(16)),
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    parser.add_argument(
+        "--connect", action="append", required=True, metavar="LINK",
+        help=f"MAVLink link (see run), may be repeated; {SIMULATED}: rehearse with a simulated aircraft and hand",
+    )  # fmt: skip
+    parser.add_argument("--airframe", required=True, metavar="NAME", help="name or path of an airframe file")
+    parser.add_argument("--step", action="append", choices=STEPS, dest="steps", help="this one alone; may be repeated")
+    parser.add_argument("--cameras", metavar="PAIR", help="as of run, for stereo and range; sim: rehearse stereo")
+    parser.add_argument("--trigger", default="none", metavar="LINE", help="as of run, for the first range")
+    parser.add_argument("--square-m", type=number(0.0, 10.0, "m"), metavar="M", help="side of the board's squares")
+    parser.add_argument("--for", type=seconds, default=10.0, metavar="SECONDS", dest="seconds", help="listen so long")
+    parser.add_argument(
+        "--range-within", type=seconds, default=300.0, metavar="SECONDS", help="longest wait for the first range"
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/wing"), metavar="FOLDER", help="where results are put")
+    add_settings(parser)
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Go through the steps; 4 where one is left to mend."""
+    airframe = load_airframe(options.airframe)
+    steps = options.steps or [name for name in STEPS if _can(name, options)]
+    for name in steps:
+        if not _can(name, options):
+            raise ConfigError(f"--step {name}: needs {'--cameras and --square-m' if name == 'stereo' else '--cameras'}")
+    results = _on_the_bench([name for name in steps if name in BENCH_STEPS], airframe, options)
+    if "stereo" in steps:
+        results += _stereo(options)
+    if "range" in steps:
+        results += _first_range(options)
+    return _summary(results, steps)
+
+
+def _can(step: str, options: argparse.Namespace) -> bool:
+    if step == "stereo":
+        return options.cameras is not None and options.square_m is not None
+    return step != "range" or (options.cameras not in (None, SIMULATED) and SIMULATED not in options.connect)
+
+
+def _on_the_bench(steps: list[str], airframe: Airframe, options: argparse.Namespace) -> list[GuideStep]:
+    """Steps that need nothing but nodes, autopilot and a hand."""
+    if not steps:
+        return []
+    links, clock, wait = rehearsal(airframe, steps) if options.connect == [SIMULATED] else _real(options)
+    settings = read_settings(options)
+
+    def examine(each: Callable[[Record], None]) -> Examination:
+        return Examination(links, airframe, settings, clock, options.seconds, each)
+
+    guide = WingGuide(examine, lambda held: list(diagnose(held.evidence())), airframe, clock, _ask, wait)
+    results = []
+    try:
+        for name in steps:
+            for step in getattr(guide, name)():
+                _show(step)
+                results.append(step)
+    finally:
+        guide.close()
+    return results
+
+
+def _real(options: argparse.Namespace) -> tuple[list[Link], Clock, Callable[[], None]]:
+    clock = MonotonicClock()
+    return [open_link(spelling, clock, n) for n, spelling in enumerate(options.connect)], clock, lambda: None
+
+
+def rehearsal(
+    airframe: Airframe, steps: list[str], miswiring: Miswiring | None = None
+) -> tuple[list[Link], Clock, Callable[[], None]]:
+    """Link, clock and pause of a simulated aircraft on a bench; its person does what the guide asks for, in its order.
+
+    The hand moves at fixed times: every step before has ended by then.
+    """
+    duration_s = _PLUCKED_S if "modes" in steps else _HANDLED_S
+    wire = MemoryWire()
+    world = World(bench_flight(airframe, 1, duration_s, _SCRIPT, miswiring), WorldOptions(), wire)
+    clock = LockStepClock(world)
+    return [Link(0, SIMULATED, wire, clock)], clock, lambda: clock.sleep_until(clock.now_ns() + _LOOK_NS)
+
+
+def _stereo(options: argparse.Namespace) -> list[GuideStep]:
+    """The calibration from a board, as ``spanwise calibrate stereo`` does it."""
+    _ask("hold the board before both cameras, and follow what is said")
+    words = ["stereo", "--cameras", options.cameras, "--square-m", f"{options.square_m:g}"]
+    words += ["--airframe", options.airframe, "--out", str(options.out / "stereo")]
+    parser = argparse.ArgumentParser(prog="spanwise calibrate")
+    calibrate.add_arguments(parser)
+    calibrate.execute(parser.parse_args(words))
+    step = GuideStep(
+        "stereo", f"calibrated; {options.out / 'stereo' / 'airframe.toml'} is the airframe file to go on with"
+    )
+    _show(step)
+    return [step]
+
+
+def _first_range(options: argparse.Namespace) -> list[GuideStep]:
+    """The service itself, until it publishes a range."""
+    words = [word for link in options.connect for word in ("--connect", link)]
+    words += ["--airframe", options.airframe, "--cameras", options.cameras, "--trigger", options.trigger]
+    parser = argparse.ArgumentParser(prog="spanwise run")
+    run.add_arguments(parser)
+    config = run.service_config(parser.parse_args([*words, "--plain"]))
+    clock, trusted = MonotonicClock(), list[CorrectedRange]()
+    ends_ns = clock.now_ns() + round(options.range_within * 1e9)
+    _ask(f"waiting at most {options.range_within:g} s for the first range that is trusted")
+
+    def take(record: Record) -> None:
+        if isinstance(record, CorrectedRange) and record.trusted:
+            trusted.append(record)
+
+    began_ns = clock.now_ns()
+    view = View(f"spanwise setup wing on {', '.join(options.connect)}", options.range_within)
+    fly(Service(config), view, lambda: bool(trusted) or clock.now_ns() > ends_ns, live=False, each=take)
+    took_s = (clock.now_ns() - began_ns) * 1e-9
+    if trusted:
+        step = GuideStep("range", f"{trusted[0].range_m:.2f} +- {trusted[0].sigma_m:.2f} m after {took_s:.0f} s")
+    else:
+        step = GuideStep("range", f"none in {took_s:.0f} s", "the last line above says why; config/TROUBLESHOOTING.md")
+    _show(step)
+    return [step]
+
+
+def _ask(sentence: str) -> None:
+    print(f"* {sentence}", flush=True)
+
+
+def _show(step: GuideStep) -> None:
+    print(f"  {'mend' if step.remedy else 'ok':8} {step.name:10} {step.figure}", flush=True)
+    if step.remedy:
+        print(f"{'':22}{step.remedy}", flush=True)
+
+
+def _summary(results: list[GuideStep], steps: list[str]) -> int:
+    wrong = [step for step in results if step.remedy]
+    print(f"{len(wrong)} to mend" if wrong else f"all of {', '.join(steps)} pass")
+    if "range" not in steps and not wrong:
+        print("next: the trim flight, level over ground of known height (config/SETUP.md), and the first range")
+    return TO_FIX if wrong else 0

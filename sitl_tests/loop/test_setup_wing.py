@@ -1,0 +1,77 @@
+"""``spanwise setup wing`` on a simulated aircraft that a simulated hand taps, tilts and plucks: bytes to verdict."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from companion.cli.main import main
+from companion.cli.steps import setup_wing
+from companion.records import Station
+from companion.sim.rehearsal.bench import Miswiring
+
+COMMAND = ("setup", "wing", "--connect", "sim", "--airframe", "nadir-2m")
+HANDLED = ("--step", "nodes", "--step", "taps", "--step", "tilts")
+
+
+def lines(text: str, word: str) -> list[str]:
+    return [line.split(None, 1)[1] for line in text.splitlines() if line.strip().startswith(word)]
+
+
+@pytest.mark.slow
+def test_a_wing_that_is_wired_right_passes_by_its_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*COMMAND, *HANDLED]) == 0
+    said = capsys.readouterr().out
+    assert lines(said, "mend") == []
+    taps = re.findall(r"tap +(left|right) ([\d.]+) m/s\^2, (?:left|right) ([\d.]+)", said)
+    assert [side for side, _, _ in taps] == ["left", "right"]
+    assert all(float(own) > 5.0 * float(other) for _, own, other in taps), "the hand struck one tip alone"
+    angles = re.findall(r"([+-][\d.]+) deg by gravity, ([+-][\d.]+) deg by its gyro", said)
+    assert len(angles) == 6, "three stations, two tilts"
+    assert all(abs(float(value) - 25.0) < 1.0 for pair in angles for value in pair), "25 degrees were tilted"
+    assert "all of nodes, taps, tilts pass" in said
+
+
+@pytest.mark.slow
+def test_exchanged_nodes_and_a_turned_axis_are_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong, wired_right = Miswiring(exchanged=True, turned=((Station.LEFT, 1), (Station.RIGHT, 4))), setup_wing.rehearsal
+
+    def miswired(airframe: Any, steps: list[str]) -> Any:
+        return wired_right(airframe, steps, wrong)
+
+    monkeypatch.setattr(setup_wing, "rehearsal", miswired)
+    assert main([*COMMAND, *HANDLED]) == 4
+    said = capsys.readouterr().out
+    assert said.count("the nodes are exchanged") == 2
+    assert "y has the wrong sign: turn it in [left].source" in said
+    assert "q has the wrong sign: turn it in [right].source" in said
+    assert [line.split()[0] for line in lines(said, "mend")] == ["tap", "tap", "left", "right"]
+    assert "4 to mend" in said
+
+
+@pytest.mark.long
+def test_plucked_modes_are_those_of_the_wing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(list(COMMAND)) == 0
+    said = capsys.readouterr().out
+    modes = re.findall(r"(symmetric|antisymmetric) ([\d.]+) \+- ", said)
+    assert [name for name, _ in modes] == ["symmetric", "antisymmetric"]
+    assert [float(value) for _, value in modes] == pytest.approx([5.0, 6.4], rel=0.01), "the airframe's, undamped"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--step", "stereo"), "--step stereo: needs --cameras and --square-m"),
+        (("--step", "range"), "--step range: needs --cameras"),
+        (("--step", "range", "--cameras", "sim"), "--step range: needs --cameras"),
+    ],
+)
+def test_a_step_that_cannot_be_is_one_sentence(
+    options: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*COMMAND, *options]) == 1
+    assert says in capsys.readouterr().err
