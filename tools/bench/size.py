@@ -1,4 +1,4 @@
-"""Installed size of the wheel with its dependencies: the base, each extra beside it, and all of them.
+"""Size of the wheels, and installed size with the dependencies: the base, each extra beside it, and all of them.
 
 Every row is a fresh environment that pip fills from the package index with the pinned versions of
 ``requirements.lock``; counted are the files in its site-packages, compiled bytecode left out. Python itself and pip are
@@ -16,12 +16,12 @@ import tempfile
 import venv
 from pathlib import Path
 
-from tools.wheels import copy_sources
+from tools.wheels import ELF_MACHINES, LIMIT_MB, build, copy_sources
 
 ROOT = Path(__file__).resolve().parents[2]
 EXTRAS = ("", "report", "oak", "all")
 _MB = 1e6
-_BASE_LIMIT_MB = 450.0  # what fits beside a 64-bit system on a 4 GB card, twice over; a convention
+_BASE_LIMIT_MB = 480.0  # what fits beside a 64-bit system on a 4 GB card, twice over; a convention
 _INSTALL_S = 900
 
 
@@ -60,6 +60,9 @@ def main(arguments: list[str]) -> int:
     sizes_mb = {}
     with tempfile.TemporaryDirectory(prefix="spanwise-size-") as folder:
         copy_sources(Path(folder))
+        wheels_mb = {machine: build(machine, Path(folder)).stat().st_size / _MB for machine in ELF_MACHINES}
+        for machine, size_mb in wheels_mb.items():
+            print(f"{f'wheel, {machine}':20s} {size_mb:7.2f} MB", flush=True)
         for extra in options.extras:
             sizes_mb[extra] = installed_mb(extra, Path(folder))
             name = f"spanwise[{extra}]" if extra else "spanwise (base)"
@@ -67,4 +70,4 @@ def main(arguments: list[str]) -> int:
     missed = sizes_mb.get("", 0.0) > _BASE_LIMIT_MB
     if missed:
         print(f"base above {_BASE_LIMIT_MB:g} MB", file=sys.stderr)
-    return int(missed)
+    return int(missed or max(wheels_mb.values()) > LIMIT_MB)
