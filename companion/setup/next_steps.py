@@ -35,15 +35,15 @@ def next_steps(choices: Choices, *, here: bool, restart: bool) -> list[NextStep]
         NextStep("first airframe file", f"spanwise new-airframe --out {_AIRFRAME}"),
         NextStep("nodes, rates and clocks: nothing left to fix", f"spanwise doctor {links} --airframe {_AIRFRAME}"),
         NextStep(
-            "axes and signs: tap a tip, its row alone moves; lift both tips, the symmetric bend goes up",
-            f"spanwise run {links} --airframe {_AIRFRAME}",
+            "nodes, axes, signs and modes, by tapping, tilting and plucking: all pass",
+            f"spanwise setup wing {links} --airframe {_AIRFRAME}",
         ),
         NextStep(
             "both lenses and the rotation between them",
             f"spanwise calibrate stereo --cameras {cameras} --square-m 0.3 --airframe {_AIRFRAME}",
         ),
         NextStep(
-            "wing modes on the ground: frequency and damping with their spread",
+            "slopes and twists, where a vibration test was made: modes with their spread",
             f"spanwise identify gvt gvt/ --layout layout.toml --airframe {_AIRFRAME}",
         ),
     ]
