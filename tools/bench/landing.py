@@ -30,10 +30,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--flights", type=int, default=10, help="landings of each kind")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, default=Path("out/bench-landing"), help="where parts are left")
+    parser.add_argument("--by", nargs="+", choices=list(RangeKind), default=list(RangeKind), help="range finders")
+    parser.add_argument("--only-ready", action="store_true", help="table of what earlier runs left; fly nothing")
     parser.add_argument("--write", action="store_true", help="table and picture into sitl_tests/README.md")
     options = parser.parse_args(arguments)
-    tasks = _tasks(options.flights, options.out)
+    tasks = _tasks(options.flights, [RangeKind(kind) for kind in options.by], options.out)
     ready = sum(stored(task) is not None for task in tasks)
+    if options.only_ready:
+        tasks = [task for task in tasks if stored(task) is not None]
     rows = [row for row in fly_all(tasks, options.workers) if _flown(row)]
     print(f"{len(rows)} landings, {ready} of them flown by an earlier run; pairs at {_IMAGES_HZ:g} Hz: rendered for")
     print("Spanwise, perfect matches without images for rigid stereo\n")
@@ -43,10 +47,10 @@ def main(arguments: list[str]) -> int:
     return int(not _spanwise_lands(rows))
 
 
-def _tasks(flights: int, folder: Path) -> list[LandingTask]:
+def _tasks(flights: int, kinds: list[RangeKind], folder: Path) -> list[LandingTask]:
     changes = (f"TRG_RATE={_IMAGES_HZ:g}",)
     seeds = range(1, flights + 1)
-    return [task for seed in seeds for task in landing_tasks("nadir-2m", (seed,), list(RangeKind), folder, changes)]
+    return [task for seed in seeds for task in landing_tasks("nadir-2m", (seed,), kinds, folder, changes)]
 
 
 def _flown(row: Row) -> bool:
