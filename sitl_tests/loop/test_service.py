@@ -59,12 +59,12 @@ def test_the_vehicle_uses_the_ranges_and_never_misses_a_message(service: Simulat
 
 
 @pytest.mark.long
-def test_every_used_range_is_stamped_in_the_vehicles_own_time(service: SimulatedService) -> None:
-    """A range is some 0.6 s old when it goes out (the smoother's lag), and its stamp says which instant it is of."""
+def test_every_used_range_is_that_of_the_present_in_the_vehicles_own_time(service: SimulatedService) -> None:
+    """The smoother's lag makes a range 0.6 s old; it is moved on by the climb rate and stamped at sending."""
     used = [entry for entry in service.world.report()["ranges"] if entry["used"]]
     age_ms = np.array([entry["arrival_boot_ns"] / MS - entry["time_boot_ms"] for entry in used])
-    assert age_ms.min() > 400
-    assert age_ms.max() < 900
+    assert age_ms.min() > -5
+    assert np.percentile(age_ms, 90) < 100
 
 
 @pytest.mark.long
