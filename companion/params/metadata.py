@@ -1,6 +1,7 @@
 """The settings table for ground stations: ``apm.pdef.xml`` (MAVProxy, Mission Planner) and component metadata (JSON).
 
-The XML has the shape that MAVProxy's ``param help`` reads: ``vehicles`` with names "Vehicle:NAME", and ``libraries``.
+The XML has the shape that MAVProxy's ``param help`` reads: ``vehicles`` with names "Vehicle:NAME", and ``libraries``,
+one for each prefix and none empty; the first prefix stands for the vehicle.
 The JSON follows the MAVLink component metadata service, parameter metadata version 1.
 """
 
@@ -22,18 +23,23 @@ _GROUPS = {"SW": "Identity", "TRK": "Tracking", "TRG": "Triggering", "RNG": "Ran
 def apm_pdef_xml() -> str:
     """The table as ArduPilot's parameter definition file (MAVProxy: ``param set_xml_filepath``)."""
     root = ElementTree.Element("paramfile")
-    vehicles = ElementTree.SubElement(ElementTree.SubElement(root, "vehicles"), "parameters", name=_VEHICLE)
-    ElementTree.SubElement(ElementTree.SubElement(root, "libraries"), "parameters", name="none")
+    vehicles, libraries = ElementTree.SubElement(root, "vehicles"), ElementTree.SubElement(root, "libraries")
+    groups: dict[str, list[Tunable]] = {}
     for row in tunables():
-        _xml_row(vehicles, row)
+        groups.setdefault(row.name.partition("_")[0], []).append(row)
+    for number, (prefix, rows) in enumerate(groups.items()):
+        place, name, before = (libraries, f"{prefix}_", "") if number else (vehicles, _VEHICLE, f"{_VEHICLE}:")
+        group = ElementTree.SubElement(place, "parameters", name=name)
+        for row in rows:
+            _xml_row(group, row, before)
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _xml_row(parent: ElementTree.Element, row: Tunable) -> None:
+def _xml_row(parent: ElementTree.Element, row: Tunable, vehicle: str) -> None:
     title = row.doc.split(";")[0].split(" (")[0]
     entry = ElementTree.SubElement(
-        parent, "param", humanName=title, name=f"{_VEHICLE}:{row.name}", documentation=row.doc, user="Standard"
+        parent, "param", humanName=title, name=f"{vehicle}{row.name}", documentation=row.doc, user="Standard"
     )
     if row.choices:
         values = ElementTree.SubElement(entry, "values")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -118,10 +120,11 @@ def test_no_request_breaks_the_server_or_gets_what_is_not_there(payload: bytes) 
 
 
 def test_mavproxys_help_reads_the_definition_file() -> None:
-    """The loop is that of MAVProxy's ``param help``: it asks for both vehicles and libraries."""
+    """The loops are those of MAVProxy's ``param help``: it wants entries in the vehicle and in every library."""
     tree = objectify.fromstring(apm_pdef_xml().encode())
     found = {entry.get("name").split(":")[1]: entry for entry in tree.vehicles.parameters.param}
-    assert list(tree.libraries.parameters)
+    for library in tree.libraries.parameters:
+        found |= {entry.get("name"): entry for entry in library.param}
     assert found.keys() == {row.name for row in ROWS}
     for row in ROWS:
         entry = found[row.name]
@@ -170,6 +173,16 @@ def test_the_component_metadata_leads_from_the_message_to_the_ranges() -> None:
         assert told["rebootRequired"] is not row.live
     acknowledged = [m for m in station.heard if m.get_type() == "COMMAND_ACK"]
     assert [m.result for m in acknowledged] == [mavlink.MAV_RESULT_ACCEPTED]
+
+
+def test_the_setup_s_table_names_the_groups_and_choices_that_the_metadata_gives() -> None:
+    text = (Path(__file__).resolve().parents[2] / "config" / "SETUP.md").read_text()
+    documented = dict(re.findall(r"^\| (\w+) \| `([A-Z]+)_\*` \|", text, re.MULTILINE))
+    rows = json.loads(FILES["/parameter.json"])["parameters"]
+    assert documented == {row["group"]: row["name"].partition("_")[0] for row in rows}
+    assert {row["category"] for row in rows} == {"Standard"}
+    (choices,) = (row["values"] for row in rows if row["name"] == "TRG_POLICY")
+    assert [choice["value"] for choice in choices] == list(range(len(choices)))
 
 
 @pytest.mark.parametrize(
