@@ -1,7 +1,8 @@
 """What the live view costs the process that flies: nobody looks, a page is open, all is followed, nothing is read.
 
 A producer hands over the records of a flight (counts a second of the demo's recording) at twice its pace; figures are
-processor time of that process, its sending thread included, per second of flight, the least of five rounds.
+processor time of that process, its sending thread included, per second of flight, and the time that handing over one
+record takes, exceeded by one in a thousand: so long can a plan or a shot be held up. Each is the least of five rounds.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from companion.records import (
     VehicleState,
 )
 
+LONGEST_MS = 1.0  # of handing over a record: plans are made tens of milliseconds ahead
 TARGET_MS = 1.0  # of processor time a second while nobody looks: a thousandth of a core
 _FLOWN_S = 6.0
 _ROUNDS = 5
@@ -69,8 +71,8 @@ def flight_second() -> list[Recordable]:
     return [record for count, record in kinds for _ in range(count)]
 
 
-def run() -> list[tuple[str, float, int]]:
-    """Give a row per state: name, milliseconds of processor time a second of flight, records dropped."""
+def run() -> list[tuple[str, float, float, int]]:
+    """Give a row per state: name, ms of processor time a second of flight, ms of a hand-over, records dropped."""
     second = flight_second()
     page = ALWAYS
     for kind in _PAGE:
@@ -83,21 +85,25 @@ def run() -> list[tuple[str, float, int]]:
         ("everything, and never read", ALWAYS | TAPED, False),
     ]
     rounds = [[_measured(second, mask, is_read=is_read) for _, mask, is_read in states] for _ in range(_ROUNDS)]
-    return [(name, *min(row[place] for row in rounds)) for place, (name, _, _) in enumerate(states)]
+    return [(name, *map(min, zip(*(row[place] for row in rounds), strict=True))) for place, (name, _, _) in
+            enumerate(states)]  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:
     del arguments
     rows = run()
     bare_ms = rows[0][1]
-    for name, cost_ms, dropped in rows:
+    for name, cost_ms, longest_ms, dropped in rows:
         lost = f", {dropped} records dropped" if dropped else ""
-        print(f"{name:28s} {cost_ms:7.2f} ms of processor time a second ({cost_ms - bare_ms:+.2f} ms){lost}")
-    print(f"target: nobody looks <= {TARGET_MS:g} ms a second more than no live view")
-    return int(rows[1][1] - bare_ms > TARGET_MS)
+        print(
+            f"{name:28s} {cost_ms:7.2f} ms of processor time a second ({cost_ms - bare_ms:+.2f} ms), "
+            f"{longest_ms:.3f} ms a record (99.9 %){lost}"
+        )
+    print(f"targets: nobody looks <= {TARGET_MS:g} ms a second more than no live view; a record <= {LONGEST_MS:g} ms")
+    return int(rows[1][1] - bare_ms > TARGET_MS or max(row[2] for row in rows) > LONGEST_MS)
 
 
-def _measured(second: list[Recordable], mask: int | None, *, is_read: bool) -> tuple[float, int]:
+def _measured(second: list[Recordable], mask: int | None, *, is_read: bool) -> tuple[float, float, int]:
     end, theirs = recorder_channel()
     spawn = multiprocessing.get_context("spawn")
     reader = spawn.Process(target=_drain, args=(theirs,), daemon=True) if is_read and mask is not None else None
@@ -106,7 +112,7 @@ def _measured(second: list[Recordable], mask: int | None, *, is_read: bool) -> t
     interest = Interest()
     interest.mask = _NO_MASK if mask is None else mask
     feed = LiveFeed(FeedEnd(end, interest))
-    cost_s = _handed_over(second, _forget if mask is None else feed.write)
+    cost_s, longest_s = _handed_over(second, _forget if mask is None else feed.write)
     dropped = feed.dropped
     theirs.close()
     if reader is not None:
@@ -114,18 +120,21 @@ def _measured(second: list[Recordable], mask: int | None, *, is_read: bool) -> t
         reader.join()
     feed.close()
     end.close()
-    return 1e3 * cost_s / _FLOWN_S, dropped
+    return 1e3 * cost_s / _FLOWN_S, 1e3 * longest_s, dropped
 
 
-def _handed_over(second: list[Recordable], write: Callable[[Recordable], None]) -> float:
-    """Processor time of handing over the flight in turns of the loop."""
+def _handed_over(second: list[Recordable], write: Callable[[Recordable], None]) -> tuple[float, float]:
+    """Processor time of handing over the flight in turns of the loop, and the time exceeded by a thousandth, s."""
+    took_ns = []
     turns = round(1.0 / _TURN_S)
     began_s, used_s = time.monotonic(), time.process_time()
     for turn in range(round(_FLOWN_S / _TURN_S)):
         for record in second[turn % turns :: turns]:
+            at_ns = time.perf_counter_ns()
             write(record)
+            took_ns.append(time.perf_counter_ns() - at_ns)
         time.sleep(max(0.0, began_s + (turn + 1) * _TURN_S / _PACE - time.monotonic()))
-    return time.process_time() - used_s
+    return time.process_time() - used_s, 1e-9 * float(np.percentile(took_ns, 99.9))
 
 
 def _forget(record: Recordable) -> None:
