@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from companion.cli.steps.fleet_tasks import work
+from companion.cli.steps.fleet_tasks import NO_PAGES, work
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import make_folder
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, MissingExtra
@@ -37,6 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own")
     parser.add_argument("--workers", type=integer(1, _MOST_WORKERS), default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask cluster in place of processes; see the README")
+    parser.add_argument(
+        "--no-pages",
+        action="store_true",
+        help="report, diagnose: no page for each file, which is most of a report's cost",
+    )
     parser.add_argument("--out", type=Path, default=Path("out/fleet"), metavar="FOLDER", help="table, page and parts")
 
 
@@ -50,6 +55,7 @@ def execute(options: argparse.Namespace) -> int:
     paths = _files(options.logs)
     make_folder(options.out)
     words = (options.kind, *(("--airframe", options.airframe) if options.airframe else ()))
+    words += (NO_PAGES,) if options.no_pages else ()
     tasks = tasks_of(paths, words, options.out)
     rows: dict[Path, Row] = {}
     began_s = time.monotonic()

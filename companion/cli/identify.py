@@ -117,6 +117,9 @@ def _from_flight(options: argparse.Namespace, base: Airframe) -> int:
     recording = open_recording(options.recording, base)
     motion = wing_motion(recording.records(), recording.airframe, recording.hub)
     modes = motion.modes(tuple(options.band))
+    plain = {name: [dataclasses.asdict(mode) for mode in family] for name, family in modes.items()}
+    result = {"airframe": recording.airframe.name, **plain}
+    (options.out / "modes.json").write_text(json.dumps(result, indent=2), encoding="utf-8")
     for name, family in modes.items():
         for mode in family:
             print(

@@ -16,8 +16,9 @@ from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
 from companion.errors import RecordingError
 from companion.evaluation.fleet.file_task import FileTask, tasks_of
+from companion.evaluation.fleet.page import render
 from companion.evaluation.fleet.parquet import write_parquet
-from companion.evaluation.fleet.rows import as_csv, flattened
+from companion.evaluation.fleet.rows import as_csv, diagnosis_row, flattened, identification_row, tuning_row
 from companion.evaluation.fleet.runner import run
 from companion.evaluation.fleet.trends import findings
 from companion.evaluation.flight_log import gather
@@ -133,6 +134,34 @@ def test_a_mode_that_falls_and_a_sensor_whose_noise_grows_are_named_once_each_wi
 def test_a_quieter_or_faster_sensor_is_no_finding() -> None:
     rows = [flight(k, left_noise=0.02 / (1 + k), left_rate_hz=900.0 + 10 * k) for k in range(12)]
     assert [text for text in findings(rows) if "went" in text] == []
+
+
+def test_a_diagnosis_becomes_a_row_and_what_it_names_twice_a_finding() -> None:
+    cause = {"name": "accel-scale", "parameters": {"left": {"value": 0.031, "sigma": 0.002}}}
+    result = {"airframe": "a", "verdict": "explained", "reason": "", "causes": [cause],
+              "gain": {"total": {"after": 42.0}}}  # fmt: skip
+    rows = [{"file": f"{k}.mcap"} | diagnosis_row(result) for k in range(2)]
+    rows.append({"file": "2.mcap"} | diagnosis_row(result | {"verdict": "adequate", "causes": [], "gain": None}))
+    assert rows[0]["effects"] == "accel-scale"
+    assert rows[2]["held_out_gain_nat"] is None
+    assert findings(rows) == ["a: accel-scale named in 2 of 3 flights, median 0.031 (0.031 to 0.031)"]
+    assert "effect: accel-scale" in render("diagnose", rows)
+
+
+def test_the_lowest_mode_of_each_family_is_the_row_of_an_identification() -> None:
+    mode = {"frequency_hz": 5.0, "frequency_sigma_hz": 0.02, "damping": 0.03, "damping_sigma": 0.004}
+    row = identification_row({"airframe": "a", "symmetric": [mode, mode | {"frequency_hz": 27.0}], "antisymmetric": []})
+    assert (row["symmetric_hz"], row["symmetric_damping"], row["symmetric_modes"]) == (5.0, 0.03, 2)
+    assert (row["antisymmetric_hz"], row["antisymmetric_modes"]) == (None, 0)
+
+
+def test_a_tuning_s_row_has_the_outcome_of_what_it_proposes() -> None:
+    flown, better = ({"ranges": 90, "trusted": trusted, "sigma_ratio": 0.02} for trusted in (60, 75))
+    trials = [{"changes": {}, "outcome": flown}, {"changes": {"GATE": 4.0}, "outcome": better}]
+    row = tuning_row({"trials": trials, "proposal": {"GATE": 4.0}})
+    assert (row["trials"], row["proposal"], row["trusted"], row["trusted_then"]) == (1, "GATE=4", 60, 75)
+    assert row["proposed: GATE=4"]
+    assert tuning_row({"trials": trials, "proposal": {}})["trusted_then"] is None
 
 
 def test_a_parquet_table_holds_each_column_in_one_type(tmp_path: Path) -> None:

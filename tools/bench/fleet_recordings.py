@@ -27,7 +27,7 @@ from tools.bench.world_flight import StruckPair, judged_shots
 
 SHIPS = ("sound", "softening", "noisy")
 SOFTENED = 0.06
-_SEEDS = 6
+_SEEDS = 3
 _NOISE_MPS2 = 0.5  # added to the left node's samples at the end of its life, rms
 _NO_SHOTS = 2
 

@@ -1,9 +1,10 @@
 """The worlds' campaign: short flights in every world, judged by their truth: ``python -m tools.bench world``.
 
 Rows: world x airframe x axes of the nodes, accidents in the ideal world, and flights that begin and end on the ground.
-Flights are offline: the real pipeline on the records of a simulated flight, with synthetic matches (no images). Each
-flight leaves a part file, so that a campaign can be stopped, resumed, and shared by several processes; ``--table`` only
-prints what is there. Parts of different commits never mix.
+Flights are offline: the real pipeline on the records of a simulated flight, with synthetic matches (no images). They
+are tasks as a fleet's are, for ``--workers`` processes or the Dask cluster of ``--scheduler``: each leaves a part file,
+so that a campaign can be stopped and resumed; ``--table`` only prints what is there. Parts of different commits never
+mix.
 
 trusted: share of shots from 15 s on, with Wilson's 95 % interval; its target counts from what the ideal world's row
 reaches, for a pair that looks ahead has ranges to obstacles that are near enough only. toe: error of the relative toe
@@ -17,7 +18,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 import time
 from collections import Counter
@@ -27,11 +27,13 @@ from typing import Any
 
 import numpy as np
 
+from companion.evaluation.fleet.cluster import run_on_cluster
+from companion.evaluation.fleet.runner import run, stored
 from companion.evaluation.metrics import rms, slow_part
 from companion.records import Floats
 from companion.sim.flight.worlds import WORLDS
 from tools.bench.publish_results import commit
-from tools.bench.world_flight import fly
+from tools.bench.world_flight import CampaignTask, fly_task
 from tools.bench.world_peers import PEERS
 from tools.bench.world_rows import AIRFRAMES, SENSORS, SETTLED_S, CampaignRow, rows
 from tools.trial_results import wilson
@@ -142,20 +144,17 @@ def _fast_mrad(group: Pooled, name: str) -> float:
 # ------------------------------------------------------------------------------------------------ flying
 
 
-def campaign(wanted: list[CampaignRow], numbers: range, folder: Path) -> None:
+def campaign(wanted: list[CampaignRow], numbers: range, folder: Path, workers: int = 1, scheduler: str = "") -> None:
     """Fly what has no part file yet, number by number, so that a campaign cut short covers every row."""
-    for number in numbers:
-        for row in wanted:
-            path = folder / row.key / f"{number:04d}.json"
-            if path.exists():
-                continue
-            path.parent.mkdir(parents=True, exist_ok=True)
-            began_s = time.process_time()
-            text = json.dumps(fly(row, number))
-            scratch = path.with_suffix(f".{os.getpid()}")
-            scratch.write_text(text, encoding="utf-8")
-            scratch.replace(path)
-            print(f"{row.key} {number}: {time.process_time() - began_s:.0f} s", file=sys.stderr, flush=True)
+    tasks = [CampaignTask(row, number, folder.resolve()) for number in numbers for row in wanted]
+    tasks = [task for task in tasks if stored(task) is None]
+    began_s = time.monotonic()
+    results = run_on_cluster(tasks, fly_task, scheduler) if scheduler else run(tasks, fly_task, workers)
+    for done, (task, part) in enumerate(results, 1):
+        what = f"failed: {part['failed']}" if part.get("failed") else "flown"
+        print(
+            f"{done}/{len(tasks)}, {time.monotonic() - began_s:.0f} s: {task.name} {what}", file=sys.stderr, flush=True
+        )
 
 
 def gathered(wanted: list[CampaignRow], folder: Path) -> list[Pooled]:
@@ -163,6 +162,7 @@ def gathered(wanted: list[CampaignRow], folder: Path) -> list[Pooled]:
     groups = []
     for row in wanted:
         parts = [json.loads(path.read_text()) for path in sorted((folder / row.key).glob("*.json"))]
+        parts = [part for part in parts if not part.get("failed")]
         if parts and any(part["judged"] for part in parts):
             groups.append(pooled(row, parts))
     return groups
@@ -206,12 +206,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--airframe", default="", choices=["", *AIRFRAMES])
     parser.add_argument("--sensors", default="", choices=["", *SENSORS])
     parser.add_argument("--parts", type=Path, help="folder of the part files (default: out/world/COMMIT)")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="a Dask cluster in place of processes")
     parser.add_argument("--table", action="store_true", help="fly nothing: print what there is")
     options = parser.parse_args(arguments)
     wanted = rows(options.world, options.airframe, options.sensors)
     folder = options.parts or Path("out/world") / commit()
     if not options.table:
-        campaign(wanted, range(options.first, options.first + options.flights), folder)
+        campaign(wanted, range(options.first, options.first + options.flights), folder, options.workers,
+                 options.scheduler)  # fmt: skip
     text, failures = show(gathered(wanted, folder))
     print(text)
     return int(failures > 0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,30 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
         "withheld": dict(Counter(str(entry.reject) for entry in outputs.ranges.values() if not entry.trusted)),
         "refused": dict(outputs.rejected),
     }
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class CampaignTask:
+    """One flight of a row as a task: its part file lies in the row's folder."""
+
+    row: CampaignRow
+    number: int
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Row and number of the flight."""
+        return f"{self.row.key} {self.number}"
+
+    @property
+    def result_file(self) -> Path:
+        """Part file of the flight."""
+        return self.folder / self.row.key / f"{self.number:04d}.json"
+
+
+def fly_task(task: CampaignTask) -> dict[str, Any]:
+    """Fly one task, in a worker."""
+    return fly(task.row, task.number)
 
 
 _COLUMNS = ("pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted")

@@ -11,11 +11,12 @@ from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.main import main
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
 from companion.evaluation.fleet.file_task import FileTask
-from companion.evaluation.fleet.rows import flattened, flight_row
+from companion.evaluation.fleet.rows import diagnosis_row, flattened, flight_row, identification_row, tuning_row
 from companion.evaluation.flight_log import gather
 from companion.evaluation.pages.flight_report import render
 from companion.params.files import load_airframe
 
+NO_PAGES = "--no-pages"  # among a task's words: no page for its file
 _MOST_SAID = 400  # characters of a reason
 
 
@@ -27,23 +28,29 @@ def work(task: FileTask) -> dict[str, Any]:
     RecordingError
         The command refused the file; its sentence is the reason.
     """
-    command = task.words[0]
-    row: dict[str, Any] = {"file": str(task.path)}
-    return row | (_report(task) if command == "report" else _command(task))
+    (task.folder / "pages").mkdir(parents=True, exist_ok=True)
+    return {"file": task.name} | (_report(task) if task.words[0] == "report" else _command(task))
 
 
 def _report(task: FileTask) -> dict[str, Any]:
-    named = dict(zip(task.words[1::2], task.words[2::2], strict=True)).get("--airframe")
+    named = _airframe(task)
     recording = open_recording(task.path, load_airframe(named) if named else None)
     log = gather(recording.records())
-    pages = task.folder / "pages"
-    pages.mkdir(exist_ok=True)
-    (pages / f"{task.key}.html").write_text(render(recording, log), encoding="utf-8")
-    return {"page": f"pages/{task.key}.html"} | flight_row(recording, log)
+    if NO_PAGES in task.words:
+        return flight_row(recording, log)
+    page = f"pages/{task.key}.html"
+    (task.folder / page).write_text(render(recording, log), encoding="utf-8")
+    return {"page": page} | flight_row(recording, log)
+
+
+def _airframe(task: FileTask) -> str | None:
+    """Name that follows --airframe among the task's words."""
+    words = task.words
+    return words[words.index("--airframe") + 1] if "--airframe" in words else None
 
 
 def _command(task: FileTask) -> dict[str, Any]:
-    command, *words = task.words
+    command, *words = (word for word in task.words if word != NO_PAGES)
     verbs = ["identify", "flight"] if command == "identify" else [command]
     printed, said = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
@@ -53,15 +60,34 @@ def _command(task: FileTask) -> dict[str, Any]:
             code = int(end.code or 0)
     if code not in (0, NOTHING_TO_ESTIMATE):
         raise RecordingError(said.getvalue().strip()[-_MOST_SAID:] or f"spanwise {command} ended with {code}")
+    if code == NOTHING_TO_ESTIMATE and not printed.getvalue():
+        return {"code": code, "result": said.getvalue().strip().rpartition("\n")[2][-_MOST_SAID:]}
+    return _row_of(task, code, printed.getvalue())
+
+
+def _row_of(task: FileTask, code: int, printed: str) -> dict[str, Any]:
+    """Row of what the command printed or wrote; a result without its figures stays as it is printed."""
+    command = task.words[0]
+    if command == "identify":
+        folder = f"pages/{task.key}"
+        result = json.loads((task.folder / folder / "modes.json").read_text(encoding="utf-8"))
+        return {"page": f"{folder}/spectra.png", "code": code} | identification_row(result)
     try:
-        result = json.loads(printed.getvalue())
+        result = json.loads(printed)
     except ValueError:
-        result = {"result": printed.getvalue().strip()[:_MOST_SAID]}
-    return {"code": code} | flattened(result if isinstance(result, dict) else {"results": result})
+        return {"code": code, "result": printed.strip()[:_MOST_SAID]}
+    if command == "tune":
+        return {"code": code} | tuning_row(result)
+    page = f"pages/{task.key}.html"
+    linked = {"page": page} if (task.folder / page).exists() else {}
+    return linked | {"code": code} | (diagnosis_row(result) if "causes" in result else flattened(result))
 
 
 def _ending(task: FileTask) -> list[str]:
     """Options that make a command give its result as JSON."""
     if task.words[0] == "identify":
         return ["--out", str(task.folder / "pages" / task.key)]
-    return ["--json", "-"] if task.words[0] == "diagnose" else ["--json"]
+    if task.words[0] == "tune":
+        return ["--json"]
+    page = ["--html", str(task.folder / "pages" / f"{task.key}.html")]
+    return ["--json", "-", *([] if NO_PAGES in task.words else page)]

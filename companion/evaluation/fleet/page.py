@@ -17,8 +17,10 @@ _FEWEST = 3  # points that make a picture
 _COLORS = (plotting.BLUE, plotting.VERMILLION, plotting.GREEN, plotting.ORANGE, plotting.PURPLE, plotting.SKY)
 _MOST_COLUMNS = 8  # that a page is wide enough for
 _MOST_RECURRING = 12  # most frequent first
-_PLACES = ("file", "page")
-_LABELS = (*_PLACES, "airframe")  # words that tell files apart, not what they share
+_COUNTED = ("withheld: ", "effect: ", "proposed: ")  # columns that most rows lack: what recurs is counted by them
+_NOTHING = "nothing drifts, recurs or leaves its aircraft's median by three sigma"
+_PLACES = ("file", "page", "code")
+_SHARED = ("verdict", "reason", "result")  # texts that several files may have in common
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -35,7 +37,7 @@ def render(kind: str, rows: Rows) -> str:
 
 
 def _body(good: Rows, failed: Rows) -> Iterator[Block]:
-    yield Findings(findings(good) or ["no mode left its aircraft's median, and no sensor lost its rate"])
+    yield Findings(findings(good) or [_NOTHING])
     yield from _frequencies(good)
     if failed:
         yield Heading("Files without a result")
@@ -46,7 +48,7 @@ def _body(good: Rows, failed: Rows) -> Iterator[Block]:
         yield Table(("what", "files"), [(text, str(count)) for text, count in recurring])
     yield Heading("Every file")
     columns = [name for name in dict.fromkeys(name for row in good for name in row) if name not in _PLACES]
-    shown = [name for name in columns if not name.startswith("withheld: ")][:_MOST_COLUMNS]
+    shown = [name for name in columns if not name.startswith(_COUNTED)][:_MOST_COLUMNS]
     cells = [(Path(str(row["file"])).name, *(_cell(row.get(name)) for name in shown)) for row in good]
     links = [str(row.get("page", "")) for row in good]
     yield Table(("file", *shown), cells, note="all columns are in fleet.csv and fleet.parquet", links=links)
@@ -75,8 +77,8 @@ def _recurring(rows: Rows) -> list[tuple[str, int]]:
     """Reasons and words that several files share."""
     counts: Counter[str] = Counter()
     for row in rows:
-        words = {name for name, value in row.items() if name.startswith("withheld: ") and value}
-        words |= {f"{name}: {value}" for name, value in row.items() if isinstance(value, str) and name not in _LABELS}
+        words = {name for name, value in row.items() if name.startswith(_COUNTED) and value is not None}
+        words |= {f"{name}: {row[name]}" for name in _SHARED if row.get(name)}
         counts.update(words)
     return [(text, count) for text, count in counts.most_common(_MOST_RECURRING) if count > 1]
 

@@ -49,6 +49,52 @@ def flight_row(recording: Recording, log: FlightLog) -> dict[str, Any]:
     return row
 
 
+def diagnosis_row(result: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of one diagnosis (its JSON): what was named, and the first parameter of each named effect."""
+    causes = result["causes"]
+    row: dict[str, Any] = {
+        "airframe": result["airframe"],
+        "verdict": result["verdict"],
+        "effects": ", ".join(cause["name"] for cause in causes),
+        "held_out_gain_nat": None if result["gain"] is None else _rounded(result["gain"]["total"]["after"]),
+        "reason": result["reason"],
+    }
+    for cause in causes:
+        first = next(iter(cause["parameters"].values()), None)
+        row[f"effect: {cause['name']}"] = None if first is None else _rounded(first["value"])
+    return row
+
+
+def identification_row(result: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of one flight's modes: the lowest of each family, by the names that a report's row has for them."""
+    row: dict[str, Any] = {"airframe": result["airframe"]}
+    for family in ("symmetric", "antisymmetric"):
+        modes = result[family]
+        lowest = modes[0] if modes else {}
+        row[f"{family}_hz"] = _rounded(lowest.get("frequency_hz"))
+        row[f"{family}_sigma_hz"] = _rounded(lowest.get("frequency_sigma_hz"))
+        row[f"{family}_damping"] = _rounded(lowest.get("damping"))
+        row[f"{family}_damping_sigma"] = _rounded(lowest.get("damping_sigma"))
+        row[f"{family}_modes"] = len(modes)
+    return row
+
+
+def tuning_row(result: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of one tuning: what was flown, what is proposed, and what that would have given."""
+    flown, proposal = result["trials"][0]["outcome"], result["proposal"]
+    changed = [trial["outcome"] for trial in result["trials"] if proposal and trial["changes"] == proposal]
+    row: dict[str, Any] = {
+        "trials": len(result["trials"]) - 1,
+        "proposal": ", ".join(f"{name}={value:g}" for name, value in proposal.items()),
+        "ranges": flown["ranges"],
+        "trusted": flown["trusted"],
+        "trusted_then": changed[0]["trusted"] if changed else None,
+        "sigma_ratio": _rounded(flown["sigma_ratio"]),
+        "sigma_ratio_then": _rounded(changed[0]["sigma_ratio"]) if changed else None,
+    }
+    return row | {f"proposed: {name}={value:g}": True for name, value in proposal.items()}
+
+
 def flattened(result: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, Any]:
     """Scalars of a nested result, by dotted names; lists are counted."""
     row: dict[str, Any] = {}

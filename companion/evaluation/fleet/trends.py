@@ -26,6 +26,7 @@ _MEDIAN_SIGMA = 1.2533  # of a median, per sigma of a mean (sqrt(pi / 2))
 _DRIFT_RATIO = 0.005  # of its aircraft's median: a twentieth of what an airframe file believes of a mode
 _SLOW_RATIO = 0.02  # of its aircraft's median: a sensor that comes slower has lost samples
 _NOISE_RATIO = 0.25  # of its aircraft's median: a sensor that is noisier is loose, warm or worn
+_EFFECT = "effect: "  # begins the column of an effect that a diagnosis named
 _STATIONS = ("root", "left", "right")
 
 Rows = Sequence[Mapping[str, Any]]
@@ -56,36 +57,52 @@ _MODES = tuple(
     _Figure(f"{mode}_hz", f"{mode} mode", "Hz", _DRIFT_RATIO, f"{mode}_sigma_hz")
     for mode in ("symmetric", "antisymmetric")
 )
+_DAMPINGS = tuple(
+    _Figure(f"{mode}_damping", f"{mode} mode's damping", "of critical", _DRIFT_RATIO, f"{mode}_damping_sigma")
+    for mode in ("symmetric", "antisymmetric")
+)
 _RATES = tuple(
     _Figure(f"{place}_rate_hz", f"{place} sensor's rate", "Hz", _SLOW_RATIO, worse=-1) for place in _STATIONS
 )
 _NOISES = tuple(
     _Figure(f"{place}_noise", f"{place} sensor's noise", "m/s²/√Hz", _NOISE_RATIO, worse=1) for place in _STATIONS
 )
-FIGURES = (*_MODES, *_RATES, *_NOISES)
+_FIGURES = (*_MODES, *_DAMPINGS, *_RATES, *_NOISES)
 
 
 def findings(rows: Rows) -> list[str]:
-    """All sentences: drifts first, then single flights; each kind's clearest first."""
+    """All sentences: effects that recur, then drifts, then single flights; each kind's clearest first."""
     by_aircraft: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
     for row in rows:
         if row.get("airframe"):
             by_aircraft[row["airframe"]].append(row)
     drifts: list[tuple[float, str]] = []
     singles: list[tuple[float, str]] = []
+    recurring: list[tuple[float, str]] = []
     for airframe, flights in by_aircraft.items():
-        for figure in FIGURES:
+        recurring += _recurring_effects(airframe, flights)
+        for figure in _FIGURES:
             drift = _drift(airframe, flights, figure)
             if drift is not None:
                 drifts.append(drift)
             else:
                 singles += _outliers(airframe, flights, figure)
-    texts = [text for _, text in [*sorted(drifts, key=_clearest), *sorted(singles, key=_clearest)]]
+    texts = [text for kind in (recurring, drifts, singles) for _, text in sorted(kind, key=_clearest)]
     return texts if len(texts) <= _MOST else [*texts[:_MOST], f"and {len(texts) - _MOST} more"]
 
 
 def _clearest(entry: tuple[float, str]) -> float:
     return -entry[0]
+
+
+def _recurring_effects(airframe: str, flights: Rows) -> Iterator[tuple[float, str]]:
+    """Number of flights and sentence of each effect that a diagnosis named in more than one flight."""
+    for column in dict.fromkeys(name for row in flights for name in row if name.startswith(_EFFECT)):
+        values = [float(row[column]) for row in flights if row.get(column) is not None]
+        if len(values) > 1:
+            what = f"{column.removeprefix(_EFFECT)} named in {len(values)} of {len(flights)} flights"
+            low, middle, high = np.percentile(values, [0, 50, 100])
+            yield len(values), f"{airframe}: {what}, median {middle:.3g} ({low:.3g} to {high:.3g})"
 
 
 def _drift(airframe: str, flights: Rows, figure: _Figure) -> tuple[float, str] | None:
