@@ -90,6 +90,7 @@ def execute(options: argparse.Namespace) -> int:
     print(json.dumps(summary.plain, indent=2)) if options.json else print_summary(summary.plain)
     picture = f", {options.out / 'summary.png'}" if judged else ""
     _say(f"wrote {options.out / 'summary.json'}{picture} and {recording}")
+    _say(f"next: spanwise report {recording}, and spanwise replay {recording} --live for a browser")
     return 0 if judged else NOTHING_TO_ESTIMATE
 
 
