@@ -7,6 +7,7 @@ Ground is the plane z = 0 of the NED frame; body axes are FRD; modal coordinates
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,9 +23,9 @@ POSITION, VELOCITY, EULER, RATE, MODAL = (slice(0, 3), slice(3, 6), slice(6, 9),
 COLUMNS = 16  # of a knot: position, attitude, the four named modal coordinates; further ones follow
 
 
-@dataclass(frozen=True, slots=True)
-class TruthSample:
-    """The truth at one instant; tip quantities are [left, right].
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Motion:
+    """Motion of aircraft and wing: at one instant as below, of a series with n rows; tip quantities are [left, right].
 
     Attributes
     ----------
@@ -33,53 +34,42 @@ class TruthSample:
         Rigid body rate and its derivative, body FRD.
     specific_force_mps2 : (3,) float64
         Rigid specific force at the root (body origin); a level aircraft at rest has z = -9.80665.
-    load_factor : float
-        ``-specific_force_z / g``.
     q_m, qdot_mps : (s,) float64
         Total deflection relative to the wing as calibrated on the ground, and its rate.
-    slope_rad, slope_rate_radps, twist_rad, twist_rate_radps, lift_m, lift_rate_mps : (2,) float64
+    slope_rad, slope_rate_radps, twist_rad, lift_m, lift_rate_mps : (2,) float64
         Up-bend slope, nose-up twist and upward displacement of the tip stations.
     """
 
-    t_boot_ns: int
     position_ned_m: Floats
     velocity_ned_mps: Floats
     body_from_ned: Floats
     body_rate_radps: Floats
     angular_accel_radps2: Floats
     specific_force_mps2: Floats
-    load_factor: float
     q_m: Floats
     qdot_mps: Floats
     slope_rad: Floats
     slope_rate_radps: Floats
     twist_rad: Floats
-    twist_rate_radps: Floats
     lift_m: Floats
     lift_rate_mps: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class TruthSeries:
-    """The same quantities at ``n`` instants: each array has ``n`` rows."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TruthSample(_Motion):
+    """The truth at one instant; ``load_factor`` is ``-specific_force_z / g``."""
+
+    t_boot_ns: int
+    load_factor: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TruthSeries(_Motion):
+    """The truth at ``n`` instants: each array has ``n`` rows."""
 
     t_boot_ns: Ints
-    position_ned_m: Floats
-    velocity_ned_mps: Floats
-    euler_rad: Floats
-    body_from_ned: Floats
-    body_rate_radps: Floats
-    angular_accel_radps2: Floats
-    specific_force_mps2: Floats
     load_factor: Floats
-    q_m: Floats
-    qdot_mps: Floats
-    slope_rad: Floats
-    slope_rate_radps: Floats
-    twist_rad: Floats
-    twist_rate_radps: Floats
-    lift_m: Floats
-    lift_rate_mps: Floats
+    euler_rad: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +140,8 @@ class FlightTruth:
             The instant is before boot or after the end of the flight.
         """
         many = self.series(np.array([t_boot_ns], dtype=np.int64))
-        first = {name: getattr(many, name)[0] for name in TruthSample.__slots__ if name not in ("t_boot_ns",)}
-        first["load_factor"] = float(first["load_factor"])
-        return TruthSample(t_boot_ns=int(t_boot_ns), **first)
+        first = {entry.name: getattr(many, entry.name)[0] for entry in dataclasses.fields(_Motion)}
+        return TruthSample(t_boot_ns=int(t_boot_ns), load_factor=float(many.load_factor[0]), **first)
 
     def series(self, t_boot_ns: Ints) -> TruthSeries:
         """Give the truth at many instants (n,), in any order; raise ValueError outside the flight."""
@@ -177,7 +166,6 @@ class FlightTruth:
             slope_rad=q @ shape.slope_radpm.T,
             slope_rate_radps=qdot @ shape.slope_radpm.T,
             twist_rad=q @ shape.twist_radpm.T,
-            twist_rate_radps=qdot @ shape.twist_radpm.T,
             lift_m=q @ shape.lift.T,
             lift_rate_mps=qdot @ shape.lift.T,
         )
