@@ -106,7 +106,8 @@ class CameraView:
 
     The mount follows the tip station's slope ``slope_gain`` times, ``lag_s`` late (first order), through a resonance at
     ``1/sqrt(softness_s2)`` rad/s with a damper of ``damper_s`` beside its loss; the image is the mean over a readout of
-    ``readout2_s2`` seconds squared; ``jitter_s`` is the standard deviation of what the exposure's instant wanders.
+    ``readout2_s2`` seconds squared; ``jitter_s`` is the standard deviation of what the exposure's instant wanders,
+    ``jitter_shared`` the share of its square that both cameras have in common.
     """
 
     rotation_rad: Floats = field(default_factory=lambda: np.zeros(3))
@@ -116,6 +117,7 @@ class CameraView:
     slope_gain: float = 1.0
     lag_s: float = 0.0
     jitter_s: float = 0.0
+    jitter_shared: float = 1.0
     softness_s2: float = 0.0
     damper_s: float = 0.0
     readout2_s2: float = 0.0

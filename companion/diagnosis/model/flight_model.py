@@ -8,6 +8,7 @@ spectrum.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -29,6 +30,7 @@ from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
 _LOW = 0.15  # of the first symmetric frequency: lower edge of the band
+_UNIT = 1e-3  # prior sigmas, for a difference quotient
 _NYQUIST_SHARE = 0.45  # of the rate, below the anti-alias filter's roll-off
 
 
@@ -146,17 +148,18 @@ class FlightModel:
         assert self._toe is not None
         return self._toe.baseline_m
 
-    def time_shift(self, effect: Effect) -> Floats | None:
-        """Shift of the channels' time by a unit of the effect's first parameter, (c, m) seconds; None for none."""
-        kind = type(effect)
-        if kind.sample_time is Effect.sample_time:
+    def time_shift(self, effect: Effect, which: int) -> Floats | None:
+        """Shift of the channels' time by a unit of one of the effect's parameters, (c, m) seconds; None for none."""
+        if type(effect).sample_time is Effect.sample_time:
             return None
-        declared = effect.parameters()[0]
-        unit = kind.from_values({declared.name: declared.sigma})
-        t_s = self.observations.t_s
-        return (
-            np.stack([unit.sample_time(STATIONS[side], t_s) - t_s for side in self.observations.sides]) / declared.sigma
-        )
+        declared, t_s = effect.parameters()[which], self.observations.t_s
+        step = _UNIT * declared.sigma
+        beside = dataclasses.replace(effect, **{declared.name: getattr(effect, declared.name) + step})
+        shifted = [
+            beside.sample_time(STATIONS[side], t_s) - effect.sample_time(STATIONS[side], t_s)
+            for side in self.observations.sides
+        ]
+        return np.stack(shifted) / step
 
     def delay_shift(self, key: str) -> Floats | None:
         """The same for a nuisance: (c, m) if it is a delay."""

@@ -148,20 +148,22 @@ def derivatives(
     """Columns by recording for all parameters, or for those of ``only``."""
     belief = models[0].belief
     keys = [entry.key for entry in belief.nuisances]
-    owners: list[Effect | None] = [None] * len(keys)
-    owners += [term.effect for term in terms for _ in term.effect.parameters()]
+    owners: list[tuple[Effect, int] | None] = [None] * len(keys)
+    owners += [
+        (term.effect, which) for term in placed(belief, values, terms) for which in range(len(term.effect.parameters()))
+    ]
     columns: list[list[Column]] = [[] for _ in models]
     for i in range(len(values)) if only is None else only:
         owner = owners[i]
         # how well the accelerations tell the toe is taken as it is; what adds to its noise is not
-        alone = keys[i].startswith("match") if owner is None else owner.only_toe_variance
+        alone = keys[i].startswith("match") if owner is None else owner[0].only_toe_variance
         for model, expectation, recording_columns in zip(models, expectations, columns, strict=True):
             if i < len(keys) and not belief.concerns(i, model.recording):
                 recording_columns.append(Column())
                 continue
             other, step = _beside(model, expectation, values, i, float(sigmas[i]), terms)
-            shift = model.time_shift(owner) if owner is not None else model.delay_shift(keys[i])
-            warps = owner is not None and shift is not None and type(owner).response is Effect.response
+            shift = model.time_shift(*owner) if owner is not None else model.delay_shift(keys[i])
+            warps = owner is not None and shift is not None and type(owner[0]).response is Effect.response
             recording_columns.append(column(expectation, other, step, alone, shift, warps))
     return columns
 

@@ -186,12 +186,13 @@ class GenericClockDrift(Effect):
     """One side is ever later: by nothing in the middle of the recording, as it may be late throughout anyway."""
 
     group: ClassVar[Group] = Group.SENSING
+    station: ClassVar[Station] = Station.RIGHT
 
     late_s: float = parameter("s", 0.002, "at the end, and as early at the start")
 
     def sample_time(self, station: Station, t_s: Floats) -> Floats:
-        """The instant that a stamp shows, on the right side."""
-        return t_s - self.late_s * _across(t_s) if station is Station.RIGHT else t_s
+        """The instant that a stamp shows, on its side."""
+        return t_s - self.late_s * _across(t_s) if station is self.station else t_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,7 +304,8 @@ def generic_effects() -> list[type[Effect]]:
         ),
         _kind(GenericRollOff, "gain falling with frequency"),
         _kind(GenericRollOff, "gain falling with frequency, left against right", against=True),
-        _kind(GenericClockDrift, "right side ever later"),
+        _kind(GenericClockDrift, "right side ever later", station=Station.RIGHT),
+        _kind(GenericClockDrift, "left side ever later", station=Station.LEFT),
         *(_kind(GenericToe, f"range residual against {name}", follows=name) for name in TOE),
         *(_kind(GenericToeVariance, f"range residual growing with {name}", grows_with=name) for name in SPREAD),
     ]

@@ -49,7 +49,8 @@ class ToeModel:
         toe = self._toe
         views = [viewed(effects, side, 0.0) for side in Side]
         late_s = 0.5 * (views[0].exposure_delay_s + views[1].exposure_delay_s)
-        row = self._slope(wing, views).sum(0)
+        rows = self._slope(wing, views)
+        row = rows.sum(0)
         expected = self._bending(motion, row, late_s)
         expected = expected + sum(self._static(wing, side, views[side], toe.t_s + late_s) for side in Side)
         sign = (-1.0, 1.0)
@@ -63,14 +64,18 @@ class ToeModel:
         if not toe.has_reference:
             residual = residual - residual.mean()
         variance = np.full(len(residual), (self._belief.match_sigma_rad() * np.exp(deviation.get("match", 0.0))) ** 2)
-        jitter_s = max(view.jitter_s for view in views)
-        if jitter_s:
-            variance += (jitter_s * self._bending(motion, row * (1j * self._omega), late_s)) ** 2
+        if views[0].jitter_s:
+            variance += views[0].jitter_s ** 2 * self._wandering(motion, rows, late_s, views[0].jitter_shared)
         spread = [effect for effect in effects if isinstance(effect, GenericToeVariance)]
         if spread:
             offered = toe_variance_regressors(toe, *self._modes(motion))
             variance = variance * (1.0 + sum(effect.growth(offered) for effect in spread))
         return residual, variance
+
+    def _wandering(self, motion: Motion, rows: Complexes, late_s: float, shared: float) -> Floats:
+        """Square of the toe's rate for exposures that wander together, and of either camera's for the rest, (k,)."""
+        left, right = (self._bending(motion, row * (1j * self._omega), late_s) for row in rows)
+        return shared * (left + right) ** 2 + (1.0 - shared) * (left**2 + right**2)
 
     def _generic(self, effects: Sequence[Effect], motion: Motion, expected: Floats) -> Floats | float:
         """Toe that laws without a name add, (k,), rad."""

@@ -12,7 +12,10 @@ from companion.records import Side
 
 @dataclass(frozen=True, slots=True)
 class ExposureJitter(Effect):
-    """Mid-exposure wanders with standard deviation ``jitter_s``; given as its square, which may come out negative."""
+    """Mid-exposure wanders with standard deviation ``jitter_s``; given as its square, which may come out negative.
+
+    A trigger that wanders moves both cameras ``together`` (1), cameras of their own mind each by itself (0).
+    """
 
     name: ClassVar[str] = "exposure-jitter"
     group: ClassVar[Group] = Group.CAMERA
@@ -21,8 +24,10 @@ class ExposureJitter(Effect):
     advice: ClassVar[str] = "stamp exposures in hardware (a strobe line)"
 
     jitter2_us2: float = parameter("us^2", 4e6, "square of the standard deviation of the exposure instant")
+    together: float = parameter("", 0.4, "share of the square that both cameras have in common", default=0.5)
 
     def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:
         """Wander."""
         del side, t_s
-        return dataclasses.replace(view, jitter_s=max(self.jitter2_us2, 0.0) ** 0.5 * 1e-6)
+        shared = min(max(self.together, 0.0), 1.0)
+        return dataclasses.replace(view, jitter_s=max(self.jitter2_us2, 0.0) ** 0.5 * 1e-6, jitter_shared=shared)

@@ -1,0 +1,44 @@
+"""Clocks and exposures that wander in other forms: of the left node, set in mid-flight, each camera by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.core.wing.effect import viewed
+from companion.core.wing.effects import catalogue
+from companion.records import Side, Station
+from sitl_tests.unit.test_diagnosis_generic_effects import flown
+
+T_S = np.linspace(0.0, 60.0, 7)
+
+
+def test_a_left_clock_that_was_right_in_mid_flight() -> None:
+    """6 ms a minute of the left node alone: the right one's rate is both and skew together, nothing."""
+    kind = catalogue()["clock-skew"]
+    effect = kind.from_values({"skew_s_per_min": -0.006, "both_s_per_min": 0.006, "set_at_s": 30.0})
+    assert effect.sample_time(Station.RIGHT, T_S) == pytest.approx(T_S)
+    assert effect.sample_time(Station.LEFT, T_S) - T_S == pytest.approx(-1e-4 * (T_S - 30.0))
+
+
+def test_each_parameter_of_a_clock_shifts_time_by_its_own_amount() -> None:
+    model = flown()
+    effect = catalogue()["clock-skew"].from_values({"skew_s_per_min": 0.006})
+    t_s = model.observations.t_s
+    zero = np.zeros_like(t_s)
+    expected = [[zero, -t_s / 60.0], [-t_s / 60.0, -t_s / 60.0], [zero, zero + 1e-4]]
+    for which, shift in enumerate(expected):
+        assert model.time_shift(effect, which) == pytest.approx(np.array(shift), abs=1e-6)
+
+
+def test_cameras_that_wander_by_themselves_add_less_than_a_trigger_that_wanders() -> None:
+    """Where both stations turn alike: (2 r)^2 together, 2 r^2 by themselves."""
+    kind = catalogue()["exposure-jitter"]
+    views = [viewed([kind.from_values({"jitter2_us2": 4e6, "together": part})], Side.LEFT, 0.0) for part in (0.0, 1.0)]
+    assert [view.jitter_s for view in views] == pytest.approx([0.002, 0.002])
+    model = flown()
+    motion = model.expect(np.zeros(len(model.belief.nuisances))).motion
+    rows = np.zeros((2, motion.modal.shape[0], 1), dtype=np.complex128)
+    rows[:, 0] = 1.0
+    own, shared = (model._toe._wandering(motion, rows, 0.0, view.jitter_shared) for view in views)  # type: ignore[union-attr]
+    assert own == pytest.approx(0.5 * shared)
