@@ -29,6 +29,7 @@ from companion.core.trigger.blur import GroundMotion
 from companion.core.trigger.exposure_feedback import ExposureFeedback
 from companion.core.trigger.scheduling import Scheduling
 from companion.core.wing.effects import apply_to_airframe
+from companion.core.wing.sample_corrections import SampleCorrections
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
@@ -79,6 +80,7 @@ class PipelineState:
     correction: Correction | None
     output_scheduler: OutputScheduler
     feedback: ExposureFeedback
+    corrections: SampleCorrections = field(default_factory=SampleCorrections)
     rate_monitor: StreamRateMonitor = field(default_factory=StreamRateMonitor)
     filters: VehicleFilters = field(default_factory=VehicleFilters)
     unsynced_nodes: UnsyncedNodes = field(default_factory=UnsyncedNodes)
@@ -101,6 +103,7 @@ def start(
 
     ``hub`` names the only clock of a log that has just one; ``clocks`` is what is known of them from before.
     """
+    corrections = SampleCorrections.of(airframe)
     airframe = apply_to_airframe(airframe)
     if clocks is None:
         clocks = ClockBank()
@@ -116,6 +119,7 @@ def start(
         correction=Correction.create(airframe, settings) if has_cameras else None,
         output_scheduler=OutputScheduler(airframe.orientation),
         feedback=ExposureFeedback(airframe, clocks),
+        corrections=corrections,
         hub=hub,
     )
 
@@ -180,7 +184,7 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
     batch, refused = within_range(batch, state.airframe.sensor(batch.station))
     if not len(batch.t_ns):
         return refused
-    batch = state.filters.undone(batch)
+    batch = state.corrections.corrected(state.filters.undone(batch))
     state.unsynced_nodes.note(batch, state.airframe.sensor(batch.station), state.airframe.root)
     if batch.clock is not ClockName.HOST:
         converted = state.clocks.to_host(batch.clock, batch.t_ns, batch.received_host_ns)

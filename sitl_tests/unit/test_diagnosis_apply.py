@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from companion.core.stereo.geometry import Rig
 from companion.core.wing.effects import apply_to_airframe, catalogue, make_effect
 from companion.core.wing.model import WingModel
+from companion.core.wing.sample_corrections import SampleCorrections
 from companion.diagnosis.data.observations import RawRecording, RawStream
 from companion.diagnosis.data.resampling import observe
 from companion.diagnosis.model.belief import believe
@@ -18,7 +19,7 @@ from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
-from companion.records import Side, Station
+from companion.records import Axis, ClockName, ImuBatch, Side, Station
 
 AIRFRAME = load_airframe("nadir-2m")
 
@@ -53,6 +54,32 @@ def test_a_late_stream_is_stamped_earlier() -> None:
     moved = later.sensor(Station.RIGHT).source.stamp_offset_s - AIRFRAME.right.source.stamp_offset_s
     assert moved == pytest.approx(-0.003)
     assert later.left == AIRFRAME.left
+
+
+def batch_of(station: Station) -> ImuBatch:
+    values = np.tile([0.1, 0.2, -9.9, 0.01, 0.02, 0.03], (3, 1))
+    return ImuBatch(station, ClockName.NODE_RIGHT, 1_000_000 * np.arange(3), values, Axis.Z, 0)
+
+
+@pytest.mark.parametrize("name", ["accel-scale", "accel-bias"])
+def test_a_named_error_of_a_sensor_is_out_of_what_the_tracker_gets(name: str) -> None:
+    """What the effect has done to true samples is undone, on its side, and nothing on the other."""
+    first, second = (entry.name for entry in catalogue()[name].parameters())
+    applied = with_effect(name, **{first: 0.0, second: 0.2})
+    true = batch_of(Station.RIGHT)
+    sent = make_effect(applied.effects[0]).sense(Station.RIGHT, true.t_ns * 1e-9, true.values)
+    assert not np.allclose(sent, true.values)
+    corrections = SampleCorrections.of(applied)
+    assert corrections.corrected(dataclasses.replace(true, values=sent)).values == pytest.approx(true.values)
+    other = batch_of(Station.LEFT)
+    assert corrections.corrected(other) is other
+
+
+def test_a_named_late_stream_reaches_the_tracker_with_earlier_stamps() -> None:
+    corrections = SampleCorrections.of(with_effect("stream-delay", delay_s=-0.002))
+    late, other = batch_of(Station.LEFT), batch_of(Station.RIGHT)
+    assert corrections.corrected(late).t_ns == pytest.approx(late.t_ns - 2_000_000)
+    assert corrections.corrected(other) is other
 
 
 def test_what_is_no_airframe_value_stays_an_effect() -> None:

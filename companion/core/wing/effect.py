@@ -8,6 +8,7 @@ structure  ``structure``  reshape the linear matrices (frequency, damping, coupl
            ``force``      add a modal acceleration that depends on time and state (nonlinear stiffness, friction)
 sensing    ``sample_time``  the instant that a sample stamped ``t_s`` really shows (delay, skew)
            ``sense``      change what a station's sensor reports (scale, bias, cubic, tone, saturation)
+           ``undone``     take that out of samples as they come, where each sample tells
 camera     ``camera``     change when and where to a camera looks (exposure delay, baseline, focal length, mount)
 forcing    ``forcing``    change the load on the modes (colour, periodic, impulsive)
 
@@ -214,6 +215,11 @@ class Effect:
     def sense(self, station: Station, t_s: Floats, values: Floats) -> Floats:
         """Sensor's output for true ``values`` (m, 6), m/s^2 and rad/s, before noise and quantisation."""
         del station, t_s
+        return values
+
+    def undone(self, station: Station, values: Floats) -> Floats:
+        """True values of samples (m, 6) that this effect has changed, where each sample tells; else as they are."""
+        del station
         return values
 
     def camera(self, side: Side, t_s: float, view: CameraView) -> CameraView:

@@ -37,3 +37,11 @@ class AccelBias(Effect):
         moved = values.copy()
         moved[:, 2] += self.bias(station)
         return moved
+
+    def undone(self, station: Station, values: Floats) -> Floats:
+        """Take the offset off."""
+        if not self.bias(station):
+            return values
+        true = values.copy()
+        true[:, 2] -= self.bias(station)
+        return true

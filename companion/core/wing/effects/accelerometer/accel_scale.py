@@ -38,5 +38,14 @@ class AccelScale(Effect):
         scaled[:, :3] *= 1.0 + self._ratio(station)
         return scaled
 
+    def undone(self, station: Station, values: Floats) -> Floats:
+        """Divide by the scale."""
+        ratio = self._ratio(station)
+        if not ratio:
+            return values
+        true = values.copy()
+        true[:, :3] /= 1.0 + ratio
+        return true
+
     def _ratio(self, station: Station) -> float:
         return {Station.LEFT: self.left, Station.RIGHT: self.right}.get(station, 0.0)

@@ -1,0 +1,192 @@
+"""``spanwise diagnose --apply``, closed: what was named is flown again, and ranges of a held-out minute are judged.
+
+    python -m tools.bench apply                     ten effects, some 40 s of processor each
+    python -m tools.bench apply --only accel-scale
+
+For each effect two minutes are flown (``spanwise simulate``, truth drawn from the airframe's priors). The first is
+diagnosed, the airframe extended by what was named and read back from its file. Held against the second minute, the
+extended airframe must be adequate; there the service's tracker then corrects ranges with three airframes: as believed,
+as extended, and as it truly is with the effect in force (the oracle). Range errors are without matching noise, as at
+60 m, and the extended airframe's is to be the oracle's within 10 %.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from companion.adapters.recordings.recording_factory import open_recording
+from companion.core.pipeline import start, step
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.rotation import log_rotation, relative_rotation
+from companion.core.wing.effects import apply_to_airframe, catalogue
+from companion.diagnosis.flights.adequacy import check
+from companion.diagnosis.flights.recordings import Flights, diagnose
+from companion.evaluation.extended_airframe import extended
+from companion.evaluation.flight_models import models_of
+from companion.params.airframe import Airframe, NamedEffect
+from companion.params.files import dump_airframe, load_airframe, parse_airframe
+from companion.params.settings import Settings
+from companion.records import Deflection, ImuBatch, Side, Tick
+from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.tables import toe_rad, write_csv
+
+EFFECTS = {
+    "frequency-shift": {"ratio": 0.25},
+    "damping-shift": {"ratio": 1.5},
+    "load-dependent-bend": {"ratio": 0.5},
+    "accel-scale": {"right": 0.15},
+    "accel-bias": {"left_mps2": 0.8},
+    "stream-delay": {"delay_s": 0.004},
+    "baseline-error": {"error_m": 0.12},
+    "focal-error": {"ratio": 0.05},
+    "convergence-offset": {"toe_rad": 0.01},
+    "camera-asymmetry": {"ratio": 0.12, "both": 0.12},
+}
+"""Each some ten sigmas of what a minute tells."""
+WANTED = 0.10
+_AT_M, _HALF_S, _SETTLED_S, _LAG_S, _EVERY_S = 60.0, 60.0, 12.0, 0.5, 0.1
+_TICK_NS = 4_000_000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One effect: what was named, whether that is adequate in the held-out minute, and range errors at 60 m, m rms."""
+
+    effect: str
+    named: tuple[str, ...]
+    adequate: bool
+    before_m: float
+    after_m: float
+    oracle_m: float
+    toe_mrad: tuple[float, float]
+
+    @property
+    def excess(self) -> float:
+        """Range error over the oracle's."""
+        return self.after_m / self.oracle_m - 1.0
+
+
+def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> Row:
+    """Fly, diagnose, apply, and hold it against the second minute."""
+    hidden = (NamedEffect(name, EFFECTS[name]),)
+    flight = build_flight(airframe, seed, 2.0 * _HALF_S, effects=hidden)
+    write_csv(flight, folder)
+    first, second = (_part(folder, k) for k in range(2))
+    models = models_of([first], airframe)
+    diagnosis = diagnose(models, list(catalogue().values()))
+    text = dump_airframe(extended(airframe, models[0].belief, diagnosis, models[0].observations.units))
+    applied = parse_airframe(text, "extended.toml")
+    again = models_of([second], applied)
+    adequate = all(entry.passed for entry in check(again, Flights(again).null()))
+    oracle = dataclasses.replace(flight.real.actual, effects=hidden)
+    errors = [toe_error_rad(flight, second, entry) for entry in (airframe, applied, oracle)]
+    baseline_m = Rig.from_airframe(airframe).baseline_m
+    before, after, best = (_AT_M**2 / baseline_m * entry for entry in errors)
+    named = tuple(cause.term.effect.name for cause in diagnosis.causes)
+    return Row(name, named, adequate, before, after, best, (1e3 * errors[0], 1e3 * errors[1]))
+
+
+def _part(folder: Path, which: int) -> Path:
+    """Either minute of a folder of tables, as a folder of its own."""
+    part = folder / f"minute{which + 1}"
+    part.mkdir()
+    for name in ("accel.csv", "range.csv"):
+        header, *rows = (folder / name).read_text(encoding="utf-8").splitlines()
+        inside = [row for row in rows if which * _HALF_S <= float(row.partition(",")[0]) < (which + 1) * _HALF_S]
+        (part / name).write_text("\n".join([header, *inside]) + "\n", encoding="utf-8")
+    return part
+
+
+def toe_error_rad(flight: Flight, folder: Path, airframe: Airframe) -> float:
+    """Error that is left in the toe (rms, rad, as at 60 m) of what the service's tracker and an airframe make of it."""
+    believed, real = Rig.from_airframe(flight.airframe), Rig.from_airframe(flight.real.actual)
+    rig = Rig.from_airframe(apply_to_airframe(airframe))
+    bends = tracked(folder, airframe)
+    series = flight.truth.series(np.array(sorted(bends), dtype=np.int64))
+    inverse, errors = 1.0 / _AT_M, []
+    for row, t_ns in enumerate(sorted(bends)):
+        focal, wider = focal_px(flight.real.actual), real.baseline_m
+        shown = focal * (wider * inverse + toe_rad(believed, real, series, row))
+        made = focal_px(apply_to_airframe(airframe)) * (rig.baseline_m * inverse + _toe_of(believed, rig, bends[t_ns]))
+        errors.append((made - shown) / focal)
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def focal_px(airframe: Airframe) -> float:
+    """Of the left camera; both are alike here."""
+    assert airframe.left_camera is not None
+    return airframe.left_camera.focal_px.value
+
+
+def _toe_of(believed: Rig, rig: Rig, bend: Deflection) -> float:
+    poses = [rig.pose(side, bend.slope_rad[side], 0.0) for side in Side]
+    bent = relative_rotation(poses[1].camera_from_body, poses[0].camera_from_body)
+    rest = relative_rotation(believed.right.rest.camera_from_body, believed.left.rest.camera_from_body)
+    return float(-log_rotation(bent @ rest.T)[1])
+
+
+def tracked(folder: Path, airframe: Airframe) -> dict[int, Deflection]:
+    """Smoothed deflections by boot time, ns, as the service's pipeline tracks them with an airframe."""
+    recording = open_recording(folder, airframe)
+    state = start(dataclasses.replace(recording.airframe, effects=airframe.effects), Settings(smoother_lag_s=_LAG_S))
+    bends: dict[int, Deflection] = {}
+    next_tick_ns = next_ns = begun_ns = None
+    for record in recording.records():
+        if not isinstance(record, ImuBatch) or not len(record.t_ns):
+            continue
+        now_ns = int(record.t_ns[-1])
+        if next_ns is None or next_tick_ns is None or begun_ns is None:
+            begun_ns, next_tick_ns, next_ns = now_ns, now_ns, now_ns + round(_SETTLED_S * 1e9)
+        step(state, record)
+        if now_ns < next_tick_ns:
+            continue
+        step(state, Tick(now_ns))
+        next_tick_ns = now_ns + _TICK_NS
+        if now_ns >= next_ns + round((_LAG_S + 0.1) * 1e9):
+            bend = state.tracker.smooth(next_ns)
+            if isinstance(bend, Deflection):
+                bends[next_ns] = bend
+            next_ns += round(_EVERY_S * 1e9)
+    return bends
+
+
+def table(rows: list[Row]) -> str:
+    """A row for each effect."""
+    lines = [
+        "| hidden | named from the first minute | the second minute | range error at 60 m: believed, applied, oracle |"
+        " toe, mrad | over the oracle |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        named = ", ".join(row.named) or "nothing"
+        lines.append(
+            f"| {row.effect} | {named} | {'adequate' if row.adequate else 'not adequate'} | {row.before_m:.2f} m,"
+            f" {row.after_m:.2f} m, {row.oracle_m:.2f} m | {row.toe_mrad[0]:.2f} to {row.toe_mrad[1]:.2f}"
+            f" | {100.0 * row.excess:+.0f} % |"
+        )
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Judge every effect; 1 where one is not adequate afterwards or further than 10 % from the oracle."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="*", choices=sorted(EFFECTS), default=list(EFFECTS), help="effects")
+    parser.add_argument("--seed", type=int, default=401)
+    options = parser.parse_args(arguments)
+    airframe, rows, begun = load_airframe("nadir-2m"), [], time.process_time()
+    for k, name in enumerate(options.only):
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(judged(name, airframe, options.seed + k, Path(folder)))
+        print(table(rows[-1:]).splitlines()[-1], flush=True)
+    good = sum(row.adequate and row.excess < WANTED for row in rows)
+    print("\n" + table(rows))
+    print(f"\n{good} of {len(rows)} adequate and within {100 * WANTED:.0f} % of the oracle, wanted all")
+    print(f"{(time.process_time() - begun) / len(rows):.0f} s of processor time each")
+    return 0 if good == len(rows) else 1
