@@ -22,7 +22,7 @@ from companion.params.files import load_airframe
 from companion.ports import Clock
 from companion.records import CorrectedRange, Record
 from companion.service.wiring import Service
-from companion.sim.rehearsal.bench import Handling, Miswiring, Motion, bench_flight
+from companion.sim.rehearsal.bench import Gesture, Handling, Miswiring, bench_flight
 from companion.sim.vehicle.lockstep import LockStepClock, MemoryWire
 from companion.sim.vehicle.world import World, WorldOptions
 
@@ -32,9 +32,9 @@ SIMULATED = "sim"
 _LOOK_NS = 2_000_000  # of simulated time between two looks at the link
 _HANDLED_S, _PLUCKED_S = 60.0, 110.0  # of simulated time
 _SCRIPT = (
-    Handling(Motion.TAP_LEFT, 16.0), Handling(Motion.TAP_RIGHT, 20.0), Handling(Motion.RIGHT_WING_DOWN, 25.0),
-    Handling(Motion.NOSE_UP, 40.0),
-    *(Handling((Motion.PLUCK_BOTH, Motion.PLUCK_ACROSS)[n % 2], 56.0 + 3.1 * n) for n in range(16)),
+    Handling(Gesture.TAP_LEFT, 16.0), Handling(Gesture.TAP_RIGHT, 20.0), Handling(Gesture.RIGHT_WING_DOWN, 25.0),
+    Handling(Gesture.NOSE_UP, 40.0),
+    *(Handling((Gesture.PLUCK_BOTH, Gesture.PLUCK_ACROSS)[n % 2], 56.0 + 3.1 * n) for n in range(16)),
 )  # fmt: skip
 
 

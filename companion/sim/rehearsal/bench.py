@@ -29,7 +29,7 @@ _PLUCK_MPS2 = 4.0
 _NOISE = np.array([0.03, 0.03, 0.03, 0.002, 0.002, 0.002])  # m/s^2 and rad/s, a node's
 
 
-class Motion(enum.Enum):
+class Gesture(enum.Enum):
     """Motion of one handling."""
 
     TAP_LEFT = "tap the left tip"
@@ -44,7 +44,7 @@ class Motion(enum.Enum):
 class Handling:
     """One motion of the hand, and when it begins."""
 
-    motion: Motion
+    motion: Gesture
     at_s: float
 
 
@@ -91,14 +91,14 @@ def _place(station: Station, fault: Miswiring) -> Station:
 
 def tilted(t_s: Floats, script: Sequence[Handling]) -> Floats:
     """Readings (n, 6) of a rigid aircraft: roll phi, then pitch theta, one at a time."""
-    roll, roll_rate = _angle(t_s, script, Motion.RIGHT_WING_DOWN)
-    pitch, pitch_rate = _angle(t_s, script, Motion.NOSE_UP)
+    roll, roll_rate = _angle(t_s, script, Gesture.RIGHT_WING_DOWN)
+    pitch, pitch_rate = _angle(t_s, script, Gesture.NOSE_UP)
     g = GRAVITY_MPS2
     force = (g * np.sin(pitch), -g * np.cos(pitch) * np.sin(roll), -g * np.cos(pitch) * np.cos(roll))
     return np.column_stack([*force, roll_rate, pitch_rate * np.cos(roll), -pitch_rate * np.sin(roll)])
 
 
-def _angle(t_s: Floats, script: Sequence[Handling], motion: Motion) -> tuple[Floats, Floats]:
+def _angle(t_s: Floats, script: Sequence[Handling], motion: Gesture) -> tuple[Floats, Floats]:
     """Angle and its rate: up in two seconds, held, and back."""
     angle, rate = np.zeros_like(t_s), np.zeros_like(t_s)
     for each in script:
@@ -118,12 +118,12 @@ def ringing(airframe: Airframe, place: Station, t_s: Floats, script: Sequence[Ha
     for each in script:
         since_s = np.maximum(t_s - each.at_s, 0.0)
         begun = t_s >= each.at_s
-        if each.motion in (Motion.TAP_LEFT, Motion.TAP_RIGHT):
-            struck = side == (-1.0 if each.motion is Motion.TAP_LEFT else 1.0)
+        if each.motion in (Gesture.TAP_LEFT, Gesture.TAP_RIGHT):
+            struck = side == (-1.0 if each.motion is Gesture.TAP_LEFT else 1.0)
             size = _TAP_MPS2 * (1.0 if struck else _CROSSING)
             total += begun * size * np.exp(-since_s / _FADE_S) * np.cos(math.tau * 12.0 * since_s)
-        elif each.motion in (Motion.PLUCK_BOTH, Motion.PLUCK_ACROSS):
-            both = each.motion is Motion.PLUCK_BOTH
+        elif each.motion in (Gesture.PLUCK_BOTH, Gesture.PLUCK_ACROSS):
+            both = each.motion is Gesture.PLUCK_BOTH
             mode = wing.symmetric if both else wing.antisymmetric
             rate = math.tau * mode.frequency_hz.value
             size = _PLUCK_MPS2 * (abs(side) if both else side)
