@@ -86,3 +86,8 @@ def test_parts_of_different_landings_lie_apart(tmp_path: Path) -> None:
 def test_a_pair_that_looks_ahead_cannot_land(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--landing", "--airframe", "forward-2m", "--out", str(tmp_path)]) == 1
     assert "does not look down" in capsys.readouterr().err
+
+
+def test_options_of_the_other_flights_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--landing", "--world", "fair", "--out", str(tmp_path)]) == 1
+    assert "leave out" in capsys.readouterr().err

@@ -18,6 +18,7 @@ from companion.evaluation.landing.landing_table import HEADS, cells
 from companion.evaluation.pages.landing_picture import draw_landings
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings, tunables
+from companion.sim.flight.worlds import IDEAL
 
 
 def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) -> int:
@@ -26,8 +27,12 @@ def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) ->
     Raises
     ------
     ConfigError
-        The cameras do not look down.
+        The cameras do not look down, or an option belongs to the other flights of the demo.
     """
+    if options.realtime or options.live or options.world != IDEAL.name:
+        raise ConfigError(
+            "demo --landing flies in lock-step in the ideal world: leave out --realtime, --live and --world"
+        )
     if not airframe.looks_down:
         raise ConfigError(f"airframe '{airframe.name}' does not look down; a landing needs the range to the ground")
     shutil.rmtree(options.out / "parts", ignore_errors=True)
