@@ -107,9 +107,8 @@ class LandingFlight:
         self._frame = 0
         self._sink_mps = 0.0
         self._over_s = self.longest_s
-        self._commands = start.controls
         self._bodies: list[BodyState] = []
-        self._fly(self._commands)
+        self._fly(start.controls)
 
     @property
     def longest_s(self) -> float:
@@ -169,13 +168,13 @@ class LandingFlight:
             intended_m = max(self.limits.flare_alt_m, body.velocity_ned_mps[2] * self.limits.flare_sec)
             self.flare = FlareTruth(t_s, -body.position_ned_m[2], intended_m)
         if stage is LandingStage.GO_AROUND and before is not stage:
-            self._over_s = t_s + _AFTER_GO_AROUND_S
+            self._over_s = min(t_s + _AFTER_GO_AROUND_S, self.longest_s)
 
     def _touched(self, t_s: float, body: BodyState, airspeed_mps: float) -> None:
         if self.touch is None and body.wheels_n > 0.0:
             north, east, _ = body.position_ned_m
             self.touch = TouchDown(t_s, north, east, self._sink_mps, airspeed_mps)
-            self._over_s = t_s + _AFTER_TOUCH_S
+            self._over_s = min(t_s + _AFTER_TOUCH_S, self.longest_s)
         self._sink_mps = body.velocity_ned_mps[2]
 
     def _airspeed_mps(self, body: BodyState) -> float:
