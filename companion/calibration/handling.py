@@ -57,8 +57,7 @@ class Judgement:
 
 def is_still(samples: Mapping[Station, Floats]) -> bool:
     """Whether no station moves; samples (n, 6) of a second each."""
-    return all(len(values) > 1 and float(np.ptp(values[:, 2])) < 8.0 * STILL_MPS2 and _scatter(values) < STILL_MPS2
-               for values in samples.values())  # fmt: skip
+    return all(len(values) > 1 and _scatter_mps2(values) < STILL_MPS2 for values in samples.values())
 
 
 def tap_peaks(samples: Mapping[Station, Floats]) -> dict[Station, float]:
@@ -145,7 +144,7 @@ def _vertical_rad(force_mps2: Floats) -> float:
     return math.acos(min(1.0, max(-1.0, -float(force_mps2[2]) / GRAVITY_MPS2)))
 
 
-def _scatter(values: Floats) -> float:
+def _scatter_mps2(values: Floats) -> float:
     return float(np.std(values[:, :3], axis=0).max())
 
 

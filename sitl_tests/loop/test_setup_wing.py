@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -40,8 +41,8 @@ def test_exchanged_nodes_and_a_turned_axis_are_named(
 ) -> None:
     wrong, wired_right = Miswiring(exchanged=True, turned=((Station.LEFT, 1), (Station.RIGHT, 4))), setup_wing.rehearsal
 
-    def miswired(airframe: Any, steps: list[str]) -> Any:
-        return wired_right(airframe, steps, wrong)
+    def miswired(airframe: Any, steps: list[str], listened_s: float) -> Any:
+        return wired_right(airframe, steps, listened_s, wrong)
 
     monkeypatch.setattr(setup_wing, "rehearsal", miswired)
     assert main([*COMMAND, *HANDLED]) == 4
@@ -55,11 +56,26 @@ def test_exchanged_nodes_and_a_turned_axis_are_named(
 
 @pytest.mark.long
 def test_plucked_modes_are_those_of_the_wing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(list(COMMAND)) == 0
+    assert main([*COMMAND, "--step", "modes"]) == 0
     said = capsys.readouterr().out
     modes = re.findall(r"(symmetric|antisymmetric) ([\d.]+) \+- ", said)
     assert [name for name, _ in modes] == ["symmetric", "antisymmetric"]
     assert [float(value) for _, value in modes] == pytest.approx([5.0, 6.4], rel=0.01), "the airframe's, undamped"
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_a_range_that_does_not_come_is_left_to_mend(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody flies: the service runs, says what it waits for, and the step ends by its limit."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    devices = ("--cameras", f"sim:{tmp_path}", "--trigger", f"sim:{tmp_path}")
+    link = ("--connect", "udpin:127.0.0.1:0", "--airframe", "nadir-2m")
+    assert main(["setup", "wing", *link, "--step", "range", *devices, "--range-within", "3"]) == 4
+    said = capsys.readouterr()
+    assert re.search(r"mend +range +none in \d+ s", said.out)
+    assert "waiting for" in said.err or "starting the processes" in said.err
 
 
 @pytest.mark.parametrize(

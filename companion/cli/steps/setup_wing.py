@@ -30,12 +30,7 @@ BENCH_STEPS = ("nodes", "taps", "tilts", "modes")
 STEPS = (*BENCH_STEPS, "stereo", "range")
 SIMULATED = "sim"
 _LOOK_NS = 2_000_000  # of simulated time between two looks at the link
-_HANDLED_S, _PLUCKED_S = 60.0, 110.0  # of simulated time
-_SCRIPT = (
-    Handling(Gesture.TAP_LEFT, 16.0), Handling(Gesture.TAP_RIGHT, 20.0), Handling(Gesture.RIGHT_WING_DOWN, 25.0),
-    Handling(Gesture.NOSE_UP, 40.0),
-    *(Handling((Gesture.PLUCK_BOTH, Gesture.PLUCK_ACROSS)[n % 2], 56.0 + 3.1 * n) for n in range(16)),
-)  # fmt: skip
+_PLUCKS, _PLUCK_S = 16, 3.1  # of the simulated hand, and the time between two
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Go through the steps; 4 where one is left to mend."""
     airframe = load_airframe(options.airframe)
-    steps = options.steps or [name for name in STEPS if _can(name, options)]
+    steps = [name for name in STEPS if name in (options.steps or STEPS) and (options.steps or _can(name, options))]
     for name in steps:
         if not _can(name, options):
             raise ConfigError(f"--step {name}: needs {'--cameras and --square-m' if name == 'stereo' else '--cameras'}")
@@ -82,7 +77,9 @@ def _on_the_bench(steps: list[str], airframe: Airframe, options: argparse.Namesp
     """Steps that need nothing but nodes, autopilot and a hand."""
     if not steps:
         return []
-    links, clock, wait = rehearsal(airframe, steps) if options.connect == [SIMULATED] else _real(options)
+    links, clock, wait = (
+        rehearsal(airframe, steps, options.seconds) if options.connect == [SIMULATED] else _real(options)
+    )
     settings = read_settings(options)
 
     def examine(each: Callable[[Record], None]) -> Examination:
@@ -106,17 +103,30 @@ def _real(options: argparse.Namespace) -> tuple[list[Link], Clock, Callable[[], 
 
 
 def rehearsal(
-    airframe: Airframe, steps: list[str], miswiring: Miswiring | None = None
+    airframe: Airframe, steps: list[str], listened_s: float, miswiring: Miswiring | None = None
 ) -> tuple[list[Link], Clock, Callable[[], None]]:
-    """Link, clock and pause of a simulated aircraft on a bench; its person does what the guide asks for, in its order.
-
-    The hand moves at fixed times: every step before has ended by then.
-    """
-    duration_s = _PLUCKED_S if "modes" in steps else _HANDLED_S
+    """Link, clock and pause of a simulated aircraft on a bench, whose person does what the guide asks for."""
+    script, duration_s = _script(steps, listened_s)
     wire = MemoryWire()
-    world = World(bench_flight(airframe, 1, duration_s, _SCRIPT, miswiring), WorldOptions(), wire)
+    world = World(bench_flight(airframe, 1, duration_s, script, miswiring), WorldOptions(), wire)
     clock = LockStepClock(world)
     return [Link(0, SIMULATED, wire, clock)], clock, lambda: clock.sleep_until(clock.now_ns() + _LOOK_NS)
+
+
+def _script(steps: list[str], listened_s: float) -> tuple[list[Handling], float]:
+    """Motions of the hand at fixed times, by which the step before has ended, and when all is over, s."""
+    at_s, script = 1.0 + (listened_s if "nodes" in steps else 0.0), list[Handling]()
+    if "taps" in steps:
+        script += [Handling(Gesture.TAP_LEFT, at_s + 4.0), Handling(Gesture.TAP_RIGHT, at_s + 8.0)]
+        at_s += 11.0
+    if "tilts" in steps:
+        script += [Handling(Gesture.RIGHT_WING_DOWN, at_s + 3.0), Handling(Gesture.NOSE_UP, at_s + 18.0)]
+        at_s += 33.0
+    if "modes" in steps:
+        kinds = (Gesture.PLUCK_BOTH, Gesture.PLUCK_ACROSS)
+        script += [Handling(kinds[n % 2], at_s + 1.0 + _PLUCK_S * n) for n in range(_PLUCKS)]
+        at_s += 1.0 + _PLUCK_S * _PLUCKS
+    return script, at_s + 5.0
 
 
 def _stereo(options: argparse.Namespace) -> list[GuideStep]:
