@@ -106,3 +106,19 @@ def test_vertical_axes_alone_teach_no_noise() -> None:
     covariance[:, Z_LEFT, Z_LEFT] = covariance[:, Z_LEFT + 1, Z_LEFT + 1] = 1.0
     noise.learn(white(1.0)[:STEPS], covariance)
     assert np.all(noise.ratio == 1.0)
+
+
+def test_noise_that_hides_is_found_where_it_is_large() -> None:
+    """Behind a load of 400 a noise of 4 hides; where it is 1600, innovations are five times as large as believed."""
+    ratio = learned(white(np.sqrt(1600.0 + 400.0)), by_state=400.0).ratio[:-1]
+    assert np.all(ratio > 10.0), "twenty; a look that says less than double is not believed"
+    assert np.all(ratio < 24.0)
+
+
+def test_vibration_above_the_wing_is_not_counted_twice() -> None:
+    """Noise of 40 to 125 Hz alternates, so that differences show up to 1.4 times its variance: it is what it is."""
+    frequency = np.fft.rfftfreq(SECONDS * STEPS, 1.0 / STEPS)
+    spectrum = np.fft.rfft(white(1.0), axis=0) * (frequency > 40.0)[:, None]
+    blue = np.fft.irfft(spectrum, SECONDS * STEPS, axis=0)
+    noise = learned(np.sqrt(4.0 * 9.0 + 1.0) * blue / blue.std(axis=0) + shared(1.0))
+    assert np.all(noise.ratio[2:-1] == pytest.approx(3.0, rel=0.2))

@@ -7,11 +7,12 @@ larger by r_l adds ``(g_k^T S^-1 g_l)^2 r_l`` (the score of the likelihood, to f
 for the idea). These are as many equations as sources, solved with no variance below the belief. So noise of one slope
 row is seen beside a root whose noise both rows share, and a rate's beside the rigid roll.
 
-With the right R, ``u`` is white: in place of its variance C_0 stands C_0 - C_1, C_1 its autocovariance at one step.
-What contradicts the model slowly (a drifting bias, a wrong scale, a load larger than believed) makes C_1 as large as
-C_0: it is not learned as noise and stays a contradiction. Medians stand for means, for blows and lies. The vertical
-rows are not learned: what they feel is the gust's, and its spectrum is fitted; nor is a source that is hidden behind
-others by far.
+With the right R, ``u`` is white: beside its variance C_0 stands C_0 - C_1, C_1 its autocovariance at one step, and the
+smaller of both counts. What contradicts the model slowly (a drifting bias, a wrong scale, a load larger than believed)
+makes C_1 as large as C_0: it is not learned as noise and stays a contradiction. Vibration above the wing's band makes
+C_1 negative, and its variance is C_0. Medians stand for means, for blows and lies. The vertical rows are not learned:
+what they feel is the gust's, and its spectrum is fitted. A source that is hidden behind others by far is learned where
+innovations show it beyond what a load that is fitted a little wrong could.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _MIN_STEPS = 60  # chosen: their median square is right to a quarter
 _MEDIAN_OF_SQUARE = 0.4549  # derived: of a unit Gaussian's square, the median of chi-square with one degree
 _MIN_BEYOND = 0.3  # chosen, of v: a load's fit is as wrong
 _CLEARLY_BEYOND = 1.0  # chosen, of v: six sigmas of one look
-_MAX_OTHERS = 50.0  # chosen, believed variances: a source behind that much of others neither shows nor matters
+_MAX_OTHERS = 50.0  # chosen, believed variances: a source behind that much of others shows where it is large
 _MEMORY = 0.6  # chosen: per second, a time constant of 2 s
 _MAX_RATIO = 1e4  # chosen: noise up to a hundred times the belief; beyond, the sensor is broken
 _LEARNED = range(Y_LEFT, ROWS)  # rows
@@ -82,19 +83,22 @@ class RowNoise:
         S = covariance[np.ix_(at, rows, rows)]
         S = S + np.tril(S, -1).transpose(0, 2, 1)
         weighted = np.linalg.solve(S, columns[:, present])  # S^-1 g, (n, rows, sources)
+        score = np.einsum("nrk,nr->nk", weighted, innovation[at][:, rows])
         change = np.einsum("nrk,nr->nk", weighted, np.diff(innovation, axis=0)[at[1:]][:, rows])
         coupling = np.median(np.einsum("rk,nrl->nkl", columns[:, present], weighted), axis=0)
         strength = np.diagonal(coupling)
-        beyond = np.median(0.5 * change**2 / strength, axis=0) / _MEDIAN_OF_SQUARE - 1.0
+        variance = np.minimum(np.median(score**2, axis=0), np.median(0.5 * change**2, axis=0))
+        beyond = variance / strength / _MEDIAN_OF_SQUARE - 1.0
         self._take(present, coupling, self._credible(present, beyond, strength))
 
     def _credible(self, present: Bools, beyond: Floats, strength: Floats) -> Floats:
-        """``beyond`` without what may be chance, or is a small share of what hides the source."""
+        """``beyond`` without what may be chance, or may be a small share of what hides the source."""
         before, self._beyond[present] = self._beyond[present], beyond
         steady = np.where((before > _MIN_BEYOND) & (beyond > _MIN_BEYOND), np.minimum(beyond, before), 0.0)
         credible = np.where((beyond > 0.0) & (beyond < _CLEARLY_BEYOND), steady, beyond)
         others = 1.0 / strength - self._all()[present]
-        return np.where(others > _MAX_OTHERS * self._believed[present], np.minimum(credible, 0.0), credible)
+        hidden = others > _MAX_OTHERS * self._believed[present]
+        return np.where(hidden & (np.minimum(before, beyond) < _CLEARLY_BEYOND), np.minimum(credible, 0.0), credible)
 
     def _take(self, present: Bools, coupling: Floats, beyond: Floats) -> None:
         """Move each variance towards the solution of the equations of all sources."""
