@@ -90,19 +90,19 @@ def test_an_oscillation_is_described_as_in_numpy() -> None:
         _agree(oscillation(*arguments), plain_prediction.oscillation(*arguments))
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_lines_are_followed_and_removed_as_in_python(count: int) -> None:
+@pytest.mark.parametrize("multiples", [[[12]], [[12], [12, 6, 24], [12, 36]]])
+def test_lines_are_followed_and_removed_as_in_python(multiples: list[list[int]]) -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         t_ns = np.cumsum(rng.integers(900_000, 1_100_000, 400))
         t_ns[int(rng.integers(50, 350)) :] += int(rng.choice([0, 1_000_000, 5_000_000]))
-        frequency_hz = rng.uniform(40, 180, count)
+        frequency_hz = rng.uniform(40, 180, len(multiples))
         t = 1e-9 * t_ns[:, None]
         values = 0.01 * rng.standard_normal((400, 6))
         for hz in frequency_hz:
             values += rng.standard_normal(6) * np.cos(2 * np.pi * 1.01 * hz * t + rng.uniform(0, 6, 6))
         values[int(rng.integers(0, 400)), 2] += 100.0
-        mine: LineStates = line_states(frequency_hz, np.full(6, 1e4))
+        mine: LineStates = line_states(frequency_hz, multiples, np.full(6, 1e4), 1e3)
         plain = copied(mine)
         for first, end in ((0, 250), (250, 251), (251, 400)):
             arguments = (t_ns[:end], values[:end], first, 1e-3)

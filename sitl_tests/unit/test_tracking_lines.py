@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.core.tracking.line_removal import line_states, remove_lines
-from companion.core.tracking.line_search import KnownLines, SampleRing, find_lines
+from companion.core.tracking.line_removal import PARTS, line_states, remove_lines
+from companion.core.tracking.line_search import (
+    ChannelWindow,
+    KnownLines,
+    SampleRing,
+    channels_at,
+    find_lines,
+    turned_lines,
+)
 from companion.records import Floats, Ints
 
 RATE_HZ = 1000.0
@@ -29,10 +36,14 @@ def samples(t_ns: Ints, vertical: Floats) -> Floats:
     return noise
 
 
-def found_in(vertical: Floats, t_ns: Ints) -> list[float]:
+def channels_of(t_ns: Ints, values: Floats) -> list[ChannelWindow]:
     ring = SampleRing(RATE_HZ)
-    ring.add(t_ns, samples(t_ns, vertical))
-    return find_lines([ring], int(t_ns[-1]) + 1)
+    ring.add(t_ns, values)
+    return channels_at([ring], int(t_ns[-1]) + 1)
+
+
+def found_in(vertical: Floats, t_ns: Ints) -> list[float]:
+    return [peak.frequency_hz for peak in find_lines(channels_of(t_ns, samples(t_ns, vertical)))]
 
 
 def wandering(t_s: Floats, frequency_hz: float, by_hz: float) -> Floats:
@@ -79,7 +90,7 @@ def test_lines_leave_the_samples_and_the_wing_stays(lines: tuple[float, ...]) ->
     t_s = t_ns * 1e-9
     line = sum((2.0 * np.cos(k + wandering(t_s, f, 0.3)) for k, f in enumerate(lines)), np.zeros(len(t_s)))
     dirty, clean = samples(t_ns, wing(t_s) + line), samples(t_ns, wing(t_s))
-    states = line_states(np.array(lines), WEIGHT)
+    states = line_states(np.array(lines), [[PARTS]] * len(lines), WEIGHT, RATE_HZ)
     left = (remove_lines(t_ns, dirty, 0, 1.0 / RATE_HZ, states) - clean)[1000:, 2]
     assert np.std(left) < 0.15 * np.std(line)
     slow = np.exp(-2j * np.pi * 5.0 * t_s[1000:]) @ left * 2.0 / len(left)
@@ -90,8 +101,8 @@ def test_lines_leave_the_samples_and_the_wing_stays(lines: tuple[float, ...]) ->
 def test_the_spacing_of_calls_changes_nothing() -> None:
     t_ns = stamps(1.0)
     values = samples(t_ns, np.cos(2.0 * np.pi * 80.0 * t_ns * 1e-9))
-    at_once = remove_lines(t_ns, values, 0, 1.0 / RATE_HZ, line_states(np.array([80.0]), WEIGHT))
-    states, parts = line_states(np.array([80.0]), WEIGHT), []
+    at_once = remove_lines(t_ns, values, 0, 1.0 / RATE_HZ, line_states(np.array([80.0]), [[PARTS]], WEIGHT, RATE_HZ))
+    states, parts = line_states(np.array([80.0]), [[PARTS]], WEIGHT, RATE_HZ), []
     for first in range(0, 1000, 37):
         end = min(first + 37, 1000)
         parts.append(remove_lines(t_ns[:end], values[:end], first, 1.0 / RATE_HZ, states))
@@ -104,16 +115,16 @@ def test_a_lie_and_a_gap_do_not_unlock_it() -> None:
     values = samples(t_ns, line)
     values[2000, 2] += 1e6
     sent = (t_ns < 3_000_000_000) | (t_ns >= 3_050_000_000)
-    left = remove_lines(t_ns[sent], values[sent], 0, 1.0 / RATE_HZ, line_states(np.array([80.0]), WEIGHT))[:, 2]
+    left = remove_lines(
+        t_ns[sent], values[sent], 0, 1.0 / RATE_HZ, line_states(np.array([80.0]), [[PARTS]], WEIGHT, RATE_HZ)
+    )[:, 2]
     assert np.std(left[2010:2200]) < 0.1
     assert np.std(left[3000:]) < 0.1
 
 
 def test_an_axis_that_is_not_sent_has_no_line() -> None:
     t_ns = stamps(2.5)
-    ring = SampleRing(RATE_HZ)
-    ring.add(t_ns, np.zeros((len(t_ns), 6)))
-    assert find_lines([ring], int(t_ns[-1]) + 1) == []
+    assert find_lines(channels_of(t_ns, np.zeros((len(t_ns), 6)))) == []
 
 
 def test_a_line_stays_in_lock_when_rpm_jumps() -> None:
@@ -124,7 +135,7 @@ def test_a_line_stays_in_lock_when_rpm_jumps() -> None:
     turn_rad = 2.0 * np.pi * np.cumsum(shaft_hz) / RATE_HZ
     line = 2.0 * np.cos(turn_rad) + np.cos(2.0 * turn_rad + 1.0)
     dirty, clean = samples(t_ns, wing(t_s) + line), samples(t_ns, wing(t_s))
-    states = line_states(np.array([85.0, 170.0]), WEIGHT)
+    states = line_states(np.array([85.0]), [[PARTS, 2 * PARTS]], WEIGHT, RATE_HZ)
     residual = (remove_lines(t_ns, dirty, 0, 1.0 / RATE_HZ, states) - clean)[1000:, 2]
     blocks = np.std(residual.reshape(-1, 500), axis=1)
     assert np.all(blocks < 0.15 * np.std(line))
@@ -139,7 +150,7 @@ def known_after(*searches_hz: tuple[float, ...], followed_hz: dict[int, float] |
         ring = SampleRing(RATE_HZ)
         ring.add(t_ns, samples(t_ns, vertical))
         known.search([ring], int(t_ns[-1]) + 1, followed_hz or {})
-    return known.frequency_hz
+    return known.leader_hz
 
 
 def test_a_peak_near_a_followed_line_is_that_line() -> None:
@@ -160,3 +171,55 @@ def test_two_motors_have_two_lines() -> None:
 
 def test_a_line_that_is_gone_is_dropped() -> None:
     assert known_after((85.0,), (), (), (), (), ()) == {}
+
+
+def shaft_turns(t_s: Floats, shaft_hz: float) -> Floats:
+    """Turns of a shaft whose rate swings by 3 % within four seconds, rad."""
+    return np.asarray(2.0 * np.pi * shaft_hz * (t_s + 0.03 * 4.0 / (2.0 * np.pi) * np.sin(2.0 * np.pi * t_s / 4.0)))
+
+
+def test_weak_lines_of_a_wandering_shaft_are_found() -> None:
+    """A hundredth of the leader, at half its frequency and at one and a half times; not one of another shaft."""
+    t_ns = stamps(2.5)
+    t_s = t_ns * 1e-9
+    turn_rad = shaft_turns(t_s, 70.0)
+    weak = 0.05 * (np.cos(0.5 * turn_rad) + np.cos(1.5 * turn_rad + 1.0) + np.cos(2.6 * turn_rad))
+    channels = channels_of(t_ns, samples(t_ns, wing(t_s) + 5.0 * np.cos(turn_rad) + weak))
+    (leader, *_) = find_lines(channels)
+    assert leader.frequency_hz == pytest.approx(70.0, rel=0.03)
+    assert sorted(turned_lines(leader, channels)) == [PARTS // 2, 3 * PARTS // 2]
+
+
+def test_broadband_vibration_has_no_turned_lines() -> None:
+    t_ns = stamps(2.5)
+    t_s = t_ns * 1e-9
+    for seed in range(5):
+        broadband = 0.4 * np.random.default_rng(seed).standard_normal(len(t_s))
+        channels = channels_of(t_ns, samples(t_ns, wing(t_s) + 5.0 * np.cos(shaft_turns(t_s, 70.0)) + broadband))
+        assert turned_lines(find_lines(channels)[0], channels) == {}
+
+
+def test_lines_of_one_shaft_are_one_shaft() -> None:
+    known = KnownLines()
+    for seconds in (2.5, 3.5):
+        t_ns = stamps(seconds)
+        turn_rad = shaft_turns(t_ns * 1e-9, 70.0)
+        values = samples(t_ns, wing(t_ns * 1e-9) + 5.0 * np.cos(turn_rad) + np.cos(2.0 * turn_rad))
+        ring = SampleRing(RATE_HZ)
+        ring.add(t_ns, values)
+        known.search([ring], int(t_ns[-1]) + 1, {})
+    assert list(known.multiples.values()) == [(PARTS, 2 * PARTS)]
+
+
+def test_a_weak_line_turns_with_its_leader() -> None:
+    """A line a hundredth of the leader's, in noise in which it alone could not be followed, leaves the samples."""
+    t_ns = stamps(6.0)
+    turn_rad = shaft_turns(t_ns * 1e-9, 70.0)
+    weak = 0.1 * np.cos(2.0 * turn_rad)
+    noise = samples(t_ns, wing(t_ns * 1e-9) + 0.4 * np.random.default_rng(2).standard_normal(len(t_ns)))
+    dirty = noise.copy()
+    dirty[:, 2] += 10.0 * np.cos(turn_rad) + weak
+    states = line_states(np.array([70.0]), [[PARTS, 2 * PARTS]], WEIGHT, RATE_HZ)
+    left = remove_lines(t_ns, dirty, 0, 1.0 / RATE_HZ, states)[2000:, 2]
+    share = (left @ np.exp(2j * turn_rad[2000:])) / (np.exp(2j * turn_rad[2000:]) @ weak[2000:])
+    assert abs(share) < 0.2, "of the weak line's amplitude"

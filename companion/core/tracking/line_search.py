@@ -3,14 +3,20 @@
 A line stands high above the median of the periodogram around it, and its envelope is steady: the squared magnitude of
 short transforms varies little. A lightly damped bending mode stands as high, but is noise in a narrow band, whose
 squared envelope varies as much as its mean (Rayleigh): it is left to the wing's model.
+
+Lines of one shaft turn together. The strongest is the leader; in samples that are turned back by a rational multiple of
+its phase, another line of the shaft stands at zero frequency, however rpm wanders: so weak ones show, and such below
+45 Hz, where a steady line could be a mode.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
+from companion.core.tracking.line_removal import PARTS
 from companion.records import Floats, Ints
 
 WINDOW_S = 2.0  # chosen: half a hertz a bin; rpm wanders little in it
@@ -25,8 +31,16 @@ _MIN_RATIO = 60.0  # derived: peak over median; noise exceeds it once in 2^60 bi
 _FLOOR_HZ = 25.0  # chosen: blocks that the median is taken over, wide beside a line
 _SHORT_S = 0.25  # chosen: of the envelope's transforms; a mode of 1 Hz width is half resolved
 _MAX_VARIATION = 0.2  # chosen: variance over squared mean of the squared envelope; 1 for noise, 0 for a line
-_MOST = 4  # chosen: shaft, blade pass, and one harmonic of either
 _MEMORY = 5  # chosen, searches: so long a line is followed that is no longer found
+MULTIPLES = (3, 4, 6, 8, 9, 16, 18, 20, 24, 30, 36, 48)
+"""Other lines that are looked for, in twelfths of the leader's frequency. Chosen."""
+_MAX_SHAFTS = 3  # chosen: two engines and a generator
+_MAX_LINES = 6  # chosen, of a shaft: each costs as much as the first
+_LOWEST_TURNED_HZ = 20.0  # chosen: below, the first bending modes move most
+_MIN_TURNED_RATIO = 25.0  # derived: noise exceeds it once in 2^25 looks
+_TURNED_FLOOR_HZ = 20.0  # chosen: either side of a line, for the median
+_PHASE_S = 0.12  # chosen: of the transforms that give the leader's phase; its rate may change by 8 Hz in them
+_MIN_IN_ROW = 2  # chosen, searches in a row: a narrow band of noise rarely looks like a line twice
 _NO_POWER = 1e-30  # numerical: an axis that is not sent has no lines
 _CHANNELS = (1, 2, 3)  # lateral and vertical force, roll rate: what the tracker reads
 
@@ -56,96 +70,200 @@ class SampleRing:
         self._runs = [(t_ns[first:], values[first:])]
         return self._runs[0]
 
-    def window(self, until_ns: int) -> Floats | None:
-        """Last samples (n, 6) before an instant; None without a full window or from too slow a stream."""
+    def window(self, until_ns: int) -> tuple[Floats, Floats] | None:
+        """Instants (n,), s, and samples (n, 6) before one; None without a full window or from too slow a stream."""
         t_ns, values = self.held()
         count, last = int(0.95 * WINDOW_S * self.rate_hz), int(np.searchsorted(t_ns, until_ns))
         if self.rate_hz < _MIN_RATE_HZ or last < count:
             return None
         lasts_s = (t_ns[last - 1] - t_ns[last - count]) * 1e-9
-        return values[last - count : last] if lasts_s < WINDOW_S else None
+        if lasts_s >= WINDOW_S:
+            return None
+        return (t_ns[last - count : last] - until_ns) * np.float64(1e-9), values[last - count : last]
 
 
-def find_lines(rings: list[SampleRing], until_ns: int) -> list[float]:
-    """Frequencies of the strongest lines before an instant, Hz: the highest over its surroundings first."""
-    peaks: list[tuple[float, float]] = []
-    for ring in rings:
-        samples = ring.window(until_ns)
-        if samples is not None:
-            for channel in _CHANNELS:
-                peaks += _peaks(samples[:, channel], ring.rate_hz)
-    frequencies: list[float] = []
-    for _, frequency_hz in sorted(peaks, reverse=True):
-        if len(frequencies) < _MOST and not _near(frequency_hz, frequencies):
-            frequencies.append(frequency_hz)
-    return frequencies
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelWindow:
+    """Samples of one channel: instants (n,) against the end of the search, s; values (n,); and their rate."""
+
+    t_s: Floats
+    values: Floats
+    rate_hz: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peak:
+    """Line of one channel, over its surroundings."""
+
+    ratio: float
+    frequency_hz: float
+    channel: ChannelWindow
+
+
+def channels_at(rings: list[SampleRing], until_ns: int) -> list[ChannelWindow]:
+    """Channels of the last seconds before an instant."""
+    windows = [(ring.window(until_ns), ring.rate_hz) for ring in rings]
+    return [
+        ChannelWindow(window[0], window[1][:, k], rate_hz) for window, rate_hz in windows if window for k in _CHANNELS
+    ]
+
+
+def find_lines(channels: list[ChannelWindow]) -> list[Peak]:
+    """The strongest lines, the highest over its surroundings first; the highest of those at one frequency."""
+    peaks: list[Peak] = []
+    for peak in sorted((peak for channel in channels for peak in _peaks(channel)), key=lambda peak: -peak.ratio):
+        if not _near(peak.frequency_hz, [other.frequency_hz for other in peaks]):
+            peaks.append(peak)
+    return peaks
 
 
 @dataclass
-class _KnownLine:
-    """Line that is followed; ``searches`` count down to its end while it is not found."""
+class _KnownShaft:
+    """Shaft that is followed; ``searches`` count down to the end of each line while it is not found."""
 
     number: int
-    frequency_hz: float
+    leader_hz: float
     searches: int = _MEMORY
     misses: int = 0
+    lines: dict[int, int] = field(default_factory=dict)  # searches to its end by multiple, once it is sure
+    in_row: dict[int, int] = field(default_factory=dict)  # searches in a row in which others were found
+
+    @property
+    def multiples(self) -> tuple[int, ...]:
+        """Lines in twelfths of the leader's frequency, the leader first."""
+        return (PARTS, *sorted(self.lines))
+
+    def has(self, frequency_hz: float) -> bool:
+        """Whether a frequency is one of its lines', as far as rpm changes while a peak is smeared."""
+        return any(abs(frequency_hz * PARTS / (m * self.leader_hz) - 1.0) < _SAME_RATIO for m in self.multiples)
+
+    def take(self, ratios: dict[int, float]) -> None:
+        """Take the ratios of the lines that this search has found, by multiple."""
+        self.in_row = {multiple: self.in_row.get(multiple, 0) + 1 for multiple in ratios}
+        for multiple, ratio in ratios.items():
+            if ratio > _MIN_RATIO or self.in_row[multiple] >= _MIN_IN_ROW:
+                self.lines[multiple] = _MEMORY
+        remaining = {m: searches if m in ratios else searches - 1 for m, searches in self.lines.items()}
+        best = sorted(remaining, key=lambda m: -ratios.get(m, 0.0))[: _MAX_LINES - 1]
+        self.lines = {m: remaining[m] for m in best if remaining[m] > 0}
 
 
 class KnownLines:
-    """Lines that are followed: those found lately, and those found within the last few searches.
+    """Lines that are followed, by shaft: those found lately, and those found within the last few searches.
 
-    Between two searches the follower knows better than the spectrum where a line is: it smears when rpm changes. So a
-    peak within a tenth of a followed line is that line, and moves it only where it is found elsewhere twice in a row.
+    Between two searches the follower knows better than the spectrum where a leader is: it smears when rpm changes. So a
+    peak within a tenth of a leader is that leader, and moves it only where it is found elsewhere twice in a row.
     """
 
     def __init__(self) -> None:
-        self._lines: list[_KnownLine] = []
+        self._shafts: list[_KnownShaft] = []
         self._next = 0
 
     @property
-    def frequency_hz(self) -> dict[int, float]:
-        """Frequency of each line by its number, Hz; a line that was lost and found again has a new number."""
-        return {line.number: line.frequency_hz for line in self._lines}
+    def leader_hz(self) -> dict[int, float]:
+        """Leader's frequency by the shaft's number, Hz; a shaft that was lost and found again has a new number."""
+        return {shaft.number: shaft.leader_hz for shaft in self._shafts}
+
+    @property
+    def multiples(self) -> dict[int, tuple[int, ...]]:
+        """Lines of each shaft by its number, in twelfths of its leader's frequency."""
+        return {shaft.number: shaft.multiples for shaft in self._shafts}
 
     def search(self, rings: list[SampleRing], until_ns: int, followed_hz: dict[int, float]) -> bool:
-        """Search the samples before an instant, with the lines now where they are followed; whether any is new."""
-        for line in self._lines:
-            line.frequency_hz = followed_hz.get(line.number, line.frequency_hz)
-        unmatched, new = list(self._lines), False
-        for frequency_hz in find_lines(rings, until_ns):
-            same = [line for line in unmatched if abs(line.frequency_hz / frequency_hz - 1.0) < _SAME_RATIO]
-            if same:
-                line = min(same, key=lambda line: abs(line.frequency_hz - frequency_hz))
-                unmatched.remove(line)
-                self._found_again(line, frequency_hz)
-            elif not _near(frequency_hz, [line.frequency_hz for line in self._lines]):
-                self._begin(frequency_hz)
-                new = True
-        for line in unmatched:
-            line.searches -= 1
+        """Search the samples before an instant, with the leaders now where they are followed; whether any is new."""
+        before = {(shaft.number, m) for shaft in self._shafts for m in shaft.multiples}
+        channels = channels_at(rings, until_ns)
+        peaks = find_lines(channels)
+        for shaft in list(self._shafts):
+            shaft.leader_hz = followed_hz.get(shaft.number, shaft.leader_hz)
+            peaks = self._look_again(shaft, peaks, channels)
+        while peaks and len(self._shafts) < _MAX_SHAFTS:
+            self._begin(peaks[0])
+            peaks = self._with_lines(self._shafts[-1], peaks[0], peaks[1:], channels)
         self._drop()
-        return new
+        return bool({(shaft.number, m) for shaft in self._shafts for m in shaft.multiples} - before)
 
-    def _begin(self, frequency_hz: float) -> None:
-        self._lines.append(_KnownLine(self._next, frequency_hz))
+    def _look_again(self, shaft: _KnownShaft, peaks: list[Peak], channels: list[ChannelWindow]) -> list[Peak]:
+        """Look for a known shaft among peaks; those that are not its lines."""
+        same = [peak for peak in peaks if abs(shaft.leader_hz / peak.frequency_hz - 1.0) < _SAME_RATIO]
+        if not same:
+            shaft.searches -= 1
+            return [peak for peak in peaks if not shaft.has(peak.frequency_hz)]
+        nearest = min(same, key=lambda peak: abs(shaft.leader_hz - peak.frequency_hz))
+        peaks = [peak for peak in peaks if peak is not nearest]
+        shaft.searches = _MEMORY
+        shaft.misses = shaft.misses + 1 if abs(shaft.leader_hz - nearest.frequency_hz) > NEAR_HZ else 0
+        if shaft.misses > 1:
+            self._shafts.remove(shaft)
+            self._begin(nearest)
+            shaft = self._shafts[-1]
+        return self._with_lines(shaft, nearest, peaks, channels)
+
+    def _with_lines(
+        self, shaft: _KnownShaft, leader: Peak, peaks: list[Peak], channels: list[ChannelWindow]
+    ) -> list[Peak]:
+        """Find the other lines of a shaft by its leader; the peaks that are none of them."""
+        shaft.take(turned_lines(leader, channels))
+        others = [m for m in shaft.multiples if m != PARTS]
+        at_hz = [m * leader.frequency_hz / PARTS for m in others]
+        return [peak for peak in peaks if not any(abs(peak.frequency_hz / hz - 1.0) < _SAME_RATIO for hz in at_hz)]
+
+    def _begin(self, leader: Peak) -> None:
+        self._shafts.append(_KnownShaft(self._next, leader.frequency_hz))
         self._next += 1
 
-    def _found_again(self, line: _KnownLine, frequency_hz: float) -> None:
-        line.searches = _MEMORY
-        line.misses = line.misses + 1 if abs(line.frequency_hz - frequency_hz) > NEAR_HZ else 0
-        if line.misses > 1:
-            self._lines.remove(line)
-            self._begin(frequency_hz)
-
     def _drop(self) -> None:
-        """Drop lines that are gone, and the younger of two that follow the same one."""
-        distinct: list[_KnownLine] = []
-        for line in self._lines:
-            if line.searches > 0 and not any(
-                abs(line.frequency_hz - other.frequency_hz) < _ONE_HZ for other in distinct
-            ):
-                distinct.append(line)
-        self._lines = distinct[:_MOST]
+        """Drop shafts that are gone, and the younger of two that follow the same one."""
+        distinct: list[_KnownShaft] = []
+        for shaft in self._shafts:
+            if shaft.searches > 0 and not any(abs(shaft.leader_hz - other.leader_hz) < _ONE_HZ for other in distinct):
+                distinct.append(shaft)
+        self._shafts = distinct
+
+
+def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> dict[int, float]:
+    """Lines that turn with the leader: ratio to their surroundings by multiple.
+
+    Each channel's samples are turned back by a multiple of the leader's phase; a line then has zero frequency.
+    """
+    t_s, phase_rad = _phase(leader)
+    ratios: dict[int, float] = {}
+    for channel in channels:
+        turned_rad = np.interp(channel.t_s, t_s, phase_rad)
+        samples = channel.values - channel.values.mean()
+        for multiple in MULTIPLES:
+            frequency_hz = multiple * leader.frequency_hz / PARTS
+            if _LOWEST_TURNED_HZ <= frequency_hz <= _HIGHEST_RATIO * channel.rate_hz:
+                ratio = _turned_ratio(samples * np.exp(-1j * multiple / PARTS * turned_rad), channel.rate_hz)
+                if ratio > max(_MIN_TURNED_RATIO, ratios.get(multiple, 0.0)):
+                    ratios[multiple] = ratio
+    return ratios
+
+
+def _phase(leader: Peak) -> tuple[Floats, Floats]:
+    """Instants (k,), s, and phase (k,) of the leader in its channel, rad, over a little more than the window."""
+    channel, turning = leader.channel, 2.0 * np.pi * leader.frequency_hz
+    length = round(_PHASE_S * channel.rate_hz)
+    samples = (channel.values - channel.values.mean()) * np.exp(-1j * turning * channel.t_s)
+    slow = np.convolve(samples, np.hanning(length), mode="valid")
+    middle = channel.t_s[length // 2 : length // 2 + len(slow)]
+    phase_rad = np.unwrap(np.angle(slow)) + turning * middle
+    ends = middle[[0, -1]] + np.array([-1.0, 1.0]) * _PHASE_S
+    steps = round(0.5 * _PHASE_S * channel.rate_hz)
+    rates = (phase_rad[[steps, -1]] - phase_rad[[0, -1 - steps]]) / (middle[[steps, -1]] - middle[[0, -1 - steps]])
+    beyond = phase_rad[[0, -1]] + rates * (ends - middle[[0, -1]])
+    return np.concatenate([ends[:1], middle, ends[1:]]), np.concatenate([beyond[:1], phase_rad, beyond[1:]])
+
+
+def _turned_ratio(turned: npt.NDArray[np.complex128], rate_hz: float) -> float:
+    """Power at zero frequency over the median around it; 0 where the envelope there is not steady."""
+    n = len(turned)
+    power = np.abs(np.fft.fft(np.hanning(n) * turned)) ** 2
+    near, far = round(NEAR_HZ * n / rate_hz), round(_TURNED_FLOOR_HZ * n / rate_hz)
+    floor = np.median(np.concatenate([power[near:far], power[-far:-near]]))
+    if not power[0] > _MIN_TURNED_RATIO * max(floor, _NO_POWER):
+        return 0.0
+    return float(power[0] / floor) if _steady(turned, rate_hz) else 0.0
 
 
 def _near(frequency_hz: float, others: list[float]) -> bool:
@@ -153,8 +271,9 @@ def _near(frequency_hz: float, others: list[float]) -> bool:
     return any(abs(frequency_hz - other) <= NEAR_HZ for other in others)
 
 
-def _peaks(samples: Floats, rate_hz: float) -> list[tuple[float, float]]:
-    """Ratio to the surroundings and frequency (Hz) of each line of one channel."""
+def _peaks(channel: ChannelWindow) -> list[Peak]:
+    """Lines of one channel."""
+    samples, rate_hz = channel.values, channel.rate_hz
     n, bin_hz = len(samples), rate_hz / len(samples)
     power = np.abs(np.fft.rfft(np.hanning(n) * (samples - samples.mean()))) ** 2
     first, last, near = int(_LOWEST_HZ / bin_hz), int(_HIGHEST_RATIO * rate_hz / bin_hz), round(NEAR_HZ / bin_hz)
@@ -167,16 +286,16 @@ def _peaks(samples: Floats, rate_hz: float) -> list[tuple[float, float]]:
         if power[k] < power[k - near : k + near + 1].max():
             continue
         left, middle, right = np.log(power[k - 1 : k + 2])
-        frequency_hz = (k + 0.5 * (left - right) / (left - 2.0 * middle + right)) * bin_hz
-        if _is_steady(samples, rate_hz, frequency_hz):
-            peaks.append((float(ratio[k - first]), float(frequency_hz)))
+        frequency_hz = float((k + 0.5 * (left - right) / (left - 2.0 * middle + right)) * bin_hz)
+        turned = (samples - samples.mean()) * np.exp(-2j * np.pi * frequency_hz * channel.t_s)
+        if _steady(turned, rate_hz):
+            peaks.append(Peak(float(ratio[k - first]), frequency_hz, channel))
     return peaks
 
 
-def _is_steady(samples: Floats, rate_hz: float, frequency_hz: float) -> bool:
-    """Whether the envelope at a frequency varies little."""
+def _steady(turned: npt.NDArray[np.complex128], rate_hz: float) -> bool:
+    """Whether the envelope of samples at zero frequency varies little."""
     length = round(_SHORT_S * rate_hz)
-    short = np.lib.stride_tricks.sliding_window_view(samples, length)[:: length // 2]
-    phasor = np.hanning(length) * np.exp(-2j * np.pi * frequency_hz / rate_hz * np.arange(length))
-    square = np.abs((short - short.mean(axis=1, keepdims=True)) @ phasor) ** 2
+    short = np.lib.stride_tricks.sliding_window_view(turned, length)[:: length // 2]
+    square = np.abs(short @ np.hanning(length)) ** 2
     return bool(square.var() < _MAX_VARIATION * square.mean() ** 2)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.arrays import plain
-from companion.core.tracking.line_removal import LineStates, copied, line_states, remove_lines, take_over
+from companion.core.tracking.line_removal import PARTS, LineStates, copied, line_states, remove_lines, take_over
 from companion.core.tracking.line_search import SampleRing
 from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers
 from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
@@ -121,7 +121,7 @@ class SampleBuffer:
     filtered: bool = field(init=False)
     ring: SampleRing = field(init=False)
     _lines: LineStates | None = None
-    _line_numbers: list[int] = field(default_factory=list)
+    _shafts: list[int] = field(default_factory=list)  # numbers
     _clean_ns: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     _clean: Floats = field(default_factory=lambda: np.empty((0, CHANNELS)))
     _waiting: list[tuple[Ints, Floats]] = field(default_factory=list)
@@ -247,29 +247,32 @@ class SampleBuffer:
             t_ns, values = self._without_lines(self._lines, t_ns, values, final)
         return StreamSamples(t_ns, values, self.sensor.rate_hz, self._cutoff_hz, self.filtered)
 
-    def follow_lines(self, frequency_hz: dict[int, float]) -> None:
-        """Take these lines out from here on; those that were followed by the same number still are.
+    def follow_lines(self, leader_hz: dict[int, float], multiples: dict[int, tuple[int, ...]]) -> None:
+        """Take the lines of these shafts out from here on; those that were followed by the same number still are.
 
         Where none was, the newest samples at hand tell the amplitudes.
         """
-        fresh = line_states(np.array(list(frequency_hz.values())), self._line_weight)
-        retained = [number for number in self._line_numbers if number in frequency_hz]
+        fresh = line_states(
+            np.array(list(leader_hz.values())), list(multiples.values()), self._line_weight, self.sensor.rate_hz
+        )
+        shafts = list(leader_hz)
+        retained = {i: shafts.index(number) for i, number in enumerate(self._shafts) if number in leader_hz}
         if self._lines is not None and retained:
-            before = [self._line_numbers.index(number) for number in retained]
-            take_over(fresh, [list(frequency_hz).index(number) for number in retained], self._lines, before)
-        self._line_numbers = list(frequency_hz)
-        self._lines = fresh if frequency_hz else None
+            take_over(fresh, self._lines, retained)
+        self._shafts = shafts
+        self._lines = fresh if shafts else None
         if self._lines is not None and not retained:
             self._clean_ns, values = self.ring.held()
             self._clean = remove_lines(self._clean_ns, values, 0, 1.0 / self.sensor.rate_hz, self._lines)
 
-    def followed_lines(self) -> dict[int, tuple[float, float]]:
-        """Frequency (Hz) and power over noise of each line that is followed, by number."""
+    def followed_shafts(self) -> dict[int, tuple[float, float]]:
+        """Leader's frequency (Hz) and the lines' power over noise of each shaft that is followed, by number."""
         if self._lines is None:
             return {}
-        hz = self._lines.omega_radps / (2.0 * np.pi)
+        hz = self._lines.omega_radps * (PARTS / (2.0 * np.pi))
         power = (np.abs(self._lines.amplitude) ** 2 * self._lines.weight).sum(axis=1)
-        return dict(zip(self._line_numbers, zip(hz.tolist(), power.tolist(), strict=True), strict=True))
+        of_shafts = np.bincount(self._lines.shaft, power, len(hz))
+        return dict(zip(self._shafts, zip(hz.tolist(), of_shafts.tolist(), strict=True), strict=True))
 
     def _without_lines(self, lines: LineStates, t_ns: Ints, values: Floats, final: int) -> tuple[Ints, Floats]:
         """Samples at hand without lines; the first ``final`` are final, and the lines are followed through them."""

@@ -169,16 +169,16 @@ class WingTracker:
 
     def _search_lines(self) -> None:
         """Follow the lines that the samples show; what was filtered with a line in it is filtered no more."""
-        before = set(self._lines.frequency_hz)
+        before = self._lines.multiples
         strongest: dict[int, tuple[float, float]] = {}
         for stream in self._streams:
-            for number, line in stream.followed_lines().items():
-                strongest[number] = max(strongest.get(number, (0.0, 0.0)), line, key=lambda line: line[1])
-        followed_hz = {number: frequency_hz for number, (frequency_hz, power) in strongest.items() if power > 0.0}
+            for number, shaft in stream.followed_shafts().items():
+                strongest[number] = max(strongest.get(number, (0.0, 0.0)), shaft, key=lambda shaft: shaft[1])
+        followed_hz = {number: leader_hz for number, (leader_hz, power) in strongest.items() if power > 0.0}
         new = self._lines.search([stream.ring for stream in self._streams], self._next_ns, followed_hz)
-        if set(self._lines.frequency_hz) != before:
+        if self._lines.multiples != before:
             for stream in self._streams:
-                stream.follow_lines(self._lines.frequency_hz)
+                stream.follow_lines(self._lines.leader_hz, self._lines.multiples)
         if new and self._adaptation.early and self._kalman.nis > NIS_LIMIT:
             self._restart()
 

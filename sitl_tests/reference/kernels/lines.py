@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.core.tracking.line_removal import LineStates
+from companion.core.tracking.line_removal import PARTS, LineStates
 from companion.records import Floats, Ints
 
 _AMPLITUDE_RADPS = 2.0 * np.pi * 2.0  # chosen: settles in 0.25 s
+_SLOWER_BELOW_RADPS = 2.0 * np.pi * 45.0  # chosen: below, amplitudes follow slower, for the wing's sake
 _PHASE_RADPS = 2.0 * np.pi * 4.0  # chosen: rpm that jumps by a tenth within half a second stays in lock
 _K1, _K2, _K3 = 2.0 * _PHASE_RADPS, 2.0 * _PHASE_RADPS**2, _PHASE_RADPS**3  # derived: Butterworth's polynomial
 _FLOOR = 0.05  # chosen, of the usual error squared: a line that is not yet seen turns nothing
 _MAX_TURN_RAD = 0.5  # chosen: of psi; a larger one is no small angle
-_MIN_PERIODS, _MAX_PERIODS = 0.1, 2.5  # chosen: no difference is taken across a shorter or longer gap
-_MIN_GAIN = 0.002  # chosen, |g|^2: samples that hardly differ along the line say nothing of it (34 Hz at 1 kHz)
+_MIN_PERIODS, _MAX_PERIODS = 0.1, 2.5  # chosen, of the lag: no difference is taken across a shorter or longer gap
+_MIN_GAIN = 0.02  # chosen, |g|^2: samples that hardly differ along the line say nothing of it
 _OMEGA_RATIO = 0.3  # chosen: a line this far from where the spectrum showed it is lost
 _MAX_ALPHA_RADPS2 = 2.0 * np.pi * 100.0  # chosen: of a harmonic; a shaft's inertia allows less
 _MAX_ERRORS, _ERROR_MEMORY_S = 6.0, 0.5  # chosen: times the mean magnitude, over a few periods of the wing
@@ -39,40 +40,47 @@ def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states
     -------
     (s - first, 6) float64
     """
-    lines, channels = states.amplitude.shape
+    (shafts,), (lines, channels) = states.omega_radps.shape, states.amplitude.shape
     out = values[first:].copy()
-    g, turning, power = np.zeros(lines, np.complex128), np.zeros(lines), np.zeros(lines)
+    g, turning, power = np.zeros(lines, np.complex128), np.zeros(shafts), np.zeros(shafts)
+    shaft = states.shaft
+    lag = states.lag
+    usual = period_s * lag
     for k in range(first, len(t_ns)):
         dt = (t_ns[k] - t_ns[k - 1]) * 1e-9 if k > 0 else period_s
-        before = (t_ns[k - 1] - t_ns[k - 2]) * 1e-9 if k > 1 else np.inf
-        shorter, longer = min(dt, before), max(dt, before)
-        even = shorter > _MIN_PERIODS * period_s and longer < _MAX_PERIODS * period_s
-        ratio = dt / before if even else 0.0
+        after = (t_ns[k] - t_ns[k - lag]) * 1e-9 if k >= lag else np.inf
+        before = (t_ns[k - lag] - t_ns[k - 2 * lag]) * 1e-9 if k >= 2 * lag else np.inf
+        shorter, longer = min(after, before), max(after, before)
+        even = shorter > _MIN_PERIODS * usual and longer < _MAX_PERIODS * usual and dt < _MAX_PERIODS * period_s
+        ratio = after / before if even else 0.0
+        states.omega_radps[:] += states.alpha_radps2 * dt if even else 0.0
+        states.phase_rad[:] = (states.phase_rad + states.omega_radps * dt) % (2.0 * np.pi)
+        turning[:], power[:] = 0.0, 1e-30
         for j in range(lines):
-            states.omega_radps[j] += states.alpha_radps2[j] * dt if even else 0.0
-            states.phase_rad[j] = (states.phase_rad[j] + states.omega_radps[j] * dt) % (2.0 * np.pi)
-            here = np.exp(1j * states.phase_rad[j])
-            back, twice = np.exp(-1j * states.omega_radps[j] * dt), np.exp(-1j * states.omega_radps[j] * (dt + before))
+            omega_radps = states.multiple[j] * states.omega_radps[shaft[j]]
+            here = np.exp(1j * states.multiple[j] * states.phase_rad[shaft[j]])
+            back, twice = np.exp(-1j * omega_radps * after), np.exp(-1j * omega_radps * (after + before))
             g[j] = here * (1.0 - back - ratio * (back - twice)) if even else 0.0
-            turning[j], power[j] = 0.0, 1e-30
         for c in range(channels if even else 0):
-            error = values[k, c] - values[k - 1, c] - ratio * (values[k - 1, c] - values[k - 2, c])
+            last = values[k - lag, c]
+            error = values[k, c] - last - ratio * (last - values[k - 2 * lag, c])
             for j in range(lines):
                 error -= (states.amplitude[j, c] * g[j]).real
             error = _limited(states.error, c, error, dt)
             for j in range(lines):
                 gain = g[j].real ** 2 + g[j].imag ** 2
                 if gain > _MIN_GAIN:
-                    a, step = states.amplitude[j, c], 2.0 * error * np.conj(g[j]) / gain
-                    turning[j] += states.weight[c] * (a.real * step.imag - a.imag * step.real)
-                    power[j] += states.weight[c] * (
-                        a.real * a.real + a.imag * a.imag + _FLOOR * states.error[c] ** 2 / gain
-                    )
-                    states.amplitude[j, c] += _AMPLITUDE_RADPS * dt * step
+                    a, step, weight = states.amplitude[j, c], 2.0 * error * np.conj(g[j]) / gain, states.weight[c]
+                    if states.multiple[j] == PARTS:
+                        turning[shaft[j]] += weight * (a.real * step.imag - a.imag * step.real)
+                        squared = a.real * a.real + a.imag * a.imag + _FLOOR * states.error[c] ** 2 / gain
+                        power[shaft[j]] += weight * squared
+                    slower = min(states.multiple[j] * states.anchor_radps[shaft[j]] / _SLOWER_BELOW_RADPS, 1.0)
+                    states.amplitude[j, c] += slower * _AMPLITUDE_RADPS * dt * step
+        for i in range(shafts if even else 0):
+            _turn(states, i, min(max(turning[i] / power[i], -_MAX_TURN_RAD), _MAX_TURN_RAD), dt)
         for j in range(lines):
-            if even:
-                _turn(states, j, min(max(turning[j] / power[j], -_MAX_TURN_RAD), _MAX_TURN_RAD), dt)
-            here = np.exp(1j * states.phase_rad[j])
+            here = np.exp(1j * states.multiple[j] * states.phase_rad[shaft[j]])
             for c in range(channels):
                 out[k - first, c] -= (states.amplitude[j, c] * here).real
     return out
@@ -87,12 +95,11 @@ def _limited(usual: Floats, c: int, error: float, dt: float) -> float:
     return float(np.sign(error) * size)
 
 
-def _turn(states: LineStates, j: int, psi: float, dt: float) -> None:
-    """Move phase, frequency and its rate of a line towards a phase error."""
-    states.phase_rad[j] += _K1 * psi * dt
-    states.omega_radps[j] += _K2 * psi * dt
-    states.alpha_radps2[j] += _K3 * psi * dt
-    alpha = states.alpha_radps2[j]
-    states.alpha_radps2[j] = min(max(alpha, -_MAX_ALPHA_RADPS2), _MAX_ALPHA_RADPS2)
-    if np.abs(states.omega_radps[j] / states.anchor_radps[j] - 1.0) > _OMEGA_RATIO:
-        states.omega_radps[j], states.alpha_radps2[j] = states.anchor_radps[j], 0.0
+def _turn(states: LineStates, i: int, psi: float, dt: float) -> None:
+    """Move phase, frequency and its rate of a shaft by a phase error of its leader."""
+    part, limit = psi / PARTS, _MAX_ALPHA_RADPS2 / PARTS
+    states.phase_rad[i] += _K1 * part * dt
+    states.omega_radps[i] += _K2 * part * dt
+    states.alpha_radps2[i] = min(max(states.alpha_radps2[i] + _K3 * part * dt, -limit), limit)
+    if np.abs(states.omega_radps[i] / states.anchor_radps[i] - 1.0) > _OMEGA_RATIO:
+        states.omega_radps[i], states.alpha_radps2[i] = states.anchor_radps[i], 0.0
