@@ -15,11 +15,13 @@ from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.geometry import MountedCamera, Rig
 from companion.core.stereo.lens_residual import (
     FOCAL,
+    PAIR_TERMS,
     PRISM_X,
     PRISM_Y,
     RADIAL,
     TILT_X,
     TILT_Y,
+    lens_ratio,
     residual_field,
     with_residual,
 )
@@ -220,3 +222,48 @@ def test_keystone_and_prism_across_the_lines_are_learnt_and_along_them_only_beli
     assert np.all(sigma[[1, 3]] < 0.5 * prior[[1, 3]])
     error = flown.last.lens[TILT_X : PRISM_Y + 1] - truth[TILT_X : PRISM_Y + 1]
     assert np.all(np.abs(error) < 3.0 * sigma)
+
+
+PRIOR = np.array([5e-4, 2e-3, 4e-4, 4e-4, 1e-4, 1e-4, 1e-3]) ** 2
+
+
+@pytest.mark.parametrize("worse", [2.0, 4.0])
+def test_a_calibration_that_is_old_is_recognised(worse: float) -> None:
+    """Four terms show, two count as good ones: the mean ratio over calibrations lies between one and the truth."""
+    rng = np.random.default_rng(8)
+    after = np.diag(0.01 * PRIOR)
+    ratios = [
+        lens_ratio(worse * np.sqrt(0.99**2 * PRIOR) * rng.standard_normal(PAIR_TERMS), after, PRIOR)
+        for _ in range(4000)
+    ]
+    assert np.mean(ratios) == pytest.approx((2.0 + 4.0 * worse**2) / 6.0, rel=0.05)
+
+
+def test_terms_that_have_not_shown_say_nothing_of_the_calibration() -> None:
+    assert lens_ratio(np.zeros(PAIR_TERMS), np.diag(PRIOR), PRIOR) == 1.0
+
+
+def test_a_calibration_is_not_taken_for_better_than_it_says() -> None:
+    assert lens_ratio(np.zeros(PAIR_TERMS), np.diag(1e-3 * PRIOR), PRIOR) == 1.0
+
+
+def _old_lens(seed: int, worse: float, airframe: Airframe) -> np.ndarray:
+    camera = _camera(airframe)
+    tilt, prism = camera.tilt_sigma_rad, camera.prism_sigma
+    sigma = np.array([camera.focal_px.sigma / camera.focal_px.value, camera.radial_sigma, tilt, tilt, prism, prism])
+    return np.asarray(worse * sigma * np.random.default_rng([seed, 0x01D]).standard_normal(6))
+
+
+@pytest.mark.parametrize("looks", [nadir, forward], ids=["down", "ahead"])
+def test_an_old_calibration_is_in_the_toes_sigma(looks: Looks) -> None:
+    """Lenses four times as wrong as stated: what the observed terms say widens those that look like yaw.
+
+    Taken at their word the stated sigmas leave 7 of these 12 flights inside three sigma; where all four observed terms
+    happen to be small, nothing can tell.
+    """
+    airframe = _calibrated_by_default(looks(rotation_sigma_rad=3e-4))
+    over = []
+    for seed in range(12):
+        residuals = (_old_lens(2 * seed, 4.0, airframe), _old_lens(2 * seed + 1, 4.0, airframe))
+        over.append(_fly(airframe, residuals, seed).toe_over[-1])
+    assert np.sum(np.abs(over) < 3.0) >= 10

@@ -35,6 +35,8 @@ from companion.units import Severity
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
+_WORN_RATIO = 4.0  # chosen, of variances: of 5,000 good calibrations one looks so worn (chi-square of four terms)
+
 
 class BendSource(Protocol):
     """Source of the wing's bend at past instants: the wing tracker."""
@@ -67,6 +69,7 @@ class Correction:
     vehicle: VehicleTrack = field(default_factory=VehicleTrack)
     last_trusted: CorrectedRange | None = None
     _distrusted: bool = False
+    _worn_told: bool = False
 
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> Correction:
@@ -131,8 +134,19 @@ class Correction:
             self._reopen()
         if self.drift_filter.verdict is MatchVerdict.KNOCKED:
             yield Notice(Severity.WARNING, _KNOCKED, now_host_ns)
+        yield from self._worn_lenses(now_host_ns)
         if answer.sectors is not None and reason is None:
             yield answer.sectors
+
+    def _worn_lenses(self, now_host_ns: int) -> Iterator[Notice]:
+        """Say once that the lenses are not what their calibration states."""
+        ratio = self.drift_filter.lens_ratio
+        if ratio > _WORN_RATIO and not self._worn_told:
+            self._worn_told = True
+            times = float(np.sqrt(ratio))
+            yield Notice(
+                Severity.WARNING, f"lenses are off by {times:.0f} times their sigma: calibrate the cameras", now_host_ns
+            )
 
     def _judged(self, measured: CorrectedRange, lasting_m: float) -> CorrectedRange:
         """The range as the gate has it, which moves the last ones on by the climb rate that was told last."""

@@ -29,7 +29,7 @@ import numpy as np
 
 from companion.core.stereo.consistency_gate import KNOCK_RAD, Innovation, MatchTest, MatchVerdict
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.lens_residual import CONSIDERED, PAIR_TERMS, parallax_columns
+from companion.core.stereo.lens_residual import CONSIDERED, OBSERVED, PAIR_TERMS, lens_ratio, parallax_columns
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats, Reject
@@ -45,6 +45,7 @@ _PERSISTENT = _SLOW + 3  # with the error of the fast part: states that stay fro
 _ALL = _PERSISTENT + 5  # with this pair's error of the baseline's direction, and its innovation
 _FAST, _SHIFT = slice(_SLOW, _PERSISTENT), slice(_PERSISTENT, _PERSISTENT + 2)
 _INNOVATION = slice(_PERSISTENT + 2, _ALL)
+_CLEARLY_WORSE = 1.5  # chosen: good lenses look so much worse than they are in one flight of eight
 _MIN_MATCHES = 12  # three of a rotation, and three times as many to tell outliers by (choice)
 _GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
 # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
@@ -201,10 +202,11 @@ class EpipolarFilter:
         self.epipolar_from_body = epipolar_frame(rig)
         self._prior = prior
         self._mean = np.zeros(_PERSISTENT)
-        constants = [*prior.variances(), 0.0, prior.yaw_bias_rad**2, prior.bend_scale**2]
-        self._covariance = np.diag([*constants, 0.0, 0.0, 0.0])
+        self._covariance = np.diag(self._first_variances())
         self._fast_covariance = np.zeros((3, 3))
         self._bend_variance = 0.0
+        self.lens_ratio = 1.0
+        """Prior variance of the considered lens terms over the stated one."""
         self._updated_ns: int | None = None
         self._test = MatchTest()
         self._systematic_rad2 = np.diag(prior.systematic_rad) ** 2
@@ -270,7 +272,30 @@ class EpipolarFilter:
             t_host_ns,
         )
         self._bend_variance, self._fast_covariance = bend.sigma_rad**2, fast.covariance
+        self._doubt_lenses()
         return _describe(answer, bend, verdict)
+
+    def _doubt_lenses(self) -> None:
+        """Begin again with wider priors of the considered lens terms where the observed ones are wrong by more.
+
+        What matches told of the toe was weighed against lenses that were taken for better. The observed lens terms
+        remain known.
+        """
+        lens = self._covariance[_LENS, _LENS]
+        ratio = lens_ratio(self._mean[_LENS], lens, np.array(self._prior.lens) ** 2)
+        if ratio > _CLEARLY_WORSE * self.lens_ratio:
+            mean, observed = np.zeros(_PERSISTENT), [_LENS.start + term for term in OBSERVED]
+            mean[observed] = self._mean[observed]
+            variances = self._first_variances()
+            variances[_CONSIDERED] *= ratio
+            variances[observed] = np.diag(self._covariance)[observed]
+            self._mean, self._covariance, self.lens_ratio = mean, np.diag(variances), ratio
+            self._bend_variance, self._fast_covariance = 0.0, np.zeros((3, 3))
+
+    def _first_variances(self) -> Floats:
+        """Variances (18,) of the states before any pair; those of bend and fast part come with each pair."""
+        prior = self._prior
+        return np.array([*prior.variances(), 0.0, prior.yaw_bias_rad**2, prior.bend_scale**2, 0.0, 0.0, 0.0])
 
     def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
         """Rotation and lens terms (10,) and their covariance (10, 10) at a time at or after the last update.

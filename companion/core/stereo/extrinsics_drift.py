@@ -62,6 +62,11 @@ class ExtrinsicsDriftFilter:
         """Whether any matches have been taken."""
         return self._filter.has_matches
 
+    @property
+    def lens_ratio(self) -> float:
+        """Variance of the lens residuals over what the calibration states, as matches tell it; at least 1."""
+        return self._filter.lens_ratio
+
     def reopen(self) -> None:
         """Doubt what is known of the rotation: only what matches tell from now on counts."""
         self._filter.reopen()

@@ -41,6 +41,10 @@ PAIR_TERMS = 7
 CONSIDERED = (TILT_X, PRISM_X, RADIAL_MEAN)
 """Terms of a pair that are never estimated: what shows of them shows as yaw."""
 
+OBSERVED = [FOCAL, RADIAL, TILT_Y, PRISM_Y]
+"""Terms of a pair that matches show."""
+_PRIOR_TERMS = 2.0  # chosen: half of the terms that show
+
 
 def residual_field(x: Floats, y: Floats) -> Floats:
     """Error of the slopes (n, 2) per unit of each term, (n, 2, 6); slopes ``x``, ``y`` are (n,)."""
@@ -55,6 +59,30 @@ def parallax_columns(left: Floats, right: Floats) -> Floats:
     across_left, across_right = (residual_field(*slopes.T)[:, 1] for slopes in (left, right))
     radial = across_left[:, RADIAL] - across_right[:, RADIAL]
     return np.column_stack([0.5 * (across_left + across_right), radial])
+
+
+def lens_ratio(terms: Floats, covariance: Floats, prior: Floats) -> float:
+    """Variance of this pair's lens residual over its prior's, at least 1, as the terms that matches show tell it.
+
+    A calibration that is old is so in all its terms: those that never show are as wrong as those that do. With ``w``
+    the share of a prior variance ``p`` that matches have taken away, a posterior mean ``m`` has the expectation
+    ``E m^2 = p (w^2 ratio + w (1 - w))``; :data:`_PRIOR_TERMS` count for a ratio of one.
+
+    Parameters
+    ----------
+    terms, covariance : (7,), (7, 7) float64
+        Posterior of the pair's terms.
+    prior : (7,) float64
+        Prior variances.
+
+    Returns
+    -------
+    float
+    """
+    m, p, after = terms[OBSERVED], prior[OBSERVED], np.diag(covariance)[OBSERVED]
+    w = np.clip(1.0 - after / p, 0.0, 1.0)
+    excess = m**2 / p - w * (1.0 - w)
+    return float(max((_PRIOR_TERMS + excess.sum()) / (_PRIOR_TERMS + (w**2).sum()), 1.0))
 
 
 def straightened(rays: Rays, residual: Floats, epipolar_from_body: Floats) -> Rays:
