@@ -32,6 +32,7 @@ from companion.params.files import load_airframe
 from companion.reporting.plotting import require_report
 from companion.service.config import ServiceConfig
 from companion.sim.flight.flight import Flight, build_flight
+from companion.sim.flight.world_draw import as_calibrated
 from companion.sim.flight.worlds import IDEAL, WORLDS
 from companion.sim.vehicle.lockstep import EPOCH_NS
 
@@ -74,9 +75,10 @@ def execute(options: argparse.Namespace) -> int:
     recording = options.out / "flight.mcap"
     for old in (recording, options.out / "summary.png"):
         old.unlink(missing_ok=True)
+    world = WORLDS[options.world]
+    airframe = as_calibrated(airframe, world)
     live = read_live(options, recording)
     config = ServiceConfig(airframe, read_settings(options), (), recording=recording, live=live)
-    world = WORLDS[options.world]
     _say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s, {world.name} world) ...")
     flight = build_flight(airframe, options.seed, options.duration, world=world)
     start_host_ns, report = _flown(config, flight, options)

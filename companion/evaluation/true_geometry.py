@@ -78,13 +78,19 @@ class TrueGeometry:
         return self._read(matches, rig, exposures(rig, self._true_tips, left, right))
 
     def true_toe_rad(self, matches: MatchSet) -> float:
-        """Divergence of the true optical axes at the exposures beyond that of the believed ground calibration.
+        """Divergence at the exposures of where the middles of both images look, beyond the ground calibration's.
 
-        Counterpart of :attr:`CorrectedRange.toe_rad`: the yaw of a pair that looks ahead, whose wing bends in roll.
+        Counterpart of :attr:`CorrectedRange.toe_rad`: the yaw of a pair that looks ahead, whose wing bends in roll. The
+        middle is the pixel that the belief has on the optical axis: a principal point that is off, with the camera
+        turned so that the calibration's board was where it was, is no toe.
         """
         left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         moving = exposures(self.pair.rig, self._true_tips, left, right)
-        return divergence(moving) - divergence(rest_exposures(self._belief))
+        left_ray, right_ray = (
+            self.pair.rig.camera(side).lens.unproject(self._belief.camera(side).lens.matrix[None, :2, 2])[0]
+            for side in Side
+        )
+        return divergence(moving, (left_ray, right_ray)) - divergence(rest_exposures(self._belief))
 
     def true_deflection(self, t_host_ns: int) -> Deflection:
         """The wing as it really was, as an estimate without error."""

@@ -10,6 +10,8 @@ from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
 from companion.records import Station
 from companion.sim.flight.aircraft import FlightPlan, Jolt, circuit_plan, demo_plan
+from companion.sim.flight.world_draw import as_calibrated
+from companion.sim.flight.worlds import WORLDS
 
 DURATION_S = 32.0
 SETTLED_S = 15.0
@@ -69,7 +71,7 @@ class CampaignRow:
 
     def belief(self) -> Airframe:
         """The airframe that the estimator is given."""
-        airframe = load_airframe(self.airframe)
+        airframe = as_calibrated(load_airframe(self.airframe), WORLDS[self.world])
         if self.sensors == "6-axis":
             return airframe
         left, right = (dataclasses.replace(sensor, sends="z") for sensor in (airframe.left, airframe.right))

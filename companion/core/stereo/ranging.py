@@ -25,6 +25,8 @@ from companion.records import CorrectedRange, Deflection, Floats, MatchSet, Obst
 _COMMON_MATCH_PX = 0.02
 TIMING_SIGMA_S = 1e-4
 """Of the stamps of an exposure, where nobody says otherwise."""
+OPTICAL_AXIS: Floats = np.array([0.0, 0.0, 1.0])
+"""Direction in camera axes."""
 _AXES = {0: "x", 2: "y", 4: "-x", 6: "-y", 24: "-z", 25: "z"}
 # 1 / (10 km): below this an inverse depth is called infinite.
 _INFINITY_PM = 1e-4
@@ -247,10 +249,12 @@ def toe_between(rig: Rig, moving: tuple[CameraExposure, CameraExposure]) -> floa
     return divergence(moving) - divergence(rest_exposures(rig))
 
 
-def divergence(pair: tuple[CameraExposure, CameraExposure]) -> float:
-    """Angle by which the optical axes of a pair part in the epipolar plane, radians."""
+def divergence(
+    pair: tuple[CameraExposure, CameraExposure], rays: tuple[Floats, Floats] = (OPTICAL_AXIS, OPTICAL_AXIS)
+) -> float:
+    """Angle by which a ray (3,) of each camera, in its own axes, parts from the other's in the epipolar plane, rad."""
     x, z = _epipolar_xz(pair)
-    left, right = (exposure.pose.camera_from_body[2] for exposure in pair)
+    left, right = (ray @ exposure.pose.camera_from_body for ray, exposure in zip(rays, pair, strict=True))
     return float(np.arctan2(right @ x, right @ z) - np.arctan2(left @ x, left @ z))
 
 

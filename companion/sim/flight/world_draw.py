@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from companion.params.airframe import Camera, Sensor, Uncertain
+from companion.params.airframe import Airframe, Camera, Sensor, Uncertain
 from companion.records import Floats, Station
 from companion.sim.flight.aircraft import FlightPlan, PullUp
 from companion.sim.flight.gust import GustKind
@@ -50,6 +50,24 @@ def gusty(plan: FlightPlan, weather: Weather, rng: np.random.Generator) -> Fligh
 def gust_kind(weather: Weather, rng: np.random.Generator) -> GustKind:
     """Spectrum of this flight's gusts."""
     return weather.kinds[int(rng.integers(len(weather.kinds)))] if weather.kinds else GustKind.AIRFRAME
+
+
+def as_calibrated(airframe: Airframe, world: Conditions) -> Airframe:
+    """The airframe file as the calibration of a world's cameras writes it: with the sigmas that it states."""
+    if world.stated is None:
+        return airframe
+    left, right = (_stated(camera, world.stated) for camera in (airframe.left_camera, airframe.right_camera))
+    return dataclasses.replace(airframe, left_camera=left, right_camera=right)
+
+
+def _stated(camera: Camera | None, lenses: LensResiduals) -> Camera | None:
+    """The camera with these sigmas, as terms of ``core.stereo.lens_residual``: a tilt is ``2 P - c``, a prism ``P``."""
+    if camera is None:
+        return None
+    tilt_rad = math.hypot(lenses.principal_px / camera.focal_px.value, 2.0 * lenses.tangential)
+    return dataclasses.replace(
+        camera, tilt_sigma_rad=tilt_rad, prism_sigma=lenses.tangential, radial_sigma=lenses.radial
+    )
 
 
 def worn(real: TruthAirframe, world: Conditions, rng: np.random.Generator) -> TruthAirframe:

@@ -125,18 +125,30 @@ class Weather:
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """One world. Consumers: ``flight.build_flight`` and, for images, :mod:`companion.sim.vision`."""
+    """One world. Consumers: ``flight.build_flight`` and, for images, :mod:`companion.sim.vision`.
+
+    ``stated`` is what the calibration of the cameras states of itself in the airframe file; None: what the file says.
+    """
 
     name: str
     propulsion: Propulsion | None = None
     sensors: SensorWear = field(default_factory=SensorWear)
     lenses: LensResiduals = field(default_factory=LensResiduals)
+    stated: LensResiduals | None = None
     images: ImageFaults = field(default_factory=ImageFaults)
     weather: Weather = field(default_factory=Weather)
     grounds: tuple[Ground, ...] = (Ground.PLAIN,)
 
 
 IDEAL = Conditions("ideal")
+
+_CALIBRATED = LensResiduals(
+    # what 30 good ChArUco views at 640x480 leave: k1 0.001, p 5e-5, principal point 0.3 px (quoted, not measured here)
+    radial=0.001,
+    tangential=5e-5,
+    principal_px=0.3,
+    place_m=0.0005,
+)
 
 _ELECTRIC = Propulsion(
     # 12x6 to 14x7 two-blade propellers on 2 m aircraft cruise at 3,600 to 6,000 rpm (makers' thrust tables)
@@ -161,8 +173,8 @@ FAIR = Conditions(
         accel_thermal_mps2=0.0075,
         gyro_thermal_radps=0.00044,
     ),
-    # what 30 good ChArUco views at 640x480 leave: k1 0.001, p 5e-5, principal point 0.3 px (quoted, not measured here)
-    lenses=LensResiduals(radial=0.001, tangential=5e-5, principal_px=0.3, focal_ratio=0.0, place_m=0.0005),
+    lenses=_CALIBRATED,
+    stated=_CALIBRATED,
     images=ImageFaults(
         vignetting=(0.1, 0.3),  # C-mount lenses at f/2.8: makers' relative-illumination curves
         defocus_px=(0.2, 0.5),  # a tenth of a millimetre of back focus at f/2.8, 4 um pixels
@@ -205,6 +217,7 @@ ROUGH = Conditions(
     ),
     # an old calibration: two to four times the fair one's (chosen; an audit's lens had p = 3e-4)
     lenses=LensResiduals(radial=0.003, tangential=2e-4, principal_px=1.0, focal_ratio=0.001, place_m=0.001),
+    stated=_CALIBRATED,
     images=ImageFaults(
         vignetting=(0.3, 0.5),
         defocus_px=(0.4, 0.9),
