@@ -24,7 +24,7 @@ class SampleCorrections:
 
     @classmethod
     def of(cls, airframe: Airframe) -> SampleCorrections:
-        """What an airframe's named effects ask for."""
+        """Corrections of an airframe's named effects."""
         effects = tuple(make_effect(entry) for entry in airframe.effects)
         applied = apply_to_airframe(airframe)
         late_s = {
