@@ -44,7 +44,7 @@ def main(arguments: list[str]) -> int:
     print(markdown(rows))
     if options.write:
         _write(rows)
-    return int(not _spanwise_lands(rows))
+    return int(not _spanwise_lands(rows, options.flights))
 
 
 def _tasks(flights: int, kinds: list[RangeKind], folder: Path) -> list[LandingTask]:
@@ -59,11 +59,11 @@ def _flown(row: Row) -> bool:
     return not row.get("failed")
 
 
-def _spanwise_lands(rows: list[Row]) -> bool:
-    """Whether every landing by Spanwise flared where it should, and met the ground softly."""
+def _spanwise_lands(rows: list[Row], flights: int) -> bool:
+    """Whether all landings by Spanwise were flown, flared where they should, and met the ground softly."""
     summed = figures([row for row in rows if row["range"] == RangeKind.SPANWISE])
     softly = not len(summed.sink_mps) or float(summed.sink_mps.max()) < _SOFT_MPS
-    return summed.landed == summed.flights and summed.high_flares == summed.no_flare == 0 and softly
+    return summed.landed == 2 * flights and summed.high_flares == summed.no_flare == 0 and softly
 
 
 def _write(rows: list[Row]) -> None:
