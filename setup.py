@@ -21,7 +21,7 @@ from setuptools.command.build_ext import build_ext
 
 ROOT = Path(__file__).resolve().parent
 NATIVE = Path("companion", "native")
-# the order of sums is kept, and no product is fused with a sum: the same bits with every compiler of one machine
+# the order of sums is kept, and no product is fused with a sum: sums have the same bits with every compiler
 FLAGS = ("-std=c11", "-O3", "-fno-fast-math", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-shared", "-lm")
 WARNINGS = ("-Wall", "-Wextra", "-Wno-unknown-pragmas")
 

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.native import library
 from tools.wheels import ELF_MACHINES, ROOT, build, elf_machine, faults, libraries, newest_glibc
 
-_LOADED = "from companion.native import library; print(library.__file__)"
+_LOADED = "from companion.native import library; print(library.__file__, library.library_variant(), sep='\\n')"
 
 
 def test_the_processor_of_a_library_is_read_from_its_header() -> None:
@@ -104,7 +105,9 @@ def test_the_wheel_of_this_machine_starts_in_an_environment_of_its_own(wheels: d
     assert "the live service beside an autopilot" in helped.stdout
     loaded = subprocess.run([python, "-P", "-c", _LOADED], cwd=tmp_path, capture_output=True, text=True)
     assert loaded.returncode == 0, loaded.stderr
-    assert Path(loaded.stdout.strip()).is_relative_to(ours)
+    where, variant = loaded.stdout.splitlines()
+    assert Path(where).is_relative_to(ours)
+    assert variant.split()[0] == library.library_variant().split()[0], "the widest that this processor runs"
 
 
 def borrowed() -> str:
