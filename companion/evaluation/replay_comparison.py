@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +14,7 @@ from companion.records import Record
 
 ROUNDING_RATIO = 1e-6
 """Largest difference that counts as rounding, of a field's largest value so far: 0.06 mm of 60 m (choice)."""
+_OFF_DIAGONAL = re.compile(r"(?P<field>.*covariance)\[(?P<row>\d+)\]\[(?P<column>\d+)\]")
 _STAMP_SCALE = 1e9  # of integers that are stamps, ns: the ratio allows 1 us
 
 
@@ -95,12 +97,20 @@ class ReplayComparison:
             self._scales[name] = max([self._scales.get(name, 0.0), *finite])
             if before == after:
                 return 0.0
-            return abs(before - after) / self._scales[name] if len(finite) == 2 else math.inf
+            return abs(before - after) / self._scale(name) if len(finite) == 2 else math.inf
         if before == after:
             return 0.0
         if name.endswith("_ns") and isinstance(before, int) and isinstance(after, int):
             return abs(before - after) / _STAMP_SCALE
         return math.inf
+
+    def _scale(self, name: str) -> float:
+        """Largest value of a field so far; for a covariance what its two variances allow (Cauchy and Schwarz)."""
+        entry = _OFF_DIAGONAL.fullmatch(name)
+        if entry is None or entry["row"] == entry["column"]:
+            return self._scales[name]
+        variances = [self._scales.get(f"{entry['field']}[{at}][{at}]", 0.0) for at in (entry["row"], entry["column"])]
+        return max(self._scales[name], math.sqrt(variances[0] * variances[1]))
 
     def _at_s(self, record: Record) -> float:
         at_ns = int(getattr(record, CHANNELS[type(record)].time))

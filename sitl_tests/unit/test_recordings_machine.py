@@ -36,13 +36,19 @@ def test_the_library_is_named_with_what_compiled_it() -> None:
 
 def test_features_of_an_arm_processor_are_read(tmp_path: Path) -> None:
     (tmp_path / "cpuinfo").write_text(ARM)
-    assert processor_features(tmp_path / "cpuinfo") == ["asimd"]
+    assert processor_features("aarch64", tmp_path / "cpuinfo") == ["asimd"]
+
+
+def test_features_of_an_emulator_s_host_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "cpuinfo").write_text("processor : 0\nflags : fpu sse2 fma avx2\n")
+    assert processor_features("aarch64", tmp_path / "cpuinfo") == []
+    assert processor_features("x86_64", tmp_path / "cpuinfo") == ["avx2", "fma"]
 
 
 def test_a_system_without_such_a_table_has_none(tmp_path: Path) -> None:
-    assert processor_features(tmp_path / "absent") == []
+    assert processor_features("x86_64", tmp_path / "absent") == []
     (tmp_path / "cpuinfo").write_bytes(b"\xff\xfe")
-    assert processor_features(tmp_path / "cpuinfo") == []
+    assert processor_features("x86_64", tmp_path / "cpuinfo") == []
 
 
 def test_a_choice_of_linear_algebra_makes_another_machine(monkeypatch: pytest.MonkeyPatch) -> None:

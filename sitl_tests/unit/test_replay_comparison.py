@@ -41,6 +41,19 @@ def test_what_is_small_now_is_judged_by_the_fields_largest_value() -> None:
     assert compared((RANGE, RANGE), (small, moved)).difference is None
 
 
+def test_a_covariance_is_judged_by_what_its_variances_allow() -> None:
+    """Two quantities that hardly hang together: their covariance is rounding beside the product of their sigmas."""
+    comparison = ReplayComparison()
+    rows = {f"Deflection.covariance[{i}][{i}]": variance for i, variance in enumerate((4.0, 9.0))}
+    for name, variance in rows.items():
+        comparison._hold(name, variance, variance, 0.0)
+    comparison._hold("Deflection.covariance[0][1]", 1e-9, 2e-9, 0.0)
+    assert comparison.difference is None
+    assert comparison.largest_ratio == pytest.approx(1e-9 / 6.0)
+    comparison._hold("Deflection.covariance[0][1]", 1e-9, 6e-5, 0.0)
+    assert comparison.difference is not None
+
+
 @pytest.mark.parametrize(
     ("change", "differs"),
     [

@@ -15,29 +15,29 @@ from pathlib import Path
 from companion.native.library import library_variant
 
 _PACKAGES = ("numpy", "scipy", "opencv-python-headless")
-_FEATURES = ("avx2", "fma", "avx512f", "asimd", "sve")
-"""By which numpy and its linear algebra choose their loops."""
+_FEATURES = {"x86_64": ("avx2", "fma", "avx512f"), "aarch64": ("asimd", "sve")}
+"""By which numpy and its linear algebra choose their loops; an emulator shows those of its host, too."""
 _LINEAR_ALGEBRA = "OPENBLAS_CORETYPE"
 """Variable of OpenBLAS that chooses them in its place."""
 
 
 def machine() -> str:
     """Processor and its features, our library, Python, C library and the packages whose arithmetic is used."""
-    processor = " ".join([platform.machine(), *processor_features()])
+    processor = " ".join([platform.machine(), *processor_features(platform.machine())])
     chosen = os.environ.get(_LINEAR_ALGEBRA)
     packages = (f"{name} {_version(name)}" for name in _PACKAGES)
     system = [f"python {platform.python_version()}", c_library()]
     return ", ".join([processor, library_variant(), *system, *packages, *([f"OpenBLAS {chosen}"] if chosen else [])])
 
 
-def processor_features(table: Path = Path("/proc/cpuinfo")) -> list[str]:
+def processor_features(architecture: str, table: Path = Path("/proc/cpuinfo")) -> list[str]:
     """Features of the first processor that arithmetic may depend on; none where the system has no such table."""
     try:
         words = re.search(r"^(?:flags|Features)\s*:(.*)$", table.read_text(encoding="utf-8"), re.MULTILINE)
     except (OSError, UnicodeDecodeError):
         return []
     present = words[1].split() if words else []
-    return [name for name in _FEATURES if name in present]
+    return [name for name in _FEATURES.get(architecture, ()) if name in present]
 
 
 def c_library() -> str:
