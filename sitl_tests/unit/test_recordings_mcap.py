@@ -28,6 +28,7 @@ from companion.params.settings import Settings
 from companion.records import (
     Axis,
     ClockName,
+    ClockState,
     Frame,
     FramePair,
     ImuBatch,
@@ -171,6 +172,21 @@ def test_every_possible_cut_is_read_or_refused_in_words(tmp_path: Path) -> None:
     assert counts == sorted(counts)
     assert counts[0] == 0
     assert counts[-1] == len(records)
+
+
+def test_a_clock_that_was_never_read_does_not_begin_the_recording(tmp_path: Path) -> None:
+    began_ns, ended_ns = 5_000_000_000_000, 5_003_000_000_000
+    path, random = tmp_path / "a.mcap", np.random.default_rng(1)
+    writer = McapWriter(path, About.of(load_airframe("nadir-2m"), Settings()))
+    writer.write(ClockState(ClockName.BOOT, 0, 0, 0.0, 1_000_000_000, synced=False))
+    for now_ns in range(began_ns, ended_ns + 1, 100_000_000):
+        writer.write(RawChunk(0, now_ns, random.bytes(2000)))
+    writer.close()
+    assert McapRecording(path).span_ns() == (began_ns, ended_ns)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    (notice,) = [each.text for each in McapRecording(cut).notices if "truncated at" in each.text]
+    assert 0.0 < float(notice.partition("truncated at ")[2].partition(" s")[0]) <= 3.0
 
 
 def test_a_damaged_chunk_is_left_out_and_named(tmp_path: Path) -> None:

@@ -229,14 +229,31 @@ class McapRecording:
             self._notes.add(f"{self.path.name}: {self.dropped} records were dropped while recording; not replayable")
 
     def span_ns(self) -> tuple[int, int]:
-        """Host times of the first and the last record, (0, 0) where there is none."""
+        """Host times of the first and the last record, (0, 0) where there is none.
+
+        A clock that was never read is stamped 0; such a record does not begin the recording.
+        """
         spans = []
         with self.path.open("rb") as file:
             for segment in [record for record in self._segments if record.opcode == Opcode.CHUNK]:
                 if segment.length >= TIME_SPAN.size:
                     file.seek(segment.offset)
-                    spans.append(TIME_SPAN.unpack(file.read(TIME_SPAN.size)))
-        return (min(start for start, _ in spans), max(end for _, end in spans)) if spans else (0, 0)
+                    start_ns, end_ns = TIME_SPAN.unpack(file.read(TIME_SPAN.size))
+                    spans.append((start_ns or _first_stamp_ns(file, segment), end_ns))
+        starts = [start_ns for start_ns, _ in spans if start_ns]
+        return min(starts, default=0), max((end_ns for _, end_ns in spans), default=0)
+
+
+def _first_stamp_ns(file: BinaryIO, segment: FileSegment) -> int:
+    """Earliest log time of a chunk after 0; 0 where there is none, or the chunk is damaged."""
+    try:
+        chunk = parse(file, segment)
+        check_size(chunk)
+        entries = list(breakup_chunk(chunk, validate_crc=True))
+    except DAMAGE:
+        return 0
+    stamps = (entry.log_time for entry in entries if isinstance(entry, mcap.Message))
+    return min((stamp_ns for stamp_ns in stamps if stamp_ns), default=0)
 
 
 def load_settings(text: str) -> Settings:
