@@ -39,6 +39,9 @@ def tuned_prior(rig: Rig, pairs: list[FlexedPair]) -> ExtrinsicsPrior:
     return ExtrinsicsPrior(baseline_rad=_BASELINE_RAD, parallax_rad=float(np.sqrt(max(np.median(excess), 0.0))))
 
 
+_STATES = 12  # of rotation, baseline and lenses
+
+
 def split(pairs: list[FlexedPair], seed: int = 5) -> list[np.ndarray]:
     """For each pair, which matches the estimate may use; the others judge it."""
     random = np.random.default_rng(seed)
@@ -68,11 +71,18 @@ def estimate(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray], way: str
 
 
 def own_design(rig: Rig, pair: FlexedPair, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Parallax (n,) under the true applied rotation, and its design (n, 7), written down here once more."""
+    """Parallax (n,) under the true applied rotation, and its design (n, 12), written down here once more.
+
+    Columns: pitch, yaw, roll, baseline y and z; focal length, radial term, keystone x and y, prism x and y by which the
+    lenses differ, and the radial term that both have wrong.
+    """
     rays = in_frame(rays_of(rig, pair.matches, pair.total_rad, chosen), epipolar_frame(rig))
     left, right = rays.left / rays.left[:, 2:], rays.right / rays.right[:, 2:]
     x, y, d = right[:, 0], 0.5 * (left[:, 1] + right[:, 1]), left[:, 0] - right[:, 0]
-    design = np.column_stack([-(1 + y * y), x * y, x, d, -y * d, y, y * (x * x + y * y)])
+    x_mid, square = 0.5 * (left[:, 0] + right[:, 0]), (left[:, :2] ** 2).sum(axis=1) + (right[:, :2] ** 2).sum(axis=1)
+    cubic = [slopes[:, 1] * (slopes[:, :2] ** 2).sum(axis=1) for slopes in (left, right)]
+    lens = [y, y * square / 2, x_mid * y, y * y, 0 * y, square / 2, cubic[0] - cubic[1]]
+    design = np.column_stack([-(1 + y * y), x * y, x, d, -y * d, *lens])
     return left[:, 1] - right[:, 1], design
 
 
@@ -90,7 +100,7 @@ def calibration_error(rig: Rig, pairs: list[FlexedPair], used: list[np.ndarray],
     prior = np.diag(1.0 / np.sqrt(belief.variances()))
     sigma = 1.4826 * np.median(np.abs(parallax[good] - np.median(parallax[good])))
     stacked = np.vstack([design[good] / sigma, prior])
-    fitted, *_ = np.linalg.lstsq(stacked, np.concatenate([parallax[good] / sigma, np.zeros(7)]), rcond=None)
+    fitted, *_ = np.linalg.lstsq(stacked, np.concatenate([parallax[good] / sigma, np.zeros(_STATES)]), rcond=None)
     return fitted[:3]
 
 
@@ -111,7 +121,7 @@ def cramer_rao(
     With ``fast_sigma_rad`` the slow part is followed from pair to pair and the fast part is known to that; without,
     every pair stands alone.
     """
-    walk = np.zeros(7)
+    walk = np.zeros(_STATES)
     walk[:3] = prior.walk_rad_rts**2
     information = np.diag(1.0 / prior.variances())
     bounds, last_ns = [], pairs[0].t_ns
@@ -123,11 +133,11 @@ def cramer_rao(
             bounds.append(np.sqrt(np.diag(alone)[:3]))
             continue
         predicted = np.linalg.inv(information) + np.diag(walk) * 1e-9 * (pair.t_ns - last_ns)
-        joint = np.zeros((10, 10))
-        joint[:7, :7], joint[7:, 7:] = predicted, fast_sigma_rad**2 * np.eye(3)
+        joint = np.zeros((_STATES + 3, _STATES + 3))
+        joint[:_STATES, :_STATES], joint[_STATES:, _STATES:] = predicted, fast_sigma_rad**2 * np.eye(3)
         rows = np.hstack([design, design[:, :3]])
         posterior = np.linalg.inv(np.linalg.inv(joint) + rows.T @ rows)
-        add = np.hstack([np.eye(3), np.zeros((3, 4)), np.eye(3)])
+        add = np.hstack([np.eye(3), np.zeros((3, _STATES - 3)), np.eye(3)])
         bounds.append(np.sqrt(np.diag(add @ posterior @ add.T)))
-        information, last_ns = np.linalg.inv(posterior[:7, :7]), pair.t_ns
+        information, last_ns = np.linalg.inv(posterior[:_STATES, :_STATES]), pair.t_ns
     return np.array(bounds)
