@@ -45,5 +45,5 @@ def registration() -> dict[str, Any]:
 def token_page(*, wrong: bool) -> HttpAnswer:
     """Page with a field for the token; it loads nothing else."""
     text = (resources.files("companion.live") / "page" / "token.html").read_text(encoding="utf-8")
-    text = text.replace(_WRONG, "<p><b>That is not the token.</b></p>" if wrong else "")
+    text = text.replace(_WRONG, "That is not the token." if wrong else "")
     return HttpAnswer(HTTPStatus.OK, text.encode(), "text/html; charset=utf-8")

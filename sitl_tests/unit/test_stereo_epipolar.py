@@ -182,3 +182,14 @@ def test_belief_grows_wider_while_nothing_is_seen(rig: Rig) -> None:
     assert prior.time_s == pytest.approx(50.0)
     assert np.allclose(soon, 25e-6 + (now - 25e-6) * np.exp(-8.0 / 50.0), rtol=1e-9)
     assert np.allclose(late, 25e-6, rtol=1e-9)
+
+
+def test_a_flight_that_is_not_known_at_all_leaves_the_rotation(rig: Rig) -> None:
+    """Hostile speeds once told 25 baselines flown between the exposures, along one line: the prior was singular."""
+    flown = 600.0 * np.array([[0.004, 0.063], [0.063, 0.996]])
+    sigma = np.full(150, NOISE_RAD)
+    update = EpipolarFilter(rig, ExtrinsicsPrior()).update(
+        _rays(rig, np.zeros(3), 3), sigma, FastBelief(np.zeros((3, 3))), 0, shift_covariance=flown
+    )
+    assert isinstance(update, EpipolarUpdate)
+    assert np.all(np.isfinite(update.total_covariance))

@@ -65,7 +65,7 @@ def main(arguments: list[str]) -> int:
             print(f"{f'wheel, {machine}':20s} {size_mb:7.2f} MB", flush=True)
         for extra in options.extras:
             sizes_mb[extra] = installed_mb(extra, Path(folder))
-            name = f"spanwise[{extra}]" if extra else "spanwise (base)"
+            name = f"spanwise[{extra}]" if extra else "base (spanwise)"
             print(f"{name:20s} {sizes_mb[extra]:7.0f} MB", flush=True)
     missed = sizes_mb.get("", 0.0) > _BASE_LIMIT_MB
     if missed:

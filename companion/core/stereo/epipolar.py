@@ -52,6 +52,8 @@ _GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
 _STUDENT_DOF = 5.0
 _MAD_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information
+# trace for a pair's own baseline: a tenth of its length flown between exposures; more is singular beside the rest (choice)
+_MAX_SHIFT_RAD2 = 0.01
 # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
 _FAST_VARIANCE_FACTOR = 3.0
 # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
@@ -257,7 +259,9 @@ class EpipolarFilter:
         mean, predicted = self._predicted(t_host_ns, bend, fast)
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        prior = _joint(predicted, shift_covariance)
+        prior = _joint(
+            predicted, shift_covariance * min(1.0, _MAX_SHIFT_RAD2 / max(np.trace(shift_covariance), 1e-300))
+        )
         answer = _solve(epipolar_rays, noise_rad, mean, prior, bend)
         verdict, granted_rad2 = self._test.take(
             _innovation(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast.covariance)
