@@ -52,7 +52,7 @@ _GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
 _STUDENT_DOF = 5.0
 _MAD_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information
-# trace for a pair's own baseline: a tenth of its length flown between exposures; more is singular beside the rest (choice)
+# trace for a pair's own baseline: a tenth of its length flown between exposures (choice); far more is singular
 _MAX_SHIFT_RAD2 = 0.01
 # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
 _FAST_VARIANCE_FACTOR = 3.0
