@@ -27,8 +27,8 @@ $(READY): $(wildcard $(NATIVE)/*.[ch]) setup.py $(STAMP)
 	$(BIN)/python setup.py -q build_ext --inplace
 	@touch $@
 
-demo: $(READY)   ## fly the simulated aircraft and the service in lock-step, in a world with vibration, and show the ranges
-	$(BIN)/spanwise demo --world fair
+demo: $(READY)   ## fly the simulated aircraft and the service in lock-step and show the ranges
+	$(BIN)/spanwise demo
 
 test: $(READY)   ## the tests; those that start live processes come last: those that mostly wait side by side, then the others alone
 	$(BIN)/python -m pytest -n 2 -m "not realtime and not long"
