@@ -259,9 +259,7 @@ class EpipolarFilter:
         mean, predicted = self._predicted(t_host_ns, bend, fast)
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
-        prior = _joint(
-            predicted, shift_covariance * min(1.0, _MAX_SHIFT_RAD2 / max(np.trace(shift_covariance), 1e-300))
-        )
+        prior = _joint(predicted, shift_covariance / max(float(np.trace(shift_covariance)) / _MAX_SHIFT_RAD2, 1.0))
         answer = _solve(epipolar_rays, noise_rad, mean, prior, bend)
         verdict, granted_rad2 = self._test.take(
             _innovation(answer).loosened(self._systematic_rad2 + _FAST_VARIANCE_FACTOR * fast.covariance)
