@@ -12,9 +12,11 @@ SpanwiseError                   the base; ``str()`` says what was wrong, where, 
 
 from __future__ import annotations
 
+import importlib
 import traceback
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 _LONGEST_TEXT = 200  # characters: two lines of a terminal
 
@@ -63,6 +65,20 @@ class MissingExtra(SpanwiseError):
 def missing_extra(purpose: str, extra: str) -> str:
     """Sentence for a ``purpose`` ("OAK cameras") whose library comes with an optional extra of the package."""
     return f"{purpose} need more than the base installation: pip install 'spanwise[{extra}]'"
+
+
+def import_extra(module: str, purpose: str, extra: str) -> Any:
+    """Module of an optional dependency, imported where it is used.
+
+    Raises
+    ------
+    MissingExtra
+        It is not installed; the message names its extra and what it is for ("OAK cameras").
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtra(purpose, extra) from error
 
 
 class SetupError(SpanwiseError):

@@ -10,7 +10,7 @@ from typing import Any
 from companion.adapters.recordings.mcap.channels import CAMERA_TOPICS, CHANNELS, SENT_LINK, Recordable, topic_of
 from companion.adapters.recordings.mcap.images import ImageFormat
 from companion.adapters.recordings.mcap.messages import MessageForm, form_of, image_form, image_message, message_of
-from companion.errors import MissingExtra
+from companion.errors import import_extra
 from companion.live.feed import BIT
 from companion.records import Frame, FramePair, ImuBatch, RawChunk, Station
 
@@ -25,11 +25,7 @@ def require_live() -> Any:
     MissingExtra
         The extra ``live`` is not installed.
     """
-    try:
-        import foxglove
-    except ImportError as error:
-        raise MissingExtra("live pages", "live") from error
-    return foxglove
+    return import_extra("foxglove", "live pages", "live")
 
 
 class Broadcaster:

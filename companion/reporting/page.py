@@ -8,7 +8,7 @@ from collections.abc import Callable
 from importlib.resources import files
 from typing import Any
 
-from companion.errors import MissingExtra
+from companion.errors import import_extra
 from companion.reporting.blocks import Page, Table
 
 _TEMPLATES = "templates"
@@ -51,19 +51,14 @@ def numeric_columns(table: Table) -> list[bool]:
 
 
 def _environment(typeset: Typeset | None) -> Any:
-    try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined  # the extra "report"
-        from markupsafe import Markup
-    except ImportError as error:
-        raise MissingExtra("pages", "report") from error
-
-    environment = Environment(
-        loader=PackageLoader("companion.reporting", _TEMPLATES), autoescape=True, undefined=StrictUndefined
-    )
+    jinja2 = import_extra("jinja2", "pages", "report")
+    markup = import_extra("markupsafe", "pages", "report").Markup
+    loader = jinja2.PackageLoader("companion.reporting", _TEMPLATES)
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     symbols = typeset or str
-    environment.filters["typeset"] = lambda text: Markup(symbols(html.escape(str(text), quote=False)))
+    environment.filters["typeset"] = lambda text: markup(symbols(html.escape(str(text), quote=False)))
     environment.filters["capitalised"] = lambda text: text[:1].upper() + text[1:]
     environment.filters["numeric_columns"] = numeric_columns
     style = (files("companion.reporting") / _TEMPLATES / "style.css").read_text(encoding="utf-8")
-    environment.globals["style"] = Markup(style)
+    environment.globals["style"] = markup(style)
     return environment

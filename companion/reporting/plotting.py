@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import textwrap
 from typing import Any
 
 import numpy as np
 
-from companion.errors import MissingExtra
+from companion.errors import import_extra
 from companion.records import Floats
 
 # Okabe and Ito's palette, in which any two differ for every kind of colour vision, and in lightness
@@ -29,11 +28,8 @@ def require_report() -> None:
     MissingExtra
         The extra ``report`` is not installed.
     """
-    try:
-        for library in _REPORT_LIBRARIES:
-            importlib.import_module(library)
-    except ImportError as error:
-        raise MissingExtra("pages and pictures", "report") from error
+    for library in _REPORT_LIBRARIES:
+        import_extra(library, "pages and pictures", "report")
 
 
 def new_figure(width_in: float, height_in: float) -> Any:
@@ -44,11 +40,9 @@ def new_figure(width_in: float, height_in: float) -> Any:
     MissingExtra
         The extra ``report`` is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtra("pictures", "report") from error
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    return import_extra("matplotlib.figure", "pictures", "report").Figure(
+        figsize=(width_in, height_in), layout="constrained"
+    )
 
 
 def with_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""The README's tour without hardware: its commands as they are written there, one after the other, only shorter."""
+"""The tour without hardware of the set-up page: its commands as they stand there, one after the other, only shorter."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ import pytest
 from companion.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "config" / "SETUP.md"
 _RANGES_S = 200.0
 
 
 def tour() -> list[str]:
     """The commands of the section, without their remarks."""
-    section = (ROOT / "README.md").read_text().partition("## A tour without hardware")[2].partition("\n## ")[0]
+    section = PAGE.read_text().partition("## A tour without hardware")[2].partition("\n## ")[0]
     block = section.split("```")[1]
     return [line.partition("#")[0].strip() for line in block.splitlines() if line.strip()]
 
@@ -75,7 +76,7 @@ def until(process: subprocess.Popen[str], pattern: str, timeout_s: float) -> str
 
 @pytest.mark.realtime
 @pytest.mark.slow
-def test_the_tour_goes_as_the_readme_says(tmp_path: Path) -> None:
+def test_the_tour_goes_as_the_page_says(tmp_path: Path) -> None:
     vehicle, doctor, service, replay, diagnose = tour()
     port = str(free_port())
     doctor, service = doctor.replace("14550", port), service.replace("14550", port)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import importlib
 import os
 import time
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ import numpy as np
 
 from companion.adapters.cameras.oak_soft import SoftEar, fire_queue
 from companion.adapters.triggers.oak import SoftLine
-from companion.errors import DeviceError, missing_extra
+from companion.errors import DeviceError, import_extra
 from companion.records import ClockName, Frame, Side
 
 PLAN_UNKNOWN = -1  # convention of Frame.plan_id: no plan is known
@@ -259,14 +258,11 @@ def library() -> Any:
 
     Raises
     ------
-    DeviceError
+    MissingExtra
         It is not installed.
     """
     os.environ.setdefault("DEPTHAI_TELEMETRY", "0")  # read when it is imported
-    try:
-        return importlib.import_module("depthai")
-    except ImportError as error:
-        raise DeviceError(missing_extra("OAK cameras", "oak")) from error
+    return import_extra("depthai", "OAK cameras", "oak")
 
 
 def _nanoseconds(span: datetime.timedelta) -> int:

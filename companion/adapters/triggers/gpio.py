@@ -5,11 +5,9 @@ The ``gpiod`` package is needed only where a line is wired: it is imported when 
 
 from __future__ import annotations
 
-import importlib
 import time
-from typing import Any
 
-from companion.errors import DeviceError, missing_extra
+from companion.errors import DeviceError, import_extra
 from companion.records import Shot, TriggerPlan
 
 _WIDTH_NS = 500_000
@@ -29,12 +27,14 @@ class GpioTrigger:
 
     Raises
     ------
+    MissingExtra
+        ``gpiod`` is not installed.
     DeviceError
-        ``gpiod`` is not installed, there is no such chip or line, or somebody else has it.
+        There is no such chip or line, or somebody else has it.
     """
 
     def __init__(self, chip: str, line: int, *, active_low: bool = False) -> None:
-        gpiod = _library()
+        gpiod = import_extra("gpiod", "GPIO triggers", "gpio")
         settings = gpiod.LineSettings(
             direction=gpiod.line.Direction.OUTPUT, active_low=active_low, output_value=gpiod.line.Value.INACTIVE
         )
@@ -61,10 +61,3 @@ class GpioTrigger:
     def close(self) -> None:
         """Release the line."""
         self._request.release()
-
-
-def _library() -> Any:
-    try:
-        return importlib.import_module("gpiod")
-    except ImportError as error:
-        raise DeviceError(missing_extra("GPIO triggers", "gpio")) from error

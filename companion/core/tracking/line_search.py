@@ -11,6 +11,7 @@ its phase, another line of the shaft stands at zero frequency, however rpm wande
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -90,6 +91,10 @@ class ChannelWindow:
     values: Floats
     rate_hz: float
 
+    def swing(self) -> Floats:
+        """Values (n,) about their mean."""
+        return np.asarray(self.values - self.values.mean())
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Peak:
@@ -133,9 +138,10 @@ class _KnownShaft:
         """Lines in twelfths of the leader's frequency, the leader first."""
         return (PARTS, *sorted(self.lines))
 
-    def has(self, frequency_hz: float) -> bool:
-        """Whether a frequency is one of its lines', as far as rpm changes while a peak is smeared."""
-        return any(abs(frequency_hz * PARTS / (m * self.leader_hz) - 1.0) < _SAME_RATIO for m in self.multiples)
+    def without_lines(self, peaks: list[Peak], leader_hz: float) -> list[Peak]:
+        """Peaks that are none of its lines but the leader's, as far as rpm changes while a peak is smeared."""
+        at_hz = [m * leader_hz / PARTS for m in self.lines]
+        return [peak for peak in peaks if not any(abs(peak.frequency_hz / hz - 1.0) < _SAME_RATIO for hz in at_hz)]
 
     def take(self, ratios: dict[int, float]) -> None:
         """Take the ratios of the lines that this search has found, by multiple."""
@@ -188,7 +194,7 @@ class KnownLines:
         same = [peak for peak in peaks if abs(shaft.leader_hz / peak.frequency_hz - 1.0) < _SAME_RATIO]
         if not same:
             shaft.searches -= 1
-            return [peak for peak in peaks if not shaft.has(peak.frequency_hz)]
+            return shaft.without_lines(peaks, shaft.leader_hz)
         nearest = min(same, key=lambda peak: abs(shaft.leader_hz - peak.frequency_hz))
         peaks = [peak for peak in peaks if peak is not nearest]
         shaft.searches = _MEMORY
@@ -204,9 +210,7 @@ class KnownLines:
     ) -> list[Peak]:
         """Find the other lines of a shaft by its leader; the peaks that are none of them."""
         shaft.take(turned_lines(leader, channels))
-        others = [m for m in shaft.multiples if m != PARTS]
-        at_hz = [m * leader.frequency_hz / PARTS for m in others]
-        return [peak for peak in peaks if not any(abs(peak.frequency_hz / hz - 1.0) < _SAME_RATIO for hz in at_hz)]
+        return shaft.without_lines(peaks, leader.frequency_hz)
 
     def _begin(self, leader: Peak) -> None:
         self._shafts.append(_KnownShaft(self._next, leader.frequency_hz))
@@ -224,17 +228,18 @@ class KnownLines:
 def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> dict[int, float]:
     """Lines that turn with the leader: ratio to their surroundings by multiple.
 
-    Each channel's samples are turned back by a multiple of the leader's phase; a line then has zero frequency.
+    Each channel's samples are turned back by a multiple of the leader's phase; a line then has zero frequency. Channels
+    of a station share their instants, and the turning.
     """
     t_s, phase_rad = _phase(leader)
     ratios: dict[int, float] = {}
-    for channel in channels:
-        turned_rad = np.interp(channel.t_s, t_s, phase_rad)
-        samples = channel.values - channel.values.mean()
+    for _, station in itertools.groupby(channels, key=lambda channel: id(channel.t_s)):
+        together = list(station)
+        rate_hz, turned_rad = together[0].rate_hz, np.interp(together[0].t_s, t_s, phase_rad)
         for multiple in MULTIPLES:
-            frequency_hz = multiple * leader.frequency_hz / PARTS
-            if _LOWEST_TURNED_HZ <= frequency_hz <= _HIGHEST_RATIO * channel.rate_hz:
-                ratio = _turned_ratio(samples * np.exp(-1j * multiple / PARTS * turned_rad), channel.rate_hz)
+            if _LOWEST_TURNED_HZ <= multiple * leader.frequency_hz / PARTS <= _HIGHEST_RATIO * rate_hz:
+                turning = np.exp(-1j * multiple / PARTS * turned_rad)
+                ratio = max(_turned_ratio(channel.swing() * turning, rate_hz) for channel in together)
                 if ratio > max(_MIN_TURNED_RATIO, ratios.get(multiple, 0.0)):
                     ratios[multiple] = ratio
     return ratios
@@ -244,7 +249,7 @@ def _phase(leader: Peak) -> tuple[Floats, Floats]:
     """Instants (k,), s, and phase (k,) of the leader in its channel, rad, over a little more than the window."""
     channel, turning = leader.channel, 2.0 * np.pi * leader.frequency_hz
     length = round(_PHASE_S * channel.rate_hz)
-    samples = (channel.values - channel.values.mean()) * np.exp(-1j * turning * channel.t_s)
+    samples = channel.swing() * np.exp(-1j * turning * channel.t_s)
     slow = np.convolve(samples, np.hanning(length), mode="valid")
     middle = channel.t_s[length // 2 : length // 2 + len(slow)]
     phase_rad = np.unwrap(np.angle(slow)) + turning * middle
@@ -273,9 +278,9 @@ def _near(frequency_hz: float, others: list[float]) -> bool:
 
 def _peaks(channel: ChannelWindow) -> list[Peak]:
     """Lines of one channel."""
-    samples, rate_hz = channel.values, channel.rate_hz
+    samples, rate_hz = channel.swing(), channel.rate_hz
     n, bin_hz = len(samples), rate_hz / len(samples)
-    power = np.abs(np.fft.rfft(np.hanning(n) * (samples - samples.mean()))) ** 2
+    power = np.abs(np.fft.rfft(np.hanning(n) * samples)) ** 2
     first, last, near = int(_LOWEST_HZ / bin_hz), int(_HIGHEST_RATIO * rate_hz / bin_hz), round(NEAR_HZ / bin_hz)
     width = round(_FLOOR_HZ / bin_hz)
     blocks = power[first : first + (last - first) // width * width].reshape(-1, width)
@@ -287,7 +292,7 @@ def _peaks(channel: ChannelWindow) -> list[Peak]:
             continue
         left, middle, right = np.log(power[k - 1 : k + 2])
         frequency_hz = float((k + 0.5 * (left - right) / (left - 2.0 * middle + right)) * bin_hz)
-        turned = (samples - samples.mean()) * np.exp(-2j * np.pi * frequency_hz * channel.t_s)
+        turned = samples * np.exp(-2j * np.pi * frequency_hz * channel.t_s)
         if _steady(turned, rate_hz):
             peaks.append(Peak(float(ratio[k - first]), frequency_hz, channel))
     return peaks

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from companion.errors import LinkError, MissingExtra
+from companion.errors import LinkError, import_extra
 from companion.evaluation.fleet.runner import Row, Task, attempt, failure, stored, write_part
 
 _CONNECT_S = 10.0  # a scheduler on the same network answers within a second
@@ -49,10 +49,7 @@ def require_dask() -> None:
     MissingExtra
         The extra ``fleet`` is not installed.
     """
-    try:
-        import distributed  # noqa: F401  (an extra)
-    except ImportError as error:
-        raise MissingExtra("Dask clusters", "fleet") from error
+    import_extra("distributed", "Dask clusters", "fleet")
 
 
 def _client(address: str) -> Any:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from companion.errors import MissingExtra
+from companion.errors import import_extra
 
 
 def write_parquet(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -17,11 +17,8 @@ def write_parquet(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     MissingExtra
         The extra ``fleet`` is not installed.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise MissingExtra("Parquet tables", "fleet") from error
+    pa = import_extra("pyarrow", "Parquet tables", "fleet")
+    pq = import_extra("pyarrow.parquet", "Parquet tables", "fleet")
     names = dict.fromkeys(name for row in rows for name in row)
     columns = {name: _of_one_type([row.get(name) for row in rows]) for name in names}
     arrays = {name: pa.array(values, pa.string() if _is_empty(values) else None) for name, values in columns.items()}
