@@ -28,7 +28,7 @@ $(READY): $(wildcard $(NATIVE)/*.[ch]) setup.py $(STAMP)
 	@touch $@
 
 demo: $(READY)   ## fly the simulated aircraft and the service in lock-step and show the ranges
-	$(BIN)/spanwise demo
+	$(BIN)/spanwise demo --world fair
 
 test: $(READY)   ## the tests; those that start live processes come last: those that mostly wait side by side, then the others alone
 	$(BIN)/python -m pytest -n 2 -m "not realtime and not long"

@@ -7,6 +7,8 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from companion.params.airframe import Airframe, Camera
@@ -333,6 +335,33 @@ def test_leaving_out_what_is_hidden_changes_no_pixel(near_m: float, east_m: floa
     for plane in planes:
         painter.paint(one_by_one, [plane], views, grid, track)
     assert np.max(np.abs(together - one_by_one)) < 1e-3
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    bend=st.floats(-0.25, 0.1),
+    tangential=st.floats(-2e-3, 2e-3),
+    low=st.tuples(st.floats(-0.9, 0.6), st.floats(-0.7, 0.4)),
+    size=st.tuples(st.floats(0.01, 1.5), st.floats(0.01, 1.2)),
+)
+def test_a_bent_lens_has_all_pixels_of_a_surface_in_its_window(
+    bend: float, tangential: float, low: tuple[float, float], size: tuple[float, float]
+) -> None:
+    """Rays of every fourth pixel: those in the box lie in its window, and where there is no window none does."""
+    lens = dataclasses.replace(
+        Renderer(NADIR, fly(NADIR, Path(60.0)), ground_scene(1), 1).rig.left.lens,
+        distortion=np.array([bend, 0.05, tangential, -tangential, 0.0]),
+    )
+    pixels = _pixels(lens.size_px[::-1])[::4]
+    rays = lens.unproject(pixels)[:, :2]
+    box = np.array(low), np.array(low) + size
+    inside = np.all((rays >= box[0]) & (rays <= box[1]), axis=1)
+    window = PixelGrid(lens).window_of_rays(*box)
+    if window is None:
+        assert not inside.any()
+        return
+    first = np.array([window.column, window.row])
+    assert np.all((pixels[inside] >= first) & (pixels[inside] < first + np.array([window.width, window.height])))
 
 
 # ------------------------------------------------------------------------------------------------ true ranges

@@ -83,6 +83,7 @@ class Window:
 
 STEP = 4  # px of the coarse grid on which rays are bent
 MARGIN_CELLS = 2  # of the coarse grid, for interpolation at the edge
+_OUTLINE_RAYS = 17  # along each side of a box: what a lens bends between two of them is less than 0.1 px
 _EVEN = 0.005  # px: below it a shift is the same all over the image
 
 
@@ -101,6 +102,8 @@ class PixelGrid:
         )
         pixels = np.stack([columns, rows], axis=-1)
         self.node_rays: Floats = lens.unproject(pixels.reshape(-1, 2)).reshape(*NODES, 3)
+        across = self.node_rays[..., :2]
+        self._reach = 1.1 * np.array([across.min(axis=(0, 1)), across.max(axis=(0, 1))])
         self._cached = functools.lru_cache(maxsize=4)(self._level_rays)
 
     def track(self, exposure_ns: int, row_time_ns: int) -> Track:
@@ -119,6 +122,17 @@ class PixelGrid:
         x = window.column - 0.5 + np.array([0, window.width, 0, window.width])
         y = window.row - 0.5 + np.array([0, 0, window.height, window.height])
         return np.stack([x, y, np.ones(4)], axis=1) @ self.ray_from_pixel.T
+
+    def window_of_rays(self, low: Floats, high: Floats) -> Window | None:
+        """Window of the pixels whose rays (x, y, z = 1) lie between ``low`` and ``high``; None when out of sight."""
+        low, high = np.maximum(low, self._reach[0]), np.minimum(high, self._reach[1])
+        if np.any(high <= low):
+            return None
+        x, y = np.linspace(low, high, _OUTLINE_RAYS).T
+        outline = [(x, y[:1]), (x, y[-1:]), (x[:1], y), (x[-1:], y)]
+        rays = np.concatenate([np.stack(np.broadcast_arrays(*side, 1.0), axis=-1) for side in outline])
+        pixels = self.lens.project(rays)
+        return Window.around(pixels.min(axis=0) - 2.0, pixels.max(axis=0) + 2.0, self.size_px)
 
     def pixel_from_cell(self, window: Window, factor: int) -> Floats:
         """Homogeneous map (3, 3) from cells of a window to pixels."""

@@ -179,13 +179,14 @@ def _window(plane: Plane, views: list[PosedCamera], grid: PixelGrid) -> Window |
     """Pixels that the plane may touch; None when it is out of sight."""
     if plane.half_size_m is None:
         return grid.full()
-    corners = np.concatenate([view.project(plane.corners_m()) for view in views])
-    behind = np.isnan(corners[:, 0])
+    corners = np.concatenate([(plane.corners_m() - view.centre_ned_m) @ view.camera_from_ned.T for view in views])
+    behind = corners[:, 2] <= 0.0
     if behind.all():
         return None
-    if behind.any() or grid.distorted:
+    if behind.any():
         return grid.full()
-    return Window.around(corners.min(axis=0) - 2.0, corners.max(axis=0) + 2.0, grid.size_px)
+    rays = corners[:, :2] / corners[:, 2:]
+    return grid.window_of_rays(rays.min(axis=0), rays.max(axis=0))
 
 
 def _sight(plane: Plane, views: list[PosedCamera], grid: PixelGrid, track: Track) -> PlaneView | None:
