@@ -20,7 +20,7 @@ from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import fit
-from companion.diagnosis.model.generic_effects import generic_laws
+from companion.diagnosis.model.generic_effects import generic_effects
 from companion.params.files import load_airframe, parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text
@@ -56,7 +56,7 @@ def test_a_swelling_reading_scatters_by_the_root_of_two(name: str) -> None:
     """Score sum d |x|^2: of variance sum d^2, and the product of its column says half of that."""
     model = drawn(2)
     found = fit([model], ())
-    law = next(effect for title, effect in generic_laws() if title == f"sensors with acceleration, {name}")
+    law = next(kind() for kind in generic_effects() if kind.name == f"sensors with acceleration, {name}")
     unit = dataclasses.replace(law, strength=1e-3)  # type: ignore[call-arg]
     # 40 draws tell a standard deviation to 11 %
     assert score_scatter([model], found.state.expectations, [unit])[0] == pytest.approx(np.sqrt(2.0), rel=0.35)

@@ -58,7 +58,7 @@ def ours(pieces: list[bytes], way: str) -> list[str]:
         for key, payload in scanner.scan(piece).frames:
             system, component, message = sender(key)
             found.append(f"{system}/{component} {message} {build_message(message, payload).to_dict()!r}")
-        assert scanner.pending_bytes < 280
+        assert len(scanner._tail) < 280
     assert scanner.counters.frames == len(found)
     return found
 

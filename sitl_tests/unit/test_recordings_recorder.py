@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from companion.adapters.recordings.mcap.reader import McapRecording
-from companion.adapters.recordings.mcap.recorder import free_path, keep_recording, run_recorder
+from companion.adapters.recordings.mcap.recorder import free_path, keep_recording
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, RecorderReceiver, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
 from companion.params.files import load_airframe
@@ -167,7 +167,7 @@ def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) ->
     for client in clients:
         client.close()
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    run_recorder(tmp_path / "two.mcap", ABOUT, [theirs for _, theirs in channels])
+    keep_recording(tmp_path / "two.mcap", ABOUT, [theirs for _, theirs in channels], pytest.fail)
     for number, handler in handlers.items():
         signal.signal(number, handler)
     recording = McapRecording(tmp_path / "two.mcap")
@@ -181,7 +181,7 @@ def test_several_producers_share_one_file_and_drops_are_in_it(tmp_path: Path) ->
 _PRODUCER = """
 import sys, time
 from pathlib import Path
-from companion.adapters.recordings.mcap.recorder import run_recorder
+from companion.adapters.recordings.mcap.recorder import keep_recording
 from companion.adapters.recordings.mcap.recorder_client import RecorderClient, recorder_channel
 from companion.adapters.recordings.mcap.writer import About
 from companion.params.files import load_airframe
@@ -202,7 +202,7 @@ def produce():
         time.sleep(0.001)
 
 threading.Thread(target=produce, daemon=True).start()
-run_recorder(Path(sys.argv[1]), About.of(load_airframe("nadir-2m"), Settings()), [theirs])
+keep_recording(Path(sys.argv[1]), About.of(load_airframe("nadir-2m"), Settings()), [theirs], print)
 """
 
 

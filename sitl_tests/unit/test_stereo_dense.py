@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.core.stereo.dense import DenseMatcher, first_disparity, metric_pairs, points, raw_pairs
+from companion.core.stereo.dense import DenseMatcher, metric_pairs, points, raw_pairs
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import correct
 from companion.core.stereo.rectification import rectification, rectify, rest_rectification
-from companion.core.stereo.search import trim_search
 from companion.params.settings import Settings
 from companion.records import Side
 from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, wall_ahead
@@ -122,13 +121,3 @@ def test_without_texture_there_is_no_disparity() -> None:
     at, sigma_m = points(dense, 8)
     assert len(at) == len(sigma_m) == len(raw_pairs(dense, rig, 8)[0])
     assert np.isfinite(dense.disparity_px).mean() < 0.02
-
-
-def test_the_span_starts_where_the_largest_range_may_be_seen() -> None:
-    airframe = nadir()
-    rig = Rig.from_airframe(airframe)
-    search = dataclasses.replace(trim_search(rig, airframe, SETTINGS), bend_tolerance_rad=0.002)
-    frame = rectification(rig, search.left, search.right)
-    first = first_disparity(frame, search)
-    assert first <= 800.0 * 1.98 / 200.0 - 800.0 * 0.002
-    assert first >= 800.0 * 1.98 / 200.0 - 800.0 * 0.006

@@ -23,19 +23,42 @@ from companion.core.stereo.lens_residual import (
     TILT_Y,
     lens_ratio,
     residual_field,
-    with_residual,
 )
 from companion.core.stereo.ranging import correct
+from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import match_rays
 from companion.params.airframe import Airframe, Camera
 from companion.params.settings import Settings
-from companion.records import Deflection, RelativeRotation, Side
+from companion.records import Deflection, Floats, RelativeRotation, Side
 from sitl_tests.unit.stereo_cases import bend, forward, ground_below, match_set, nadir, seen, wall_ahead
 
 Looks = Callable[..., Airframe]
 NOTHING = np.zeros(6)
 SLOPE_RAD, TILT_RAD, MATCH_PX = 0.02, 3e-4, 0.05
 PAIR_NS, PAIRS, SETTLED = 1_000_000_000, 20, 8
+
+
+def with_residual(camera: Camera, residual: Floats) -> Camera:
+    """The true camera behind a belief whose slopes are wrong by a residual (6,), in the camera's own axes.
+
+    The middle of the image goes on looking where it did: what a shifted principal point turns is turned back.
+    """
+    tilt, prism = residual[TILT_X : TILT_Y + 1], residual[PRISM_X : PRISM_Y + 1]
+    shift = 2.0 * prism - tilt
+    focal = camera.focal_px.value * (1.0 + float(residual[FOCAL]))
+    k1, k2, p1, p2, k3 = camera.distortion
+    turned = log_rotation(
+        exp_rotation(np.array(camera.rotation_rad)) @ exp_rotation(np.array([-shift[1], shift[0], 0.0]))
+    )
+    rx, ry, rz = turned.tolist()
+    cx, cy = camera.principal_px
+    return dataclasses.replace(
+        camera,
+        focal_px=dataclasses.replace(camera.focal_px, value=focal),
+        principal_px=(cx + focal * float(shift[0]), cy + focal * camera.focal_ratio * float(shift[1])),
+        distortion=(k1 + float(residual[RADIAL]), k2, p1 + float(prism[1]), p2 + float(prism[0]), k3),
+        rotation_rad=(rx, ry, rz),
+    )
 
 
 def _of(**terms: float) -> np.ndarray:

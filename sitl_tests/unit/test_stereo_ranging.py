@@ -14,7 +14,7 @@ from companion.core.stereo.matching import match
 from companion.core.stereo.ranging import RangeAnswer, correct, orientation_axis
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import trim_search
-from companion.core.stereo.triangulation import points_of, range_axis_of_rig
+from companion.core.stereo.triangulation import range_axis_of_rig
 from companion.core.stereo.vehicle_motion import VehicleMotion
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe, Uncertain
@@ -69,9 +69,9 @@ def test_points_come_back_where_they_are(range_m: float, left: float, right: flo
     rig = Rig.from_airframe(airframe)
     points = wall_ahead(range_m, 40, 2)
     answer = _range(airframe, match_set(*seen(rig, points, (left, right))), bend((left, right)))
-    np.testing.assert_allclose(
-        points_of(answer.depths, range_axis_of_rig(rig, orientation_axis(0))), points, rtol=1e-6, atol=1e-6
-    )
+    axis, depths = range_axis_of_rig(rig, orientation_axis(0)), answer.depths
+    found = axis.origin_m + (axis.axis + depths.tangent @ axis.across) / depths.inverse_pm[:, np.newaxis]
+    np.testing.assert_allclose(found, points, rtol=1e-6, atol=1e-6)
 
 
 def test_however_many_matches_there_are_what_they_share_stays_in_the_sigma() -> None:

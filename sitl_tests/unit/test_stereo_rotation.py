@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from companion.core.stereo.rotation import exp_rotation, log_rotation, relative_rotation, skew, turn_small
+from companion.core.stereo.rotation import exp_rotation, log_rotation, relative_rotation, skew
 
 coordinate = st.floats(-3.0, 3.0)
 vectors = st.tuples(coordinate, coordinate, coordinate).map(np.array)
@@ -71,12 +71,6 @@ def test_relative_rotation_takes_left_coordinates_to_right(
     left_from_body, right_from_body = exp_rotation(left), exp_rotation(right)
     seen_left, seen_right = left_from_body @ point_body, right_from_body @ point_body
     np.testing.assert_allclose(relative_rotation(right_from_body, left_from_body) @ seen_left, seen_right, atol=1e-13)
-
-
-@given(directions, directions, st.floats(1e-6, 0.05))
-def test_small_turn_is_right_to_first_order(axis: np.ndarray, vector: np.ndarray, angle: float) -> None:
-    exact = exp_rotation(axis * angle) @ vector
-    assert np.linalg.norm(turn_small(vector, axis * angle) - exact) <= 0.51 * angle**2
 
 
 def test_quarter_turn_about_z_takes_x_to_y() -> None:

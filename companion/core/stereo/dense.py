@@ -14,7 +14,6 @@ from companion.core.stereo.geometry import Rig
 from companion.core.stereo.matching import Matches, expected_slopes, returned
 from companion.core.stereo.rectification import Rectification, rectify_pair
 from companion.core.stereo.refine import HALF_WINDOW, refine
-from companion.core.stereo.search import Search
 from companion.records import Bools, Bytes, Floats
 
 _BLOCK = 5  # px; OpenCV's usual block
@@ -60,7 +59,7 @@ class DenseMatcher:
     Parameters
     ----------
     first_px : int
-        Smallest disparity; see :func:`first_disparity`.
+        Smallest disparity.
     count : int
         How many disparities, a multiple of 16.
     """
@@ -99,16 +98,6 @@ def textured(image: Bytes) -> Bools:
     mean = cv2.boxFilter(slope, cv2.CV_32F, (_TEXTURE_WINDOW_PX, _TEXTURE_WINDOW_PX))
     enough: Bools = mean > _LEAST_TEXTURE
     return enough
-
-
-def first_disparity(frame: Rectification, search: Search, count: int = 64) -> int:
-    """First disparity of a span that ends at the largest range, with room for the bend's tolerance.
-
-    The far end is what an obstacle picture must not lose; what is nearer than the span covers needs a larger ``count``.
-    """
-    tolerance_px = frame.focal_px * (search.bend_tolerance_rad + search.other_tolerance_rad)
-    farthest_px = frame.focal_px * frame.baseline_m / search.max_range_m
-    return int(np.floor(max(farthest_px - tolerance_px, -count)))
 
 
 def raw_pairs(dense: Disparity, rig: Rig, step_px: int) -> tuple[Floats, Floats, Floats]:

@@ -21,11 +21,8 @@ things alone, which is considered too; keystone leaves ``t_x y d``, just what a 
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
-from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.params.airframe import Airframe, Camera
 from companion.records import Floats
@@ -102,29 +99,6 @@ def pair_variances(airframe: Airframe) -> Floats:
     cameras = [camera for camera in (airframe.left_camera, airframe.right_camera) if camera is not None]
     difference = (np.stack([_sigmas(camera) for camera in cameras]) ** 2).sum(axis=0)
     return np.append(difference, 0.25 * difference[RADIAL])
-
-
-def with_residual(camera: Camera, residual: Floats) -> Camera:
-    """The true camera behind a belief whose slopes are wrong by a residual (6,), in the camera's own axes.
-
-    The middle of the image goes on looking where it did: what a shifted principal point turns is turned back.
-    """
-    tilt, prism = residual[TILT_X : TILT_Y + 1], residual[PRISM_X : PRISM_Y + 1]
-    shift = 2.0 * prism - tilt
-    focal = camera.focal_px.value * (1.0 + float(residual[FOCAL]))
-    k1, k2, p1, p2, k3 = camera.distortion
-    turned = log_rotation(
-        exp_rotation(np.array(camera.rotation_rad)) @ exp_rotation(np.array([-shift[1], shift[0], 0.0]))
-    )
-    rx, ry, rz = turned.tolist()
-    cx, cy = camera.principal_px
-    return dataclasses.replace(
-        camera,
-        focal_px=dataclasses.replace(camera.focal_px, value=focal),
-        principal_px=(cx + focal * float(shift[0]), cy + focal * camera.focal_ratio * float(shift[1])),
-        distortion=(k1 + float(residual[RADIAL]), k2, p1 + float(prism[1]), p2 + float(prism[0]), k3),
-        rotation_rad=(rx, ry, rz),
-    )
 
 
 def mean_tilt_variance(airframe: Airframe) -> float:

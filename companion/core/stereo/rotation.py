@@ -85,19 +85,3 @@ def relative_rotation(right_from_body: Floats, left_from_body: Floats) -> Floats
     """
     relative: Floats = np.asarray(right_from_body) @ np.swapaxes(np.asarray(left_from_body), -1, -2)
     return relative
-
-
-def turn_small(vectors: Floats, angle_rad: Floats) -> Floats:
-    """First-order rotation of vectors by a small rotation vector: ``v + angle x v``, in error by ``angle^2 / 2``.
-
-    Parameters
-    ----------
-    vectors, angle_rad : (..., 3) float64
-        What is turned, and the rotation vector.
-
-    Returns
-    -------
-    (..., 3) float64
-    """
-    turned: Floats = vectors + np.cross(angle_rad, vectors)
-    return turned

@@ -112,13 +112,6 @@ def triangulate(rays: Rays, range_axis: RangeAxis, sigma_rad: Floats) -> Depths:
     )
 
 
-def points_of(depths: Depths, range_axis: RangeAxis) -> Floats:
-    """Points (n, 3) in body axes; NaN where the inverse depth is not positive."""
-    depth = 1.0 / np.where(depths.inverse_pm > 0.0, depths.inverse_pm, np.nan)
-    points: Floats = range_axis.origin_m + depth[:, np.newaxis] * (range_axis.axis + depths.tangent @ range_axis.across)
-    return points
-
-
 def _slopes(rays: Floats, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats]:
     along = np.einsum("ij,ij->i", rays, z)
     return np.einsum("ij,ij->i", rays, x) / along, np.einsum("ij,ij->i", rays, y) / along

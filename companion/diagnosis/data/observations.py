@@ -123,8 +123,8 @@ class Observations:
     recorded_ratio : float
         How much of ``up_mps2`` was recorded; the rest lay in gaps and was drawn.
     notes : tuple of str
-    start_s, centre_s : float
-        Where this part begins in its recording, and the middle of the whole.
+    start_s : float
+        Where this part begins in its recording.
     """
 
     rate_hz: float
@@ -145,7 +145,6 @@ class Observations:
     recorded_ratio: float = 1.0
     notes: tuple[str, ...] = ()
     start_s: float = 0.0
-    centre_s: float = 0.0
     units: dict[str, tuple[float, float]] = field(default_factory=dict)
     bending_factor: Floats | None = None
 

@@ -86,7 +86,6 @@ def observe(raw: RawRecording, airframe: Airframe, top_hz: float) -> list[Observ
             used_ratio=observations.duration_s / sum(other.duration_s for other in observed),
             toe=toe,
             start_s=segment.start_s - begun_s,
-            centre_s=0.5 * (observed[-1].duration_s + segments[-1].start_s - begun_s),
         )
         for observations, segment, toe in zip(observed, segments, _toe(ordered.ranges, airframe, segments), strict=True)
     ]

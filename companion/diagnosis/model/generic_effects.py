@@ -316,11 +316,6 @@ def generic_lines() -> list[type[Effect]]:
     return [_kind(GenericLine, f"a line, {how}", against=how != "alike") for how in ("alike", "left against right")]
 
 
-def generic_laws() -> list[tuple[str, Effect]]:
-    """Every law of forces and sensors at nothing, with what it says."""
-    return [(kind.name, kind()) for kind in generic_effects() if issubclass(kind, (GenericForce, GenericSensorLaw))]
-
-
 def _kind(base: type[Effect], title: str, **constants: object) -> type[Effect]:
     return type(base.__name__, (base,), {"__slots__": (), "name": title, **constants})
 

@@ -75,11 +75,6 @@ class Scanner:
         self._bulk = bulk
         self._tail = b""
 
-    @property
-    def pending_bytes(self) -> int:
-        """Bytes of an unfinished frame that wait for the next chunk."""
-        return len(self._tail)
-
     def forget(self) -> None:
         """Drop the bytes of an unfinished frame."""
         self._tail = b""

@@ -19,26 +19,7 @@ from companion.errors import RecordingError
 _IDLE_S = 0.25
 _IDLE_ROUNDS = 4  # waits without a record before the recorder ends
 _TRY_AGAIN_S = 30.0
-_JOIN_S = 10.0
 _PARTS = 4  # of what is kept: three finished ones and the one in progress (choice)
-
-
-def run_recorder(path: Path, about: About, ends: Sequence[socket.socket], stop: Event | None = None) -> None:
-    """Record until every producer has ended, or ``stop`` is set and nothing came for a second; a process target.
-
-    The file is cut into chunks of about a second and handed to the operating system with each, or when nothing comes.
-    SIGINT is ignored (Ctrl-C reaches the whole group, and the producers still have to end); SIGTERM finishes the file
-    with what has arrived. If the path is taken (by this recorder before it was started again), a number is put into
-    the name.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written; one without records does not stay.
-    """
-    terminated = _on_terminate()
-    with _listening(ends) as selector:
-        _write_file(path, about, selector, stop, terminated)
 
 
 def keep_recording(
@@ -49,9 +30,13 @@ def keep_recording(
     stop: Event | None = None,
     keep_bytes: int | None = None,
 ) -> None:
-    """As :func:`run_recorder`, for a service that flies on when its disk is full.
+    """Record until every producer has ended, or ``stop`` is set and nothing came for a second; a process target.
 
-    ``say`` is told why nothing is recorded; what comes is thrown away, and every half minute a file is tried again.
+    The file is cut into chunks of about a second and handed to the operating system with each, or when nothing comes.
+    SIGINT is ignored (Ctrl-C reaches the whole group, and the producers still have to end); SIGTERM finishes the file
+    with what has arrived. If the path is taken (by this recorder before it was started again), a number is put into
+    the name. Where the disk is full, ``say`` is told so; what comes is thrown away, and every half minute a file is
+    tried again: the service flies on.
     With ``keep_bytes`` all recordings of this name together stay within it: a file that has reached a quarter of it is
     finished and followed by a further part, and the oldest ones are removed.
     """
