@@ -136,3 +136,9 @@ def test_extras_and_lock_agree() -> None:
     names = {re.split(r"[<>=;\[ ]", line)[0].lower() for line in wanted}
     assert names <= {name.lower() for name in locked}
     assert not names & set(OPTIONAL) & {re.split(r"[<>=;\[ ]", line)[0] for line in project["dependencies"]}
+
+
+def test_the_live_service_loads_no_scipy() -> None:
+    """It would cost each of its processes 50 MB."""
+    done = base_alone("import companion.service.wiring\nassert 'scipy' not in sys.modules")
+    assert done.returncode == 0, done.stderr

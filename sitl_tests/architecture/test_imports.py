@@ -27,8 +27,9 @@ TABLE: dict[str, tuple[frozenset[str], frozenset[str]]] = {
     "companion.lifetime": (frozenset(), frozenset()),
     "companion.native": (frozenset({"native", "errors"}), frozenset({"numpy"})),
     "companion.ports": (frozenset({"records", "errors"}), frozenset()),
-    "companion.core": (frozenset({"core", "native", "records", "errors", "params"}), frozenset({"numpy", "scipy"})),
-    "companion.core.stereo": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "scipy", "cv2"})),
+    # without scipy: every process of the service would carry its 50 MB
+    "companion.core": (frozenset({"core", "native", "records", "errors", "params"}), frozenset({"numpy"})),
+    "companion.core.stereo": (frozenset({"core", "records", "errors", "params"}), frozenset({"numpy", "cv2"})),
     "companion.adapters": (frozenset({"adapters", "native", "lifetime", "ports", "records", "errors", "params"}), ANY),
     "companion.sim": (
         frozenset(

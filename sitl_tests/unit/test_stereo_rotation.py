@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -51,6 +52,16 @@ def test_zero_is_exact_and_stacks_are_handled_at_once() -> None:
     stack = np.random.default_rng(1).normal(size=(4, 5, 3))
     np.testing.assert_allclose(log_rotation(exp_rotation(stack)), stack * _wrapped(stack), atol=1e-13)
     np.testing.assert_array_equal(exp_rotation(stack)[2, 3], exp_rotation(stack[2, 3]))
+
+
+@pytest.mark.parametrize("decade", [-9.0, -3.0, 0.0, 0.49])
+def test_both_directions_equal_scipys_to_rounding(decade: float) -> None:
+    vector = np.random.default_rng(5).standard_normal((1000, 3))
+    vector *= 10.0**decade / np.linalg.norm(vector, axis=1, keepdims=True)
+    rotation = Rotation.from_rotvec(vector)
+    np.testing.assert_allclose(exp_rotation(vector), rotation.as_matrix(), rtol=0.0, atol=2e-15)
+    ours, theirs = log_rotation(rotation.as_matrix()), Rotation.from_matrix(rotation.as_matrix()).as_rotvec()
+    np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-14 * 10.0**decade)
 
 
 def _wrapped(stack: np.ndarray) -> np.ndarray:

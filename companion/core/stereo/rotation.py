@@ -7,7 +7,6 @@ camera is turned by ``v`` relative to the body, body coordinates go to camera co
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from companion.records import Floats
 
@@ -35,8 +34,9 @@ def skew(vector: Floats) -> Floats:
 def exp_rotation(vector_rad: Floats) -> Floats:
     """Rotation matrix of a rotation vector by Rodrigues' formula (seed paper, eqs. 3 to 6).
 
-    With ``K = skew(vector)`` and ``t`` its angle, ``R = I + K sin(t)/t + K^2 (1 - cos t)/t^2``. (Eq. 7 as printed is
-    not a rotation and is not used.)
+    With ``K = skew(vector)`` and ``t`` its angle, ``R = I + K sin(t)/t + K^2 (1 - cos t)/t^2``, where
+    ``1 - cos t = 2 sin^2(t/2)`` keeps its precision at small angles. (Eq. 7 as printed is not a rotation and is not
+    used.)
 
     Parameters
     ----------
@@ -47,7 +47,11 @@ def exp_rotation(vector_rad: Floats) -> Floats:
     -------
     (..., 3, 3) float64
     """
-    rotation: Floats = Rotation.from_rotvec(vector_rad).as_matrix()
+    v = np.asarray(vector_rad, dtype=np.float64)
+    t = np.sqrt(np.sum(v * v, axis=-1))[..., np.newaxis, np.newaxis]
+    first, second = np.sinc(t / np.pi), 0.5 * np.sinc(t / (2.0 * np.pi)) ** 2  # numpy's sinc(x) is sin(pi x)/(pi x)
+    outer = v[..., :, np.newaxis] * v[..., np.newaxis, :]
+    rotation: Floats = np.cos(t) * np.eye(3) + first * skew(v) + second * outer  # K^2 = v v^T - t^2 I
     return rotation
 
 
@@ -67,8 +71,34 @@ def log_rotation(rotation: Floats) -> Floats:
     (..., 3) float64
         Radians.
     """
-    vector: Floats = Rotation.from_matrix(rotation, assume_valid=True).as_rotvec()
+    quaternion = _quaternion(np.asarray(rotation, dtype=np.float64))
+    axis, cosine = quaternion[..., :3], quaternion[..., 3:]
+    sine = np.sqrt(np.sum(axis * axis, axis=-1, keepdims=True))
+    per_sine = np.divide(2.0 * np.arctan2(sine, cosine), sine, out=np.full_like(sine, 2.0), where=sine > 0.0)
+    vector: Floats = axis * per_sine
     return vector
+
+
+def _quaternion(rotation: Floats) -> Floats:
+    """Unit quaternion (..., 4) of a rotation, scalar last and not negative.
+
+    With ``q`` the quaternion, ``4 q q^T`` is linear in the rotation; its row of the largest element of the diagonal is
+    the one that loses nothing to rounding (Shepperd 1978).
+    """
+    r = rotation
+    products = np.empty((*r.shape[:-2], 4, 4))
+    diagonal = np.stack([r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]], axis=-1)
+    trace = diagonal.sum(axis=-1, keepdims=True)
+    products[..., :3, :3] = r + np.swapaxes(r, -1, -2)
+    products[..., range(3), range(3)] = 1.0 - trace + 2.0 * diagonal
+    twice = np.stack([r[..., 2, 1] - r[..., 1, 2], r[..., 0, 2] - r[..., 2, 0], r[..., 1, 0] - r[..., 0, 1]], axis=-1)
+    products[..., 3, :3] = products[..., :3, 3] = twice
+    products[..., 3, 3] = 1.0 + trace[..., 0]
+    largest = np.concatenate([diagonal, trace], axis=-1).argmax(axis=-1)
+    row = np.take_along_axis(products, largest[..., np.newaxis, np.newaxis], axis=-2)[..., 0, :]
+    row = np.where(row[..., 3:] < 0.0, -row, row)
+    quaternion: Floats = row / np.sqrt(np.sum(row * row, axis=-1, keepdims=True))
+    return quaternion
 
 
 def relative_rotation(right_from_body: Floats, left_from_body: Floats) -> Floats:

@@ -18,8 +18,8 @@ innovations show it beyond what a load that is fitted a little wrong could.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
+from companion.core.tracking.nonnegative import nonnegative_least_squares
 from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT, SensorNoise
 from companion.records import Bools, Floats
 from companion.units import GRAVITY_MPS2
@@ -105,7 +105,7 @@ class RowNoise:
         now, believed = self._all()[present], self._believed[present]
         strength = np.diagonal(coupling)
         equations = coupling**2 / strength[:, None]
-        excess, _ = nnls(equations, np.maximum(beyond + equations @ (now - believed), 0.0))
+        excess = nonnegative_least_squares(equations, np.maximum(beyond + equations @ (now - believed), 0.0))
         learned = self._all()
         learned[present] = np.clip(now + _MEMORY * (believed + excess - now), believed, _MAX_RATIO * believed)
         self.variance[Y_LEFT:], self.root_y_variance = learned[:-1], float(learned[-1])

@@ -16,7 +16,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from companion.records import Floats
 
@@ -59,7 +58,12 @@ def _bracketed(low: float, high: float, mass_ratio: float, inertia_ratio: float)
         ends[0] * ends[1] >= 0.0
     ):  # a mode whose tip does not turn feels no rotary inertia: its root is the bracket's end
         return low if abs(ends[0]) < abs(ends[1]) else high
-    return float(brentq(characteristic, low, high, args=(mass_ratio, inertia_ratio), xtol=1e-14, rtol=1e-14))
+    while low < (middle := 0.5 * (low + high)) < high:  # until no number lies between the ends: some 55 halvings
+        if characteristic(middle, mass_ratio, inertia_ratio) * ends[0] > 0.0:
+            low = middle
+        else:
+            high = middle
+    return high
 
 
 def _check_ratios(count: int, mass_ratio: float, inertia_ratio: float) -> None:
