@@ -20,7 +20,7 @@ from companion.core.clock.motion_alignment import SIGMAS
 from companion.core.clock.unsynced_nodes import UnsyncedNodes
 from companion.core.output_scheduler import OutputScheduler
 from companion.core.rate_monitor import StreamRateMonitor
-from companion.core.silence import NO_PAIRS, RangeSilence
+from companion.core.silence import NO_PAIRS, TELLING, RangeSilence
 from companion.core.stereo.correction import Correction
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.tracking.streams import within_range
@@ -130,7 +130,8 @@ def step(state: PipelineState, record: Record) -> tuple[PipelineState, list[Outp
     if handler is None:
         return state, []
     outputs = handler(state, record)
-    state.silence.note(record)
+    if type(record) in TELLING:
+        state.silence.note(record)
     for output in outputs:
         state.silence.note(output)
         if isinstance(output, Rejected):

@@ -28,7 +28,8 @@ NO_PAIRS = "shots bring no image pairs: trigger, cameras?"
 """Cause of silence, and reason of a CRITICAL status, where exposures bring no matches."""
 
 
-_TELLING = (CorrectedRange, TriggerPlan, Shot, MatchSet, Rejected)
+TELLING = (CorrectedRange, TriggerPlan, Shot, MatchSet, Rejected)
+"""Records that say something about why no range comes."""
 
 
 @dataclass(slots=True)
@@ -53,7 +54,7 @@ class RangeSilence:
 
     def note(self, record: Record) -> None:
         """Look at an input or output of the pipeline."""
-        if not isinstance(record, _TELLING):
+        if not isinstance(record, TELLING):
             return
         if isinstance(record, CorrectedRange) and record.trusted:
             self._begin_anew()

@@ -43,13 +43,15 @@ def packed(record: type[Any]) -> Callable[[Any], bytes]:
     code = _codes(record)
     nested = any(isinstance(each, list) for each in code)
     kinds = _flat_codes(code)
-    pack, is_array = struct.Struct("=" + "".join(kinds)).pack, [kind == "Q" for kind in kinds]
-    if all(is_array) and not nested:
+    pack, arrays = struct.Struct("=" + "".join(kinds)).pack, [at for at, kind in enumerate(kinds) if kind == "Q"]
+    if len(arrays) == len(kinds) and not nested:
         return lambda values: pack(*map(id, values))
 
     def laid_out(values: Any) -> bytes:
-        members = _flat(values) if nested else values
-        return pack(*[id(value) if array else value for value, array in zip(members, is_array, strict=True)])
+        members = _flat(values) if nested else list(values)
+        for at in arrays:
+            members[at] = id(members[at])
+        return pack(*members)
 
     return laid_out
 

@@ -488,3 +488,16 @@ EXPORT int64_t stream_all_valid(const array *t_in, const array *values_in, const
     }
     return valid;
 }
+
+/* Whether no specific force and no rate reaches beyond its limit, either way; false where one is not a number. */
+EXPORT int64_t stream_within(const array *values_in, double accel_limit, double gyro_limit)
+{
+    bool good = true;
+    const double *values = reals(values_in, 2, &good), limits[2] = {accel_limit, gyro_limit};
+    if (!good || extent(values_in, 1) != 6)
+        return BAD_ARRAY;
+    bool within = true;
+    for (int64_t k = 0; k < 6 * extent(values_in, 0); k++)
+        within = within && fabs(values[k]) <= limits[k % 6 / 3];
+    return within;
+}

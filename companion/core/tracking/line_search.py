@@ -56,7 +56,7 @@ class SampleRing:
 
     def add(self, t_ns: Ints, values: Floats) -> None:
         """Take the samples that are newer than what is held."""
-        first = int(np.searchsorted(t_ns, self._newest_ns, side="right"))
+        first = int(t_ns.searchsorted(self._newest_ns, side="right"))
         if first < len(t_ns):
             self._newest_ns = int(t_ns[-1])
             self._runs.append((t_ns[first:].copy(), values[first:].copy()))

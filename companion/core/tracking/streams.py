@@ -12,7 +12,7 @@ from companion.core.kernels.arrays import plain
 from companion.core.tracking.line_removal import PARTS, LineStates, copied, line_states, remove_lines, take_over
 from companion.core.tracking.line_search import SampleRing
 from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers
-from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
+from companion.native.library import ARRAY, INTEGER, REAL, RECORD, kernel, packed
 from companion.params.airframe import Sensor
 from companion.records import Axis, Bools, Floats, ImuBatch, Ints, Reject, Rejected
 
@@ -24,11 +24,12 @@ _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1
 
 _append = kernel("stream_append", ARRAY, ARRAY, INTEGER, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
 _all_valid = kernel("stream_all_valid", ARRAY, ARRAY, ARRAY, INTEGER)
+_within = kernel("stream_within", ARRAY, REAL, REAL)
 
 
 def within_range(batch: ImuBatch, sensor: Sensor) -> tuple[ImuBatch, list[Rejected]]:
     """Batch without samples beyond the sensor's range, which no filter may take, and their count."""
-    if _inside(batch.values[:, :3], sensor.accel_range_mps2) and _inside(batch.values[:, 3:], sensor.gyro_range_radps):
+    if _within(plain(batch.values), sensor.accel_range_mps2, sensor.gyro_range_radps):
         return batch, []  # by far the most batches
     range_ratio = (np.abs(batch.values) / _ranges(sensor)).max(axis=1, initial=0.0)
     beyond = np.isfinite(range_ratio) & (range_ratio > _MAX_RANGE_RATIO)
@@ -36,11 +37,6 @@ def within_range(batch: ImuBatch, sensor: Sensor) -> tuple[ImuBatch, list[Reject
         return batch, []
     refused = Rejected(Reject.BEYOND_RANGE, _name(batch), batch.received_host_ns, int(beyond.sum()))
     return dataclasses.replace(batch, t_ns=batch.t_ns[~beyond], values=batch.values[~beyond]), [refused]
-
-
-def _inside(values: Floats, limit: float) -> bool:
-    """Whether no value reaches beyond +-``limit``; False where one is not a number."""
-    return bool(values.max(initial=0.0) <= limit and values.min(initial=0.0) >= -limit)
 
 
 def _ranges(sensor: Sensor) -> Floats:
@@ -56,7 +52,7 @@ def _appended(
     A sender that stamps at the instant of sending and was held up sends two samples in one go, the first close ahead of
     the second and far behind the one before it. It belongs in the middle of the gap.
     """
-    first = int(np.searchsorted(t_ns, needed_ns))
+    first = int(t_ns.searchsorted(needed_ns))
     count = len(t_ns) - first + len(more_ns)
     all_ns, together = np.empty(count, np.int64), np.empty((count, values.shape[1]))
     ordered = _append(t_ns, values, first, more_ns, more, period_ns, all_ns, together)
@@ -224,7 +220,7 @@ class SampleBuffer:
         if len(t_ns) <= 2 * NEIGHBOURS:
             return
         outliers = find_outliers(
-            t_ns, self.values, int(np.searchsorted(t_ns, from_ns)), self._noise_sigma, float(self._period_ns)
+            t_ns, self.values, int(t_ns.searchsorted(from_ns)), self._noise_sigma, float(self._period_ns)
         )
         self._checked_ns = int(t_ns[-1 - NEIGHBOURS])
         if outliers.any():
@@ -238,7 +234,7 @@ class SampleBuffer:
     def plain(self, until_ns: int) -> StreamSamples:
         """Samples as plain arrays; those not yet tested for outliers only where no others reach ``until_ns``."""
         self._merge_waiting()
-        final = checked = int(np.searchsorted(self.t_ns, self._checked_ns, side="right"))
+        final = checked = int(self.t_ns.searchsorted(self._checked_ns, side="right"))
         if checked < 2 or self.t_ns[checked - 2] < until_ns:
             checked = len(self.t_ns)
         t_ns, values = self.t_ns[:checked], self.values[:checked]

@@ -21,6 +21,7 @@ from companion.adapters.mavlink.link.dialect import CRC_EXTRA, ID_OF, payload_si
 from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
 from companion.records import Floats, Ints
 
+_BYTE = np.dtype(np.uint8)
 _NO_SYSTEM = -1  # convention: no system id is negative
 _HIGHRES, _RAW, _SCALED = range(3)
 _FORMS = {
@@ -103,6 +104,7 @@ class BulkDecoder:
             if source.message in _FORM_OF and source.instance == "0" and shared.count(place) == 1
         )
         self._plan = _plan(self._sources)
+        self._laid_out = _packed(self._plan)  # addresses of its arrays, which live as long
         self._room = _Room(0, len(self._sources))
 
     def scan(
@@ -120,20 +122,22 @@ class BulkDecoder:
         room = self._room
         if len(buffer) > room.size:
             room = self._room = _Room(2 * len(buffer), len(self._sources))
-        chunk = np.frombuffer(buffer, np.uint8)
+        chunk = np.frombuffer(buffer, _BYTE)
         system = _NO_SYSTEM if system is None else system
-        filled = _read(chunk, system, _packed(self._plan), room.counts, room.t_ns, room.values)
+        filled = _read(chunk, system, self._laid_out, room.counts, room.t_ns, room.values)
         numbers = room.counts[:filled].tolist()
         at = _COUNTED + 3 * len(self._sources)
         for k in range(at, len(numbers), 3):
             frames.append((numbers[k], buffer[numbers[k + 1] : numbers[k + 2]]))
-        runs, first = [], 0
+        runs: list[SampleRun] = []
+        rows, first = sum(numbers[_COUNTED:at:3]), 0
+        t_ns, values = room.t_ns[:rows].copy(), room.values[:rows].copy()  # once: a run is a part of them
         for k, source in enumerate(self._sources):
-            count, oldest_ns, newest_ns = numbers[_COUNTED + 3 * k : _COUNTED + 3 * k + 3]
-            if count:
+            place = _COUNTED + 3 * k
+            if count := numbers[place]:
                 last = first + count
-                t_ns, values = room.t_ns[first:last].copy(), room.values[first:last].copy()
-                runs.append(SampleRun(source, t_ns, values, oldest_ns, newest_ns))
+                oldest_ns, newest_ns = numbers[place + 1], numbers[place + 2]
+                runs.append(SampleRun(source, t_ns[first:last], values[first:last], oldest_ns, newest_ns))
                 first = last
         return numbers[0], numbers[1:_COUNTED], runs
 

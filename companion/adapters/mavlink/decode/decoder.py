@@ -94,9 +94,11 @@ class Decoder:
         self._scanners: dict[int, Scanner] = {}
         self._messages = self.mapping.messages
         self._readers: dict[tuple[int, int], list[StationReader]] = {}
+        self._plain: list[Callable[..., Iterable[Record]]] = []  # by station
         for source in self.mapping.sources:
             reader = StationReader(source, self._reset_detector, self.refusals)
             self._readers.setdefault((source.message, source.component), []).append(reader)
+            self._plain.append(reader.plain)
         self._bulk = BulkDecoder(self.mapping.sources)
 
     @property
@@ -177,13 +179,17 @@ class Decoder:
 
     def _inertial(self, chunk: RawChunk, many: dict[int, list[bytes]], runs: list[SampleRun], out: Decoded) -> None:
         received_ns = chunk.received_host_ns
+        if not many:  # nothing but plain runs, in the order of the stations
+            for run in runs:
+                source = run.source
+                self._count((source.message, source.component), len(run.t_ns))
+                out.records += self._plain[source.station](run, received_ns)
+            return
         reads: list[tuple[int, Callable[..., Iterable[Record]], tuple[Any, ...]]] = []
         for run in runs:
             source = run.source
-            key = (source.message, source.component)
-            self._count(key, len(run.t_ns))
-            (reader,) = self._readers[key]
-            reads.append((source.station, reader.plain, (run, received_ns)))
+            self._count((source.message, source.component), len(run.t_ns))
+            reads.append((source.station, self._plain[source.station], (run, received_ns)))
         for frame_key, payloads in many.items():
             system, component, message = sender(frame_key)
             ours = self.system_id in (None, system)

@@ -93,10 +93,12 @@ class ClockResetDetector:
 
     def onward(self, source: StampHistory, oldest_ns: int, newest_ns: int, received_host_ns: int) -> bool:
         """Take a batch whose stamps lie between these, if nothing is wrong with any of them."""
-        if source.newest_ns is not None:
-            if newest_ns > source.limit_ns(received_host_ns):
+        before_ns = source.newest_ns
+        if before_ns is not None:
+            if newest_ns > before_ns + AHEAD_NS and newest_ns > source.limit_ns(received_host_ns):
                 return False
-            newest_ns = max(newest_ns, source.newest_ns)
+            if newest_ns < before_ns:
+                newest_ns = before_ns
         if source.number != source.epoch.number or oldest_ns < newest_ns - BACK_NS:
             return False
         source.newest_ns, source.backward, source.heard_host_ns = newest_ns, 0, received_host_ns
