@@ -124,9 +124,12 @@ def test_a_mode_without_participation_is_no_mode(model: WingModel) -> None:
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.starts_at is not None])
 def test_what_begins_at_a_peak_of_the_residual_is_there_and_does_nothing_yet(kind: type[Effect]) -> None:
     begun = kind.at_peaks((11.0, 12.0, 13.0))
-    values = [getattr(begun, entry.name) for entry in kind.parameters()]
-    assert 11.0 in values
-    assert not any(value for value in values if value not in (11.0, 12.0, 13.0))
+    values = {entry.name: getattr(begun, entry.name) for entry in kind.parameters()}
+    assert 11.0 in values.values()
+    # what is no peak and no size (the width of a kick) is as declared; sizes are declared as nothing
+    declared = {entry.name: entry.default for entry in kind.parameters()}
+    assert all(value == declared[name] for name, value in values.items() if value not in (11.0, 12.0, 13.0))
+    assert not any(declared[name] for name in values if not name.endswith(("_s", "_hz")))
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.scan])

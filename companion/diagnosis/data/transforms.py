@@ -8,7 +8,7 @@ from companion.diagnosis.data.grid import TAPER
 from companion.diagnosis.spectral_matrices import Complexes
 from companion.records import Floats
 
-_FINER = 2  # zero padding before interpolation
+_FINER = 4  # zero padding before interpolation
 _POINTS = np.arange(-4.0, 5.0)
 
 
@@ -36,9 +36,10 @@ class Transforms:
         return np.asarray(np.fft.rfft(values * self.taper, axis=-1) * self._norm)
 
     def at(self, spectrum: Complexes, at_s: Floats) -> Floats:
-        """A band-limited signal (f,) at any instants: twice finer by zero padding, then nine-point Lagrange.
+        """A band-limited signal (f,) at any instants: four times finer by zero padding, then nine-point Lagrange.
 
-        The points lie evenly about the instant, so that what a small shift changes is the slope and nothing else.
+        The points lie evenly about the instant, so that what a small shift changes is the slope and nothing else. A
+        warp moves some instants from one nearest point to the next: twice finer, that outweighed the slope.
         """
         fine = np.fft.irfft(spectrum, _FINER * self.count) * _FINER
         place = (at_s - self.start_s) * (_FINER / self.dt_s)

@@ -22,6 +22,7 @@ _Sway = Callable[[Floats], Floats]
 
 LAWS: dict[str, _Law] = {
     "deflection times its amount": lambda w, v: np.abs(w) * w + 0.0 * v,
+    "amount of deflection": lambda w, v: np.abs(w) + 0.0 * v,
     "deflection squared": lambda w, v: w**2 + 0.0 * v,
     "deflection cubed": lambda w, v: w**3 + 0.0 * v,
     "fifth power of deflection": lambda w, v: w**5 + 0.0 * v,

@@ -14,7 +14,7 @@ from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import Linear
 from companion.diagnosis.model.nonlinear_correction import SensorLineariser
-from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, inverse, product
+from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, full, inverse, product
 from companion.records import Floats
 
 _PASSES = 2  # of smoothing and nonlinear correction in turn
@@ -80,7 +80,9 @@ class SmoothedMotion:
         A second pass sees what the rest of the first has moved: a wing that is softer one way sags with its amplitude.
         """
         for _ in range(_PASSES):
-            push = self._grid.lineariser.push(wing, terms, *self._smoothed(self._modal(self._smoother())))
+            smoother = self._smoother()
+            motion = self._smoothed(self._modal(smoother))
+            push = self._grid.lineariser.push(wing, terms, *motion, self._untold_m(smoother))
             stiffness = wing.structure.stiffness_radps2 - push.per_q
             damping = wing.structure.damping_radps - push.per_qdot
             if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
@@ -148,6 +150,14 @@ class SmoothedMotion:
         gain = np.zeros_like(self.cross)
         gain[..., self._low :] = product(self.cross[..., self._low :], self.inverse)
         return gain
+
+    def _untold_m(self, smoother: Complexes) -> float:
+        """Standard deviation that a smoother leaves of either half's first-mode deflection, m."""
+        linear = self.linear
+        prior = full(product(product(linear.receptance, linear.load), adjoint(linear.receptance)))
+        unknown = prior - product(smoother, adjoint(self.cross))
+        density = sum(unknown[k, k, 1:].real for k in range(min(2, len(unknown))))
+        return float(np.sqrt(2.0 * self._transforms.f_hz[1] * np.sum(np.maximum(density, 0.0))))
 
     def _smoothed(self, modal: Complexes) -> tuple[Floats, Floats]:
         omega = 2j * np.pi * self._transforms.f_hz[: self._top]

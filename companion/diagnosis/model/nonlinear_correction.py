@@ -27,6 +27,10 @@ from companion.units import GRAVITY_MPS2
 _BANDS = 60  # of the gain over frequency
 _BUMP = 1e-3  # of the standard deviation, for a difference quotient
 _BUMP_OF_MOTION = 0.05  # of its standard deviation: a kink is seen with its surroundings
+_NODES, _WEIGHTS = (-2.334414, -0.741964, 0.741964, 2.334414), (0.045876, 0.454124, 0.454124, 0.045876)
+"""Gauss and Hermite's rule of four places for the mean over a standard normal (Abramowitz and Stegun, table 25.10)."""
+_FINER = 8  # points a sample at which a short load is evaluated before it is cut to the band
+_SHARP = 0.03  # of the deflection's rms: what is left untold below this blurs nothing
 _INVERSIONS = 6  # Newton steps
 _FLATTEST = 0.3  # slope of a sensor's law that can be inverted
 _INVERTED = 1e-9  # residual at which Newton's method ends
@@ -54,6 +58,7 @@ class SensorLineariser:
         self._fine = _Fine(observations, self._weight)
         self._rigid = _rigid_mps2(observations)
         self._cache: dict[tuple[Effect, ...], tuple[Floats, Floats]] = {}
+        self._kicks: dict[tuple[Effect, int], Floats] = {}
 
     @property
     def recorded_mps2(self) -> Floats:
@@ -108,23 +113,30 @@ class SensorLineariser:
         return load if np.any(load) else None
 
     def push(
-        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats
+        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, untold_m: float = 0.0
     ) -> StatisticalLinearisation:
-        """Forces of state and time on a smoothed motion (n, m), split by their mean slopes."""
+        """Forces of state and time on a smoothed motion (n, m), split by their mean slopes.
+
+        ``untold_m`` is the standard deviation of a half's deflection that the smoother leaves: a law's mean over it is
+        what the data can show of the law.
+        """
         forcing = [term for term in terms if term.effect.forces_modes()]
         lasting = [term for term in forcing if type(term.effect).remember is not Effect.remember]
-        instant = [term for term in forcing if term not in lasting]
+        kicks = [term for term in forcing if term.effect.transient]
+        instant = [term for term in forcing if term not in lasting and term not in kicks]
         n = len(q_m)
         per_q, per_qdot = np.zeros((n, n)), np.zeros((n, n))
-        rest = self._total(wing, instant, q_m, qdot_mps)
+        rest = self._blurred(wing, instant, q_m, qdot_mps, untold_m)
         if np.any(rest):
-            per_q, per_qdot = self._mean_slopes(wing, instant, q_m, qdot_mps)
+            per_q, per_qdot = self._mean_slopes(wing, instant, q_m, qdot_mps, untold_m)
             rest = rest - per_q @ q_m - per_qdot @ qdot_mps
         slipped = self._total(wing, lasting, q_m, qdot_mps)
         if np.any(slipped):
             weights = self._regressed(slipped, np.vstack([q_m, qdot_mps]))
             per_q, per_qdot = per_q + weights[:, :n], per_qdot + weights[:, n:]
             rest = rest + self._uncorrelated(slipped - weights @ np.vstack([q_m, qdot_mps]), q_m)
+        for term in kicks:
+            rest = rest + self._short(wing, term.effect)
         return StatisticalLinearisation(per_q, per_qdot, rest)
 
     def _total(self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats) -> Floats:
@@ -134,12 +146,25 @@ class SensorLineariser:
             total = total if force is None else total + force
         return total
 
+    def _blurred(
+        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, untold_m: float
+    ) -> Floats:
+        """Forces (n, m) averaged over what is not told of either half's deflection (Gauss and Hermite's rule)."""
+        if untold_m <= _SHARP * float(np.std(q_m[0])):
+            return self._total(wing, terms, q_m, qdot_mps)
+        blurred = np.zeros_like(q_m)
+        for place, weight in zip(_NODES, _WEIGHTS, strict=True):
+            shifted = q_m.copy()
+            shifted[0] += place * untold_m  # both halves alike: each has its own law
+            blurred += weight * self._total(wing, terms, shifted, qdot_mps)
+        return blurred
+
     def _mean_slopes(
-        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats
+        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, untold_m: float
     ) -> tuple[Floats, Floats]:
         """Mean derivatives of forces by deflection and by speed, (n, n) each."""
         n, signed_weight = len(q_m), self._weight * self._signs / np.sum(self._weight)
-        slopes, total = np.zeros((2, n, n)), self._total(wing, terms, q_m, qdot_mps)
+        slopes, total = np.zeros((2, n, n)), self._blurred(wing, terms, q_m, qdot_mps, untold_m)
         for which, motion in enumerate((q_m, qdot_mps)):
             for j in range(n):
                 bump = _BUMP_OF_MOTION * float(np.std(motion[j]))
@@ -147,7 +172,11 @@ class SensorLineariser:
                     perturbed = [q_m, qdot_mps]
                     perturbed[which] = motion.copy()
                     perturbed[which][j] += bump * self._signs
-                    slopes[which, :, j] = (self._total(wing, terms, *perturbed) - total) @ signed_weight / bump
+                    slopes[which, :, j] = (
+                        (self._blurred(wing, terms, perturbed[0], perturbed[1], untold_m) - total)
+                        @ signed_weight
+                        / bump
+                    )
         return slopes[0], slopes[1]
 
     def _regressed(self, force: Floats, basis: Floats) -> Floats:
@@ -181,6 +210,27 @@ class SensorLineariser:
         channel = self._observations.covariates.get(term.channel)
         follows = np.zeros(len(self._observations.up_mps2)) if channel is None else channel
         return term.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
+
+    def _short(self, wing: WingModel, effect: Effect) -> Floats:
+        """Loads (n, m) that last for less than a sample and follow no motion, without what no sample can hold; kept."""
+        key = effect, wing.count
+        if key not in self._kicks:
+            if len(self._kicks) >= _CACHE_SIZE:
+                self._kicks.pop(next(iter(self._kicks)))
+            self._kicks[key] = self._cut_to_band(wing, effect)
+        return self._kicks[key]
+
+    def _cut_to_band(self, wing: WingModel, effect: Effect) -> Floats:
+        count = len(self._observations.up_mps2)
+        t_s: Any = self._observations.start_s + np.arange(_FINER * count) / (_FINER * self._observations.rate_hz)
+        still, static = np.zeros((wing.count, len(t_s))), np.zeros((wing.count, 1))
+        load = effect.force(ModalMotion(t_s, still, still, static, 1.0, wing.structure, still[0]))
+        if load is None:
+            return np.zeros((wing.count, count))
+        cut = np.zeros((wing.count, count))
+        for k in np.flatnonzero(np.any(load, axis=1)):
+            cut[k] = np.fft.irfft(np.fft.rfft(load[k])[: count // 2 + 1], count) / _FINER
+        return cut
 
     def _on_time(self, effect: Effect, channel: int, up: Floats) -> Floats:
         """A station's reading (m,) at the instants at which it belongs: read at the mirrored ones."""

@@ -11,11 +11,12 @@ from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak,
 from companion.records import Floats
 
 WIDTH_S = 0.005
+_NARROWEST_S = 5e-4  # shorter pulses are alike for a wing
 
 
 @dataclass(frozen=True, slots=True)
 class ImpulsiveForcing(Effect):
-    """Up to three kicks; each changes the modal speeds at once, by a bell-shaped pulse of 5 ms."""
+    """Up to three kicks; each changes the modal speeds at once, by a bell-shaped pulse of some milliseconds."""
 
     name: ClassVar[str] = "impulsive-forcing"
     group: ClassVar[Group] = Group.FORCING
@@ -32,17 +33,18 @@ class ImpulsiveForcing(Effect):
     symmetric3_mps: float = parameter("m/s", 0.1, "third kick, symmetric")
     antisymmetric3_mps: float = parameter("m/s", 0.1, "third kick, antisymmetric")
     at3_s: float = parameter("s", 20.0, "its instant")
+    width_s: float = parameter("s", 0.002, "standard deviation of each pulse in time", default=WIDTH_S)
 
     def force(self, motion: ModalMotion) -> Floats:
         """The pulses."""
-        added = np.zeros_like(motion.q_m)
+        added, width_s = np.zeros_like(motion.q_m), max(abs(self.width_s), _NARROWEST_S)
         for symmetric, antisymmetric, at_s in (
             (self.symmetric1_mps, self.antisymmetric1_mps, self.at1_s),
             (self.symmetric2_mps, self.antisymmetric2_mps, self.at2_s),
             (self.symmetric3_mps, self.antisymmetric3_mps, self.at3_s),
         ):
-            away = (np.asarray(motion.t_s) - at_s) / WIDTH_S
-            pulse = np.exp(-0.5 * away**2) / (np.sqrt(2.0 * np.pi) * WIDTH_S)
+            away = (np.asarray(motion.t_s) - at_s) / width_s
+            pulse = np.exp(-0.5 * away**2) / (np.sqrt(2.0 * np.pi) * width_s)
             added[0] += symmetric * pulse
             if len(added) > 1:
                 added[1] += antisymmetric * pulse
