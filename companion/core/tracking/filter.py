@@ -14,21 +14,13 @@ from collections.abc import Collection
 
 import numpy as np
 
-from companion.core.kernels.arrays import DiscreteModel, Epochs, FilterConstants, FilterState, make_history
+from companion.core.kernels.arrays import Epochs, FilterState, make_history
 from companion.core.kernels.filter_loops import filter_epochs
-from companion.core.tracking.error_jacobians import measured_regressors
+from companion.core.tracking.bias_information import age_information, marginalise, solve_parameters
+from companion.core.tracking.kernel_arrays import kernel_constants, kernel_model
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, stationary
-from companion.core.tracking.states import (
-    P_LEFT,
-    ROOT_ERRORS,
-    ROWS,
-    SENSOR_ERRORS,
-    Y_LEFT,
-    Z_LEFT,
-    SensorNoise,
-    StateLayout,
-)
-from companion.records import Floats, Ints
+from companion.core.tracking.states import ROOT_ERRORS, ROWS, SENSOR_ERRORS, SensorNoise, StateLayout
+from companion.records import Floats
 
 _SOLVE_EVERY = 25  # chosen, steps: ten solutions a second at 250 Hz
 # The root's own errors stay at their priors (Schmidt's consider states): its filtered, unevenly sent samples have noise
@@ -74,7 +66,7 @@ class SeparatedBiasFilter:
         self.covariance = stationary(layout, noise, model)
         self.bias_parameters = np.zeros(c)
         self.bias_parameter_covariance = np.diag(layout.bias_parameter_sigma**2)
-        self._prior = np.diag(1.0 / layout.bias_parameter_sigma**2)
+        self._prior_information = 1.0 / layout.bias_parameter_sigma**2
         estimated = np.array([name not in _CONSIDERED for name in layout.bias_parameters], dtype=bool)
         self._estimated, self._considered = np.flatnonzero(estimated), np.flatnonzero(~estimated)
         wandering = [column for name in _WANDERING if (column := layout.column(name)) is not None]
@@ -87,7 +79,7 @@ class SeparatedBiasFilter:
             self.state_and_sensitivity, self.covariance, np.zeros((1 + c, 1 + c)), self._one_and_bias, np.zeros(2)
         )
         self.history = make_history(history_length, n, c, ROWS)
-        self._constants = _constants(layout, noise, model.step_s, trim_m, bend_per_g_m)
+        self._constants = kernel_constants(layout, noise, model.step_s, trim_m, bend_per_g_m)
         self.switch_model(model)
 
     def fork(self, model: DiscreteWingModel) -> SeparatedBiasFilter:
@@ -126,22 +118,15 @@ class SeparatedBiasFilter:
         self._solve_bias_parameters()
 
     def _marginalise(self, column: int, *, considered: bool) -> None:
-        """Integrate one bias parameter out of information, sensitivities and covariance.
-
-        Of a considered one nothing is learned: its prior alone says how uncertain it was.
-        """
-        accumulated = self._filter_state.information
-        if considered:
-            accumulated[column, :], accumulated[:, column] = 0.0, 0.0
-        others = np.flatnonzero(np.arange(len(accumulated)) != column)
-        strength = accumulated[column, column] + self._prior[column - 1, column - 1]
-        regression = accumulated[column, others] / strength  # with minus sign: how the constant follows from the others
-        accumulated[np.ix_(others, others)] -= strength * np.outer(regression, regression)
-        accumulated[column, :], accumulated[:, column] = 0.0, 0.0
-        sensitivity_column = self.state_and_sensitivity[:-1, column].copy()
-        self.state_and_sensitivity[:-1, others] -= np.outer(sensitivity_column, regression)
-        self.covariance += np.outer(sensitivity_column, sensitivity_column) / strength
-        self.state_and_sensitivity[:, column] = 0.0
+        """Integrate one bias parameter out of information, sensitivities and covariance."""
+        marginalise(
+            self._filter_state.information,
+            self.state_and_sensitivity,
+            self.covariance,
+            column,
+            self._prior_information[column - 1],
+            considered=considered,
+        )
 
     @property
     def history_length(self) -> int:
@@ -231,33 +216,8 @@ class SeparatedBiasFilter:
         if model is not self.model:
             self._preserve_acceleration(model.parameters)
         self.model = model
-        n = self.layout.size
-        ahead, now = model.transition, np.eye(n, n + 1)
-        middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s
-        linearisation_rows = [model.slope @ middle, model.slope @ rate]
-        for _, q, _, sign in self.layout.slope_factors:
-            for side, sense_of_rotation in ((0, 1.0), (1, -1.0)):
-                linearisation_rows += [
-                    -sign[side] * middle[q : q + 1],
-                    -sense_of_rotation * sign[side] * rate[q : q + 1],
-                ]
-        transition = np.ascontiguousarray(model.transition[:, :n])
-        row, col = (np.ascontiguousarray(index) for index in np.nonzero(transition))
-        self._discrete_model = DiscreteModel(
-            transition=transition,
-            static_input=np.ascontiguousarray(model.transition[:, n]),
-            row=row,
-            col=col,
-            value=transition[row, col],
-            transition_index=self._store_transition(transition),
-            H=np.ascontiguousarray(model.H),
-            Q=np.ascontiguousarray(model.noise),
-            cross_cov=np.ascontiguousarray(model.cross_cov.T),
-            process_noise_in_rows=np.ascontiguousarray(model.process_noise_in_rows),
-            linearisation_rows=np.ascontiguousarray(np.concatenate(linearisation_rows)),
-            aliasing_variance=model.aliasing_variance,
-            moments_beside_gyro=model.moments_beside_gyro,
-        )
+        transition = np.ascontiguousarray(model.transition[:, : self.layout.size])
+        self._discrete_model = kernel_model(self.layout, model, transition, self._store_transition(transition))
 
     def _store_transition(self, transition: Floats) -> int:
         """Put a transition into a slot of the history that no step refers to; its number."""
@@ -297,7 +257,7 @@ class SeparatedBiasFilter:
     def _age_wandering(self) -> None:
         """Age the wandering bias parameters by one solution period."""
         sigma = self.layout.bias_parameter_sigma
-        _age_information(
+        age_information(
             self._filter_state.information,
             self.state_and_sensitivity,
             self.covariance,
@@ -311,7 +271,7 @@ class SeparatedBiasFilter:
         self._steps_since_solution = 0
         if not len(self.bias_parameters):
             return
-        _solve_parameters(
+        solve_parameters(
             self._filter_state.information,
             self.layout.bias_parameter_sigma,
             self._estimated,
@@ -320,76 +280,3 @@ class SeparatedBiasFilter:
             self.bias_parameter_covariance,
         )
         self._one_and_bias[1:] = self.bias_parameters
-
-
-def _age_information(
-    accumulated: Floats,
-    state_and_sensitivity: Floats,
-    covariance: Floats,
-    wandering: Ints,
-    sigma: Floats,
-    autocorrelation: float,
-) -> None:
-    """Time update of the wandering bias parameters, in information form and in place.
-
-    A first-order process: ``c_old = r c_new + noise``. The noise is marginalised; the state's dependence on it becomes
-    its own variance.
-    """
-    for column in wandering:
-        noise = (1.0 - autocorrelation * autocorrelation) * sigma[column - 1] ** 2
-        learned, sensitivity_column = accumulated[column].copy(), state_and_sensitivity[:-1, column].copy()
-        gain = noise / (1.0 + noise * learned[column])
-        state_and_sensitivity[:-1] -= gain * np.outer(sensitivity_column, learned)
-        covariance += gain * np.outer(sensitivity_column, sensitivity_column)
-        accumulated -= gain * np.outer(learned, learned)
-        accumulated[column, :] *= autocorrelation
-        accumulated[:, column] *= autocorrelation
-        state_and_sensitivity[:-1, column] *= autocorrelation
-
-
-def _solve_parameters(
-    accumulated: Floats, sigma: Floats, estimated: Ints, considered: Ints, bias_parameters: Floats, covariance: Floats
-) -> None:
-    """Bias parameters and their covariance, in place; ``considered`` ones stay at their priors (Schmidt)."""
-    information = accumulated[estimated + 1][:, estimated + 1] + np.diag(1.0 / sigma[estimated] ** 2)
-    estimated_covariance = np.linalg.inv(information)
-    estimated_covariance = 0.5 * (estimated_covariance + estimated_covariance.T)
-    consider_map = -estimated_covariance @ accumulated[estimated + 1][:, considered + 1]
-    consider_gain = consider_map * sigma[considered] ** 2
-    estimated_total = estimated_covariance + consider_gain @ consider_map.T
-    bias_parameters[estimated] = -estimated_covariance @ np.ascontiguousarray(accumulated[estimated + 1, 0])
-    covariance[estimated[:, None], estimated] = estimated_total
-    covariance[estimated[:, None], considered] = consider_gain
-    covariance[considered[:, None], estimated] = consider_gain.T
-
-
-def _constants(
-    layout: StateLayout, noise: SensorNoise, step_s: float, trim_m: float, bend_per_g_m: float
-) -> FilterConstants:
-    """Constants of the kernel."""
-    bias_states = dict(layout.row_bias_states)
-    factors = [
-        (row + side, column) for column, _, _, _ in layout.slope_factors for side in (0, 1) for row in (Y_LEFT, P_LEFT)
-    ]
-    regressors = measured_regressors(layout)
-    return FilterConstants(
-        step_s=step_s,
-        trim_m=trim_m,
-        bend_per_g_m=bend_per_g_m,
-        root_z_variance=noise.root_z_variance,
-        root_y_variance=noise.root_y_variance,
-        trim_column=layout.column("trim") or 0,
-        bend_column=layout.column("bend_per_g") or 0,
-        sensor_variance=noise.sensor_variance,
-        lateral_bias_state=np.array([bias_states.get(Y_LEFT + side, -1) for side in (0, 1)], np.int64),
-        roll_misalignment_column=np.array([layout.column(f"{place}.mx") or 0 for place in ("left", "right")], np.int64),
-        vertical_bias_state=np.array([bias_states.get(Z_LEFT + side, -1) for side in (0, 1)], np.int64),
-        bias_projection=noise.bias_projection,
-        common_bias_column=layout.column("bz") or 0,
-        slope_factor_rows=np.array([row for row, _ in factors], np.int64),
-        slope_factor_columns=np.array([column for _, column in factors], np.int64),
-        regressor_rows=np.array([row for row, _, _, _ in regressors], np.int64),
-        regressor_columns=np.array([column for _, column, _, _ in regressors], np.int64),
-        regressor_sources=np.array([source for _, _, source, _ in regressors], np.int64),
-        regressor_signs=np.array([sign for _, _, _, sign in regressors], np.float64),
-    )

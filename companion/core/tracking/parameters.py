@@ -25,6 +25,9 @@ _RATIO = 0.003  # chosen: of a further mode's load density to the first's
 _RATIO_SIGMA = 3.0  # chosen: wide open, a factor of 20
 _COHERENCE_SIGMA = 1.0  # chosen, in Fisher's z: wide open, one sigma is a correlation of 0.76
 _SIGMA_FLOOR = 1e-6  # numerical: keeps a certain parameter where it is
+# chosen, of the log parameters of the first mode and of each further one: smaller changes need no trial
+_SMALL_CHANGE, _SMALL_CHANGE_FURTHER = (0.02, 0.5, 0.7, 1.0, 1.0), (0.05, 0.7, 1.0, 0.7)
+_NEGLIGIBLE_LOG_LOAD = np.log(1e-6)  # chosen: a further mode's load over the first's, below any sensor's noise
 
 
 class ParameterIndex(NamedTuple):
@@ -169,6 +172,22 @@ def prior_parameters(family: ModeFamily, gust: Gust) -> ModeParameters:
         sigma += [*_shape_sigmas(mode), _RATIO_SIGMA, _COHERENCE_SIGMA]
         modes.append(LoadedMode(mode.frequency_hz.value, mode.damping.value, float(_RATIO * load), 0.0))
     return ModeParameters(tuple(modes), corners[0], corners[1], frequency, np.array(sigma))
+
+
+def alike(new: Sequence[ModeParameters], old: Sequence[ModeParameters]) -> bool:
+    """Whether a change of the parameters is too small for a trial."""
+    return all(_close(*family) for family in zip(new, old, strict=True))
+
+
+def _close(new: ModeParameters, old: ModeParameters) -> bool:
+    """Whether one family's parameters changed little; those of a negligible further mode do not count."""
+    new_log, old_log = new.log_params(), old.log_params()
+    close = np.abs(new_log - old_log) < joined(_SMALL_CHANGE, _SMALL_CHANGE_FURTHER, len(new.modes))
+    for at in range(FIRST_PARAMETERS, len(new_log), FURTHER_PARAMETERS):
+        load = max(log_params[at + LOAD] - log_params[LOAD] for log_params in (new_log, old_log))
+        if load < _NEGLIGIBLE_LOG_LOAD:  # what it is makes no difference
+            close[[at + FREQUENCY, at + DAMPING, at + COHERENCE]] = True
+    return bool(close.all())
 
 
 def _shape_sigmas(mode: Mode) -> tuple[float, float]:

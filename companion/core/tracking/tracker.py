@@ -16,17 +16,7 @@ from companion.core.tracking.estimates import fast_slope_time_s, mode_estimate, 
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.line_search import KnownLines
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
-from companion.core.tracking.parameters import (
-    COHERENCE,
-    DAMPING,
-    FIRST_PARAMETERS,
-    FREQUENCY,
-    FURTHER_PARAMETERS,
-    LOAD,
-    ModeParameters,
-    joined,
-    prior_parameters,
-)
+from companion.core.tracking.parameters import alike, prior_parameters
 from companion.core.tracking.prediction import Forecast, Forecaster
 from companion.core.tracking.rigid_body import MeasurementBuilder, join, without_gate_excess
 from companion.core.tracking.row_noise import RowNoise
@@ -44,9 +34,6 @@ _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the 
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _MAX_GATED_RATIO = 0.2  # chosen: where more epochs are gated, the wing really moves so
 _TRIAL_S = 1.5  # derived: fits come once a second
-# chosen, of the log parameters of the first mode and of each further one: smaller changes need no trial
-_SMALL_CHANGE, _SMALL_CHANGE_FURTHER = (0.02, 0.5, 0.7, 1.0, 1.0), (0.05, 0.7, 1.0, 0.7)
-_NEGLIGIBLE_LOG_LOAD = np.log(1e-6)  # chosen: a further mode's load over the first's, below any sensor's noise
 _DISTRUST = {
     Validity.STALE: Reject.STALE,
     Validity.SETTLING: Reject.NOT_SETTLED,
@@ -231,7 +218,7 @@ class WingTracker:
         self._learn_noise()
         model = self._model(self._adaptation.parameters)
         early = self._adaptation.refilter
-        if early or not _alike(model.parameters, self._kalman.model.parameters):
+        if early or not alike(model.parameters, self._kalman.model.parameters):
             tried = self._fresh(model) if early else self._trial_filter.fork(model)
             tried.run(join(self._trial_epochs))
             self._refused = not tried.finite or tried.nis > max(NIS_LIMIT, self._kalman.nis)
@@ -393,19 +380,3 @@ class WingTracker:
         end, before = self._body_rates[at], self._body_rates[max(at - 1, -len(self._body_rates))]
         body_rate_radps: Floats = before + fraction * (end - before)
         return body_rate_radps
-
-
-def _alike(new: WingParameters, old: WingParameters) -> bool:
-    """Whether a change of the parameters is too small for a trial."""
-    return all(_close(*family) for family in zip(new, old, strict=True))
-
-
-def _close(new: ModeParameters, old: ModeParameters) -> bool:
-    """Whether one family's parameters changed little; those of a negligible further mode do not count."""
-    new_log, old_log = new.log_params(), old.log_params()
-    close = np.abs(new_log - old_log) < joined(_SMALL_CHANGE, _SMALL_CHANGE_FURTHER, len(new.modes))
-    for at in range(FIRST_PARAMETERS, len(new_log), FURTHER_PARAMETERS):
-        load = max(log_params[at + LOAD] - log_params[LOAD] for log_params in (new_log, old_log))
-        if load < _NEGLIGIBLE_LOG_LOAD:  # what it is makes no difference
-            close[[at + FREQUENCY, at + DAMPING, at + COHERENCE]] = True
-    return bool(close.all())

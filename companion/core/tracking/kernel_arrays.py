@@ -1,0 +1,76 @@
+"""Constants and discrete model of the filter as the arrays that its inner loop reads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.core.kernels.arrays import DiscreteModel, FilterConstants
+from companion.core.tracking.error_jacobians import measured_regressors
+from companion.core.tracking.model import DiscreteWingModel
+from companion.core.tracking.states import P_LEFT, Y_LEFT, Z_LEFT, SensorNoise, StateLayout
+from companion.records import Floats
+
+
+def kernel_model(
+    layout: StateLayout, model: DiscreteWingModel, transition: Floats, transition_index: int
+) -> DiscreteModel:
+    """Discrete model with its ``transition`` (n, n), which is stored under an index, and the rows to linearise at.
+
+    The rows give slopes and slope rates in the middle of a step, then the change of each tip's slope and slope rate
+    with its slope factors.
+    """
+    n = layout.size
+    ahead, now = model.transition, np.eye(n, n + 1)
+    middle, rate = 0.5 * (now + ahead), (ahead - now) / model.step_s
+    linearisation_rows = [model.slope @ middle, model.slope @ rate]
+    for _, q, _, sign in layout.slope_factors:
+        for side, sense_of_rotation in ((0, 1.0), (1, -1.0)):
+            linearisation_rows += [-sign[side] * middle[q : q + 1], -sense_of_rotation * sign[side] * rate[q : q + 1]]
+    row, col = (np.ascontiguousarray(index) for index in np.nonzero(transition))
+    return DiscreteModel(
+        transition=transition,
+        static_input=np.ascontiguousarray(model.transition[:, n]),
+        row=row,
+        col=col,
+        value=transition[row, col],
+        transition_index=transition_index,
+        H=np.ascontiguousarray(model.H),
+        Q=np.ascontiguousarray(model.noise),
+        cross_cov=np.ascontiguousarray(model.cross_cov.T),
+        process_noise_in_rows=np.ascontiguousarray(model.process_noise_in_rows),
+        linearisation_rows=np.ascontiguousarray(np.concatenate(linearisation_rows)),
+        aliasing_variance=model.aliasing_variance,
+        moments_beside_gyro=model.moments_beside_gyro,
+    )
+
+
+def kernel_constants(
+    layout: StateLayout, noise: SensorNoise, step_s: float, trim_m: float, bend_per_g_m: float
+) -> FilterConstants:
+    """Constants of the filter's inner loop, for one airframe."""
+    bias_states = dict(layout.row_bias_states)
+    factors = [
+        (row + side, column) for column, _, _, _ in layout.slope_factors for side in (0, 1) for row in (Y_LEFT, P_LEFT)
+    ]
+    regressors = measured_regressors(layout)
+    return FilterConstants(
+        step_s=step_s,
+        trim_m=trim_m,
+        bend_per_g_m=bend_per_g_m,
+        root_z_variance=noise.root_z_variance,
+        root_y_variance=noise.root_y_variance,
+        trim_column=layout.column("trim") or 0,
+        bend_column=layout.column("bend_per_g") or 0,
+        sensor_variance=noise.sensor_variance,
+        lateral_bias_state=np.array([bias_states.get(Y_LEFT + side, -1) for side in (0, 1)], np.int64),
+        roll_misalignment_column=np.array([layout.column(f"{place}.mx") or 0 for place in ("left", "right")], np.int64),
+        vertical_bias_state=np.array([bias_states.get(Z_LEFT + side, -1) for side in (0, 1)], np.int64),
+        bias_projection=noise.bias_projection,
+        common_bias_column=layout.column("bz") or 0,
+        slope_factor_rows=np.array([row for row, _ in factors], np.int64),
+        slope_factor_columns=np.array([column for _, column in factors], np.int64),
+        regressor_rows=np.array([row for row, _, _, _ in regressors], np.int64),
+        regressor_columns=np.array([column for _, column, _, _ in regressors], np.int64),
+        regressor_sources=np.array([source for _, _, source, _ in regressors], np.int64),
+        regressor_signs=np.array([sign for _, _, _, sign in regressors], np.float64),
+    )
