@@ -7,41 +7,27 @@ the replay of a recording repeats every output exactly. The state belongs to the
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from companion.core.autopilot_filters import VehicleFilters
-from companion.core.clock.bank import ClockBank
 from companion.core.clock.motion_alignment import SIGMAS
-from companion.core.clock.unsynced_nodes import UnsyncedNodes
-from companion.core.output_scheduler import OutputScheduler
-from companion.core.rate_monitor import StreamRateMonitor
-from companion.core.silence import NO_PAIRS, TELLING, RangeSilence
-from companion.core.stereo.correction import Correction
+from companion.core.pipeline_state import PipelineState, start
+from companion.core.pipeline_status import status, tracked, unlearned
+from companion.core.silence import TELLING
 from companion.core.stereo.vision import VisionState, vision_step
 from companion.core.tracking.streams import within_range
 from companion.core.tracking.tracker import WingTracker
 from companion.core.trigger.blur import GroundMotion
-from companion.core.trigger.exposure_feedback import ExposureFeedback
-from companion.core.trigger.scheduling import Scheduling
-from companion.core.wing.effects import apply_to_airframe
-from companion.core.wing.sample_corrections import SampleCorrections
 from companion.errors import ConfigError
 from companion.params.airframe import Airframe
-from companion.params.settings import Settings
 from companion.params.vehicle import implausible
-from companion.rate_limiter import RateLimiter
 from companion.records import (
     AutopilotParameter,
     CameraFeedback,
     ClockName,
     ClockRestart,
-    Deflection,
-    Health,
     ImuBatch,
     MatchSet,
     Notice,
@@ -50,12 +36,10 @@ from companion.records import (
     Record,
     Reject,
     Rejected,
-    ServiceStatus,
     Shot,
     Station,
     Tick,
     TimesyncReply,
-    Validity,
     VehicleState,
 )
 from companion.units import Severity
@@ -63,65 +47,8 @@ from companion.units import Severity
 __all__ = ["PipelineState", "VisionState", "start", "step", "vision_step"]
 
 _STATUS_PERIOD_NS = 1_000_000_000  # MAVLink's heartbeat
-_ERROR_PERIOD_NS = 1_000_000_000  # the heartbeat's: an error that stays is told once in it
 _TRACK_PERIOD_NS = 40_000_000  # the planner's: it asks for the newest state, and nobody else for one between
 _BY_PIN = "exposures stamped by the autopilot"
-
-
-@dataclass(slots=True)
-class PipelineState:
-    """Everything that the estimation knows. Built by :func:`start`; only :func:`step` changes it."""
-
-    airframe: Airframe
-    settings: Settings
-    clocks: ClockBank
-    tracker: WingTracker
-    scheduling: Scheduling | None
-    correction: Correction | None
-    output_scheduler: OutputScheduler
-    feedback: ExposureFeedback
-    corrections: SampleCorrections = field(default_factory=SampleCorrections)
-    rate_monitor: StreamRateMonitor = field(default_factory=StreamRateMonitor)
-    filters: VehicleFilters = field(default_factory=VehicleFilters)
-    unsynced_nodes: UnsyncedNodes = field(default_factory=UnsyncedNodes)
-    silence: RangeSilence = field(default_factory=RangeSilence)
-    validity: Validity | None = None  # of what the tracker says; None until there is something
-    vehicle: VehicleState | None = None
-    counters: Counter[str] = field(default_factory=Counter)
-    waiting: dict[Station, list[ImuBatch]] = field(default_factory=dict)
-    next_track_ns: int = 0
-    next_status_ns: int = 0
-    hub: ClockName | None = None
-    now_ns: int = 0  # of the last tick, for what has no time of its own
-    errors: RateLimiter = field(default_factory=lambda: RateLimiter(_ERROR_PERIOD_NS))
-
-
-def start(
-    airframe: Airframe, settings: Settings, hub: ClockName | None = None, clocks: ClockBank | None = None
-) -> PipelineState:
-    """Begin with the airframe's beliefs.
-
-    ``hub`` names the only clock of a log that has just one; ``clocks`` is what is known of them from before.
-    """
-    corrections = SampleCorrections.of(airframe)
-    airframe = apply_to_airframe(airframe)
-    if clocks is None:
-        clocks = ClockBank()
-        if hub is not None:
-            clocks.identity(hub)
-    has_cameras = airframe.left_camera is not None and airframe.right_camera is not None
-    return PipelineState(
-        airframe=airframe,
-        settings=settings,
-        clocks=clocks,
-        tracker=WingTracker(airframe, settings),
-        scheduling=Scheduling.create(airframe, settings) if has_cameras else None,
-        correction=Correction.create(airframe, settings) if has_cameras else None,
-        output_scheduler=OutputScheduler(airframe.orientation),
-        feedback=ExposureFeedback(airframe, clocks),
-        corrections=corrections,
-        hub=hub,
-    )
 
 
 def step(state: PipelineState, record: Record) -> tuple[PipelineState, list[OutputRecord]]:
@@ -361,10 +288,10 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         outputs += state.correction.due(state.tracker, now_ns)
     outputs += state.output_scheduler.tick(now_ns, outputs, state.tracker.describe, state.validity, state.settings)
     if state.correction is not None and state.validity is not None:
-        state.silence.tick(now_ns, usable=_tracked(state) and _unlearned(state) is None)
+        state.silence.tick(now_ns, usable=tracked(state) and unlearned(state) is None)
     if now_ns >= state.next_status_ns:
         state.next_status_ns = now_ns + _STATUS_PERIOD_NS
-        outputs += _status(state, now_ns)
+        outputs += status(state, now_ns)
     return outputs
 
 
@@ -374,67 +301,6 @@ def _motion(state: PipelineState) -> GroundMotion:
     if state.vehicle is None or measured is None:
         return GroundMotion()
     return GroundMotion(np.array([state.vehicle.airspeed_mps, 0.0, -state.vehicle.climb_mps]), measured.range_m)
-
-
-def _status(state: PipelineState, now_ns: int) -> list[OutputRecord]:
-    health, reason = _health(state, now_ns)
-    clocks = [state.clocks.state(name) for name in _clocks_in_use(state.airframe)]
-    latency = state.scheduling.latency.learned(now_ns) if state.scheduling is not None else None
-    say = reason if reason == NO_PAIRS else state.silence.due(reason, state.settings, now_ns)
-    return [
-        *clocks,
-        *([] if latency is None else [latency]),
-        *([] if say is None else [Notice(Severity.WARNING, say, now_ns)]),
-        ServiceStatus(now_ns, health, reason, dict(sorted(state.counters.items()))),
-    ]
-
-
-def _clocks_in_use(airframe: Airframe) -> list[ClockName]:
-    names = {sensor.source.clock for sensor in (airframe.root, airframe.left, airframe.right)}
-    return sorted(names - {ClockName.HOST})
-
-
-def _health(state: PipelineState, now_ns: int) -> tuple[Health, str]:
-    unsynced = [str(name) for name in _clocks_in_use(state.airframe) if not state.clocks.state(name).synced]
-    if state.validity is None:
-        return Health.BOOT, "waiting for " + (", ".join(unsynced) + " clock" if unsynced else "inertial samples")
-    if unsynced:
-        return Health.CRITICAL, f"lost sync with {', '.join(unsynced)}"
-    if state.scheduling is not None and state.scheduling.blind(now_ns):
-        return Health.CRITICAL, NO_PAIRS
-    if _tracked(state):
-        early = _unlearned(state)
-        if early is not None:
-            return Health.STANDBY, f"{state.validity}; no range yet: {early}"
-        silence = state.silence.reason(state.settings) if state.correction is not None else None
-        return (Health.ACTIVE, _motion_text(state)) if silence is None else (Health.STANDBY, silence)
-    if state.validity is Validity.SETTLING:
-        return Health.STANDBY, str(state.validity)
-    return Health.CRITICAL, str(state.validity)
-
-
-def _tracked(state: PipelineState) -> bool:
-    """Whether the wing is known well enough for ranges."""
-    return state.validity in (Validity.TRACKING, Validity.CALM)
-
-
-def _unlearned(state: PipelineState) -> Reject | None:
-    """Why the tracker would withhold every range for now, on an airframe that has cameras."""
-    return state.tracker.distrust if state.correction is not None else None
-
-
-def _motion_text(state: PipelineState) -> str:
-    """``tracking`` only where the stronger mode's swing stands out from its own sigma."""
-    mode = state.tracker.describe()
-    if state.validity is not Validity.TRACKING or mode is None:
-        return str(state.validity)
-    strongest = max(mode.symmetric, mode.antisymmetric, key=lambda each: each.rms_m)
-    return str(state.validity) if strongest.swings else "swing within its uncertainty"
-
-
-def smoothed(state: PipelineState, t_host_ns: int) -> Deflection | Reject:
-    """The wing at one past instant, for tools that score or plot."""
-    return state.tracker.smooth(t_host_ns)
 
 
 _Handler = Callable[[PipelineState, Any], list[OutputRecord]]

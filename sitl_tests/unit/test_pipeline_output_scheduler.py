@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from companion.core.output_scheduler import OutputScheduler
-from companion.core.pipeline import _motion_text, start
+from companion.core.pipeline import start
+from companion.core.pipeline_status import motion_text
 from companion.core.stereo.consistency_gate import RangeGate
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -234,7 +235,7 @@ def test_tracking_is_said_only_of_a_swing_that_stands_out_from_its_sigma(rms_mm:
     described = dataclasses.replace(mode(Validity.TRACKING), symmetric=unsure)
     state.validity = Validity.TRACKING
     state.tracker.describe = lambda: described  # type: ignore[method-assign]
-    assert _motion_text(state) == told
+    assert motion_text(state) == told
 
 
 def test_a_pair_that_looks_ahead_takes_the_next_obstacle_for_no_knock() -> None:

@@ -55,6 +55,10 @@ class Budget:
     calibration: float
     timing: float
 
+    def times(self, factor: float) -> Budget:
+        """Budget of the result times a factor."""
+        return Budget(self.modal * factor, self.calibration * factor, self.timing * factor)
+
     @property
     def total(self) -> float:
         """Root of the sum of squares; the causes are independent."""
@@ -131,44 +135,46 @@ def budget(
     where matches have measured it (:class:`companion.core.stereo.extrinsics_drift.ExtrinsicsDriftFilter`); of the other
     causes only those that both cameras share remain.
     """
-    if apart is not None:
-        return _budget_with_rotation(gradient, rig, airframe, bend, exposures, timing_sigma_s, motion, apart)
     modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe))
     block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
-    variance = float(modal @ bend.covariance[block] @ modal)
-    calibration = timing = 0.0
-    for side in Side:
-        camera = _camera(airframe, side)
-        relative_focal = camera.focal_px.sigma / camera.focal_px.value
-        calibration += camera.rotation_sigma_rad**2 * float(gradient.turn_prad[side] @ gradient.turn_prad[side])
-        calibration += (relative_focal * float(gradient.focal[side])) ** 2
-        moving = exposures[side]
-        rate = gradient.turn_prad[side] @ moving.rate_radps + gradient.shift_pm[side] @ moving.velocity_mps
-        timing += (timing_sigma_s * float(rate)) ** 2
+    tips = bend.covariance[block]
+    if apart is None:
+        variance = float(modal @ tips @ modal)
+        calibration, timing = _of_each_camera(gradient, airframe, exposures, timing_sigma_s)
+    else:
+        modal = modal @ _TIPS_FROM_ANTISYMMETRIC.T
+        apart_gradient = np.concatenate(
+            [0.5 * (gradient.turn_prad[Side.RIGHT] - gradient.turn_prad[Side.LEFT]), gradient.lens]
+        )
+        variance = float(
+            modal @ (_ANTISYMMETRIC_FROM_TIPS @ tips @ _ANTISYMMETRIC_FROM_TIPS.T) @ modal
+            + apart_gradient @ apart @ apart_gradient
+        )
+        calibration, timing = _of_both_cameras(gradient, airframe, exposures, timing_sigma_s)
     timing += _flight_variance(gradient, exposures, timing_sigma_s, motion)
     return Budget(float(np.sqrt(max(variance, 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
 
 
-def _budget_with_rotation(
-    gradient: Gradient,
-    rig: Rig,
-    airframe: Airframe,
-    bend: Deflection,
-    exposures: tuple[CameraExposure, CameraExposure],
-    timing_sigma_s: float,
-    motion: VehicleMotion,
-    apart: Floats,
-) -> Budget:
-    modal = modal_gradient(gradient, rig, TipMotion.from_airframe(airframe)) @ _TIPS_FROM_ANTISYMMETRIC.T
-    block = np.ix_([0, 1, 4, 5], [0, 1, 4, 5])
-    apart_gradient = np.concatenate(
-        [0.5 * (gradient.turn_prad[Side.RIGHT] - gradient.turn_prad[Side.LEFT]), gradient.lens]
-    )
+def _of_each_camera(
+    gradient: Gradient, airframe: Airframe, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float
+) -> tuple[float, float]:
+    """Variances by calibration and by stamps, independent for each camera."""
+    calibration = timing = 0.0
+    for side in Side:
+        camera, moving = _camera(airframe, side), exposures[side]
+        relative_focal = camera.focal_px.sigma / camera.focal_px.value
+        calibration += camera.rotation_sigma_rad**2 * float(gradient.turn_prad[side] @ gradient.turn_prad[side])
+        calibration += (relative_focal * float(gradient.focal[side])) ** 2
+        rate = gradient.turn_prad[side] @ moving.rate_radps + gradient.shift_pm[side] @ moving.velocity_mps
+        timing += (timing_sigma_s * float(rate)) ** 2
+    return calibration, timing
+
+
+def _of_both_cameras(
+    gradient: Gradient, airframe: Airframe, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float
+) -> tuple[float, float]:
+    """Variances by calibration and by stamps that remain where matches have measured what tells the cameras apart."""
     alike = gradient.turn_prad[Side.RIGHT] + gradient.turn_prad[Side.LEFT]
-    variance = (
-        modal @ (_ANTISYMMETRIC_FROM_TIPS @ bend.covariance[block] @ _ANTISYMMETRIC_FROM_TIPS.T) @ modal
-        + apart_gradient @ apart @ apart_gradient
-    )
     calibration = timing = 0.0
     for side in Side:
         camera = _camera(airframe, side)
@@ -176,8 +182,7 @@ def _budget_with_rotation(
         calibration += (0.5 * camera.rotation_sigma_rad) ** 2 * float(alike @ alike)
         calibration += (0.5 * relative_focal * float(gradient.focal.sum())) ** 2
         timing += (timing_sigma_s * float(gradient.shift_pm[side] @ exposures[side].velocity_mps)) ** 2
-    timing += _flight_variance(gradient, exposures, timing_sigma_s, motion)
-    return Budget(float(np.sqrt(max(float(variance), 0.0))), float(np.sqrt(calibration)), float(np.sqrt(timing)))
+    return calibration, timing
 
 
 def _flight_variance(

@@ -100,30 +100,25 @@ def correct(
     RangeAnswer
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
-    all_matches, matches = matches, matches.features()
-    scene = _Scene.exposed(matches, left, right, rig, airframe, timing_sigma_s, motion, turned, joint_covariance)
-    depths = scene.depths(matches)
-    reading = robust_inverse_depth(
-        depths, RangeProduct(settings.product), settings.min_matches, one_surface=airframe.looks_down
-    )
-    toe = scene.toe()
+    features = matches.features()
+    scene = _Scene.exposed(features, left, right, rig, airframe, timing_sigma_s, motion, turned, joint_covariance)
+    depths, toe = scene.depths(features), scene.toe()
+    product = RangeProduct(settings.product)
+    reading = robust_inverse_depth(depths, product, settings.min_matches, one_surface=airframe.looks_down)
     if reading is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
         reason = Reject.NO_MATCHES if reading is None else Reject.NOT_FINITE
-        refused = _refused(matches, scene.t_host_ns, airframe.orientation, settings, reason)
+        refused = _refused(features, scene.t_host_ns, airframe.orientation, settings, reason)
         return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
 
-    causes = scene.budget(
-        gradient_of(scene.inverse_depths, reading.weights, scene.rays, scene.moving, epipolar_frame(rig))
-    )
+    causes = scene.causes(reading)
     match_pm = float(np.hypot(reading.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
     answer = _answer(scene, settings, toe, reading, float(np.hypot(match_pm, causes.total)))
     square = answer.range_m**2
-    in_metres = Budget(causes.modal * square, causes.calibration * square, causes.timing * square)
     sectors = None
     if airframe.looks_forward:
-        picture = scene.depths(all_matches)
+        picture = scene.depths(matches)
         sectors = matched_sectors(picture, scene.range_axis, causes.total, scene.t_host_ns, settings, attitude_rad)
-    return RangeAnswer(answer, sectors, depths, match_pm * square, in_metres)
+    return RangeAnswer(answer, sectors, depths, match_pm * square, causes.times(square))
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +191,13 @@ class _Scene:
         """Sigma of a result by cause."""
         return budget(
             gradient, self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.motion, self.apart
+        )
+
+    def causes(self, estimate: InverseDepthEstimate) -> Budget:
+        """Sigma by cause of the inverse depth that an estimate makes of the matches."""
+        epipolar_from_body = epipolar_frame(self.rig)
+        return self.budget(
+            gradient_of(self.inverse_depths, estimate.weights, self.rays, self.moving, epipolar_from_body)
         )
 
     def toe(self) -> _Toe:
