@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from companion.adapters.mavlink.link.datagrams import GUARDED_FRAMES
 from companion.adapters.mavlink.link.link import Link
 from companion.adapters.mavlink.link.signing import SignedTransport, Signing
 from companion.adapters.mavlink.link.udp import UdpIn
@@ -334,7 +335,7 @@ def test_a_flood_of_frames_is_sifted_in_little_time() -> None:
     frame = node.sample_frame(1)
     begun_s, seen = time.process_time(), 0
     for _ in range(500):
-        seen += len(udp._sifted(("127.0.0.1", 9), frame * 100, 0))
+        seen += len(udp._sifted(("127.0.0.1", 9), frame * 100, GUARDED_FRAMES, 0))
     assert seen == 500 * 100 * len(frame)
     assert time.process_time() - begun_s < 0.5
     node.socket.close()

@@ -8,6 +8,7 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from companion.adapters.mavlink.link.datagrams import FRAMES, GUARDED_FRAMES, DatagramReader
 from companion.adapters.mavlink.link.dialect import mavlink
 from companion.adapters.mavlink.link.scan import INCOMPLETE, frame_end, next_frame
 from companion.adapters.mavlink.vehicle.senders import Senders
@@ -17,8 +18,7 @@ _RECEIVE_BUFFER_BYTES = 1 << 20
 _LARGEST_DATAGRAM = 65536  # bytes, of UDP
 _MOST_PEERS = 16  # bound of memory
 _MOST_DATAGRAMS = 4096  # bound of the time of one read
-_MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
-_SHORTEST = 8  # bytes of a MAVLink 1 frame without payload
+_MAGIC_2 = 0xFD  # first byte of a MAVLink 2 frame
 
 
 class _Udp:
@@ -73,6 +73,7 @@ class UdpIn(_Udp):
         self.senders = Senders()
         self._peers: dict[tuple[str, int], _Peer] = {}
         self._strangers: dict[tuple[str, int], bytes] = {}
+        self._reader = DatagramReader(self._socket)
         try:
             self._socket.bind((host, port))
         except OSError as error:
@@ -91,18 +92,18 @@ class UdpIn(_Udp):
 
     def receive(self, limit: int, now_host_ns: int) -> bytes:
         """Drain the socket."""
-        buffer, filled, receive = self._buffer, 0, self._socket.recvfrom_into
+        filled, reader, senders = 0, self._reader, self.senders
         came: list[bytes] = []
-        with contextlib.suppress(BlockingIOError):
-            for _ in range(_MOST_DATAGRAMS):
-                try:
-                    count, address = receive(buffer)
-                except ConnectionError:  # an earlier datagram of ours was refused; says nothing of this one
-                    continue
-                filled += count
-                came.append(self._sifted(address, bytes(buffer[:count]), now_host_ns))
-                if filled >= limit:
-                    break
+        for _ in range(_MOST_DATAGRAMS):
+            try:
+                read = reader.read(limit - filled, senders.guarded, senders.system)
+            except ConnectionError:  # an earlier datagram of ours was refused; says nothing of this one
+                continue
+            for address, data, form in read:
+                filled += len(data)
+                came.append(self._sifted(address, data, form, now_host_ns))
+            if reader.drained or filled >= limit:
+                break
         return b"".join(came)
 
     def send(self, data: bytes) -> bool:
@@ -114,11 +115,12 @@ class UdpIn(_Udp):
         """Whether a sender of this system is one to be told anything."""
         return system == 0 or self.senders.system in (None, system)
 
-    def _sifted(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> bytes:
-        """Admitted bytes of a datagram."""
+    def _sifted(self, address: tuple[str, int], data: bytes, form: int, now_host_ns: int) -> bytes:
+        """Admitted bytes of a datagram, or of several of the form ``FRAMES``."""
         peer = self._peers.get(address)
         usual = peer is not None and not peer.tail and self._counts(peer.system) and self.judge is None
-        if peer is not None and usual and self._is_plain(address, data, now_host_ns):
+        plain = form == FRAMES or (form == GUARDED_FRAMES and usual and self._has_all(address, data, now_host_ns))
+        if peer is not None and usual and plain:
             peer.heard_host_ns = now_host_ns
             return data
         tail = self._strangers.pop(address, b"") if peer is None else peer.tail
@@ -132,22 +134,20 @@ class UdpIn(_Udp):
                 del self._strangers[next(iter(self._strangers))]
         return came
 
-    def _is_plain(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> bool:
-        """Whether a datagram has the form of whole frames, and no guarded id but the sender's: the usual."""
-        at, end, senders = 0, len(data), self.senders
-        while at + _SHORTEST <= end:
+    def _has_all(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> bool:
+        """Whether whole frames have no guarded id but the sender's own."""
+        at, senders = 0, self.senders
+        while at < len(data):
             start = at
             if data[at] == _MAGIC_2:
                 key = (data[at + 5], data[at + 6])
                 at += 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
-            elif data[at] == _MAGIC_1:
+            else:
                 key = (data[at + 3], data[at + 4])
                 at += 8 + data[at + 1]
-            else:
-                return False
             if senders.guards(key) and not senders.has(address, key, data[start:at], now_host_ns):
                 return False
-        return at == end
+        return True
 
     def _frame_by_frame(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> tuple[bytes, bytes]:
         """Admitted frames of some bytes, and the bytes that wait for more."""

@@ -1,0 +1,84 @@
+"""Datagrams that wait in a socket: many by one system call, with sender and form of each (``native/datagrams.c``)."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.native.library import ARRAY, INTEGER, kernel
+
+OTHER, FRAMES, GUARDED_FRAMES = range(3)
+"""Form of a datagram: anything; whole frames by their headers; the same, and one of them with a guarded id."""
+_SLOT_BYTES = 65536  # room for the largest datagram of UDP
+_MOST_AT_ONCE = 32  # chosen: more by one call save nothing
+_MANY_ADDRESSES = 64  # bound of memory against invented senders
+_COLUMNS = 5  # sender, start, stop, form, bytes of the largest
+_FAILED = -1000  # convention with the kernel: less the system's number of the error
+_NO_SYSTEM = -1  # convention: no system id is negative
+
+_read = kernel("datagrams_read", INTEGER, ARRAY, INTEGER, ARRAY, INTEGER, ARRAY)
+
+
+class Datagrams(NamedTuple):
+    """Consecutive datagrams of one sender as one, where all have the form ``FRAMES``; else a single one."""
+
+    address: tuple[str, int]
+    data: bytes
+    form: int
+
+
+class DatagramReader:
+    """Reads a datagram socket without waiting.
+
+    Attributes
+    ----------
+    drained : bool
+        Whether the last read left nothing behind, as far as it can tell.
+    """
+
+    def __init__(self, reader: socket.socket) -> None:
+        self.drained = False
+        self._socket = reader
+        self._buffer = np.empty(_MOST_AT_ONCE * _SLOT_BYTES, np.uint8)
+        self._bytes = self._buffer.data
+        self._table = np.empty((_MOST_AT_ONCE, _COLUMNS), np.int64)
+        self._largest = _SLOT_BYTES  # of the last read
+        self._addresses: dict[int, tuple[str, int]] = {}
+        self._guarded: Collection[int] = ()
+        self._guards = np.zeros(256, np.bool_)
+
+    def read(self, limit: int, guarded: Collection[int], system: int | None) -> list[Datagrams]:
+        """Read what has come, about ``limit`` bytes at most; guarded are these components of a system, or of all.
+
+        Raises
+        ------
+        OSError
+            As the socket's own ``recv`` does, but for an empty socket.
+        """
+        if guarded is not self._guarded:
+            self._guarded = guarded
+            self._guards[:] = False
+            self._guards[list(guarded)] = True
+        asked = min(max(limit // max(self._largest, 1), 1), _MOST_AT_ONCE)
+        number = _NO_SYSTEM if system is None else system
+        outcome = _read(self._socket.fileno(), self._buffer, asked, self._guards, number, self._table)
+        if outcome <= _FAILED:
+            raise OSError(_FAILED - outcome, os.strerror(_FAILED - outcome))
+        self.drained = outcome >> 32 < asked
+        rows = self._table[: outcome & 0xFFFFFFFF].tolist()
+        if rows:
+            self._largest = max(row[-1] for row in rows)
+        return [Datagrams(self._address(row[0]), bytes(self._bytes[row[1] : row[2]]), row[3]) for row in rows]
+
+    def _address(self, sender: int) -> tuple[str, int]:
+        """Sender as Python's socket spells it."""
+        address = self._addresses.get(sender)
+        if address is None:
+            if len(self._addresses) >= _MANY_ADDRESSES:
+                self._addresses.clear()
+            address = self._addresses[sender] = (socket.inet_ntoa((sender >> 16).to_bytes(4)), sender & 0xFFFF)
+        return address
