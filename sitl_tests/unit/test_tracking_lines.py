@@ -14,7 +14,9 @@ from companion.core.tracking.line_search import (
     find_lines,
     turned_lines,
 )
-from companion.records import Floats, Ints
+from companion.core.tracking.streams import SampleBuffer
+from companion.records import Floats, Ints, Station
+from sitl_tests.unit.tracking_samples import EPOCH_NS, batch, plain_airframe
 
 RATE_HZ = 1000.0
 WEIGHT = np.ones(6)
@@ -141,7 +143,9 @@ def test_a_line_stays_in_lock_when_rpm_jumps() -> None:
     assert np.all(blocks < 0.15 * np.std(line))
 
 
-def known_after(*searches_hz: tuple[float, ...], followed_hz: dict[int, float] | None = None) -> dict[int, float]:
+def known_after(
+    *searches_hz: tuple[float, ...], followed: dict[int, tuple[float, float]] | None = None
+) -> dict[int, float]:
     """Known lines after searches of two-second windows with these steady lines."""
     known = KnownLines()
     for lines in searches_hz:
@@ -149,7 +153,7 @@ def known_after(*searches_hz: tuple[float, ...], followed_hz: dict[int, float] |
         vertical = sum((np.cos(2.0 * np.pi * f * t_ns * 1e-9) for f in lines), wing(t_ns * 1e-9))
         ring = SampleRing(RATE_HZ)
         ring.add(t_ns, samples(t_ns, vertical))
-        known.search([ring], int(t_ns[-1]) + 1, followed_hz or {})
+        known.search([ring], int(t_ns[-1]) + 1, followed or {})
     return known.leader_hz
 
 
@@ -162,7 +166,7 @@ def test_a_line_found_elsewhere_twice_begins_anew() -> None:
 
 
 def test_a_followed_line_is_where_it_is_followed() -> None:
-    assert known_after((85.0,), (), followed_hz={0: 91.0}) == {0: 91.0}
+    assert known_after((85.0,), (), followed={0: (91.0, 0.0)}) == {0: 91.0}
 
 
 def test_two_motors_have_two_lines() -> None:
@@ -223,3 +227,35 @@ def test_a_weak_line_turns_with_its_leader() -> None:
     left = remove_lines(t_ns, dirty, 0, 1.0 / RATE_HZ, states)[2000:, 2]
     share = (left @ np.exp(2j * turn_rad[2000:])) / (np.exp(2j * turn_rad[2000:]) @ weak[2000:])
     assert abs(share) < 0.2, "of the weak line's amplitude"
+
+
+def chopped(t_s: Floats) -> Floats:
+    """Phase of a shaft whose throttle is closed and opened again: 65 to 33 Hz and back at 20 Hz a second, rad."""
+    rate_hz = np.interp(t_s, [0.0, 5.0, 6.6, 9.0, 10.6], [65.0, 65.0, 33.0, 33.0, 65.0])
+    return np.asarray(2.0 * np.pi * np.cumsum(rate_hz) / RATE_HZ)
+
+
+@pytest.mark.parametrize("gust_mps2", [0.0, 20.0])
+def test_a_shaft_is_followed_while_the_throttle_is_closed_and_opened(gust_mps2: float) -> None:
+    """From above the search's band to idle and back, in two axes; gusts that shake the third stronger hide nothing."""
+    t_ns = stamps(14.0)
+    turn_rad = chopped(t_ns * 1e-9)
+    shaken = gust_mps2 * np.random.default_rng(3).standard_normal(len(t_ns))
+    values = samples(t_ns, wing(t_ns * 1e-9) + shaken)
+    line = 3.0 * np.cos(turn_rad)
+    values[:, :2] += line[:, None]
+    stream, known, clean = SampleBuffer(plain_airframe().left), KnownLines(), []
+    for end in range(1000, len(t_ns) + 1, 1000):
+        cut = slice(end - 1000, end)
+        stream.add(batch(Station.LEFT, EPOCH_NS + t_ns[cut], values[cut]), 0)
+        part = stream.plain(EPOCH_NS + int(t_ns[cut][-1]))
+        clean.append(part.values[-990:, 1])
+        before = known.multiples
+        known.search([stream.ring], EPOCH_NS + int(t_ns[end - 1]) + 1, stream.followed_shafts())
+        if known.multiples != before:
+            stream.follow_lines(known.leader_hz, known.multiples)
+        stream.anchor_lines(known.leader_hz)
+        stream.forget(EPOCH_NS + int(t_ns[end - 1]) - 100_000_000)
+    assert list(known.leader_hz) == [0], "the shaft that was found first"
+    assert known.leader_hz[0] == pytest.approx(65.0, abs=1.0)
+    assert max(np.std(part) for part in clean[5:]) < 0.25 * np.std(line)

@@ -12,9 +12,10 @@ for rpm):
     a_j' = k d_j,   psi = sum w Im(conj(a) d) / sum w |a|^2   over the leader's channels
     12 phi' = omega + k1 psi,   omega' = alpha + k2 psi,   alpha' = k3 psi
 
-w is the inverse square of a channel's noise. The phase may be followed fast (4 Hz: a ramp of rpm leaves no error) and
-each amplitude slowly (2 Hz; below 45 Hz in proportion slower). The gain on the wing's motion at f differs from one by
-about ``k / (2 pi f0) (f/f0)^2``: 1e-4 at 5 Hz, 3e-3 at 27 Hz for a line at 80 Hz.
+w is the inverse square of a channel's noise, or of its usual error e where gusts make that larger. The phase may be
+followed fast (4 Hz: a ramp of rpm leaves no error) and each amplitude slowly (2 Hz; below 45 Hz in proportion slower).
+The gain on the wing's motion at f differs from one by about ``k / (2 pi f0) (f/f0)^2``: 1e-4 at 5 Hz, 3e-3 at 27 Hz for
+a line at 80 Hz.
 """
 
 from __future__ import annotations
@@ -30,6 +31,11 @@ from companion.records import Floats, Ints
 
 _GOOD_GAIN = 0.4  # chosen, |g|: of 4 at most, with which noise far above the line enters
 _MAX_LAG = 10  # chosen, samples: at 1 kHz five times as many are at hand
+
+_RMS_OVER_MEAN = 1.2533  # derived, of a Gaussian's magnitude
+
+LOCKED_RATIO = 1.0
+"""Power of a followed leader over what its stream has besides, above which the loop is in lock. Chosen: 0.1 or 10."""
 
 Complexes = npt.NDArray[np.complex128]
 
@@ -109,6 +115,16 @@ def difference_lag(turns: Floats) -> int:
     least = gains.min(axis=(1, 2))
     good = np.flatnonzero(least >= min(_GOOD_GAIN, 0.9 * least.max()))
     return int(lags[good[0]])
+
+
+def leaders(states: LineStates, rate_hz: float) -> list[tuple[float, float]]:
+    """Leader of each shaft as it is followed: frequency (Hz), and its power over the errors' in second differences."""
+    hz = states.omega_radps * (PARTS / (2.0 * np.pi))
+    gain = 2.0 - 2.0 * np.cos(2.0 * np.pi * states.lag / rate_hz * hz)
+    first = [int(np.flatnonzero((states.shaft == i) & (states.multiple == PARTS))[0]) for i in range(len(hz))]
+    error = np.maximum(_RMS_OVER_MEAN * states.error, 1.0 / np.sqrt(states.weight))
+    ratio = (np.abs(states.amplitude[first]) ** 2 / error**2).sum(axis=1) * 0.5 * gain**2
+    return list(zip(hz.tolist(), ratio.tolist(), strict=True))
 
 
 def copied(states: LineStates) -> LineStates:

@@ -12,12 +12,13 @@ its phase, another line of the shaft stands at zero frequency, however rpm wande
 from __future__ import annotations
 
 import itertools
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from companion.core.tracking.line_removal import PARTS
+from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS
 from companion.records import Floats, Ints
 
 WINDOW_S = 2.0  # chosen: half a hertz a bin; rpm wanders little in it
@@ -26,13 +27,14 @@ NEAR_HZ = 3.0  # chosen: nearer peaks are one
 _SAME_RATIO = 0.1  # chosen: rpm changes by that much while a peak is smeared
 _ONE_HZ = 1.5  # chosen: two loops nearer than this follow one line
 _MIN_RATE_HZ = 400.0  # chosen: slower streams fold what they should tell apart
-_LOWEST_HZ = 45.0  # chosen: below, a notch would bend the phase of the second bending mode
+_LOWEST_HZ = 45.0  # chosen: a shaft is first found above, for a notch below bends the phase of the second bending mode
 _HIGHEST_RATIO = 0.45  # chosen: of the sample rate
 _MIN_RATIO = 60.0  # derived: peak over median; noise exceeds it once in 2^60 bins
 _FLOOR_HZ = 25.0  # chosen: blocks that the median is taken over, wide beside a line
 _SHORT_S = 0.25  # chosen: of the envelope's transforms; a mode of 1 Hz width is half resolved
 _MAX_VARIATION = 0.2  # chosen: variance over squared mean of the squared envelope; 1 for noise, 0 for a line
 _MEMORY = 5  # chosen, searches: so long a line is followed that is no longer found
+_SMEARED = 3  # searches whose windows a peak's smear may come from: the window's two seconds
 MULTIPLES = (3, 4, 6, 8, 9, 16, 18, 20, 24, 30, 36, 48)
 """Other lines that are looked for, in twelfths of the leader's frequency. Chosen."""
 _MAX_SHAFTS = 3  # chosen: two engines and a generator
@@ -128,6 +130,8 @@ class _KnownShaft:
 
     number: int
     leader_hz: float
+    is_locked: bool = False  # whether the follower holds the leader, whatever the spectrum shows of it
+    track_hz: deque[float] = field(default_factory=lambda: deque(maxlen=_SMEARED))  # where it was followed lately
     searches: int = _MEMORY
     misses: int = 0
     lines: dict[int, int] = field(default_factory=dict)  # searches to its end by multiple, once it is sure
@@ -135,8 +139,21 @@ class _KnownShaft:
 
     @property
     def multiples(self) -> tuple[int, ...]:
-        """Lines in twelfths of the leader's frequency, the leader first."""
-        return (PARTS, *sorted(self.lines))
+        """Lines in twelfths of the leader's frequency, the leader first; none that idling brings near the modes."""
+        return (PARTS, *sorted(m for m in self.lines if m * self.leader_hz / PARTS >= _LOWEST_TURNED_HZ))
+
+    def follow(self, frequency_hz: float, ratio: float) -> None:
+        """Take where the leader is followed now, and its power over what its stream has besides."""
+        self.leader_hz, self.is_locked = frequency_hz, ratio > LOCKED_RATIO
+        self.track_hz.append(frequency_hz)
+        if self.is_locked:
+            self.searches, self.misses = _MEMORY, 0
+
+    def smears(self, peak: Peak) -> bool:
+        """Whether a peak may be the leader, on its way through the window's seconds."""
+        passed_hz = [self.leader_hz, *(self.track_hz if self.is_locked else ())]
+        low_hz, high_hz = (1.0 - _SAME_RATIO) * min(passed_hz), (1.0 + _SAME_RATIO) * max(passed_hz)
+        return bool(low_hz < peak.frequency_hz < high_hz)
 
     def without_lines(self, peaks: list[Peak], leader_hz: float) -> list[Peak]:
         """Peaks that are none of its lines but the leader's, as far as rpm changes while a peak is smeared."""
@@ -175,14 +192,19 @@ class KnownLines:
         """Lines of each shaft by its number, in twelfths of its leader's frequency."""
         return {shaft.number: shaft.multiples for shaft in self._shafts}
 
-    def search(self, rings: list[SampleRing], until_ns: int, followed_hz: dict[int, float]) -> bool:
-        """Search the samples before an instant, with the leaders now where they are followed; whether any is new."""
+    def search(self, rings: list[SampleRing], until_ns: int, followed: dict[int, tuple[float, float]]) -> bool:
+        """Search the samples before an instant; whether any line is new.
+
+        ``followed`` has each leader's frequency by the shaft's number, as it is followed, and its power over what its
+        stream has besides.
+        """
         before = {(shaft.number, m) for shaft in self._shafts for m in shaft.multiples}
         channels = channels_at(rings, until_ns)
         peaks = find_lines(channels)
         for shaft in list(self._shafts):
-            shaft.leader_hz = followed_hz.get(shaft.number, shaft.leader_hz)
+            shaft.follow(*followed.get(shaft.number, (shaft.leader_hz, 0.0)))
             peaks = self._look_again(shaft, peaks, channels)
+        peaks = [peak for peak in peaks if peak.frequency_hz >= _LOWEST_HZ]
         while peaks and len(self._shafts) < _MAX_SHAFTS:
             self._begin(peaks[0])
             peaks = self._with_lines(self._shafts[-1], peaks[0], peaks[1:], channels)
@@ -191,14 +213,15 @@ class KnownLines:
 
     def _look_again(self, shaft: _KnownShaft, peaks: list[Peak], channels: list[ChannelWindow]) -> list[Peak]:
         """Look for a known shaft among peaks; those that are not its lines."""
-        same = [peak for peak in peaks if abs(shaft.leader_hz / peak.frequency_hz - 1.0) < _SAME_RATIO]
-        if not same:
-            shaft.searches -= 1
-            return shaft.without_lines(peaks, shaft.leader_hz)
-        nearest = min(same, key=lambda peak: abs(shaft.leader_hz - peak.frequency_hz))
+        same = [peak for peak in peaks if shaft.smears(peak)]
+        nearest = min(same, key=lambda peak: abs(shaft.leader_hz - peak.frequency_hz), default=None)
+        away = nearest is None or abs(shaft.leader_hz - nearest.frequency_hz) > NEAR_HZ
+        if nearest is None or (away and shaft.is_locked):
+            shaft.searches -= not shaft.is_locked
+            return shaft.without_lines([peak for peak in peaks if peak not in same], shaft.leader_hz)
         peaks = [peak for peak in peaks if peak is not nearest]
         shaft.searches = _MEMORY
-        shaft.misses = shaft.misses + 1 if abs(shaft.leader_hz - nearest.frequency_hz) > NEAR_HZ else 0
+        shaft.misses = shaft.misses + 1 if away else 0
         if shaft.misses > 1:
             self._shafts.remove(shaft)
             self._begin(nearest)
@@ -281,8 +304,8 @@ def _peaks(channel: ChannelWindow) -> list[Peak]:
     samples, rate_hz = channel.swing(), channel.rate_hz
     n, bin_hz = len(samples), rate_hz / len(samples)
     power = np.abs(np.fft.rfft(np.hanning(n) * samples)) ** 2
-    first, last, near = int(_LOWEST_HZ / bin_hz), int(_HIGHEST_RATIO * rate_hz / bin_hz), round(NEAR_HZ / bin_hz)
-    width = round(_FLOOR_HZ / bin_hz)
+    last, near, width = int(_HIGHEST_RATIO * rate_hz / bin_hz), round(NEAR_HZ / bin_hz), round(_FLOOR_HZ / bin_hz)
+    first = int(_LOWEST_HZ / bin_hz) - width
     blocks = power[first : first + (last - first) // width * width].reshape(-1, width)
     floor = np.maximum(np.median(blocks, axis=1, keepdims=True), _NO_POWER)
     ratio = (blocks / floor).ravel()

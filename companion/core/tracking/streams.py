@@ -9,7 +9,16 @@ from typing import NamedTuple
 import numpy as np
 
 from companion.core.kernels.arrays import plain
-from companion.core.tracking.line_removal import PARTS, LineStates, copied, line_states, remove_lines, take_over
+from companion.core.tracking.line_removal import (
+    LOCKED_RATIO,
+    PARTS,
+    LineStates,
+    copied,
+    leaders,
+    line_states,
+    remove_lines,
+    take_over,
+)
 from companion.core.tracking.line_search import SampleRing
 from companion.core.tracking.sample_outliers import NEIGHBOURS, find_outliers
 from companion.native.library import ARRAY, INTEGER, REAL, RECORD, kernel, packed
@@ -261,14 +270,21 @@ class SampleBuffer:
             self._clean_ns, values = self.ring.held()
             self._clean = remove_lines(self._clean_ns, values, 0, 1.0 / self.sensor.rate_hz, self._lines)
 
+    def anchor_lines(self, leader_hz: dict[int, float]) -> None:
+        """Move the anchor of each shaft's loop to where its leader is now; a loop out of lock begins there anew."""
+        if self._lines is None:
+            return
+        anchor_radps = np.array([2.0 * np.pi * leader_hz[number] / PARTS for number in self._shafts])
+        unlocked = np.array([ratio < LOCKED_RATIO for _, ratio in leaders(self._lines, self.sensor.rate_hz)])
+        self._lines.anchor_radps[:] = anchor_radps
+        self._lines.omega_radps[unlocked] = anchor_radps[unlocked]
+        self._lines.alpha_radps2[unlocked] = 0.0
+
     def followed_shafts(self) -> dict[int, tuple[float, float]]:
-        """Leader's frequency (Hz) and the lines' power over noise of each shaft that is followed, by number."""
+        """Leader of each shaft by number: frequency (Hz), and its power over what else the stream has."""
         if self._lines is None:
             return {}
-        hz = self._lines.omega_radps * (PARTS / (2.0 * np.pi))
-        power = (np.abs(self._lines.amplitude) ** 2 * self._lines.weight).sum(axis=1)
-        of_shafts = np.bincount(self._lines.shaft, power, len(hz))
-        return dict(zip(self._shafts, zip(hz.tolist(), of_shafts.tolist(), strict=True), strict=True))
+        return dict(zip(self._shafts, leaders(self._lines, self.sensor.rate_hz), strict=True))
 
     def _without_lines(self, lines: LineStates, t_ns: Ints, values: Floats, final: int) -> tuple[Ints, Floats]:
         """Samples at hand without lines; the first ``final`` are final, and the lines are followed through them."""

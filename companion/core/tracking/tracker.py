@@ -157,15 +157,16 @@ class WingTracker:
     def _search_lines(self) -> None:
         """Follow the lines that the samples show; what was filtered with a line in it is filtered no more."""
         before = self._lines.multiples
-        strongest: dict[int, tuple[float, float]] = {}
+        followed: dict[int, tuple[float, float]] = {}
         for stream in self._streams:
-            for number, shaft in stream.followed_shafts().items():
-                strongest[number] = max(strongest.get(number, (0.0, 0.0)), shaft, key=lambda shaft: shaft[1])
-        followed_hz = {number: leader_hz for number, (leader_hz, power) in strongest.items() if power > 0.0}
-        new = self._lines.search([stream.ring for stream in self._streams], self._next_ns, followed_hz)
+            for number, leader in stream.followed_shafts().items():
+                followed[number] = max(followed.get(number, leader), leader, key=lambda each: each[1])
+        new = self._lines.search([stream.ring for stream in self._streams], self._next_ns, followed)
         if self._lines.multiples != before:
             for stream in self._streams:
                 stream.follow_lines(self._lines.leader_hz, self._lines.multiples)
+        for stream in self._streams:
+            stream.anchor_lines(self._lines.leader_hz)
         if new and self._adaptation.early and self._kalman.nis > NIS_LIMIT:
             self._restart()
 
