@@ -22,7 +22,7 @@ from companion.adapters.mavlink.link.udp import UdpIn
 from companion.params.files import load_airframe
 from companion.records import ImuBatch, RawChunk
 
-TARGET_RATIO = 5.0
+TARGET_RATIO = 15.0
 _COMPONENTS = (1, 200, 201)
 _BURST = 150  # datagrams that a default socket buffer holds
 _ROUNDS = 5

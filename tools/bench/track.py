@@ -29,7 +29,7 @@ from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.wire import inertial_format, payloads, stamped
 from tools.bench.decode import _udp_mavutil
 
-TARGET = 20.0
+TARGET = 40.0
 SECONDS = 24.0
 SETTLE_S = 13.0  # clocks in sync, ten seconds of learning, and the history run again with what was learned
 _SEED = 3
