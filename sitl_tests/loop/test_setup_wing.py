@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import re
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +81,50 @@ def test_a_range_that_does_not_come_is_left_to_mend(
     said = capsys.readouterr()
     assert re.search(r"mend +range +none in \d+ s", said.out)
     assert "waiting for" in said.err or "starting the processes" in said.err
+
+
+@pytest.mark.long
+@pytest.mark.realtime
+@pytest.mark.timeout(600)
+def test_the_first_range_of_the_simulated_aircraft_passes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Autopilot, nodes, trigger and cameras in real time, over a socket and by files, as a person would start them."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    port, cameras = free_port(), tmp_path / "cameras"
+    vehicle = ("vehicle", "--airframe", "nadir-2m", "--connect", f"udpout:127.0.0.1:{port}", "--cameras", str(cameras))
+    flying = subprocess.Popen([sys.executable, "-m", "companion.cli", *vehicle], stdout=subprocess.DEVNULL)
+    try:
+        until(cameras.is_dir, 60.0)
+        devices = ("--cameras", f"sim:{cameras}", "--trigger", f"sim:{cameras}")
+        link = ("--connect", f"udpin:127.0.0.1:{port}", "--airframe", "nadir-2m")
+        code = main(["setup", "wing", *link, "--step", "range", *devices, "--range-within", "240"])
+    finally:
+        flying.terminate()
+        flying.wait(30.0)
+    said = capsys.readouterr().out
+    assert code == 0, said
+    passed = re.search(r"ok +range +([\d.]+) \+- ([\d.]+) m after (\d+) s", said)
+    assert passed is not None, said
+    range_m, sigma_m = float(passed[1]), float(passed[2])
+    assert 2.0 < range_m < 150.0
+    assert 0.0 < sigma_m < 0.2 * range_m
+    assert "all of range pass" in said
+
+
+def free_port() -> int:
+    """Give a UDP port that nobody listens on."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def until(true: Callable[[], bool], limit_s: float) -> None:
+    """Wait until something is so."""
+    ends_s = time.monotonic() + limit_s
+    while not true():
+        assert time.monotonic() < ends_s, f"not within {limit_s:g} s"
+        time.sleep(0.1)
 
 
 @pytest.mark.parametrize(
