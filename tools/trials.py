@@ -10,7 +10,7 @@
     python -m tools.trials --show                   tabulate what earlier runs have left in the folder
 
 Labels are sealed by hash before the first diagnosis. Rows, a summary, a table (RESULTS.md) and a confusion matrix go to
-out/trials; ``--publish`` also writes the last two into sitl_tests/trials.
+out/trials; ``--publish`` also writes the last two into sitl_tests/trials, the other hand's alone into its own.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from companion.evaluation.flight_models import belief_for
 from companion.params.airframe import Airframe
 from companion.records import Side
 from sitl_tests.trials.cases import SEEN, Hidden, Tables
-from tools.trial_generators import FIRST, GENERATORS, Generator
+from tools.trial_generators import FIRST, GENERATORS, STRANGER, Generator
 from tools.trial_oracle import oracle_gain
 from tools.trial_plan import STRONG, Trial, acceptance, nothing, outside, several, singles, strangers_acceptance
 from tools.trial_report import draw, summary, table
@@ -222,8 +222,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (options.out / "RESULTS.md").write_text(results(rows), encoding="utf-8")
     draw(rows, options.out / "confusion.png")
     if options.publish:
+        # a table of one truth alone does not replace that of the other
+        alone = all(row.get("generator") == STRANGER.name for row in rows)
         for name in ("RESULTS.md", "confusion.png"):
-            shutil.copyfile(options.out / name, _PUBLISHED / name)
+            shutil.copyfile(options.out / name, (_PUBLISHED / STRANGER.name if alone else _PUBLISHED) / name)
     print(table(rows, found))
     return 0
 

@@ -284,3 +284,33 @@ def test_every_airframe_flies(name: str) -> None:
         # whole milliseconds on the autopilot, its own clock on a node
         assert rate_hz == pytest.approx(sensor.rate_hz, rel=0.05)
         assert np.all(np.isfinite(stream.values))
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("baseline-error", {"error_m": 0.12}),
+        ("focal-error", {"ratio": 0.05}),
+        ("convergence-offset", {"toe_rad": 0.01}),
+        ("camera-asymmetry", {"ratio": 0.1, "both": 0.1}),
+        ("exposure-delay", {"delay_s": 0.02}),
+    ],
+)
+def test_ranges_of_a_table_show_an_effect_on_the_cameras(name: str, values: dict[str, float], tmp_path: Path) -> None:
+    """Matching noise is that of the seed: disparities with and without differ by what is hidden alone."""
+    airframe = load_airframe("nadir-2m")
+    disparity_px = []
+    for folder, effects in (("without", ()), ("with", (NamedEffect(name, values),))):
+        flight = build_flight(airframe, 5, 4.0, perturbed=False, effects=effects)
+        write_csv(flight, tmp_path / folder)
+        table = np.loadtxt(tmp_path / folder / "range.csv", delimiter=",", skiprows=1)
+        disparity_px.append(table[:, 3])
+    changed = disparity_px[1] - disparity_px[0]
+    assert airframe.left_camera is not None
+    focal_px = airframe.left_camera.focal_px.value
+    if name == "convergence-offset":
+        assert changed == pytest.approx(focal_px * 0.01, rel=0.02)
+    elif name == "focal-error":
+        assert np.median(changed / disparity_px[0]) == pytest.approx(0.05, abs=0.02)
+    else:
+        assert np.std(changed) + abs(np.mean(changed)) > 0.1

@@ -107,13 +107,14 @@ def _part(folder: Path, which: int) -> Path:
 
 def toe_error_rad(flight: Flight, folder: Path, airframe: Airframe) -> tuple[float, float]:
     """Error left in the toe, as at 60 m, by what the tracker and an airframe make of it: rms, and about its mean."""
-    believed, real = Rig.from_airframe(flight.airframe), Rig.from_airframe(flight.real.actual)
+    cameras = apply_to_airframe(flight.real.actual)
+    believed, real = Rig.from_airframe(flight.airframe), Rig.from_airframe(cameras)
     rig = Rig.from_airframe(apply_to_airframe(airframe))
     bends = tracked(folder, airframe)
     series = flight.truth.series(np.array(sorted(bends), dtype=np.int64))
     inverse, errors = 1.0 / _AT_M, []
     for row, t_ns in enumerate(sorted(bends)):
-        focal, wider = focal_px(flight.real.actual), real.baseline_m
+        focal, wider = focal_px(cameras), real.baseline_m
         shown = focal * (wider * inverse + toe_rad(believed, real, series, row))
         made = focal_px(apply_to_airframe(airframe)) * (rig.baseline_m * inverse + _toe_of(believed, rig, bends[t_ns]))
         errors.append((made - shown) / focal)

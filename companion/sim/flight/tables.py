@@ -13,6 +13,7 @@ import numpy as np
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import log_rotation, relative_rotation
 from companion.core.wing.effect import viewed
+from companion.core.wing.effects import apply_to_airframe
 from companion.records import Floats, Ints, Side, Station
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.sensors import BACKEND_HZ, RealSensor
@@ -67,25 +68,20 @@ def _write_ranges(flight: Flight, path: Path) -> Path:
     rng = flight.generator("ranges")
     times = np.arange(step, int(flight.duration_s * 1e9), step, dtype=np.int64) + rng.integers(0, step // 2)
     times = times[times < flight.duration_s * 1e9]
-    left, believed = flight.real.actual.left_camera, flight.airframe.left_camera
+    cameras = apply_to_airframe(flight.real.actual)  # turned, moved and focused as hidden effects have them
+    left, believed = cameras.left_camera, flight.airframe.left_camera
     assert left is not None
     assert believed is not None
-    real, belief = Rig.from_airframe(flight.real.actual), Rig.from_airframe(flight.airframe)
-    truth = flight.truth.series(times)
+    real, belief = Rig.from_airframe(cameras), Rig.from_airframe(flight.airframe)
+    late_s = np.mean([viewed(flight.model.effects, side, 0.0).exposure_delay_s for side in Side])
+    truth = flight.truth.series(times + round(1e9 * late_s))
     reference = reference_m(truth, flight.airframe.orientation)
     toe = np.array([toe_rad(belief, real, truth, row) for row in range(len(times))])
-    toe += [_mount_toe(flight, t_ns * 1e-9) for t_ns in times.tolist()]
     disparity = left.focal_px.value * (real.baseline_m / reference + toe)
     disparity += _MATCH_SIGMA_PX * rng.standard_normal(len(times))
     rigid = believed.focal_px.value * belief.baseline_m / disparity
     table = np.stack([rigid, reference, disparity], 1)
     return _write(path, ["t_s", "range_m", "reference_m", "disparity_px"], times, table, "%.5f")
-
-
-def _mount_toe(flight: Flight, t_s: float) -> float:
-    """Toe that effects on the cameras add, rad."""
-    left, right = (viewed(flight.model.effects, side, t_s) for side in Side)
-    return float(right.rotation_rad[1] - left.rotation_rad[1])
 
 
 def reference_m(truth: TruthSeries, orientation: int) -> Floats:
