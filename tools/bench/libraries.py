@@ -46,24 +46,34 @@ def frequencies(folder: Path) -> list[dict[str, object]]:
         f_hz, shown = responses(table.channels["input_n"], answers, 2000.0, (0.0, 40.0))
         inside = f_hz > 4.0
         ours = mode_of(VibrationRun("", f_hz[inside], shown[:, inside]), _NEAR_HZ)
-        theirs = _by_ema(f_hz, shown)
+        poles_hz, _ = ema_poles_hz(f_hz, shown, (4.0, 35.0), _ORDERS, _NEAR_HZ, _AROUND_HZ, _DAMPINGS)
+        theirs = float(np.median(poles_hz)) if poles_hz else float("nan")
         rows.append(
             {"run": path.stem, "ours_hz": ours.frequency_hz, "sigma_hz": ours.frequency_sigma_hz, "ema_hz": theirs}
         )
     return rows
 
 
-def _by_ema(f_hz: Floats, shown: Any) -> float:
+def ema_poles_hz(
+    f_hz: Floats,
+    shown: Any,
+    band_hz: tuple[float, float],
+    orders: tuple[int, int],
+    near_hz: float,
+    around_hz: float,
+    dampings: tuple[float, float],
+) -> tuple[list[float], int]:
+    """Frequencies of sdypy-EMA's poles near one, Hz, over its model orders, and how many orders there are."""
     model_of = importlib.import_module("sdypy.EMA").Model
-    model = model_of(frf=shown, freq=f_hz, lower=4.0, upper=35.0, pol_order_high=_ORDERS[1])
+    model = model_of(frf=shown, freq=f_hz, lower=band_hz[0], upper=band_hz[1], pol_order_high=orders[1])
     model.get_poles(show_progress=False)
-    kept = [
+    poles_hz = [
         float(f)
-        for order in range(_ORDERS[0], len(model.pole_freq))
+        for order in range(orders[0], len(model.pole_freq))
         for f, zeta in zip(model.pole_freq[order], model.pole_xi[order], strict=True)
-        if abs(f - _NEAR_HZ) < _AROUND_HZ and _DAMPINGS[0] < zeta < _DAMPINGS[1]
+        if abs(f - near_hz) < around_hz and dampings[0] < zeta < dampings[1]
     ]
-    return float(np.median(kept)) if kept else float("nan")
+    return poles_hz, len(model.pole_freq) - orders[0]
 
 
 def foretold(folder: Path) -> list[dict[str, object]]:

@@ -7,7 +7,6 @@ of it are the hidden modes' frequencies, and the first mode's where a shift is h
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 import sys
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sitl_tests.trials.cases import BELIEF, Hidden, Tables, fly
+from tools.bench.libraries import ema_poles_hz
 from tools.trial_plan import Trial
 from tools.trials import judge_trial
 
@@ -62,17 +62,9 @@ def _expected_hz(label: Hidden) -> float:
 
 def _poles(tables: Tables, near_hz: float) -> float:
     """Median of the poles within 4 % over the model orders; nan where there are fewer than in half of these."""
-    model_of = importlib.import_module("sdypy.EMA").Model
     f_hz, shown = _half_spectra(tables)
-    model = model_of(frf=shown, freq=f_hz, lower=2.0, upper=40.0, pol_order_high=_ORDERS[1])
-    model.get_poles(show_progress=False)
-    kept = [
-        float(f)
-        for order in range(_ORDERS[0], len(model.pole_freq))
-        for f, zeta in zip(model.pole_freq[order], model.pole_xi[order], strict=True)
-        if abs(f - near_hz) < 0.04 * near_hz and _DAMPINGS[0] < zeta < _DAMPINGS[1]
-    ]
-    return float(np.median(kept)) if len(kept) > 0.5 * (len(model.pole_freq) - _ORDERS[0]) else float("nan")
+    poles_hz, orders = ema_poles_hz(f_hz, shown, (2.0, 40.0), _ORDERS, near_hz, 0.04 * near_hz, _DAMPINGS)
+    return float(np.median(poles_hz)) if len(poles_hz) > 0.5 * orders else float("nan")
 
 
 def _half_spectra(tables: Tables) -> tuple[Any, Any]:
