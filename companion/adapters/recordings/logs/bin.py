@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -71,15 +71,10 @@ class BinRecording(LoggedRecording):
         raw = bool(parts)
         if not raw:
             parts = _filtered_parts(self.log, number)
-        wanted = [
-            InertialStream(source.station, ClockName.BOOT, axes & source.sends, t_ns, in_body(values, source, axes))
-            for axes, t_ns, values in parts
-            if axes & source.sends
-        ]
-        if not wanted:
+        stream = stream_in_body(source, parts)
+        if stream is None:
             self.notes.add(f"{name}: no samples of IMU {number + 1} in this log")
             return None, sensor
-        stream = join(wanted)
         self.notes.gaps(f"{name} (IMU {number + 1}, {'raw' if raw else 'filtered'})", stream.t_ns)
         return stream, self._as_logged(sensor, stream, raw)
 
@@ -203,7 +198,17 @@ def as_floats(columns: list[Any]) -> Floats:
         return np.column_stack(columns).astype(np.float64)
 
 
-def in_body(values: Floats, source: MappedSource, axes: Axis) -> Floats:
+def stream_in_body(source: MappedSource, parts: Sequence[tuple[Axis, Ints, Floats]]) -> InertialStream | None:
+    """One stream in body axes of what was logged apart: axes, boot ns (n,), samples (n, 6); None without any sent."""
+    wanted = [
+        InertialStream(source.station, ClockName.BOOT, axes & source.sends, t_ns, _in_body(values, source, axes))
+        for axes, t_ns, values in parts
+        if axes & source.sends
+    ]
+    return join(wanted) if wanted else None
+
+
+def _in_body(values: Floats, source: MappedSource, axes: Axis) -> Floats:
     """Turn samples (n, 6) into body axes as the airframe's source says, and zero the columns that are not sent."""
     if source.body_from_sensor is not None:
         values = np.hstack([values[:, :3] @ source.body_from_sensor.T, values[:, 3:] @ source.body_from_sensor.T])

@@ -17,9 +17,9 @@ import numpy as np
 
 from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
 from companion.adapters.mavlink.decode.source_map import MappedSource, build_mapping
-from companion.adapters.recordings.logs.bin import as_floats, imu_of, in_body
+from companion.adapters.recordings.logs.bin import as_floats, imu_of, stream_in_body
 from companion.adapters.recordings.logs.ulog_messages import UlogMessages
-from companion.adapters.recordings.recording import InertialStream, LoggedRecording, join, merge, rate_of, timed
+from companion.adapters.recordings.recording import InertialStream, LoggedRecording, merge, rate_of, timed
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
 from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
@@ -87,15 +87,10 @@ class UlogRecording(LoggedRecording):
             self.notes.add(f"{name}: {sensor.source.message} of component {source.component} is not in an onboard log")
             return None
         parts = self._parts(imu)
-        wanted = [
-            InertialStream(source.station, ClockName.BOOT, axes & source.sends, t_ns, in_body(values, source, axes))
-            for axes, t_ns, values in parts
-            if axes & source.sends
-        ]
-        if not wanted:
+        stream = stream_in_body(source, parts)
+        if stream is None:
             self.notes.add(f"{name}: no samples of IMU {imu + 1} at {_LEAST_RATE_HZ:.0f} Hz or more in this log")
             return None
-        stream = join(wanted)
         self.notes.gaps(f"{name} (IMU {imu + 1})", stream.t_ns)
         return stream
 
