@@ -58,27 +58,24 @@ class DeviceError(SpanwiseError):
 class MissingExtra(SpanwiseError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 
-    def __init__(self, purpose: str, extra: str) -> None:
-        super().__init__(missing_extra(purpose, extra))
-
 
 def missing_extra(purpose: str, extra: str) -> str:
     """Sentence for a ``purpose`` ("OAK cameras") whose library comes with an optional extra of the package."""
     return f"{purpose} need more than the base installation: pip install 'spanwise[{extra}]'"
 
 
-def import_extra(module: str, purpose: str, extra: str) -> Any:
+def import_extra(module: str, purpose: str, extra: str, refused: type[SpanwiseError] = MissingExtra) -> Any:
     """Module of an optional dependency, imported where it is used.
 
     Raises
     ------
-    MissingExtra
+    MissingExtra, or ``refused``
         It is not installed; the message names its extra and what it is for ("OAK cameras").
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MissingExtra(purpose, extra) from error
+        raise refused(missing_extra(purpose, extra)) from error
 
 
 class SetupError(SpanwiseError):

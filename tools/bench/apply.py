@@ -3,12 +3,13 @@
     python -m tools.bench apply                     ten effects, some 40 s of processor each
     python -m tools.bench apply --only accel-scale
 
-For each effect two minutes are flown (``spanwise simulate``, truth drawn from the airframe's priors). The first is
-diagnosed, the airframe extended by what was named and read back from its file. Held against the second minute, the
-extended airframe must be adequate; there the service's tracker then corrects ranges with three airframes: as believed,
-as extended, and as it truly is with the effect in force (the oracle). Range errors are without matching noise, as at
-60 m, and the extended airframe's is to be the oracle's within 10 %. No matches hold the slow part of the toe here, as
-they do in flight: in brackets stands what is left about the mean.
+For each effect two minutes are flown (truth drawn from the airframe's priors), each from 100 m down to 20 m: errors of
+baseline and focal length show only in how they change with the range. The first is diagnosed, the airframe extended by
+what was named and read back from its file. Held against the second minute, the extended airframe must be adequate;
+there the service's tracker then corrects ranges with three airframes: as believed, as extended, and as it truly is with
+the effect in force (the oracle). Range errors are without matching noise, as at 60 m, and the extended airframe's is to
+be the oracle's within 10 %. No matches hold the slow part of the toe here, as they do in flight: in brackets stands
+what is left about the mean.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from companion.params.airframe import Airframe, NamedEffect
 from companion.params.files import dump_airframe, load_airframe, parse_airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, ImuBatch, Side, Tick
+from companion.sim.flight.aircraft import AltitudeStep, FlightPlan, demo_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.tables import toe_rad, write_csv
 
@@ -53,6 +55,7 @@ EFFECTS = {
 """Each some ten sigmas of what a minute tells."""
 WANTED = 0.10
 _AT_M, _HALF_S, _SETTLED_S, _LAG_S, _EVERY_S = 60.0, 60.0, 12.0, 0.5, 0.1
+_CLIMB_S = 12.0
 _TICK_NS = 4_000_000
 
 
@@ -79,7 +82,7 @@ class Row:
 def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> Row:
     """Fly, diagnose, apply, and hold it against the second minute."""
     hidden = (NamedEffect(name, EFFECTS[name]),)
-    flight = build_flight(airframe, seed, 2.0 * _HALF_S, effects=hidden)
+    flight = build_flight(airframe, seed, 2.0 * _HALF_S, effects=hidden, plan=two_minutes())
     write_csv(flight, folder)
     first, second = (_part(folder, k) for k in range(2))
     models = models_of([first], airframe)
@@ -92,6 +95,23 @@ def judged(name: str, airframe: Airframe, seed: int, folder: Path) -> Row:
     errors = tuple(toe_error_rad(flight, second, entry) for entry in (airframe, applied, oracle))
     named = tuple(cause.term.effect.name for cause in diagnosis.causes)
     return Row(name, named, adequate, errors, _AT_M**2 / Rig.from_airframe(airframe).baseline_m)
+
+
+def two_minutes() -> FlightPlan:
+    """Plan of the demo's minute, flown twice with a climb between."""
+    minute = demo_plan(_HALF_S)
+    again = [dataclasses.replace(level, from_s=level.from_s + _HALF_S) for level in minute.levels[1:]]
+    back = AltitudeStep(_HALF_S + _CLIMB_S, minute.levels[0].altitude_m, _CLIMB_S)
+    return dataclasses.replace(
+        minute,
+        duration_s=2.0 * _HALF_S,
+        levels=(*minute.levels, back, *again),
+        rolls=(*minute.rolls, *(dataclasses.replace(roll, from_s=roll.from_s + _HALF_S) for roll in minute.rolls)),
+        pull_ups=(
+            *minute.pull_ups,
+            *(dataclasses.replace(pull, from_s=pull.from_s + _HALF_S) for pull in minute.pull_ups),
+        ),
+    )
 
 
 def _part(folder: Path, which: int) -> Path:

@@ -128,7 +128,7 @@ def main(arguments: list[str]) -> int:
         peak_mb = memory_mb(free_port(), Path(folder), options.flown)
     rows = [
         ("spanwise --help", asked[0], f"s ({asked[1]:.2f} s of processor)", HELP_LIMIT_S),
-        ("spanwise run to its open link", opened[0], f"s ({opened[1]:.2f} s of processors)", OPEN_LIMIT_S),
+        ("the service to its open link", opened[0], f"s ({opened[1]:.2f} s of processors)", OPEN_LIMIT_S),
         (f"inertial process, {options.flown:g} s of flight", peak_mb, "MB", MEMORY_LIMIT_MB),
     ]
     for name, value, unit, limit in rows:

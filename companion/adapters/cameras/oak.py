@@ -258,11 +258,11 @@ def library() -> Any:
 
     Raises
     ------
-    MissingExtra
+    DeviceError
         It is not installed.
     """
     os.environ.setdefault("DEPTHAI_TELEMETRY", "0")  # read when it is imported
-    return import_extra("depthai", "OAK cameras", "oak")
+    return import_extra("depthai", "OAK cameras", "oak", DeviceError)
 
 
 def _nanoseconds(span: datetime.timedelta) -> int:

@@ -27,14 +27,12 @@ class GpioTrigger:
 
     Raises
     ------
-    MissingExtra
-        ``gpiod`` is not installed.
     DeviceError
-        There is no such chip or line, or somebody else has it.
+        ``gpiod`` is not installed, there is no such chip or line, or somebody else has it.
     """
 
     def __init__(self, chip: str, line: int, *, active_low: bool = False) -> None:
-        gpiod = import_extra("gpiod", "GPIO triggers", "gpio")
+        gpiod = import_extra("gpiod", "GPIO triggers", "gpio", DeviceError)
         settings = gpiod.LineSettings(
             direction=gpiod.line.Direction.OUTPUT, active_low=active_low, output_value=gpiod.line.Value.INACTIVE
         )
