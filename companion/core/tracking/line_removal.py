@@ -121,7 +121,7 @@ def leaders(states: LineStates, rate_hz: float) -> list[tuple[float, float]]:
     """Leader of each shaft as it is followed: frequency (Hz), and its power over the errors' in second differences."""
     hz = states.omega_radps * (PARTS / (2.0 * np.pi))
     gain = 2.0 - 2.0 * np.cos(2.0 * np.pi * states.lag / rate_hz * hz)
-    first = [int(np.flatnonzero((states.shaft == i) & (states.multiple == PARTS))[0]) for i in range(len(hz))]
+    first = np.flatnonzero(states.multiple == PARTS)  # one of each shaft, in their order
     error = np.maximum(_RMS_OVER_MEAN * states.error, 1.0 / np.sqrt(states.weight))
     ratio = (np.abs(states.amplitude[first]) ** 2 / error**2).sum(axis=1) * 0.5 * gain**2
     return list(zip(hz.tolist(), ratio.tolist(), strict=True))

@@ -54,8 +54,6 @@ def gust_kind(weather: Weather, rng: np.random.Generator) -> GustKind:
 
 def as_calibrated(airframe: Airframe, world: Conditions) -> Airframe:
     """The airframe file as the calibration of a world's cameras writes it: with the sigmas that it states."""
-    if world.stated is None:
-        return airframe
     left, right = (_stated(camera, world.stated) for camera in (airframe.left_camera, airframe.right_camera))
     return dataclasses.replace(airframe, left_camera=left, right_camera=right)
 

@@ -124,27 +124,28 @@ class Weather:
     discrete_s: Span = (0.5, 0.5)
 
 
+# what lenses that are as their file says leave to a calibration: a thirtieth of the ordinary one's (chosen)
+_EXACT = LensResiduals(radial=3e-5, tangential=2e-6, principal_px=0.01, place_m=2e-5)
+
+
 @dataclass(frozen=True, slots=True)
 class Conditions:
     """One world. Consumers: ``flight.build_flight`` and, for images, :mod:`companion.sim.vision`.
 
-    ``stated`` is what the calibration of the cameras states of itself in the airframe file; None: what the file says.
+    ``stated`` is what the calibration of the cameras states of itself in the airframe file.
     """
 
     name: str
     propulsion: Propulsion | None = None
     sensors: SensorWear = field(default_factory=SensorWear)
     lenses: LensResiduals = field(default_factory=LensResiduals)
-    stated: LensResiduals | None = None
+    stated: LensResiduals = _EXACT
     images: ImageFaults = field(default_factory=ImageFaults)
     weather: Weather = field(default_factory=Weather)
     grounds: tuple[Ground, ...] = (Ground.PLAIN,)
 
 
-# what lenses that are as their file says leave to a calibration: a thirtieth of the ordinary one's (chosen)
-_EXACT = LensResiduals(radial=3e-5, tangential=2e-6, principal_px=0.01, place_m=2e-5)
-
-IDEAL = Conditions("ideal", stated=_EXACT)
+IDEAL = Conditions("ideal")
 
 _CALIBRATED = LensResiduals(
     # what 30 good ChArUco views at 640x480 leave: k1 0.001, p 5e-5, principal point 0.3 px (quoted, not measured here)
@@ -243,7 +244,6 @@ ROUGH = Conditions(
 
 TONES = Conditions(
     "tones",
-    stated=_EXACT,
     propulsion=Propulsion(
         shaft_hz=(80.0, 80.0),
         lines=(Harmonic(1.0, (0.0, 0.0), (3.0, 3.0)), Harmonic(2.0, (0.0, 0.0), (1.0, 1.0))),
