@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import multiprocessing
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,8 @@ from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studio
 from companion.evaluation.replay import own_inputs
 from companion.evaluation.shot_scores import SETTLED_S, PipelineOutputs, Shots, collect, paired, replayed, score_shots
 from companion.evaluation.true_geometry import TrueGeometry
+from companion.params.airframe import Airframe
+from companion.params.settings import Settings
 from companion.records import Axis, Floats, ImuBatch, MatchSet, Record, Reject, Station, Tick
 from companion.sim.flight.flight import Flight
 
@@ -71,7 +75,7 @@ def evaluate_flight(
     blur = {"at_plan": wing_blur_px(geometry, [outputs.matches[pair_id] for pair_id in shots.ids])}
     others: dict[str, Shots] = {}
     if compare:
-        others, blur["at_random"] = _compared(geometry, stage, inputs, say)
+        others, blur["at_random"] = _compared(geometry, stage, recording, inputs, say)
         ways |= {name: other.ways["corrected"] for name, other in others.items()}
     plain: dict[str, Any] = {
         "airframe": flight.airframe.name,
@@ -102,17 +106,26 @@ def json_plain(value: Any) -> Any:
 
 
 def _compared(
-    geometry: TrueGeometry, stage: Stage, inputs: list[Record], say: Callable[[str], None]
+    geometry: TrueGeometry, stage: Stage, recording: Path, inputs: list[Record], say: Callable[[str], None]
 ) -> tuple[dict[str, Shots], Floats]:
-    """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result)."""
+    """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result).
+
+    The first is replayed in a process of its own while the second is rendered.
+    """
     airframe, settings = geometry.flight.airframe, geometry.settings
-    say("replaying with vertical accelerometers alone ...")
-    vertical = score_shots(geometry, replayed(vertical_only(inputs), airframe, settings))
-    say("rendering the same flight at random instants ...")
-    with Studios(stage) as studios:
-        extra = matches_of(studios.all(_random_pulls(geometry)))
-    random = score_shots(geometry, replayed(with_matches(inputs, extra), airframe, settings))
-    return {"vertical_only": vertical, "random_instants": random}, wing_blur_px(geometry, extra)
+    say("replaying with vertical accelerometers alone, and rendering the same flight at random instants ...")
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        vertical = pool.submit(_replayed_vertically, recording, airframe, settings)
+        with Studios(stage) as studios:
+            extra = matches_of(studios.all(_random_pulls(geometry)))
+        random = score_shots(geometry, replayed(with_matches(inputs, extra), airframe, settings))
+        others = {"vertical_only": score_shots(geometry, vertical.result()), "random_instants": random}
+    return others, wing_blur_px(geometry, extra)
+
+
+def _replayed_vertically(recording: Path, airframe: Airframe, settings: Settings) -> PipelineOutputs:
+    opened = open_recording(recording)
+    return replayed(vertical_only(own_inputs(opened.records(), opened.airframe, settings)), airframe, settings)
 
 
 def vertical_only(inputs: Iterable[Record]) -> Iterator[Record]:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
 
 from companion.params.airframe import Airframe, Camera
 from companion.params.files import load_airframe
@@ -362,6 +363,36 @@ def test_a_bent_lens_has_all_pixels_of_a_surface_in_its_window(
         return
     first = np.array([window.column, window.row])
     assert np.all((pixels[inside] >= first) & (pixels[inside] < first + np.array([window.width, window.height])))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    centre=st.tuples(st.floats(-30.0, 30.0), st.floats(-30.0, 30.0), st.floats(-20.0, 40.0)),
+    turns=st.tuples(*[st.floats(-np.pi, np.pi)] * 3),
+    half=st.tuples(st.floats(1.0, 20.0), st.floats(1.0, 20.0)),
+)
+def test_a_wall_that_passes_the_camera_has_all_its_pixels_in_its_window(
+    centre: tuple[float, float, float], turns: tuple[float, float, float], half: tuple[float, float]
+) -> None:
+    """Every pixel whose ray meets the wall in front of the camera; a wall that none meets is not painted at all."""
+    grid = PixelGrid(Renderer(NADIR, fly(NADIR, Path(60.0)), ground_scene(1), 1).rig.left.lens)
+    across, along, normal = Rotation.from_euler("xyz", turns).as_matrix()
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ np.stack([across, along]) + centre
+    pixels = _pixels(grid.size_px[::-1])[::4]
+    rays = grid.lens.unproject(pixels)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        points = rays * ((normal @ np.array(centre)) / (rays @ normal))[:, None]
+    place = (points - centre) @ np.stack([across, along]).T
+    meets = (points[:, 2] > 0.1) & np.all(np.abs(place) <= half, axis=1)
+    part = grid.clipped(corners)
+    if not len(part):
+        assert not meets.any()
+        return
+    outline = part[:, :2] / part[:, 2:]
+    window = grid.window_of_rays(outline.min(axis=0), outline.max(axis=0))
+    assert window is not None
+    first = np.array([window.column, window.row])
+    assert np.all((pixels[meets] >= first) & (pixels[meets] < first + np.array([window.width, window.height])))
 
 
 # ------------------------------------------------------------------------------------------------ true ranges

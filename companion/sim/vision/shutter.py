@@ -84,6 +84,7 @@ class Window:
 STEP = 4  # px of the coarse grid on which rays are bent
 MARGIN_CELLS = 2  # of the coarse grid, for interpolation at the edge
 _OUTLINE_RAYS = 17  # along each side of a box: what a lens bends between two of them is less than 0.1 px
+_NEAR_M = 0.05  # nearer than this nothing is drawn: half a lens' length
 _EVEN = 0.005  # px: below it a shift is the same all over the image
 
 
@@ -122,6 +123,17 @@ class PixelGrid:
         x = window.column - 0.5 + np.array([0, window.width, 0, window.width])
         y = window.row - 0.5 + np.array([0, 0, window.height, window.height])
         return np.stack([x, y, np.ones(4)], axis=1) @ self.ray_from_pixel.T
+
+    def clipped(self, corners_m: Floats) -> Floats:
+        """Corners (m, 3) of what a convex polygon (n, 3) has within the pyramid of rays; none where it is out of sight.
+
+        Camera axes, metres. Sutherland, Hodgman: Reentrant polygon clipping, Communications of the ACM 17(1), 1974.
+        """
+        low, high = self._reach
+        corners_m = _cut(corners_m, corners_m[:, 2] - _NEAR_M)
+        for inward in np.array([(1.0, 0.0, -low[0]), (-1.0, 0.0, high[0]), (0.0, 1.0, -low[1]), (0.0, -1.0, high[1])]):
+            corners_m = _cut(corners_m, corners_m @ inward)
+        return corners_m
 
     def window_of_rays(self, low: Floats, high: Floats) -> Window | None:
         """Window of the pixels whose rays (x, y, z = 1) lie between ``low`` and ``high``; None when out of sight."""
@@ -207,6 +219,22 @@ class PixelGrid:
         pixels = np.stack(np.meshgrid(x, y), axis=-1)
         rays = self.lens.unproject(pixels.reshape(-1, 2))[:, :2]
         return rays.reshape(rows, columns, 2).astype(np.float32)
+
+
+def _cut(polygon: Floats, depth_m: Floats) -> Floats:
+    """The part of a convex polygon (n, 3) on the side where its corners' ``depth_m`` (n,) are positive."""
+    inside = depth_m > 0.0
+    if inside.all():
+        return polygon
+    corners: list[Floats] = []
+    for corner in range(len(polygon)):
+        if inside[corner]:
+            corners.append(polygon[corner])
+        following = (corner + 1) % len(polygon)
+        if inside[corner] != inside[following]:
+            share = depth_m[corner] / (depth_m[corner] - depth_m[following])
+            corners.append(polygon[corner] + share * (polygon[following] - polygon[corner]))
+    return np.array(corners).reshape(-1, 3)
 
 
 def margin_of(factor: int) -> int:

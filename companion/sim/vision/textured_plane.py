@@ -179,13 +179,11 @@ def _window(plane: Plane, views: list[PosedCamera], grid: PixelGrid) -> Window |
     """Pixels that the plane may touch; None when it is out of sight."""
     if plane.half_size_m is None:
         return grid.full()
-    corners = np.concatenate([(plane.corners_m() - view.centre_ned_m) @ view.camera_from_ned.T for view in views])
-    behind = corners[:, 2] <= 0.0
-    if behind.all():
+    corners = plane.corners_m()
+    outline = np.concatenate([grid.clipped((corners - view.centre_ned_m) @ view.camera_from_ned.T) for view in views])
+    if not len(outline):
         return None
-    if behind.any():
-        return grid.full()
-    rays = corners[:, :2] / corners[:, 2:]
+    rays = outline[:, :2] / outline[:, 2:]
     return grid.window_of_rays(rays.min(axis=0), rays.max(axis=0))
 
 
