@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.epipolar import epipolar_frame
+from companion.core.stereo.epipolar_geometry import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.inverse_depth import RangeProduct, robust_inverse_depth

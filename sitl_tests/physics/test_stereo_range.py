@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.ranging import correct
+from companion.core.stereo.ranging import PairConditions, correct
 from companion.params.settings import Settings
 from sitl_tests.unit.stereo_cases import (
     bend,
@@ -57,7 +57,9 @@ def test_sigma_of_one_match_and_of_one_milliradian(range_m: float, sigma_one_m: 
     rig = Rig.from_airframe(airframe)
     matches = match_set(*seen(rig, ground_below(range_m, 400, 3, spread=NARROW), (0.0, 0.0)), sigma_px=0.2)
     one = 1e-3 / np.sqrt(2.0)  # two independent tips make 1 mrad of relative toe
-    answer = correct(matches, bend(slope_sigma_rad=one), bend(slope_sigma_rad=one), rig, airframe, SETTINGS, 0.0)
+    answer = correct(
+        matches, bend(slope_sigma_rad=one), bend(slope_sigma_rad=one), rig, airframe, SETTINGS, PairConditions(0.0)
+    )
     np.testing.assert_allclose(answer.depths.sigma_pm * range_m**2, sigma_one_m, rtol=0.01)
     assert answer.causes_m.modal == pytest.approx(sigma_toe_m, rel=0.01)
     assert answer.range.toe_sigma_rad == pytest.approx(1e-3, rel=1e-6)
@@ -69,7 +71,7 @@ def test_antisymmetric_uncertainty_costs_a_nadir_pair_nothing() -> None:
     matches = match_set(*seen(rig, ground_below(60.0, 2000, 4, spread=NARROW), (0.0, 0.0)))
     for correlation, expected in ((1.0, 2.0), (-1.0, 0.0)):
         deflection = bend(slope_sigma_rad=0.001, correlation=correlation)
-        answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, 0.0)
+        answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, PairConditions(0.0))
         assert answer.range.toe_sigma_rad == pytest.approx(expected * 0.001, abs=1e-9)
         assert answer.causes_m.modal == pytest.approx(expected * 1.818, abs=0.02)
 
@@ -80,7 +82,7 @@ def test_bend_uncertainty_hardly_touches_a_forward_pair() -> None:
     rig = Rig.from_airframe(airframe)
     matches = match_set(*seen(rig, wall_ahead(60.0, 400, 5), (0.02, 0.02)))
     deflection = bend((0.02, 0.02), slope_sigma_rad=1e-3 / np.sqrt(2.0))
-    answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, 0.0)
+    answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, PairConditions(0.0))
     assert answer.range.range_m == pytest.approx(60.0, abs=1e-4)
     assert answer.range.toe_rad == pytest.approx(0.0, abs=1e-5)
     assert answer.causes_m.modal < 0.1
@@ -93,7 +95,7 @@ def test_bending_left_uncorrected_in_a_forward_pair_tilts_depth_from_row_to_row(
     rows = np.array([-240.0, 240.0]) / FOCAL
     points = np.column_stack([np.full(2, 60.0), np.zeros(2), 60.0 * rows])
     matches = match_set(*seen(rig, points, (0.00225, 0.00225)))
-    answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, 0.0)
+    answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0))
     error_px = (answer.depths.inverse_pm - 1.0 / 60.0) * FOCAL * BASELINE
     np.testing.assert_allclose(error_px, [-1.08, 1.08], atol=0.01)
 
@@ -104,7 +106,7 @@ def test_bending_left_uncorrected_in_a_forward_pair_shows_as_vertical_parallax()
     rig = Rig.from_airframe(airframe)
     points = 1.0e4 * np.column_stack([np.ones(2), np.array([-0.4, 0.4]), np.zeros(2)])
     matches = match_set(*seen(rig, points, (0.00225, 0.00225)))
-    answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, 0.0)
+    answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0))
     np.testing.assert_allclose(answer.depths.parallax_rad * FOCAL, [1.44, -1.44], atol=0.01)
 
 
@@ -112,7 +114,7 @@ def test_calibration_sigma_is_root_two_times_one_camera_for_toe() -> None:
     airframe = nadir(**perfect_calibration(rotation_sigma_rad=1e-3))
     rig = Rig.from_airframe(airframe)
     matches = match_set(*seen(rig, ground_below(60.0, 2000, 6, spread=NARROW), (0.0, 0.0)))
-    answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, 0.0)
+    answer = correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0))
     assert answer.range.toe_sigma_rad == pytest.approx(np.sqrt(2.0) * 1e-3, rel=1e-6)
     assert answer.causes_m.calibration == pytest.approx(3600.0 / BASELINE * np.sqrt(2.0) * 1e-3, rel=0.02)
 
@@ -124,7 +126,7 @@ def test_timing_sigma_counts_with_the_rate_of_the_bend() -> None:
     rate_radps = 0.0045 * 2.0 * np.pi * 5.0
     deflection = bend(qdot_mps=(rate_radps / 1.39, 0.0))
     matches = match_set(*seen(rig, ground_below(60.0, 400, 7, spread=NARROW), (0.0, 0.0)))
-    answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, 1e-3)
+    answer = correct(matches, deflection, deflection, rig, airframe, SETTINGS, PairConditions(1e-3))
     assert answer.range.toe_sigma_rad == pytest.approx(np.sqrt(2.0) * 141e-6, rel=0.01)
     assert answer.causes_m.timing == pytest.approx(3600.0 / BASELINE * np.sqrt(2.0) * 141e-6, rel=0.02)
 
@@ -135,5 +137,7 @@ def test_toe_counts_more_off_the_axis() -> None:
     rig = Rig.from_airframe(airframe)
     points = 1.0e4 * np.array([[0.0, 0.0, 1.0], [0.0, 0.3, 1.0], [0.0, -0.3, 1.0]])
     matches = match_set(*seen(rig, points, (0.0005, 0.0005)))
-    inverse = correct(matches, bend(), bend(), rig, airframe, SETTINGS, 0.0).depths.inverse_pm * BASELINE
+    inverse = (
+        correct(matches, bend(), bend(), rig, airframe, SETTINGS, PairConditions(0.0)).depths.inverse_pm * BASELINE
+    )
     np.testing.assert_allclose(inverse - BASELINE / 1.0e4, 0.001 * np.array([1.0, 1.09, 1.09]), rtol=0.002)

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.core.stereo.epipolar import EpipolarFilter, ExtrinsicsPrior, FastBelief, epipolar_frame, in_frame
+from companion.core.stereo.epipolar import EpipolarFilter
+from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame
+from companion.core.stereo.epipolar_states import ExtrinsicsPrior, FastBelief
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, FlexedPair, rays_of

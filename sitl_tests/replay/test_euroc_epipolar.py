@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.core.stereo.epipolar import ExtrinsicsPrior, epipolar_frame
+from companion.core.stereo.epipolar_geometry import epipolar_frame
+from companion.core.stereo.epipolar_states import ExtrinsicsPrior
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.lens_residual import CONSIDERED
 from companion.core.stereo.rotation import exp_rotation

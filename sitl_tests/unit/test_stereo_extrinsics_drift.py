@@ -11,7 +11,7 @@ import pytest
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.ranging import correct
+from companion.core.stereo.ranging import PairConditions, correct
 from companion.core.stereo.triangulation import match_rays
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
@@ -236,7 +236,7 @@ def test_the_range_takes_the_rotation_and_its_sigma() -> None:
         matches = _matches(airframe, ground_below(60.0, 150, k, tilt=(0.1, 0.1)), airframe, k)
         told = _told(slow, airframe, matches, wing, use_matches=True)
     blind = correct(matches, wing, wing, rig, airframe, settings).range
-    held = correct(matches, wing, wing, rig, airframe, settings, turned=told).range
+    held = correct(matches, wing, wing, rig, airframe, settings, PairConditions(turned=told)).range
     assert abs(blind.range_m - 60.0) > 3.0
     assert held.sigma_m < 0.5 * blind.sigma_m
     assert abs(held.range_m - 60.0) < 3.0 * held.sigma_m

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from companion.core.stereo.epipolar import YAW, epipolar_frame
+from companion.core.stereo.epipolar_geometry import epipolar_frame
+from companion.core.stereo.epipolar_states import YAW
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.geometry import MountedCamera, Rig
@@ -24,7 +25,7 @@ from companion.core.stereo.lens_residual import (
     lens_ratio,
     residual_field,
 )
-from companion.core.stereo.ranging import correct
+from companion.core.stereo.ranging import PairConditions, correct
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import match_rays
 from companion.params.airframe import Airframe, Camera
@@ -173,7 +174,9 @@ def _fly(airframe: Airframe, residuals: tuple[np.ndarray, np.ndarray], seed: int
         moving = exposures(rig, TipMotion.from_airframe(airframe), wing, wing)
         told = drift.update(matches, match_rays(rig, moving, matches), (wing, wing), moving, 0.0)
         joint = drift.joint_covariance
-        answer = correct(matches, wing, wing, rig, airframe, settings, turned=told, joint_covariance=joint).range
+        answer = correct(
+            matches, wing, wing, rig, airframe, settings, PairConditions(turned=told, joint_covariance=joint)
+        ).range
         if k >= SETTLED:
             true_rad = true_rotation + 2.0 * off_rad * (epipolar_frame(rig) @ rig.right.turn_rad(1.0))
             toe_over.append((told.rotation_rad - true_rad)[YAW] / np.sqrt(told.covariance[YAW, YAW]))

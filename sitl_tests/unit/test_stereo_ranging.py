@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from companion.core.stereo.geometry import Pose, Rig
 from companion.core.stereo.matching import match
-from companion.core.stereo.ranging import RangeAnswer, correct, orientation_axis
+from companion.core.stereo.ranging import PairConditions, RangeAnswer, correct, orientation_axis
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import trim_search
 from companion.core.stereo.triangulation import range_axis_of_rig
@@ -128,7 +128,13 @@ def test_flight_between_unequal_exposures_is_bridged_with_the_velocity() -> None
     pixels = [rig.project(side, rig.pose(side, 0.02, 0.0), ahead[side]) for side in Side]
     left, right = bend((0.02, 0.02), t_ns=-2_500_000), bend((0.02, 0.02), t_ns=2_500_000)
     bridged = correct(
-        match_set(*pixels), left, right, rig, airframe, SETTINGS, motion=VehicleMotion(velocity, np.zeros((3, 3)))
+        match_set(*pixels),
+        left,
+        right,
+        rig,
+        airframe,
+        SETTINGS,
+        PairConditions(motion=VehicleMotion(velocity, np.zeros((3, 3)))),
     )
     ignored = correct(match_set(*pixels), left, right, rig, airframe, SETTINGS)
     assert bridged.range.range_m == pytest.approx(60.0, abs=1e-5)
@@ -143,7 +149,9 @@ def test_a_crosswind_that_nobody_tells_is_in_the_sigma() -> None:
     matches = match_set(*seen(rig, points, (0.02, 0.02)), 0.001)
     left, right = bend((0.02, 0.02), t_ns=-2_500_000), bend((0.02, 0.02), t_ns=2_500_000)
     still, blown = (
-        correct(matches, left, right, rig, airframe, SETTINGS, motion=VehicleMotion(np.zeros(3), covariance)).range
+        correct(
+            matches, left, right, rig, airframe, SETTINGS, PairConditions(motion=VehicleMotion(np.zeros(3), covariance))
+        ).range
         for covariance in (np.zeros((3, 3)), np.diag([0.0, 3.0, 0.0]) ** 2)
     )
     assert np.sqrt(blown.sigma_m**2 - still.sigma_m**2) == pytest.approx(60.0 * 0.015 / 1.98, rel=0.01)

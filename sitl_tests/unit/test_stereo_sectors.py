@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.ranging import correct
+from companion.core.stereo.ranging import PairConditions, correct
 from companion.core.stereo.sectors import SECTORS, sectors_of
 from companion.params.settings import Settings
 from companion.records import ObstacleSectors
@@ -128,7 +128,9 @@ def test_in_a_bank_posts_stay_at_their_bearing_and_the_ground_stays_below(roll_d
     inside = np.all((left > 0) & (left < (640, 480)) & (right > 0) & (right < (640, 480)), axis=1)
     matches = match_set(left[inside], right[inside] + 0.02 * random.normal(size=right[inside].shape), 0.02)
     deflection = bend((0.02, 0.024), slope_sigma_rad=2e-5)
-    levelled = correct(matches, deflection, deflection, rig, airframe, SETTINGS, attitude_rad=(roll, pitch)).sectors
+    levelled = correct(
+        matches, deflection, deflection, rig, airframe, SETTINGS, PairConditions(attitude_rad=(roll, pitch))
+    ).sectors
     assert levelled is not None
     assert np.flatnonzero(levelled.known).tolist() == [2]
     assert levelled.distance_m[2] == pytest.approx(40.0, abs=4.0 * levelled.sigma_m[2])

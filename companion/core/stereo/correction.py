@@ -10,11 +10,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, ground_reject, range_slack_mps, withheld
-from companion.core.stereo.epipolar import YAW
+from companion.core.stereo.epipolar_states import YAW
 from companion.core.stereo.exposure import TipMotion, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.geometry import Rig
-from companion.core.stereo.ranging import TIMING_SIGMA_S, RangeAnswer, correct
+from companion.core.stereo.ranging import TIMING_SIGMA_S, PairConditions, correct
 from companion.core.stereo.triangulation import match_rays
 from companion.core.stereo.vehicle_motion import VehicleMotion, VehicleTrack
 from companion.params.airframe import Airframe
@@ -111,18 +111,9 @@ class Correction:
         self._doubtful(tracker.distrust)
         turned = self._turned(matches, (left, right), motion, use_matches=reason is None)
         yield turned
-        answer: RangeAnswer = correct(
-            matches,
-            left,
-            right,
-            self.rig,
-            self.airframe,
-            self.settings,
-            motion=motion,
-            turned=turned,
-            joint_covariance=self.drift_filter.joint_covariance,
-            attitude_rad=self.vehicle.attitude(middle_ns),
-        )
+        joint, attitude_rad = self.drift_filter.joint_covariance, self.vehicle.attitude(middle_ns)
+        conditions = PairConditions(TIMING_SIGMA_S, motion, turned, joint, attitude_rad)
+        answer = correct(matches, left, right, self.rig, self.airframe, self.settings, conditions)
         if self.drift_filter.verdict is not MatchVerdict.AGREE:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)

@@ -12,17 +12,12 @@ import math
 import numpy as np
 
 from companion.core.stereo.consistency_gate import MatchVerdict
-from companion.core.stereo.epipolar import (
-    SYSTEMATIC_DOWN_RAD,
-    BendBelief,
-    EpipolarFilter,
-    EpipolarUpdate,
-    ExtrinsicsPrior,
-    FastBelief,
-)
+from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate
+from companion.core.stereo.epipolar_states import SYSTEMATIC_DOWN_RAD, BendBelief, ExtrinsicsPrior, FastBelief
 from companion.core.stereo.exposure import CameraExposure
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.lens_residual import PAIR_TERMS, mean_tilt_variance, pair_variances
+from companion.core.stereo.rotation import without_negative_eigenvalues
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import STILL, VehicleMotion
 from companion.params.airframe import Airframe
@@ -161,8 +156,7 @@ class ExtrinsicsDriftFilter:
         left, right = bend
         slopes = np.nan_to_num(0.5 * (left.covariance[4:, 4:] + right.covariance[4:, 4:]))
         slow = 0.5 * (left.slow_slope_sigma_rad + right.slow_slope_sigma_rad)
-        values, vectors = np.linalg.eigh(slopes - slow**2)
-        fast = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        fast = without_negative_eigenvalues(slopes - slow**2)
         turn = self._filter.epipolar_from_body @ self._per_slope
         covariance: Floats = turn @ fast @ turn.T
         for side in Side:

@@ -53,7 +53,7 @@ def levelled(matches: MatchSet, rig: Rig, search: Search) -> tuple[Pose, Pose] |
     """The expected poses, turned against each other by the pitch and roll that make the features' rows agree.
 
     Each camera takes half of it, as both wings bend. Least sum of magnitudes, so that wrong matches do not count; None
-    with too few of them. By how much a camera that is turned parts the rows: :mod:`companion.core.stereo.epipolar`.
+    with too few of them. By how much a camera that is turned parts the rows: ``epipolar_geometry``.
     """
     if len(matches.sigma_px) < _LEAST_FEATURES:
         return None

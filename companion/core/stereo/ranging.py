@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from companion.core.stereo.consistency_gate import range_reject
-from companion.core.stereo.epipolar import epipolar_frame
+from companion.core.stereo.epipolar_geometry import epipolar_frame
 from companion.core.stereo.exposure import CameraExposure, TipMotion, exposures, rest_exposures, with_relative_rotation
 from companion.core.stereo.geometry import Rig, axes_from_body
 from companion.core.stereo.inverse_depth import InverseDepthEstimate, RangeProduct, robust_inverse_depth
@@ -56,6 +56,46 @@ class RangeAnswer:
     causes_m: Budget
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PairConditions:
+    """Circumstances of a pair beside the bend of the wing.
+
+    Attributes
+    ----------
+    timing_sigma_s : float
+        One-sigma of each exposure's stamp.
+    motion : VehicleMotion
+        The aircraft's velocity, which moves it between unequal exposures.
+    turned : RelativeRotation or None
+        What the matches say about the relative rotation beyond the bend, and about the lenses; None: the bend is taken
+        as it is.
+    joint_covariance : (10, 10) float64 or None
+        Of that rotation and of the lens terms; None: the lenses are taken as they were calibrated.
+    attitude_rad : tuple or None
+        Roll and pitch, by which sectors are levelled.
+    """
+
+    timing_sigma_s: float = TIMING_SIGMA_S
+    motion: VehicleMotion = STILL
+    turned: RelativeRotation | None = None
+    joint_covariance: Floats | None = None
+    attitude_rad: tuple[float, float] | None = None
+
+    def measured_rotation(self, body_from_epipolar: Floats) -> tuple[Floats, Floats, Floats] | None:
+        """Relative rotation (3,) by the matches, lens terms (7,), covariance (10, 10) of both; body axes."""
+        if self.turned is None:
+            return None
+        covariance = self.turned.covariance if self.joint_covariance is None else self.joint_covariance
+        to_body = np.zeros((3 + PAIR_TERMS, len(covariance)))
+        to_body[:3, :3] = body_from_epipolar
+        to_body[3:, 3:] = np.eye(PAIR_TERMS)[:, : len(covariance) - 3]
+        return body_from_epipolar @ self.turned.rotation_rad, self.turned.lens, to_body @ covariance @ to_body.T
+
+
+AS_TRACKED = PairConditions()
+"""Level flight, usual stamps, the relative rotation as the tracked bend has it."""
+
+
 def correct(
     matches: MatchSet,
     left: Deflection,
@@ -63,11 +103,7 @@ def correct(
     rig: Rig,
     airframe: Airframe,
     settings: Settings,
-    timing_sigma_s: float = TIMING_SIGMA_S,
-    motion: VehicleMotion = STILL,
-    turned: RelativeRotation | None = None,
-    joint_covariance: Floats | None = None,
-    attitude_rad: tuple[float, float] | None = None,
+    conditions: PairConditions = AS_TRACKED,
 ) -> RangeAnswer:
     """Range along the airframe's orientation from one matched pair.
 
@@ -82,42 +118,28 @@ def correct(
     airframe : Airframe
         Orientation, slope and twist factors, calibration sigmas.
     settings : Settings
-        RangeProduct, limits, trust.
-    timing_sigma_s : float
-        One-sigma of each exposure's stamp.
-    motion : VehicleMotion, optional
-        The aircraft's velocity, which moves it between unequal exposures.
-    turned : RelativeRotation, optional
-        What the matches say about the relative rotation beyond the bend, and about the lenses; without, the bend is
-        taken as it is.
-    joint_covariance : (10, 10) float64, optional
-        Of that rotation and of the lens terms; without, the lenses are taken as they were calibrated.
-    attitude_rad : tuple, optional
-        Roll and pitch at exposure, by which sectors are levelled.
+        Product, limits, trust.
+    conditions : PairConditions
+        Stamps, flight, relative rotation by the matches, attitude.
 
     Returns
     -------
     RangeAnswer
         Always finite; ``range.reject`` says why it is not to be trusted.
     """
-    features = matches.features()
-    scene = _Scene.exposed(features, left, right, rig, airframe, timing_sigma_s, motion, turned, joint_covariance)
-    depths, toe = scene.depths(features), scene.toe()
+    scene = _Scene.exposed(matches.features(), left, right, rig, airframe, conditions)
+    depths, toe = scene.depths(scene.matches), scene.toe()
     product = RangeProduct(settings.product)
-    reading = robust_inverse_depth(depths, product, settings.min_matches, one_surface=airframe.looks_down)
-    if reading is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
-        reason = Reject.NO_MATCHES if reading is None else Reject.NOT_FINITE
-        refused = _refused(features, scene.t_host_ns, airframe.orientation, settings, reason)
+    estimate = robust_inverse_depth(depths, product, settings.min_matches, one_surface=airframe.looks_down)
+    if estimate is None or not np.isfinite(toe.angle_rad + toe.sigma_rad):
+        reason = Reject.NO_MATCHES if estimate is None else Reject.NOT_FINITE
+        refused = _refused(scene.matches, scene.t_host_ns, airframe.orientation, settings, reason)
         return RangeAnswer(refused, None, depths, 0.0, Budget(0.0, 0.0, 0.0))
-
-    causes = scene.causes(reading)
-    match_pm = float(np.hypot(reading.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
-    answer = _answer(scene, settings, toe, reading, float(np.hypot(match_pm, causes.total)))
+    causes = scene.causes(estimate)
+    match_pm = float(np.hypot(estimate.sigma_pm, _COMMON_MATCH_PX / (rig.left.lens.focal_px * rig.baseline_m)))
+    answer = _answer(scene, settings, toe, estimate, float(np.hypot(match_pm, causes.total)))
     square = answer.range_m**2
-    sectors = None
-    if airframe.looks_forward:
-        picture = scene.depths(matches)
-        sectors = matched_sectors(picture, scene.range_axis, causes.total, scene.t_host_ns, settings, attitude_rad)
+    sectors = scene.sectors(matches, causes.total, settings) if airframe.looks_forward else None
     return RangeAnswer(answer, sectors, depths, match_pm * square, causes.times(square))
 
 
@@ -141,8 +163,7 @@ class _Scene:
     bend: Deflection
     t_host_ns: int
     moving: tuple[CameraExposure, CameraExposure]
-    timing_sigma_s: float
-    motion: VehicleMotion
+    conditions: PairConditions
     lens: Floats
     apart: Floats | None
     range_axis: RangeAxis
@@ -156,29 +177,19 @@ class _Scene:
         right: Deflection,
         rig: Rig,
         airframe: Airframe,
-        timing_sigma_s: float,
-        motion: VehicleMotion,
-        turned: RelativeRotation | None,
-        joint_covariance: Floats | None,
+        conditions: PairConditions,
     ) -> _Scene:
         """Each camera at its own exposure, turned by what the matches have told."""
-        moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, motion.velocity_mps)
+        moving = exposures(rig, TipMotion.from_airframe(airframe), left, right, conditions.motion.velocity_mps)
         lens, apart = np.zeros(PAIR_TERMS), None
-        if turned is not None:
-            body_from_epipolar = epipolar_frame(rig).T
-            moving = with_relative_rotation(moving, body_from_epipolar @ turned.rotation_rad)
-            lens = turned.lens
-            covariance = turned.covariance if joint_covariance is None else joint_covariance
-            to_body = np.zeros((3 + PAIR_TERMS, len(covariance)))
-            to_body[:3, :3] = body_from_epipolar
-            to_body[3:, 3:] = np.eye(PAIR_TERMS)[:, : len(covariance) - 3]
-            apart = to_body @ covariance @ to_body.T
+        measured = conditions.measured_rotation(epipolar_frame(rig).T)
+        if measured is not None:
+            rotation_rad, lens, apart = measured
+            moving = with_relative_rotation(moving, rotation_rad)
         t_host_ns = (left.t_host_ns + right.t_host_ns) // 2
         range_axis = range_axis_of_rig(rig, orientation_axis(airframe.orientation))
         rays = straightened(match_rays(rig, moving, matches), lens, epipolar_frame(rig))
-        return cls(
-            matches, rig, airframe, left, t_host_ns, moving, timing_sigma_s, motion, lens, apart, range_axis, rays
-        )
+        return cls(matches, rig, airframe, left, t_host_ns, moving, conditions, lens, apart, range_axis, rays)
 
     def depths(self, matches: MatchSet) -> Depths:
         """Inverse depths of matches of this pair, along the range axis."""
@@ -189,8 +200,9 @@ class _Scene:
 
     def budget(self, gradient: Gradient) -> Budget:
         """Sigma of a result by cause."""
+        at = self.conditions
         return budget(
-            gradient, self.rig, self.airframe, self.bend, self.moving, self.timing_sigma_s, self.motion, self.apart
+            gradient, self.rig, self.airframe, self.bend, self.moving, at.timing_sigma_s, at.motion, self.apart
         )
 
     def causes(self, estimate: InverseDepthEstimate) -> Budget:
@@ -205,6 +217,11 @@ class _Scene:
         sigma_rad = self.budget(toe_gradient(_epipolar_y(self.moving))).total
         return _Toe(toe_between(self.rig, self.moving), sigma_rad)
 
+    def sectors(self, matches: MatchSet, common_sigma_pm: float, settings: Settings) -> ObstacleSectors:
+        """Obstacle sectors of all matches, whose inverse depths share an error of this sigma, 1/m."""
+        depths, attitude_rad = self.depths(matches), self.conditions.attitude_rad
+        return matched_sectors(depths, self.range_axis, common_sigma_pm, self.t_host_ns, settings, attitude_rad)
+
     def inverse_depths(self, rays: Rays) -> Floats:
         """Inverse depths (n,) of any rays, along the range axis, 1/m."""
         return triangulate(rays, self.range_axis, np.ones(len(rays.left))).inverse_pm
@@ -215,11 +232,11 @@ class _Scene:
 
 
 def _answer(
-    scene: _Scene, settings: Settings, toe: _Toe, reading: InverseDepthEstimate, sigma_pm: float
+    scene: _Scene, settings: Settings, toe: _Toe, estimate: InverseDepthEstimate, sigma_pm: float
 ) -> CorrectedRange:
-    range_m = _metres(reading.inverse_pm)
+    range_m = _metres(estimate.inverse_pm)
     sigma_m = min(sigma_pm * range_m**2, settings.max_range_m) if range_m > 0.0 else settings.max_range_m
-    reject = range_reject(reading.used, range_m, sigma_m, settings)
+    reject = range_reject(estimate.used, range_m, sigma_m, settings)
     return CorrectedRange(
         pair_id=scene.matches.pair_id,
         plan_id=scene.matches.plan_id,
@@ -229,8 +246,8 @@ def _answer(
         sigma_m=sigma_m,
         toe_rad=toe.angle_rad,
         toe_sigma_rad=toe.sigma_rad,
-        rigid_range_m=_metres(float(scene.rigid_pm() @ reading.weights)),
-        matches=reading.used,
+        rigid_range_m=_metres(float(scene.rigid_pm() @ estimate.weights)),
+        matches=estimate.used,
         trusted=reject is None,
         reject=reject,
     )

@@ -115,3 +115,9 @@ def relative_rotation(right_from_body: Floats, left_from_body: Floats) -> Floats
     """
     relative: Floats = np.asarray(right_from_body) @ np.swapaxes(np.asarray(left_from_body), -1, -2)
     return relative
+
+
+def without_negative_eigenvalues(covariance: Floats) -> Floats:
+    """Nearest positive semidefinite matrix (n, n) to a symmetric one: its negative eigenvalues are 0."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

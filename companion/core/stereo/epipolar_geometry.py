@@ -1,0 +1,60 @@
+"""Epipolar frame of a rig, and the parallax that a wrong relative rotation leaves between matched rays.
+
+In the epipolar frame (x along the baseline, z where the cameras look, y across) matched rays have equal slopes y when
+the extrinsics are true. A right camera that is really turned by ``phi`` beyond what is believed, and a baseline that
+really points to ``(1, b_y, b_z)``, leave the parallax
+
+    ``y_l - y_r = -phi_x (1 + y^2) + phi_y x y + phi_z x + b_y d + b_z (x_r y_l - y_r x_l)``,   ``d = x_l - x_r``
+
+so pitch ``phi_x`` and roll ``phi_z`` show strongly, yaw ``phi_y`` only through ``x y``, and the baseline only through
+depth that varies. Yaw is the toe that falsifies ranges; its covariance tells how weakly a picture shows it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.core.stereo.epipolar_states import BASELINE, LENS
+from companion.core.stereo.geometry import Rig
+from companion.core.stereo.lens_residual import parallax_columns
+from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.triangulation import Rays
+from companion.records import Floats
+
+
+def epipolar_frame(rig: Rig) -> Floats:
+    """Rotation (3, 3) from body axes to the rig's epipolar frame at rest."""
+    apart = rig.right.rest.position_body_m - rig.left.rest.position_body_m
+    x = apart / np.linalg.norm(apart)
+    look = rig.left.rest.camera_from_body[2] + rig.right.rest.camera_from_body[2]
+    z = look - (look @ x) * x
+    z /= np.linalg.norm(z)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def in_frame(rays: Rays, frame_from_body: Floats) -> Rays:
+    """Express rays in another frame."""
+    arrays = (rays.left_m, rays.left, rays.right_m, rays.right)
+    return Rays(*(np.asarray(array @ frame_from_body.T, dtype=np.float64) for array in arrays))
+
+
+def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
+    """Parallax (n,) that a state (12,) leaves, and how it falls with each of its entries (n, 12).
+
+    Parameters
+    ----------
+    epipolar_rays : Rays
+        Matched rays in the epipolar frame.
+    state : (12,) float64
+        Pitch, yaw, roll of the right camera in all, baseline y and z, terms of the lens residual.
+    """
+    left, right = epipolar_rays.left, epipolar_rays.right @ exp_rotation(state[:3]).T
+    x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
+    x_r, y_r = right[:, 0] / right[:, 2], right[:, 1] / right[:, 2]
+    apart = epipolar_rays.right_m - epipolar_rays.left_m
+    toward = apart[:, 1:] / apart[:, :1] + state[BASELINE]
+    disparity, twisted = x_l - x_r, x_r * y_l - y_r * x_l
+    lens = parallax_columns(np.column_stack([x_l, y_l]), np.column_stack([x_r, y_r]))
+    residual_rad = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted - lens @ state[LENS]
+    columns = np.stack([-(1.0 + y_r**2), x_r * y_r, x_r, disparity, twisted], axis=1)
+    return residual_rad, np.concatenate([columns, lens], axis=1)

@@ -1,0 +1,129 @@
+"""Maximum a posteriori of the epipolar filter's states given one pair's matches, and what is done with its innovation.
+
+Residuals have Student's t distribution (Lange, Little and Taylor 1989); the rotation is exact in every Gauss-Newton
+step. Each pair has a rotation that may be anything, the innovation, and a baseline direction, both without a past.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.consistency_gate import KNOCK_RAD, Innovation
+from companion.core.stereo.epipolar_geometry import parallax
+from companion.core.stereo.epipolar_states import (
+    ALL_STATES,
+    BASELINE,
+    CONSIDERED_STATES,
+    INNOVATION,
+    PARALLAX_STATES,
+    PERSISTENT_STATES,
+    SHIFT,
+    YAW,
+    YAW_BIAS,
+    BendBelief,
+    rotation_rows,
+)
+from companion.core.stereo.triangulation import Rays
+from companion.records import Floats
+
+_GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
+# degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
+_STUDENT_DOF = 5.0
+_MAD_TO_SIGMA = 1.4826  # of a Gaussian (derived)
+_VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information
+# share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
+_PRIOR_REMAINDER = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """Mean (all states,) and covariance given a pair, scale of its parallaxes, matches with half their weight."""
+
+    mean: Floats
+    covariance: Floats
+    scale: float
+    used: int
+
+
+def joint_prior(persistent_covariance: Floats, shift_covariance: Floats) -> Floats:
+    """Prior covariance of all states: those that stay from pair to pair, this pair's baseline and innovation."""
+    joint = np.zeros((ALL_STATES, ALL_STATES))
+    joint[:PERSISTENT_STATES, :PERSISTENT_STATES] = persistent_covariance
+    joint[SHIFT, SHIFT], joint[INNOVATION, INNOVATION] = shift_covariance, KNOCK_RAD**2 * np.eye(3)
+    return joint
+
+
+def maximum_a_posteriori(
+    epipolar_rays: Rays, sigma_rad: Floats, carried: Floats, covariance: Floats, bend: BendBelief
+) -> Posterior:
+    """Posterior by reweighted Gauss-Newton; bend, fast part and innovation add to the slow rotation.
+
+    Parameters
+    ----------
+    epipolar_rays : Rays
+        n matched rays in the epipolar frame.
+    sigma_rad : (n,) float64
+        One-sigma of each parallax.
+    carried, covariance : (persistent states,), (all states, all states) float64
+        Prior mean of the states that stay from pair to pair, and of all states their prior covariance.
+    bend : BendBelief
+        Axis about which the tracker's slow error turns the cameras.
+    """
+    mean = np.concatenate([carried, np.zeros(ALL_STATES - PERSISTENT_STATES)])
+    gather = rotation_rows(bend)
+    gather[YAW, YAW_BIAS] = 1.0
+    prior_information = np.linalg.inv(covariance + _VARIANCE_FLOOR_RAD2 * np.eye(len(mean)))
+    state, scale = mean.copy(), 1.0
+    weight, information = np.ones(len(sigma_rad)), prior_information
+    for _ in range(_GAUSS_NEWTON_STEPS):
+        total = np.concatenate([gather @ state, state[3:PARALLAX_STATES]])
+        total[BASELINE] += state[SHIFT]
+        residual_rad, columns = parallax(epipolar_rays, total)
+        design = columns[:, :3] @ gather
+        design[:, 3:PARALLAX_STATES], design[:, SHIFT] = columns[:, 3:], columns[:, BASELINE]
+        # the first rounds see the rotation itself and take it for noise; as it shrinks, outliers come to stand alone
+        unit = residual_rad / sigma_rad
+        scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
+        unit = unit / scale
+        weight = (_STUDENT_DOF + 1.0) / (_STUDENT_DOF + unit**2)
+        weighted = design * (np.minimum(weight, 1.0) / (scale * sigma_rad))[:, np.newaxis]
+        # Fisher information counts weighted squares, the pull counts weighted residuals
+        information = prior_information + weighted.T @ (design / (scale * sigma_rad)[:, np.newaxis])
+        pull = weighted.T @ unit + prior_information @ (mean - state)
+        state = state + np.linalg.solve(information, pull)
+    return Posterior(state, np.linalg.inv(information), scale, int(np.sum(weight > 0.5)))
+
+
+def innovation_of(answer: Posterior) -> Innovation:
+    """Innovation with its own prior taken out: zero within its covariance, if all is well."""
+    information = np.linalg.inv(answer.covariance[INNOVATION, INNOVATION])
+    pull = information @ answer.mean[INNOVATION]
+    covariance = np.asarray(
+        np.linalg.inv(information - (1.0 - _PRIOR_REMAINDER) / KNOCK_RAD**2 * np.eye(3)), dtype=np.float64
+    )
+    return Innovation(np.asarray(covariance @ pull, dtype=np.float64), covariance)
+
+
+def with_bound_innovation(answer: Posterior, granted_rad2: Floats) -> Posterior:
+    """The answer with a granted covariance (3, 3) as the innovation's prior: 0 binds it to what is believed."""
+    block, innovation = answer.covariance[INNOVATION, INNOVATION], innovation_of(answer)
+    gain = np.linalg.solve(innovation.covariance + granted_rad2, granted_rad2).T
+    mean, covariance = gain @ innovation.rotation_rad, granted_rad2 - gain @ granted_rad2
+    follow = np.linalg.solve(block, answer.covariance[INNOVATION]).T
+    return dataclasses.replace(
+        answer,
+        mean=answer.mean + follow @ (mean - answer.mean[INNOVATION]),
+        covariance=answer.covariance + follow @ (covariance - block) @ follow.T,
+    )
+
+
+def with_considered_states(answer: Posterior, mean: Floats, prior: Floats) -> Posterior:
+    """The answer with the considered states as they were before (Schmidt 1966); the others have the best gain."""
+    after, covariance = answer.mean.copy(), answer.covariance.copy()
+    after[CONSIDERED_STATES] = mean[CONSIDERED_STATES]
+    block = np.ix_(CONSIDERED_STATES, CONSIDERED_STATES)
+    covariance[block] = prior[block]
+    return dataclasses.replace(answer, mean=after, covariance=covariance)

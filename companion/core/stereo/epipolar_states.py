@@ -1,0 +1,137 @@
+"""States of the epipolar filter, their order, and what is believed of them before a pair's matches.
+
+The wing tracker's slow error (trim bend, tilt bias) turns the cameras about one axis that the rig determines; it is a
+state, so that what the accelerometers tell of it counts, and only that: see :class:`BendBelief`. An error of scale of
+the tracker (gyros, slope factor) turns them by a constant fraction of the fast bend: another state, learnt over pairs.
+
+Matches of one pair, and of pairs that follow each other, share errors: interpolation, lenses and blur leave hundredths
+of a pixel that stay in their places. Across the epipolar lines they look like a yaw. That false yaw is a constant
+state, observed together with the true one and not separable from it by any number of pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.lens_residual import CONSIDERED, PAIR_TERMS
+from companion.records import Floats
+
+PITCH, YAW, ROLL, BASELINE_Y, BASELINE_Z = range(5)
+BASELINE = slice(BASELINE_Y, BASELINE_Z + 1)
+PARALLAX_STATES = BASELINE_Z + 1 + PAIR_TERMS  # states that the parallax has a column of its own for
+LENS = slice(BASELINE_Z + 1, PARALLAX_STATES)
+CONSIDERED_STATES = [LENS.start + term for term in CONSIDERED]
+BEND, YAW_BIAS, BEND_SCALE = range(PARALLAX_STATES, PARALLAX_STATES + 3)
+SLOW_STATES = BEND_SCALE + 1  # states of the slow part
+PERSISTENT_STATES = SLOW_STATES + 3  # with the error of the fast part: states that stay from pair to pair
+ALL_STATES = PERSISTENT_STATES + 5  # with this pair's error of the baseline's direction, and its innovation
+FAST, SHIFT = slice(SLOW_STATES, PERSISTENT_STATES), slice(PERSISTENT_STATES, PERSISTENT_STATES + 2)
+INNOVATION = slice(PERSISTENT_STATES + 2, ALL_STATES)
+
+SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
+"""Pitch, yaw and roll that a rendered pair over ground shows for seconds without having turned, rad (1 sigma)."""
+
+DEFAULT_LENS = (0.0007, 0.002, 0.0006, 0.0006, 0.00024, 0.00024, 0.001)
+"""Sigma of the difference of two lenses that were calibrated as the defaults of an airframe's camera say."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExtrinsicsPrior:
+    """Prior of the slow relative rotation and of the lenses' differences, before any picture.
+
+    Attributes
+    ----------
+    rotation_rad : float
+        Sigma of each axis, at the start and after a long time unseen: thermal set, mounting, what no model has.
+    walk_rad_rts : float
+        How fast it wanders, per square root of a second; it is pulled back so that its sigma stays ``rotation_rad``.
+    baseline_rad : float
+        Sigma of the baseline's direction, a constant: mounting, static bend that differs between the wings, keystone
+        that both lenses share.
+    lens : tuple of float
+        Sigma of each term of the lens residual, in the order of ``lens_residual``; constants.
+    yaw_bias_rad : float
+        Sigma of the yaw that errors common to all pairs make up; a constant.
+    bend_scale : float
+        Sigma of the relative error of the tracked bend's fast part; a constant of a flight.
+    parallax_rad : float
+        What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
+    systematic_rad : tuple of float
+        Pitch, yaw and roll that interpolation, lenses, slopes and the cameras' places feign for seconds: no knock.
+    """
+
+    rotation_rad: float = 0.005
+    walk_rad_rts: float = 0.0005
+    baseline_rad: float = 0.001
+    lens: tuple[float, ...] = DEFAULT_LENS
+    yaw_bias_rad: float = 0.0
+    bend_scale: float = 0.0
+    parallax_rad: float = 0.00005
+    systematic_rad: tuple[float, float, float] = SYSTEMATIC_DOWN_RAD
+
+    def variances(self) -> Floats:
+        """Diagonal (12,) of the first covariance, bend and steady error left out."""
+        sigmas = [self.rotation_rad] * 3 + [self.baseline_rad] * 2 + list(self.lens)
+        return np.array(sigmas, dtype=np.float64) ** 2
+
+    @property
+    def time_s(self) -> float:
+        """Correlation time of the rotation: an Ornstein-Uhlenbeck process with this sigma and walk."""
+        return 2.0 * (self.rotation_rad / max(self.walk_rad_rts, 1e-12)) ** 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BendBelief:
+    """Errors of the wing tracker that last, slopes common to both tips: slow error, and one of scale.
+
+    Attributes
+    ----------
+    direction : (3,) float64
+        Relative rotation per radian of that slope, in the epipolar frame.
+    sigma_rad : float
+        Of the slope, now.
+    time_s : float
+        How long the error stays what it is: that of the inertial biases.
+    fast_rad : float
+        The fast part of the tracked slope: an error of scale turns the cameras by a constant fraction of it.
+    """
+
+    direction: Floats
+    sigma_rad: float
+    time_s: float
+    fast_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FastBelief:
+    """Error of the wing tracker's fast part: a process of first order.
+
+    Attributes
+    ----------
+    covariance : (3, 3) float64
+        Of pitch, yaw, roll in the epipolar frame, now; rad^2.
+    time_s : float
+        Correlation time; 0: independent from pair to pair.
+    """
+
+    covariance: Floats
+    time_s: float = 0.0
+
+
+NO_BEND = BendBelief(np.zeros(3), 0.0, 1000.0)
+NO_SHIFT = np.zeros((2, 2))
+
+
+def rotation_rows(bend: BendBelief) -> Floats:
+    """Rows (3, all states) that add up the relative rotation: slow part, fast part and innovation."""
+    rows = np.zeros((3, ALL_STATES))
+    rows[:, :3] = rows[:, FAST] = rows[:, INNOVATION] = np.eye(3)
+    rows[:, BEND], rows[:, BEND_SCALE] = bend.direction, bend.fast_rad * bend.direction
+    return rows
+
+
+def with_lens_rows(rotation: Floats) -> Floats:
+    """Rows that give the lens terms, below those that add up a rotation."""
+    return np.concatenate([rotation, np.eye(rotation.shape[1])[LENS]])
