@@ -10,22 +10,41 @@
 enum { MAGIC_1 = 0xFE, MAGIC_2 = 0xFD, SHORTEST = 8 };
 enum { OTHER, FRAMES, GUARDED_FRAMES };               /* forms of a datagram */
 enum { SENDER, START, STOP, FORM, LARGEST, COLUMNS }; /* columns of the table; LARGEST: bytes of its largest datagram */
+enum { GUARDED_COLUMNS = 4 };
 enum { SLOT = 65536, MOST_AT_ONCE = 64, FAILED = -1000 };
 
-/* Whether some bytes have the form of whole frames, and whether one of these has a guarded id. */
-static int64_t form_of(const uint8_t *data, int64_t end, const uint8_t *guarded, int64_t system)
+/* Walk over whole frames by their headers: start, stop, system and component of those with a guarded id into the rows,
+ * where there are rows. How many there are; -1 where the bytes are not whole frames. */
+static int64_t find_guarded(const uint8_t *data, int64_t end, const uint8_t *guarded, int64_t system, int64_t *rows)
 {
-    int64_t at = 0, form = FRAMES;
+    int64_t at = 0, count = 0;
     while (at + SHORTEST <= end) {
         bool newer = data[at] == MAGIC_2;
         if (!newer && data[at] != MAGIC_1)
-            return OTHER;
+            return -1;
         const uint8_t *key = data + at + (newer ? 5 : 3);
-        if (guarded[key[1]] && (system < 0 || key[0] == system))
-            form = GUARDED_FRAMES;
+        int64_t start = at;
         at += newer ? 12 + data[at + 1] + (data[at + 2] & 1 ? 13 : 0) : 8 + data[at + 1];
+        if (guarded[key[1]] && (system < 0 || key[0] == system)) {
+            int64_t row[GUARDED_COLUMNS] = {start, at, key[0], key[1]};
+            if (rows)
+                memcpy(rows + count * GUARDED_COLUMNS, row, sizeof row);
+            count++;
+        }
     }
-    return at == end ? form : OTHER;
+    return at == end ? count : -1;
+}
+
+/* Frames with a guarded id in bytes of the form GUARDED_FRAMES, a row each; how many. */
+EXPORT int64_t datagram_guarded(const array *data_in, const array *guarded_in, int64_t system, const array *rows_out)
+{
+    bool good = true;
+    const uint8_t *data = bytes(data_in, &good), *guarded = truths(guarded_in, 1, &good);
+    int64_t *rows = integers(rows_out, 2, &good), end = extent(data_in, 0);
+    if (!good || extent(guarded_in, 0) != 256 || extent(rows_out, 1) != GUARDED_COLUMNS ||
+        extent(rows_out, 0) < end / SHORTEST)
+        return BAD_ARRAY;
+    return find_guarded(data, end, guarded, system, rows);
 }
 
 /* Receive up to so many datagrams into slots of the buffer, with their senders; how many, or -errno. */
@@ -79,7 +98,8 @@ EXPORT int64_t datagrams_read(int64_t descriptor, const array *buffer_out, int64
     for (int64_t k = 0; k < count; k++) {
         int64_t sender = (int64_t)ntohl(senders[k].sin_addr.s_addr) << 16 | ntohs(senders[k].sin_port);
         memmove(buffer + filled, buffer + k * SLOT, (size_t)sizes[k]);
-        int64_t form = form_of(buffer + filled, sizes[k], guarded, system);
+        int64_t among = find_guarded(buffer + filled, sizes[k], guarded, system, NULL);
+        int64_t form = among < 0 ? OTHER : among ? GUARDED_FRAMES : FRAMES;
         int64_t *last = table + (rows - 1) * COLUMNS;
         if (rows && form == FRAMES && last[FORM] == FRAMES && last[SENDER] == sender) {
             last[STOP] += sizes[k];

@@ -471,33 +471,21 @@ EXPORT int64_t stream_append(const array *t_in, const array *values_in, int64_t 
     return ordered;
 }
 
-/* Whether every sample is new, finite and inside the sensor's range. */
-EXPORT int64_t stream_all_valid(const array *t_in, const array *values_in, const array *limits_in, int64_t oldest_ns)
+/* Whether every sample is new, finite and inside the sensor's ranges of specific force and rate. */
+EXPORT int64_t stream_all_valid(const array *t_in, const array *values_in, double accel_range, double gyro_range,
+                                int64_t oldest_ns)
 {
     bool good = true;
     const int64_t *t_ns = integers(t_in, 1, &good);
-    const double *values = reals(values_in, 2, &good), *limits = reals(limits_in, 1, &good);
-    int64_t n = extent(t_in, 0), channels = extent(limits_in, 0);
-    if (!good || extent(values_in, 0) != n || extent(values_in, 1) != channels)
+    const double *values = reals(values_in, 2, &good), ranges[2] = {accel_range, gyro_range};
+    int64_t n = extent(t_in, 0);
+    if (!good || extent(values_in, 0) != n || extent(values_in, 1) != 6)
         return BAD_ARRAY;
     bool valid = true;
     for (int64_t k = 0; k < n; k++) {
         valid = valid && t_ns[k] > oldest_ns;
-        for (int64_t c = 0; c < channels; c++) /* false where it is not a number */
-            valid = valid && fabs(values[k * channels + c]) / limits[c] <= 1.0 - SATURATION_MARGIN;
+        for (int64_t c = 0; c < 6; c++) /* false where it is not a number */
+            valid = valid && fabs(values[k * 6 + c]) / ranges[c / 3] <= 1.0 - SATURATION_MARGIN;
     }
     return valid;
-}
-
-/* Whether no specific force and no rate reaches beyond its limit, either way; false where one is not a number. */
-EXPORT int64_t stream_within(const array *values_in, double accel_limit, double gyro_limit)
-{
-    bool good = true;
-    const double *values = reals(values_in, 2, &good), limits[2] = {accel_limit, gyro_limit};
-    if (!good || extent(values_in, 1) != 6)
-        return BAD_ARRAY;
-    bool within = true;
-    for (int64_t k = 0; k < 6 * extent(values_in, 0); k++)
-        within = within && fabs(values[k]) <= limits[k % 6 / 3];
-    return within;
 }

@@ -127,3 +127,19 @@ def test_a_refused_datagram_of_ours_is_told_as_such(ends: tuple[socket.socket, l
     reader.send(b"into the void")
     with pytest.raises(ConnectionRefusedError):
         DatagramReader(reader).read(LIMIT, (), None)
+
+
+@pytest.mark.parametrize("system", [None, SYSTEM])
+def test_guarded_frames_are_those_of_a_walk_over_the_headers(
+    ends: tuple[socket.socket, list[socket.socket]], system: int | None
+) -> None:
+    reader, senders = DatagramReader(ends[0]), ends[1]
+    rng = np.random.default_rng(5)
+    frames = [frame(rng) for _ in range(40)]
+    senders[0].sendto(b"".join(frames), ends[0].getsockname())
+    (read,) = reader.read(LIMIT, GUARDED, system)
+    keys = [tuple(data[5:7]) if data[0] == 0xFD else tuple(data[3:5]) for data in frames]
+    guarded = [(k, data) for k, data in zip(keys, frames, strict=True) if k[1] in GUARDED and system in (None, k[0])]
+    assert read.form == GUARDED_FRAMES
+    assert list(reader.guarded_frames(read.data, system)) == guarded
+    assert 0 < len(guarded) < len(frames)

@@ -128,19 +128,7 @@ def test_samples_are_appended_and_put_back_as_numpy_does() -> None:
     assert 20 < ordered < 60
 
 
-@pytest.mark.parametrize("spoilt", [None, 1.0, -1.0, 1.0000001, -1.0000001, np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("length", [0, 1, 5])
-def test_within_the_range_is_what_numpy_finds_there(spoilt: float | None, length: int) -> None:
-    limits = np.repeat([100.0, 10.0], 3)
-    for place in range(6):
-        values = np.random.default_rng(place).uniform(-1.0, 1.0, (length, 6)) * limits
-        if spoilt is not None and length:
-            values[-1, place] = spoilt * limits[place]
-        expected = bool(np.all(np.abs(values) <= limits))
-        assert bool(streams._within(values, 100.0, 10.0)) == expected
-
-
-@pytest.mark.parametrize("spoilt", [None, 1.0, -1.0, 0.998, 0.9979, np.nan, np.inf])
+@pytest.mark.parametrize("spoilt", [None, 1.0, -1.0, 0.998, 0.9979, np.nan, np.inf, -np.inf])
 def test_valid_is_what_numpy_calls_valid(spoilt: float | None) -> None:
     limits = np.repeat([100.0, 10.0], 3)
     for place in range(6):
@@ -149,4 +137,4 @@ def test_valid_is_what_numpy_calls_valid(spoilt: float | None) -> None:
             values[3, place] = spoilt * limits[place]
         for oldest_ns in (FIRST_NS - 1, FIRST_NS):
             expected = plain.all_valid(t_ns, values, limits, oldest_ns)
-            assert bool(streams._all_valid(t_ns, values, limits, oldest_ns)) == expected
+            assert bool(streams._all_valid(t_ns, values, 100.0, 10.0, oldest_ns)) == expected

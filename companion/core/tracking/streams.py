@@ -32,13 +32,13 @@ _RESIDUAL_SIGMAS = 1.4  # derived: a cubic's residual, sqrt(1 + 2 (2/3)^2 + 2 (1
 
 
 _append = kernel("stream_append", ARRAY, ARRAY, INTEGER, ARRAY, ARRAY, INTEGER, ARRAY, ARRAY)
-_all_valid = kernel("stream_all_valid", ARRAY, ARRAY, ARRAY, INTEGER)
-_within = kernel("stream_within", ARRAY, REAL, REAL)
+_all_valid = kernel("stream_all_valid", ARRAY, ARRAY, REAL, REAL, INTEGER)
+_EVER_NS = -(2**63)  # before every stamp
 
 
 def within_range(batch: ImuBatch, sensor: Sensor) -> tuple[ImuBatch, list[Rejected]]:
     """Batch without samples beyond the sensor's range, which no filter may take, and their count."""
-    if _within(plain(batch.values), sensor.accel_range_mps2, sensor.gyro_range_radps):
+    if _valid(plain(batch.t_ns), plain(batch.values), sensor, _EVER_NS):
         return batch, []  # by far the most batches
     range_ratio = (np.abs(batch.values) / _ranges(sensor)).max(axis=1, initial=0.0)
     beyond = np.isfinite(range_ratio) & (range_ratio > _MAX_RANGE_RATIO)
@@ -46,6 +46,11 @@ def within_range(batch: ImuBatch, sensor: Sensor) -> tuple[ImuBatch, list[Reject
         return batch, []
     refused = Rejected(Reject.BEYOND_RANGE, _name(batch), batch.received_host_ns, int(beyond.sum()))
     return dataclasses.replace(batch, t_ns=batch.t_ns[~beyond], values=batch.values[~beyond]), [refused]
+
+
+def _valid(t_ns: Ints, values: Floats, sensor: Sensor, oldest_ns: int) -> bool:
+    """Whether every sample is newer than an instant, finite and clear of the sensor's ranges."""
+    return bool(_all_valid(t_ns, values, sensor.accel_range_mps2, sensor.gyro_range_radps, oldest_ns))
 
 
 def _ranges(sensor: Sensor) -> Floats:
@@ -158,7 +163,7 @@ class SampleBuffer:
         reports, t, values = self._report_outliers(batch), plain(batch.t_ns), plain(batch.values)
         if batch.axes is not self.axes:
             self.axes |= batch.axes
-        if len(t) and _all_valid(t, values, self._range, oldest_ns):
+        if len(t) and _valid(t, values, self.sensor, oldest_ns):
             self._take(t, values)
             return reports
         batch, beyond = within_range(batch, self.sensor)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,10 @@ _COLUMNS = 5  # sender, start, stop, form, bytes of the largest
 _FAILED = -1000  # convention with the kernel: less the system's number of the error
 _NO_SYSTEM = -1  # convention: no system id is negative
 
+_SHORTEST_FRAME = 8  # bytes of a MAVLink 1 frame without payload
+
 _read = kernel("datagrams_read", INTEGER, ARRAY, INTEGER, ARRAY, INTEGER, ARRAY)
+_guarded = kernel("datagram_guarded", ARRAY, ARRAY, INTEGER, ARRAY)
 
 
 class Datagrams(NamedTuple):
@@ -73,6 +76,13 @@ class DatagramReader:
         if rows:
             self._largest = max(row[-1] for row in rows)
         return [Datagrams(self._address(row[0]), bytes(self._bytes[row[1] : row[2]]), row[3]) for row in rows]
+
+    def guarded_frames(self, data: bytes, system: int | None) -> Iterator[tuple[tuple[int, int], bytes]]:
+        """System and component, and bytes, of each guarded frame in data of the form ``GUARDED_FRAMES`` just read."""
+        table = np.empty((len(data) // _SHORTEST_FRAME, 4), np.int64)
+        count = _guarded(np.frombuffer(data, np.uint8), self._guards, _NO_SYSTEM if system is None else system, table)
+        for start, stop, of_system, component in table[:count].tolist():
+            yield (of_system, component), data[start:stop]
 
     def _address(self, sender: int) -> tuple[str, int]:
         """Sender as Python's socket spells it."""

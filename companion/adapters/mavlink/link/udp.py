@@ -136,18 +136,8 @@ class UdpIn(_Udp):
 
     def _has_all(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> bool:
         """Whether whole frames have no guarded id but the sender's own."""
-        at, senders = 0, self.senders
-        while at < len(data):
-            start = at
-            if data[at] == _MAGIC_2:
-                key = (data[at + 5], data[at + 6])
-                at += 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
-            else:
-                key = (data[at + 3], data[at + 4])
-                at += 8 + data[at + 1]
-            if senders.guards(key) and not senders.has(address, key, data[start:at], now_host_ns):
-                return False
-        return True
+        guarded = self._reader.guarded_frames(data, self.senders.system)
+        return all(self.senders.has(address, key, frame, now_host_ns) for key, frame in guarded)
 
     def _frame_by_frame(self, address: tuple[str, int], data: bytes, now_host_ns: int) -> tuple[bytes, bytes]:
         """Admitted frames of some bytes, and the bytes that wait for more."""
