@@ -7,9 +7,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 from companion.cli.steps.fleet_tasks import NO_PAGES, work
@@ -17,11 +14,12 @@ from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import make_folder
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, MissingExtra
 from companion.evaluation.fleet import page
-from companion.evaluation.fleet.cluster import require_dask, run_on_cluster
-from companion.evaluation.fleet.file_task import FileTask, tasks_of
+from companion.evaluation.fleet.campaign import work_off
+from companion.evaluation.fleet.cluster import require_dask
+from companion.evaluation.fleet.file_task import tasks_of
 from companion.evaluation.fleet.parquet import write_parquet
 from companion.evaluation.fleet.rows import as_csv
-from companion.evaluation.fleet.runner import Row, run
+from companion.evaluation.fleet.runner import Row
 from companion.evaluation.fleet.trends import findings
 from companion.reporting.plotting import require_report
 
@@ -36,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOGS", help="recordings, and folders of them")
     parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own")
     parser.add_argument("--workers", type=integer(1, _MOST_WORKERS), default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask cluster in place of processes; see the README")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", default="", help="a Dask cluster in place of processes; see the README"
+    )
     parser.add_argument(
         "--no-pages",
         action="store_true",
@@ -57,12 +57,7 @@ def execute(options: argparse.Namespace) -> int:
     words = (options.kind, *(("--airframe", options.airframe) if options.airframe else ()))
     words += (NO_PAGES,) if options.no_pages else ()
     tasks = tasks_of(paths, words, options.out)
-    rows: dict[Path, Row] = {}
-    began_s = time.monotonic()
-    for task, row in _results(tasks, options):
-        rows[task.path] = row
-        _say(len(rows), len(tasks), began_s, row)
-    ordered = [rows[task.path] for task in tasks]
+    ordered = work_off(tasks, work, options.workers, options.scheduler, _done)
     tables = _write_tables(ordered, options.out)
     (options.out / "fleet.html").write_text(page.render(options.kind, ordered), encoding="utf-8")
     failed = sum(bool(row.get("failed")) for row in ordered)
@@ -70,12 +65,6 @@ def execute(options: argparse.Namespace) -> int:
         print(f"  {sentence}")
     print(f"{len(ordered) - failed} of {len(ordered)} files; wrote {options.out / 'fleet.html'}, {tables}")
     return 0 if failed < len(ordered) else NOTHING_TO_ESTIMATE
-
-
-def _results(tasks: list[FileTask], options: argparse.Namespace) -> Iterator[tuple[FileTask, Row]]:
-    if options.scheduler:
-        return run_on_cluster(tasks, work, options.scheduler)
-    return run(tasks, work, options.workers)
 
 
 def _write_tables(rows: list[Row], folder: Path) -> str:
@@ -103,8 +92,5 @@ def _files(logs: list[Path]) -> list[Path]:
     return files
 
 
-def _say(done: int, total: int, began_s: float, row: Row) -> None:
-    """A line for each file."""
-    took_s = time.monotonic() - began_s
-    what = f"failed: {row['failed']}" if row.get("failed") else "done"
-    print(f"{done}/{total}, {took_s:.0f} s: {Path(row['file']).name} {what}", file=sys.stderr, flush=True)
+def _done(row: Row) -> str:
+    return f"{Path(row['file']).name} done"

@@ -14,10 +14,10 @@ LABELS = [Hidden({}), Hidden({"stream-delay": -0.003}), Hidden({"exposure-delay"
 
 
 @pytest.fixture(scope="module")
-def quick() -> list[dict[str, object]]:
+def quick(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]:
     """Nothing, and cameras 5 ms late, in 20 s each."""
     labels = [Hidden({}), Hidden({"exposure-delay": 0.005})]
-    return run([[Trial("single", label) for label in labels]], 5, duration_s=20.0)
+    return run([[Trial("single", label) for label in labels]], 5, tmp_path_factory.mktemp("quick"), 20.0)
 
 
 @pytest.mark.slow
@@ -28,8 +28,8 @@ def test_twenty_seconds_are_enough_for_late_cameras_and_for_nothing(quick: list[
 
 
 @pytest.fixture(scope="module")
-def rows() -> list[dict[str, object]]:
-    return run([[Trial("single", label) for label in LABELS]], 3, duration_s=30.0)
+def rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]:
+    return run([[Trial("single", label) for label in LABELS]], 3, tmp_path_factory.mktemp("trials"), 30.0)
 
 
 @pytest.mark.long

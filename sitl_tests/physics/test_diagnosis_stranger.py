@@ -20,7 +20,7 @@ from companion.params.files import load_airframe
 from companion.records import Floats
 from sitl_tests.trials.stranger.folder import GRAVITY, Flight, write
 from tools.trial_generators import GENERATORS
-from tools.trials import model_of
+from tools.trial_judge import model_of
 
 AIRFRAME = Path(__file__).parents[2] / "config" / "airframes" / "nadir-2m.toml"
 

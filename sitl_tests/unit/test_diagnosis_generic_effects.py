@@ -28,7 +28,7 @@ from companion.params.files import parse_airframe
 from companion.records import Floats, Side
 from sitl_tests.trials.belief import airframe_text
 from sitl_tests.trials.cases import Hidden, fly, hide, noise_density
-from tools.trials import model_of
+from tools.trial_judge import model_of
 
 RATE_HZ, COUNT = 100.0, 3000
 SIDES = (Side.LEFT, Side.RIGHT)

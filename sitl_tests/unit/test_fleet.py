@@ -15,6 +15,7 @@ import pytest
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
 from companion.errors import RecordingError
+from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.file_task import FileTask, tasks_of
 from companion.evaluation.fleet.page import render
 from companion.evaluation.fleet.parquet import write_parquet
@@ -87,6 +88,18 @@ def test_a_killed_worker_costs_nothing_but_time_and_a_deadly_file_only_itself(tm
     got = results(paths, tmp_path / "out", 2)
     assert [got[name].get("letters") for name in ("once", "other", "more")] == [1, 3, 4]
     assert "its worker ended (-9), 2 times" in got["deadly"]["failed"]
+
+
+def test_a_campaign_s_rows_come_in_the_order_of_its_tasks_with_a_line_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tasks = tasks_of(files(tmp_path, "one", "bad", "three"), ("measure",), tmp_path / "out")
+    rows = work_off(tasks, measure, 2, describe=lambda row: f"{row['letters']} letters")
+    assert [row["file"] for row in rows] == [task.name for task in tasks]
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == len(tasks)
+    assert any(line.endswith("bad.txt failed: bad.txt: cannot be read") for line in lines)
+    assert any(line.endswith(" 3 letters") for line in lines)
 
 
 def test_a_nested_result_becomes_columns() -> None:

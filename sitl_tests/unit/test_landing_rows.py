@@ -69,9 +69,6 @@ def test_a_landing_is_told_in_a_line() -> None:
         "seed 1, calm, spanwise: landed, flare at 3.6 m (intended 3.5), touch-down at 0.50 m/s -10 m from the point"
     )
     assert sentence(ROWS[3]).endswith("went around (slope too steep)")
-    assert (
-        sentence({"file": "nadir-2m-calm-1-rigid", "failed": "no memory"}) == "nadir-2m-calm-1-rigid failed: no memory"
-    )
 
 
 def test_parts_of_different_landings_lie_apart(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,10 +10,12 @@ import numpy as np
 import pytest
 
 from companion.core.wing.effects import catalogue
+from companion.evaluation.fleet.runner import write_part
 from sitl_tests.trials.cases import SIGMA, Hidden, Tables, hide, sigma_of
-from tools.trial_plan import acceptance
+from tools.trial_judge import judge, swings
+from tools.trial_plan import Trial, acceptance
 from tools.trial_results import results, wilson
-from tools.trials import judge, swings
+from tools.trial_tasks import Batch, JudgementTask, parts
 
 
 @pytest.mark.parametrize(("counted", "total"), [(0, 300), (14, 16), (9, 10)])
@@ -96,3 +99,20 @@ def test_a_wrong_name_is_counted_and_listed() -> None:
     assert "| left out, 20 dB | unexplained | 1/1: 100 %" in told
     assert "| gain as a share of the oracle's | worst | 80 % of 2 |" in told
     assert told.count("hysteresis") == 1
+
+
+def test_a_judgement_s_name_tells_its_place_and_seal_and_nothing_of_what_is_hidden(tmp_path: Path) -> None:
+    trials = tuple(acceptance(1)[0])
+    tasks = [JudgementTask(Batch(trials, 1, 0, 60.0), place, out, tmp_path, "") for place in range(60)
+             for out in trials[place].judged]  # fmt: skip
+    assert len({task.result_file for task in tasks}) == len(tasks)
+    for task in tasks:
+        assert task.trial.label.seal[:12] in task.name
+        assert not any(effect in task.name for effect in task.trial.label.effects)
+
+
+def test_parts_come_in_the_order_of_their_plan_without_those_that_failed(tmp_path: Path) -> None:
+    trials = (Trial("single", Hidden({})),) * 3
+    for number, place, row in [(1, 0, {"n": 2}), (0, 1, {"n": 1}), (0, 0, {"n": 0}), (0, 2, {"failed": "no memory"})]:
+        write_part(JudgementTask(Batch(trials, 5, number, 60.0), place, False, tmp_path, ""), row)
+    assert [row["n"] for row in parts(tmp_path)] == [0, 1, 2]

@@ -11,7 +11,8 @@ import os
 from pathlib import Path
 
 from companion.cli.steps.landing_demo import sentence
-from companion.cli.steps.landing_tasks import LandingTask, fly_all, landing_tasks
+from companion.cli.steps.landing_tasks import LandingTask, fly_task, landing_tasks
+from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.runner import stored
 from companion.evaluation.landing.landing_rows import RangeKind, Row, figures
 from companion.evaluation.landing.landing_table import markdown
@@ -38,9 +39,9 @@ def main(arguments: list[str]) -> int:
     ready = sum(stored(task) is not None for task in tasks)
     if options.only_ready:
         tasks = [task for task in tasks if stored(task) is not None]
-    rows = [row for row in fly_all(tasks, options.workers) if _flown(row)]
-    print(f"{len(rows)} landings, {ready} of them flown by an earlier run; pairs at {_IMAGES_HZ:g} Hz: rendered for")
-    print("Spanwise, perfect matches without images for rigid stereo\n")
+    rows = [row for row in work_off(tasks, fly_task, options.workers, describe=sentence) if not row.get("failed")]
+    print(f"{len(rows)} of {len(tasks)} landings, {ready} of them flown by an earlier run; pairs at {_IMAGES_HZ:g} Hz:")
+    print("rendered for Spanwise, perfect matches without images for rigid stereo\n")
     print(markdown(rows))
     if options.write:
         _write(rows)
@@ -51,12 +52,6 @@ def _tasks(flights: int, kinds: list[RangeKind], folder: Path) -> list[LandingTa
     changes = (f"TRG_RATE={_IMAGES_HZ:g}",)
     seeds = range(1, flights + 1)
     return [task for seed in seeds for task in landing_tasks("nadir-2m", (seed,), kinds, folder, changes)]
-
-
-def _flown(row: Row) -> bool:
-    if row.get("failed"):
-        print(sentence(row))
-    return not row.get("failed")
 
 
 def _spanwise_lands(rows: list[Row], flights: int) -> bool:

@@ -15,8 +15,8 @@ import numpy as np
 
 from sitl_tests.trials.cases import BELIEF, Hidden, Tables, fly
 from tools.bench.libraries import ema_poles_hz
+from tools.trial_judge import judge_trial
 from tools.trial_plan import Trial
-from tools.trials import judge_trial
 
 _SEED = 77
 _DURATION_S = 60.0

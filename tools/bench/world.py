@@ -19,7 +19,6 @@ import argparse
 import json
 import math
 import sys
-import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,8 +26,8 @@ from typing import Any
 
 import numpy as np
 
-from companion.evaluation.fleet.cluster import run_on_cluster
-from companion.evaluation.fleet.runner import run, stored
+from companion.evaluation.fleet.campaign import work_off
+from companion.evaluation.fleet.runner import stored
 from companion.evaluation.metrics import rms, slow_part
 from companion.records import Floats
 from companion.sim.flight.worlds import WORLDS
@@ -148,13 +147,13 @@ def campaign(wanted: list[CampaignRow], numbers: range, folder: Path, workers: i
     """Fly what has no part file yet, number by number, so that a campaign cut short covers every row."""
     tasks = [CampaignTask(row, number, folder.resolve()) for number in numbers for row in wanted]
     tasks = [task for task in tasks if stored(task) is None]
-    began_s = time.monotonic()
-    results = run_on_cluster(tasks, fly_task, scheduler) if scheduler else run(tasks, fly_task, workers)
-    for done, (task, part) in enumerate(results, 1):
-        what = f"failed: {part['failed']}" if part.get("failed") else "flown"
-        print(
-            f"{done}/{len(tasks)}, {time.monotonic() - began_s:.0f} s: {task.name} {what}", file=sys.stderr, flush=True
-        )
+    work_off(
+        tasks,
+        fly_task,
+        workers,
+        scheduler,
+        lambda part: f"{part['row']}, {part['airframe']}, seed {part['seed']} flown",
+    )
 
 
 def gathered(wanted: list[CampaignRow], folder: Path) -> list[Pooled]:

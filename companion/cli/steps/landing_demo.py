@@ -6,13 +6,13 @@ import argparse
 import json
 import shutil
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from companion.cli.steps.landing_tasks import fly_all, landing_tasks
+from companion.cli.steps.landing_tasks import fly_task, landing_tasks
 from companion.cli.terminal.status_view import console
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
+from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.landing.landing_rows import RangeKind, Row
 from companion.evaluation.landing.landing_table import HEADS, cells
 from companion.evaluation.pages.landing_picture import draw_landings
@@ -38,12 +38,7 @@ def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) ->
     shutil.rmtree(options.out / "parts", ignore_errors=True)
     seeds = range(options.seed, options.seed + options.flights)
     tasks = landing_tasks(options.airframe, seeds, list(RangeKind), options.out, changed(settings))
-    rows: list[Row] = []
-    began_s = time.monotonic()
-    for row in fly_all(tasks, options.workers):
-        rows.append(row)
-        _say(f"{len(rows)}/{len(tasks)}, {time.monotonic() - began_s:.0f} s: {sentence(row)}")
-    flown = [row for row in rows if not row.get("failed")]
+    flown = [row for row in work_off(tasks, fly_task, options.workers, describe=sentence) if not row.get("failed")]
     write_landings(flown, options.out)
     if options.json:
         print((options.out / "landings.json").read_text(encoding="utf-8"), end="")
@@ -63,9 +58,7 @@ def changed(settings: Settings) -> list[str]:
 
 
 def sentence(row: Row) -> str:
-    """One landing in a line."""
-    if row.get("failed"):
-        return f"{row['file']} failed: {row['failed']}"
+    """One landing that was flown, in a line."""
     air = "gusts" if row["gusts"] else "calm"
     text = f"seed {row['seed']}, {air}, {row['range']}: {row['outcome']}"
     if row["flare"] is not None:

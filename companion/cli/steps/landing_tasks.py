@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from companion.cli.steps.landing_lockstep import LandingService
-from companion.evaluation.fleet.runner import run
 from companion.evaluation.landing.landing_rows import RangeKind, Row, WatchedRange, landing_row
 from companion.evaluation.landing.rigid_stereo import RigidStereo
 from companion.params.airframe import Airframe
@@ -55,11 +54,6 @@ def landing_tasks(
         for gusts in (False, True)
         for kind in kinds
     ]
-
-
-def fly_all(tasks: Sequence[LandingTask], workers: int) -> Iterator[Row]:
-    """Fly the tasks, each in a process of its own; a row that has ``failed`` says why."""
-    return (row for _, row in run(tasks, fly_task, workers))
 
 
 def fly_task(task: LandingTask) -> Row:

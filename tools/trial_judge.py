@@ -1,0 +1,124 @@
+"""One blind trial judged: its recording diagnosed, then its label opened and compared."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from companion.core.wing.effects import catalogue
+from companion.diagnosis.data.observations import RawRanges, RawRecording, RawStream
+from companion.diagnosis.data.resampling import observe
+from companion.diagnosis.flights.outcome import FlightDiagnosis
+from companion.diagnosis.flights.proposals import candidates_of, find_proposals
+from companion.diagnosis.flights.recordings import diagnose
+from companion.diagnosis.flights.screen import screen
+from companion.diagnosis.model.flight_model import FlightModel
+from companion.diagnosis.selection.forward_selection import SAME
+from companion.evaluation.flight_models import belief_for
+from companion.params.airframe import Airframe
+from companion.records import Side
+from sitl_tests.trials.cases import SEEN, Hidden, Tables
+from tools.trial_generators import FIRST, Generator
+from tools.trial_oracle import oracle_gain
+from tools.trial_plan import Trial
+
+
+def judge_trial(trial: Trial, tables: Tables, leave_out: bool) -> dict[str, Any]:
+    """Diagnose one recording, then open its label."""
+    begun = time.process_time()
+    airframe = trial.hand.airframe(trial.snr_db, trial.corner_hz)
+    kinds = [kind for name, kind in catalogue().items() if not (leave_out and name in trial.label.effects)]
+    model = model_of(tables, airframe, trial.hand.top_hz)
+    found = diagnose([model], kinds)
+    row = judge(trial.label, found, time.process_time() - begun, trial.snr_db, swings(tables, trial.hand))
+    if trial.oracle and not leave_out and found.gain is not None:
+        row["oracle_gain"] = oracle_gain(model, found.null, trial.label)
+    if leave_out and found.causes:
+        row["own_group"] = own_group(model, found, trial.label)
+    row |= {"generator": trial.generator}
+    return {**row, "kind": trial.kind, "snr_db": trial.snr_db, "corner_hz": trial.corner_hz, "left_out": leave_out}
+
+
+def own_group(model: FlightModel, found: FlightDiagnosis, label: Hidden) -> bool:
+    """Whether this recording cannot tell what was hidden from a name that was given for it (scores that are one)."""
+    names = {*(set(label.effects) & set(catalogue())), *(cause.term.effect.name for cause in found.causes)}
+    kinds = [catalogue()[name] for name in sorted(names)]
+    offered = candidates_of(kinds, sorted(model.observations.covariates), find_proposals([model], found.null))
+    screening = screen([model], found.null, offered)
+    mine = [one.name in label.effects for one in screening.candidates]
+    across = np.abs(screening.correlation[np.ix_(mine, np.logical_not(mine))])
+    return bool(across.size and np.max(across) > SAME)
+
+
+def model_of(tables: Tables, airframe: Airframe, top_hz: float = 51.2) -> FlightModel:
+    """A trial's tables as the diagnosis sees a recording."""
+    tips = {side: RawStream(tables.t_s, tables.force_z_mps2[:, side]) for side in Side}
+    ranges = RawRanges(tables.range_t_s, tables.range_m, tables.reference_m)
+    channels = {"roller_v": (tables.t_s, tables.roller), "airspeed_mps": (tables.t_s, tables.airspeed)}
+    rigid = dict(tables.root)
+    root = RawStream(*rigid.pop("z")) if rigid else None
+    (seen,) = observe(RawRecording(tips, root, ranges, channels, rigid), airframe, top_hz)
+    return FlightModel(belief_for(airframe, [[seen]]), seen, top_hz)
+
+
+def swings(tables: Tables, hand: Generator = FIRST) -> dict[str, float]:
+    """How large the rms of a channel is in this very recording, in the units of the effect that follows it.
+
+    A channel counts by its rms over the recording, and slow waves of unit rms have another one in a minute.
+    """
+    return {
+        "covariate-frequency": float(np.std(tables.roller)),
+        "airspeed-dependence": float(np.std(tables.airspeed)) / hand.airspeed_rms_mps,
+    }
+
+
+def judge(
+    label: Hidden,
+    found: FlightDiagnosis,
+    seconds: float,
+    snr_db: float = 20.0,
+    units: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Open the label and compare; ``units`` by effect: what one unit of its magnitude is in the diagnosis' own."""
+    named = [cause.term.effect.name for cause in found.causes]
+    groups = [{cause.term.effect.name, *cause.group} for cause in found.causes]
+    hidden = sorted(label.effects)
+    if not hidden:
+        right = exact = found.verdict == "adequate"
+    else:
+        right = len(named) == len(hidden) and all(any(name in group for group in groups) for name in hidden)
+        exact = sorted(named) == hidden
+    return {
+        "hidden": label.effects,
+        "sigmas": {
+            name: label.strength(name, snr_db) for name in label.effects if name in catalogue() and name not in SEEN
+        },
+        "seal": label.seal,
+        "verdict": str(found.verdict),
+        "reason": found.reason,
+        "named": named,
+        "groups": [sorted(group) for group in groups],
+        "nearest": found.nearest,
+        "nearest_causes": [cause.term.effect.name for cause in found.nearest_causes],
+        "z": [cause.z for cause in found.causes],
+        "right": bool(right and found.verdict in ("explained", "adequate")),
+        "exact": bool(exact and found.verdict in ("explained", "adequate")),
+        "inside_95": _inside(label, found, units) if exact and len(hidden) == 1 else None,
+        "gain": found.gain.log_score["total"][0] if found.gain is not None else None,
+        "worst_checks": [[entry.name, entry.z] for entry in found.after[:3]],
+        "cpu_s": seconds,
+    }
+
+
+def _inside(label: Hidden, found: FlightDiagnosis, units: Mapping[str, float]) -> bool | None:
+    """Whether the hidden magnitude lies in the interval of the parameter that it is."""
+    ((name, truth),) = label.effects.items()
+    cause = found.causes[0]
+    if name in SEEN or name in ("tone", "periodic-forcing", "parametric-stiffness", "impulsive-forcing"):
+        return None  # told by amplitude and phase, or seen without a fit
+    which = label.side if name in ("accel-scale", "accel-bias") else 0
+    return abs(cause.values[which] - truth * units.get(name, 1.0)) < 1.96 * cause.sigmas[which]
