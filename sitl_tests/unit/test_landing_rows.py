@@ -10,9 +10,13 @@ import pytest
 from companion.cli.main import main
 from companion.cli.steps.landing_demo import sentence
 from companion.cli.steps.landing_tasks import landing_tasks
+from companion.evaluation.landing.false_reading import OneFalseReading
 from companion.evaluation.landing.landing_rows import RangeKind, figures
 from companion.evaluation.landing.landing_table import cells, markdown
 from companion.evaluation.pages.landing_picture import draw_landings
+from companion.params.files import load_airframe
+from companion.sim.landing.approach import Approach
+from companion.sim.landing.landing_flight import LandingFlight, TrueRange
 
 
 def landed(kind: str, seed: int, flare_m: float, sink_mps: float = 0.5, north_m: float = -10.0) -> dict[str, Any]:
@@ -71,13 +75,28 @@ def test_a_landing_is_told_in_a_line() -> None:
     assert sentence(ROWS[3]).endswith("went around (slope too steep)")
 
 
+def test_a_false_reading_comes_once_for_a_tenth_of_a_second_and_the_truth_is_untouched() -> None:
+    landing = LandingFlight(load_airframe("nadir-2m"), 4, gusts=False, approach=Approach(height_m=50.0, level_s=1.0))
+    false, true = OneFalseReading(landing, (100.0, 120.0)), TrueRange(landing)
+    readings = []
+    while not landing.over:
+        reading, right = false.reading_m(landing.now_ns), true.reading_m(landing.now_ns)
+        readings.append((reading, right))
+        landing.advance(right)
+    wrong = [place for place, (reading, right) in enumerate(readings) if reading != right]
+    assert len(wrong) == 5, "periods of 20 ms"
+    assert wrong == list(range(wrong[0], wrong[0] + 5))
+    assert {readings[place][0] for place in wrong} == {readings[wrong[0]][0]}
+    assert 100.0 < (readings[wrong[0]][0] or 0.0) < 120.0
+
+
 def test_parts_of_different_landings_lie_apart(tmp_path: Path) -> None:
     tasks = [
         task
         for rate in ("TRG_RATE=5", "TRG_RATE=10")
         for task in landing_tasks("nadir-2m", range(3), list(RangeKind), tmp_path, [rate])
     ]
-    assert len({task.result_file for task in tasks}) == len(tasks) == 2 * 3 * 2 * 4
+    assert len({task.result_file for task in tasks}) == len(tasks) == 2 * 3 * 2 * len(RangeKind)
 
 
 def test_a_pair_that_looks_ahead_cannot_land(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

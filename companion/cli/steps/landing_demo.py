@@ -13,7 +13,7 @@ from companion.cli.steps.landing_tasks import fly_task, landing_tasks
 from companion.cli.terminal.status_view import console
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.evaluation.fleet.campaign import work_off
-from companion.evaluation.landing.landing_rows import RangeKind, Row
+from companion.evaluation.landing.landing_rows import RANGE_FINDERS, Row
 from companion.evaluation.landing.landing_table import HEADS, cells
 from companion.evaluation.pages.landing_picture import draw_landings
 from companion.params.airframe import Airframe
@@ -37,7 +37,7 @@ def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) ->
         raise ConfigError(f"airframe '{airframe.name}' does not look down; a landing needs the range to the ground")
     shutil.rmtree(options.out / "parts", ignore_errors=True)
     seeds = range(options.seed, options.seed + options.flights)
-    tasks = landing_tasks(options.airframe, seeds, list(RangeKind), options.out, changed(settings))
+    tasks = landing_tasks(options.airframe, seeds, RANGE_FINDERS, options.out, changed(settings))
     flown = [row for row in work_off(tasks, fly_task, options.workers, describe=sentence) if not row.get("failed")]
     write_landings(flown, options.out)
     if options.json:

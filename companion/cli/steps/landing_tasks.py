@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.cli.steps.landing_lockstep import LandingService
+from companion.evaluation.landing.false_reading import LONG_M, SHORT_M, OneFalseReading
 from companion.evaluation.landing.landing_rows import RangeKind, Row, WatchedRange, landing_row
 from companion.evaluation.landing.rigid_stereo import RigidStereo
 from companion.params.airframe import Airframe
@@ -16,6 +17,7 @@ from companion.service.config import ServiceConfig
 from companion.sim.landing.approach import LandingParameters
 from companion.sim.landing.landing_flight import LandingFlight, RangeSource, TrueRange, fly_landing
 
+_FALSE_M = {RangeKind.FALSE_LONG: LONG_M, RangeKind.FALSE_SHORT: SHORT_M}
 _UNSAID = "TRG_RATE="  # the rate of the images is that of every range finder, and not named with one
 
 
@@ -82,4 +84,6 @@ def fly_one(airframe: Airframe, seed: int, kind: RangeKind, settings: Settings, 
 def _source(landing: LandingFlight, kind: RangeKind, settings: Settings) -> RangeSource:
     if kind is RangeKind.TRUTH:
         return TrueRange(landing)
+    if kind in _FALSE_M:
+        return OneFalseReading(landing, _FALSE_M[kind])
     return RigidStereo(landing, settings, in_trim=kind is RangeKind.IN_TRIM)

@@ -26,6 +26,12 @@ class RangeKind(enum.StrEnum):
     IN_TRIM = "rigid-in-trim"
     SPANWISE = "spanwise"
     TRUTH = "truth"
+    FALSE_LONG = "truth-one-false-long"
+    FALSE_SHORT = "truth-one-false-short"
+
+
+RANGE_FINDERS = (RangeKind.RIGID, RangeKind.IN_TRIM, RangeKind.SPANWISE, RangeKind.TRUTH)
+"""Those without a false reading among the true ones."""
 
 
 @dataclass(frozen=True, slots=True)

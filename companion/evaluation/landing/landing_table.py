@@ -11,6 +11,8 @@ NAMES = {
     RangeKind.IN_TRIM: "rigid stereo, calibrated in trim",
     RangeKind.SPANWISE: "Spanwise",
     RangeKind.TRUTH: "true range",
+    RangeKind.FALSE_LONG: "true range, one reading false: too long",
+    RangeKind.FALSE_SHORT: "true range, one reading false: too short",
 }
 HEADS = (
     "air",
