@@ -232,8 +232,8 @@ def _cut(polygon: Floats, depth_m: Floats) -> Floats:
             corners.append(polygon[corner])
         following = (corner + 1) % len(polygon)
         if inside[corner] != inside[following]:
-            share = depth_m[corner] / (depth_m[corner] - depth_m[following])
-            corners.append(polygon[corner] + share * (polygon[following] - polygon[corner]))
+            fraction = depth_m[corner] / (depth_m[corner] - depth_m[following])
+            corners.append(polygon[corner] + fraction * (polygon[following] - polygon[corner]))
     return np.array(corners).reshape(-1, 3)
 
 
