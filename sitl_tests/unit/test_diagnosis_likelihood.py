@@ -66,6 +66,25 @@ def test_the_spectrum_of_one_mode_is_the_oscillators(airframe: Airframe, drawn: 
     assert symmetric == pytest.approx(expected, rel=0.02)  # the load's level is a sum over bins
 
 
+@pytest.mark.parametrize("phase_rad", [0.0, 0.5 * np.pi])
+def test_ringing_that_the_recording_cuts_off_leaks_into_no_slow_bend(phase_rad: float) -> None:
+    """q = A cos(w t + phi) is smoothed to itself 4 s from either end, though the recording holds no whole periods.
+
+    What leaks to f counts w^2/f^2 times in the deflection, as far as the sensors' noise lets slow bending be told. The
+    slow part of the readings is a wrong scale's.
+    """
+    quiet = draw(parse_airframe(airframe_text(0.005), "trial"), {})
+    t_s = np.arange(3000) / RATE_HZ
+    omega, amplitude_m = 2.0 * np.pi * 4.817, 0.003
+    bend_m = amplitude_m * np.cos(omega * t_s + phase_rad)
+    slow_mps2 = 0.01 * np.sin(2.0 * np.pi * 0.11 * t_s + 0.7)
+    up = np.repeat((slow_mps2 - omega**2 * bend_m)[:, None], 2, axis=1)
+    ringing = FlightModel(quiet.belief, dataclasses.replace(quiet.observations, up_mps2=up - up.mean(0)), TOP_HZ)
+    inside = (t_s > 4.0) & (t_s < t_s[-1] - 4.0)
+    smoothed_m = ringing.expect(np.zeros(len(quiet.belief.nuisances))).q_m[0]
+    assert np.abs(smoothed_m - bend_m)[inside].max() < 0.02 * amplitude_m
+
+
 def test_a_wing_that_is_softer_one_way_sags_that_way_and_gets_softer(drawn: FlightModel) -> None:
     """Mean force -k kappa <w^2> of either half: it rests at -kappa <w^2>, with k (1 - 2 kappa^2 <w^2>)."""
     kappa, nothing = 14.0, np.zeros(len(drawn.belief.nuisances))

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 TAPER = 0.05
-"""Share of a recording over which each end fades."""
+"""Share of a recording over which each end fades in its spectra."""
+_FADES_S = 3.0  # convention: over two periods of the lowest frequency that is judged, 0.15 of some 5 Hz
+_MOST_FADED = 0.15  # of a short recording: its middle must be left
+
+
+def faded_share(duration_s: float) -> float:
+    """Share of a recording over which each end fades before its motion is smoothed."""
+    return max(TAPER, min(_FADES_S / duration_s, _MOST_FADED))
 
 
 def fast_length(count: int, up: bool) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.wing.samples import SampleDefect
-from companion.diagnosis.data.grid import TAPER, fast_length
+from companion.diagnosis.data.grid import faded_share, fast_length
 from companion.records import Bools, Floats, Ints, Side
 
 _FEWEST_EXPOSURES = 5  # for a likelihood
@@ -81,7 +81,10 @@ class ToeData:
 
     def within(self, start_s: float, stop_s: float) -> ToeData | None:
         """The exposures between two times, clear of both; None where there are hardly any."""
-        inside = clear_of_ends(self.t_s, start_s, stop_s)
+        return self.taken(clear_of_ends(self.t_s, start_s, stop_s))
+
+    def taken(self, inside: Bools) -> ToeData | None:
+        """Some of the exposures (k,); None where there are hardly any."""
         if inside.sum() < _FEWEST_EXPOSURES:
             return None
         return ToeData(self.t_s[inside], self.toe_rad[inside], self.inverse_m[inside], self.has_reference)
@@ -194,6 +197,6 @@ class Observations:
 
 
 def clear_of_ends(t_s: Floats, start_s: float, stop_s: float) -> Bools:
-    """Which instants are far enough from the ends, where the smoothed wing is not known: as far as the taper fades."""
-    margin_s = max(_MARGIN_S, TAPER * (stop_s - start_s))
+    """Which instants are far enough from the ends, where the smoothed wing is not known: as far as these fade."""
+    margin_s = max(_MARGIN_S, faded_share(stop_s - start_s) * (stop_s - start_s))
     return np.asarray((t_s > start_s + margin_s) & (t_s < stop_s - margin_s))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from companion.diagnosis.data.grid import TAPER
+from companion.diagnosis.data.grid import TAPER, faded_share
 from companion.diagnosis.spectral_matrices import Complexes
 from companion.records import Floats
 
@@ -19,6 +19,7 @@ class Transforms:
         self.count, self.dt_s, self.start_s = count, dt_s, start_s
         self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
         self.taper = _tukey(count, TAPER)
+        self.fading = _tukey(count, faded_share(count * dt_s))
         self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
         # neighbouring bins of a tapered periodogram share information: count them once
         self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))
@@ -26,6 +27,17 @@ class Transforms:
     def spectrum(self, values: Floats) -> Complexes:
         """Transform (c, f) of channels (c, m), all frequencies."""
         return np.asarray(np.fft.rfft(values, axis=-1))
+
+    def periodic(self, values: Floats) -> Floats:
+        """Channels (c, m) whose two ends fade into one another.
+
+        A transform takes what it is given for one period. Where its ends do not meet, a wing's ringing leaks to low
+        frequencies, and twice integrated it outweighs the deflection that is there: on a wing with 0.9 % of damping
+        the smoothed deflection was wrong by three sigmas 6 s from either end. One second of fading is too short: it
+        makes the bend of a manoeuvre a motion in the band.
+        """
+        ends = 0.5 * (values[:, :1] + values[:, -1:])
+        return np.asarray(ends + (values - ends) * self.fading)
 
     def in_time(self, spectrum: Complexes) -> Floats:
         """Back to (c, m); frequencies that are not given are 0."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,7 +32,7 @@ _QUIET_DB = 3.0  # above the noise, below which nothing is told
 _FIRST_STEPS = (0.5, 0.05, 0.005)  # prior sigmas
 _AT_FIRST, _QUICK, _LAST, _FOLD = 5, 10, 24, 3  # scoring steps: of a refit, of one that goes on, of a fit, of a fold
 _GUARD_S = 0.5  # at either edge of a block: some periods of the first mode
-_BLOCK_S = 6.0  # shortest that holds exposures between guards and margins
+_BLOCK_S = 6.0  # shortest that holds exposures between its guards
 _MOST_BLOCKS = 6  # a bound on the cost
 _WIDER = 5.0  # what is learnt on half of the data is theirs, not the prior's
 
@@ -102,16 +103,10 @@ class Flights(Recordings[EffectTerm, FlightState]):
     def folds(self) -> list[Callable[[FlightFit], list[Prediction]]]:
         """Every other block, and the blocks between.
 
-        Of a short recording there are fewer blocks: each must hold exposures between its guards and margins.
+        Of a short recording there are fewer blocks: each must hold exposures between its guards.
         """
-        blocks = [_blocks(model) for model in self._models]
-        return [
-            _fold(
-                [block for pieces in blocks for block in pieces[parity::2]],
-                [block for pieces in blocks for block in pieces[1 - parity :: 2]],
-            )
-            for parity in range(2)
-        ]
+        halves = [[_half(model, parity) for model in self._models] for parity in range(2)]
+        return [_fold(halves[parity], halves[1 - parity]) for parity in range(2)]
 
     def not_identifiable(self, null: FlightFit) -> str:
         """Reason where the accelerations stand above the sensors' noise nowhere in the band."""
@@ -138,28 +133,72 @@ class Flights(Recordings[EffectTerm, FlightState]):
         return not term.effect.transient
 
 
-def _fold(train: Sequence[FlightModel], test: Sequence[FlightModel]) -> Callable[[FlightFit], list[Prediction]]:
+@dataclass(frozen=True, slots=True)
+class _Half:
+    """Every other block of a recording.
+
+    How the wing moved at an exposure is told by the accelerations about it, and is not held out: a block of 9 s alone
+    tells no motion at its ends. ``exposures`` are those of each block, under the motion of the whole recording.
+    """
+
+    accelerations: tuple[FlightModel, ...]
+    exposures: tuple[FlightModel | None, ...]
+    together: tuple[FlightModel, ...]
+
+
+def _fold(train: Sequence[_Half], test: Sequence[_Half]) -> Callable[[FlightFit], list[Prediction]]:
+    models = [model for half in train for model in (*half.accelerations, *half.together)]
+
     def predict(fitted: FlightFit) -> list[Prediction]:
-        again = fit(train, fitted.terms, fitted.values, _FOLD, _WIDER)
-        return [_judge(block, again) for block in test]
+        again = fit(models, fitted.terms, fitted.values, _FOLD, _WIDER)
+        return [
+            _judge(block, exposures, again)
+            for half in test
+            for block, exposures in zip(half.accelerations, half.exposures, strict=True)
+        ]
 
     return predict
 
 
-def _judge(block: FlightModel, fitted: FlightFit) -> Prediction:
+def _judge(block: FlightModel, exposures: FlightModel | None, fitted: FlightFit) -> Prediction:
     (expectation,) = expect([block], fitted.values, fitted.terms)
+    scores = block.log_scores(expectation)
+    if exposures is None:
+        return Prediction(scores)
+    (expectation,) = expect([exposures], fitted.values, fitted.terms)
     residual = expectation.toe_residual_rad
-    return Prediction(block.log_scores(expectation), float(np.sum(residual**2)), 0.0, len(residual))
+    return Prediction(scores | exposures.log_scores(expectation), float(np.sum(residual**2)), 0.0, len(residual))
 
 
-def _blocks(model: FlightModel) -> list[FlightModel]:
+def _half(model: FlightModel, parity: int) -> _Half:
     observations = model.observations
     count = min(_MOST_BLOCKS, max(2, 2 * int(observations.duration_s / (2.0 * _BLOCK_S))))
     length = observations.duration_s / count
-    windows = [(k * length + _GUARD_S, (k + 1) * length - _GUARD_S) for k in range(count)]
-    return [
-        FlightModel(model.belief, observations.window(*window), model.top_hz, model.recording) for window in windows
-    ]
+    windows = [(k * length + _GUARD_S, (k + 1) * length - _GUARD_S) for k in range(parity, count, 2)]
+    still = dataclasses.replace(observations, toe=None)
+    accelerations = tuple(
+        FlightModel(model.belief, still.window(*window), model.top_hz, model.recording) for window in windows
+    )
+    together = _with_exposures(model, windows)
+    return _Half(
+        accelerations,
+        tuple(_with_exposures(model, [window]) for window in windows),
+        () if together is None else (together,),
+    )
+
+
+def _with_exposures(model: FlightModel, windows: Sequence[tuple[float, float]]) -> FlightModel | None:
+    """A recording of which only the exposures in some windows are judged; None where there are hardly any."""
+    observations = model.observations
+    if observations.toe is None:
+        return None
+    since_s = observations.toe.t_s - observations.start_s
+    inside = np.any([(since_s > start_s) & (since_s < stop_s) for start_s, stop_s in windows], axis=0)
+    toe = observations.toe.taken(np.asarray(inside))
+    if toe is None:
+        return None
+    exposed = dataclasses.replace(observations, toe=toe)
+    return FlightModel(model.belief, exposed, model.top_hz, model.recording, toe_alone=True)
 
 
 def _sample_cause(defect: SampleDefect) -> Cause[EffectTerm]:

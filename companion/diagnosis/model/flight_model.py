@@ -37,10 +37,13 @@ _NYQUIST_SHARE = 0.45  # of the rate, below the anti-alias filter's roll-off
 class FlightModel:
     """A belief and a recording, ready to be asked about any parameters and any effects.
 
-    ``recording`` is the number by which the belief's nuisances know it, where several are fitted jointly.
+    ``recording`` is the number by which the belief's nuisances know it, where several are fitted jointly. With
+    ``toe_alone`` its accelerations tell how the wing moves and are not judged themselves.
     """
 
-    def __init__(self, belief: Belief, observations: Observations, top_hz: float, recording: int = 0) -> None:
+    def __init__(
+        self, belief: Belief, observations: Observations, top_hz: float, recording: int = 0, toe_alone: bool = False
+    ) -> None:
         self.belief, self.observations, self.top_hz, self.recording = belief, observations, top_hz, recording
         self.transforms = Transforms(len(observations.up_mps2), 1.0 / observations.rate_hz, observations.start_s)
         all_hz = self.transforms.f_hz
@@ -48,11 +51,13 @@ class FlightModel:
         self._low = int(np.searchsorted(all_hz, low_hz))
         top = int(np.searchsorted(all_hz, min(top_hz, _NYQUIST_SHARE * observations.rate_hz), side="right"))
         self.band_hz: Floats = all_hz[self._low : top]
-        self.weight = self.transforms.weight * observations.recorded_ratio
+        self._toe_alone = toe_alone
+        self.weight = 0.0 if toe_alone else self.transforms.weight * observations.recorded_ratio
         self._spectra = Spectra(belief.airframe, observations.sides, all_hz[:top], observations.has_root)
         lineariser = SensorLineariser(observations, self.transforms)
         up = lineariser.recorded_mps2
-        recorded = self.transforms.spectrum(up)[:, :top], self.transforms.tapered(up)[:, self._low : top]
+        plain = self.transforms.spectrum(self.transforms.periodic(up))[:, :top]
+        recorded = plain, self.transforms.tapered(up)[:, self._low : top]
         self._grid = RecordedSpectra(lineariser, self.transforms, self._low, recorded)
         self._rigid: tuple[Complexes, Complexes] | None = None
         if lineariser.rigid_mps2 is not None:
@@ -101,16 +106,20 @@ class FlightModel:
         return float(sum(self.log_scores(expectation).values()))
 
     def log_scores(self, expectation: Expectation) -> dict[str, float]:
-        """Log likelihood by channel: accelerations, toe given them, and the sensors' mean."""
-        spread = float(np.sum(log_determinant(expectation.spectrum)))
-        toe_residual = quadratic_form(expectation.inverse, expectation.residual)
-        scores = {"acceleration": -self.weight * (spread + toe_residual)}
+        """Log likelihood by channel: accelerations, toe given them, and the sensors' mean; or of the toe alone."""
+        scores = {}
+        if not self._toe_alone:
+            spread = float(np.sum(log_determinant(expectation.spectrum)))
+            mahalanobis = quadratic_form(expectation.inverse, expectation.residual)
+            scores["acceleration"] = -self.weight * (spread + mahalanobis)
         if len(expectation.toe_residual_rad):
             factor = cho_factor(expectation.toe_covariance, lower=True, check_finite=False)
             whitened = expectation.toe_residual_rad @ cho_solve(
                 factor, expectation.toe_residual_rad, check_finite=False
             )
             scores["range"] = float(-np.sum(np.log(np.diag(factor[0]))) - 0.5 * whitened)
+        if self._toe_alone:
+            return scores
         rest = expectation.rest_residual**2 / expectation.rest_variance
         scores["rest"] = float(-0.5 * np.sum(rest + np.log(expectation.rest_variance)))
         return scores
@@ -207,6 +216,8 @@ class FlightModel:
         return self.transforms.in_time(leaked)
 
     def _rest(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> tuple[Floats, Floats]:
+        if self._toe_alone:
+            return np.zeros(0), np.zeros(0)
         mean_residual = self.observations.mean_force_mps2.copy()
         for i, side in enumerate(self.observations.sides):
             name = side.name.lower()

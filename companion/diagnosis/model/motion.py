@@ -18,11 +18,12 @@ from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cho
 from companion.records import Floats
 
 _PASSES = 2  # of smoothing and nonlinear correction in turn
+_FADED = 0.3  # of the motion: what has faded further is not made whole again, with its errors
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedSpectra:
-    """Data shared by all models of a recording: ``recorded`` is its spectrum, plain from 0 and tapered in the band."""
+    """Data that all models of a recording share: ``recorded`` is its spectrum, periodic from 0 or tapered in band."""
 
     lineariser: SensorLineariser
     transforms: Transforms
@@ -81,7 +82,7 @@ class SmoothedMotion:
         """
         for _ in range(_PASSES):
             smoother = self._smoother()
-            motion = self._smoothed(self._modal(smoother))
+            motion = self._smoothed(smoother)
             push = self._grid.lineariser.push(wing, terms, *motion, self._untold_m(smoother))
             stiffness = wing.structure.stiffness_radps2 - push.per_q
             damping = wing.structure.damping_radps - push.per_qdot
@@ -112,10 +113,7 @@ class SmoothedMotion:
         """Tapered spectrum in the band of what is left once nonlinear sensors and forces are out, (c, b)."""
         if self._push is None and not self._bent:
             return self._grid.recorded[1]
-        up = self._up_mps2
-        if self._push is not None:
-            up = up - self._transforms.in_time(apply(self.linear.sensing, self._forced()))
-        return self._transforms.tapered(up)[:, self._low : self._top]
+        return self._transforms.tapered(self._unforced_mps2())[:, self._low : self._top]
 
     @cached_property
     def force_score(self) -> Complexes:
@@ -128,19 +126,24 @@ class SmoothedMotion:
     @cached_property
     def in_time(self) -> tuple[Floats, Floats]:
         """Smoothed modal deflection and speed, (n, m) each."""
-        return self._smoothed(self.modal)
-
-    @cached_property
-    def _straight(self) -> Complexes:
-        if not self._bent:
-            return self._grid.recorded[0]
-        return self._transforms.spectrum(self._up_mps2)[:, : self._top]
+        return self._smoothed(self.smoother)
 
     def _modal(self, smoother: Complexes) -> Complexes:
+        within = self._within(smoother)
+        return within if self._push is None else within + self._forced()
+
+    def _within(self, smoother: Complexes) -> Complexes:
+        """Spectrum of the smoothed deflection beside the forced one; it fades at the ends, (n, f)."""
+        if self._push is None and not self._bent:
+            return apply(smoother, self._grid.recorded[0])
+        unforced = self._transforms.periodic(self._unforced_mps2())
+        return apply(smoother, self._transforms.spectrum(unforced)[:, : self._top])
+
+    def _unforced_mps2(self) -> Floats:
+        """Accelerations without what nonlinear sensors, nonlinear forces and measured loads make of them, (c, m)."""
         if self._push is None:
-            return apply(smoother, self._straight)
-        forced = self._forced()
-        return np.asarray(apply(smoother, self._straight - apply(self.linear.sensing, forced)) + forced)
+            return self._up_mps2
+        return self._up_mps2 - self._transforms.in_time(apply(self.linear.sensing, self._forced()))
 
     def _forced(self) -> Complexes:
         assert self._push is not None
@@ -159,6 +162,12 @@ class SmoothedMotion:
         density = sum(unknown[k, k, 1:].real for k in range(min(2, len(unknown))))
         return float(np.sqrt(2.0 * self._transforms.f_hz[1] * np.sum(np.maximum(density, 0.0))))
 
-    def _smoothed(self, modal: Complexes) -> tuple[Floats, Floats]:
+    def _smoothed(self, smoother: Complexes) -> tuple[Floats, Floats]:
+        """Smoothed modal deflection and speed, (n, m) each, made whole where they have faded."""
         omega = 2j * np.pi * self._transforms.f_hz[: self._top]
-        return self._transforms.in_time(modal), self._transforms.in_time(modal * omega)
+        within, gain = self._within(smoother), 1.0 / np.maximum(self._transforms.fading, _FADED)
+        deflection, speed = (gain * self._transforms.in_time(spectrum) for spectrum in (within, within * omega))
+        if self._push is None:
+            return deflection, speed
+        forced = self._forced()
+        return deflection + self._transforms.in_time(forced), speed + self._transforms.in_time(forced * omega)

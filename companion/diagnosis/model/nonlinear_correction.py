@@ -107,7 +107,8 @@ class SensorLineariser:
         load = np.zeros((wing.count, len(observations.up_mps2)))
         if observations.has_root:
             bend = structure.stiffness_radps2 @ structure.static_per_g_m
-            load += np.outer(bend, observations.wing_load_factor - np.mean(observations.wing_load_factor))
+            factor = observations.wing_load_factor - np.mean(observations.wing_load_factor)
+            load += np.outer(bend, self._transforms.periodic(factor[None]))
         for name, values in observations.inputs.items():
             load[0] += gains.get(name, 0.0) * values
         return load if np.any(load) else None
