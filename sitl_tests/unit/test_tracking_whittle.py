@@ -91,16 +91,19 @@ def test_the_density_integrates_to_the_variance_of_the_averaged_acceleration(mod
 @pytest.mark.parametrize("modes", [1, 2, 3, 4])
 @given(st.data())
 def test_the_slopes_of_the_density_are_its_differences(modes: int, data: st.DataObject) -> None:
+    """Differences of fourth order: at a damping of 0.5 % those of second order err by more than 1e-5 of themselves."""
     size = 5 + 4 * (modes - 1)
     off = data.draw(st.lists(st.floats(-0.7, 0.7), min_size=size, max_size=size))
     log_params, grid, small = MANY[:size] + np.array(off), make_grid(np.linspace(0.5, 115.0, 300), STEP_S), 1e-5
     density, *gradients = acceleration_gradient(log_params, grid, 5.0)
     np.testing.assert_allclose(density, acceleration_density(log_params, grid, 5.0), rtol=1e-9)
     for k, gradient in enumerate(gradients):
-        ahead, behind = (
-            acceleration_density(log_params + sense * small * np.eye(size)[k], grid, 5.0) for sense in (1, -1)
+        near, far = (
+            acceleration_density(log_params + step * np.eye(size)[k], grid, 5.0)
+            - acceleration_density(log_params - step * np.eye(size)[k], grid, 5.0)
+            for step in (small, 2 * small)
         )
-        np.testing.assert_allclose(gradient, (ahead - behind) / (2 * small), rtol=1e-5, atol=1e-6 * density.max())
+        np.testing.assert_allclose(gradient, (8 * near - far) / (12 * small), rtol=1e-5, atol=1e-6 * density.max())
 
 
 @pytest.mark.slow
