@@ -282,6 +282,8 @@ def _on_tick(state: PipelineState, tick: Tick) -> list[OutputRecord]:
         outputs += _take_samples(state)
         outputs += [*_adapt_to_delivery(state, now_ns), *_align(state, now_ns)]
         state.validity = state.tracker.process_until(now_ns) or state.validity
+    else:
+        state.tracker.work()
     if state.scheduling is not None and now_ns >= state.scheduling.next_plan_ns:
         outputs += state.scheduling.tick(state.tracker, state.validity, _motion(state), now_ns)
     if state.correction is not None:

@@ -14,6 +14,7 @@ from companion.core.tracking.line_search import (
     find_lines,
     turned_lines,
 )
+from companion.core.tracking.spread_work import SPREAD_S, Result, SpreadWork, Stages
 from companion.core.tracking.streams import SampleBuffer
 from companion.records import Floats, Ints, Station
 from sitl_tests.unit.tracking_samples import EPOCH_NS, batch, plain_airframe
@@ -44,8 +45,12 @@ def channels_of(t_ns: Ints, values: Floats) -> list[ChannelWindow]:
     return channels_at([ring], int(t_ns[-1]) + 1)
 
 
+def completed(stages: Stages[Result]) -> Result:
+    return SpreadWork(stages).finish()
+
+
 def found_in(vertical: Floats, t_ns: Ints) -> list[float]:
-    return [peak.frequency_hz for peak in find_lines(channels_of(t_ns, samples(t_ns, vertical)))]
+    return [peak.frequency_hz for peak in completed(find_lines(channels_of(t_ns, samples(t_ns, vertical))))]
 
 
 def wandering(t_s: Floats, frequency_hz: float, by_hz: float) -> Floats:
@@ -126,7 +131,7 @@ def test_a_lie_and_a_gap_do_not_unlock_it() -> None:
 
 def test_an_axis_that_is_not_sent_has_no_line() -> None:
     t_ns = stamps(2.5)
-    assert find_lines(channels_of(t_ns, np.zeros((len(t_ns), 6)))) == []
+    assert completed(find_lines(channels_of(t_ns, np.zeros((len(t_ns), 6))))) == []
 
 
 def test_a_line_stays_in_lock_when_rpm_jumps() -> None:
@@ -153,7 +158,7 @@ def known_after(
         vertical = sum((np.cos(2.0 * np.pi * f * t_ns * 1e-9) for f in lines), wing(t_ns * 1e-9))
         ring = SampleRing(RATE_HZ)
         ring.add(t_ns, samples(t_ns, vertical))
-        known.search([ring], int(t_ns[-1]) + 1, followed or {})
+        completed(known.search([ring], int(t_ns[-1]) + 1, followed or {}))
     return known.leader_hz
 
 
@@ -189,9 +194,9 @@ def test_weak_lines_of_a_wandering_shaft_are_found() -> None:
     turn_rad = shaft_turns(t_s, 70.0)
     weak = 0.05 * (np.cos(0.5 * turn_rad) + np.cos(1.5 * turn_rad + 1.0) + np.cos(2.6 * turn_rad))
     channels = channels_of(t_ns, samples(t_ns, wing(t_s) + 5.0 * np.cos(turn_rad) + weak))
-    (leader, *_) = find_lines(channels)
+    (leader, *_) = completed(find_lines(channels))
     assert leader.frequency_hz == pytest.approx(70.0, rel=0.03)
-    assert sorted(turned_lines(leader, channels)) == [PARTS // 2, 3 * PARTS // 2]
+    assert sorted(completed(turned_lines(leader, channels))) == [PARTS // 2, 3 * PARTS // 2]
 
 
 def test_broadband_vibration_has_no_turned_lines() -> None:
@@ -200,7 +205,7 @@ def test_broadband_vibration_has_no_turned_lines() -> None:
     for seed in range(5):
         broadband = 0.4 * np.random.default_rng(seed).standard_normal(len(t_s))
         channels = channels_of(t_ns, samples(t_ns, wing(t_s) + 5.0 * np.cos(shaft_turns(t_s, 70.0)) + broadband))
-        assert turned_lines(find_lines(channels)[0], channels) == {}
+        assert completed(turned_lines(completed(find_lines(channels))[0], channels)) == {}
 
 
 def test_lines_of_one_shaft_are_one_shaft() -> None:
@@ -211,7 +216,7 @@ def test_lines_of_one_shaft_are_one_shaft() -> None:
         values = samples(t_ns, wing(t_ns * 1e-9) + 5.0 * np.cos(turn_rad) + np.cos(2.0 * turn_rad))
         ring = SampleRing(RATE_HZ)
         ring.add(t_ns, values)
-        known.search([ring], int(t_ns[-1]) + 1, {})
+        completed(known.search([ring], int(t_ns[-1]) + 1, {}))
     assert list(known.multiples.values()) == [(PARTS, 2 * PARTS)]
 
 
@@ -245,17 +250,21 @@ def test_a_shaft_is_followed_while_the_throttle_is_closed_and_opened(gust_mps2: 
     line = 3.0 * np.cos(turn_rad)
     values[:, :2] += line[:, None]
     stream, known, clean = SampleBuffer(plain_airframe().left), KnownLines(), []
-    for end in range(1000, len(t_ns) + 1, 1000):
-        cut = slice(end - 1000, end)
+    for end in range(200, len(t_ns) + 1, 200):
+        cut = slice(end - 200, end)
         stream.add(batch(Station.LEFT, EPOCH_NS + t_ns[cut], values[cut]), 0)
         part = stream.plain(EPOCH_NS + int(t_ns[cut][-1]))
-        clean.append(part.values[-990:, 1])
-        before = known.multiples
-        known.search([stream.ring], EPOCH_NS + int(t_ns[end - 1]) + 1, stream.followed_shafts())
-        if known.multiples != before:
-            stream.follow_lines(known.leader_hz, known.multiples)
-        stream.anchor_lines(known.leader_hz)
+        clean.append(part.values[-190:, 1])
+        if end % 1000 == 0:
+            before = known.multiples
+            search = known.search([stream.ring], EPOCH_NS + int(t_ns[end - 1]) + 1, stream.followed_shafts())
+        elif end % 1000 == round(1000 * SPREAD_S) and end > 1000:
+            completed(search)
+            known.follow(stream.followed_shafts())
+            if known.multiples != before:
+                stream.follow_lines(known.leader_hz, known.multiples)
+            stream.anchor_lines(known.leader_hz)
         stream.forget(EPOCH_NS + int(t_ns[end - 1]) - 100_000_000)
     assert list(known.leader_hz) == [0], "the shaft that was found first"
     assert known.leader_hz[0] == pytest.approx(65.0, abs=1.0)
-    assert max(np.std(part) for part in clean[5:]) < 0.25 * np.std(line)
+    assert max(np.std(part) for part in clean[25:]) < 0.25 * np.std(line)

@@ -57,6 +57,27 @@ def test_how_calls_are_spaced_does_not_change_the_answer(moving: tuple[np.ndarra
     np.testing.assert_allclose(np.sqrt(np.diag(second.covariance)), sigma, rtol=1e-6)
 
 
+def test_the_turns_in_which_spread_work_is_done_do_not_change_the_answer() -> None:
+    """Stages that run between epochs, and stages that all run when their result is due: equal to the last bit."""
+    t, values = swinging(12.6, 0.005)
+    line = 3.0 * np.cos(2.0 * np.pi * 83.0 * (t - t[0]) * 1e-9)
+    shaken = {station: v + line[:, None] * (np.arange(6) == 2) for station, v in values.items()}
+    idle, busy = WingTracker(plain_airframe(), Settings()), WingTracker(plain_airframe(), Settings())
+    for first in range(0, len(t), 40):
+        for tracker in (idle, busy):
+            for station, v in shaken.items():
+                tracker.add(batch(station, t[first : first + 40], v[first : first + 40]))
+        states = [tracker.advance(EPOCH_NS + (first + 40) * MS) for tracker in (idle, busy)]
+        for _ in range(first // 40 % 4):
+            busy.work()
+        if states[0] is not None and states[1] is not None:
+            np.testing.assert_array_equal(states[0].q_m, states[1].q_m)
+            np.testing.assert_array_equal(states[0].q_sigma_m, states[1].q_sigma_m)
+            assert states[0].symmetric == states[1].symmetric
+    assert isinstance(states[0], ModeState)
+    assert states[0].validity is Validity.TRACKING
+
+
 def test_late_samples_inside_the_window_are_as_good_as_punctual_ones(
     moving: tuple[np.ndarray, dict[Station, np.ndarray]],
 ) -> None:

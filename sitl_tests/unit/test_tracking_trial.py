@@ -9,10 +9,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from companion.core.tracking.adaptation.adaptation import Adaptation
+from companion.core.tracking.adaptation.spectral_fit import FitInput, SpectralFit
+from companion.core.tracking.model import WingParameters
 from companion.core.tracking.parameters import FREQUENCY, LOAD
 from companion.core.tracking.prediction import Forecast
 from companion.core.tracking.rigid_body import join
+from companion.core.tracking.spread_work import Stages
 from companion.core.tracking.tracker import WingTracker
 from companion.params.settings import Settings
 from companion.records import Deflection, Reject, Station, Validity
@@ -97,12 +99,12 @@ def test_new_parameters_are_taken_unless_they_make_the_measurements_inconsistent
 
     contradicted = []
 
-    def fitted(adaptation: Adaptation, elapsed_s: float) -> bool:
-        adaptation.parameters = offered
-        contradicted.append(adaptation._contradicted)
-        return True
+    def fitted(fit: SpectralFit, given: FitInput) -> Stages[WingParameters]:
+        contradicted.append(given.contradicted)
+        yield
+        return offered
 
-    monkeypatch.setattr(Adaptation, "_fit_all", fitted)
+    monkeypatch.setattr(SpectralFit, "stages", fitted)
     for _ in _flown(tracker, 2.1, holes=False, from_s=1.4):
         pass
     assert tracker._kalman.model.parameters == (offered if taken else before)

@@ -11,14 +11,17 @@ its phase, another line of the shaft stands at zero frequency, however rpm wande
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS
+from companion.core.tracking.spread_work import Stages
 from companion.records import Floats, Ints
 
 WINDOW_S = 2.0  # chosen: half a hertz a bin; rpm wanders little in it
@@ -37,6 +40,7 @@ _MEMORY = 5  # chosen, searches: so long a line is followed that is no longer fo
 _SMEARED = 3  # searches whose windows a peak's smear may come from: the window's two seconds
 MULTIPLES = (3, 4, 6, 8, 9, 16, 18, 20, 24, 30, 36, 48)
 """Other lines that are looked for, in twelfths of the leader's frequency. Chosen."""
+_PAUSE_AFTER = (8, 18, 48)  # multiples, chosen: a stage looks for four, in less than 1 ms
 _MAX_SHAFTS = 3  # chosen: two engines and a generator
 _MAX_LINES = 6  # chosen, of a shaft: each costs as much as the first
 _LOWEST_TURNED_HZ = 20.0  # chosen: below, the first bending modes move most
@@ -115,13 +119,18 @@ def channels_at(rings: list[SampleRing], until_ns: int) -> list[ChannelWindow]:
     ]
 
 
-def find_lines(channels: list[ChannelWindow]) -> list[Peak]:
+def find_lines(channels: list[ChannelWindow]) -> Stages[list[Peak]]:
     """The strongest lines, the highest over its surroundings first; the highest of those at one frequency."""
     peaks: list[Peak] = []
-    for peak in sorted((peak for channel in channels for peak in _peaks(channel)), key=lambda peak: -peak.ratio):
-        if not _near(peak.frequency_hz, [other.frequency_hz for other in peaks]):
-            peaks.append(peak)
-    return peaks
+    for _, station in _by_station(channels):
+        for channel in station:
+            peaks += _peaks(channel)
+        yield
+    highest: list[Peak] = []
+    for peak in sorted(peaks, key=lambda peak: -peak.ratio):
+        if not _near(peak.frequency_hz, [other.frequency_hz for other in highest]):
+            highest.append(peak)
+    return highest
 
 
 @dataclass
@@ -192,26 +201,36 @@ class KnownLines:
         """Lines of each shaft by its number, in twelfths of its leader's frequency."""
         return {shaft.number: shaft.multiples for shaft in self._shafts}
 
-    def search(self, rings: list[SampleRing], until_ns: int, followed: dict[int, tuple[float, float]]) -> bool:
-        """Search the samples before an instant; whether any line is new.
+    def search(self, rings: list[SampleRing], until_ns: int, followed: dict[int, tuple[float, float]]) -> Stages[bool]:
+        """Stages of a search of the samples before an instant; whether any line is new.
 
         ``followed`` has each leader's frequency by the shaft's number, as it is followed, and its power over what its
         stream has besides.
         """
+        return self._search(channels_at(rings, until_ns), followed)
+
+    def follow(self, followed: dict[int, tuple[float, float]]) -> None:
+        """Take where the shafts that are in lock are followed now; ``followed`` as for the search."""
+        for shaft in self._shafts:
+            frequency_hz, ratio = followed.get(shaft.number, (shaft.leader_hz, 0.0))
+            if ratio > LOCKED_RATIO:
+                shaft.leader_hz = frequency_hz
+
+    def _search(self, channels: list[ChannelWindow], followed: dict[int, tuple[float, float]]) -> Stages[bool]:
+        """Stages of a search of these channels; whether any line is new."""
         before = {(shaft.number, m) for shaft in self._shafts for m in shaft.multiples}
-        channels = channels_at(rings, until_ns)
-        peaks = find_lines(channels)
+        peaks = yield from find_lines(channels)
         for shaft in list(self._shafts):
             shaft.follow(*followed.get(shaft.number, (shaft.leader_hz, 0.0)))
-            peaks = self._look_again(shaft, peaks, channels)
+            peaks = yield from self._look_again(shaft, peaks, channels)
         peaks = [peak for peak in peaks if peak.frequency_hz >= _LOWEST_HZ]
         while peaks and len(self._shafts) < _MAX_SHAFTS:
             self._begin(peaks[0])
-            peaks = self._with_lines(self._shafts[-1], peaks[0], peaks[1:], channels)
+            peaks = yield from self._with_lines(self._shafts[-1], peaks[0], peaks[1:], channels)
         self._drop()
         return bool({(shaft.number, m) for shaft in self._shafts for m in shaft.multiples} - before)
 
-    def _look_again(self, shaft: _KnownShaft, peaks: list[Peak], channels: list[ChannelWindow]) -> list[Peak]:
+    def _look_again(self, shaft: _KnownShaft, peaks: list[Peak], channels: list[ChannelWindow]) -> Stages[list[Peak]]:
         """Look for a known shaft among peaks; those that are not its lines."""
         same = [peak for peak in peaks if shaft.smears(peak)]
         nearest = min(same, key=lambda peak: abs(shaft.leader_hz - peak.frequency_hz), default=None)
@@ -226,13 +245,13 @@ class KnownLines:
             self._shafts.remove(shaft)
             self._begin(nearest)
             shaft = self._shafts[-1]
-        return self._with_lines(shaft, nearest, peaks, channels)
+        return (yield from self._with_lines(shaft, nearest, peaks, channels))
 
     def _with_lines(
         self, shaft: _KnownShaft, leader: Peak, peaks: list[Peak], channels: list[ChannelWindow]
-    ) -> list[Peak]:
+    ) -> Stages[list[Peak]]:
         """Find the other lines of a shaft by its leader; the peaks that are none of them."""
-        shaft.take(turned_lines(leader, channels))
+        shaft.take((yield from turned_lines(leader, channels)))
         return shaft.without_lines(peaks, leader.frequency_hz)
 
     def _begin(self, leader: Peak) -> None:
@@ -248,7 +267,7 @@ class KnownLines:
         self._shafts = distinct
 
 
-def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> dict[int, float]:
+def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> Stages[dict[int, float]]:
     """Lines that turn with the leader: ratio to their surroundings by multiple.
 
     Each channel's samples are turned back by a multiple of the leader's phase; a line then has zero frequency. Channels
@@ -256,16 +275,24 @@ def turned_lines(leader: Peak, channels: list[ChannelWindow]) -> dict[int, float
     """
     t_s, phase_rad = _phase(leader)
     ratios: dict[int, float] = {}
-    for _, station in itertools.groupby(channels, key=lambda channel: id(channel.t_s)):
+    for _, station in _by_station(channels):
         together = list(station)
         rate_hz, turned_rad = together[0].rate_hz, np.interp(together[0].t_s, t_s, phase_rad)
+        swings = np.stack([channel.swing() for channel in together])
         for multiple in MULTIPLES:
             if _LOWEST_TURNED_HZ <= multiple * leader.frequency_hz / PARTS <= _HIGHEST_RATIO * rate_hz:
                 turning = np.exp(-1j * multiple / PARTS * turned_rad)
-                ratio = max(_turned_ratio(channel.swing() * turning, rate_hz) for channel in together)
+                ratio = _turned_ratio(swings * turning, rate_hz)
                 if ratio > max(_MIN_TURNED_RATIO, ratios.get(multiple, 0.0)):
                     ratios[multiple] = ratio
+            if multiple in _PAUSE_AFTER:
+                yield
     return ratios
+
+
+def _by_station(channels: list[ChannelWindow]) -> Iterator[tuple[int, Iterator[ChannelWindow]]]:
+    """Channels in groups that share their instants."""
+    return itertools.groupby(channels, key=lambda channel: id(channel.t_s))
 
 
 def _phase(leader: Peak) -> tuple[Floats, Floats]:
@@ -273,7 +300,7 @@ def _phase(leader: Peak) -> tuple[Floats, Floats]:
     channel, turning = leader.channel, 2.0 * np.pi * leader.frequency_hz
     length = round(_PHASE_S * channel.rate_hz)
     samples = channel.swing() * np.exp(-1j * turning * channel.t_s)
-    slow = np.convolve(samples, np.hanning(length), mode="valid")
+    slow = np.convolve(samples, _hann(length), mode="valid")
     middle = channel.t_s[length // 2 : length // 2 + len(slow)]
     phase_rad = np.unwrap(np.angle(slow)) + turning * middle
     ends = middle[[0, -1]] + np.array([-1.0, 1.0]) * _PHASE_S
@@ -284,14 +311,24 @@ def _phase(leader: Peak) -> tuple[Floats, Floats]:
 
 
 def _turned_ratio(turned: npt.NDArray[np.complex128], rate_hz: float) -> float:
-    """Power at zero frequency over the median around it; 0 where the envelope there is not steady."""
-    n = len(turned)
-    power = np.abs(np.fft.fft(np.hanning(n) * turned)) ** 2
+    """Power at zero frequency over the median around it, of the channel (k, n) where it is highest.
+
+    0 where no envelope there is steady.
+    """
+    n = turned.shape[1]
+    power = np.abs(np.fft.fft(_hann(n) * turned)) ** 2
     near, far = round(NEAR_HZ * n / rate_hz), round(_TURNED_FLOOR_HZ * n / rate_hz)
-    floor = np.median(np.concatenate([power[near:far], power[-far:-near]]))
-    if not power[0] > _MIN_TURNED_RATIO * max(floor, _NO_POWER):
-        return 0.0
-    return float(power[0] / floor) if _steady(turned, rate_hz) else 0.0
+    floor = np.median(np.concatenate([power[:, near:far], power[:, -far:-near]], axis=1), axis=1)
+    high = np.flatnonzero(power[:, 0] > _MIN_TURNED_RATIO * np.maximum(floor, _NO_POWER))
+    return max((float(power[k, 0] / floor[k]) for k in high if _steady(turned[k], rate_hz)), default=0.0)
+
+
+@functools.lru_cache(maxsize=16)
+def _hann(n: int) -> Floats:
+    """Hann window, read-only."""
+    window = np.hanning(n)
+    window.flags.writeable = False
+    return window
 
 
 def _near(frequency_hz: float, others: list[float]) -> bool:
@@ -303,7 +340,7 @@ def _peaks(channel: ChannelWindow) -> list[Peak]:
     """Lines of one channel."""
     samples, rate_hz = channel.swing(), channel.rate_hz
     n, bin_hz = len(samples), rate_hz / len(samples)
-    power = np.abs(np.fft.rfft(np.hanning(n) * samples)) ** 2
+    power = np.abs(np.fft.rfft(_hann(n) * samples)) ** 2
     last, near, width = int(_HIGHEST_RATIO * rate_hz / bin_hz), round(NEAR_HZ / bin_hz), round(_FLOOR_HZ / bin_hz)
     first = int(_LOWEST_HZ / bin_hz) - width
     blocks = power[first : first + (last - first) // width * width].reshape(-1, width)
@@ -325,5 +362,5 @@ def _steady(turned: npt.NDArray[np.complex128], rate_hz: float) -> bool:
     """Whether the envelope of samples at zero frequency varies little."""
     length = round(_SHORT_S * rate_hz)
     short = np.lib.stride_tricks.sliding_window_view(turned, length)[:: length // 2]
-    square = np.abs(short @ np.hanning(length)) ** 2
+    square = np.abs(short @ _hann(length)) ** 2
     return bool(square.var() < _MAX_VARIATION * square.mean() ** 2)

@@ -72,7 +72,7 @@ class RowNoise:
             Their covariance as predicted, lower half; 0 where a row was absent.
         """
         used = np.diagonal(covariance, axis1=1, axis2=2) > 0.0
-        rows = np.median(used, axis=0) > 0.5
+        rows = used.mean(axis=0) > 0.5
         at = np.all(used == rows, axis=1)
         at[1:] &= at[:-1]  # a pair is named by its second step
         at[:1] = False
@@ -85,9 +85,11 @@ class RowNoise:
         weighted = np.linalg.solve(S, columns[:, present])  # S^-1 g, (n, rows, sources)
         score = np.einsum("nrk,nr->nk", weighted, innovation[at][:, rows])
         change = np.einsum("nrk,nr->nk", weighted, np.diff(innovation, axis=0)[at[1:]][:, rows])
-        coupling = np.median(np.einsum("rk,nrl->nkl", columns[:, present], weighted), axis=0)
+        coupling, square, half_change = _medians(
+            np.einsum("rk,nrl->nkl", columns[:, present], weighted), score**2, 0.5 * change**2
+        )
         strength = np.diagonal(coupling)
-        variance = np.minimum(np.median(score**2, axis=0), np.median(0.5 * change**2, axis=0))
+        variance = np.minimum(square, half_change)
         beyond = variance / strength / _MEDIAN_OF_SQUARE - 1.0
         self._take(present, coupling, self._credible(present, beyond, strength))
 
@@ -109,6 +111,14 @@ class RowNoise:
         learned = self._all()
         learned[present] = np.clip(now + _MEMORY * (believed + excess - now), believed, _MAX_RATIO * believed)
         self.variance[Y_LEFT:], self.root_y_variance = learned[:-1], float(learned[-1])
+
+
+def _medians(*arrays: Floats) -> list[Floats]:
+    """Median over the first axis of each array; all at once, in the order in which they lie fast."""
+    together = np.concatenate([array.reshape(len(array), -1) for array in arrays], axis=1)
+    medians = np.median(np.ascontiguousarray(together.T), axis=1)
+    ends = np.cumsum([array[0].size for array in arrays])[:-1]
+    return [median.reshape(array.shape[1:]) for median, array in zip(np.split(medians, ends), arrays, strict=True)]
 
 
 def _columns() -> Floats:

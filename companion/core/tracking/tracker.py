@@ -14,13 +14,15 @@ from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.estimates import fast_slope_time_s, mode_estimate, tip_estimate, tip_output_matrix
 from companion.core.tracking.filter import SeparatedBiasFilter
-from companion.core.tracking.line_search import KnownLines
+from companion.core.tracking.line_following import LineFollowing
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
 from companion.core.tracking.parameters import alike, prior_parameters
 from companion.core.tracking.prediction import Forecast, Forecaster
+from companion.core.tracking.readaptation import NewParameters, readapt
 from companion.core.tracking.rigid_body import MeasurementBuilder, join, without_gate_excess
 from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.smoother import smooth_between
+from companion.core.tracking.spread_work import SPREAD_S, SpreadWork, Stages
 from companion.core.tracking.states import make_layout, make_noise
 from companion.core.tracking.streams import SampleBuffer
 from companion.core.tracking.validity import NIS_LIMIT, ModalActivity, classify_validity
@@ -66,7 +68,8 @@ class WingTracker:
         self._start_ns: int | None = None
         self._reopened_ns = 0
         self._next_ns = 0
-        self._lines = KnownLines()
+        self._lines = LineFollowing(self._streams)
+        self._search_due = 0  # epoch of the grid
         self._row_noise = RowNoise(self._noise)
         self._rows = tip_output_matrix(self._layout, slope_rows(self._layout))
         self._validity = Validity.SETTLING
@@ -75,11 +78,11 @@ class WingTracker:
     def _restart(self) -> None:
         """Start again at the airframe's beliefs."""
         self._adaptation = Adaptation(self._layout, self._noise, self._prior, self._levers, self._step_s)
-        self._kalman = self._fresh(self._model(self._adaptation.parameters))
+        self._kalman = self._fresh(self._model(self._adaptation.parameters), self._row_noise)
+        self._readaptation: SpreadWork[NewParameters] | None = None  # new parameters on their way
         self._refused = False  # whether the last parameters made the measurements inconsistent
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
         self._trial_epochs: list[Epochs] = []  # on which new parameters are tried
-        self._untried_epochs = 0  # epochs in these
         self._trial_filter = self._kalman.fork(self._kalman.model)
         self._activity = ModalActivity(self._layout)
         self._inconsistent_s = 0.0
@@ -108,6 +111,8 @@ class WingTracker:
         if self._adaptation.early:
             self._restart()
             return
+        self._adaptation.abandon()
+        self._readaptation = None
         self._kalman.reset_bias_parameters([f"{station.name.lower()}.tau" for station in stations])
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
         self._mark()
@@ -131,12 +136,16 @@ class WingTracker:
             return None
         while (count := min((until_ns - self._next_ns) // self._step_ns, self._until_search())) > 0:
             self._process(int(count))
-            if self._until_search() == _MAX_EPOCHS:
-                self._search_lines()
+            self._search_lines()
         if not self._body_rates:
             return None
         self._validity = self._classify(now_host_ns)
         return self._validity
+
+    def work(self) -> None:
+        """Run a stage of what is spread over turns, where there is one: for turns without epochs to process."""
+        if self._readaptation is None or not self._readaptation.work():
+            self._lines.work()
 
     def _begin(self, until_ns: int) -> bool:
         """Set the time grid once the root and a tip have sent."""
@@ -150,25 +159,21 @@ class WingTracker:
         return self._next_ns < until_ns
 
     def _until_search(self) -> int:
-        """Number of epochs to the next search for lines, at most ``_MAX_EPOCHS``."""
+        """Number of epochs until a search for lines begins or its result is due."""
         steps = self._next_ns // self._step_ns
-        return int(_MAX_EPOCHS - steps % _MAX_EPOCHS)
+        begins = steps - steps % _MAX_EPOCHS + _MAX_EPOCHS
+        return int((min(begins, self._search_due) if self._lines.is_searching else begins) - steps)
 
     def _search_lines(self) -> None:
-        """Follow the lines that the samples show; what was filtered with a line in it is filtered no more."""
-        before = self._lines.multiples
-        followed: dict[int, tuple[float, float]] = {}
-        for stream in self._streams:
-            for number, leader in stream.followed_shafts().items():
-                followed[number] = max(followed.get(number, leader), leader, key=lambda each: each[1])
-        new = self._lines.search([stream.ring for stream in self._streams], self._next_ns, followed)
-        if self._lines.multiples != before:
-            for stream in self._streams:
-                stream.follow_lines(self._lines.leader_hz, self._lines.multiples)
-        for stream in self._streams:
-            stream.anchor_lines(self._lines.leader_hz)
-        if new and self._adaptation.early and self._kalman.nis > NIS_LIMIT:
-            self._restart()
+        """Begin a search for lines, or follow those that it shows, where it is time for either."""
+        steps = self._next_ns // self._step_ns
+        if steps % _MAX_EPOCHS == 0:
+            self._lines.begin(self._next_ns)
+            self._search_due = steps + (0 if self._adaptation.early else round(SPREAD_S / self._step_s))
+        if self._lines.is_searching and steps >= self._search_due:
+            new = self._lines.finish()
+            if new and self._adaptation.early and self._kalman.nis > NIS_LIMIT:
+                self._restart()  # what was filtered with a line in it is filtered no more
 
     def _process(self, count: int) -> None:
         """Filter the next ``count`` epochs and adapt the parameters."""
@@ -183,12 +188,14 @@ class WingTracker:
             self._body_rates.extend(segment.body_rate_radps)
             if self._settings.adapt:
                 self._trial_epochs.append(segment)
-                self._untried_epochs += segment.length
-                if self._adaptation.add_epochs(
-                    self._without_gated(segment), self._refused or self._kalman.nis > NIS_LIMIT
-                ):
-                    self._readapt()
-                elif not self._adaptation.early and self._untried_epochs * self._step_s > _TRIAL_S:
+                contradicted = self._refused or self._kalman.nis > NIS_LIMIT
+                fit = self._adaptation.add_epochs(self._without_gated(segment), contradicted)
+                if fit.stages is not None:
+                    self._begin_readaptation(fit.stages)
+                if fit.due and self._readaptation is not None:
+                    self._take(self._readaptation.finish())
+                untried_s = self._step_s * sum(epochs.length for epochs in self._trial_epochs)
+                if self._readaptation is None and not self._adaptation.early and untried_s > _TRIAL_S:
                     self._mark()  # without enough samples there was no fit, and the epochs must not pile up
         for stream in self._streams:
             stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
@@ -210,54 +217,63 @@ class WingTracker:
         self._inconsistent_s = self._inconsistent_s + steps * self._step_s if inconsistent else 0.0
         return not self._kalman.finite or self._inconsistent_s > _INCONSISTENT_LIMIT_S
 
-    def _readapt(self) -> None:
-        """Take new parameters unless they make the measurements inconsistent; early on, filter the history again.
+    def _begin_readaptation(self, fit: Stages[WingParameters]) -> None:
+        """Begin to fit parameters and to try them on what was measured since the trial filter was forked.
 
-        They are tried on what was measured since the trial filter was forked: everything in the first seconds, later
-        the epochs since the last fit.
+        That is everything in the first seconds, later the epochs since the last fit.
         """
-        self._learn_noise()
-        model = self._model(self._adaptation.parameters)
-        early = self._adaptation.refilter
-        if early or not alike(model.parameters, self._kalman.model.parameters):
-            tried = self._fresh(model) if early else self._trial_filter.fork(model)
-            tried.run(join(self._trial_epochs))
-            self._refused = not tried.finite or tried.nis > max(NIS_LIMIT, self._kalman.nis)
+        count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
+        innovations = self._kalman.innovations(count)
+        stages = readapt(fit, self._row_noise, innovations, self._model, self._trial, self._trial_epochs)
+        self._readaptation = SpreadWork(stages)
+
+    def _trial(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter | None:
+        """Filter on which a model is tried; None where it differs too little. Early on it filters the history again."""
+        if self._adaptation.refilter:
+            return self._fresh(model, noise)
+        if alike(model.parameters, self._kalman.model.parameters):
+            return None
+        tried = self._trial_filter.fork(model)
+        tried.take_noise(noise.variance, noise.root_y_variance)
+        return tried
+
+    def _take(self, new: NewParameters) -> None:
+        """Take new parameters unless they make the measurements inconsistent."""
+        self._readaptation = None
+        self._row_noise = new.row_noise
+        self._kalman.take_noise(new.row_noise.variance, new.row_noise.root_y_variance)
+        model = new.model
+        if new.tried is not None:
+            if remaining := self._trial_epochs[new.segments :]:
+                new.tried.run(join(remaining))
+            self._refused = not new.tried.finite or new.tried.nis > max(NIS_LIMIT, self._kalman.nis)
             if self._refused:
                 model = self._kalman.model
-                self._adaptation.parameters = model.parameters
-            elif early:
-                self._kalman = tried
+            elif self._adaptation.refilter:
+                self._kalman = new.tried
         if model is not self._kalman.model:
             self._kalman.switch_model(model)
+        self._adaptation.parameters = model.parameters
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
         if not self._adaptation.early:
             self._mark()
 
-    def _learn_noise(self) -> None:
-        """Take the rows' noise from the innovations of the last second."""
-        count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
-        self._row_noise.learn(*self._kalman.innovations(count))
-        for kalman in (self._kalman, self._trial_filter):
-            kalman.take_noise(self._row_noise.variance, self._row_noise.root_y_variance)
-
     def _mark(self) -> None:
         """Fork the filter on which the next parameters are tried."""
         self._trial_epochs.clear()
-        self._untried_epochs = 0
         self._trial_filter = self._kalman.fork(self._kalman.model)
 
     def _model(self, parameters: WingParameters) -> DiscreteWingModel:
         """Discrete model at these parameters."""
         return build_model(self._layout, self._noise, parameters, self._levers, self._step_s)
 
-    def _fresh(self, model: DiscreteWingModel) -> SeparatedBiasFilter:
+    def _fresh(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter:
         """Filter at its prior."""
         wing = self._airframe.wing
         kalman = SeparatedBiasFilter(
             self._layout, self._noise, model, wing.trim_bend_m.value, wing.bend_per_g_m.value, self._keep
         )
-        kalman.take_noise(self._row_noise.variance, self._row_noise.root_y_variance)
+        kalman.take_noise(noise.variance, noise.root_y_variance)
         return kalman
 
     # ------------------------------------------------------------------------------------------ out

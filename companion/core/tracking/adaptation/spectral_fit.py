@@ -1,0 +1,269 @@
+"""Whittle fit of both families in stages short enough for a turn of the service.
+
+A stage takes less than 1 ms of a fast core. The data of a fit are fixed when it begins (:class:`FitInput`), so that its
+result does not depend on when its stages run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.core.tracking.adaptation.channels import Channels
+from companion.core.tracking.adaptation.frequency_drift import (
+    estimate_drift_rate,
+    frequency_mask,
+    time_warped,
+    to_segment_end,
+    to_warped_time,
+)
+from companion.core.tracking.adaptation.noise_psd import NoiseSpectrum
+from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram, make_periodograms
+from companion.core.tracking.adaptation.whittle import (
+    LogNormalPrior,
+    WhittleFit,
+    find_unmodelled_peak,
+    fit,
+    neg_log_likelihood,
+    scan,
+)
+from companion.core.tracking.model import WingParameters
+from companion.core.tracking.parameters import (
+    CORNER_1,
+    CORNER_2,
+    FREQUENCY,
+    LOAD,
+    ModeParameters,
+    ParameterIndex,
+    parameter_index,
+    parameter_limits,
+)
+from companion.core.tracking.spread_work import Stages
+from companion.records import Floats
+
+SEGMENT_S = 4.0  # chosen: short, so that a drifting peak is hardly broadened
+EARLY_S = 10.0  # chosen: until then the filter starts again with new parameters
+_SCAN_UNTIL_S = 6.0  # chosen: until then every fit scans the frequency
+_PEAK_EVIDENCE = 8.0  # chosen, log likelihood: pays for looking at many frequencies
+_FURTHER_EVIDENCE = 3.0  # chosen, log likelihood: about one for each of its parameters
+_PRUNED_LOAD_RATIO = 1e-7  # chosen: of the first mode's load, invisible
+_CORNERS_HZ = ((2.0, 8.0), (5.0, 20.0), (1.0, 500.0), (500.0, 1000.0))  # chosen: slow, usual, one pole, white
+_MAX_SCORING_STEPS = 6  # numerical: scoring converges in fewer from a good start
+_MIN_GAIN = 1.0  # chosen, log posterior: a trial must be better by this
+_MIN_FREQUENCY_HZ = 0.25  # chosen: down there the gust's corners show, which set a stiff wing's slow bend
+_PRIOR_SIGMAS = 4.0  # convention: bounds of the parameters
+_MAX_LOG_DRIFT = np.log(2.0)  # chosen: a loaded or iced wing drifts far beyond the prior at rest
+
+
+class FitInput(NamedTuple):
+    """Data of one fit.
+
+    Attributes
+    ----------
+    rows : (n, COLUMNS) float64
+        History, oldest first, corrected for bias.
+    single_tip : int or None
+        The present tip where the other is absent.
+    elapsed_s : float
+        Since the first epoch.
+    parameters : (symmetric, antisymmetric)
+        Of the last fit.
+    aliasing_noise : float
+        Mean of the last seconds.
+    bend_per_g_m : float
+    contradicted : bool
+        The filter cannot explain its measurements: a further mode needs no evidence.
+    """
+
+    rows: Floats
+    single_tip: int | None
+    elapsed_s: float
+    parameters: WingParameters
+    aliasing_noise: float
+    bend_per_g_m: float
+    contradicted: bool
+
+
+class SpectralFit:
+    """Most probable parameters of both families for a history.
+
+    Attributes
+    ----------
+    ambiguous : bool
+        The last fit had two local optima of about the same posterior.
+    fits : int
+        Fits begun.
+    """
+
+    def __init__(self, channels: Channels, prior: WingParameters, step_s: float) -> None:
+        self._channels, self._prior, self._step_s = channels, prior, step_s
+        self._segment_epochs = round(SEGMENT_S / step_s)
+        self.ambiguous = False
+        self.fits = 0
+        self._rates = [(0.0, 0.0), (0.0, 0.0)]  # of both families' frequencies, 1/s, and their sigmas
+
+    def stages(self, inputs: FitInput) -> Stages[WingParameters]:
+        """Fit both families."""
+        self.fits += 1
+        self.ambiguous = False
+        if inputs.single_tip is None:
+            (symmetric,) = yield from self._fit_family(inputs, (0,))
+            yield
+            (antisymmetric,) = yield from self._fit_family(inputs, (1,))
+        else:
+            symmetric, antisymmetric = yield from self._fit_family(inputs, (0, 1))
+        return symmetric, antisymmetric
+
+    def _fit_family(self, inputs: FitInput, which: tuple[int, ...]) -> Stages[list[ModeParameters]]:
+        """Parameters of one family, or of both where only one tip is present."""
+        estimates = (inputs.parameters, inputs.aliasing_noise, inputs.bend_per_g_m)
+        samples, noise_spectrum = self._channels.channel(inputs.rows, which, inputs.single_tip or 0, *estimates)
+        prior = _join([self._prior[k] for k in which])
+        start = np.concatenate([inputs.parameters[k].log_params() for k in which])
+        band = self._band(which)
+        length_s = len(samples) * self._step_s
+        rate, rate_sigma = self._rates[which[0]]
+        if inputs.elapsed_s > EARLY_S:
+            rate, rate_sigma = self._estimate_drift(samples, band, noise_spectrum, prior, start, rate)
+            yield
+        for k in which:
+            self._rates[k] = rate, rate_sigma
+        long, start = (
+            make_periodogram(time_warped(samples, rate, self._step_s), self._step_s, band, noise_spectrum),
+            to_warped_time(start, prior.places, rate, length_s),
+        )
+        yield
+        best = self._begin(inputs, long, prior, start)
+        yield
+        if inputs.elapsed_s > _SCAN_UNTIL_S and self.fits % 2 == which[0]:
+            best = self._retried(inputs, long, prior, best)
+            yield
+        best = _prune_insignificant_modes(long, prior, best, -np.inf if inputs.contradicted else _FURTHER_EVIDENCE)
+        by_rate = 0.5 * length_s * rate_sigma * frequency_mask(prior.places)
+        log_params = to_segment_end(best.log_params, prior.places, rate, length_s)
+        log_sigma = np.hypot(best.log_sigma, by_rate)
+        return [
+            self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end])
+            for k, first, end in zip(which, prior.places.first, prior.places.end, strict=True)
+        ]
+
+    def _estimate_drift(
+        self,
+        samples: Floats,
+        band: tuple[float, float, float],
+        noise_spectrum: NoiseSpectrum,
+        prior: LogNormalPrior,
+        start: Floats,
+        rate: float,
+    ) -> tuple[float, float]:
+        """Drift rate one scoring step on from the last one, 1/s, and its sigma."""
+        count = len(samples) // self._segment_epochs
+        newest = samples[len(samples) - count * self._segment_epochs :].reshape(count, self._segment_epochs)
+        segments = make_periodograms(newest, self._step_s, band, noise_spectrum)
+        length_s = count * SEGMENT_S
+        middle = to_warped_time(start, prior.places, rate, length_s)
+        return estimate_drift_rate(segments, SEGMENT_S, prior, middle, rate)
+
+    def _begin(self, inputs: FitInput, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> WhittleFit:
+        """Fit from the last optimum; in the first seconds from the best of a scan."""
+        if inputs.elapsed_s > _SCAN_UNTIL_S:
+            return fit(periodogram, prior, start, 3)
+        return self._search(inputs, periodogram, prior, self._scanned(periodogram, prior, start))
+
+    def _retried(
+        self, inputs: FitInput, periodogram: Periodogram, prior: LogNormalPrior, best: WhittleFit
+    ) -> WhittleFit:
+        """Better of ``best`` and a fit from other gust corners or with further modes at peaks, in turns.
+
+        Such a trial costs more than all the rest: the families take turns.
+        """
+        trial = self.fits // 2 % (1 + len(_CORNERS_HZ))
+        tried = (
+            _with_corners(best.log_params, prior.places, _CORNERS_HZ[trial - 1])
+            if trial
+            else self._with_further(inputs, periodogram, prior, best.log_params)
+        )
+        if np.array_equal(tried, best.log_params):
+            return best
+        other = fit(periodogram, prior, tried, 2 * _MAX_SCORING_STEPS)
+        return other if other.neg_log_posterior < best.neg_log_posterior - _MIN_GAIN else best
+
+    def _search(self, inputs: FitInput, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> WhittleFit:
+        """Fit from gusts with several pairs of corners: a wrong one has its own local optimum."""
+        best: WhittleFit | None = None
+        for corners_hz in (None, *_CORNERS_HZ):
+            tried = start if corners_hz is None else _with_corners(start, prior.places, corners_hz)
+            result = fit(periodogram, prior, self._with_further(inputs, periodogram, prior, tried), _MAX_SCORING_STEPS)
+            if best is None or result.neg_log_posterior < best.neg_log_posterior:
+                best = result
+        assert best is not None
+        return fit(periodogram, prior, best.log_params, _MAX_SCORING_STEPS)
+
+    def _with_further(self, inputs: FitInput, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
+        """Start with each further mode moved to an unmodelled peak, where there is enough evidence."""
+        least_evidence = 0.0 if inputs.contradicted else _PEAK_EVIDENCE
+        for at in prior.places.further:
+            moved, gain = find_unmodelled_peak(periodogram, prior, start, at)
+            start = moved if gain > least_evidence else start
+        return start
+
+    def _band(self, which: tuple[int, ...]) -> tuple[float, float, float]:
+        """Lowest frequency, first grouped frequency and highest frequency of a family's fit, Hz."""
+        highest = 0.48 / self._step_s
+        return _MIN_FREQUENCY_HZ, min(2.2 * max(self._prior[k].frequency_hz for k in which), 0.8 * highest), highest
+
+    def _scanned(self, periodogram: Periodogram, prior: LogNormalPrior, start: Floats) -> Floats:
+        """Start with each first frequency at the best of a scan; notes two local optima."""
+        for at in prior.places.first:
+            reach = min(3.0 * prior.sigma[at], 0.7)
+            costs, starts = scan(periodogram, prior, start, at, np.linspace(-reach, reach, 21))
+            best = int(np.argmin(costs))
+            start = starts[best]
+            self.ambiguous |= _two_answers(costs)
+        return start
+
+
+def _join(families: list[ModeParameters]) -> LogNormalPrior:
+    """Prior of several families' parameters, with bounds."""
+    log_params = [family.log_params() for family in families]
+    mean, sigma = np.concatenate(log_params), np.concatenate([family.log_sigma for family in families])
+    index = parameter_index([len(family.modes) for family in families])
+    limits = [parameter_limits(len(family.modes)) for family in families]
+    low, high = (np.log(np.concatenate(limit)) for limit in zip(*limits, strict=True))
+    lowest = np.maximum(low, mean - _PRIOR_SIGMAS * sigma)
+    highest = np.minimum(high, mean + _PRIOR_SIGMAS * sigma)
+    lowest[index.further + LOAD] = low[index.further + LOAD]
+    frequency = index.first + FREQUENCY
+    lowest[frequency] = np.minimum(lowest[frequency], mean[frequency] - _MAX_LOG_DRIFT)
+    highest[frequency] = np.maximum(highest[frequency], mean[frequency] + _MAX_LOG_DRIFT)
+    return LogNormalPrior(mean, sigma, lowest, highest, np.array([family.reference_hz for family in families]), index)
+
+
+def _with_corners(start: Floats, index: ParameterIndex, corners_hz: tuple[float, float]) -> Floats:
+    """Start with other corners of the gust."""
+    moved = start.copy()
+    moved[index.first + CORNER_1], moved[index.first + CORNER_2] = np.log(corners_hz)
+    return moved
+
+
+def _prune_insignificant_modes(
+    periodogram: Periodogram, prior: LogNormalPrior, result: WhittleFit, least_evidence: float
+) -> WhittleFit:
+    """Remove further modes without evidence: under a white load they cannot be told from the first."""
+    log_params, reference = result.log_params.copy(), neg_log_likelihood(periodogram, prior, result.log_params)
+    for first, at in zip(prior.places.further_first, prior.places.further, strict=True):
+        tried, load = log_params.copy(), at + LOAD
+        tried[load] = max(tried[first + LOAD] + np.log(_PRUNED_LOAD_RATIO), prior.low[load])
+        without = neg_log_likelihood(periodogram, prior, tried)
+        if without - reference < least_evidence:
+            log_params, reference = tried, without
+    return dataclasses.replace(result, log_params=log_params)
+
+
+def _two_answers(costs: Floats) -> bool:
+    """Whether a scan has two local optima within 2 of each other in negative log posterior."""
+    inner = (costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:])
+    lows = np.sort(costs[1:-1][inner])
+    return len(lows) > 1 and bool(lows[1] - lows[0] < 2.0)

@@ -1,0 +1,81 @@
+"""Change of the filter's parameters: sensor noise, spectral fit, model and trial on what was measured, in stages."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import NamedTuple
+
+from companion.core.kernels.arrays import Epochs
+from companion.core.tracking.filter import SeparatedBiasFilter
+from companion.core.tracking.model import DiscreteWingModel, WingParameters
+from companion.core.tracking.rigid_body import join
+from companion.core.tracking.row_noise import RowNoise
+from companion.core.tracking.spread_work import Stages
+from companion.records import Floats
+
+_SEGMENTS = 5  # chosen: of 40 ms each; filtered in one stage, in less than 1 ms
+
+
+class NewParameters(NamedTuple):
+    """Noise and model with which a filter may go on.
+
+    Attributes
+    ----------
+    row_noise : RowNoise
+    model : DiscreteWingModel
+        At the parameters of the fit.
+    tried : SeparatedBiasFilter or None
+        Filter that has run on this model and noise; None where they changed too little.
+    segments : int
+        Number of the trial's segments that it has run over.
+    """
+
+    row_noise: RowNoise
+    model: DiscreteWingModel
+    tried: SeparatedBiasFilter | None
+    segments: int
+
+
+def readapt(
+    fit: Stages[WingParameters],
+    row_noise: RowNoise,
+    innovations: tuple[Floats, Floats],
+    model: Callable[[WingParameters], DiscreteWingModel],
+    trial: Callable[[DiscreteWingModel, RowNoise], SeparatedBiasFilter | None],
+    epochs: list[Epochs],
+) -> Stages[NewParameters]:
+    """Learn the noise, fit the parameters, build the model and try it.
+
+    Parameters
+    ----------
+    fit : generator
+        Stages of the spectral fit.
+    row_noise : RowNoise
+        As learned until now; it stays as it is.
+    innovations : (n, 9), (n, 9, 9) float64
+        Innovations of the last second and their predicted covariance.
+    model : callable
+        Builds the model at given parameters.
+    trial : callable
+        Gives the filter that is to be tried, or None.
+    epochs : list of Epochs
+        Segments on which it is tried; those that come while it is under way are tried too, as far as time allows.
+
+    Returns
+    -------
+    NewParameters
+    """
+    learned = copy.deepcopy(row_noise)
+    learned.learn(*innovations)
+    yield
+    parameters = yield from fit
+    yield
+    new_model = model(parameters)
+    yield
+    tried, segments = trial(new_model, learned), 0
+    while tried is not None and segments < len(epochs):
+        tried.run(join(epochs[segments : segments + _SEGMENTS]))
+        segments = min(segments + _SEGMENTS, len(epochs))
+        yield
+    return NewParameters(learned, new_model, tried, segments)
