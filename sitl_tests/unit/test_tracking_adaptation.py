@@ -7,8 +7,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from companion.core.tracking.adaptation.adaptation import Adaptation
+from companion.core.tracking.adaptation.model_spectrum import load_density
 from companion.core.tracking.model import WingParameters
 from companion.core.tracking.parameters import prior_parameters
 from companion.core.tracking.rigid_body import Epochs
@@ -29,12 +31,24 @@ def _adaptation() -> Adaptation:
     return Adaptation(LAYOUT, noise, prior, (-1.0, 1.0), STEP_S)
 
 
-def _epochs(seconds: float, away_s: tuple[float, float] = (0.0, 0.0), drift_per_s: float = 0.0) -> Epochs:
-    """Both tips' vertical acceleration in a symmetric mode under white load, and noise; the right tip may be away."""
+def _epochs(
+    seconds: float,
+    away_s: tuple[float, float] = (0.0, 0.0),
+    drift_per_s: float = 0.0,
+    corners_hz: tuple[float, ...] = (),
+) -> Epochs:
+    """Both tips' vertical acceleration in a symmetric mode under a load, and noise; the right tip may be away.
+
+    The load is white, or white through a pole at each of the corners.
+    """
     n, rng = round(seconds / STEP_S), np.random.default_rng(5)
     w = 2 * math.pi * TRUE_HZ
     q, v, acceleration = 0.0, 0.0, np.zeros(n)
-    for k, load_g in enumerate(rng.normal(size=n) * 0.005 * math.sqrt(4 * ZETA * w**3 / STEP_S)):
+    load = rng.normal(size=n) * 0.005 * math.sqrt(4 * ZETA * w**3 / STEP_S)
+    for corner_hz in corners_hz:
+        keep = math.exp(-2.0 * math.pi * corner_hz * STEP_S)
+        load = lfilter([1.0 - keep], [1.0, -keep], load)
+    for k, load_g in enumerate(load):
         w *= math.exp(drift_per_s * STEP_S)
         acceleration[k] = load_g - 2 * ZETA * w * v - w**2 * q
         v += STEP_S * acceleration[k]
@@ -77,6 +91,12 @@ def _fed(adaptation: Adaptation, epochs: Epochs) -> list[float]:
 
 def _logs(adaptation: Adaptation) -> np.ndarray:
     return np.concatenate([family.log_params() for family in adaptation.parameters])
+
+
+def _load_density(adaptation: Adaptation, frequency_hz: np.ndarray) -> np.ndarray:
+    """Density of the first symmetric mode's load as fitted, (m/s^2)^2/Hz."""
+    family = adaptation.parameters[0]
+    return load_density(np.exp(family.log_params()), frequency_hz**2, family.reference_hz)
 
 
 def test_what_was_learned_stays_when_its_owner_changes_the_array() -> None:
@@ -149,3 +169,26 @@ def test_a_drift_is_followed_beyond_what_was_believed_possible() -> None:
     # half as well as its mean, which locks to sqrt(zeta / (omega T)); three of that
     bound = 2.0 * math.sqrt(ZETA / (2.0 * math.pi * now_hz * 20.0))
     assert adaptation.parameters[0].frequency_hz == pytest.approx(now_hz, rel=3.0 * bound)
+
+
+def test_a_line_that_was_in_the_samples_until_now_does_not_pass_for_the_gust() -> None:
+    """Its end inside the history leaks over tens of hertz; a history that begins behind it has nothing of it."""
+    seconds, until_s = 22.0, 12.4
+    clean = _epochs(seconds, corners_hz=(2.0, 8.0))
+    t_s = STEP_S * np.arange(clean.length)
+    line = np.where((t_s > 10.0) & (t_s < until_s), 3.0 * np.cos(2.0 * math.pi * 80.0 * t_s), 0.0)
+    rows = clean.rows.copy()
+    rows[:, :2] += line[:, None]
+    shaken = Epochs(*(rows if name == "rows" else getattr(clean, name) for name in Epochs._fields))
+    quiet, begun, leaked = _adaptation(), _adaptation(), _adaptation()
+    _fed(quiet, clean)
+    cut = round(until_s / STEP_S)
+    _fed(begun, shaken.span(0, cut))
+    begun.begin_history()
+    _fed(begun, shaken.span(cut, shaken.length))
+    _fed(leaked, shaken)
+    slow_hz = np.array([1.0, 3.0])
+    expected = _load_density(quiet, slow_hz)
+    # ten seconds have seven bins in the octave at 1 Hz, which tell its density to 40 %; a leak takes nine tenths of it
+    np.testing.assert_allclose(np.log(_load_density(begun, slow_hz) / expected), 0.0, atol=math.log(2.0))
+    assert _load_density(leaked, slow_hz)[0] < expected[0] / 4.0

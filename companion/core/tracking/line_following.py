@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
-from companion.core.tracking.line_search import KnownLines
+from companion.core.tracking.line_removal import PARTS
+from companion.core.tracking.line_search import KnownLines, LineNames
 from companion.core.tracking.spread_work import SpreadWork
 from companion.core.tracking.streams import SampleBuffer
+
+
+class NewLines(NamedTuple):
+    """Whether a search has shown any new line, and whether a new shaft's leader is among them."""
+
+    any: bool = False
+    leader: bool = False
 
 
 class LineFollowing:
@@ -15,7 +24,7 @@ class LineFollowing:
     def __init__(self, streams: Sequence[SampleBuffer]) -> None:
         self._streams = streams
         self._lines = KnownLines()
-        self._search: SpreadWork[bool] | None = None
+        self._search: SpreadWork[LineNames] | None = None
         self._multiples: dict[int, tuple[int, ...]] = {}  # that the streams follow
 
     @property
@@ -33,10 +42,10 @@ class LineFollowing:
         if self._search is not None:
             self._search.work()
 
-    def finish(self) -> bool:
-        """Follow the lines that the search has shown; whether any of them is new."""
+    def finish(self) -> NewLines:
+        """Follow the lines that the search has shown."""
         if self._search is None:
-            return False
+            return NewLines()
         new, self._search = self._search.finish(), None
         self._lines.follow(self._followed_shafts())
         if self._lines.multiples != self._multiples:
@@ -45,7 +54,7 @@ class LineFollowing:
                 stream.follow_lines(self._lines.leader_hz, self._multiples)
         for stream in self._streams:
             stream.anchor_lines(self._lines.leader_hz)
-        return new
+        return NewLines(bool(new), any(multiple == PARTS for _, multiple in new))
 
     def _followed_shafts(self) -> dict[int, tuple[float, float]]:
         """Frequency of each shaft's leader by number, Hz, and its power over the rest, where that is most."""

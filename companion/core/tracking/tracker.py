@@ -12,6 +12,7 @@ import numpy as np
 
 from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.adaptation import Adaptation
+from companion.core.tracking.adaptation.spectral_fit import EARLY_S
 from companion.core.tracking.estimates import fast_slope_time_s, mode_estimate, tip_estimate, tip_output_matrix
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.line_following import LineFollowing
@@ -25,7 +26,7 @@ from companion.core.tracking.smoother import smooth_between
 from companion.core.tracking.spread_work import SPREAD_S, SpreadWork, Stages
 from companion.core.tracking.states import make_layout, make_noise
 from companion.core.tracking.streams import SampleBuffer
-from companion.core.tracking.validity import NIS_LIMIT, ModalActivity, classify_validity
+from companion.core.tracking.validity import DISTRUST, NIS_LIMIT, ModalActivity, classify_validity
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Deflection, Floats, ImuBatch, ModeState, Reject, Rejected, Station, Validity
@@ -36,11 +37,6 @@ _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the 
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
 _MAX_GATED_RATIO = 0.2  # chosen: where more epochs are gated, the wing really moves so
 _TRIAL_S = 1.5  # derived: fits come once a second
-_DISTRUST = {
-    Validity.STALE: Reject.STALE,
-    Validity.SETTLING: Reject.NOT_SETTLED,
-    Validity.INCONSISTENT: Reject.CONTRADICTED,
-}
 
 
 class WingTracker:
@@ -66,7 +62,7 @@ class WingTracker:
         self._forecaster = Forecaster(self._layout)
         self._body_rates: deque[Floats] = deque(maxlen=self._keep)  # body rate at the end of each epoch
         self._start_ns: int | None = None
-        self._reopened_ns = 0
+        self._reopened_ns = self._settle_ns = 0
         self._next_ns = 0
         self._lines = LineFollowing(self._streams)
         self._search_due = 0  # epoch of the grid
@@ -156,6 +152,7 @@ class WingTracker:
         first = max(root, min(heard))
         self._start_ns = (first // self._step_ns + 2) * self._step_ns
         self._next_ns = self._start_ns
+        self._settle_ns = self._start_ns + round(EARLY_S * 1e9)
         return self._next_ns < until_ns
 
     def _until_search(self) -> int:
@@ -172,8 +169,10 @@ class WingTracker:
             self._search_due = steps + (0 if self._adaptation.early else round(SPREAD_S / self._step_s))
         if self._lines.is_searching and steps >= self._search_due:
             new = self._lines.finish()
-            if new and self._adaptation.early and self._kalman.nis > NIS_LIMIT:
+            if new.any and self._next_ns < self._settle_ns:
                 self._restart()  # what was filtered with a line in it is filtered no more
+            elif new.leader:
+                self._adaptation.begin_history()
 
     def _process(self, count: int) -> None:
         """Filter the next ``count`` epochs and adapt the parameters."""
@@ -334,7 +333,7 @@ class WingTracker:
     @property
     def distrust(self) -> Reject | None:
         """Reason why nothing that rests on this estimate may be published; None where it may."""
-        return _DISTRUST.get(self._validity) if self._body_rates and self._activity.learned else Reject.NOT_SETTLED
+        return DISTRUST.get(self._validity) if self._body_rates and self._activity.learned else Reject.NOT_SETTLED
 
     @property
     def nis(self) -> float:

@@ -11,7 +11,7 @@ from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters
 from companion.core.tracking.states import StateLayout
-from companion.records import Floats, Ints, Validity
+from companion.records import Floats, Ints, Reject, Validity
 
 _BLOCK_S = 1.0  # chosen: several periods of the slowest wing
 _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
@@ -19,6 +19,12 @@ _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
 _LEARN_S = 10.0  # as adaptation: until then parameters move by much, and the history is filtered again
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
 NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
+DISTRUST = {
+    Validity.STALE: Reject.STALE,
+    Validity.SETTLING: Reject.NOT_SETTLED,
+    Validity.INCONSISTENT: Reject.CONTRADICTED,
+}
+"""Reason why nothing that rests on an estimate may be published, where there is one."""
 
 
 class ModalActivity:

@@ -79,6 +79,7 @@ class Adaptation:
         self._count = 0
         self._next = round(_FIRST_S / step_s)  # epoch of the next fit
         self._due: int | None = None  # epoch at which the running fit is due
+        self._history_from = 0  # epoch with which the history begins
         self._aliasing_noise = 0.0  # by edges of the last epochs that cut samples
 
     @property
@@ -133,6 +134,14 @@ class Adaptation:
             self._due = None
         return FitProgress(stages, due)
 
+    def begin_history(self) -> None:
+        """Fit no more what was measured until now: a line was in it, whose power would pass for the gust's.
+
+        A line of 3 m/s^2 that ends in the middle of 20 s leaks more than the sensors' noise over 30 Hz to either side;
+        the gust's corners then come out wrong, and with them the slow bend.
+        """
+        self._history_from = self._count
+
     def abandon(self) -> None:
         """Give up the running fit."""
         self._due = None
@@ -142,7 +151,7 @@ class Adaptation:
         elapsed_s = self._count * self._step_s
         self._next = round((np.floor(elapsed_s / _PERIOD_S + 1e-6) + 1.0) * _PERIOD_S / self._step_s)
         rows, present = self._corrected_history()
-        since = self._last_gap(present)
+        since = max(self._last_gap(present), len(rows) - (self._count - self._history_from))
         if since and len(rows) - since < self._segment_epochs:
             return None
         tips = present[since:].mean(axis=0) >= _MIN_PRESENT
