@@ -38,6 +38,9 @@ _COMMANDS = {
     "params": "the settings table: show, check or write config/PARAMETERS.md",
 }
 
+_ONE_THREAD = ("diagnose", "fleet")
+"""Many small systems: threads of linear algebra that wait for one another take longer, beside other work much."""
+
 
 def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     """The whole command line; with ``only``, that command's options alone: the other rooms take seconds to load."""
@@ -61,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; never a traceback for a bad input, a full disk, a closed pipe or Ctrl-C."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = words[0] if words and words[0] in _COMMANDS else ""
+    if name in _ONE_THREAD:  # before numpy is loaded
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         options = build_parser(words[0] if words else "").parse_args(words)
         code: int = _module(options.command).execute(options)

@@ -24,11 +24,11 @@ LAWS: dict[str, _Law] = {
     "deflection times its amount": lambda w, v: np.abs(w) * w + 0.0 * v,
     "amount of deflection": lambda w, v: np.abs(w) + 0.0 * v,
     "deflection squared": lambda w, v: w**2 + 0.0 * v,
-    "deflection cubed": lambda w, v: w**3 + 0.0 * v,
-    "fifth power of deflection": lambda w, v: w**5 + 0.0 * v,
+    "deflection cubed": lambda w, v: w * w * w + 0.0 * v,
+    "fifth power of deflection": lambda w, v: w * w * w * w * w + 0.0 * v,
     "sign of deflection": lambda w, v: np.tanh(4.0 * w) + 0.0 * v,
     "speed times its amount": lambda w, v: np.abs(v) * v + 0.0 * w,
-    "speed cubed": lambda w, v: v**3 + 0.0 * w,
+    "speed cubed": lambda w, v: v * v * v + 0.0 * w,
     "sign of speed": lambda w, v: np.tanh(4.0 * v) + 0.0 * w,
     "speed squared": lambda w, v: v**2 + 0.0 * w,
     "deflection squared times speed": lambda w, v: w**2 * v,
@@ -77,7 +77,7 @@ class GenericVaryingStiffness(GenericForce):
 
 SENSED: dict[str, Callable[[Floats, Floats], Floats]] = {
     "acceleration squared": lambda a, x: a**2 + 0.0 * x,
-    "acceleration cubed": lambda a, x: a**3 + 0.0 * x,
+    "acceleration cubed": lambda a, x: a * a * a + 0.0 * x,
     "amount of acceleration times acceleration": lambda a, x: np.abs(a) * a + 0.0 * x,
     "acceleration, drifting in time": lambda a, x: a * x,
     "acceleration, bowed in time": lambda a, x: a * (1.5 * x**2 - 0.5),

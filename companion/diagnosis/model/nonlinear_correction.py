@@ -54,6 +54,8 @@ class SensorLineariser:
         self._observations, self._transforms = observations, transforms
         self._weight: Floats = transforms.taper**2  # the likelihood sees tapered data
         self._up: Floats = np.ascontiguousarray(observations.up_mps2.T)
+        self._t_s: Any = observations.t_s
+        self._nothing: Floats = np.zeros(len(self._weight))
         self._signs = _signs(len(self._weight))  # up and down alike, so that a law's curvature is no slope
         self._fine = _Fine(observations, self._weight)
         self._rigid = _rigid_mps2(observations)
@@ -129,7 +131,7 @@ class SensorLineariser:
         per_q, per_qdot = np.zeros((n, n)), np.zeros((n, n))
         rest = self._blurred(wing, instant, q_m, qdot_mps, untold_m)
         if np.any(rest):
-            per_q, per_qdot = self._mean_slopes(wing, instant, q_m, qdot_mps, untold_m)
+            per_q, per_qdot = self._mean_slopes(wing, instant, (q_m, qdot_mps), untold_m, rest)
             rest = rest - per_q @ q_m - per_qdot @ qdot_mps
         slipped = self._total(wing, lasting, q_m, qdot_mps)
         if np.any(slipped):
@@ -161,16 +163,21 @@ class SensorLineariser:
         return blurred
 
     def _mean_slopes(
-        self, wing: WingModel, terms: Sequence[EffectTerm], q_m: Floats, qdot_mps: Floats, untold_m: float
+        self,
+        wing: WingModel,
+        terms: Sequence[EffectTerm],
+        motions: tuple[Floats, Floats],
+        untold_m: float,
+        total: Floats,
     ) -> tuple[Floats, Floats]:
-        """Mean derivatives of forces by deflection and by speed, (n, n) each."""
-        n, signed_weight = len(q_m), self._weight * self._signs / np.sum(self._weight)
-        slopes, total = np.zeros((2, n, n)), self._blurred(wing, terms, q_m, qdot_mps, untold_m)
-        for which, motion in enumerate((q_m, qdot_mps)):
+        """Mean derivatives by deflection and by speed, (n, n) each, of forces that sum to ``total`` (n, m)."""
+        n, signed_weight = len(total), self._weight * self._signs / np.sum(self._weight)
+        slopes = np.zeros((2, n, n))
+        for which, motion in enumerate(motions):
             for j in range(n):
                 bump = _BUMP_OF_MOTION * float(np.std(motion[j]))
                 if bump > 0.0:
-                    perturbed = [q_m, qdot_mps]
+                    perturbed = list(motions)
                     perturbed[which] = motion.copy()
                     perturbed[which][j] += bump * self._signs
                     slopes[which, :, j] = (
@@ -206,11 +213,9 @@ class SensorLineariser:
         return np.asarray(np.fft.irfft(spectrum, rest.shape[1], axis=1))
 
     def _force(self, wing: WingModel, term: EffectTerm, q: Floats, qdot: Floats) -> Floats | None:
-        t_s: Any = self._observations.t_s
         static = np.zeros((wing.count, 1))
-        channel = self._observations.covariates.get(term.channel)
-        follows = np.zeros(len(self._observations.up_mps2)) if channel is None else channel
-        return term.effect.force(ModalMotion(t_s, q, qdot, static, 1.0, wing.structure, follows))
+        follows = self._observations.covariates.get(term.channel, self._nothing)
+        return term.effect.force(ModalMotion(self._t_s, q, qdot, static, 1.0, wing.structure, follows))
 
     def _short(self, wing: WingModel, effect: Effect) -> Floats:
         """Loads (n, m) that last for less than a sample and follow no motion, without what no sample can hold; kept."""
@@ -235,7 +240,7 @@ class SensorLineariser:
 
     def _on_time(self, effect: Effect, channel: int, up: Floats) -> Floats:
         """A station's reading (m,) at the instants at which it belongs: read at the mirrored ones."""
-        station, t_s = STATIONS[self._observations.sides[channel]], self._observations.t_s
+        station, t_s = STATIONS[self._observations.sides[channel]], self._t_s
         stamped = effect.sample_time(station, t_s)
         if stamped is t_s:
             return up

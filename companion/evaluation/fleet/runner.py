@@ -100,6 +100,8 @@ class _TaskWorker(Generic[T]):
 
 
 def _made(missing: deque[tuple[T, int]], work: Callable[[T], Row], count: int) -> Iterator[tuple[T, Row]]:
+    # workers are what is parallel: threads of linear algebra beside other work wait longer than they compute
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     pool: list[_TaskWorker[T]] = [_start(work) for _ in range(count)]
     try:
         while missing or any(worker.task is not None for worker in pool):
