@@ -194,6 +194,8 @@ def _tips_on_clock(airframe: Airframe, clock: ClockName) -> list[Station]:
 
 
 def _on_vehicle(state: PipelineState, vehicle: VehicleState) -> list[OutputRecord]:
+    if state.vehicle is not None and state.vehicle.on_ground and vehicle.on_ground is False:
+        state.tracker.lifted_off()
     state.vehicle = vehicle
     if state.correction is not None:
         state.correction.vehicle.add(vehicle)

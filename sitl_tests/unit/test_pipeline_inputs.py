@@ -35,6 +35,7 @@ from companion.records import (
     TimesyncReply,
     TriggerPlan,
     Validity,
+    VehicleState,
 )
 from companion.sim.flight.offline import HOST_EPOCH_NS
 from sitl_tests.unit.pipeline_flight import GROUND_M, MS, Run, S, at_s, flight, inputs, run, without_samples
@@ -297,3 +298,17 @@ def test_ticks_alone_say_that_samples_are_awaited() -> None:
     assert len(statuses) == 2
     assert {status.health for status in statuses} == {Health.BOOT}
     assert flight(3.0).airframe.orientation == silent.of(NoRange)[0].orientation
+
+
+@pytest.mark.parametrize(
+    ("reported", "starts"),
+    [((True, False), 1), ((True, True, False, False), 1), ((None, False), 0), ((False, True), 0), ((True, None), 0)],
+)
+def test_the_tracker_starts_again_when_the_autopilot_says_that_it_lifted_off(
+    reported: tuple[bool | None, ...], starts: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, lifted = start(load_airframe("nadir-2m"), Settings()), []
+    monkeypatch.setattr(state.tracker, "lifted_off", lambda: lifted.append(True))
+    for k, on_ground in enumerate(reported):
+        state, _ = step(state, VehicleState(k, HOST_EPOCH_NS + k * S, 0.0, 0.0, 0.0, 15.0, 0.0, 0.5, True, on_ground))
+    assert len(lifted) == starts

@@ -158,3 +158,22 @@ def test_a_batch_of_the_wrong_shape_is_a_defect_of_the_caller() -> None:
     tracker = WingTracker(plain_airframe(), Settings())
     with pytest.raises(ValueError, match="ImuBatch"):
         tracker.add(ImuBatch(Station.LEFT, ClockName.HOST, np.arange(3), np.zeros((3, 3)), Axis.ALL, 0))
+
+
+def test_what_was_learned_on_the_ground_is_forgotten_at_lift_off() -> None:
+    """On its wheels a wing does not bend by its load factor: what that taught the constants does not fly."""
+    t, values = swinging(13.0, 0.005)
+    rolling = {station: v.copy() for station, v in values.items()}
+    rolling[Station.LEFT][:, 1] += 0.5
+    tracker, _ = _run(t, rolling)
+    learned = np.abs(tracker._kalman.bias_parameters / tracker._layout.bias_parameter_sigma).max()
+    assert learned > 3.0, "a lateral force that no flight has"
+    assert tracker.distrust is not Reject.NOT_SETTLED
+    tracker.lifted_off()
+    assert not tracker._kalman.bias_parameters.any()
+    assert tracker.distrust is Reject.NOT_SETTLED
+    for first in range(0, 4000, 40):
+        for station, v in values.items():
+            tracker.add(batch(station, t[first : first + 40] + 13000 * MS, v[first : first + 40]))
+        tracker.advance(EPOCH_NS + (13000 + first + 40) * MS)
+    assert tracker.distrust is None, "trusted after the filter's transient, without another ten seconds"

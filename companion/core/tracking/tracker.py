@@ -102,6 +102,12 @@ class WingTracker:
         done_ns = self._next_ns if self._start_ns is not None else -(2**62)
         return self._streams[batch.station].add(batch, done_ns)
 
+    def lifted_off(self) -> None:
+        """Start again without what rolling over bumps has taught; trusted again once the filter has settled."""
+        learned, self._row_noise = self._activity.learned, RowNoise(self._noise)
+        self._restart()
+        self._activity.learned = learned
+
     def clock_restarted(self, stations: Collection[Station]) -> None:
         """Reset the stamp offsets of stations whose clocks, relative to the root's, started again."""
         if self._adaptation.early:
@@ -116,9 +122,8 @@ class WingTracker:
 
     def adopt(self, settings: Settings) -> None:
         """Use changed live settings; adaptation that is switched on in flight starts again without a history."""
-        begins = bool(settings.adapt and not self._settings.adapt)
-        self._settings = settings
-        if begins:
+        before, self._settings = self._settings, settings
+        if settings.adapt and not before.adapt:
             self._restart()
 
     def advance(self, now_host_ns: int) -> ModeState | None:
@@ -223,8 +228,8 @@ class WingTracker:
         """
         count = min(self._kalman.steps, round(1.0 / self._step_s), self._kalman.history_length)
         innovations = self._kalman.innovations(count)
-        stages = readapt(fit, self._row_noise, innovations, self._model, self._trial, self._trial_epochs)
-        self._readaptation = SpreadWork(stages)
+        trial = (self._model, self._trial, self._trial_epochs)
+        self._readaptation = SpreadWork(readapt(fit, self._row_noise, innovations, *trial))
 
     def _trial(self, model: DiscreteWingModel, noise: RowNoise) -> SeparatedBiasFilter | None:
         """Filter on which a model is tried; None where it differs too little. Early on it filters the history again."""
@@ -288,8 +293,7 @@ class WingTracker:
             return None
         kalman, layout = self._kalman, self._layout
         state, covariance, dynamic = kalman.state, kalman.total_covariance, kalman.dynamic_covariance
-        rms = self._activity.rms_m()
-        static = (kalman.static_m, 0.0)
+        rms, static = self._activity.rms_m(), (kalman.static_m, 0.0)
         symmetric, antisymmetric = (
             mode_estimate(family, parameters, state, dynamic, static[k], float(rms[k]))
             for k, (family, parameters) in enumerate(zip(layout.families, self._adaptation.parameters, strict=True))
@@ -344,9 +348,7 @@ class WingTracker:
         """Reason why there is no estimate at all."""
         if not self._body_rates:
             return Reject.NOT_SETTLED
-        if self._validity is Validity.SATURATED:
-            return Reject.SATURATED
-        return Reject.STALE if self._validity is Validity.STALE else None
+        return {Validity.SATURATED: Reject.SATURATED, Validity.STALE: Reject.STALE}.get(self._validity)
 
     def forecast(self, horizon_ns: int, step_ns: int) -> Forecast | Reject:
         """Predict from the newest processed instant, in steps of ``step_ns`` up to ``horizon_ns``."""
