@@ -15,7 +15,7 @@ help:            ## list the targets
 
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Spanwise needs Python 3.11 or newer; set PYTHON=/path/to/python3.11"; exit 1; }
-	@echo "making $(VENV): the pinned packages are some 0.9 GB, minutes the first time and 1 to 2 from the package cache"
+	@echo "making $(VENV): the pinned packages are some 0.9 GB: minutes the first time, half a minute from the package cache"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-compile -r requirements.lock
 	@{ command -v $(firstword $(CC)) || command -v gcc || command -v clang; } >/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-ziglang.lock
