@@ -38,3 +38,16 @@ def test_a_clean_electric_aircraft_is_trusted_and_its_vibration_moves_nothing() 
     flown = following.fly(END_S)
     assert np.mean([distrust is None for distrust in flown.distrust]) > 0.9
     assert np.std(flown.error) < min(np.mean(flown.sigma), 1e-3)
+
+
+@pytest.mark.slow
+def test_a_root_too_slow_to_be_searched_does_not_say_where_a_shaft_is() -> None:
+    """At 333 Hz a loop near 160 Hz looks locked to what it has: the tips' shaft was lost and begun anew each second."""
+    belief = load_airframe("forward-2m")
+    left, right = (dataclasses.replace(sensor, sends="z") for sensor in (belief.left, belief.right))
+    flight = build_flight(dataclasses.replace(belief, left=left, right=right), 303002, 9.0, world=TONES)
+    following, shafts = Following(flight), []
+    for until_s in (4.0, 5.0, 6.0, 7.0, 8.0):
+        following.fly(until_s)
+        shafts.append(list(following.state.tracker._lines._lines.leader_hz))
+    assert shafts == [[0]] * 5

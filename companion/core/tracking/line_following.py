@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from companion.core.tracking.line_removal import PARTS
-from companion.core.tracking.line_search import KnownLines, LineNames
+from companion.core.tracking.line_search import MIN_RATE_HZ, KnownLines, LineNames
 from companion.core.tracking.spread_work import SpreadWork
 from companion.core.tracking.streams import SampleBuffer
-
-
-class NewLines(NamedTuple):
-    """Whether a search has shown any new line, and whether a new shaft's leader is among them."""
-
-    any: bool = False
-    leader: bool = False
 
 
 class LineFollowing:
@@ -42,10 +34,10 @@ class LineFollowing:
         if self._search is not None:
             self._search.work()
 
-    def finish(self) -> NewLines:
-        """Follow the lines that the search has shown."""
+    def finish(self) -> bool:
+        """Follow the lines that the search has shown; whether there is a new shaft among them."""
         if self._search is None:
-            return NewLines()
+            return False
         new, self._search = self._search.finish(), None
         self._lines.follow(self._followed_shafts())
         if self._lines.multiples != self._multiples:
@@ -54,12 +46,15 @@ class LineFollowing:
                 stream.follow_lines(self._lines.leader_hz, self._multiples)
         for stream in self._streams:
             stream.anchor_lines(self._lines.leader_hz)
-        return NewLines(bool(new), any(multiple == PARTS for _, multiple in new))
+        return any(multiple == PARTS for _, multiple in new)
 
     def _followed_shafts(self) -> dict[int, tuple[float, float]]:
-        """Frequency of each shaft's leader by number, Hz, and its power over the rest, where that is most."""
+        """Frequency of each shaft's leader by number, Hz, and its power over the rest, where that is most.
+
+        A stream too slow to be searched does not count: a leader near its Nyquist frequency looks locked to anything.
+        """
         followed: dict[int, tuple[float, float]] = {}
-        for stream in self._streams:
+        for stream in (stream for stream in self._streams if stream.sensor.rate_hz >= MIN_RATE_HZ):
             for number, leader in stream.followed_shafts().items():
                 followed[number] = max(followed.get(number, leader), leader, key=lambda each: each[1])
         return followed

@@ -29,7 +29,7 @@ _HELD_S = 3.0  # chosen: the window, and what was sent since its end
 NEAR_HZ = 3.0  # chosen: nearer peaks are one
 _SAME_RATIO = 0.1  # chosen: rpm changes by that much while a peak is smeared
 _ONE_HZ = 1.5  # chosen: two loops nearer than this follow one line
-_MIN_RATE_HZ = 400.0  # chosen: slower streams fold what they should tell apart
+MIN_RATE_HZ = 400.0  # chosen: slower streams fold what they should tell apart
 _LOWEST_HZ = 45.0  # chosen: a shaft is first found above, for a notch below bends the phase of the second bending mode
 _HIGHEST_RATIO = 0.45  # chosen: of the sample rate
 _MIN_RATIO = 60.0  # derived: peak over median; noise exceeds it once in 2^60 bins
@@ -85,7 +85,7 @@ class SampleRing:
         """Instants (n,), s, and samples (n, 6) before one; None without a full window or from too slow a stream."""
         t_ns, values = self.held()
         count, last = int(0.95 * WINDOW_S * self.rate_hz), int(np.searchsorted(t_ns, until_ns))
-        if self.rate_hz < _MIN_RATE_HZ or last < count:
+        if self.rate_hz < MIN_RATE_HZ or last < count:
             return None
         lasts_s = (t_ns[last - 1] - t_ns[last - count]) * 1e-9
         if lasts_s >= WINDOW_S:

@@ -174,9 +174,9 @@ class WingTracker:
             self._search_due = steps + (0 if self._adaptation.early else round(SPREAD_S / self._step_s))
         if self._lines.is_searching and steps >= self._search_due:
             new = self._lines.finish()
-            if new.any and self._next_ns < self._settle_ns:
+            if new and self._next_ns < self._settle_ns:
                 self._restart()  # what was filtered with a line in it is filtered no more
-            elif new.leader:
+            elif new:
                 self._adaptation.begin_history()
 
     def _process(self, count: int) -> None:
