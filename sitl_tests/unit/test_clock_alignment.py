@@ -172,6 +172,9 @@ class Listener:
     def process_until(self, now_host_ns: int) -> None:
         """No state of the wing."""
 
+    def work(self) -> None:
+        """Nothing is spread over turns."""
+
     def describe(self) -> None:
         """Nor anything to tell of it."""
 
