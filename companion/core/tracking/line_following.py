@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from companion.core.tracking.line_removal import PARTS
-from companion.core.tracking.line_search import MIN_RATE_HZ, KnownLines, LineNames
+from companion.core.tracking.line_search import MIN_RATE_HZ, KnownLines
 from companion.core.tracking.spread_work import SpreadWork
 from companion.core.tracking.streams import SampleBuffer
 
@@ -16,7 +15,7 @@ class LineFollowing:
     def __init__(self, streams: Sequence[SampleBuffer]) -> None:
         self._streams = streams
         self._lines = KnownLines()
-        self._search: SpreadWork[LineNames] | None = None
+        self._search: SpreadWork[None] | None = None
         self._multiples: dict[int, tuple[int, ...]] = {}  # that the streams follow
 
     @property
@@ -38,7 +37,9 @@ class LineFollowing:
         """Follow the lines that the search has shown; whether there is a new shaft among them."""
         if self._search is None:
             return False
-        new, self._search = self._search.finish(), None
+        self._search.finish()
+        self._search = None
+        new = bool(self._lines.multiples.keys() - self._multiples.keys())
         self._lines.follow(self._followed_shafts())
         if self._lines.multiples != self._multiples:
             self._multiples = self._lines.multiples
@@ -46,7 +47,7 @@ class LineFollowing:
                 stream.follow_lines(self._lines.leader_hz, self._multiples)
         for stream in self._streams:
             stream.anchor_lines(self._lines.leader_hz)
-        return any(multiple == PARTS for _, multiple in new)
+        return new
 
     def _followed_shafts(self) -> dict[int, tuple[float, float]]:
         """Frequency of each shaft's leader by number, Hz, and its power over the rest, where that is most.

@@ -52,10 +52,6 @@ _NO_POWER = 1e-30  # numerical: an axis that is not sent has no lines
 _CHANNELS = (1, 2, 3)  # lateral and vertical force, roll rate: what the tracker reads
 
 
-LineNames = set[tuple[int, int]]
-"""Lines by the shaft's number and the multiple."""
-
-
 class SampleRing:
     """Newest samples of one station as sent, lines included."""
 
@@ -205,10 +201,8 @@ class KnownLines:
         """Lines of each shaft by its number, in twelfths of its leader's frequency."""
         return {shaft.number: shaft.multiples for shaft in self._shafts}
 
-    def search(
-        self, rings: list[SampleRing], until_ns: int, followed: dict[int, tuple[float, float]]
-    ) -> Stages[LineNames]:
-        """Stages of a search of the samples before an instant; new lines by shaft and multiple.
+    def search(self, rings: list[SampleRing], until_ns: int, followed: dict[int, tuple[float, float]]) -> Stages[None]:
+        """Stages of a search of the samples before an instant.
 
         ``followed`` has each leader's frequency by the shaft's number, as it is followed, and its power over what its
         stream has besides.
@@ -222,9 +216,8 @@ class KnownLines:
             if ratio > LOCKED_RATIO:
                 shaft.leader_hz = frequency_hz
 
-    def _search(self, channels: list[ChannelWindow], followed: dict[int, tuple[float, float]]) -> Stages[LineNames]:
-        """Stages of a search of these channels; new lines."""
-        before = self._lines()
+    def _search(self, channels: list[ChannelWindow], followed: dict[int, tuple[float, float]]) -> Stages[None]:
+        """Stages of a search of these channels."""
         peaks = yield from find_lines(channels)
         for shaft in list(self._shafts):
             shaft.follow(*followed.get(shaft.number, (shaft.leader_hz, 0.0)))
@@ -234,11 +227,6 @@ class KnownLines:
             self._begin(peaks[0])
             peaks = yield from self._with_lines(self._shafts[-1], peaks[0], peaks[1:], channels)
         self._drop()
-        return self._lines() - before
-
-    def _lines(self) -> LineNames:
-        """All lines by the shaft's number and the multiple."""
-        return {(shaft.number, multiple) for shaft in self._shafts for multiple in shaft.multiples}
 
     def _look_again(self, shaft: _KnownShaft, peaks: list[Peak], channels: list[ChannelWindow]) -> Stages[list[Peak]]:
         """Look for a known shaft among peaks; those that are not its lines."""
