@@ -7,6 +7,7 @@ from collections import deque
 
 import numpy as np
 
+from companion.core.tracking.adaptation.spectral_fit import EARLY_S
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters
@@ -16,7 +17,6 @@ from companion.records import Floats, Ints, Reject, Validity
 _BLOCK_S = 1.0  # chosen: several periods of the slowest wing
 _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
 _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
-_LEARN_S = 10.0  # as adaptation: until then parameters move by much, and the history is filtered again
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
 NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
 DISTRUST = {
@@ -63,7 +63,7 @@ class ModalActivity:
         self._sum = self._sum + squares / self._stiffness
         self._count += taken
         self.settled_s += count * step_s
-        self.learned |= self.settled_s >= _LEARN_S
+        self.learned |= self.settled_s >= EARLY_S
         if not self._blocks:
             self._rms = np.sqrt(self._sum / self._count)
         if self._count * step_s >= _BLOCK_S:
