@@ -198,8 +198,8 @@ class WingTracker:
                     self._begin_readaptation(fit.stages)
                 if fit.due and self._readaptation is not None:
                     self._take(self._readaptation.finish())
-                untried_s = self._step_s * sum(epochs.length for epochs in self._trial_epochs)
-                if self._readaptation is None and not self._adaptation.early and untried_s > _TRIAL_S:
+                idle = self._readaptation is None and not self._adaptation.early
+                if idle and self._step_s * sum(each.length for each in self._trial_epochs) > _TRIAL_S:
                     self._mark()  # without enough samples there was no fit, and the epochs must not pile up
         for stream in self._streams:
             stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
