@@ -20,10 +20,10 @@ import numpy as np
 
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.evaluation.accuracy_targets import sigma_calibration, targets, trigger_summary, wing_blur_px
-from companion.evaluation.metrics import Scored, range_summary, toe_summary
+from companion.evaluation.metrics import SETTLED_S, Scored, range_summary, toe_summary
 from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studios
 from companion.evaluation.replay import own_inputs
-from companion.evaluation.shot_scores import SETTLED_S, PipelineOutputs, Shots, collect, paired, replayed, score_shots
+from companion.evaluation.shot_scores import PipelineOutputs, Shots, collect, paired, replayed, score_shots
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.evaluation.metrics import Scored
+from companion.evaluation.metrics import SETTLED_S, Scored
 from companion.evaluation.plan_outcomes import PlanOutcomes
 from companion.evaluation.replay import drive
 from companion.evaluation.true_geometry import TrueGeometry, TrueReading
@@ -27,7 +27,6 @@ from companion.records import (
     TriggerPlan,
 )
 
-SETTLED_S = 10.0
 WAYS = ("rigid", "rigid_in_trim", "tilt_only", "corrected", "oracle")
 
 

@@ -16,12 +16,11 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
-from companion.evaluation.metrics import FAST_HZ, spread
+from companion.evaluation.metrics import FAST_HZ, SETTLED_S, spread
 from companion.records import Floats, Ints, MatchSet, TriggerPlan
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.truth import MODAL, STEP_NS
 
-SETTLED_S = 10.0
 _BAND = (0.5, 1.6)  # of the mode's frequency: its resonance, without trim and second mode
 _RANDOM_INSTANTS = 2000  # their mean is known to 2 %
 _AHEAD_STEPS = 400  # of the truth, 1 ms: the longest time from plan to exposure

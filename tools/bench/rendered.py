@@ -22,9 +22,9 @@ from companion.core.stereo.exposure import TipMotion, exposures, rest_exposures
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import divergence
 from companion.evaluation.flight_evaluation import matches_of, pulls
-from companion.evaluation.metrics import rms
+from companion.evaluation.metrics import SETTLED_S, rms
 from companion.evaluation.rendered_shots import Stage, Studio
-from companion.evaluation.shot_scores import SETTLED_S, collect, score_shots
+from companion.evaluation.shot_scores import collect, score_shots
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe

@@ -28,13 +28,13 @@ import numpy as np
 
 from companion.evaluation.fleet.campaign import work_off
 from companion.evaluation.fleet.runner import stored
-from companion.evaluation.metrics import rms, slow_part
+from companion.evaluation.metrics import SETTLED_S, rms, slow_part
 from companion.records import Floats
 from companion.sim.flight.worlds import WORLDS
 from tools.bench.publish_results import commit
 from tools.bench.world_flight import CampaignTask, fly_task
 from tools.bench.world_peers import PEERS
-from tools.bench.world_rows import AIRFRAMES, SENSORS, SETTLED_S, CampaignRow, rows
+from tools.bench.world_rows import AIRFRAMES, SENSORS, CampaignRow, rows
 from tools.trial_results import wilson
 
 FLIGHTS = 50

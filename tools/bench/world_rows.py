@@ -14,7 +14,6 @@ from companion.sim.flight.world_draw import as_calibrated
 from companion.sim.flight.worlds import WORLDS
 
 DURATION_S = 32.0
-SETTLED_S = 15.0
 STRUCK_S = 18.0
 AIRFRAMES = ("nadir-2m", "forward-2m")
 SENSORS = ("6-axis", "vertical")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from companion.cli.terminal.status_view import console
+from companion.evaluation.metrics import SETTLED_S
 
 _NAMES = {
     "rigid": "rigid stereo (ground calibration)",
@@ -24,7 +25,7 @@ def print_summary(summary: dict[str, Any]) -> None:
         shots = summary["shots"]
         out.print(
             f"no shot to judge: {shots['fired']} fired, {shots['pairs']} pairs, {shots['corrected']} corrected; "
-            "what is judged begins after ten seconds, when the tracker has learned the wing"
+            f"what is judged begins after {SETTLED_S:g} s, when the tracker has learned the wing"
         )
         out.print(f"plans: {_joined(shots['fates']) or 'none'}")
         return

@@ -38,7 +38,7 @@ class RangeProduct(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseDepthEstimate:
-    """A linear estimate: ``inverse_pm = weights @ depths.inverse_pm + edge_pm``.
+    """A linear estimate: ``weights @ depths.inverse_pm``, and an offset for the nearest thing.
 
     Attributes
     ----------
@@ -48,8 +48,6 @@ class InverseDepthEstimate:
         Weight of each match; sums to one. Any change of the geometry moves the estimate by the weighted change.
     used : int
         Matches that count.
-    edge_pm : float
-        How much nearer than the middle of its matches a nearest thing begins; 0 for the other products.
     slope_pm : (2,) float64
         Change of the plane's inverse depth per unit of either tangent; zeros for the nearest thing.
     """
@@ -58,7 +56,6 @@ class InverseDepthEstimate:
     sigma_pm: float
     weights: Floats
     used: int
-    edge_pm: float = 0.0
     slope_pm: Floats = field(default_factory=lambda: np.zeros(2))
 
 
@@ -164,7 +161,7 @@ def _edge(depths: Depths, inliers: Ints, middle: InverseDepthEstimate, size: int
     nearest_pm = float(np.mean(np.sort(depths.inverse_pm[inliers])[-size:]))
     edge_pm = 0.5 * max(nearest_pm - middle.inverse_pm, 0.0)
     sigma_pm = float(np.hypot(middle.sigma_pm, edge_pm))
-    return InverseDepthEstimate(middle.inverse_pm + edge_pm, sigma_pm, middle.weights, middle.used, edge_pm)
+    return InverseDepthEstimate(middle.inverse_pm + edge_pm, sigma_pm, middle.weights, middle.used)
 
 
 def _solve(depths: Depths, inliers: Ints, design: Floats) -> InverseDepthEstimate:

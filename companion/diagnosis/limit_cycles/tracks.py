@@ -48,7 +48,6 @@ class VibrationTrack:
         By response, in its own unit.
     steady : (w,)
         Whether the window is part of a limit cycle.
-    window_s : float
     """
 
     name: str
@@ -58,7 +57,6 @@ class VibrationTrack:
     growth_radps: Floats
     amplitude: dict[str, Floats]
     steady: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-    window_s: float
 
 
 def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
@@ -102,7 +100,6 @@ def track(raw: RawVibration, band_hz: tuple[float, float]) -> VibrationTrack:
         table[keep, 2],
         {name: levels[keep, i] for i, name in enumerate(envelopes)},
         steady[keep] & (levels[keep, 0] > floor),
-        _WINDOW * period / rate_hz,
     )
 
 
