@@ -7,15 +7,19 @@ beyond it.
 
 from __future__ import annotations
 
+import dataclasses
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from sitl_tests.reference.truth import simulate
-from tools.bench.accuracy import table
+from tools.bench.accuracy import CellTask, table
 from tools.bench.accuracy_belief import Perturbation, believed_airframe
-from tools.bench.accuracy_cases import DAMPINGS, FREQUENCIES_HZ, SHAPES, SUITES, cells
+from tools.bench.accuracy_cases import DAMPINGS, FREQUENCIES_HZ, SHAPES, SUITES, Cell, cells
 from tools.bench.accuracy_peaks import Issue, issues_of, miss_s
-from tools.bench.accuracy_score import Score, score_cell
+from tools.bench.accuracy_score import Score, as_row, from_row, score_cell
 
 
 def _score(ratio: float, label: str = "a", seed: int = 0) -> Score:
@@ -31,6 +35,22 @@ def test_ratios_are_pooled_as_mean_squares_each_truth_alike() -> None:
     assert (row.verdict, row.runs) == ("MISS", 3)
     assert rows["slope: smoothed relative slope, mrad"].value == pytest.approx(0.1)
     assert rows["slope: smoothed relative slope, mrad"].verdict == "pass"
+
+
+def test_a_score_survives_its_part_file() -> None:
+    score = _score(1.3)
+    score.lock[1] = np.nan  # a run that never locked
+    again = from_row(json.loads(json.dumps(as_row(score))))
+    for field in dataclasses.fields(Score):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(score, field.name))
+
+
+def test_a_part_file_is_of_one_truth(tmp_path: Path) -> None:
+    truth_of: dict[Path, Cell] = {}
+    for suite in SUITES:
+        for seeds in (6, 50):
+            for cell in cells(suite, seeds, 40.0):
+                assert truth_of.setdefault(CellTask(cell, tmp_path).result_file, cell) == cell
 
 
 def test_the_pooled_suites_meet_every_combination() -> None:

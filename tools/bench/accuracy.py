@@ -2,7 +2,8 @@
 
 Every row is pooled over its seeds: the mean over cells (equal truths) of the ratio of mean squares, tracker over
 reference, square root taken. The spread is the 10th to 90th percentile of the ratio of single seeds. The seeds are a
-fixed list.
+fixed list. Each truth leaves a part file: a run that was stopped goes on where it was; parts of different commits
+never mix.
 """
 
 from __future__ import annotations
@@ -10,17 +11,20 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import multiprocessing
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from companion.errors import SpanwiseError
+from companion.evaluation.fleet.campaign import work_off
 from companion.records import Floats
 from tools.bench.accuracy_cases import FREQUENCIES_HZ, SHAPES, SUITES, Cell, cells
-from tools.bench.accuracy_score import Score, score_cell
+from tools.bench.accuracy_score import Score, as_row, from_row, score_cell
+from tools.bench.publish_results import commit
 
 SEEDS, QUICK_SEEDS = 50, 6
 DURATION_S = 40.0
@@ -45,23 +49,43 @@ class Row:
         return "pass" if self.target[0] <= self.value <= self.target[1] else "MISS"
 
 
-def score(suites: list[str], seeds: int, duration_s: float, jobs: int) -> list[Score]:
-    """Fly the suites; the order of the scores does not depend on ``jobs``."""
-    work = [cell for suite in suites for cell in cells(suite, seeds, duration_s)]
-    found: list[Score] = []
-    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        for number, part in enumerate(pool.imap(_guarded, work), 1):
-            found += part
-            print(f"\r  {number}/{len(work)} truths", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
-    return found
+@dataclass(frozen=True, slots=True)
+class CellTask:
+    """One truth with its seeds as a task: its part file lies in the suite's folder."""
+
+    cell: Cell
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Truth and seeds."""
+        return f"{self.cell.label}, seeds {self.cell.seeds}"
+
+    @property
+    def result_file(self) -> Path:
+        """Part file of the truth; no seed flies twice."""
+        return self.folder / self.cell.suite / f"{'_'.join(map(str, self.cell.seeds))}.json"
 
 
-def _guarded(cell: Cell) -> list[Score]:
-    try:
-        return score_cell(cell)
-    except Exception as error:
-        raise RuntimeError(f"{cell.label}, seeds {cell.seeds}: {error}") from error
+def score_task(task: CellTask) -> dict[str, Any]:
+    """Fly one task, in a worker."""
+    return {"file": task.name, "scores": [as_row(score) for score in score_cell(task.cell)]}
+
+
+def score(suites: list[str], seeds: int, duration_s: float, jobs: int, folder: Path) -> list[Score]:
+    """Fly the suites; the order of the scores does not depend on ``jobs``.
+
+    Raises
+    ------
+    SpanwiseError
+        A truth failed.
+    """
+    tasks = [CellTask(cell, folder) for suite in suites for cell in cells(suite, seeds, duration_s)]
+    rows = work_off(tasks, score_task, jobs)
+    failed = [f"{row['file']}: {row['failed']}" for row in rows if row.get("failed")]
+    if failed:
+        raise SpanwiseError("; ".join(failed))
+    return [from_row(entry) for row in rows for entry in row["scores"]]
 
 
 def table(scores: list[Score]) -> list[Row]:
@@ -153,12 +177,6 @@ def show(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def run(seeds: int = SEEDS, suites: list[str] | None = None, jobs: int = 2) -> list[dict[str, object]]:
-    """Give the table as dictionaries."""
-    rows = table(score(suites or list(SUITES), seeds, DURATION_S, jobs))
-    return [dataclasses.asdict(row) | {"verdict": row.verdict} for row in rows]
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the bench; exit with 1 where a target is missed."""
     parser = argparse.ArgumentParser(prog="tools.bench.accuracy", description=__doc__)
@@ -166,9 +184,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} seeds: a look, not a verdict")
     parser.add_argument("--cases", nargs="+", choices=SUITES, default=list(SUITES), metavar="CASE")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--parts", type=Path, help="folder of the part files (default: out/accuracy/COMMIT)")
     parser.add_argument("--json", type=Path, help="write the rows here as well")
     options = parser.parse_args(arguments)
-    rows = table(score(options.cases, QUICK_SEEDS if options.quick else options.seeds, DURATION_S, options.jobs))
+    seeds = QUICK_SEEDS if options.quick else options.seeds
+    folder = options.parts or Path("out/accuracy") / commit()
+    rows = table(score(options.cases, seeds, DURATION_S, options.jobs, folder))
     print(show(rows))
     if options.json:
         listed = [dataclasses.asdict(row) | {"verdict": row.verdict} for row in rows]

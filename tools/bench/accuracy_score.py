@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +53,16 @@ class Score:
     nees: Floats
     lock: Floats
     refused: float
+
+
+def as_row(score: Score) -> dict[str, Any]:
+    """Score as a part file holds it."""
+    return {name: np.asarray(value).tolist() for name, value in dataclasses.asdict(score).items()}
+
+
+def from_row(row: dict[str, Any]) -> Score:
+    """Score that :func:`as_row` laid out."""
+    return Score(**{name: np.array(value) if isinstance(value, list) else value for name, value in row.items()})
 
 
 def score_cell(cell: Cell) -> list[Score]:
