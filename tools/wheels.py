@@ -7,6 +7,7 @@ machine. Each wheel is looked into before it is handed over: processor, glibc ve
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import os
 import re
 import shlex
@@ -18,6 +19,8 @@ import tempfile
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
+
+from companion.errors import SpanwiseError
 
 ROOT = Path(__file__).resolve().parents[1]
 GLIBC = (2, 28)
@@ -53,9 +56,13 @@ def build(machine: str, out: Path) -> Path:
 
     Raises
     ------
+    SpanwiseError
+        The compiler is not installed.
     subprocess.CalledProcessError
         The compiler or the build failed; it has said why.
     """
+    if importlib.util.find_spec("ziglang") is None:
+        raise SpanwiseError("the wheels are compiled by ziglang, which is not installed: run make wheels once")
     target = f"{machine}-linux-gnu.{GLIBC[0]}.{GLIBC[1]}"
     compiler = shlex.join([sys.executable, "-m", "ziglang", "cc", "-target", target, "-s"])
     pip = (sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--disable-pip-version-check")
@@ -126,4 +133,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except SpanwiseError as error:
+        sys.exit(f"wheels: {error}")

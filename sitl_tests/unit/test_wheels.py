@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from companion.native import library
+from tools.bench.__main__ import main as bench
 from tools.wheels import ELF_MACHINES, ROOT, build, elf_machine, faults, libraries, newest_glibc
 
 _LOADED = "from companion.native import library; print(library.__file__, library.library_variant(), sep='\\n')"
@@ -70,6 +71,16 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         pytest.skip("the ziglang package is not installed: `make wheels` brings it")
     out = tmp_path_factory.mktemp("dist")
     return {machine: build(machine, out) for machine in ELF_MACHINES}
+
+
+def test_without_the_compiler_it_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    assert bench(["size"]) == 1
+    assert capsys.readouterr().err == (
+        "size: the wheels are compiled by ziglang, which is not installed: run make wheels once\n"
+    )
 
 
 @pytest.mark.long

@@ -13,6 +13,7 @@ import pkgutil
 import sys
 
 import tools.bench
+from companion.errors import SpanwiseError
 from tools.bench import publish_results
 
 _BY_NAME_ALONE = ("world",)  # 1,850 flights take hours
@@ -37,7 +38,12 @@ def main(arguments: list[str]) -> int:
     missed = 0
     for name in wanted or [name for name in names() if name not in _BY_NAME_ALONE]:
         print(f"\n== {name}", flush=True)
-        printout, code = publish_results.capture(name, options, importlib.import_module(f"tools.bench.{name}").main)
+        try:
+            printout, code = publish_results.capture(name, options, importlib.import_module(f"tools.bench.{name}").main)
+        except SpanwiseError as error:
+            print(f"{name}: {error}", file=sys.stderr)
+            missed = 1
+            continue
         missed |= code
         if publishing:
             publish_results.write([printout])

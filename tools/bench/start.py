@@ -71,6 +71,8 @@ def memory_mb(port: int, folder: Path, flown_s: float) -> float:
 def started(*words: str, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run a command of ours meanwhile, with its state in a folder; it is ended as by Ctrl-C."""
     surroundings = {**os.environ, "XDG_STATE_HOME": str(folder)}
+    # the first try leaves the byte code that an installed program has; compiling it at each start takes 50 MB
+    surroundings.pop("PYTHONDONTWRITEBYTECODE", None)
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process = subprocess.Popen([*_SPANWISE, *words], env=surroundings, **quiet)  # type: ignore[call-overload]
     try:
