@@ -2,6 +2,8 @@
 #   docker buildx build --platform linux/amd64,linux/arm64 --tag spanwise .
 # It runs the live service with its live view. Airframe, links and the rest are variables below; config/SETUP.md says how.
 FROM python:3.11-slim-bookworm AS build
+# Debian keeps one version of a package at a time: a pin would break the build at the next security update
+# hadolint ignore=DL3008
 RUN apt-get update && apt-get install --yes --no-install-recommends gcc libc6-dev && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
 COPY requirements.lock pyproject.toml setup.py README.md LICENSE ./
@@ -14,6 +16,7 @@ RUN sed -n 's/^\([A-Za-z0-9][^\\]*\).*/\1/p' requirements.lock > constraints.txt
 
 FROM python:3.11-slim-bookworm
 # OAK cameras are reached by USB
+# hadolint ignore=DL3008
 RUN apt-get update && apt-get install --yes --no-install-recommends libusb-1.0-0 && rm -rf /var/lib/apt/lists/*
 COPY --from=build /opt/spanwise /opt/spanwise
 ENV PATH=/opt/spanwise/bin:$PATH \
