@@ -31,27 +31,37 @@ from companion.records import (
 SPECTRUM_SEGMENT_S = 8.0  # of Welch's average: bins of 1/8 Hz tell a mode from its neighbour
 _LINE_RATIO = 12.0  # a vibration line stands so far above the median of its neighbours
 _NEIGHBOURHOOD_HZ = 6.0
+_LOWEST_LINE_HZ = 3.0  # below are manoeuvres and slow gusts (choice)
+_MODE_WIDTH = 0.1  # a peak so near a tracked frequency, as a share of it, is the mode's own (choice)
 _NOISE_BAND = (0.5, 0.9)  # of half the rate: above the wing's motion, below the sensor's own low-pass edge
 _LINES = 6  # that are worth naming
 
 
 @dataclass(frozen=True, slots=True)
 class Spectrum:
-    """One station's vertical acceleration: one-sided power density (m/s^2)^2/Hz at ``f_hz``, and its sharp lines."""
+    """One station's vertical acceleration: one-sided power density (m/s^2)^2/Hz at ``f_hz``, and its sharp lines.
+
+    ``modes_hz`` are the tracked frequencies, whose peaks are the wing's.
+    """
 
     f_hz: Floats
     density: Floats
+    modes_hz: tuple[float, ...] = ()
 
     def lines_hz(self) -> list[float]:
-        """Frequencies that stand out of their neighbourhood, strongest first."""
+        """Frequencies above the manoeuvres that stand out of their neighbourhood and are no mode's, strongest first."""
         if len(self.f_hz) < 3:
             return []
         width = 2 * int(0.5 * _NEIGHBOURHOOD_HZ / (self.f_hz[1] - self.f_hz[0])) + 1
         floor = signal.medfilt(self.density, min(width, 2 * ((len(self.f_hz) - 1) // 2) + 1))
         ratio = self.density / np.maximum(floor, np.finfo(float).tiny)
         peaks, _ = signal.find_peaks(ratio, height=_LINE_RATIO)
-        strongest = sorted(peaks, key=lambda i: -float(self.density[i]))[:_LINES]
+        lines = [i for i in peaks if self.f_hz[i] >= _LOWEST_LINE_HZ and not self._of_a_mode(float(self.f_hz[i]))]
+        strongest = sorted(lines, key=lambda i: -float(self.density[i]))[:_LINES]
         return [float(self.f_hz[i]) for i in strongest]
+
+    def _of_a_mode(self, f_hz: float) -> bool:
+        return any(abs(f_hz - mode_hz) <= _MODE_WIDTH * mode_hz for mode_hz in self.modes_hz)
 
 
 @dataclass(slots=True)
@@ -118,7 +128,9 @@ class FlightLog:
         if len(values) < 2 * length:
             return None
         f_hz, density = signal.welch(values - values.mean(), stream.rate_hz, nperseg=length)
-        return Spectrum(np.asarray(f_hz), np.asarray(density))
+        tracked = [mode for mode in self.modes if mode.validity is Validity.TRACKING][-1:]
+        modes_hz = [family.frequency_hz for mode in tracked for family in (mode.symmetric, mode.antisymmetric)]
+        return Spectrum(np.asarray(f_hz), np.asarray(density), tuple(modes_hz))
 
     def noise_density(self, station: Station) -> float | None:
         """Noise of the vertical accelerometer, (m/s^2)/sqrt(Hz): the median of its spectrum above the wing's motion.

@@ -10,7 +10,7 @@ import pytest
 
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
-from companion.evaluation.flight_log import FlightLog, gather
+from companion.evaluation.flight_log import FlightLog, Spectrum, gather
 from companion.evaluation.pages.flight_report import verdict
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
@@ -80,6 +80,15 @@ def flight() -> list[Record]:
 @pytest.fixture(scope="module")
 def log() -> FlightLog:
     return gather(flight())
+
+
+def test_peaks_of_manoeuvres_and_of_the_wing_are_no_vibration_lines() -> None:
+    f_hz = np.arange(0.0, 150.0, 0.125)
+    density = np.full(len(f_hz), 1e-4)
+    for peak_hz in (0.5, 5.125, 28.0, 84.0):
+        density[round(peak_hz / 0.125)] = 1.0
+    assert Spectrum(f_hz, density).lines_hz() == pytest.approx([5.125, 28.0, 84.0])
+    assert Spectrum(f_hz, density, (5.0, 6.5)).lines_hz() == pytest.approx([28.0, 84.0])
 
 
 def test_a_propellers_line_is_told_at_the_tips_and_not_at_the_root(log: FlightLog) -> None:
