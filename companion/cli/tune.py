@@ -18,7 +18,7 @@ from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.evaluation.tuning import ParameterTrial, TrialOutcome, try_out, usual_trials, verdict_of
 
 _MOST_WORKERS = 64  # more than there are trials
-_HEADS = ("trial", "plans", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
+_HEADS = ("trial", "shots", "skipped", "ranges", "trusted", "sigma", "scatter", "delay", "")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -115,7 +115,7 @@ def _show(row: dict[str, Any], options: argparse.Namespace) -> None:
     if not row["changes"]:
         print(_line(_HEADS), file=out)
     got = row["outcome"]
-    counts = (got[name] for name in ("planned", "skipped", "ranges", "trusted"))
+    counts = (got[name] for name in ("shots", "skipped", "ranges", "trusted"))
     sigma, delay = f"{100 * got['sigma_ratio']:.2f} %", f"{1e3 * got['delay_s']:.0f} ms"
     mark = "better: " if row["proposed"] else ""
     cells = (row["trial"], *counts, sigma, f"{got['scatter_ratio']:.2f}", delay, mark + row["why"])
@@ -129,7 +129,7 @@ def _line(cells: tuple[object, ...]) -> str:
 
 def _sentence(result: dict[str, Any]) -> str:
     values = result["proposal"]
-    note = "ranges are of the pairs that were flown; another trigger setting would have made others (plans)"
+    note = "ranges are of the pairs that were flown; another trigger setting would have made others (shots)"
     if not values:
         return f"nothing to change: no trial betters one figure and worsens none ({note})"
     settings = " ".join(f"--set {name}={value:g}" for name, value in values.items())

@@ -1,8 +1,8 @@
 """Parameters tried on a recording: the same flight estimated again with one value changed, and what that is worth.
 
-A replay uses the images of the flight. With other values the planner would have fired other shots: these are counted as
-plans, while ranges still come from the recorded pairs. No truth is known; a change is proposed where it improves one
-figure and worsens none.
+A replay uses the images of the flight, so ranges come from the recorded pairs. With other values the planner would have
+fired other shots: they are counted in a second replay, in which each plan is fired as planned. No truth is known; a
+change is proposed where it improves one figure and worsens none.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import RecordingError
 from companion.evaluation.replay import drive, own_inputs
 from companion.params.settings import Settings, tunables
-from companion.records import ClockName, CorrectedRange, Firing, ParameterChange, Record, Tick, TriggerPlan
+from companion.records import ClockName, CorrectedRange, Firing, ParameterChange, Record, Shot, Tick, TriggerPlan
 
 _BETTER_RATIO = 0.05  # a gain that is worth a change (choice)
 _WORSE_RATIO = 0.02  # a loss that is none (choice)
@@ -64,8 +65,8 @@ class TrialOutcome:
 
     Attributes
     ----------
-    planned, skipped : int
-        Plans to fire, and plans to skip with a reason.
+    shots, skipped : int
+        Shots that the planner would have fired, and plans to skip with a reason.
     ranges, trusted : int
         Ranges, and those that would have been published.
     sigma_ratio : float
@@ -76,7 +77,7 @@ class TrialOutcome:
         Median age of a trusted range when it goes out.
     """
 
-    planned: int
+    shots: int
     skipped: int
     ranges: int
     trusted: int
@@ -112,21 +113,18 @@ def try_out(path: Path, trial: ParameterTrial) -> TrialOutcome:
     if recording.hub is not ClockName.HOST or path.suffix != ".mcap":
         raise RecordingError(f"{path}: only recordings of Spanwise hold the pairs that ranges are made of")
     now_ns = [0]
-    inputs = own_inputs(recording.records(), recording.airframe, trial.over(recording.settings))
-    outputs = drive(_flown(inputs, trial, now_ns), recording.airframe, trial.over(recording.settings), None)
-    plans: list[TriggerPlan] = []
+    settings = trial.over(recording.settings)
+    inputs = _flown(own_inputs(recording.records(), recording.airframe, settings), trial, now_ns)
     ranges: list[CorrectedRange] = []
     delays_s: list[float] = []
-    for output in outputs:
-        if isinstance(output, TriggerPlan):
-            plans.append(output)
-        elif isinstance(output, CorrectedRange):
+    for output in drive(inputs, recording.airframe, settings, None):
+        if isinstance(output, CorrectedRange):
             ranges.append(output)
             delays_s += [1e-9 * (now_ns[0] - output.t_host_ns)] if output.trusted else []
     trusted = [entry for entry in ranges if entry.trusted]
-    skipped = sum(plan.firing is Firing.SKIP for plan in plans)
+    shots, skipped = fired_as_planned(recording, trial)
     return TrialOutcome(
-        planned=len(plans) - skipped,
+        shots=shots,
         skipped=skipped,
         ranges=len(ranges),
         trusted=len(trusted),
@@ -134,6 +132,32 @@ def try_out(path: Path, trial: ParameterTrial) -> TrialOutcome:
         scatter_ratio=scatter(trusted),
         delay_s=float(np.median(delays_s)) if delays_s else 0.0,
     )
+
+
+def fired_as_planned(recording: Recording, trial: ParameterTrial) -> tuple[int, int]:
+    """Shots of the trial's own plans, and plans to skip: the recorded shots belong to the plans that were flown."""
+    settings = trial.over(recording.settings)
+    open_plans: list[TriggerPlan] = []
+    shots = skipped = 0
+
+    def fired() -> Iterator[Record]:
+        nonlocal shots
+        inputs = own_inputs(recording.records(), recording.airframe, settings)
+        for record in _flown(inputs, trial, [0]):
+            if isinstance(record, Shot):
+                continue
+            if isinstance(record, Tick) and open_plans and open_plans[0].command_host_ns <= record.now_host_ns:
+                plan = open_plans.pop()
+                shots += 1
+                yield Shot(plan.plan_id, plan.command_host_ns, plan.command_host_ns)
+            yield record
+
+    for output in drive(fired(), recording.airframe, settings, None):
+        if isinstance(output, TriggerPlan):  # the newest plan replaces the one before
+            skips = output.firing is Firing.SKIP
+            open_plans[:] = [] if skips else [output]
+            skipped += skips
+    return shots, skipped
 
 
 def _flown(inputs: Iterable[Record], trial: ParameterTrial, now_ns: list[int]) -> Iterator[Record]:
@@ -164,7 +188,7 @@ def verdict_of(flown: TrialOutcome, tried: TrialOutcome) -> tuple[bool, str]:
         "more trusted ranges": _gain(flown.trusted, tried.trusted),
         "smaller sigma": -_gain(flown.sigma_ratio, tried.sigma_ratio),
         "earlier ranges": -_gain(flown.delay_s, tried.delay_s),
-        "more plans to fire": _gain(flown.planned, tried.planned),
+        "more shots": _gain(flown.shots, tried.shots),
     }
     growth = _gain(max(flown.scatter_ratio, 1.0), max(tried.scatter_ratio, 1.0))
     losses = [_opposite(name) for name, gain in gains.items() if gain < -_WORSE_RATIO]

@@ -13,11 +13,11 @@ from companion.errors import RecordingError
 from companion.evaluation.tuning import ParameterTrial, TrialOutcome, scatter, try_out, usual_trials, verdict_of
 from companion.params.files import load_airframe
 from companion.params.settings import Settings, tunables
-from companion.records import CorrectedRange, TriggerPlan
+from companion.records import CorrectedRange, Shot
 from companion.sim.flight.flight import build_flight
 from sitl_tests.loop.simulated_service import SimulatedService
 
-FLOWN = TrialOutcome(planned=200, skipped=20, ranges=180, trusted=150, sigma_ratio=0.01, scatter_ratio=0.9, delay_s=0.6)
+FLOWN = TrialOutcome(shots=200, skipped=20, ranges=180, trusted=150, sigma_ratio=0.01, scatter_ratio=0.9, delay_s=0.6)
 S = 1_000_000_000
 
 
@@ -89,7 +89,9 @@ def test_a_trial_of_nothing_is_the_flight_as_it_was_published(flight: Path) -> N
     records = list(McapRecording(flight).records())
     got = try_out(flight, ParameterTrial(()))
     assert got.trusted == sum(isinstance(record, CorrectedRange) and record.trusted for record in records)
-    assert got.planned + got.skipped == sum(isinstance(record, TriggerPlan) for record in records)
+    assert got.shots == pytest.approx(
+        sum(isinstance(record, Shot) for record in records), abs=2
+    )  # the last may be open
     assert got.trusted > 5
 
 
@@ -98,6 +100,17 @@ def test_a_shorter_lag_gives_earlier_ranges_by_as_much(flight: Path) -> None:
     lags_s = (0.5, 0.25)
     early, late = (try_out(flight, ParameterTrial((("TRK_LAG", lag_s),))).delay_s for lag_s in reversed(lags_s))
     assert late - early == pytest.approx(lags_s[0] - lags_s[1], abs=0.06)
+
+
+@pytest.mark.slow
+def test_shots_are_those_of_the_trial_s_own_plans(flight: Path) -> None:
+    """Half the rate fires at most half as often, and a larger allowed sigma skips no peak more."""
+    flown, half, lenient = (
+        try_out(flight, ParameterTrial(changes)) for changes in ((), (("TRG_RATE", 5.0),), (("TRG_SIGMA", 0.05),))
+    )
+    assert 0.4 * flown.shots < half.shots <= 0.55 * flown.shots
+    assert lenient.shots >= flown.shots
+    assert lenient.skipped <= flown.skipped
 
 
 @pytest.mark.slow
