@@ -18,7 +18,7 @@ from sitl_tests.ardupilot.rail import RATE_HZ, line_of
 _FULL_RAD = 0.4  # deflection at the end of a servo's way
 _MIDDLE_US, _HALF_US = 1500.0, 500.0
 _REST_HEIGHT_M, _REST_PITCH_RAD = 0.2134, 0.044  # of the aeroplane on its springs
-_REST = (0.0, 0.0, -_REST_HEIGHT_M, 0.0, 0.0, 0.0, 0.0, _REST_PITCH_RAD, *[0.0] * 8)
+REST = (0.0, 0.0, -_REST_HEIGHT_M, 0.0, 0.0, 0.0, 0.0, _REST_PITCH_RAD, *[0.0] * 8)
 
 
 def controls_of(servos: tuple[int, ...]) -> Controls:
@@ -42,7 +42,7 @@ class SteeredFrames:
         State of :class:`companion.sim.landing.flexible_aircraft.FlexibleAircraft`; standing on the wheels by default.
     """
 
-    def __init__(self, airframe: Airframe, start: tuple[float, ...] = _REST) -> None:
+    def __init__(self, airframe: Airframe, start: tuple[float, ...] = REST) -> None:
         model = WingModel.from_airframe(airframe)
         self.aircraft = FlexibleAircraft(Airplane.of_airframe(airframe), model, list(start), 1_000_000_000 // RATE_HZ)
         self._controls = Controls(*start[12:16])

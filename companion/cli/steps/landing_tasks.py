@@ -71,9 +71,13 @@ def fly_task(task: LandingTask) -> Row:
 def fly_one(airframe: Airframe, seed: int, kind: RangeKind, settings: Settings, *, gusts: bool) -> Row:
     """Fly one landing with a range finder; its row."""
     limits = LandingParameters(range_min_m=settings.min_range_m, range_max_m=settings.max_range_m)
-    landing = LandingFlight(airframe, seed, gusts=gusts, limits=limits)
+    return fly_by(LandingFlight(airframe, seed, gusts=gusts, limits=limits), kind, settings, gusts=gusts)
+
+
+def fly_by(landing: LandingFlight, kind: RangeKind, settings: Settings, *, gusts: bool) -> Row:
+    """Fly a landing to its end by a range finder; its row."""
     if kind is RangeKind.SPANWISE:
-        with LandingService(ServiceConfig(airframe, settings, ()), landing) as service:
+        with LandingService(ServiceConfig(landing.airframe, settings, ()), landing) as service:
             service.fly()
             return landing_row(kind, landing, service.path, gusts=gusts)
     watched = WatchedRange(landing, _source(landing, kind, settings))

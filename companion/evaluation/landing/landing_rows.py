@@ -74,7 +74,7 @@ def landing_row(kind: RangeKind, landing: LandingFlight, path: Sequence[PathPoin
         "barometer_m": landing.senses.barometer_m,
         "flare": None if flare is None else asdict(flare),
         "touch": None if touch is None else asdict(touch),
-        "dropped": pilot.correction.dropped,
+        "dropped": pilot.dropped,
         "path": [(round(p.t_s, 2), round(p.north_m, 2), round(p.height_m, 3), p.range_m) for p in path],
     }
 

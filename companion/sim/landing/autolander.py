@@ -73,6 +73,11 @@ class Autolander:
         self._flare_pitch_rad = 0.0
         self._ranged_s = math.inf
 
+    @property
+    def dropped(self) -> int:
+        """Ranges that it took for a glitch."""
+        return self.correction.dropped
+
     def commands(self, state: NavigationState, range_m: float | None, *, on_wheels: bool) -> Controls:
         """Controls for what is measured, the range finder's good reading if it has one, and the wheels' switch."""
         tilt_cosine = math.cos(state.roll_rad) * math.cos(state.pitch_rad)

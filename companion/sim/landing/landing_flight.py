@@ -7,6 +7,7 @@ least 20 ms ahead of the present, which is what sensors that average and cameras
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,7 +22,7 @@ from companion.sim.landing.airplane import Airplane
 from companion.sim.landing.approach import Approach, LandingParameters
 from companion.sim.landing.autolander import Autolander, LandingStage
 from companion.sim.landing.autopilot_senses import AutopilotSenses
-from companion.sim.landing.control_loops import PERIOD_S
+from companion.sim.landing.control_loops import PERIOD_S, NavigationState
 from companion.sim.landing.flexible_aircraft import STEP_NS, BodyState, FlexibleAircraft
 from companion.sim.landing.growing_truth import GrowingTruth
 from companion.sim.landing.trim import trimmed
@@ -43,6 +44,27 @@ class RangeSource(Protocol):
     def reading_m(self, now_ns: int) -> float | None:
         """Newest good range along the body's z axis at a boot time; None while there is none."""
         ...
+
+
+class LandingPilot(Protocol):
+    """Who steers: :class:`companion.sim.landing.autolander.Autolander`, or another autopilot in its place."""
+
+    why: str
+
+    @property
+    def stage(self) -> LandingStage:
+        """Part of the landing."""
+
+    @property
+    def flare(self) -> object | None:
+        """What it said as its flare began, None before."""
+
+    @property
+    def dropped(self) -> int:
+        """Ranges that it took for a glitch."""
+
+    def commands(self, state: NavigationState, range_m: float | None, *, on_wheels: bool) -> Controls:
+        """Controls of the next period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +98,9 @@ class LandingFlight:
         Determines everything but the ranges.
     gusts : bool
         Turbulence, or still air.
+    state : sequence of 16 floats, optional
+        Where it begins (:class:`companion.sim.landing.flexible_aircraft.FlexibleAircraft`); trimmed on the level leg
+        by default.
     """
 
     def __init__(
@@ -86,6 +111,7 @@ class LandingFlight:
         gusts: bool,
         approach: Approach | None = None,
         limits: LandingParameters | None = None,
+        state: Sequence[float] | None = None,
     ) -> None:
         self.airframe, self.seed = airframe, seed
         self.approach = approach or Approach()
@@ -93,12 +119,13 @@ class LandingFlight:
         self.real: TruthAirframe = draw_truth(airframe, np.random.default_rng(seed))
         self.model = WingModel.from_airframe(self.real.actual)
         plane = Airplane.of_airframe(airframe)
-        start = trimmed(plane, self.approach.airspeed_mps)
-        self.aircraft = FlexibleAircraft(
-            plane, self.model, start.state(self.approach.height_m, self.approach.start_north_m)
-        )
+        if state is None:
+            state = trimmed(plane, self.approach.airspeed_mps).state(
+                self.approach.height_m, self.approach.start_north_m
+            )
+        self.aircraft = FlexibleAircraft(plane, self.model, list(state))
         self.senses = AutopilotSenses(np.random.default_rng([seed, *b"senses"]))
-        self.pilot = Autolander(plane, self.approach, self.limits)
+        self.pilot: LandingPilot = Autolander(plane, self.approach, self.limits)
         self.flare: FlareTruth | None = None
         self.touch: TouchDown | None = None
         steps = round((self.longest_s + _SPARE_S) * 1e9 / STEP_NS)
@@ -108,7 +135,7 @@ class LandingFlight:
         self._sink_mps = 0.0
         self._over_s = self.longest_s
         self._bodies: list[BodyState] = []
-        self._fly(start.controls)
+        self._fly(Controls(*state[12:16]))
 
     @property
     def longest_s(self) -> float:
