@@ -37,7 +37,10 @@ from companion.units import GRAVITY_MPS2
 from sitl_tests.ardupilot.plane_link import PlaneLink, circuit
 from sitl_tests.ardupilot.rail import line_of
 from sitl_tests.ardupilot.steered import REST
+from tools.bench.landing import write_landings
 
+PICTURE = Path(__file__).resolve().parents[1] / "plane_landing.png"
+_MARKS = ("<!-- ArduPlane's landings: begin (generated) -->", "<!-- ArduPlane's landings: end -->")
 IMAGES_HZ = 5.0  # of every range finder that has cameras
 _RATE_HZ = 1_000_000_000 // STEP_NS
 _TALK_FRAMES = 10
@@ -185,6 +188,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, default=Path("out/plane-landing"), help="where parts are left")
     parser.add_argument("--by", nargs="+", choices=list(RangeKind), default=list(RANGE_FINDERS), help="range finders")
+    parser.add_argument("--write", action="store_true", help="table and picture into sitl_tests/README.md")
     options = parser.parse_args(arguments)
     kinds = [RangeKind(kind) for kind in options.by]
     landings = landing_tasks("nadir-2m", range(1, options.flights + 1), kinds, options.out)
@@ -192,6 +196,8 @@ def main(arguments: list[str] | None = None) -> int:
     rows = [row for row in work_off(tasks, fly_task, options.workers, describe=sentence) if not row.get("failed")]
     print(f"{len(rows)} of {len(tasks)} landings")
     print(markdown(rows))
+    if options.write:
+        write_landings(rows, PICTURE, _MARKS)
     return 0
 
 

@@ -22,7 +22,7 @@ from companion.evaluation.pages.landing_picture import draw_landings
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE, PICTURE = ROOT / "sitl_tests" / "README.md", ROOT / "sitl_tests" / "landing.png"
-_BEGIN_MARK, _END_MARK = "<!-- landings: begin (generated) -->", "<!-- landings: end -->"
+_MARKS = ("<!-- landings: begin (generated) -->", "<!-- landings: end -->")
 _IMAGES_HZ = 5.0  # of every range finder that has cameras
 _SOFT_MPS = 1.5  # sink at touch-down that the gear is asked to take in gusts (choice)
 
@@ -46,7 +46,7 @@ def main(arguments: list[str]) -> int:
     print("rendered for Spanwise, perfect matches without images for rigid stereo\n")
     print(markdown(rows))
     if options.write:
-        _write(rows)
+        write_landings(rows, PICTURE, _MARKS)
     return int(not _spanwise_lands(rows, options.flights))
 
 
@@ -63,11 +63,11 @@ def _spanwise_lands(rows: list[Row], flights: int) -> bool:
     return summed.landed == 2 * flights and summed.high_flares == summed.no_flare == 0 and softly
 
 
-def _write(rows: list[Row]) -> None:
-    """Replace the block between the marks, and the picture."""
-    draw_landings([row for row in rows if row["range"] in RANGE_FINDERS], PICTURE)
-    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(_BEGIN_MARK)
-    _, end, after = rest.partition(_END_MARK)
+def write_landings(rows: list[Row], picture: Path, marks: tuple[str, str]) -> None:
+    """Replace the picture, and the block between the marks in sitl_tests/README.md."""
+    draw_landings([row for row in rows if row["range"] in RANGE_FINDERS], picture)
+    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(marks[0])
+    _, end, after = rest.partition(marks[1])
     if not (begin and end):
-        raise ValueError(f"{PAGE.name} has no marks {_BEGIN_MARK} and {_END_MARK}")
+        raise ValueError(f"{PAGE.name} has no marks {' and '.join(marks)}")
     PAGE.write_text(f"{before}{begin}\n{markdown(rows)}\n{end}{after}", encoding="utf-8")

@@ -57,7 +57,7 @@ class LandingPilot(Protocol):
 
     @property
     def flare(self) -> object | None:
-        """What it said as its flare began, None before."""
+        """Report of its flare, None before it begins."""
 
     @property
     def dropped(self) -> int:
