@@ -32,7 +32,7 @@ from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.nodes import WingNode
 from companion.sim.vehicle.world import VehicleLink
 from companion.sim.vision.cameras import PLAN_UNKNOWN, SimTriggerLine
-from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, flight_motion, launch_motion, lines
+from sitl_tests.ardupilot.rail import LAUNCH_S, RATE_HZ, flight_motion, launch_motion, lines, stamp_of
 from sitl_tests.ardupilot.steered import SteeredFrames
 
 SERVOS_16, SERVOS_32 = 18458, 29569
@@ -72,11 +72,7 @@ class PhysicsOptions:
 
 
 class Frames:
-    """The JSON line of every frame: hanging still until the launch, then the flight; at its end it stands still.
-
-    SIM_JSON adds the difference of two stamps to a clock of whole microseconds and cuts the rest off. The stamps run
-    a quarter of a microsecond a frame too fast, so that what is cut off is that quarter and never a whole one.
-    """
+    """The JSON line of every frame: hanging still until the launch, then the flight; at its end it stands still."""
 
     def __init__(self, flight: Flight, duration_s: float) -> None:
         self._moving = lines(launch_motion(flight.truth)) + lines(flight_motion(flight.truth, duration_s))
@@ -88,8 +84,7 @@ class Frames:
     def line(self, frame: int) -> bytes:
         """Sensors of one frame."""
         row = min(max(frame - self.launch_frame, 0), len(self._moving) - 1)
-        clock_us = (frame + 1) * 1_000_000 // RATE_HZ
-        return b'\n{"timestamp":%.8f,' % (1e-6 * (clock_us + 0.25 * (frame + 1))) + self._moving[row]
+        return stamp_of(frame) + self._moving[row]
 
 
 class Nodes:

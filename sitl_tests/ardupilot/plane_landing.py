@@ -31,12 +31,12 @@ from companion.sim.landing.aerodynamics import Controls
 from companion.sim.landing.approach import LandingParameters
 from companion.sim.landing.autolander import LandingStage
 from companion.sim.landing.control_loops import NavigationState
-from companion.sim.landing.flexible_aircraft import STEP_NS, BodyState, FlexibleAircraft
+from companion.sim.landing.flexible_aircraft import STEP_NS, FlexibleAircraft
 from companion.sim.landing.landing_flight import LandingFlight
 from companion.units import GRAVITY_MPS2
 from sitl_tests.ardupilot.plane_link import PlaneLink, circuit
-from sitl_tests.ardupilot.rail import line_of
-from sitl_tests.ardupilot.steered import REST
+from sitl_tests.ardupilot.rail import line_of, stamp_of
+from sitl_tests.ardupilot.steered import REST, line_of_body
 from tools.bench.landing import write_landings
 
 PICTURE = Path(__file__).resolve().parents[1] / "plane_landing.png"
@@ -46,20 +46,6 @@ _RATE_HZ = 1_000_000_000 // STEP_NS
 _TALK_FRAMES = 10
 _BEFORE_SLOPE_M = 330.0  # final leg ahead of the slope: room for a turn and for the level leg
 _LONGEST_S = 400.0
-
-
-def stamped(frame: int, moving: str) -> bytes:
-    """JSON of a frame; the stamp runs a quarter of a microsecond a frame too fast (:class:`physics.Frames`)."""
-    clock_us = (frame + 1) * 1_000_000 // _RATE_HZ
-    return b'\n{"timestamp":%.8f,' % (1e-6 * (clock_us + 0.25 * (frame + 1))) + moving.encode()
-
-
-def line_of_body(body: BodyState, airspeed_mps: float) -> str:
-    """What the sensors of a frame stand on."""
-    return line_of(
-        list(body.rates_radps), list(body.specific_force_mps2), list(body.position_ned_m), list(body.euler_rad),
-        list(body.velocity_ned_mps), airspeed_mps,
-    )  # fmt: skip
 
 
 def circled(link: PlaneLink, aircraft: FlexibleAircraft, until_north_m: float) -> list[float]:
@@ -74,7 +60,7 @@ def circled(link: PlaneLink, aircraft: FlexibleAircraft, until_north_m: float) -
     while link.frames < _LONGEST_S * _RATE_HZ:
         aircraft.step(controls)
         body = aircraft.body(controls)
-        controls = link.exchange(stamped(link.frames, line_of_body(body, math.hypot(*body.velocity_ned_mps))))
+        controls = link.exchange(stamp_of(link.frames, _RATE_HZ) + line_of_body(body).encode())
         if link.frames % _TALK_FRAMES == 0:
             link.talk(link.frames / _RATE_HZ, None)
         on_final = link.reached >= 5 and abs(body.position_ned_m[1]) < 5.0 and abs(body.euler_rad[0]) < 0.1
@@ -93,7 +79,6 @@ class PlanePilot:
         self._link, self._landing = link, landing
         self._knots = 1  # the first is where the circuit ended
         self._heard = len(link.texts)
-        self._first_frame = link.frames
         self.stage = LandingStage.LEVEL
         self.flare: str | None = None
         self.why = ""
@@ -104,7 +89,8 @@ class PlanePilot:
         truth = self._landing.truth
         controls = Controls(0.0, 0.0, 0.0, 0.0)
         for knot, rate in zip(truth.knots[self._knots :], truth.derivatives[self._knots :], strict=True):
-            controls = self._link.exchange(stamped(self._link.frames, self._line(knot, rate, state.airspeed_mps)))
+            line = self._line(knot, rate, state.airspeed_mps)
+            controls = self._link.exchange(stamp_of(self._link.frames, _RATE_HZ) + line.encode())
         self._knots = len(truth.knots)
         self._link.talk(self._link.frames / _RATE_HZ, range_m)
         self._note(on_wheels=on_wheels)
@@ -117,7 +103,7 @@ class PlanePilot:
 
     def _note(self, *, on_wheels: bool) -> None:
         for _, text in self._link.texts[self._heard :]:
-            if "aborting" in text or "abort" in text.lower():
+            if "abort" in text.lower():
                 self.stage, self.why = LandingStage.GO_AROUND, text
             elif self.stage in (LandingStage.LEVEL, LandingStage.SLOPE):
                 if text.startswith("Flare"):

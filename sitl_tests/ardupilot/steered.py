@@ -12,8 +12,8 @@ from companion.core.wing.model import WingModel
 from companion.params.airframe import Airframe
 from companion.sim.landing.aerodynamics import Controls
 from companion.sim.landing.airplane import Airplane
-from companion.sim.landing.flexible_aircraft import FlexibleAircraft
-from sitl_tests.ardupilot.rail import RATE_HZ, line_of
+from companion.sim.landing.flexible_aircraft import BodyState, FlexibleAircraft
+from sitl_tests.ardupilot.rail import RATE_HZ, line_of, stamp_of
 
 _FULL_RAD = 0.4  # deflection at the end of a servo's way
 _MIDDLE_US, _HALF_US = 1500.0, 500.0
@@ -29,6 +29,14 @@ def controls_of(servos: tuple[int, ...]) -> Controls:
     )
     throttle = max(min((servos[2] - 1000.0) / 1000.0, 1.0), 0.0)
     return Controls(-_FULL_RAD * elevator, _FULL_RAD * aileron, -_FULL_RAD * rudder, throttle)
+
+
+def line_of_body(body: BodyState) -> str:
+    """Sensors of a frame in still air."""
+    return line_of(
+        list(body.rates_radps), list(body.specific_force_mps2), list(body.position_ned_m), list(body.euler_rad),
+        list(body.velocity_ned_mps), math.hypot(*body.velocity_ned_mps),
+    )  # fmt: skip
 
 
 class SteeredFrames:
@@ -54,14 +62,4 @@ class SteeredFrames:
     def line(self, frame: int) -> bytes:
         """Sensors of a frame, after one step under the controls."""
         self.aircraft.step(self._controls)
-        body = self.aircraft.body(self._controls)
-        moving = line_of(
-            list(body.rates_radps),
-            list(body.specific_force_mps2),
-            list(body.position_ned_m),
-            list(body.euler_rad),
-            list(body.velocity_ned_mps),
-            math.hypot(*body.velocity_ned_mps),
-        )
-        clock_us = (frame + 1) * 1_000_000 // RATE_HZ
-        return b'\n{"timestamp":%.8f,' % (1e-6 * (clock_us + 0.25 * (frame + 1))) + moving.encode()
+        return stamp_of(frame) + line_of_body(self.aircraft.body(self._controls)).encode()
