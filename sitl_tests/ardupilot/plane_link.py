@@ -51,6 +51,7 @@ class PlaneLink:
         ports = Ports.free()
         defaults = folder / "defaults.parm"
         values = {**PARAMETERS, **parameters}
+        self._limits_m = (values["RNGFND1_MIN"], values["RNGFND1_MAX"])
         defaults.write_text("".join(f"{name} {value:g}\n" for name, value in values.items()))
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", ports.physics))
@@ -110,12 +111,22 @@ class PlaneLink:
             none = mavlink.MAV_AUTOPILOT_INVALID
             self._station.mav.heartbeat_send(mavlink.MAV_TYPE_GCS, none, 0, 0, 4)
             self._finder.mav.heartbeat_send(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, none, 0, 0, 4)
-        if range_m is not None and (range_m != self._range_m or self._is_due("range", t_s, _RANGE_S)):
-            self._range_m, down = range_m, mavlink.MAV_SENSOR_ROTATION_PITCH_270
-            self._finder.mav.distance_sensor_send(round(1e3 * t_s), 20, 20000, round(100 * range_m), 0, 0, down, 0)
+        if range_m != self._range_m or self._is_due("range", t_s, _RANGE_S):
+            self._range_m = range_m
+            self._say_range(t_s)
         if not self.armed and self._is_due("ask", t_s, _ASK_S):
             self._ask()
         self._hear(t_s)
+
+    def _say_range(self, t_s: float) -> None:
+        """Hand on the range, or that there is none, as Spanwise says it: one centimetre beyond the largest.
+
+        A range finder that falls silent is believed for half a second more, in which the ground seems to stay away.
+        """
+        least_cm, most_cm = (round(100.0 * self._limits_m[end]) for end in (0, 1))
+        distance_cm = most_cm + 1 if self._range_m is None else round(100.0 * self._range_m)
+        down, kind = mavlink.MAV_SENSOR_ROTATION_PITCH_270, mavlink.MAV_DISTANCE_SENSOR_UNKNOWN
+        self._finder.mav.distance_sensor_send(round(1e3 * t_s), least_cm, most_cm, distance_cm, kind, 0, down, 0)
 
     def _is_due(self, what: str, t_s: float, every_s: float) -> bool:
         if t_s < self._due_s[what]:
