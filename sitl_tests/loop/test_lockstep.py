@@ -25,7 +25,7 @@ from companion.sim.vehicle.world import World, WorldOptions
 from companion.sim.vision.cameras import Shutters
 
 MS = 1_000_000
-FLOWN_S = 12.5  # ten seconds of learning, and what is judged
+FLOWN_S = 16.5  # what is judged begins at 15 s
 
 
 @pytest.fixture(scope="module")
