@@ -14,9 +14,7 @@ import numpy as np
 from companion.records import Bools, Floats
 
 FAST_HZ = 0.5
-SETTLED_S = (
-    15.0  # of flight; what counts begins here: the longest that a new shaft may hold up learning, and some (choice)
-)
+SETTLED_S = 15.0  # what is judged begins here: a new shaft may hold up learning until 12 s (choice)
 DISTANCES_M = (20.0, 60.0, 100.0)
 _NEAR = 0.2  # a shot counts for a distance when its true range lies within this share of it
 

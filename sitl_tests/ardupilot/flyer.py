@@ -24,7 +24,7 @@ SPEED = 3.0
 _COMPANION = 191
 _NEEDED = {30: 50_000, 33: 50_000}
 # the model's own tuning (Tools/autotest/models/plane.parm of the ArduPilot tree), and what is needed to fly by script
-_PARAMETERS = {
+TUNING = {
     "BATT_MONITOR": 4, "AIRSPEED_CRUISE": 22, "AIRSPEED_MIN": 10, "AIRSPEED_MAX": 30,
     "TRIM_THROTTLE": 50, "PTCH_LIM_MIN_DEG": -20, "PTCH_LIM_MAX_DEG": 25, "ROLL_LIMIT_DEG": 65, "ARSPD_USE": 1,
     "KFF_RDDRMIX": 0.5,
@@ -52,7 +52,7 @@ class Flyer:
         self.airframe_path = folder / "airframe.toml"
         self.airframe_path.write_text(dump_airframe(airframe()), encoding="utf-8")
         defaults = folder / "defaults.parm"
-        defaults.write_text("".join(f"{name} {value:g}\n" for name, value in _PARAMETERS.items()))
+        defaults.write_text("".join(f"{name} {value:g}\n" for name, value in TUNING.items()))
         command = [
             str(executable.resolve()), "--wipe", "--model", "plane", "--speedup", f"{SPEED:g}",
             "--home", "47.0,8.0,440,0", "--defaults", str(defaults), "--rc-in-port", str(free_port()),

@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import signal
 import socket
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,10 +17,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.errors import DeviceError
 from companion.sim.landing.aerodynamics import Controls
-from sitl_tests.ardupilot.flyer import _PARAMETERS as TUNING
+from sitl_tests.ardupilot.flyer import TUNING
 from sitl_tests.ardupilot.physics import servo_outputs
 from sitl_tests.ardupilot.steered import controls_of
-from sitl_tests.ardupilot.vehicle import COMMON, HOME, Ports
+from sitl_tests.ardupilot.vehicle import COMMON, HOME, Ports, Vehicle
 
 _PATIENCE_S = 20.0
 _BEAT_S, _RANGE_S, _ASK_S = 0.5, 0.1, 1.0
@@ -49,10 +46,8 @@ class PlaneLink:
     def __init__(self, executable: Path, folder: Path, parameters: Mapping[str, float], mission: list[Any]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         ports = Ports.free()
-        defaults = folder / "defaults.parm"
         values = {**PARAMETERS, **parameters}
         self._limits_m = (values["RNGFND1_MIN"], values["RNGFND1_MAX"])
-        defaults.write_text("".join(f"{name} {value:g}\n" for name, value in values.items()))
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", ports.physics))
         self._socket.settimeout(_PATIENCE_S)
@@ -67,27 +62,13 @@ class PlaneLink:
         self.armed = False
         self.texts: list[tuple[float, str]] = []
         self.reached = 0
-        self.console = folder / "console.txt"
-        command = [
-            str(executable.resolve()), "--wipe", "--model", "JSON:127.0.0.1", "--speedup", "100", "--home", HOME,
-            "--defaults", str(defaults), "--sim-address", "127.0.0.1",
-            "--sim-port-out", str(ports.physics), "--sim-port-in", str(ports.sensors),
-            "--rc-in-port", str(ports.remote_control), "--serial0", f"udpclient:127.0.0.1:{ports.station}",
-            "--serial1", f"udpclient:127.0.0.1:{ports.service}", "--serial2", "none:",
-        ]  # fmt: skip
-        with self.console.open("wb") as out:
-            self._process = subprocess.Popen(
-                command, cwd=folder, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
-                start_new_session=True,
-            )  # fmt: skip
+        self._vehicle = Vehicle(executable, folder, ports, values, lock_step=True)
 
     def __enter__(self) -> PlaneLink:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._process.poll() is None:
-            os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
+        self._vehicle.end()
         for link in (self._socket, self._station, self._finder):
             link.close()
 
@@ -97,7 +78,8 @@ class PlaneLink:
             try:
                 data, peer = self._socket.recvfrom(256)
             except TimeoutError:
-                raise DeviceError(f"ArduPlane asks for no frame: {self.console.read_text()[-1000:]}") from None
+                self._vehicle.check()
+                raise DeviceError(f"ArduPlane asks for no frame; its words: {self._vehicle.console}") from None
             servos = servo_outputs(data)
             if servos is not None:
                 break

@@ -73,16 +73,22 @@ class Ports:
 
 
 class Vehicle:
-    """The running executable. Its log is ``console.txt`` and its data-flash logs are in ``logs`` of ``folder``."""
+    """The running executable. Its log is ``console.txt`` and its data-flash logs are in ``logs`` of ``folder``.
 
-    def __init__(self, executable: Path, folder: Path, ports: Ports, parameters: Mapping[str, float]) -> None:
+    In lock-step it flies as fast as frames come, and asks for no priority.
+    """
+
+    def __init__(
+        self, executable: Path, folder: Path, ports: Ports, parameters: Mapping[str, float], *, lock_step: bool = False
+    ) -> None:
         self.folder = folder
         values = {**COMMON, **CAMERAS, **parameters}
         defaults = folder / "defaults.parm"
         defaults.write_text("".join(f"{name} {value:g}\n" for name, value in values.items()))
         self.console = folder / "console.txt"
         command = [
-            str(executable.resolve()), "--wipe", "--model", "JSON:127.0.0.1", "--speedup", "1", "--home", HOME,
+            str(executable.resolve()), "--wipe", "--model", "JSON:127.0.0.1", "--home", HOME,
+            "--speedup", "100" if lock_step else "1",
             "--defaults", str(defaults), "--sim-address", "127.0.0.1",
             "--sim-port-out", str(ports.physics), "--sim-port-in", str(ports.sensors),
             "--rc-in-port", str(ports.remote_control),
@@ -95,7 +101,8 @@ class Vehicle:
                 command, cwd=folder, stdout=out, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 start_new_session=True,
             )  # fmt: skip
-        keep_pace(self._process.pid)
+        if not lock_step:
+            keep_pace(self._process.pid)
 
     def check(self) -> None:
         """Raise :class:`DeviceError`, with the end of its console, when it has ended."""
