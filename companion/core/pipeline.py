@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.core.clock.motion_alignment import SIGMAS
+from companion.core.clock.motion_alignment import SIGMAS, lowpass_delay_s
 from companion.core.pipeline_state import PipelineState, start
 from companion.core.pipeline_status import status, tracked, unlearned
 from companion.core.silence import TELLING
@@ -123,6 +123,10 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
         batch = ImuBatch(batch.station, clock, t_ns, batch.values, batch.axes, batch.received_host_ns)
     if batch.station is Station.ROOT:
         state.unsynced_nodes.note_root(batch.t_ns, batch.values)
+        if state.correction is not None:
+            # a turn between two exposures lasts far longer than the filter's delay varies
+            delay_ns = round(1e9 * lowpass_delay_s(state.airframe.root.lowpass_gyro_hz))
+            state.correction.turns.add(batch.t_ns - delay_ns, batch.values[:, 3:])
     return [*refused, *state.tracker.add(batch)]
 
 

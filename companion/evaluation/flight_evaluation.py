@@ -150,7 +150,11 @@ def _random_pulls(geometry: TrueGeometry) -> list[Pull]:
 def pulls(edges_s: Floats, start_host_ns: int) -> list[Pull]:
     """Pulls of the line at ``edges_s`` (boot time), whose matches are ready a tenth of a second later."""
     edges_ns = [start_host_ns + int(edge_s * 1e9) for edge_s in edges_s]
-    return [Pull(shot, edge_ns, edge_ns + _ARRIVAL_NS) for shot, edge_ns in enumerate(edges_ns)]
+    earlier_ns = [None, *edges_ns[:-1]]
+    return [
+        Pull(shot, edge_ns, edge_ns + _ARRIVAL_NS, earlier_edge_host_ns=before_ns)
+        for shot, (edge_ns, before_ns) in enumerate(zip(edges_ns, earlier_ns, strict=True))
+    ]
 
 
 def matches_of(shots: Iterable[ShotRecords]) -> list[MatchSet]:

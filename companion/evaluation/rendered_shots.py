@@ -17,15 +17,16 @@ from typing import Protocol
 import cv2
 
 from companion.core.pipeline import VisionState, vision_step
+from companion.core.stereo.flow_matching import EarlierView
 from companion.core.stereo.pairing import FramePairer
 from companion.errors import DeviceError
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import ClockName, FramePair, MatchSet, Rejected
+from companion.records import ClockName, Frame, FramePair, MatchSet, Rejected, Side
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.truth import FlightTruth
 from companion.sim.flight.worlds import ImageFaults
-from companion.sim.vision.cameras import Shutters, render_pair
+from companion.sim.vision.cameras import Shutters, render_frame, render_pair
 from companion.sim.vision.renderer import PERFECT, Renderer
 from companion.sim.vision.scene import Scene
 from companion.sim.vision.scenery import scene_of
@@ -64,13 +65,15 @@ class Stage:
 class Pull:
     """One pull of the line: number of the shot, instant of the edge, and when its matches are ready (host ns).
 
-    ``is_shown`` asks for the images too.
+    ``is_shown`` asks for the images too. ``earlier_edge_host_ns`` is the edge of the shot before, whose left image
+    shows how features have moved; None: there is none.
     """
 
     shot: int
     edge_host_ns: int
     matched_host_ns: int
     is_shown: bool = False
+    earlier_edge_host_ns: int | None = None
 
 
 class Studio:
@@ -82,23 +85,40 @@ class Studio:
         self._renderer = stage.renderer()
         self._shutters = Shutters(stage.actual, stage.seed)
         self._vision = VisionState.create(stage.belief, stage.settings)
+        self._last: Frame | None = None  # left image of the last shot, host clock
 
     def shoot(self, pull: Pull) -> ShotRecords:
         """Matches of one shot; none before take-off and after the end, where there is nothing to see."""
-        start_ns = self._stage.start_host_ns
+        earlier = self._earlier(pull)
         try:
-            pair = render_pair(self._renderer, self._shutters, pull.edge_host_ns - start_ns, pull.shot)
+            edge_ns = pull.edge_host_ns - self._stage.start_host_ns
+            pair = render_pair(self._renderer, self._shutters, edge_ns, pull.shot)
         except ValueError:
             return []
-        vision = dataclasses.replace(self._vision, pairer=FramePairer(next_id=pull.shot), numbers={})
-        left, right = (
-            dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=frame.mid_exposure_ns + start_ns)
-            for frame in (pair.left, pair.right)
-        )
+        vision = dataclasses.replace(self._vision, pairer=FramePairer(next_id=pull.shot), numbers={}, earlier=earlier)
+        left, right = self._on_host(pair.left), self._on_host(pair.right)
+        self._last = left
         said: ShotRecords = [FramePair(pull.shot, left, right)] if pull.is_shown else []
         for frame in (left, right):
             said += vision_step(vision, frame, pull.matched_host_ns)
         return said
+
+    def _earlier(self, pull: Pull) -> EarlierView | None:
+        """Left image of the shot before: the one that was just made here, or made again."""
+        if pull.earlier_edge_host_ns is None:
+            return None
+        number, left = pull.shot - 1, self._last
+        if left is None or left.sequence != number:
+            edge_ns = pull.earlier_edge_host_ns - self._stage.start_host_ns
+            try:
+                left = self._on_host(render_frame(self._renderer, self._shutters, Side.LEFT, edge_ns, number))
+            except ValueError:
+                return None
+        return EarlierView(number, left.mid_exposure_ns, left.image)
+
+    def _on_host(self, frame: Frame) -> Frame:
+        stamp_ns = frame.mid_exposure_ns + self._stage.start_host_ns
+        return dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=stamp_ns)
 
 
 class StudioPort(Protocol):

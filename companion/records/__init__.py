@@ -10,7 +10,7 @@ tip, positive when the tips bend up; tip quantities are ``[left, right]``:
 
 from __future__ import annotations
 
-from companion.records.imaging import Frame, FramePair, MatchSet
+from companion.records.imaging import Flow, Frame, FramePair, MatchSet
 from companion.records.inertial import (
     AutopilotParameter,
     ClockRestart,
@@ -73,7 +73,7 @@ Record = InputRecord | OutputRecord
 
 __all__ = [
     "AutopilotParameter", "Axis", "Bools", "Bytes", "CameraFeedback", "ClockName", "ClockRestart", "ClockState",
-    "CorrectedRange", "Deflection", "Firing", "Floats", "Frame", "FramePair", "Health", "ImuBatch",
+    "CorrectedRange", "Deflection", "Firing", "Floats", "Flow", "Frame", "FramePair", "Health", "ImuBatch",
     "InputRecord", "Ints", "MatchSet", "ModeEstimate", "ModeState", "NoRange", "Notice", "ObstacleSectors",
     "OutputRecord", "ParameterChange", "RawChunk", "Record", "Reject", "Rejected", "RelativeRotation",
     "ServiceStatus", "Shot", "Side", "Station", "Tick", "TimesyncReply", "TriggerLatency", "TriggerPlan",

@@ -40,6 +40,28 @@ class FramePair:
 
 
 @dataclass(frozen=True, slots=True)
+class Flow:
+    """Features of a left image found again in the left image of an earlier pair: what the flight moved meanwhile.
+
+    Attributes
+    ----------
+    earlier_pair_id : int
+        The earlier pair.
+    index : (m,) int64
+        Their places among the matches of the pair.
+    earlier_px : (m, 2) float64
+        Column, row in the earlier image, raw (distorted) pixels.
+    sigma_px : (m,) float64
+        One-sigma of either coordinate.
+    """
+
+    earlier_pair_id: int
+    index: Ints
+    earlier_px: Floats
+    sigma_px: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class MatchSet:
     """Matched features of one pair, in raw (distorted) pixels: what vision hands to the correction.
 
@@ -53,6 +75,8 @@ class MatchSet:
         Left and right mid-exposure on ``clocks``.
     filled : int
         So many at the end are no features but places between them, found by dense disparity: for the obstacle picture.
+    flow : Flow or None
+        Features that the left image of an earlier pair shows too.
     """
 
     pair_id: int
@@ -66,6 +90,7 @@ class MatchSet:
     sigma_px: Floats
     matched_host_ns: int
     filled: int = 0
+    flow: Flow | None = None
 
     def features(self) -> MatchSet:
         """The same without what fills the picture: ranges and rotations are taken from features alone."""

@@ -57,7 +57,10 @@ class ClockRestart:
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """The autopilot's own view of the flight; ``on_ground`` is None where it does not tell."""
+    """The autopilot's own view of the flight; what it does not tell is None.
+
+    ``velocity_ned_mps`` is over ground: north, east, down, by its navigation filter.
+    """
 
     t_boot_ns: int
     received_host_ns: int
@@ -69,6 +72,7 @@ class VehicleState:
     throttle: float
     armed: bool
     on_ground: bool | None = None
+    velocity_ned_mps: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

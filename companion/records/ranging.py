@@ -49,6 +49,8 @@ class RelativeRotation:
     lens : (7,) float64
         Residual of the lenses, left minus right: relative focal length, first radial term, keystone x and y, thin prism
         x and y; mean of the two radial terms (:mod:`companion.core.stereo.lens_residual`).
+    flow : int
+        Features whose motion since an earlier left image told of the rotation too.
     """
 
     pair_id: int
@@ -60,6 +62,7 @@ class RelativeRotation:
     matches: int
     parallax_scale: float
     lens: Floats = field(default_factory=lambda: np.zeros(7))
+    flow: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -171,7 +171,7 @@ def test_nothing_is_sent_before_the_vehicle_is_known_and_then_all_is_asked() -> 
     assert 2 <= len(bench.vehicle.of("HEARTBEAT")) <= 3
     names = {record.name for record in kinds(records, AutopilotParameter)}
     assert {"INS_ACCEL_FILTER", "INS_GYRO_FILTER", "SCHED_LOOP_RATE", "RNGFND1_MAX"} <= names
-    assert set(bench.vehicle.interval_ms) == {105, 30, 74}
+    assert set(bench.vehicle.interval_ms) == {105, 30, 33, 74}
     assert len(kinds(records, ImuBatch)) > 300
 
 

@@ -19,7 +19,19 @@ from companion.evaluation.shot_scores import PipelineOutputs, collect
 from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
-from companion.records import Bools, ClockName, CorrectedRange, Floats, ImuBatch, MatchSet, Record, Side, Station
+from companion.records import (
+    Bools,
+    ClockName,
+    CorrectedRange,
+    Floats,
+    Flow,
+    ImuBatch,
+    MatchSet,
+    Record,
+    Side,
+    Station,
+    VehicleState,
+)
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS
 from companion.sim.flight.world_draw import log_uniform
@@ -69,7 +81,7 @@ def fly(row: CampaignRow, number: int) -> dict[str, Any]:
     pair = StruckPair(flight, row.accident.knock_rad)
     shots = list(judged_shots(flight, pair))
     told = [_stamped_late(matches, row.accident, flight) for matches in shots]
-    inputs = list(_lying(in_order(flight, told), row.accident))
+    inputs = list(_too_fast(_lying(in_order(flight, told), row.accident), row.accident))
     outputs = _driven(flight.airframe, inputs)
     outputs.matches = {matches.pair_id: matches for matches in shots}
     judged = [_judged(flight, pair, outputs, entry) for _, entry in sorted(outputs.ranges.items())]
@@ -145,18 +157,38 @@ def judged_shots(flight: Flight, pair: StruckPair) -> Iterator[MatchSet]:
     rng = flight.generator("match ratio")
     ratio = log_uniform(flight.world.images.match_ratio, rng)
     end_ns = round(flight.duration_s * _S) - 3 * _VISION_NS
+    earlier: PosedCamera | None = None
     for number, edge_ns in enumerate(range(_S // 2, end_ns, _SHOT_NS)):
         mids = [shutters.exposure(side, edge_ns, number).mid_boot_ns for side in Side]
-        left_px, right_px = _matched(flight, pair.at(mids[0]), mids, ratio, number)
+        left_px, right_px, points = _matched(flight, pair.at(mids[0]), mids, ratio, number)
+        flow = _flowed(flight, earlier, points, ratio, number)
+        earlier = pair.at(mids[0]).view(Side.LEFT, mids[Side.LEFT])
         host_ns = np.array(mids, dtype=np.int64) + HOST_EPOCH_NS
         yield MatchSet(
             number, number, (ClockName.HOST, ClockName.HOST), host_ns, 2_000_000, 0,
             left_px, right_px, np.full(len(right_px), _MATCH_PX), int(host_ns.max()) + _VISION_NS,
+            flow=flow,
         )  # fmt: skip
 
 
-def _matched(flight: Flight, pair: PosedPair, mids: list[int], ratio: float, number: int) -> tuple[Floats, Floats]:
-    """Pixels (n, 2) of both cameras: features of the left image found again in the right one."""
+def _flowed(flight: Flight, earlier: PosedCamera | None, points: Floats, ratio: float, number: int) -> Flow | None:
+    """Features at points (n, 3) found again in the left image of the pair before, with noise and blunders."""
+    if earlier is None:
+        return None
+    rng = np.random.default_rng([flight.seed, number, *b"flow"])
+    earlier_px = earlier.project(points)
+    inside = np.all((earlier_px > _EDGE_PX) & (earlier_px < np.array(earlier.camera.lens.size_px) - _EDGE_PX), axis=1)
+    index = np.flatnonzero(inside)
+    earlier_px = earlier_px[index] + ratio * _MATCH_PX * rng.standard_normal((len(index), 2))
+    wrong = rng.random(len(index)) < _BLUNDERS
+    earlier_px[wrong] += rng.normal(0.0, _BLUNDER_PX, (int(wrong.sum()), 2))
+    return Flow(number - 1, index, earlier_px, np.full(len(index), _MATCH_PX))
+
+
+def _matched(
+    flight: Flight, pair: PosedPair, mids: list[int], ratio: float, number: int
+) -> tuple[Floats, Floats, Floats]:
+    """Pixels (n, 2) of both cameras, and scene points (n, 3): features of the left image found in the right one."""
     rng = np.random.default_rng([flight.seed, number, *b"matches"])
     left, right = (pair.view(side, mids[side]) for side in Side)
     size = np.array(left.camera.lens.size_px, dtype=np.float64)
@@ -164,12 +196,12 @@ def _matched(flight: Flight, pair: PosedPair, mids: list[int], ratio: float, num
     points, textured = _seen_points(left, left_px, pair, rng)
     right_px = right.project(points)
     inside = np.all((right_px > _EDGE_PX) & (right_px < size - _EDGE_PX), axis=1) & textured
-    left_px, right_px = left_px[inside][:_MATCHES], right_px[inside][:_MATCHES]
+    left_px, right_px, points = (each[inside][:_MATCHES] for each in (left_px, right_px, points))
     right_px = right_px + ratio * _MATCH_PX * rng.standard_normal(right_px.shape)
     furrowed = any(plane.furrow > 1.0 for plane in pair.scene.planes)
     wrong = rng.random(len(right_px)) < (_ROW_BLUNDERS if furrowed else _BLUNDERS)
     right_px[wrong] += rng.normal(0.0, _BLUNDER_PX, (int(wrong.sum()), 2))
-    return left_px, right_px
+    return left_px, right_px, points
 
 
 def _seen_points(left: PosedCamera, left_px: Floats, pair: PosedPair, rng: np.random.Generator) -> tuple[Floats, Bools]:
@@ -199,6 +231,18 @@ def _lying(records: Iterable[Record], accident: Accident) -> Iterator[Record]:
             values = record.values.copy()
             values[0, due[1]] += due[2]
             record, due = dataclasses.replace(record, values=values), None
+        yield record
+
+
+def _too_fast(records: Iterable[Record], accident: Accident) -> Iterator[Record]:
+    """The records with a wrong velocity over ground, along the path, from :data:`STRUCK_S` on."""
+    from_ns = HOST_EPOCH_NS + round(STRUCK_S * _S)
+    for record in records:
+        if accident.velocity_mps and isinstance(record, VehicleState) and record.received_host_ns >= from_ns:
+            assert record.velocity_ned_mps is not None
+            velocity = np.array(record.velocity_ned_mps)
+            north, east, down = (velocity * (1.0 + accident.velocity_mps / np.linalg.norm(velocity))).tolist()
+            record = dataclasses.replace(record, velocity_ned_mps=(north, east, down))
         yield record
 
 

@@ -22,7 +22,10 @@ _WORLDS = ("ideal", "fair", "rough", "tones")
 
 @dataclass(frozen=True, slots=True)
 class Accident:
-    """One thing that goes wrong at :data:`STRUCK_S`: a sample that lies, a blow, a camera turned, stamps late."""
+    """One thing that goes wrong at :data:`STRUCK_S`: a sample that lies, a blow, a camera turned, stamps late, ...
+
+    ``velocity_mps`` is how much faster than it flies the autopilot says to fly over ground from then on.
+    """
 
     name: str = ""
     lie: tuple[Station, int, float] | None = None
@@ -30,6 +33,7 @@ class Accident:
     knock_rad: float = 0.0
     late_share: float = 0.0
     late_s: float = 0.015
+    velocity_mps: float = 0.0
     circuit: bool = False
 
 
@@ -39,6 +43,7 @@ ACCIDENTS = (
     Accident("a blow of 40 m/s2 for 20 ms", blow_mps2=40.0),
     Accident("a camera turned by 2 mrad", knock_rad=0.002),
     Accident("a fifth of the stamps 15 ms late", late_share=0.2),
+    Accident("velocity over ground 3 m/s too high", velocity_mps=3.0),
 )
 ON_GROUND = Accident("ground roll, take-off, landing", circuit=True)
 

@@ -53,6 +53,7 @@ class LockStepCameras:
         self._reports: list[Shot | Rejected] = []
         self._coming: deque[Pull] = deque()
         self._busy_until_ns = self._matched_ns = self._shots = 0
+        self._edge_ns: int | None = None
 
     def send(self, plan: TriggerPlan) -> None:
         """Hand over the newest plan."""
@@ -107,8 +108,9 @@ class LockStepCameras:
         self._matched_ns = max(self._busy_until_ns, self._matched_ns) + MATCHING_NS
         is_shown = self._live is not None and edge_ns - self._shown_ns >= _IMAGE_PERIOD_NS
         self._shown_ns = edge_ns if is_shown else self._shown_ns
-        pull = Pull(self._shots, edge_ns, self._matched_ns, is_shown)
+        pull = Pull(self._shots, edge_ns, self._matched_ns, is_shown, self._edge_ns)
         self._shots += 1
+        self._edge_ns = edge_ns
         self._coming.append(pull)
         self._studios.begin(pull)
 

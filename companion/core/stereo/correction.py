@@ -11,12 +11,14 @@ import numpy as np
 
 from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, ground_reject, range_slack_mps, withheld
 from companion.core.stereo.epipolar_states import YAW
-from companion.core.stereo.exposure import TipMotion, exposures
+from companion.core.stereo.exposure import TipMotion, bent_pose, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
+from companion.core.stereo.flow import FlightBetween, FlowView
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, PairConditions, correct
-from companion.core.stereo.triangulation import match_rays
-from companion.core.stereo.vehicle_motion import VehicleMotion, VehicleTrack
+from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.triangulation import Rays, match_rays
+from companion.core.stereo.vehicle_motion import TurnTrack, VehicleMotion, VehicleTrack
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -29,9 +31,12 @@ from companion.records import (
     Reject,
     Rejected,
     RelativeRotation,
+    Side,
 )
 from companion.units import Severity
 
+_LONGEST_FLOW_NS = 600_000_000  # of a feature from one left image to a later one (choice: it leaves the image)
+_LEAST_FLOW = 12  # features, of a rotation, a velocity and the toe (choice)
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
@@ -67,9 +72,11 @@ class Correction:
     drift_filter: ExtrinsicsDriftFilter
     pending: deque[PendingPair] = field(default_factory=deque)
     vehicle: VehicleTrack = field(default_factory=VehicleTrack)
+    turns: TurnTrack = field(default_factory=TurnTrack)
     last_trusted: CorrectedRange | None = None
     _distrusted: bool = False
     _worn_told: bool = False
+    _earlier: tuple[int, Deflection] | None = None  # number of the pair before, and the wing at its left exposure
 
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> Correction:
@@ -167,4 +174,40 @@ class Correction:
         matches = matches.features()
         rays = match_rays(self.rig, moving, matches)
         use_matches = use_matches and bool(self.settings.hold_slow)
-        return self.drift_filter.update(matches, rays, bend, moving, TIMING_SIGMA_S, motion, use_matches=use_matches)
+        flow = self._flow(matches, rays, bend[Side.LEFT])
+        self._earlier = (matches.pair_id, bend[Side.LEFT])
+        return self.drift_filter.update(
+            matches, rays, bend, moving, TIMING_SIGMA_S, motion, flow=flow, use_matches=use_matches
+        )
+
+    def _flow(self, matches: MatchSet, rays: Rays, later: Deflection) -> FlowView | None:
+        """Features that the left image of the pair before shows too, where the flight between the two is told."""
+        flow, earlier = matches.flow, self._earlier
+        if flow is None or earlier is None or flow.earlier_pair_id != earlier[0] or matches.row_time_ns:
+            return None
+        shown = flow.index[(flow.index >= 0) & (flow.index < len(matches.sigma_px))]
+        between = self._flown(earlier[1].t_host_ns, later.t_host_ns)
+        if between is None or len(shown) < max(_LEAST_FLOW, len(flow.index)):
+            return None
+        lens, focal_px, tips = self.rig.left.lens, self.rig.left.lens.focal_px, TipMotion.from_airframe(self.airframe)
+        return FlowView(
+            Rays(rays.left_m[shown], rays.left[shown], rays.right_m[shown], rays.right[shown]),
+            matches.sigma_px[shown] / focal_px,
+            lens.unproject(flow.earlier_px),
+            lens.unproject(matches.left_px[shown]),
+            flow.sigma_px / focal_px,
+            bent_pose(self.rig.left, tips, earlier[1]),
+            bent_pose(self.rig.left, tips, later),
+            between,
+            self.drift_filter.body_from_epipolar.T,
+        )
+
+    def _flown(self, from_ns: int, until_ns: int) -> FlightBetween | None:
+        """Motion of the body between two instants; None where it is not told, or the instants lie far apart."""
+        motion = self.vehicle.motion((from_ns + until_ns) // 2)
+        turn_rad = self.turns.between(from_ns, until_ns) if 0 < until_ns - from_ns <= _LONGEST_FLOW_NS else None
+        if turn_rad is None or not motion.over_ground:
+            return None
+        passed_s = 1e-9 * (until_ns - from_ns)
+        moved_m = exp_rotation(0.5 * turn_rad) @ motion.velocity_mps * passed_s
+        return FlightBetween(passed_s, turn_rad, moved_m, motion.covariance)

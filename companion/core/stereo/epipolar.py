@@ -19,6 +19,7 @@ from companion.core.stereo.epipolar_posterior import (
     maximum_a_posteriori,
     with_bound_innovation,
     with_considered_states,
+    with_flow,
 )
 from companion.core.stereo.epipolar_states import (
     BEND,
@@ -30,12 +31,14 @@ from companion.core.stereo.epipolar_states import (
     NO_SHIFT,
     PERSISTENT_STATES,
     SLOW_STATES,
+    VELOCITY,
     BendBelief,
     ExtrinsicsPrior,
     FastBelief,
     rotation_rows,
     with_lens_rows,
 )
+from companion.core.stereo.flow import FlowView
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.lens_residual import OBSERVED, lens_ratio
 from companion.core.stereo.rotation import without_negative_eigenvalues
@@ -48,6 +51,7 @@ _MIN_MATCHES = 12  # three of a rotation, and three times as many to tell outlie
 _MAX_SHIFT_RAD2 = 0.01
 # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
 _FAST_VARIANCE_FACTOR = 3.0
+_VELOCITY_TIME_S = 10.0  # how long a navigation filter's velocity stays wrong the same way (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +70,8 @@ class EpipolarUpdate:
         How much larger than their stated sigma the parallaxes are; at least 1, and paid for in every covariance.
     used : int
         Matches with at least half their weight.
+    flow : int
+        Features whose flow since an earlier pair was used.
     verdict : MatchVerdict
         Whether the matches go with what was believed before them.
     """
@@ -78,6 +84,7 @@ class EpipolarUpdate:
     joint_covariance: Floats
     parallax_scale: float
     used: int
+    flow: int
     verdict: MatchVerdict
 
 
@@ -98,6 +105,7 @@ class EpipolarFilter:
         self._mean = np.zeros(PERSISTENT_STATES)
         self._covariance = np.diag(self._first_variances())
         self._fast_covariance = np.zeros((3, 3))
+        self._velocity_covariance = np.zeros((3, 3))
         self._bend_variance = 0.0
         self.lens_ratio = 1.0
         """Prior variance of the considered lens terms over the stated one."""
@@ -123,6 +131,7 @@ class EpipolarFilter:
         t_host_ns: int,
         bend: BendBelief = NO_BEND,
         shift_covariance: Floats = NO_SHIFT,
+        flow: FlowView | None = None,
     ) -> EpipolarUpdate | Reject:
         """Take the matches of one pair.
 
@@ -140,6 +149,8 @@ class EpipolarFilter:
             Slow error of the believed bend; none where the fast covariance has it all.
         shift_covariance : (2, 2) float64
             Of this pair's own baseline direction, y and z: flight between the exposures.
+        flow : FlowView, optional
+            Features that an earlier left image shows too.
 
         Returns
         -------
@@ -148,14 +159,18 @@ class EpipolarFilter:
         refused = self._refuse(rays, sigma_rad, t_host_ns)
         if refused is not None:
             return refused
-        mean, predicted = self._predicted(t_host_ns, bend, fast)
+        velocity = self._velocity_covariance if flow is None else flow.velocity_covariance
+        mean, predicted = self._predicted(t_host_ns, bend, fast, velocity)
         prior = joint_prior(predicted, shift_covariance / max(float(np.trace(shift_covariance)) / _MAX_SHIFT_RAD2, 1.0))
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
         answer, verdict = self._solved(epipolar_rays, noise_rad, fast, mean, prior, bend)
+        if flow is not None and verdict is MatchVerdict.AGREE:
+            answer = _flown(answer, flow, bend)
         self._mean, self._updated_ns = answer.mean[:PERSISTENT_STATES], t_host_ns
         self._covariance = answer.covariance[:PERSISTENT_STATES, :PERSISTENT_STATES]
         self._bend_variance, self._fast_covariance = bend.sigma_rad**2, fast.covariance
+        self._velocity_covariance = velocity
         self._doubt_lenses()
         return _describe(answer, bend, verdict)
 
@@ -187,22 +202,24 @@ class EpipolarFilter:
             variances[observed] = np.diag(self._covariance)[observed]
             self._mean, self._covariance, self.lens_ratio = mean, np.diag(variances), ratio
             self._bend_variance, self._fast_covariance = 0.0, np.zeros((3, 3))
+            self._velocity_covariance = np.zeros((3, 3))
 
     def _first_variances(self) -> Floats:
-        """Variances (18,) of the states before any pair; those of bend and fast part come with each pair."""
-        prior = self._prior
-        return np.array([*prior.variances(), 0.0, prior.yaw_bias_rad**2, prior.bend_scale**2, 0.0, 0.0, 0.0])
+        """Variances of the persistent states before any pair; those of bend, fast part and velocity come with each."""
+        prior, none = self._prior, [0.0] * 3
+        constants = [prior.yaw_bias_rad**2, prior.bend_scale**2]
+        return np.array([*prior.variances(), 0.0, *constants, *none, *none, *[prior.turn_rate_radps**2] * 3])
 
     def predict(self, t_host_ns: int, bend: BendBelief = NO_BEND) -> tuple[Floats, Floats]:
         """Rotation and lens terms (10,) and their covariance (10, 10) at a time at or after the last update.
 
         The rotation is slow part and error of scale; this pair's own fast part is not in it.
         """
-        mean, covariance = self._predicted(t_host_ns, bend, FastBelief(np.zeros((3, 3))))
+        mean, covariance = self._predicted(t_host_ns, bend, FastBelief(np.zeros((3, 3))), self._velocity_covariance)
         gather = with_lens_rows(rotation_rows(bend))[:, :SLOW_STATES]
         return gather @ mean[:SLOW_STATES], gather @ covariance[:SLOW_STATES, :SLOW_STATES] @ gather.T
 
-    def _predicted(self, t_host_ns: int, bend: BendBelief, fast: FastBelief) -> tuple[Floats, Floats]:
+    def _predicted(self, t_host_ns: int, bend: BendBelief, fast: FastBelief, velocity: Floats) -> tuple[Floats, Floats]:
         """Mean and covariance before the pair: the rotation wanders, the bend's error shrinks as the tracker learns.
 
         The tracker's next error is independent of what it learns until then, so of the part ``1 - s1^2/s0^2`` that it
@@ -223,9 +240,13 @@ class EpipolarFilter:
             keep[FAST] = min(now_fast / before_fast, 1.0) * np.exp(-passed_s / fast.time_s)
         else:
             keep[FAST] = 0.0
+        keep[VELOCITY] = np.exp(-passed_s / _VELOCITY_TIME_S)
         covariance = self._covariance * np.outer(keep, keep) + np.diag(fresh)
         covariance[FAST, FAST] += without_negative_eigenvalues(
             fast.covariance - keep[SLOW_STATES] ** 2 * self._fast_covariance
+        )
+        covariance[VELOCITY, VELOCITY] += without_negative_eigenvalues(
+            velocity - keep[VELOCITY.start] ** 2 * self._velocity_covariance
         )
         return keep * self._mean, covariance
 
@@ -236,6 +257,13 @@ class EpipolarFilter:
             return Reject.TIME_BACKWARDS
         arrays = (rays.left_m, rays.left, rays.right_m, rays.right, sigma_rad)
         return None if all(bool(np.all(np.isfinite(array))) for array in arrays) else Reject.NOT_FINITE
+
+
+def _flown(answer: Posterior, flow: FlowView, bend: BendBelief) -> Posterior:
+    """The answer with what the flow tells, where that does not contradict it."""
+    total = rotation_rows(bend) @ answer.mean
+    told = with_flow(answer, flow.innovation(total, answer.mean[LENS]), flow.between.passed_s, bend)
+    return answer if told is None else with_considered_states(told, answer.mean, answer.covariance)
 
 
 def _describe(answer: Posterior, bend: BendBelief, verdict: MatchVerdict) -> EpipolarUpdate:
@@ -252,5 +280,6 @@ def _describe(answer: Posterior, bend: BendBelief, verdict: MatchVerdict) -> Epi
         joint_covariance=joint @ answer.covariance @ joint.T,
         parallax_scale=answer.scale,
         used=answer.used,
+        flow=answer.flow,
         verdict=verdict,
     )

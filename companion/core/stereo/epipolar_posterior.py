@@ -18,14 +18,18 @@ from companion.core.stereo.epipolar_states import (
     BASELINE,
     CONSIDERED_STATES,
     INNOVATION,
+    LENS,
     PARALLAX_STATES,
     PERSISTENT_STATES,
     SHIFT,
+    TURN_RATE,
+    VELOCITY,
     YAW,
     YAW_BIAS,
     BendBelief,
     rotation_rows,
 )
+from companion.core.stereo.flow import FlowInnovation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats
 
@@ -36,16 +40,25 @@ _MAD_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information
 # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
 _PRIOR_REMAINDER = 1e-3
+_FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
+# what integrated rates and the tracked bend of two exposures leave of a camera's turn, rad, each axis (choice: a tenth
+# of the fast slope's rms, and gyros that scale to 1 % in a roll of 0.2 rad/s)
+_FLOW_TURN_RAD = 3e-4
+_FLOW_SIGMAS = 4.0  # a yaw that one pair's flow moves by more contradicts what is known of it (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Mean (all states,) and covariance given a pair, scale of its parallaxes, matches with half their weight."""
+    """Mean (all states,) and covariance given a pair, scale of its parallaxes, matches with half their weight.
+
+    ``flow`` is the number of features whose flow was used.
+    """
 
     mean: Floats
     covariance: Floats
     scale: float
     used: int
+    flow: int = 0
 
 
 def joint_prior(persistent_covariance: Floats, shift_covariance: Floats) -> Floats:
@@ -75,7 +88,7 @@ def maximum_a_posteriori(
     mean = np.concatenate([carried, np.zeros(ALL_STATES - PERSISTENT_STATES)])
     gather = rotation_rows(bend)
     gather[YAW, YAW_BIAS] = 1.0
-    prior_information = np.linalg.inv(covariance + _VARIANCE_FLOOR_RAD2 * np.eye(len(mean)))
+    prior_information = _inverse(covariance + _VARIANCE_FLOOR_RAD2 * np.eye(len(mean)))
     state, scale = mean.copy(), 1.0
     weight, information = np.ones(len(sigma_rad)), prior_information
     for _ in range(_GAUSS_NEWTON_STEPS):
@@ -94,7 +107,7 @@ def maximum_a_posteriori(
         information = prior_information + weighted.T @ (design / (scale * sigma_rad)[:, np.newaxis])
         pull = weighted.T @ unit + prior_information @ (mean - state)
         state = state + np.linalg.solve(information, pull)
-    return Posterior(state, np.linalg.inv(information), scale, int(np.sum(weight > 0.5)))
+    return Posterior(state, _inverse(information), scale, int(np.sum(weight > 0.5)))
 
 
 def innovation_of(answer: Posterior) -> Innovation:
@@ -127,3 +140,68 @@ def with_considered_states(answer: Posterior, mean: Floats, prior: Floats) -> Po
     block = np.ix_(CONSIDERED_STATES, CONSIDERED_STATES)
     covariance[block] = prior[block]
     return dataclasses.replace(answer, mean=after, covariance=covariance)
+
+
+def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: BendBelief) -> Posterior | None:
+    """The answer updated by the flow since an earlier pair; None where that contradicts it.
+
+    The flow's rows are linear about the answer, with Student's t as in :func:`maximum_a_posteriori`. A turn of its own,
+    beside the constant error of the rates, is free within :data:`_FLOW_TURN_RAD`.
+
+    Parameters
+    ----------
+    answer : Posterior
+        Given the pair's matches, and about whose mean ``flow`` was predicted.
+    flow : FlowInnovation
+        About that mean.
+    passed_s : float
+        Time between the exposures.
+    bend : BendBelief
+        Axis about which the tracker's slow error turns the cameras.
+    """
+    told = np.isfinite(flow.residual_rad) & np.isfinite(flow.sigma_rad)
+    design = np.zeros((len(told), ALL_STATES + 3))
+    design[:, :ALL_STATES] = flow.rotation @ rotation_rows(bend)
+    design[:, LENS] += flow.lens
+    design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
+    design[:, ALL_STATES:] = flow.turn
+    design = design[told] / flow.sigma_rad[told, np.newaxis]
+    believed = np.zeros(ALL_STATES + 3)  # the flow was predicted without what is known of velocity and rates
+    believed[VELOCITY], believed[TURN_RATE] = answer.mean[VELOCITY], answer.mean[TURN_RATE]
+    unit = flow.residual_rad[told] / flow.sigma_rad[told] - design @ believed
+    prior = np.zeros((ALL_STATES + 3, ALL_STATES + 3))
+    prior[:ALL_STATES, :ALL_STATES] = answer.covariance
+    prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3)
+    root = _square_root(prior)
+    change, covariance = np.zeros(len(prior)), prior
+    for _ in range(_FLOW_ROUNDS):
+        left_over = unit - design @ change
+        scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(left_over))), 1.0)
+        weight = np.minimum((_STUDENT_DOF + 1.0) / (_STUDENT_DOF + (left_over / scale) ** 2), 1.0) / scale**2
+        shown = design @ root
+        covariance = root @ np.linalg.solve(np.eye(len(root)) + shown.T @ (shown * weight[:, np.newaxis]), root.T)
+        change = covariance @ (design.T @ (weight * unit))
+    row = rotation_rows(bend)[YAW]
+    learnt = row @ (prior - covariance)[:ALL_STATES, :ALL_STATES] @ row
+    if not np.isfinite(change).all() or (row @ change[:ALL_STATES]) ** 2 > _FLOW_SIGMAS**2 * learnt:
+        return None
+    states = slice(0, ALL_STATES)
+    return dataclasses.replace(
+        answer, mean=answer.mean + change[states], covariance=covariance[states, states], flow=int(told.sum()) // 2
+    )
+
+
+def _inverse(matrix: Floats) -> Floats:
+    """Inverse of a positive matrix whose states have units of very different size."""
+    unit = 1.0 / np.sqrt(np.diag(matrix))
+    inverse: Floats = np.linalg.inv(matrix * np.outer(unit, unit)) * np.outer(unit, unit)
+    return inverse
+
+
+def _square_root(covariance: Floats) -> Floats:
+    """Square root (n, n) of a covariance whose states have units of very different size."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unit = np.where(sigma > 0.0, sigma, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    root: Floats = unit[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return root

@@ -25,9 +25,12 @@ LENS = slice(BASELINE_Z + 1, PARALLAX_STATES)
 CONSIDERED_STATES = [LENS.start + term for term in CONSIDERED]
 BEND, YAW_BIAS, BEND_SCALE = range(PARALLAX_STATES, PARALLAX_STATES + 3)
 SLOW_STATES = BEND_SCALE + 1  # states of the slow part
-PERSISTENT_STATES = SLOW_STATES + 3  # with the error of the fast part: states that stay from pair to pair
+FAST = slice(SLOW_STATES, SLOW_STATES + 3)
+# of the flight between two pairs, which flow tells the toe by: velocity over ground, rate of turn
+VELOCITY, TURN_RATE = slice(FAST.stop, FAST.stop + 3), slice(FAST.stop + 3, FAST.stop + 6)
+PERSISTENT_STATES = TURN_RATE.stop  # states that stay from pair to pair
 ALL_STATES = PERSISTENT_STATES + 5  # with this pair's error of the baseline's direction, and its innovation
-FAST, SHIFT = slice(SLOW_STATES, PERSISTENT_STATES), slice(PERSISTENT_STATES, PERSISTENT_STATES + 2)
+SHIFT = slice(PERSISTENT_STATES, PERSISTENT_STATES + 2)
 INNOVATION = slice(PERSISTENT_STATES + 2, ALL_STATES)
 
 SYSTEMATIC_DOWN_RAD = (1e-4, 3e-4, 1e-4)
@@ -56,6 +59,8 @@ class ExtrinsicsPrior:
         Sigma of the yaw that errors common to all pairs make up; a constant.
     bend_scale : float
         Sigma of the relative error of the tracked bend's fast part; a constant of a flight.
+    turn_rate_radps : float
+        Sigma of the autopilot's rates, each axis; a constant.
     parallax_rad : float
         What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
     systematic_rad : tuple of float
@@ -68,6 +73,7 @@ class ExtrinsicsPrior:
     lens: tuple[float, ...] = DEFAULT_LENS
     yaw_bias_rad: float = 0.0
     bend_scale: float = 0.0
+    turn_rate_radps: float = 0.001
     parallax_rad: float = 0.00005
     systematic_rad: tuple[float, float, float] = SYSTEMATIC_DOWN_RAD
 

@@ -110,13 +110,19 @@ def rest_exposures(rig: Rig) -> tuple[CameraExposure, CameraExposure]:
     return CameraExposure(rig.left.rest, still, still), CameraExposure(rig.right.rest, still, still)
 
 
+def bent_pose(camera: MountedCamera, tips: TipMotion, bend: Deflection) -> Pose:
+    """Pose of a camera on the bent wing, in the body axes of that instant."""
+    signs = tip_signs(camera.side)
+    return camera.pose(
+        float(bend.slope_rad[camera.side]), float(signs @ bend.q_m), float((signs * tips.twist_radpm) @ bend.q_m)
+    )
+
+
 def _exposure(
     camera: MountedCamera, tips: TipMotion, bend: Deflection, after_s: float, drift_mps: Floats
 ) -> CameraExposure:
     signs = tip_signs(camera.side)
-    pose = camera.pose(
-        float(bend.slope_rad[camera.side]), float(signs @ bend.q_m), float((signs * tips.twist_radpm) @ bend.q_m)
-    )
+    pose = bent_pose(camera, tips, bend)
     turned = exp_rotation(bend.body_rate_radps * after_s)
     moved = Pose(pose.camera_from_body @ turned.T, turned @ pose.position_body_m + drift_mps * after_s)
     wing_rate = camera.turn_rad(

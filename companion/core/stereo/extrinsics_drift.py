@@ -15,6 +15,7 @@ from companion.core.stereo.consistency_gate import MatchVerdict
 from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate
 from companion.core.stereo.epipolar_states import SYSTEMATIC_DOWN_RAD, BendBelief, ExtrinsicsPrior, FastBelief
 from companion.core.stereo.exposure import CameraExposure
+from companion.core.stereo.flow import FlowView
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.lens_residual import PAIR_TERMS, mean_tilt_variance, pair_variances
 from companion.core.stereo.rotation import without_negative_eigenvalues
@@ -75,6 +76,7 @@ class ExtrinsicsDriftFilter:
         timing_sigma_s: float,
         motion: VehicleMotion = STILL,
         *,
+        flow: FlowView | None = None,
         use_matches: bool = True,
     ) -> RelativeRotation:
         """Take one pair.
@@ -93,6 +95,8 @@ class ExtrinsicsDriftFilter:
             One-sigma of each exposure's stamp.
         motion : VehicleMotion
             The aircraft's velocity, by which it is in the rays, and its covariance.
+        flow : FlowView, optional
+            Features that an earlier left image shows too.
         use_matches : bool
             False: predict only, with the tracker's own uncertainty.
         """
@@ -100,7 +104,9 @@ class ExtrinsicsDriftFilter:
         belief, fast = self._belief(bend, t_host_ns), self._fast(bend, exposures, timing_sigma_s)
         sigma_rad = matches.sigma_px / self._rig.left.lens.focal_px
         shift = self._shift(exposures, timing_sigma_s, motion)
-        update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift) if use_matches else None
+        update = None
+        if use_matches:
+            update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift, flow)
         self.verdict = update.verdict if isinstance(update, EpipolarUpdate) else MatchVerdict.AGREE
         if isinstance(update, EpipolarUpdate):
             self.joint_covariance = update.joint_covariance
@@ -114,6 +120,7 @@ class ExtrinsicsDriftFilter:
                 update.used,
                 update.parallax_scale,
                 update.lens,
+                update.flow,
             )
         mean, joint = self._filter.predict(t_host_ns, belief)
         slow, covariance = mean[:3], joint[:3, :3].copy()
@@ -187,6 +194,7 @@ def extrinsics_prior(rig: Rig, airframe: Airframe) -> ExtrinsicsPrior:
         lens=tuple(np.sqrt(pair_variances(airframe)).tolist()),
         yaw_bias_rad=_yaw_bias_rad(rig),
         bend_scale=_bend_scale_sigma(airframe),
+        turn_rate_radps=airframe.root.gyro_bias_sigma_radps,
         systematic_rad=SYSTEMATIC_DOWN_RAD if airframe.looks_down else _SYSTEMATIC_AHEAD_RAD,
     )
 

@@ -23,7 +23,8 @@ _CORNER_SPACING_PX = 14  # less than a refinement window apart, features are not
 _BORDER_PX = HALF_WINDOW + 3  # a patch and its interpolation taps fit in
 _COARSE_WIDTH_PX = 320  # width of the images of the coarse search: speed
 _COARSE_SCORE = 0.6  # correlation that a right place reaches at the coarse scale (choice)
-_FINE_SCORE = 0.85  # correlation of a patch that is the same texture (choice)
+FINE_SCORE = 0.85
+"""Correlation of a patch that is the same texture (choice)."""
 # Of 1 - correlation: the best must leave this much less unexplained than any other place, and a little in any case.
 _UNIQUENESS = 0.8
 _UNIQUE_MARGIN = 0.02  # see _UNIQUENESS
@@ -82,7 +83,7 @@ def match(
     along = frame.along_rows(rig.right, search.right, right_rectified)
     slopes = expected_slopes(frame, rig, corners[distinct], right_rectified)
     fine = refine(left, right, corners[distinct], start, along, slopes)
-    good = fine.good & (fine.correlation > _FINE_SCORE)
+    good = fine.good & (fine.correlation > FINE_SCORE)
     good[good] = returned(left, right, fine, good, slopes)
     return Matches(fine.left_px[good], fine.right_px[good], fine.sigma_px[good])
 

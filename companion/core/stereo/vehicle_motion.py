@@ -1,7 +1,8 @@
 """How the aircraft flew at an exposure: attitude, and velocity in body axes with covariance, as the autopilot told.
 
 Cameras that expose a few milliseconds apart are moved against each other by the flight: 22 m/s for 3 ms are 66 mm, on
-a two-metre baseline. Along the path that is known; wind, sideslip and the autopilot's mounting are in the covariance.
+a two-metre baseline. Along the path that is known; wind, sideslip and the autopilot's mounting are in the covariance,
+and where the autopilot tells its velocity over ground, no more than that velocity's errors.
 """
 
 from __future__ import annotations
@@ -13,21 +14,29 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.stereo.rotation import exp_rotation
-from companion.records import Floats, VehicleState
+from companion.records import Floats, Ints, VehicleState
 
 _STATES = 64  # some seconds of attitudes at the usual rates
 _ATTITUDE_NS = 500_000_000  # an attitude older than this is not that of the exposure (choice)
 # the ground's velocity against the air, and climb and sideslip that are not told: along and across the path, and
 # vertical, 1 sigma (choice: a light breeze; a pitch that is wrong by 1.5 degrees at 20 m/s)
 _UNTOLD_MPS = (3.0, 3.0, 0.5)
+# velocity over ground of a navigation filter, 1 sigma, each axis (ArduPilot EK3_VELNE_M_NSE: 0.3 for u-blox M8)
+_GROUND_MPS = 0.3
+# heading of the autopilot, and pitch and roll of its axes against the cameras' body axes, 1 sigma (choice: a compass
+# that is calibrated, a mounting by hand)
+_HEADING_RAD, _LEVEL_RAD = 0.05, 0.02
+_RATES_S = 4.0  # rates are kept for as long: the smoother's lag, the queue and the time between two pairs
+_RATE_GAP_NS = 50_000_000  # rates further apart do not tell the turn between them (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleMotion:
-    """Velocity (3,) over ground, m/s, body axes, and its covariance (3, 3)."""
+    """Velocity (3,) over ground, m/s, body axes, and its covariance (3, 3); ``over_ground``: not from airspeed."""
 
     velocity_mps: Floats
     covariance: Floats
+    over_ground: bool = False
 
 
 STILL = VehicleMotion(np.zeros(3), np.zeros((3, 3)))
@@ -64,23 +73,84 @@ class VehicleTrack:
         """Velocity at an instant, by airspeed, climb rate and attitude; along the body's x where none is nearby."""
         if not self._near(t_host_ns):
             return STILL if self.newest is None else _motion(self.newest.airspeed_mps, 0.0, 0.0, 0.0)
+        if all(state.velocity_ned_mps is not None for state in self._states):
+            return self._over_ground(t_host_ns)
         roll_rad, pitch_rad, airspeed_mps, climb_mps = (
             self._at(t_host_ns, quantity)
-            for quantity in (
-                lambda state: state.roll_rad,
-                lambda state: state.pitch_rad,
-                lambda state: state.airspeed_mps,
-                lambda state: state.climb_mps,
-            )
+            for quantity in (_roll, _pitch, lambda state: state.airspeed_mps, lambda state: state.climb_mps)
         )
         return _motion(airspeed_mps, climb_mps, roll_rad, pitch_rad)
+
+    def _over_ground(self, t_host_ns: int) -> VehicleMotion:
+        """Velocity as the navigation filter has it, turned into body axes by its attitude."""
+        roll_rad, pitch_rad = (self._at(t_host_ns, quantity) for quantity in (_roll, _pitch))
+        yaws_rad = np.unwrap([state.yaw_rad for state in self._states])
+        yaw_rad = float(np.interp(0.0, self._since_s(t_host_ns), yaws_rad))
+        ned_mps = np.array([state.velocity_ned_mps for state in self._states], dtype=np.float64)
+        velocity_mps = np.array([np.interp(0.0, self._since_s(t_host_ns), axis) for axis in ned_mps.T])
+        turns = ((roll_rad, 0), (pitch_rad, 1), (yaw_rad, 2))
+        x, y, z = (exp_rotation(-angle * np.eye(3)[axis]) for angle, axis in turns)
+        velocity: Floats = x @ y @ z @ velocity_mps
+        speed_mps = float(np.linalg.norm(velocity))
+        sigma_mps = np.hypot(_GROUND_MPS, speed_mps * np.array([0.0, _HEADING_RAD, _LEVEL_RAD]))
+        return VehicleMotion(velocity, np.diag(sigma_mps**2), over_ground=True)
 
     def _near(self, t_host_ns: int) -> bool:
         return any(abs(state.received_host_ns - t_host_ns) <= _ATTITUDE_NS for state in self._states)
 
     def _at(self, t_host_ns: int, quantity: Callable[[VehicleState], float]) -> float:
-        since_s = [1e-9 * (state.received_host_ns - t_host_ns) for state in self._states]
-        return float(np.interp(0.0, since_s, [quantity(state) for state in self._states]))
+        return float(np.interp(0.0, self._since_s(t_host_ns), [quantity(state) for state in self._states]))
+
+    def _since_s(self, t_host_ns: int) -> list[float]:
+        return [1e-9 * (state.received_host_ns - t_host_ns) for state in self._states]
+
+
+def _roll(state: VehicleState) -> float:
+    return state.roll_rad
+
+
+def _pitch(state: VehicleState) -> float:
+    return state.pitch_rad
+
+
+@dataclass(slots=True)
+class TurnTrack:
+    """The body's rates of the last seconds, as the root's gyro told them, and the turn between two instants."""
+
+    _parts: deque[tuple[Ints, Floats]] = field(default_factory=deque)
+
+    def add(self, t_host_ns: Ints, rate_radps: Floats) -> None:
+        """Take samples (n,) of the rates (n, 3), body axes, in order."""
+        good = np.isfinite(rate_radps).all(axis=1)
+        if not good.any():
+            return
+        self._parts.append((t_host_ns[good], rate_radps[good]))
+        oldest_ns = int(self._parts[-1][0][-1]) - round(_RATES_S * 1e9)
+        while int(self._parts[0][0][-1]) < oldest_ns:
+            self._parts.popleft()
+
+    def between(self, from_ns: int, until_ns: int) -> Floats | None:
+        """Rotation vector (3,) of the body from one instant to a later one; None where rates are missing.
+
+        The rates are integrated to second order: ``sum w dt + 1/2 sum (sum before) x w dt`` (Bortz 1971).
+        """
+        first_ns, last_ns = from_ns - _RATE_GAP_NS, until_ns + _RATE_GAP_NS
+        near = [part for part in self._parts if part[0][-1] > first_ns and part[0][0] < last_ns]
+        if not near:
+            return None
+        t_ns = np.concatenate([part[0] for part in near])
+        rates = np.concatenate([part[1] for part in near])
+        inside = (t_ns > from_ns) & (t_ns < until_ns)
+        nodes_ns = np.concatenate([[from_ns], t_ns[inside], [until_ns]])
+        if t_ns[0] > from_ns or t_ns[-1] < until_ns or int(np.diff(nodes_ns).max()) > _RATE_GAP_NS:
+            return None
+        s = 1e-9 * (t_ns - from_ns)
+        at_s = 1e-9 * (nodes_ns - from_ns)
+        at = np.column_stack([np.interp(at_s, s, axis) for axis in rates.T])
+        steps = 0.5 * (at[1:] + at[:-1]) * np.diff(at_s)[:, np.newaxis]
+        before = np.cumsum(steps, axis=0) - steps
+        turn: Floats = steps.sum(axis=0) + 0.5 * np.cross(before, steps).sum(axis=0)
+        return turn
 
 
 def _motion(airspeed_mps: float, climb_mps: float, roll_rad: float, pitch_rad: float) -> VehicleMotion:

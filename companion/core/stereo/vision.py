@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from companion.core.stereo.filling import filled
+from companion.core.stereo.flow_matching import EarlierView, flow_since
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.matching import match_pair
 from companion.core.stereo.pairing import FramePairer
@@ -63,6 +64,7 @@ class VisionState:
     pairer: FramePairer = field(default_factory=FramePairer)
     choice: FrameChoice | None = None
     numbers: dict[Side, int] = field(default_factory=dict)
+    earlier: EarlierView | None = None
 
     @classmethod
     def create(
@@ -79,8 +81,11 @@ class VisionState:
         self.search = trim_search(self.rig, self.airframe, self.settings)
 
     def match(self, pair: FramePair, now_host_ns: int) -> MatchSet:
-        """Features, and for a pair that looks ahead what lies between them."""
+        """Features, those of them that the last pair's left image shows, and ahead what lies between the features."""
         matches = match_pair(pair, self.rig, self.search, now_host_ns)
+        if self.earlier is not None:
+            matches = replace(matches, flow=flow_since(self.earlier, pair, matches))
+        self.earlier = EarlierView(pair.pair_id, pair.left.mid_exposure_ns, pair.left.image)
         if self.settings.fill and self.airframe.looks_forward:
             return filled(matches, pair, self.rig, self.search)
         return matches

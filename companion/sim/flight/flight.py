@@ -33,7 +33,15 @@ from companion.sim.flight.sensors import (
 )
 from companion.sim.flight.truth import MODAL, FlightTruth, TipShape
 from companion.sim.flight.wing import SUBSTEP_S, integrate
-from companion.sim.flight.world_draw import CRUISE_THROTTLE, disturbances, gust_kind, gusty, throttle, worn
+from companion.sim.flight.world_draw import (
+    CRUISE_THROTTLE,
+    NavigationError,
+    disturbances,
+    gust_kind,
+    gusty,
+    throttle,
+    worn,
+)
 from companion.sim.flight.worlds import IDEAL, Conditions
 from companion.units import GRAVITY_MPS2
 
@@ -92,6 +100,10 @@ class Flight:
         if self.world.propulsion is None:
             return np.full(len(t_s), CRUISE_THROTTLE)
         return throttle(self.truth, t_s)
+
+    def navigation_error(self) -> NavigationError:
+        """Error of the velocity over ground that the autopilot tells."""
+        return NavigationError(self.world.velocity_mps, self.duration_s, self.generator("navigation"))
 
     def streams(self) -> dict[Station, SensorStream]:
         """Stream of every sensor at the rates that the airframe states."""

@@ -25,6 +25,7 @@ CRUISE_THROTTLE = 0.6
 """Share of full throttle in level flight, as the simulated autopilot has always reported it."""
 
 _CLIMB_PER_MPS = 0.06  # throttle for a metre a second of climb: 20 N per 1/1 throttle on 3 kg at 22 m/s, half lost
+_NAVIGATION_S = 10.0  # correlation time of a navigation filter's velocity error (choice: some updates of its GPS)
 _LEAST_THROTTLE = 0.1  # of full throttle: a running propeller idles
 
 
@@ -123,6 +124,28 @@ def throttle(truth: FlightTruth, t_s: Floats) -> Floats:
     return np.clip(CRUISE_THROTTLE + _CLIMB_PER_MPS * climb_mps, _LEAST_THROTTLE, 1.0)
 
 
+class NavigationError:
+    """Error of the autopilot's velocity over ground, north, east and down: it wanders in :data:`_NAVIGATION_S`."""
+
+    def __init__(self, sigma_mps: float, duration_s: float, rng: np.random.Generator) -> None:
+        self._nodes_s = np.arange(0.0, duration_s + 2.0)
+        self._nodes_mps = sigma_mps * _wandering((len(self._nodes_s), 3), 1.0 / _NAVIGATION_S, rng)
+
+    def ned_mps(self, t_s: Floats) -> Floats:
+        """Error (n, 3) at instants (n,)."""
+        return np.column_stack([np.interp(t_s, self._nodes_s, axis) for axis in self._nodes_mps.T])
+
+
+def _wandering(shape: tuple[int, ...], step: float, rng: np.random.Generator) -> Floats:
+    """Gauss-Markov process of unit variance; ``step`` is that of a row over the correlation time."""
+    wander = rng.standard_normal(shape)
+    keep = math.exp(-step)
+    wander[1:] *= math.sqrt(1.0 - keep**2)
+    for k in range(1, len(wander)):
+        wander[k] += keep * wander[k - 1]
+    return wander
+
+
 def disturbances(
     world: Conditions, truth: FlightTruth, rng: np.random.Generator
 ) -> Mapping[Station, SensorDisturbance]:
@@ -149,11 +172,7 @@ class _Shaft:
 def _shaft(propulsion: Propulsion, truth: FlightTruth, rng: np.random.Generator) -> _Shaft:
     cruise_hz = log_uniform(propulsion.shaft_hz, rng)
     t_s = ShaftTurns.table_s(truth.duration_s)
-    wander = rng.standard_normal(len(t_s))
-    keep = math.exp(-float(t_s[1]) / propulsion.wander_s)
-    wander[1:] *= math.sqrt(1.0 - keep**2)
-    for k in range(1, len(wander)):
-        wander[k] += keep * wander[k - 1]
+    wander = _wandering((len(t_s),), float(t_s[1]) / propulsion.wander_s, rng)
     ratio = (throttle(truth, t_s) / CRUISE_THROTTLE) ** propulsion.throttle_exponent
     return _Shaft(cruise_hz, ShaftTurns.from_rate(cruise_hz * ratio * (1.0 + propulsion.wander_ratio * wander)))
 

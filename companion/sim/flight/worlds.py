@@ -132,7 +132,8 @@ _EXACT = LensResiduals(radial=3e-5, tangential=2e-6, principal_px=0.01, place_m=
 class Conditions:
     """One world. Consumers: ``flight.build_flight`` and, for images, :mod:`companion.sim.vision`.
 
-    ``stated`` is what the calibration of the cameras states of itself in the airframe file.
+    ``stated`` is what the calibration of the cameras states of itself in the airframe file; ``velocity_mps`` is the
+    sigma of the autopilot's velocity over ground, each axis.
     """
 
     name: str
@@ -143,6 +144,8 @@ class Conditions:
     images: ImageFaults = field(default_factory=ImageFaults)
     weather: Weather = field(default_factory=Weather)
     grounds: tuple[Ground, ...] = (Ground.PLAIN,)
+    # error of the autopilot's velocity over ground, each axis: ArduPilot's EK3_VELNE_M_NSE for u-blox M8 is 0.3
+    velocity_mps: float = 0.3
 
 
 IDEAL = Conditions("ideal")
@@ -196,6 +199,7 @@ FAIR = Conditions(
         discrete_s=(0.5, 1.4),
     ),
     grounds=(Ground.VILLAGE,),
+    velocity_mps=0.15,  # u-blox M9 datasheet: 0.05 m/s (50 % at 30 m/s), and as much by what the filter makes of it
 )
 
 ROUGH = Conditions(

@@ -70,6 +70,7 @@ class SimAutopilot:
         self.on_trigger = on_trigger
         self.protocol = protocol
         self._rng = flight.generator("autopilot")
+        self._navigation = flight.navigation_error()
         self._inbox: deque[tuple[Any, int, int]] = deque()
         self._outbox: deque[tuple[int, bytes]] = deque()
         self._last_sent_ns = 0
@@ -224,7 +225,8 @@ class SimAutopilot:
         roll, pitch, yaw = truth.euler_rad[0].tolist()
         yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
         north, east, down = truth.position_ned_m[0].tolist()
-        vn, ve, vd = truth.velocity_ned_mps[0].tolist()
+        vd = float(truth.velocity_ned_mps[0, 2])
+        told_mps = truth.velocity_ned_mps + self._navigation.ned_mps(np.array([1e-9 * sent_ns]))
         if name == "ATTITUDE":
             return mavlink.MAVLink_attitude_message(boot_ms, roll, pitch, yaw, *truth.body_rate_radps[0].tolist())
         heading = np.degrees(yaw) % 360.0
@@ -238,9 +240,7 @@ class SimAutopilot:
             int(80000000 + east * degrees),
             int(-down * 1000),
             int(-down * 1000),
-            int(vn * 100),
-            int(ve * 100),
-            int(vd * 100),
+            *np.rint(100.0 * told_mps[0]).astype(int).tolist(),
             int(heading * 100),
         )
 

@@ -61,23 +61,16 @@ class Shutters:
 
 def render_pair(renderer: Renderer, shutters: Shutters, edge_boot_ns: int, shot: int) -> FramePair:
     """Both images of one edge without any socket, stamped on the boot clock: for replay and scoring."""
-    frames = []
-    for side in Side:
-        exposure = shutters.exposure(side, edge_boot_ns, shot)
-        image = renderer.render(side, exposure, shot)
-        frames.append(
-            Frame(
-                side,
-                shot,
-                ClockName.BOOT,
-                exposure.mid_boot_ns,
-                exposure.exposure_ns,
-                exposure.row_time_ns,
-                PLAN_UNKNOWN,
-                image,
-            )
-        )
-    return FramePair(shot, frames[0], frames[1])
+    left, right = (render_frame(renderer, shutters, side, edge_boot_ns, shot) for side in Side)
+    return FramePair(shot, left, right)
+
+
+def render_frame(renderer: Renderer, shutters: Shutters, side: Side, edge_boot_ns: int, shot: int) -> Frame:
+    """One of these images."""
+    exposure = shutters.exposure(side, edge_boot_ns, shot)
+    image, clock = renderer.render(side, exposure, shot), ClockName.BOOT
+    times = (exposure.mid_boot_ns, exposure.exposure_ns, exposure.row_time_ns)
+    return Frame(side, shot, clock, *times, PLAN_UNKNOWN, image)
 
 
 class SimTriggerLine:

@@ -30,6 +30,10 @@ from companion.records import (
 PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32  # TIMESYNC requests that may be under way; bound of memory
 _STATE_PERIOD_MS = 20
+_VELOCITY_AGE_MS = 500  # a velocity over ground that is older is not that of the attitude (choice)
+# flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share; bit 10 means "uninitialised" there, "GPS glitch" here
+_NAVIGATES = mavlink.EKF_VELOCITY_HORIZ | mavlink.EKF_POS_HORIZ_ABS
+_ASTRAY = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED | mavlink.EKF_GPS_GLITCHING
 _PIN_TIMES_US = 1 << 32  # CAMERA_FEEDBACK of a pin is micros() in 32 bits (AP_Camera)
 INTEGER_TYPES = (mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32)
 
@@ -103,6 +107,35 @@ class GroundWitness:
             self._standby = state == mavlink.MAV_STATE_STANDBY
 
 
+class GroundVelocity:
+    """Velocity over ground as the autopilot's navigation filter has it, where it has one.
+
+    Without a position GLOBAL_POSITION_INT is sent all the same, with zeros. ArduPilot's EKF_STATUS_REPORT and PX4's
+    ESTIMATOR_STATUS say whether the velocity is good; where neither is sent, it counts as good.
+    """
+
+    def __init__(self) -> None:
+        self._newest: Any = None
+        self._good = True
+
+    def position(self, message: Any) -> None:
+        """Take GLOBAL_POSITION_INT."""
+        self._newest = message
+
+    def status(self, flags: int) -> None:
+        """Take the flags of EKF_STATUS_REPORT or ESTIMATOR_STATUS."""
+        self._good = flags & _NAVIGATES == _NAVIGATES and not flags & _ASTRAY
+
+    def ned_mps(self, boot_ms: int) -> tuple[float, float, float] | None:
+        """North, east, down at a boot time; None where nothing new and good is told."""
+        newest = self._newest
+        if not self._good or newest is None or abs(boot_ms - newest.time_boot_ms) > _VELOCITY_AGE_MS:
+            return None
+        if newest.lat == newest.lon == 0 or newest.vx == newest.vy == 0:
+            return None
+        return 0.01 * newest.vx, 0.01 * newest.vy, 0.01 * newest.vz
+
+
 class Translator:
     """Keeps the little state that rare messages need; driven by chunks alone, so that a replay repeats it."""
 
@@ -120,6 +153,7 @@ class Translator:
         self._last_state_ms: int | None = None
         self._images: dict[int, int] = {}
         self._on_ground = GroundWitness()
+        self._velocity = GroundVelocity()
         self.px4 = False
 
     @property
@@ -153,6 +187,10 @@ class Translator:
             yield from self._attitude(heard)
         elif name == "VFR_HUD":
             self._vfr_hud(heard)
+        elif name == "GLOBAL_POSITION_INT":
+            self._velocity.position(heard.message)
+        elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
+            self._velocity.status(heard.message.flags)
         elif name == "EXTENDED_SYS_STATE":
             self._on_ground.landed_state(heard.message.landed_state)
         elif name == "PARAM_VALUE":
@@ -223,6 +261,7 @@ class Translator:
             air.throttle / 100.0,
             self.armed,
             self._on_ground.verdict,
+            self._velocity.ned_mps(message.time_boot_ms),
         )
 
     def _feedback(self, heard: Heard) -> Iterator[Record]:

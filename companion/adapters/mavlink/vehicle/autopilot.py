@@ -53,7 +53,7 @@ from companion.records import (
 )
 
 _SECOND_NS = 1_000_000_000
-_STATE_RATE_HZ = 20.0  # attitude and airspeed, for display and rigid motion
+_STATE_RATE_HZ = 20.0  # attitude, airspeed and velocity over ground, for display and rigid motion
 _MOST_ANSWERS = 16  # TIMESYNC answers in one chunk; bound of the time of one read
 _MOST_HELD = 16  # bound of memory
 
@@ -131,7 +131,7 @@ class MavlinkAutopilot:
         return self._sender.refused
 
     def _wanted_rates(self, settings: Settings) -> dict[int, float]:
-        wanted = {ID_OF["ATTITUDE"]: _STATE_RATE_HZ, ID_OF["VFR_HUD"]: _STATE_RATE_HZ}
+        wanted = {ID_OF[name]: _STATE_RATE_HZ for name in ("ATTITUDE", "VFR_HUD", "GLOBAL_POSITION_INT")}
         for source in self.decoder.mapping.sources:
             if source.component == AUTOPILOT_COMPONENT:
                 wanted[source.message] = settings.imu_rate_hz

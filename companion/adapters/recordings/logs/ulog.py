@@ -162,7 +162,8 @@ class UlogRecording(LoggedRecording):
         airspeed = self._latest("airspeed_validated", "true_airspeed_m_s", t_us)
         if not airspeed.any():
             airspeed = self._latest("airspeed", "true_airspeed_m_s", t_us)
-        climb = -self._latest("vehicle_local_position", "vz", t_us)
+        ned_mps = np.column_stack([self._latest("vehicle_local_position", axis, t_us) for axis in ("vx", "vy", "vz")])
+        navigates = self._latest("vehicle_local_position", "v_xy_valid", t_us) > 0
         armed = self._latest("vehicle_status", "arming_state", t_us) == _ARMED
         landed = self._latest("vehicle_land_detected", "landed", t_us) > 0
         detected = bool(self._log.take("vehicle_land_detected", 0, "timestamp", "landed"))
@@ -176,10 +177,11 @@ class UlogRecording(LoggedRecording):
                     pitch_rad=float(angles[i, 1]),
                     yaw_rad=float(angles[i, 2]),
                     airspeed_mps=float(airspeed[i]),
-                    climb_mps=float(climb[i]),
+                    climb_mps=-float(ned_mps[i, 2]),
                     throttle=0.0,
                     armed=bool(armed[i]),
                     on_ground=bool(landed[i]) if detected else None,
+                    velocity_ned_mps=_triple(ned_mps[i]) if navigates[i] else None,
                 ),
             )
 
@@ -189,6 +191,11 @@ class UlogRecording(LoggedRecording):
             return np.zeros(t_us.size)
         values = np.concatenate([[0.0], np.nan_to_num(table[field].astype(np.float64), posinf=0.0, neginf=0.0)])
         return values[np.searchsorted(table["timestamp"].astype(np.int64), t_us, side="right")]
+
+
+def _triple(values: Floats) -> tuple[float, float, float]:
+    north, east, down = values.tolist()
+    return north, east, down
 
 
 def _logged_axes(axes: Axis, t_us: Ints, columns: list[Any]) -> _LoggedAxes:

@@ -1,0 +1,181 @@
+"""Distance by flight: what features moved between two left images tells of the toe.
+
+The autopilot knows its velocity over ground and its rates. A feature whose ray is ``r`` in the later left image and
+whose inverse depth is ``s`` there lies in the earlier left camera along
+
+    ``R r + s T``,   ``R = C_0 B C_1'``,   ``T = C_0 (B p_1 + d - p_0)``
+
+with the poses ``C, p`` of the left camera in the body axes of either exposure, the body's turn ``B`` and its path ``d``
+between them. Stereo gives ``s`` up to the toe (``ds = dtheta/B``), the images give the direction: flown at 22 m/s for
+0.15 s, a feature at 60 m moves by 55 mrad. A velocity that is right to 1.4 % so holds the toe to 0.5 mrad there, the
+range to 1.4 % at any distance, whatever the lenses' residuals make of a yaw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.core.stereo.geometry import Pose
+from companion.core.stereo.lens_residual import PAIR_TERMS, straightened
+from companion.core.stereo.rotation import exp_rotation
+from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
+from companion.records import Floats
+
+_STEP = 1e-6  # of the difference quotients
+_RAY_FIELDS = ("left_m", "left", "right_m", "right")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlowInnovation:
+    """Direction of m features in the earlier image, observed less predicted, as ray slopes; two rows a feature.
+
+    Attributes
+    ----------
+    residual_rad, sigma_rad : (2m,) float64
+        Residual, and its one-sigma by matching.
+    rotation : (2m, 3) float64
+        Change of the prediction per radian of relative rotation, epipolar axes.
+    lens : (2m, 7) float64
+        Per unit of each term of the pair's lens residual.
+    turn : (2m, 3) float64
+        Per radian by which the body turned more between the exposures, epipolar axes.
+    velocity : (2m, 3) float64
+        Per metre a second by which it flew faster, epipolar axes.
+    """
+
+    residual_rad: Floats
+    sigma_rad: Floats
+    rotation: Floats
+    lens: Floats
+    turn: Floats
+    velocity: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightBetween:
+    """The body's motion from the earlier to the later exposure of the left camera.
+
+    Attributes
+    ----------
+    passed_s : float
+    turn_rad : (3,) float64
+        Rotation vector, body axes.
+    moved_m : (3,) float64
+        Path, in the body axes of the earlier exposure.
+    velocity_covariance : (3, 3) float64
+        Of the velocity that the path was taken from, body axes, (m/s)^2.
+    """
+
+    passed_s: float
+    turn_rad: Floats
+    moved_m: Floats
+    velocity_covariance: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlowView:
+    """Features of a pair that an earlier left image shows too, with all that predicts where.
+
+    Attributes
+    ----------
+    rays : Rays
+        Matched rays (m) of the pair by the tracked bend, body axes.
+    sigma_rad : (m,) float64
+        One-sigma of each match along the epipolar line.
+    earlier, later : (m, 3) float64
+        Rays in the axes of the left camera at both exposures, of unit depth.
+    flow_sigma_rad : (m,) float64
+        One-sigma of the earlier place.
+    earlier_pose, later_pose : Pose
+        The left camera by the tracked bend, in the body axes of either exposure.
+    between : FlightBetween
+    epipolar_from_body : (3, 3) float64
+    """
+
+    rays: Rays
+    sigma_rad: Floats
+    earlier: Floats
+    later: Floats
+    flow_sigma_rad: Floats
+    earlier_pose: Pose
+    later_pose: Pose
+    between: FlightBetween
+    epipolar_from_body: Floats
+
+    @property
+    def velocity_covariance(self) -> Floats:
+        """Covariance (3, 3) of the velocity over ground, epipolar axes, (m/s)^2."""
+        turned: Floats = self.epipolar_from_body @ self.between.velocity_covariance @ self.epipolar_from_body.T
+        return turned
+
+    def innovation(self, rotation_rad: Floats, lens: Floats) -> FlowInnovation:
+        """Observed less predicted directions under a relative rotation (3,), epipolar axes, and lens terms (7,)."""
+        inverse_pm, sigma_pm, per_state = self._inverse_depths(rotation_rad, lens)
+        half = exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
+        earlier_from_body = self.earlier_pose.camera_from_body @ half
+        turned = exp_rotation(self.between.turn_rad)
+        in_body = self.later @ (self.later_pose.camera_from_body @ half) @ turned.T
+        shift_m = turned @ self.later_pose.position_body_m + self.between.moved_m - self.earlier_pose.position_body_m
+        path_m, far = earlier_from_body @ shift_m, in_body @ earlier_from_body.T
+
+        slopes, project = _projected(far + inverse_pm[:, np.newaxis] * path_m)
+        residual, per_inverse = self.earlier[:, :2] - slopes, project @ path_m
+        variance, spread = self.flow_sigma_rad**2, (per_inverse**2).sum(axis=1) * sigma_pm**2
+        # Rows are taken where both noises put the feature (Gauss-Helmert): at the depth that stereo alone measured, its
+        # noise would be in rows and residual alike, and feign a velocity.
+        pull = (per_inverse * residual).sum(axis=1) * sigma_pm**2 / (variance + spread)
+        adjusted_pm = inverse_pm + np.nan_to_num(pull)
+        _, project = _projected(far + adjusted_pm[:, np.newaxis] * path_m)
+        per_inverse = project @ path_m
+        swept = np.cross(self.epipolar_from_body[np.newaxis], in_body[:, np.newaxis]) @ earlier_from_body.T
+        flown_m = self.between.passed_s * (earlier_from_body @ self.epipolar_from_body.T)
+        columns = np.concatenate(
+            [
+                per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :],
+                project @ swept.transpose(0, 2, 1),
+                project @ flown_m * adjusted_pm[:, np.newaxis, np.newaxis],
+            ],
+            axis=2,
+        )
+        # along the path the noise of the depth counts, across it only that of the place
+        along = per_inverse / np.linalg.norm(per_inverse, axis=1)[:, np.newaxis]
+        axes = np.stack([along, along[:, ::-1] * np.array([-1.0, 1.0])], axis=1)
+        rows = (axes @ columns).reshape(2 * len(residual), -1)
+        return FlowInnovation(
+            (axes @ residual[..., np.newaxis]).ravel(),
+            np.sqrt(np.stack([variance + spread, variance], axis=1)).ravel(),
+            *np.split(rows, np.cumsum([3, PAIR_TERMS, 3]), axis=1),
+        )
+
+    def _inverse_depths(self, rotation_rad: Floats, lens: Floats) -> tuple[Floats, Floats, Floats]:
+        """Inverse depths (m,) along the left optical axis, their sigma (m,), and their change (m, 10) per state."""
+        changed = [self._turned(rotation_rad, lens)]
+        changed += [self._turned(rotation_rad + _STEP * axis, lens) for axis in np.eye(3)]
+        changed += [self._turned(rotation_rad, lens + _STEP * term) for term in np.eye(PAIR_TERMS)]
+        stacked = Rays(*(np.concatenate([getattr(each, name) for each in changed]) for name in _RAY_FIELDS))
+        half = exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
+        look = self.later_pose.camera_from_body[2] @ half
+        # tangents across the axis are not asked for
+        sight = RangeAxis(self.rays.left_m[0], look, np.zeros((2, 3)))
+        depths = triangulate(stacked, sight, np.tile(self.sigma_rad, len(changed)))
+        table = depths.inverse_pm.reshape(len(changed), -1)
+        sigma_pm: Floats = depths.sigma_pm.reshape(len(changed), -1)[0]
+        return table[0], sigma_pm, (table[1:] - table[0]).T / _STEP
+
+    def _turned(self, rotation_rad: Floats, lens: Floats) -> Rays:
+        """Rays with half of the relative rotation in each camera and the lens residual taken out."""
+        half = exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
+        rays = self.rays
+        turned = Rays(rays.left_m, rays.left @ half, rays.right_m, rays.right @ half.T)
+        return straightened(turned, lens, self.epipolar_from_body)
+
+
+def _projected(directions: Floats) -> tuple[Floats, Floats]:
+    """Slopes (m, 2) of directions (m, 3), and their derivative (m, 2, 3)."""
+    slopes = directions[:, :2] / directions[:, 2:]
+    derivative = np.zeros((len(slopes), 2, 3))
+    derivative[:, 0, 0] = derivative[:, 1, 1] = 1.0 / directions[:, 2]
+    derivative[:, :, 2] = -slopes / directions[:, 2:]
+    return slopes, derivative
