@@ -119,6 +119,13 @@ def flight(tmp_path: Path) -> Iterator[Flight]:
     session.close()
 
 
+_LABELS_FIT = """[...document.querySelectorAll('#wing text.strong')].every(label => {
+  label.textContent = '+25.9 mm';
+  const box = label.getBBox();
+  return box.x >= 0 && box.x + box.width <= 640;
+})"""
+
+
 def text(browser: Browser, place: str) -> str:
     return str(browser.value(f"document.querySelector('{place}').textContent"))
 
@@ -149,6 +156,8 @@ def test_the_page_shows_the_flight(flight: Flight, screen: str, tmp_path: Path) 
         browser.until("document.querySelector('#image-left path').getAttribute('d').length > 100")
         assert text(browser, "#matches") == "40 matched features"
         assert browser.value("document.documentElement.scrollWidth <= innerWidth"), "nothing is cut off at the side"
+        assert browser.value(_LABELS_FIT), "the tips' labels lie inside the drawing"
+        assert browser.value("[...document.querySelectorAll('.legend .key')].every(e => e.getClientRects().length === 1)")
         browser.screenshot(tmp_path / f"{screen}.png")
         assert browser.complaints == []
 

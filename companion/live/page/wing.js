@@ -5,6 +5,7 @@ const WIDTH = 640, ROOT_X = 320, ROOT_Y = 112, SPAN_X = 262;
 const RAISED_PX_PER_M = 2600; // 10 mm at the tip is 26 px
 const LOOK_PX = 104, DOWN = 25, STATIONS = 24;
 const TURNED = 6; // times that the cameras' turn is exaggerated
+const HALF_LABEL = 68; // of "+25.9 mm" in a phone's large letters
 
 // Deflection of a cantilever's tip load, 1 at the tip.
 const shape = (eta) => (3 * eta ** 2 - eta ** 3) / 2;
@@ -49,7 +50,7 @@ export class WingView {
     // tips up turn the axes of a pair that looks down outwards
     const turn = way * Math.max(-0.6, Math.min(0.6, slope));
     this.cameras[side].setAttribute("transform", `translate(${x} ${y}) rotate(${(-turn * 180) / Math.PI})`);
-    this.labels[side].setAttribute("x", Math.max(52, Math.min(WIDTH - 52, x)));
+    this.labels[side].setAttribute("x", Math.max(HALF_LABEL, Math.min(WIDTH - HALF_LABEL, x)));
     this.labels[side].setAttribute("y", Math.max(14, y - 26));
     this.labels[side].textContent = `${tip_m < 0 ? "\u2212" : "+"}${Math.abs(1e3 * tip_m).toFixed(1)} mm`;
     if (!this.looksDown || !this.about.cameras[side]) return;
