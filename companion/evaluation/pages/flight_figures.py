@@ -31,6 +31,7 @@ _CLOCKS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION)
 _FARTHEST_SHOWN = 1.5  # times the farthest corrected range: rigid ranges pass infinity
 _MM, _MRAD, _MS, _US = 1e3, 1e3, 1e3, 1e6  # per SI unit
 _TOP_HZ = 200.0  # beyond, no airframe of ours has a mode
+_ON_CURVES = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}  # behind a label that may lie on a curve
 
 
 def _figure(height_in: float) -> Any:
@@ -76,7 +77,7 @@ def modes(log: FlightLog, text: str) -> Any:
     frequency.set(ylabel="frequency, Hz")
     damping.set(ylabel="damping ratio")
     swing.set(ylabel="rms deflection, mm", xlabel="time, s", ylim=(0.0, None))
-    frequency.legend(fontsize=8, ncols=2, loc="upper right", title="first modes, ±1 sigma", title_fontsize=8)
+    damping.legend(fontsize=8, ncols=2, loc="best", title="first modes, ±1 sigma", title_fontsize=8)
     return figure
 
 
@@ -108,11 +109,12 @@ def spectra(log: FlightLog, by_station: Mapping[Station, Spectrum], text: str) -
         for line_hz in spectrum.lines_hz():
             axis.axvline(line_hz, color=colour, lw=0.7, ls=":")
     if log.modes:
-        for mode, label in ((log.modes[-1].symmetric, "symmetric"), (log.modes[-1].antisymmetric, "antisymmetric")):
-            axis.axvline(mode.frequency_hz, color=INK, lw=1.0, ls="--" if label == "symmetric" else "-.")
+        both = sorted((_family(log.modes[-1], name).frequency_hz, name) for name in ("symmetric", "antisymmetric"))
+        for (mode_hz, name), align, offset in zip(both, ("right", "left"), (-4, 4), strict=True):
+            axis.axvline(mode_hz, color=INK, lw=1.0, ls="--" if name == "symmetric" else "-.")
             axis.annotate(
-                f"{label} {mode.frequency_hz:.2f} Hz", (mode.frequency_hz, 1.0), (3, -10), fontsize=8,
-                xycoords=("data", "axes fraction"), textcoords="offset points", rotation=90, va="top",
+                f"{name} {mode_hz:.2f} Hz", (mode_hz, 0.5), (offset, 0), fontsize=8, ha=align, va="center",
+                xycoords=("data", "axes fraction"), textcoords="offset points", bbox=_ON_CURVES,
             )  # fmt: skip
     axis.set(xlabel="frequency, Hz", ylabel="(m/s²)²/Hz", xlim=(0.2, top_hz))
     axis.legend(fontsize=8, loc="lower left")
