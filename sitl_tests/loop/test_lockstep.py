@@ -12,12 +12,13 @@ from pathlib import Path
 import pytest
 
 from companion.cli.main import main
-from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras
+from companion.cli.steps.lockstep import MATCHING_NS, LockStepCameras, LockStepService
 from companion.errors import DeviceError
 from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studio, Studios
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Firing, MatchSet, Reject, Rejected, Shot, TriggerPlan
+from companion.records import Firing, Health, MatchSet, Notice, Reject, Rejected, ServiceStatus, Shot, TriggerPlan
+from companion.service.config import ServiceConfig
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.faults import Faults
 from companion.sim.vehicle.lockstep import EPOCH_NS, LockStepClock, MemoryWire
@@ -62,6 +63,19 @@ def studied(clock: LockStepClock) -> Studied:
 @pytest.fixture
 def cameras(flight: Flight, studied: Studied, clock: LockStepClock) -> LockStepCameras:
     return LockStepCameras(flight, studied, clock)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_the_end_of_a_flight_is_no_fault_of_its_vehicle() -> None:
+    """Else the recording ends with messages that come at 0 Hz and a service that is critical."""
+    airframe = load_airframe("nadir-2m")
+    flight = build_flight(airframe, 3, 4.0)
+    with LockStepService(ServiceConfig(airframe, Settings(trigger_policy=2), ()), flight) as service:
+        while not service.over():
+            service.wait(1.0)
+        said = service.shown()
+    assert [record for record in said if isinstance(record, Notice)] == []
+    assert [record for record in said if isinstance(record, ServiceStatus)][-1].health is not Health.CRITICAL
 
 
 def plan(number: int, at_ms: int, firing: Firing = Firing.PEAK, planned_ms: int = 0) -> TriggerPlan:

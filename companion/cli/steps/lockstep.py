@@ -32,7 +32,7 @@ MATCHING_NS = 80_000_000
 FIRE_LATE_NS = 8_000
 """Mean of the exponential by which the line is pulled late: 99 % within 37 us, as the bench measured (README)."""
 _IMAGE_PERIOD_NS = 500_000_000  # of the live view
-_AFTER_S = 1.5  # the last shots get through the smoother's lag
+_AFTER_S = 0.7  # the last shots get through the smoother's lag, and the vehicle's silence is not yet a fault
 
 
 class LockStepCameras:
