@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.bench import publish_results
+from tools.bench import epipolar, publish_results
 from tools.bench.__main__ import main, names
 
 
@@ -47,3 +47,14 @@ def test_a_published_bench_leaves_its_print_out_with_its_command(
     assert "python -m tools.bench some --quick" in text
     assert "```\nspeed --quick\n```" in text
     assert "a target is missed" in text
+
+
+def test_a_bench_without_its_data_publishes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(publish_results, "FOLDER", tmp_path / "results")
+    monkeypatch.setattr(publish_results, "PAGE", tmp_path / "RESULTS.md")
+    monkeypatch.setattr(epipolar, "_DATA", tmp_path)
+    assert main(["--publish", "epipolar"]) == 1
+    assert "SPANWISE_DATA" in capsys.readouterr().err
+    assert not publish_results.PAGE.exists(), "what was not measured has met no target"

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
+from companion.errors import RecordingError
 from companion.records import Floats
 from sitl_tests.replay.euroc_flexing import FAST_SIGMA_RAD, euroc_airframe, flexed_pairs
 from sitl_tests.replay.euroc_judging import TUNED, WAYS, calibration_error, cramer_rao, estimate, split, tuned_prior
@@ -68,14 +69,13 @@ def _parts(units: Floats) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; 1 when pitch, roll or yaw of both together miss their targets, 0 where the data are not here."""
+    """Print the table; 1 when pitch, roll or yaw of both together miss their targets."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=6)
     options, _ = parser.parse_known_args(arguments)
     folder = _DATA / "measured" / "euroc-stereo"
     if not folder.exists():
-        print(f"no data: {folder} (set SPANWISE_DATA)")
-        return 0
+        raise RecordingError(f"{folder} is not there; SPANWISE_DATA names the folder of the measured data")
     missed, ratios, units = 0, [], []
     for row in run(folder, tuple(range(1, options.seeds + 1))):
         cells = (
