@@ -124,6 +124,7 @@ _LABELS_FIT = """[...document.querySelectorAll('#wing text.strong')].every(label
   const box = label.getBBox();
   return box.x >= 0 && box.x + box.width <= 640;
 })"""
+_KEYS_WHOLE = "[...document.querySelectorAll('.legend .key')].every(key => key.getClientRects().length === 1)"
 
 
 def text(browser: Browser, place: str) -> str:
@@ -157,7 +158,7 @@ def test_the_page_shows_the_flight(flight: Flight, screen: str, tmp_path: Path) 
         assert text(browser, "#matches") == "40 matched features"
         assert browser.value("document.documentElement.scrollWidth <= innerWidth"), "nothing is cut off at the side"
         assert browser.value(_LABELS_FIT), "the tips' labels lie inside the drawing"
-        assert browser.value("[...document.querySelectorAll('.legend .key')].every(e => e.getClientRects().length === 1)")
+        assert browser.value(_KEYS_WHOLE), "a key of a legend stands beside its word"
         browser.screenshot(tmp_path / f"{screen}.png")
         assert browser.complaints == []
 
