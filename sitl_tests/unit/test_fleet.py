@@ -98,7 +98,7 @@ def test_a_campaign_s_rows_come_in_the_order_of_its_tasks_with_a_line_each(
     assert [row["file"] for row in rows] == [task.name for task in tasks]
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == len(tasks)
-    assert any(line.endswith("bad.txt failed: bad.txt: cannot be read") for line in lines)
+    assert any(line.endswith("bad.txt failed: cannot be read") for line in lines)
     assert any(line.endswith(" 3 letters") for line in lines)
 
 
