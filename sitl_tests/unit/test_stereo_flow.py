@@ -1,0 +1,160 @@
+"""Flow between two left images: its derivatives, a toe that it tells, a velocity that contradicts, turns, matching."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from companion.core.stereo.epipolar_posterior import Posterior, with_flow
+from companion.core.stereo.epipolar_states import ALL_STATES, NO_BEND, TURN_RATE, VELOCITY, YAW
+from companion.core.stereo.flow import FlightBetween, FlowView
+from companion.core.stereo.geometry import Pose
+from companion.core.stereo.lens_residual import PAIR_TERMS
+from companion.core.stereo.rotation import exp_rotation, log_rotation
+from companion.core.stereo.triangulation import Rays
+from companion.core.stereo.vehicle_motion import TurnTrack, VehicleTrack
+from companion.records import Floats, VehicleState
+
+_BASELINE_M, _SPEED_MPS, _PASSED_S, _NOISE_RAD = 2.0, 22.0, 0.15, 1.25e-4
+_DOWN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # camera from body of a pair that looks down
+_EPIPOLAR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+_MAY_BE_RAD, _MAY_BE_MPS = 2e-3, 0.3
+
+
+def _view(toe_rad: float = 0.0, faster_mps: float = 0.0, noise_rad: float = 0.0, seed: int = 1) -> FlowView:
+    """Ground 60 m below, seen twice; the cameras part by a toe, and fly faster, than is believed."""
+    rng = np.random.default_rng(seed)
+    turn_rad = np.array([0.02, -0.01, 0.015])
+    points = np.column_stack([rng.uniform(-18, 18, 150), rng.uniform(-20, 20, 150), 60.0 + rng.uniform(-6, 6, 150)])
+    left_m, right_m = np.array([0.0, -1.0, 0.0]), np.array([0.0, 1.0, 0.0])
+    half = np.array([0.0, 0.5 * toe_rad, 0.0]) @ _EPIPOLAR
+    seen_left = _slopes((points - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng)
+    seen_right = _slopes((points - right_m) @ exp_rotation(-half).T @ _DOWN.T, noise_rad, rng)
+    # the earlier body axes: those of the later ones turned back, and moved back along the path
+    moved_m = np.array([_SPEED_MPS * _PASSED_S, 0.0, 0.0])
+    true_moved_m = moved_m + np.array([faster_mps * _PASSED_S, 0.0, 0.0])
+    before = points @ exp_rotation(turn_rad).T + true_moved_m
+    seen_before = _slopes((before - left_m) @ exp_rotation(half).T @ _DOWN.T, noise_rad, rng)
+    pose, count = Pose(_DOWN, left_m), len(points)
+    covariance = _MAY_BE_MPS**2 * np.eye(3)
+    return FlowView(
+        Rays(np.tile(left_m, (count, 1)), seen_left @ _DOWN, np.tile(right_m, (count, 1)), seen_right @ _DOWN),
+        np.full(count, np.sqrt(2.0) * _NOISE_RAD),
+        seen_before,
+        seen_left,
+        np.full(count, _NOISE_RAD),
+        pose,
+        pose,
+        FlightBetween(_PASSED_S, turn_rad, moved_m, covariance),
+        _EPIPOLAR,
+    )
+
+
+def _slopes(points: Floats, noise_rad: float, rng: np.random.Generator) -> Floats:
+    rays = points / points[:, 2:]
+    rays[:, :2] += noise_rad * rng.standard_normal((len(points), 2))
+    return rays
+
+
+def _before(yaw_sigma_rad: float = _MAY_BE_RAD) -> Posterior:
+    variances = np.zeros(ALL_STATES)
+    variances[YAW] = yaw_sigma_rad**2
+    variances[VELOCITY], variances[TURN_RATE] = _MAY_BE_MPS**2, 1e-8
+    return Posterior(np.zeros(ALL_STATES), np.diag(variances), 1.0, 150)
+
+
+def test_perfect_flow_leaves_nothing() -> None:
+    """Poses, turn, path and depth of a point agree with where it was seen before."""
+    answer = _view().innovation(np.zeros(3), np.zeros(PAIR_TERMS))
+    assert np.abs(answer.residual_rad).max() < 1e-9
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_derivatives_by_turn_and_velocity_are_those_of_differences(axis: int) -> None:
+    """The analytic rows are what a small change of turn and path makes of the prediction."""
+    view, none = _view(), np.zeros(PAIR_TERMS)
+    base, step = view.innovation(np.zeros(3), none), 1e-6
+    unit = _EPIPOLAR.T @ np.eye(3)[axis]
+    faster = dataclasses.replace(view.between, moved_m=view.between.moved_m + step * _PASSED_S * unit)
+    moved = dataclasses.replace(view, between=faster).innovation(np.zeros(3), none)
+    turned = log_rotation(exp_rotation(step * unit) @ exp_rotation(view.between.turn_rad))
+    rolled = dataclasses.replace(view, between=dataclasses.replace(view.between, turn_rad=turned))
+    after = rolled.innovation(np.zeros(3), none)
+    # rows are along and across each feature's path, which a small change turns by next to nothing
+    assert np.allclose((base.residual_rad - moved.residual_rad) / step, base.velocity[:, axis], atol=2e-5)
+    assert np.allclose((base.residual_rad - after.residual_rad) / step, base.turn[:, axis], atol=2e-2)
+
+
+def test_the_toe_is_found_within_what_the_velocity_leaves() -> None:
+    """At 60 m a velocity known to 0.3 of 22 m/s leaves ``B/Z dv/v``, 0.45 mrad, of a toe of 2 mrad."""
+    limit_rad = _BASELINE_M / 60.0 * _MAY_BE_MPS / _SPEED_MPS
+    errors, stated = [], 0.0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        toe_rad, faster_mps = _MAY_BE_RAD * rng.standard_normal(), _MAY_BE_MPS * rng.standard_normal()
+        view = _view(toe_rad, faster_mps, _NOISE_RAD, seed)
+        answer = with_flow(_before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, NO_BEND)
+        assert answer is not None
+        stated = float(np.sqrt(answer.covariance[YAW, YAW]))
+        errors.append((answer.mean[YAW] - toe_rad) / stated)
+    assert stated < 1.2 * limit_rad
+    # mean of 40 squares of unit normals: 1 within three of their sigmas
+    assert np.mean(np.square(errors)) == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / 40.0))
+
+
+def test_a_velocity_far_from_the_truth_is_not_believed() -> None:
+    """3 m/s too slow would be 4 mrad of toe, which a toe known to 0.1 mrad contradicts."""
+    view = _view(faster_mps=3.0, noise_rad=_NOISE_RAD)
+    assert with_flow(_before(1e-4), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, NO_BEND) is None
+
+
+def test_mismatches_move_the_toe_by_less_than_its_sigma() -> None:
+    """Features of which a tenth were found elsewhere tell the toe as the good ones do."""
+    view = _view(1e-3, noise_rad=_NOISE_RAD)
+    astray = view.earlier.copy()
+    astray[::10, :2] += 0.004
+    innovation = dataclasses.replace(view, earlier=astray).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
+    answer = with_flow(_before(), innovation, _PASSED_S, NO_BEND)
+    assert answer is not None
+    assert abs(answer.mean[YAW] - 1e-3) < 2.0 * np.sqrt(answer.covariance[YAW, YAW])
+
+
+def test_a_turn_is_integrated_where_rates_are_there() -> None:
+    """Coning rates of 200 samples a second give the rotation that small steps compose to; a gap gives none."""
+    track, t_ns = TurnTrack(), np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)
+    s = 1e-9 * t_ns
+    rates = np.column_stack([0.5 * np.cos(6 * s), 0.5 * np.sin(6 * s), 0.2 * np.ones(len(s))])
+    track.add(t_ns, rates)
+    turn = track.between(102_000_000, 253_000_000)
+    fine_s = 0.102 + 1e-4 * np.arange(1510)
+    composed = np.eye(3)
+    for t in fine_s:
+        rate = np.array([0.5 * np.cos(6 * (t + 5e-5)), 0.5 * np.sin(6 * (t + 5e-5)), 0.2])
+        composed = composed @ exp_rotation(1e-4 * rate)
+    assert turn is not None
+    assert np.allclose(turn, log_rotation(composed), atol=3e-5)
+    assert track.between(900_000_000, 1_100_000_000) is None
+    track.add(t_ns + 1_200_000_000, rates)
+    assert track.between(900_000_000, 1_300_000_000) is None, "rates are missing for 0.2 s"
+
+
+def _state(k: int, velocity: tuple[float, float, float] | None) -> VehicleState:
+    heading = (np.pi - 0.01 + 0.01 * k + np.pi) % (2.0 * np.pi) - np.pi
+    at_ns = k * 100_000_000
+    return VehicleState(at_ns, at_ns, 0.0, 0.0, heading, 20.0, 0.0, 0.6, True, False, velocity)
+
+
+def test_velocity_over_ground_is_turned_into_body_axes() -> None:
+    """South at a heading of south is ahead, also where the heading steps from +pi to -pi; without it air tells."""
+    over, air = VehicleTrack(), VehicleTrack()
+    for k in range(4):
+        over.add(_state(k, (-18.0, 0.0, 1.0)))
+        air.add(_state(k, None if k == 2 else (-18.0, 0.0, 1.0)))
+    motion = over.motion(100_000_000)
+    assert motion.over_ground
+    assert np.allclose(motion.velocity_mps, [18.0, 0.0, 1.0], atol=1e-6)
+    assert np.sqrt(motion.covariance[0, 0]) == pytest.approx(0.3)
+    assert not air.motion(100_000_000).over_ground
+    assert air.motion(100_000_000).velocity_mps[0] == pytest.approx(20.0)
