@@ -262,8 +262,8 @@ class EpipolarFilter:
 def _flown(answer: Posterior, flow: FlowView, bend: BendBelief) -> Posterior:
     """The answer with what the flow tells, where that does not contradict it."""
     total = rotation_rows(bend) @ answer.mean
-    told = with_flow(answer, flow.innovation(total, answer.mean[LENS]), flow.between.passed_s, bend)
-    return answer if told is None else with_considered_states(told, answer.mean, answer.covariance)
+    updated = with_flow(answer, flow.innovation(total, answer.mean[LENS]), flow.between.passed_s, bend)
+    return answer if updated is None else with_considered_states(updated, answer.mean, answer.covariance)
 
 
 def _describe(answer: Posterior, bend: BendBelief, verdict: MatchVerdict) -> EpipolarUpdate:

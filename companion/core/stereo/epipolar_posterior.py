@@ -159,16 +159,16 @@ def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: Be
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
-    told = np.isfinite(flow.residual_rad) & np.isfinite(flow.sigma_rad)
-    design = np.zeros((len(told), ALL_STATES + 3))
+    finite = np.isfinite(flow.residual_rad) & np.isfinite(flow.sigma_rad)
+    design = np.zeros((len(finite), ALL_STATES + 3))
     design[:, :ALL_STATES] = flow.rotation @ rotation_rows(bend)
     design[:, LENS] += flow.lens
     design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
     design[:, ALL_STATES:] = flow.turn
-    design = design[told] / flow.sigma_rad[told, np.newaxis]
+    design = design[finite] / flow.sigma_rad[finite, np.newaxis]
     believed = np.zeros(ALL_STATES + 3)  # the flow was predicted without what is known of velocity and rates
     believed[VELOCITY], believed[TURN_RATE] = answer.mean[VELOCITY], answer.mean[TURN_RATE]
-    unit = flow.residual_rad[told] / flow.sigma_rad[told] - design @ believed
+    unit = flow.residual_rad[finite] / flow.sigma_rad[finite] - design @ believed
     prior = np.zeros((ALL_STATES + 3, ALL_STATES + 3))
     prior[:ALL_STATES, :ALL_STATES] = answer.covariance
     prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3)
@@ -187,7 +187,7 @@ def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: Be
         return None
     states = slice(0, ALL_STATES)
     return dataclasses.replace(
-        answer, mean=answer.mean + change[states], covariance=covariance[states, states], flow=int(told.sum()) // 2
+        answer, mean=answer.mean + change[states], covariance=covariance[states, states], flow=int(finite.sum()) // 2
     )
 
 

@@ -49,9 +49,9 @@ def flow_since(earlier: EarlierView, pair: FramePair, matches: MatchSet) -> Flow
     if not 0 < passed_ns <= _LONGEST_NS or earlier.image.shape != pair.left.image.shape or not len(matches.sigma_px):
         return None
     centres = np.rint(matches.left_px).astype(np.int64)
-    start, found = _coarse(pair.left.image, earlier.image, centres)
+    start, tracked = _coarse(pair.left.image, earlier.image, centres)
     size = np.array(pair.left.image.shape[::-1])
-    inside = found & np.all((centres >= _BORDER_PX) & (centres < size - _BORDER_PX), axis=1)
+    inside = tracked & np.all((centres >= _BORDER_PX) & (centres < size - _BORDER_PX), axis=1)
     index = np.flatnonzero(inside)
     if not len(index):
         return None

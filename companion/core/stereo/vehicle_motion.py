@@ -117,17 +117,17 @@ def _pitch(state: VehicleState) -> float:
 class TurnTrack:
     """The body's rates of the last seconds, as the root's gyro told them, and the turn between two instants."""
 
-    _parts: deque[tuple[Ints, Floats]] = field(default_factory=deque)
+    _batches: deque[tuple[Ints, Floats]] = field(default_factory=deque)
 
     def add(self, t_host_ns: Ints, rate_radps: Floats) -> None:
         """Take samples (n,) of the rates (n, 3), body axes, in order."""
         good = np.isfinite(rate_radps).all(axis=1)
         if not good.any():
             return
-        self._parts.append((t_host_ns[good], rate_radps[good]))
-        oldest_ns = int(self._parts[-1][0][-1]) - round(_RATES_S * 1e9)
-        while int(self._parts[0][0][-1]) < oldest_ns:
-            self._parts.popleft()
+        self._batches.append((t_host_ns[good], rate_radps[good]))
+        oldest_ns = int(self._batches[-1][0][-1]) - round(_RATES_S * 1e9)
+        while int(self._batches[0][0][-1]) < oldest_ns:
+            self._batches.popleft()
 
     def between(self, from_ns: int, until_ns: int) -> Floats | None:
         """Rotation vector (3,) of the body from one instant to a later one; None where rates are missing.
@@ -135,11 +135,11 @@ class TurnTrack:
         The rates are integrated to second order: ``sum w dt + 1/2 sum (sum before) x w dt`` (Bortz 1971).
         """
         first_ns, last_ns = from_ns - _RATE_GAP_NS, until_ns + _RATE_GAP_NS
-        near = [part for part in self._parts if part[0][-1] > first_ns and part[0][0] < last_ns]
+        near = [each for each in self._batches if each[0][-1] > first_ns and each[0][0] < last_ns]
         if not near:
             return None
-        t_ns = np.concatenate([part[0] for part in near])
-        rates = np.concatenate([part[1] for part in near])
+        t_ns = np.concatenate([each[0] for each in near])
+        rates = np.concatenate([each[1] for each in near])
         inside = (t_ns > from_ns) & (t_ns < until_ns)
         nodes_ns = np.concatenate([[from_ns], t_ns[inside], [until_ns]])
         if t_ns[0] > from_ns or t_ns[-1] < until_ns or int(np.diff(nodes_ns).max()) > _RATE_GAP_NS:
