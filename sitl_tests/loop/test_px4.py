@@ -67,7 +67,7 @@ def test_what_its_integration_allows_is_no_reason_to_ask_again(service: Simulate
     """333 Hz are asked and granted, 200 come: one request a message, and nobody is told to set what PX4 has not."""
     report = service.world.report()
     asked = [command for _, command, _ in report["commands"] if command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL]
-    assert len(asked) == 3  # HIGHRES_IMU, ATTITUDE, VFR_HUD
+    assert len(asked) == 4  # HIGHRES_IMU, ATTITUDE, VFR_HUD, GLOBAL_POSITION_INT
     number = mavlink.MAVLINK_MSG_ID_HIGHRES_IMU
     assert service.autopilot.rates.delivered_hz[number] == pytest.approx(200.0, rel=0.02)
     said = "".join(report["statustexts"])

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from companion.adapters.recordings.mcap.ros1_codec import pack, unpack
 from companion.core.stereo.epipolar_posterior import Posterior, with_flow
 from companion.core.stereo.epipolar_states import ALL_STATES, NO_BEND, TURN_RATE, VELOCITY, YAW
 from companion.core.stereo.flow import FlightBetween, FlowView
@@ -15,7 +16,7 @@ from companion.core.stereo.lens_residual import PAIR_TERMS
 from companion.core.stereo.rotation import exp_rotation, log_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.core.stereo.vehicle_motion import TurnTrack, VehicleTrack
-from companion.records import Floats, VehicleState
+from companion.records import ClockName, Floats, Flow, MatchSet, VehicleState
 
 _BASELINE_M, _SPEED_MPS, _PASSED_S, _NOISE_RAD = 2.0, 22.0, 0.15, 1.25e-4
 _DOWN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # camera from body of a pair that looks down
@@ -158,3 +159,17 @@ def test_velocity_over_ground_is_turned_into_body_axes() -> None:
     assert np.sqrt(motion.covariance[0, 0]) == pytest.approx(0.3)
     assert not air.motion(100_000_000).over_ground
     assert air.motion(100_000_000).velocity_mps[0] == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_a_recording_keeps_the_flow_to_the_bit(count: int) -> None:
+    """What the matches of a pair say of the pair before is read as it was written; so is that they say nothing."""
+    px = np.random.default_rng(5).uniform(0, 600, (4, 2))
+    host = (ClockName.HOST, ClockName.HOST)
+    without = MatchSet(7, 8, host, np.array([1, 2]), 3, 0, px, px + 0.1, np.full(4, 0.02), 9)
+    flow = Flow(6, np.arange(count), px[:count] - 40.3, np.full(count, 0.019))
+    assert unpack(MatchSet, pack(without)).flow is None
+    read = unpack(MatchSet, pack(dataclasses.replace(without, flow=flow))).flow
+    assert read.earlier_pair_id == 6
+    for name in ("index", "earlier_px", "sigma_px"):
+        assert np.array_equal(getattr(read, name), getattr(flow, name))

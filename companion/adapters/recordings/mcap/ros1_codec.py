@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.records import Axis, ClockName, ImuBatch, MatchSet, RawChunk, Station
+from companion.records import Axis, ClockName, Flow, ImuBatch, MatchSet, RawChunk, Station
 
 _CHUNK = """# link: 128 + link for what we sent
 int32 link
@@ -44,7 +44,14 @@ float64[] right_px
 float64[] sigma_px
 # so many at the end are no features but fill the obstacle picture
 int64 filled
+# features that the left image of an earlier pair shows too: that pair, -1 for none; their places among the matches
+int64 earlier_pair_id
+int64[] flow_index
+float64[] earlier_px
+float64[] flow_sigma_px
 """
+
+_NO_PAIR = -1  # numbers of pairs begin at 0
 
 SCHEMAS: dict[type, str] = {RawChunk: _CHUNK, ImuBatch: _IMU, MatchSet: _MATCHES}
 
@@ -150,8 +157,25 @@ def _pack_matches(matches: MatchSet) -> bytes:
             struct.pack("<qqq", matches.exposure_ns, matches.row_time_ns, matches.matched_host_ns),
             *(_array(values, "<f8") for values in (matches.left_px, matches.right_px, matches.sigma_px)),
             struct.pack("<q", matches.filled),
+            _pack_flow(matches.flow),
         )
     )
+
+
+def _pack_flow(flow: Flow | None) -> bytes:
+    if flow is None:
+        return struct.pack("<q", _NO_PAIR) + _array([], "<i8") + _array([], "<f8") + _array([], "<f8")
+    places = _array(flow.index, "<i8") + _array(flow.earlier_px, "<f8") + _array(flow.sigma_px, "<f8")
+    return struct.pack("<q", flow.earlier_pair_id) + places
+
+
+def _unpack_flow(cursor: _Cursor) -> Flow | None:
+    """The flow at the end of a message; recordings of before have none."""
+    if not cursor.more:
+        return None
+    (earlier_pair_id,) = cursor.take("<q")
+    index, earlier_px, sigma_px = cursor.array("<i8"), cursor.array("<f8").reshape(-1, 2), cursor.array("<f8")
+    return None if earlier_pair_id == _NO_PAIR else Flow(earlier_pair_id, index, earlier_px, sigma_px)
 
 
 def _unpack_matches(cursor: _Cursor) -> MatchSet:
@@ -172,6 +196,7 @@ def _unpack_matches(cursor: _Cursor) -> MatchSet:
         sigma_px=cursor.array("<f8"),
         matched_host_ns=matched_host_ns,
         filled=cursor.take("<q")[0] if cursor.more else 0,  # recordings of before had features alone
+        flow=_unpack_flow(cursor),
     )
 
 
