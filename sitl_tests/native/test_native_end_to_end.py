@@ -41,8 +41,11 @@ BY_FIT = 1e-2
 """Of toe, range and their sigmas, and of a sigma, where fits go on with those of numpy; 3e-3 was measured."""
 SPOILT = 1e-5
 """Error of a kernel that must show."""
-UNSEEN = "stream_all_valid"
-"""A kernel that only spares work: where it says no, numpy looks again; no sample of this flight is beyond its range."""
+UNSEEN = {
+    "stream_all_valid",  # only spares work: where it says no, numpy looks again
+    "whittle_cost",  # costs are only held against each other: a factor common to all moves no choice
+}
+"""Kernels whose error by a ratio shows in no flight; the tests beside this one hold their values."""
 
 
 @functools.cache
@@ -136,7 +139,7 @@ def test_a_flight_whose_fits_are_numpys_too_has_the_same_toe_and_range() -> None
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kernel", sorted(set(PLACES) - {UNSEEN}))
+@pytest.mark.parametrize("kernel", sorted(set(PLACES) - UNSEEN))
 def test_a_kernel_that_is_wrong_is_seen(kernel: str, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = _by_c()
     spoil_kernel(monkeypatch, kernel, SPOILT)
