@@ -44,14 +44,12 @@ float64[] right_px
 float64[] sigma_px
 # so many at the end are no features but fill the obstacle picture
 int64 filled
-# features that the left image of an earlier pair shows too: that pair, -1 for none; their places among the matches
-int64 earlier_pair_id
+# features that the left image of an earlier pair shows too: that pair, empty for none; their places among the matches
+int64[] earlier_pair_id
 int64[] flow_index
 float64[] earlier_px
 float64[] flow_sigma_px
 """
-
-_NO_PAIR = -1  # numbers of pairs begin at 0
 
 SCHEMAS: dict[type, str] = {RawChunk: _CHUNK, ImuBatch: _IMU, MatchSet: _MATCHES}
 
@@ -164,18 +162,18 @@ def _pack_matches(matches: MatchSet) -> bytes:
 
 def _pack_flow(flow: Flow | None) -> bytes:
     if flow is None:
-        return struct.pack("<q", _NO_PAIR) + _array([], "<i8") + _array([], "<f8") + _array([], "<f8")
+        return _array([], "<i8")
     places = _array(flow.index, "<i8") + _array(flow.earlier_px, "<f8") + _array(flow.sigma_px, "<f8")
-    return struct.pack("<q", flow.earlier_pair_id) + places
+    return _array([flow.earlier_pair_id], "<i8") + places
 
 
 def _unpack_flow(cursor: _Cursor) -> Flow | None:
     """The flow at the end of a message; recordings of before have none."""
-    if not cursor.more:
+    earlier = cursor.array("<i8") if cursor.more else ()
+    if not len(earlier):
         return None
-    (earlier_pair_id,) = cursor.take("<q")
     index, earlier_px, sigma_px = cursor.array("<i8"), cursor.array("<f8").reshape(-1, 2), cursor.array("<f8")
-    return None if earlier_pair_id == _NO_PAIR else Flow(earlier_pair_id, index, earlier_px, sigma_px)
+    return Flow(int(earlier[0]), index, earlier_px, sigma_px)
 
 
 def _unpack_matches(cursor: _Cursor) -> MatchSet:
