@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from companion.records import Axis, FramePair, ImuBatch, MatchSet, Side
+from companion.records import Axis, Flow, FramePair, ImuBatch, MatchSet, Side
 
 _INT64 = st.integers(-(2**63), 2**63 - 1)
 _NS = st.integers(0, 2**62)
@@ -42,6 +42,10 @@ def _only_sent(batch: ImuBatch) -> ImuBatch:
     return dataclasses.replace(batch, values=values)
 
 
+def _flow() -> st.SearchStrategy[Any]:
+    return st.integers(0, 4).flatmap(lambda n: _fields(Flow, {"index": (n,), "earlier_px": (n, 2), "sigma_px": (n,)}))
+
+
 def _fields(kind: type, shapes: dict[str, tuple[int, ...]]) -> st.SearchStrategy[Any]:
     hints = typing.get_type_hints(kind)
     names = [entry.name for entry in dataclasses.fields(kind)]
@@ -60,6 +64,8 @@ def _value(hint: Any, name: str, shape: tuple[int, ...]) -> st.SearchStrategy[An
         return st.dictionaries(st.text(max_size=5), st.integers(-(2**53), 2**53), max_size=3)
     if origin in (types.UnionType, typing.Union):
         return st.none() | _value(arms[0], name, shape)
+    if hint is Flow:
+        return _flow()
     if dataclasses.is_dataclass(hint):
         return record_of(typing.cast(type, hint))
     if hint is Axis:
