@@ -146,8 +146,8 @@ def test_a_forward_pair_fills_its_picture_unless_it_is_told_not_to(pair: FramePa
 
 
 def test_a_recording_keeps_what_is_filled_and_one_of_before_has_nothing(picture: MatchSet) -> None:
-    data = pack(picture)
+    data = pack(picture)  # at its end the number of what is filled (8 bytes) and an empty flow (a count of 4)
     assert unpack(MatchSet, data).filled == picture.filled
-    before = unpack(MatchSet, data[:-8])
+    before = unpack(MatchSet, data[:-12])
     assert before.filled == 0
     assert np.array_equal(before.left_px, picture.left_px)

@@ -169,8 +169,8 @@ def _pack_flow(flow: Flow | None) -> bytes:
 
 def _unpack_flow(cursor: _Cursor) -> Flow | None:
     """The flow at the end of a message; recordings of before have none."""
-    earlier = cursor.array("<i8") if cursor.more else ()
-    if not len(earlier):
+    earlier = cursor.array("<i8") if cursor.more else np.zeros(0, np.int64)
+    if not earlier.size:
         return None
     index, earlier_px, sigma_px = cursor.array("<i8"), cursor.array("<f8").reshape(-1, 2), cursor.array("<f8")
     return Flow(int(earlier[0]), index, earlier_px, sigma_px)
