@@ -8,10 +8,7 @@ from collections.abc import Hashable
 class RateLimiter:
     """Lets the first event of a key pass, then one a period.
 
-    Parameters
-    ----------
-    period_ns : float
-        Shortest time between two events of one key, ns of whatever clock :meth:`take` is given.
+    ``period_ns`` is the shortest time between two events of one key, ns of whatever clock :meth:`take` is given.
     """
 
     def __init__(self, period_ns: float) -> None:

@@ -17,11 +17,8 @@ _LONGEST_STATUS = 200  # characters that fit a line of systemctl
 class ServiceManager:
     """The line to systemd; never blocks and never raises: an unheard word is said again at the next tick.
 
-    Parameters
-    ----------
-    environment : Mapping[str, str]
-        ``NOTIFY_SOCKET``, a path or ``@`` and a name, and ``WATCHDOG_USEC``, the time in us after which a service
-        without a sign of life is ended.
+    ``environment`` has ``NOTIFY_SOCKET``, a path or ``@`` and a name, and ``WATCHDOG_USEC``, the time in us after which
+    a service without a sign of life is ended.
     """
 
     def __init__(self, environment: Mapping[str, str]) -> None:

@@ -34,20 +34,10 @@ _ORIENTATION = {"down": int(Orientation.DOWN), "forward": int(Orientation.FORWAR
 class Measured:
     """Measurements that the builder of an airframe has at hand.
 
-    Attributes
-    ----------
-    frequency_hz, frequency_sigma_hz : float
-        Of the first symmetric bending mode.
-    wing_mass_kg : float
-        Both halves together, with what sits in them.
-    hanging : bool
-        The stereo calibration is made with the wing hanging by its own weight, the fuselage supported.
-    looks : str
-        ``down``, ``forward`` or ``none``.
-    station_y_m : float
-        From the centreline to node and camera.
-    tip_axes : str
-        Axes of a node that are measured, letters of "xyzpqr".
+    Frequency and its sigma are of the first symmetric bending mode; ``wing_mass_kg`` is of both halves together, with
+    what sits in them; ``station_y_m`` is from the centreline to node and camera. ``looks`` is ``down``, ``forward`` or
+    ``none``; ``tip_axes`` are the measured axes of a node, letters of "xyzpqr". With ``hanging`` the stereo calibration
+    is made with the wing hanging by its own weight, the fuselage supported.
     """
 
     name: str

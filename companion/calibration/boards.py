@@ -23,14 +23,8 @@ _STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 class Board:
     """A flat board.
 
-    Attributes
-    ----------
-    kind : str
-        "chessboard" or "charuco".
-    squares : (int, int)
-        Squares across and down; a chessboard has one inner corner less each way.
-    square_m : float
-        Side of a square.
+    ``kind`` is "chessboard" or "charuco"; ``squares`` are counted across and down (a chessboard has one inner corner
+    less each way), ``square_m`` is the side of one.
     """
 
     kind: str

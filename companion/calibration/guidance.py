@@ -29,16 +29,7 @@ _TILTS = (
 def advice(views: list[BoardView], board: Board, size_px: tuple[int, int], wanted: int = ENOUGH_VIEWS) -> list[str]:
     """Sentences that say what to do next, the most useful one first; none when the set is complete.
 
-    Parameters
-    ----------
-    views : list of BoardView
-        Taken so far.
-    board : Board
-        What they show.
-    size_px : tuple
-        Width, height.
-    wanted : int
-        Number of views.
+    ``views`` are those taken so far, of ``wanted``; ``size_px`` is width and height.
     """
     said = [text for side in Side if (text := _missing_cells(views, side, size_px))]
     if views:

@@ -19,11 +19,7 @@ _MEDIAN_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 class Latency:
     """Latency to the start of each camera's exposure: left, right.
 
-    Attributes
-    ----------
-    median_s, sigma_s, p99_s : (2,) float64
-        ``sigma_s`` is robust (from the median deviation); ``p99_s`` is the 99th percentile of the latency itself.
-    shots : int
+    All (2,): ``sigma_s`` is robust (from the median deviation), ``p99_s`` the 99th percentile of the latency itself.
     """
 
     median_s: Floats

@@ -91,12 +91,7 @@ class IdentifiedMode:
 def identify_runs(runs: list[FrequencyResponse], points: int) -> list[IdentifiedMode]:
     """Modes that at least half of the runs show, by frequency.
 
-    Parameters
-    ----------
-    runs : list of FrequencyResponse
-        Each with the same drive point.
-    points : int
-        Number of points of the structure.
+    All runs have the same drive point; ``points`` is the number of points of the structure.
     """
     poles_per_run = [stable_poles(run.frequency_hz, run.response) for run in runs]
     groups = _grouped(poles_per_run, len(runs))

@@ -144,16 +144,8 @@ def calibrate_rig(
 ) -> RigFit:
     """Calibrate both lenses and their relative pose; views that fit much worse than the others are left out, by name.
 
-    Parameters
-    ----------
-    views : list of BoardView
-        From :func:`find_views`.
-    board : Board
-        What they show.
-    size_px : tuple
-        Width, height.
-    rejected : dict, optional
-        Views that were refused before.
+    ``views`` come from :func:`find_views`; ``size_px`` is width and height; ``rejected`` are views that were refused
+    before.
 
     Raises
     ------

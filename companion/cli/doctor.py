@@ -99,10 +99,7 @@ def apply(
 ) -> list[Fix]:
     """Set what the user agrees to, each until the autopilot confirms it.
 
-    Returns
-    -------
-    list of Fix
-        What was not done.
+    Returns what was not done.
     """
     left: list[Fix] = []
     done: list[Fix] = []

@@ -51,20 +51,9 @@ def evaluate_flight(
 ) -> FlightEvaluation:
     """Judge one recorded flight.
 
-    Parameters
-    ----------
-    flight
-        The truth.
-    stage
-        What was filmed, the settings in force, and the host time of boot time 0.
-    recording
-        What the service recorded.
-    report
-        What the autopilot's side received.
-    compare
-        Also replay with vertical accelerometers alone, and render at random instants.
-    say
-        Progress.
+    ``stage`` is what was filmed, the settings in force, and the host time of boot time 0; ``report`` is what the
+    autopilot's side received. With ``compare`` the flight is also replayed with vertical accelerometers alone and
+    rendered at random instants.
     """
     opened, settings = open_recording(recording), stage.settings
     geometry = TrueGeometry(flight, stage.renderer(), settings, stage.start_host_ns)

@@ -68,11 +68,7 @@ class Spectrum:
 class FlightLog:
     """Everything that a report of one flight draws, gathered record by record.
 
-    Attributes
-    ----------
-    modes, ranges, clocks, status, notices, refused : lists of records, in arrival order
-    delays_s : list of float
-        Fired minus planned instant of every shot that belongs to a plan.
+    ``delays_s`` is the fired minus the planned instant of every shot that belongs to a plan.
     """
 
     info: RecordingInfo = field(default_factory=RecordingInfo)

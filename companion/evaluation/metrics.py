@@ -23,10 +23,7 @@ _NEAR = 0.2  # a shot counts for a distance when its true range lies within this
 class Scored:
     """One way of ranging over all shots of a flight.
 
-    Attributes
-    ----------
-    t_s, z_true_m, inverse_m : (n,) float64
-        Exposure instant, true range, measured inverse range (1/m; zero or negative beyond infinity).
+    Arrays (n,): exposure instant, true range, and measured inverse range, 1/m, zero or negative beyond infinity.
     """
 
     name: str

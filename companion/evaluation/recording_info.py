@@ -22,13 +22,7 @@ _USUAL_STEPS = 1000  # steps that the usual one is the median of
 class StreamInfo:
     """One inertial sensor's samples, gathered batch by batch.
 
-    Attributes
-    ----------
-    samples : int
-    first_ns, last_ns : int
-        Stamps on the sensor's own clock.
-    axes : Axis
-        Axes that were measured.
+    ``first_ns`` and ``last_ns`` are stamps on the sensor's own clock; ``axes`` were measured.
     """
 
     samples: int = 0

@@ -22,19 +22,9 @@ _STAMP_SCALE = 1e9  # of integers that are stamps, ns: the ratio allows 1 us
 class ReplayComparison:
     """Published outputs held against replayed ones, one by one.
 
-    Parameters
-    ----------
-    tolerance : float
-        Largest difference that is rounding: :data:`ROUNDING_RATIO` between two machines, 0 on an equal one.
-
-    Attributes
-    ----------
-    compared : int
-        Pairs so far.
-    difference : str or None
-        The first one beyond the tolerance, or in anything that is no number: field, time and values.
-    largest_ratio, largest_field : float, str
-        The largest difference within it, relative to the field's largest value so far.
+    ``tolerance`` is the largest difference that is rounding: :data:`ROUNDING_RATIO` between two machines, 0 on an equal
+    one. ``difference`` is the first one beyond it, or in anything that is no number: field, time and values.
+    ``largest_ratio`` is the largest within it, relative to the largest value so far of its field, ``largest_field``.
     """
 
     tolerance: float = ROUNDING_RATIO

@@ -62,16 +62,8 @@ def trigger_scores(
 ) -> dict[str, Any]:
     """Errors against both kinds of peaks (ms) and blur by the wing (px): at the plans, at the limit, at random.
 
-    Parameters
-    ----------
-    flight : Flight
-        The truth.
-    plans : iterable of TriggerPlan
-        Plans aimed at an instant of least blur, each as last revised.
-    matches : iterable of MatchSet
-        The pairs to judge; those that no plan aimed at are left out.
-    start_host_ns : int
-        Host time of boot time 0.
+    ``plans`` are aimed at an instant of least blur, each as last revised; pairs that no plan aimed at are left out.
+    ``start_host_ns`` is the host time of boot time 0.
     """
     aimed = _aimed(list(plans), matches, start_host_ns)
     peaks, swing = true_peaks(flight), _FreeSwing(flight)

@@ -63,18 +63,10 @@ class ParameterTrial:
 class TrialOutcome:
     """Figures of the flight, replayed with the trial's values.
 
-    Attributes
-    ----------
-    shots, skipped : int
-        Shots that the planner would have fired, and plans to skip with a reason.
-    ranges, trusted : int
-        Ranges, and those that would have been published.
-    sigma_ratio : float
-        Median of sigma over range of the trusted ones; 0 without any.
-    scatter_ratio : float
-        Rms of the differences of neighbouring trusted ranges over their own sigmas; about 1 over flat ground.
-    delay_s : float
-        Median age of a trusted range when it goes out.
+    ``shots`` are those that the planner would have fired, ``skipped`` the plans to skip with a reason; ``trusted``
+    ranges would have been published. ``sigma_ratio`` is their median of sigma over range, 0 without any;
+    ``scatter_ratio`` the rms of differences of neighbours over their own sigmas, about 1 over flat ground; ``delay_s``
+    their median age when they go out.
     """
 
     shots: int

@@ -31,12 +31,8 @@ def require_live() -> Any:
 class Broadcaster:
     """Publishes records to whoever subscribed to their topic.
 
-    Parameters
-    ----------
-    values
-        Gives the parameters in force, by MAVLink name.
-    changed
-        Told the kinds of record that somebody looks at, as bits of :data:`companion.live.feed.BIT`.
+    ``values`` gives the parameters in force, by MAVLink name; ``changed`` is told the kinds of record that somebody
+    looks at, as bits of :data:`companion.live.feed.BIT`.
     """
 
     def __init__(self, values: Callable[[], dict[str, float]], changed: Callable[[int], object]) -> None:

@@ -20,15 +20,8 @@ _HIGHEST_PORT = 65_535  # of TCP
 class LiveConfig:
     """Address of the live view.
 
-    Attributes
-    ----------
-    host, port
-        Address that is listened on.
-    token
-        Asked of everyone where the address is reachable from outside; on loopback, of pages of another origin. None
-        admits local pages alone.
-    folder
-        Where the recordings lie that may be fetched, and where the page's own recordings go.
+    ``token`` is asked of everyone where the address is reachable from outside, and on loopback of pages of another
+    origin; None admits local pages alone. ``folder`` has the recordings that may be fetched, and takes the page's own.
     """
 
     host: str

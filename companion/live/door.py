@@ -48,14 +48,8 @@ def listen(config: LiveConfig) -> socket.socket:
 class Door:
     """Serves one live view.
 
-    Parameters
-    ----------
-    listening
-        The bound socket; its port is the door's.
-    answer
-        Gives the answer to an admitted request that is no websocket; called in a thread.
-    behind
-        Port of the SDK's server on this machine.
+    ``listening`` is the bound socket, whose port is the door's. ``answer`` gives the answer to an admitted request that
+    is no websocket, and is called in a thread. ``behind`` is the port of the SDK's server on this machine.
     """
 
     def __init__(

@@ -40,14 +40,9 @@ _MIDWAY = 2  # number of a recording's part whose estimation began before it
 class Subject:
     """Content of the live view.
 
-    Attributes
-    ----------
-    title
-        What runs: "live", "demo", or the name of a recording.
-    ask
-        Hands on the wish to set a parameter (name, value); None where nothing can be set.
-    heed
-        Told the kinds of record that somebody looks at, as bits of :data:`companion.live.feed.BIT`.
+    ``title`` is what runs: "live", "demo", or the name of a recording. ``ask`` hands on the wish to set a parameter
+    (name, value), None where nothing can be set; ``heed`` is told the kinds of record that somebody looks at, as bits
+    of :data:`companion.live.feed.BIT`.
     """
 
     airframe: Airframe

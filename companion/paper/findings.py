@@ -31,14 +31,8 @@ class SectionPicture:
 class Section:
     """One part of the report.
 
-    Attributes
-    ----------
-    key : str
-        Name in the JSON and anchor in the HTML.
-    findings : tuple of str
-        What was found, a sentence each, most important first.
-    data : dict
-        Every number, plain JSON types.
+    ``key`` is its name in the JSON and its anchor in the HTML; ``findings`` are sentences, the most important first;
+    ``data`` holds every number, in plain JSON types.
     """
 
     key: str

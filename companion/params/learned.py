@@ -27,12 +27,7 @@ _SIDES = ("left", "right")
 class LearnedLatency:
     """Latency of one path, left and right camera.
 
-    Attributes
-    ----------
-    path : str
-        Trigger and cameras as they were named.
-    latency_s : tuple of Uncertain
-    shots : int
+    ``path`` is trigger and cameras as they were named.
     """
 
     path: str

@@ -92,20 +92,9 @@ Block = Heading | Paragraph | Advice | Findings | Answers | Table | Picture | De
 class Page:
     """Self-contained page.
 
-    Attributes
-    ----------
-    title : str
-        Of the browser's window.
-    headline : str
-        First line; the verdict where there is one.
-    body : sequence of Block
-        In the order of reading.
-    subject : str
-        Recording, airframe or paper that the page is about.
-    grade : str
-        Class of the style sheet that colours the headline, "" for a plain one.
-    contents : bool
-        Whether a list of its sections stands ahead of them.
+    ``title`` is of the browser's window, ``headline`` the first line (the verdict where there is one), ``subject`` the
+    recording, airframe or paper. ``grade`` is the style sheet's class that colours the headline, "" for a plain one;
+    with ``contents`` a list of the sections comes first.
     """
 
     title: str

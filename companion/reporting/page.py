@@ -23,12 +23,8 @@ Typeset = Callable[[str], str]
 def render(page: Page, typeset: Typeset | None = None) -> str:
     """HTML text of a page.
 
-    Parameters
-    ----------
-    page : Page
-        Texts are escaped by the templates (autoescape).
-    typeset : callable, optional
-        Turns escaped text into HTML with symbols; without it escaped text stands as it is.
+    The templates escape all texts; ``typeset`` turns escaped text into HTML with symbols, without it escaped text
+    stands as it is.
 
     Raises
     ------

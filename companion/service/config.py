@@ -16,25 +16,12 @@ from companion.ports import CameraPair, Trigger
 class ServiceConfig:
     """Wiring of one run.
 
-    Attributes
-    ----------
-    connections
-        MAVLink links in mavutil's spelling.
-    cameras, trigger
-        Picklable factories, called inside the process that uses the device; None without cameras. With
-        :class:`companion.adapters.triggers.mavlink.MavlinkTrigger` the autopilot fires.
-    recording
-        Path of the MCAP to write, or None.
-    recording_keep_bytes
-        Size that all recordings of this path's name may take together; None keeps all of them.
-    parameters
-        File that keeps what a ground station sets, or None; ``settings`` has its values in already.
-    signing_key
-        Key file: with it only signed frames come in, and all that go out are signed. None leaves signing off.
-    standby
-        Keep a second inertial process loaded and compiled, to take over when the first dies.
-    live
-        Where the live view is served, or None.
+    ``connections`` are MAVLink links in mavutil's spelling. ``cameras`` and ``trigger`` are picklable factories, called
+    inside the process that uses the device; with :class:`companion.adapters.triggers.mavlink.MavlinkTrigger` the
+    autopilot fires. ``recording`` is the MCAP to write, and ``recording_keep_bytes`` what all recordings of its name
+    may take together, None for no limit. ``parameters`` is the file that keeps what a ground station sets, which
+    ``settings`` has in already. With ``signing_key`` only signed frames come in, and all that go out are signed.
+    ``standby`` keeps a second inertial process loaded and compiled, to take over when the first dies.
     """
 
     airframe: Airframe

@@ -17,16 +17,9 @@ CONSOLE = r"console=(?:serial0|ttyAMA0|ttyS0)[^\s]*"
 class CompanionBoard:
     """A kind of companion.
 
-    Attributes
-    ----------
-    uart
-        The device to which the autopilot is wired.
-    boot_lines
-        Lines of ``config.txt`` that lay the UART on the header's pins 8 and 10.
-    console
-        Words of ``cmdline.txt`` that give it to a console, as a pattern; empty: no such file.
-    other_services
-        Links that start another service on it.
+    ``uart`` is the device to which the autopilot is wired, ``boot_lines`` lay it on the header's pins 8 and 10
+    (``config.txt``). ``console`` is a pattern of the words of ``cmdline.txt`` that give it to a console, empty where
+    there is no such file; ``other_services`` are links that start another service on it.
     """
 
     key: str

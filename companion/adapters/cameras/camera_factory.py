@@ -32,16 +32,9 @@ def camera_factory(
 ) -> Callable[[], CameraPair]:
     """Give what opens the pair, in whichever process uses it; files play at their own pace from then on.
 
-    Parameters
-    ----------
-    spelling : str
-        One of :data:`SPELLINGS`.
-    airframe : Airframe
-        Size, exposure and row time of its cameras.
-    triggered : bool
-        Exposures follow a trigger line; otherwise the cameras run free.
-    soft : SoftLine, optional
-        The trigger is the DepthAI cameras' own.
+    ``spelling`` is one of :data:`SPELLINGS`; size, exposure and row time are those of the airframe's cameras. With
+    ``triggered`` exposures follow a trigger line, otherwise the cameras run free; ``soft`` is given where the trigger
+    is the DepthAI cameras' own.
 
     Raises
     ------

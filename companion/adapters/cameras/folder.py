@@ -33,14 +33,8 @@ class Stamped:
 class FolderPair:
     """Implements :class:`companion.ports.CameraPair`; ``poll`` gives the frames of one instant after the other.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds ``cam0`` and ``cam1``.
-    clock : ClockName
-        Clock that the stamps belong to; in a replay the log's only clock is the hub.
-    exposure_ns, row_time_ns : int
-        Properties of the recording; the stamps are taken as mid-exposure after ``stamp_to_middle_ns`` has been added.
+    ``folder`` holds ``cam0`` and ``cam1``. The stamps belong to ``clock`` (in a replay the log's only clock is the hub)
+    and are mid-exposure after ``stamp_to_middle_ns`` has been added.
     """
 
     def __init__(

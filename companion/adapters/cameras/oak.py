@@ -37,11 +37,8 @@ class OakSensor:
 class OakTiming:
     """Exposure settings of a sensor.
 
-    Attributes
-    ----------
-    external : bool
-        Exposures start with edges on the FSYNC line (1.8 V; the sensor has to be a global-shutter one with snapshots).
-        Without, the sensors run free and the frame nearest the plan is chosen.
+    With ``external`` exposures start with edges on the FSYNC line (1.8 V; the sensor has to be a global-shutter one
+    with snapshots); without, the sensors run free and the frame nearest the plan is chosen.
     """
 
     exposure_us: int = 2000
@@ -88,16 +85,8 @@ class QueuePair:
 class OakPair(QueuePair):
     """One device with two sensors, or one device at each wingtip.
 
-    Parameters
-    ----------
-    left, right : OakSensor
-        Equal ``device`` means one device with two sensors.
-    size_px : tuple
-        Width, height.
-    timing : OakTiming
-        Exposure and trigger.
-    soft : SoftLine, optional
-        The devices pull their FSYNC line themselves when they are told to; with ``timing.external``.
+    Sensors of equal ``device`` are two of one device; ``size_px`` is width and height. With ``soft`` and
+    ``timing.external`` the devices pull their FSYNC line themselves when they are told to.
 
     Raises
     ------
@@ -155,11 +144,7 @@ class OakReplayPair(QueuePair):
     Everything behind the queues is the same as with a device. The two nodes keep no common time; frames of
     equal number get the left one's stamp.
 
-    Parameters
-    ----------
-    left, right : Path
-    timing : OakTiming
-        ``rate_hz`` is the pace.
+    The pace is ``timing.rate_hz``.
 
     Raises
     ------

@@ -35,14 +35,8 @@ def handler_of(path: Path) -> Any:
 def cameras_from_handler(handler: Any, sockets: tuple[str, str], left: Camera, right: Camera) -> tuple[Camera, Camera]:
     """Our two cameras with the handler's lenses, and the right one where the handler says it is.
 
-    Parameters
-    ----------
-    handler : CalibrationHandler
-        Of a device, or :func:`handler_of` a file.
-    sockets : tuple
-        Names of the left and the right one, "CAM_B", "CAM_C".
-    left, right : Camera
-        As the airframe has them: size, axes, and the left one's pose stay.
+    ``handler`` is the CalibrationHandler of a device, or :func:`handler_of` a file; ``sockets`` names the left and the
+    right camera, as "CAM_B", "CAM_C". Size, axes and the left one's pose stay as the airframe has them.
 
     Raises
     ------

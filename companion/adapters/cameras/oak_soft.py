@@ -49,12 +49,7 @@ def fire_queue(pipeline: Any, line: SoftLine, dai: Any) -> Any:
 class SoftEar:
     """Hears the trigger process and fires every device's queue, left first.
 
-    Parameters
-    ----------
-    line : SoftLine
-    queues : sequence
-        Input queues of the devices.
-    dai : module
+    ``queues`` are the input queues of the devices, ``dai`` is the DepthAI module.
 
     Raises
     ------

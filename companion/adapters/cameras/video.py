@@ -20,14 +20,8 @@ class CapturePair:
     A V4L2 camera's stamp is the driver's, on the host's monotonic clock, when the frame began to arrive: the end of the
     exposure, to which ``stamp_to_middle_ns`` (negative) leads back. A frame without a stamp is an error, never "now".
 
-    Parameters
-    ----------
-    left, right : int, str or Path
-        Device number, device path, or file.
-    clock : ClockName
-        What the stamps are on: HOST for devices, the hub's name for files.
-    start_ns : int
-        Added to every stamp, for files, which begin at 0.
+    ``left`` and ``right`` are device numbers, device paths or files. The stamps are on ``clock``: HOST for devices, the
+    hub's name for files. ``start_ns`` is added to every stamp of a file, whose stamps begin at 0.
     """
 
     def __init__(

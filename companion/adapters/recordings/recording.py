@@ -28,23 +28,11 @@ _JITTER_RATIO = 0.15  # of the median step: a wider spread of the steps is told
 class Recording(Protocol):
     """A recording of any format, opened.
 
-    Attributes
-    ----------
-    path : Path
-    hub : ClockName
-        The clock that stands for the host's: HOST in our own recordings and CSV folders, BOOT in an autopilot's log. A
-        replay declares it as identity.
-    airframe : Airframe
-        The airframe as it fits this recording: what the reader knows better (no low-pass in raw samples, axes and rates
-        that are really there) is put in.
-    airframe_text : str
-        The same as TOML.
-    settings : Settings
-        The settings in force when the recording began; the defaults where it does not tell.
-    notices : list of Notice
-        What is wrong or worth knowing; complete once ``records`` is exhausted.
-    replayable : bool
-        False for foreign logs, further parts, and where records are missing.
+    ``hub`` is the clock that stands for the host's, which a replay declares as identity: HOST in our own recordings and
+    CSV folders, BOOT in an autopilot's log. ``airframe`` is the airframe as it fits this recording: what the reader
+    knows better (no low-pass in raw samples, axes and rates that are really there) is put in. ``settings`` are those in
+    force when the recording began, the defaults where it does not tell. ``notices`` are complete once ``records`` is
+    exhausted.
     """
 
     path: Path
@@ -76,12 +64,7 @@ class Recording(Protocol):
 class InertialStream:
     """All samples of one sensor of a log that is read as a whole.
 
-    Attributes
-    ----------
-    t_ns : (n,) int64
-        Stamps on ``clock``.
-    values : (n, 6) float64
-        As in :class:`ImuBatch`.
+    ``t_ns`` (n,) are stamps on ``clock``, ``values`` (n, 6) are as in :class:`ImuBatch`.
     """
 
     station: Station

@@ -22,12 +22,8 @@ _FORMATS = "known are .mcap (Spanwise), .tlog, .BIN (ArduPilot), .ulg (PX4) and 
 def open_recording(path: Path | str, airframe: Airframe | None = None) -> Recording:
     """Open a recording, chosen by its content.
 
-    Parameters
-    ----------
-    path : Path or str
-        An MCAP file of ours, a tlog, a .BIN or .ulg log, or a folder with accel.csv.
-    airframe : Airframe, optional
-        Maps the messages of a foreign log to stations. Only our own recordings bring one with them.
+    Known are MCAP files of ours, tlogs, .BIN and .ulg logs, and folders with accel.csv. The airframe maps the messages
+    of a foreign log to stations; only our own recordings bring one with them.
 
     Raises
     ------

@@ -16,14 +16,8 @@ _WIDTH_NS = 500_000
 class GpioTrigger:
     """Implements :class:`companion.ports.Trigger` on one line of a GPIO chip.
 
-    Parameters
-    ----------
-    chip : str
-        ``/dev/gpiochip0``.
-    line : int
-        Offset on the chip.
-    active_low : bool
-        The cameras want a falling edge.
+    ``chip`` is a device such as ``/dev/gpiochip0`` and ``line`` an offset on it; ``active_low`` gives cameras a falling
+    edge.
 
     Raises
     ------

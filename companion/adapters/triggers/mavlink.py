@@ -35,12 +35,9 @@ class CaptureCommand:
 class LinkFiring:
     """Command that makes the autopilot fire.
 
-    Attributes
-    ----------
-    kind : str
-        ``camera``: every camera of its own takes one picture. ``relay``: relay ``channel`` goes on and off once.
-        ``servo``: output ``channel`` goes to ``pulse_us`` and back once. Not a channel that the autopilot's own camera
-        driver holds: it refuses those.
+    ``kind`` is ``camera``: every camera of the autopilot takes one picture; ``relay``: relay ``channel`` goes on and
+    off once; or ``servo``: output ``channel`` goes to ``pulse_us`` and back once. The autopilot refuses a channel that
+    its own camera driver holds.
     """
 
     kind: str = "camera"

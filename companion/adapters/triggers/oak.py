@@ -27,13 +27,8 @@ WORD = struct.Struct("<q")
 class SoftLine:
     """Which pins of the device make the pulse, and what the line is called on this machine.
 
-    Attributes
-    ----------
-    pins : tuple
-        The first drives FSYNC (41 on most OAK boards); the others are held high, as OAK-FFC-4P wants it to join its
-        sensors' lines (38 from revision 6 on, 6 before).
-    name : str
-        Two services on one machine need two names.
+    The first of ``pins`` drives FSYNC (41 on most OAK boards); the others are held high, as OAK-FFC-4P wants it to join
+    its sensors' lines (38 from revision 6 on, 6 before). Two services on one machine need two names.
     """
 
     pins: tuple[int, ...] = (41,)

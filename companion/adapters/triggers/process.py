@@ -43,16 +43,9 @@ def serve_trigger(
 ) -> None:
     """Entry point of the trigger process, for a supervisor or :class:`TriggerProcess`.
 
-    Parameters
-    ----------
-    factory : callable
-        Opens the trigger line, in this process.
-    end : socket.socket
-        This process's end of :func:`line_pair`; when the other is closed, or the parent dies, this ends.
-    stopped : callable
-        Asked every tenth of a second.
-    fifo : bool
-        Ask for a real-time priority.
+    ``factory`` opens the trigger line in this process, whose end of :func:`line_pair` is ``end``: it ends when the
+    other one is closed, when the parent dies, or when ``stopped``, asked every tenth of a second, says so. ``fifo``
+    asks for a real-time priority.
     """
     die_with_parent(watch=False)  # the loop looks itself: no thread beside one that spins
     parent = os.getppid()
@@ -115,12 +108,8 @@ class TriggerLink:
 class TriggerProcess(TriggerLink):
     """A trigger process with its link, for a service (or bench) that has no supervisor. Use as a context manager.
 
-    Parameters
-    ----------
-    factory : callable
-        Picklable; opens the trigger line inside the process.
-    fifo : bool
-        Ask for a real-time priority; whether it was granted is in :attr:`realtime` once the process runs.
+    ``factory`` is picklable and opens the trigger line inside the process. ``fifo`` asks for a real-time priority;
+    whether it was granted is in :attr:`realtime` once the process runs.
     """
 
     def __init__(self, factory: Callable[[], Trigger], *, fifo: bool = True) -> None:

@@ -64,12 +64,7 @@ class BoardClock:
 class SerialBoardTrigger:
     """Implements :class:`companion.ports.Trigger` over a serial port.
 
-    Parameters
-    ----------
-    port : str
-        Device name.
-    baud : int
-        Of a real serial line; USB CDC does not care.
+    ``port`` is the device's name; ``baud`` is of a real serial line, USB CDC does not care.
 
     Raises
     ------

@@ -21,10 +21,7 @@ from companion.sim.vision.cameras import SimCameraPair
 class Rehearsal:
     """Implements :class:`companion.ports.CameraPair`: the simulated pair of a bench, server process and all.
 
-    Attributes
-    ----------
-    airframe : Airframe
-        The truth: the base airframe with cameras as they came.
+    ``airframe`` is the truth: the base airframe with cameras as they came.
     """
 
     def __init__(self, base: Airframe, board: Board, seed: int) -> None:

@@ -144,14 +144,8 @@ class _Watched:
 class LockStepService:
     """Stands where :class:`companion.service.wiring.Service` stands, together with the vehicle. A context manager.
 
-    Parameters
-    ----------
-    config
-        Its connections, devices and parameter file are not looked at.
-    flight
-        What the vehicle flies.
-    live
-        Shows it meanwhile.
+    Connections, devices and parameter file of ``config`` are not looked at; ``flight`` is what the vehicle flies, and
+    ``live`` shows it meanwhile.
     """
 
     def __init__(self, config: ServiceConfig, flight: Flight, live: LiveSession | None = None) -> None:

@@ -89,16 +89,9 @@ class SampleWindow:
 class WingGuide:
     """Leads through the bench part of a set-up.
 
-    Parameters
-    ----------
-    examine
-        Makes the doctor's examination of so many seconds; it hands each record to the function that it is given.
-    diagnose
-        Judges its evidence.
-    say
-        Shows a sentence at once.
-    wait
-        Lets a little time pass between two looks at the link.
+    ``examine`` makes the doctor's examination, which hands each record to the function that it is given, and
+    ``diagnose`` judges its evidence. ``say`` shows a sentence at once; ``wait`` lets a little time pass between two
+    looks at the link.
 
     Raises
     ------

@@ -17,16 +17,9 @@ _LINE_S = 5.0
 class Progress:
     """Feed :meth:`at` as the recording goes by.
 
-    Parameters
-    ----------
-    what : str
-        What is being done.
-    length_ns : int, optional
-        Of the whole recording.
-    read_share : callable, optional
-        Share of the file that has been read, 0 to 1, where its length is unknown; without both no percentage is shown.
-    plain : bool
-        A line every five seconds, wherever standard error goes; otherwise nothing is shown but on a terminal.
+    ``length_ns`` is of the whole recording; where it is unknown, ``read_share`` gives the share of the file that has
+    been read, 0 to 1, and without both no percentage is shown. ``plain`` prints a line every five seconds, wherever
+    standard error goes; otherwise nothing is shown but on a terminal.
     """
 
     def __init__(

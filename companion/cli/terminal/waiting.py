@@ -19,14 +19,8 @@ _WAITING = "waiting for "
 def waiting_text(status: ServiceStatus | None, elapsed_s: float, limit_s: float | None) -> str | None:
     """Sentence of what is waited for; None once there is something to estimate.
 
-    Parameters
-    ----------
-    status : ServiceStatus, optional
-        The newest; None while no process has spoken.
-    elapsed_s : float
-        Time since the start.
-    limit_s : float, optional
-        End of the run, None where nothing but the user ends it.
+    ``status`` is the newest one, None while no process has spoken; ``limit_s`` is the end of the run, None where
+    nothing but the user ends it.
     """
     if status is None:
         usual = f"some {START_S:g} s" if elapsed_s <= START_S else f"usually {START_S:g} s, this machine is busy"

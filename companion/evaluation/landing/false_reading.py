@@ -16,11 +16,7 @@ _LASTS_NS = 100_000_000  # two messages of a 20 Hz sensor
 class OneFalseReading(TrueRange):
     """A :class:`companion.sim.landing.landing_flight.RangeSource`: the truth, but for 0.1 s of the descent.
 
-    Parameters
-    ----------
-    landing : LandingFlight
-        Its seed draws the height at which the reading is false, and what is read, evenly from ``between_m``.
-    between_m : tuple of float
+    The landing's seed draws the height at which the reading is false, and what is read, evenly from ``between_m``.
     """
 
     def __init__(self, landing: LandingFlight, between_m: tuple[float, float]) -> None:

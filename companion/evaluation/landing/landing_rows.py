@@ -91,14 +91,8 @@ def _outcome(landing: LandingFlight) -> str:
 class LandingFigures:
     """Figures of the landings of one range finder in one air; arrays have an entry for each that touched down.
 
-    Attributes
-    ----------
-    flights, landed, went_around, no_flare, high_flares : int
-        ``no_flare`` are those that met the ground, or flew on, without one.
-    flare_error_m : (k,) float64
-        True height less the intended one as the flare began.
-    sink_mps, north_m : (n,) float64
-        At touch-down.
+    ``no_flare`` counts those that met the ground, or flew on, without one. ``flare_error_m`` (k,) is the true height
+    less the intended one as the flare began; ``sink_mps`` and ``north_m`` (n,) are at touch-down.
     """
 
     flights: int

@@ -27,13 +27,8 @@ _COLUMNS, _ROWS = 16, 12  # of the grid of points
 class RigidStereo:
     """A :class:`companion.sim.landing.landing_flight.RangeSource` of fixed extrinsics.
 
-    Parameters
-    ----------
-    landing : LandingFlight
-    settings : Settings
-        Limits of the range; the trigger rate is that of the pairs.
-    in_trim : bool
-        Calibrated in level flight; otherwise on the ground.
+    ``settings`` limit the range, and their trigger rate is that of the pairs. With ``in_trim`` the pair was calibrated
+    in level flight, otherwise on the ground.
     """
 
     def __init__(self, landing: LandingFlight, settings: Settings, *, in_trim: bool) -> None:

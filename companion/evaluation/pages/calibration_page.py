@@ -41,18 +41,7 @@ def rows(fit: RigFit) -> list[tuple[str, str, str, str]]:
 def report(fit: RigFit, views: list[BoardView], pairs: Pairs, board: Board, advice: list[str]) -> tuple[str, bytes]:
     """A page with nothing external in it, and its main picture alone (PNG).
 
-    Parameters
-    ----------
-    fit : RigFit
-        The result.
-    views : list of BoardView
-        All that were found, used or not.
-    pairs : list
-        Name, left and right image of each.
-    board : Board
-        What they show.
-    advice : list of str
-        What another session should add.
+    ``views`` are all that were found, used or not; ``advice`` is what another session should add.
     """
     picture = png(_figure(fit, [view for view in views if view.name in fit.views], pairs[0][1].shape))
     grade, headline_text = verdict(fit)

@@ -42,12 +42,8 @@ class LandingParameters:
 class Approach:
     """A level leg along north and a slope to the landing point at the origin.
 
-    Attributes
-    ----------
-    airspeed_mps : float
-        Held on both.
-    level_s : float
-        Length of the level leg: the time a tracker needs to settle, and more.
+    ``airspeed_mps`` is held on both; ``level_s`` is the length of the level leg: the time a tracker needs to settle,
+    and more.
     """
 
     height_m: float = 60.0

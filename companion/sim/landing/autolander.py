@@ -50,12 +50,7 @@ class FlareBegin:
 class Autolander:
     """Flies the approach; one call of :meth:`commands` a period of 20 ms.
 
-    Attributes
-    ----------
-    stage : LandingStage
-    flare : FlareBegin or None
-    why : str
-        Reason of a go-around.
+    ``why`` is the reason of a go-around.
     """
 
     def __init__(self, plane: Airplane, approach: Approach, limits: LandingParameters) -> None:

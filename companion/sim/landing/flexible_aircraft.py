@@ -59,16 +59,8 @@ class _Loads(NamedTuple):
 class FlexibleAircraft:
     """Advances the aeroplane; the state is readable between steps.
 
-    Parameters
-    ----------
-    plane : Airplane
-    model : WingModel
-        The true wing.
-    start : sequence of 16 floats
-        NED position and velocity, roll pitch yaw, rates, then elevator, aileron, rudder and throttle
-        (:mod:`companion.sim.landing.trim` makes one). The wing starts at rest under 1 g.
-    step_ns : int
-        Length of every step.
+    ``model`` is the true wing, which starts at rest under 1 g. ``start`` has 16 numbers: NED position and velocity,
+    roll pitch yaw, rates, then elevator, aileron, rudder and throttle (:mod:`companion.sim.landing.trim` makes one).
     """
 
     def __init__(self, plane: Airplane, model: WingModel, start: list[float], step_ns: int = STEP_NS) -> None:

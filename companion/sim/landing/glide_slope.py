@@ -35,14 +35,8 @@ class GlideSlope:
     def adjusted(self, correction_m: float, north_m: float, corrected_m: float) -> bool:
         """Lay the slope anew where the correction asks for it; whether it has become too steep to be flown.
 
-        Parameters
-        ----------
-        correction_m : float
-            By which the barometer reads too high.
-        north_m : float
-            Place of the aeroplane.
-        corrected_m : float
-            Its height above the ground, the correction used.
+        ``correction_m`` is by how much the barometer reads too high, ``corrected_m`` the height above the ground with
+        the correction used.
         """
         if abs(abs(self._stable_m) - abs(correction_m)) < self._limits.slope_recalc_m or north_m > -1.0:
             return False

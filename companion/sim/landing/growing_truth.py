@@ -11,13 +11,7 @@ from companion.sim.flight.truth import MODAL, FlightTruth, TipShape
 class GrowingTruth(FlightTruth):
     """A :class:`companion.sim.flight.truth.FlightTruth` whose end moves on; what lies beyond it raises ValueError.
 
-    Parameters
-    ----------
-    shape : TipShape
-    step_ns : int
-        From knot to knot.
-    most : int
-        Knots at most.
+    Knots are ``step_ns`` apart and at most ``most``.
     """
 
     def __init__(self, shape: TipShape, step_ns: int, most: int) -> None:

@@ -22,10 +22,7 @@ _HOLD_S = 5.0
 class HeightCorrection:
     """Correction of the barometer's height by ranges; :meth:`update` is one pass at 50 Hz.
 
-    Attributes
-    ----------
-    in_range : bool
-        Whether the readings are taken for the ground.
+    ``in_range`` is whether the readings are taken for the ground.
     """
 
     range_max_m: float

@@ -90,17 +90,9 @@ class FlareTruth:
 class LandingFlight:
     """Flies; :meth:`advance` is one control period of 20 ms.
 
-    Parameters
-    ----------
-    airframe : Airframe
-        The belief, from whose sigmas the truth is drawn.
-    seed : int
-        Determines everything but the ranges.
-    gusts : bool
-        Turbulence, or still air.
-    state : sequence of 16 floats, optional
-        Where it begins (:class:`companion.sim.landing.flexible_aircraft.FlexibleAircraft`); trimmed on the level leg
-        by default.
+    The truth is drawn from the airframe's sigmas; ``seed`` determines everything but the ranges. ``gusts`` is
+    turbulence, or still air. ``state`` is where it begins (16 numbers, see
+    :class:`companion.sim.landing.flexible_aircraft.FlexibleAircraft`), trimmed on the level leg by default.
     """
 
     def __init__(

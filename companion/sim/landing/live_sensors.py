@@ -55,13 +55,7 @@ class _Lowpass:
 class LiveSensor:
     """One station's sensor on its own clock.
 
-    Parameters
-    ----------
-    flight : LandingFlight
-        Truth, wing, errors.
-    station : Station
-    period_ns : int
-        Of the samples, on the sensor's clock.
+    ``flight`` has truth, wing and errors; samples come every ``period_ns`` of the sensor's clock.
     """
 
     def __init__(self, flight: LandingFlight, station: Station, period_ns: int) -> None:

@@ -23,18 +23,10 @@ _FIELD_OF_VIEW_RAD = 0.37
 class RehearsalVehicle:
     """One vehicle; :meth:`run` keeps it alive until told to stop.
 
-    Parameters
-    ----------
-    connections : sequence of str
-        Links in the vehicle's spelling (:class:`WorldOptions`); what one says is passed on to the others.
-    height_m : float
-        Above home at the start; 0 is on the ground, disarmed.
-    speed : float
-        Flight seconds per real second.
-    ranges : bool
-        Put a :class:`CompanionStub` on the wire.
-    obstacle_m : tuple, optional
-        North and east of home of a pole that a forward-looking airframe sees.
+    ``connections`` are links in the vehicle's spelling (:class:`WorldOptions`); what one says is passed on to the
+    others. It begins ``height_m`` above home, at 0 on the ground and disarmed, and flies ``speed`` seconds in a real
+    second. ``ranges`` puts a :class:`CompanionStub` on the wire; ``obstacle_m`` is a pole north and east of home that a
+    forward-looking airframe sees.
     """
 
     def __init__(

@@ -26,16 +26,9 @@ _ALIVE, _UNTRUSTED = 90, 1
 class RangeFaults:
     """Faults of the stub's ranges; may be changed in flight.
 
-    Attributes
-    ----------
-    toe_rad : float
-        Relative toe that is not corrected: ``1/Z' = 1/Z + toe/B``.
-    scale : float
-        The range is this many times what it should be (focal length or baseline wrong).
-    jump_m : float
-        Added to the range.
-    untrusted, silent : bool
-        Alive without a range, and nothing at all.
+    ``toe_rad`` is relative toe that is not corrected: ``1/Z' = 1/Z + toe/B``. The range is ``scale`` times what it
+    should be (focal length or baseline wrong), with ``jump_m`` added; ``untrusted`` is alive without a range,
+    ``silent`` nothing at all.
     """
 
     toe_rad: float = 0.0
@@ -48,19 +41,8 @@ class RangeFaults:
 class CompanionStub:
     """One port of a :class:`~companion.sim.vehicle.routing.Router`.
 
-    Parameters
-    ----------
-    distance_m : callable
-        The true distance now, None where there is nothing to see.
-    now_ns : callable
-        Boot time.
-
-    Attributes
-    ----------
-    faults : RangeFaults
-        In force; may be changed in flight.
-    bend_mm : tuple, optional
-        Symmetric and antisymmetric deflection to send for the graphs.
+    ``distance_m`` gives the true distance now, None where there is nothing to see, and ``now_ns`` boot time. ``faults``
+    may be changed in flight; ``bend_mm`` is the symmetric and antisymmetric deflection to send for the graphs.
     """
 
     def __init__(

@@ -69,21 +69,10 @@ class Item:
 class ScriptedPilot:
     """Flies; :meth:`step` is one control period.
 
-    Parameters
-    ----------
-    height_m : float
-        Above home at the start: airborne, armed and in LOITER, or on the ground and disarmed at 0.
-
-    Attributes
-    ----------
-    items : list of Item
-        The mission; item 0 is home and never flown.
-    reached, texts : deque
-        Item numbers reached, and sentences for the ground; whoever sends them takes them out.
-    battery : float
-        What is left, 0 to 1.
-    wind_east_mps : float
-        Blows the aeroplane off its track, for tests of who watches it.
+    It begins ``height_m`` above home: airborne, armed and in LOITER, or at 0 on the ground and disarmed. ``items`` is
+    the mission, whose item 0 is home and never flown. ``reached`` are item numbers and ``texts`` sentences for the
+    ground; whoever sends them takes them out. ``battery`` is what remains, 0 to 1; ``wind_east_mps`` blows the
+    aeroplane off its track, for tests of who watches it.
     """
 
     def __init__(self, height_m: float = 0.0) -> None:

@@ -210,10 +210,7 @@ def serve(
     ``link`` stands in for the connection of the options. Through ``control`` go ``("started", host monotonic ns of boot
     time 0)`` and at the end ``("report", report)``.
 
-    Returns
-    -------
-    dict
-        :meth:`World.report`, with ``start_host_ns``, ``flown_s``, ``cpu_s`` and how late the loop woke (ms).
+    Returns :meth:`World.report`, with ``start_host_ns``, ``flown_s``, ``cpu_s`` and how late the loop woke (ms).
     """
     link = link or VehicleLink(options.connection)
     try:

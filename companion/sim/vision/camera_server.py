@@ -42,14 +42,8 @@ _START_S = 30.0
 class CameraServerConfig:
     """Scene that the server renders, and its address; picklable.
 
-    Attributes
-    ----------
-    airframe : Airframe
-        The true one.
-    start_host_ns : int
-        Host time at which the truth's boot time is 0.
-    line_path, frames_path : Path
-        Local sockets: datagrams with pulses, stream with frames.
+    ``airframe`` is the true one; at host time ``start_host_ns`` the truth's boot time is 0. ``line_path`` and
+    ``frames_path`` are local sockets: datagrams with pulses, stream with frames.
     """
 
     airframe: Airframe

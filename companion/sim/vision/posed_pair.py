@@ -19,12 +19,7 @@ from companion.sim.vision.scene import PosedCamera, Scene
 class PosedPair:
     """Both cameras of the true airframe in one scene.
 
-    Parameters
-    ----------
-    airframe : Airframe
-        The true one (not the belief): its cameras and effects.
-    truth : FlightTruth
-    scene : Scene
+    ``airframe`` is the true one (not the belief): its cameras and effects.
     """
 
     def __init__(self, airframe: Airframe, truth: FlightTruth, scene: Scene) -> None:

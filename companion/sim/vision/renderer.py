@@ -43,16 +43,8 @@ class ExposureInterval:
 class Renderer(PosedPair):
     """Both cameras of the true airframe in one scene.
 
-    Parameters
-    ----------
-    airframe : Airframe
-        The true one (not the belief): its cameras and effects.
-    truth : FlightTruth
-    scene : Scene
-    seed : int
-        Of the sensor noise; the texture has the scene's.
-    images : ImageFaults
-        Of the world flown in.
+    As :class:`companion.sim.vision.posed_pair.PosedPair`; ``seed`` is of the sensor noise (the texture has the
+    scene's), ``images`` are the faults of the world flown in.
     """
 
     def __init__(

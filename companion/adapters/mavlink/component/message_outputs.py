@@ -23,14 +23,9 @@ _SECOND_NS = 1_000_000_000  # by definition
 class MessageOutput:
     """One row: MAVLink messages made of one kind of output record.
 
-    Attributes
-    ----------
-    record : type
-        Kind of record, of :data:`companion.records.OutputRecord`; it is stamped ``t_host_ns`` or ``at_host_ns``.
-    encode : callable
-        (record, time_boot_ms) to pymavlink messages in wire units; None in the place of one that cannot be said.
-    rate_hz : callable
-        Settings to the largest rate; 0 sends nothing.
+    ``record`` is a kind of :data:`companion.records.OutputRecord`, stamped ``t_host_ns`` or ``at_host_ns``. ``encode``
+    turns a record and the boot time in ms into pymavlink messages in wire units, with None in the place of one that
+    cannot be represented. ``rate_hz`` gives the largest rate for the settings; at 0 nothing is sent.
     """
 
     record: type

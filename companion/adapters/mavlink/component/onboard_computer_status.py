@@ -19,10 +19,7 @@ _CORES = 8  # length of cpu_cores (MAVLink common.xml)
 class OnboardComputerStatus:
     """Makes the message once a second. What this machine does not tell is sent as unknown.
 
-    Parameters
-    ----------
-    root
-        Where ``proc`` and ``sys`` are; a test gives a folder of its own.
+    ``root`` is the folder that holds ``proc`` and ``sys``.
     """
 
     def __init__(self, root: Path = Path("/")) -> None:

@@ -61,16 +61,9 @@ class _Station:
 class ParameterServer:
     """Serves the settings table; driven by heard messages and asked for what is due.
 
-    Parameters
-    ----------
-    settings
-        The values in force at the start.
-    store
-        Told every value that was set (by name) after each change; None keeps nothing.
-    stored
-        Values that were stored before, so that they stay stored.
-    reserved
-        Component ids of others, which ours must not become.
+    ``settings`` are the values in force at the start. ``store`` is given all values that were set, by name, after each
+    change; without it nothing is kept. ``stored`` are the values of earlier runs, which stay stored. ``reserved`` are
+    component ids of others, which ours must not become.
     """
 
     def __init__(

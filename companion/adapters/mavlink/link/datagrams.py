@@ -37,10 +37,7 @@ class Datagrams(NamedTuple):
 class DatagramReader:
     """Reads a datagram socket without waiting.
 
-    Attributes
-    ----------
-    drained : bool
-        Whether the last read left nothing behind, as far as it can tell.
+    ``drained`` is whether the last read left nothing behind, as far as it can tell.
     """
 
     def __init__(self, reader: socket.socket) -> None:

@@ -44,12 +44,8 @@ class Transport(Protocol):
 class Link:
     """One connection to the vehicle, with a number that stands in its chunks.
 
-    Attributes
-    ----------
-    knocks : bool
-        Whether the other side learns of us only when we speak first.
-    unsent : int
-        Writes given up because the connection was down or could not take them at once.
+    ``knocks`` is whether the other side learns of us only when we speak first. ``unsent`` counts writes given up
+    because the connection was down or could not take them at once.
     """
 
     def __init__(self, number: int, spelling: str, transport: Transport, clock: Clock, *, knocks: bool = False) -> None:

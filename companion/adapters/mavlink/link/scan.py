@@ -64,10 +64,7 @@ class Scanner:
     of these fails, the scan goes one byte forward, so a frame behind a damaged or unknown one is never lost; an unknown
     id cannot be checked and is stepped over the same way. Signatures are skipped, not verified.
 
-    Parameters
-    ----------
-    bulk
-        The compiled scan, where samples are to be read in bulk.
+    ``bulk`` is the compiled scan, where samples are to be read in bulk.
     """
 
     def __init__(self, bulk: BulkDecoder | None = None) -> None:

@@ -76,16 +76,9 @@ class SigningTime:
 class Signing:
     """Key, time and known streams, shared by all links of the service.
 
-    Parameters
-    ----------
-    secret
-        32 bytes.
-    timestamp
-        Where our signing time begins, in 10 us.
-    save
-        Called twice a second with what is to be kept over a restart; must not block.
-    saved
-        What was kept: streams go on behind it, and new ones begin behind its own time.
+    ``secret`` is the key, 32 bytes. Our signing time begins at ``timestamp``, in 10 us. ``save`` is called twice a
+    second with what is to be kept over a restart, and must not block; ``saved`` is what was kept: its streams go on
+    behind it, and new ones begin behind its own time.
     """
 
     def __init__(

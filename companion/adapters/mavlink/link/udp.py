@@ -60,11 +60,7 @@ class UdpIn(_Udp):
     are kept; the one silent longest leaves first, but none that has a guarded id. Frames are put together for each
     sender apart, and a guarded id is one sender's (:class:`Senders`).
 
-    Attributes
-    ----------
-    judge : callable, optional
-        Whether a frame may come in; with it all else stays out.
-    senders : Senders
+    ``judge`` decides whether a frame may come in; with it all else stays out.
     """
 
     def __init__(self, host: str, port: int) -> None:

@@ -64,19 +64,11 @@ class MavlinkAutopilot:
     Everything is done inside :meth:`poll`, which the loop that can see the service's health calls: when it stalls, our
     heartbeat stops. Times are of the given clock alone.
 
-    Parameters
-    ----------
-    links
-        Open links; their numbers must be below 128 and differ.
-    gather_s
-        Bytes are gathered for so long before they are read, so that decoding works on batches; not while an answer
-        to TIMESYNC is awaited, whose arrival time matters.
-    listener
-        Called with every rare message (COMMAND_LONG, CAMERA_FEEDBACK ...), for who wants to see them.
-    component
-        Our own component: parameters, commands, files; by default one that keeps nothing over a restart.
-    needed
-        Names of the autopilot's parameters to read.
+    ``links`` are open, their numbers differ and are below 128. Bytes are gathered for ``gather_s`` before they are
+    read, so that decoding works on batches, but not while an answer to TIMESYNC is awaited, whose arrival time matters.
+    ``listener`` is called with every rare message (COMMAND_LONG, CAMERA_FEEDBACK ...). ``component`` is our own
+    component (parameters, commands, files), by default one that keeps nothing over a restart. ``needed`` names the
+    autopilot's parameters to read.
     """
 
     def __init__(

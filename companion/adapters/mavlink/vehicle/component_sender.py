@@ -20,12 +20,8 @@ _COMMAND_PARAMETERS = 7  # of a COMMAND_LONG
 class ComponentSender:
     """Packs pymavlink messages as our component and writes them to the links.
 
-    Attributes
-    ----------
-    system : int
-        System id that we send with, which is the autopilot's.
-    refused : int
-        Messages that were not sent because a value was not finite.
+    ``system`` is the system id that we send with, the autopilot's; ``refused`` counts messages that were not sent
+    because a value was not finite.
     """
 
     def __init__(self, links: Sequence[Link], component: OnboardComponent, component_id: int) -> None:

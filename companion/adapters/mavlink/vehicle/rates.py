@@ -72,12 +72,8 @@ def needed_loop_rate_hz(rate_hz: float) -> int:
 class RateKeeper:
     """The rates of one component.
 
-    Parameters
-    ----------
-    wanted_hz
-        Message id to rate.
-    inertial
-        Those of them that the wing's modes are tracked with.
+    ``wanted_hz`` gives the rate by message id; ``inertial`` are the messages of it that the wing's modes are tracked
+    with.
     """
 
     def __init__(self, wanted_hz: Mapping[int, float], inertial: Container[int] = ()) -> None:

@@ -38,12 +38,7 @@ class Senders:
     A router may deliver the same frame twice, by another route: such a copy is refused like anything else from another
     address, but nobody is warned of it.
 
-    Attributes
-    ----------
-    guarded : collection of int
-        Component ids.
-    system : int or None
-        The only system whose ids are guarded; None for all.
+    ``guarded`` are component ids; ``system`` is the only system whose ids are guarded, None for all.
     """
 
     def __init__(self, guarded: Collection[int] = ()) -> None:

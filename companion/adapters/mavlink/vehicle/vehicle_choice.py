@@ -19,17 +19,8 @@ class VehicleChoice:
     Another autopilot takes the place of one that has not beaten for 5 s, or that has not answered for 5 s while the
     other does. It must have beaten, or answered, three times meanwhile, so that one stray frame moves nothing.
 
-    Parameters
-    ----------
-    configured : int
-        The only system that may be served; 0 for any.
-
-    Attributes
-    ----------
-    system : int or None
-        The one that is served.
-    others : set of int
-        Further systems whose autopilot was heard.
+    ``configured`` is the only system that may be served, 0 for any; ``system`` is the one that is served, and
+    ``others`` are further systems whose autopilot was heard.
     """
 
     def __init__(self, configured: int = 0) -> None:

@@ -63,12 +63,8 @@ class _Format:
 class DataflashLog:
     """A log in memory; messages of a kind are taken out as arrays.
 
-    Attributes
-    ----------
-    skipped_bytes : int
-        Bytes inside the log that belong to no message.
-    cut_bytes : int
-        Bytes of the incomplete message at the end.
+    ``skipped_bytes`` lie inside the log and belong to no message; ``cut_bytes`` are of the incomplete message at the
+    end.
 
     Raises
     ------

@@ -35,10 +35,8 @@ EARLIEST_US = 946_684_800_000_000
 class TlogRecording(LoggedRecording):
     """A tlog, decoded by the same decoder as a live link; see :class:`LoggedRecording` for its attributes.
 
-    Attributes
-    ----------
-    read_share : float
-        Share of the file's bytes that the last iteration has passed, 0 to 1: its length in time is unknown until then.
+    ``read_share`` is the share of the file's bytes that the last iteration has passed, 0 to 1: its length in time is
+    unknown until then.
 
     Raises
     ------

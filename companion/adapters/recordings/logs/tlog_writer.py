@@ -29,14 +29,8 @@ def utc_offset_ns(chunks: Iterable[RawChunk]) -> int | None:
 def write_tlog(path: Path, chunks: Iterable[RawChunk], offset_ns: int) -> int:
     """Write every whole frame of the chunks, in arrival order; give their number.
 
-    Parameters
-    ----------
-    path : Path
-        The log, written anew.
-    chunks : iterable of RawChunk
-        Bytes of any number of links; a frame may lie across chunks of one link.
-    offset_ns : int
-        Added to the host time of a frame's last byte to give its receive time, UTC.
+    The chunks may be of any number of links, and a frame may lie across chunks of one link. ``offset_ns`` is added to
+    the host time of a frame's last byte to give its receive time, UTC.
     """
     count = 0
     with path.open("wb") as file:

@@ -68,23 +68,9 @@ class _Topic:
 class UlogMessages:
     """A log, walked.
 
-    Parameters
-    ----------
-    path : Path
-    topics : collection of str
-        Names of the topics that are kept.
-
-    Attributes
-    ----------
-    start_us : int
-        Boot time at which the log begins.
-    parameters : list of (int, str, float)
-        Boot time in us, name and value, at the start and whenever one changed.
-    dropouts_ms : list of int
-    damaged_bytes : int
-        Bytes that belong to no message that can be right.
-    cut_bytes : int
-        Bytes of the incomplete message at the end.
+    Only topics named in ``topics`` are kept. The log begins at boot time ``start_us``; ``parameters`` are boot time in
+    us, name and value, at the start and whenever one changed. ``damaged_bytes`` belong to no message that can be right,
+    ``cut_bytes`` to the incomplete message at the end.
 
     Raises
     ------

@@ -43,24 +43,11 @@ from companion.units import Severity
 class McapRecording:
     """One of our recordings; the attributes are those of :class:`companion.adapters.recordings.recording.Recording`.
 
-    Parameters
-    ----------
-    airframe : Airframe, optional
-        Replaces the recorded one.
-
-    Attributes
-    ----------
-    machine : str
-        What made the recording (:func:`.machine.machine`); "" where it is older than this entry.
-    part_number : int
-        Number of the file among those of one run of the service.
-    complete : bool
-        No record between the first and the last is missing; known once ``records`` is exhausted.
-    cut : bool
-        The recorder did not finish the file.
-    missing_s : float or None
-        Recorded time that was lost with damaged chunks and behind a cut, as far as the file tells; None where it does
-        not tell.
+    A given ``airframe`` replaces the recorded one. ``machine`` is what made the recording (:func:`.machine.machine`),
+    "" where it is older than this entry, and ``part_number`` the number of the file among those of one run of the
+    service. ``cut`` means that the recorder did not finish the file, and ``complete``, known once ``records`` is
+    exhausted, that no record between the first and the last is missing. ``missing_s`` is the recorded time that was
+    lost with damaged chunks and behind a cut, None where the file does not tell.
 
     Raises
     ------

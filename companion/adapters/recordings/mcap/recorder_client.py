@@ -41,12 +41,8 @@ def recorder_channel() -> tuple[socket.socket, socket.socket]:
 class RecorderClient:
     """The recorder port in a producing process; to be used from one thread.
 
-    Parameters
-    ----------
-    end : socket
-        The producer's end of :func:`recorder_channel`.
-    capacity_bytes : int
-        What may wait here while the disk is slow.
+    ``end`` is the producer's end of :func:`recorder_channel`; while the disk is slow, at most ``capacity_bytes`` wait
+    here.
     """
 
     def __init__(self, end: socket.socket, capacity_bytes: int = 64 << 20) -> None:

@@ -64,10 +64,7 @@ class McapWriter:
     """A recorder in this process and thread; :mod:`companion.adapters.recordings.mcap.recorder` puts it into one of
     its own.
 
-    Attributes
-    ----------
-    size_bytes : int
-        Size of the file when it was last flushed.
+    ``size_bytes`` is the size of the file when it was last flushed.
 
     Raises
     ------

@@ -63,12 +63,8 @@ class CsvRecording(LoggedRecording):
 
     ``airframe`` has the axes and rates that are really there.
 
-    Attributes
-    ----------
-    streams : tuple of Stream
-        One for each place, rows as they stand; axes that come in two files are interpolated to the longer one's stamps.
-    covariates : dict of str to Covariate
-    ranges : RangeTable or None
+    ``streams`` has one stream for each place, rows as they stand; axes that come in two files are interpolated to the
+    longer one's stamps.
 
     Raises
     ------

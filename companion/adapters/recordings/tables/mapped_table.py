@@ -24,15 +24,8 @@ MAY_BE_MISSING = frozenset({"range_m", "reference_m", "disparity_px", "t_command
 class MappedTable:
     """A table as read.
 
-    Attributes
-    ----------
-    t_s : (n,)
-        As stamped, row by row.
-    channels : dict of str to (n,)
-        By the mapping's names, scaled; NaN only in the channels of :data:`MAY_BE_MISSING`.
-    constants : dict of str to float
-        What the mapping says of this file.
-    notes : tuple of str
+    ``t_s`` (n,) are the stamps, row by row. ``channels`` holds (n,) values by the mapping's names, scaled; NaN only in
+    the channels of :data:`MAY_BE_MISSING`. ``constants`` are what the mapping says of this file.
     """
 
     path: Path

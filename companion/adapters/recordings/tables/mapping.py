@@ -68,20 +68,10 @@ class MatlabLayout:
 class TableMapping:
     """A whole mapping file.
 
-    Attributes
-    ----------
-    origin : str
-        Its name, for messages.
-    rate_hz : float
-        Of the rows, where no column is the time; else 0.
-    files : str
-        Pattern of the files that belong to a folder.
-    constants : dict
-        By file name: what was set once for that recording (sensor position, run order).
-    band_hz : tuple or None
-        Where the modes of interest are.
-    belief : dict
-        Believed quantities of a structure that has no airframe file: ``frequency_hz``, ``damping``.
+    ``origin`` is its name, for messages. ``rate_hz`` is the rate of the rows where no column is the time, else 0;
+    ``files`` is the pattern of the files that belong to a folder. ``constants`` holds, by file name, what was set once
+    for that recording (sensor position, run order). ``band_hz`` is where the modes of interest are; ``belief`` has
+    ``frequency_hz`` and ``damping`` of a structure that has no airframe file.
     """
 
     origin: str

@@ -27,10 +27,7 @@ class RecordTables:
     The file is named by the record's topic (``ranges.csv``, ``mode.csv``), its columns by the attributes: ``name.part``
     for a nested record, ``name_0`` for an entry of an array. Enumerations are words, absent values empty cells.
 
-    Attributes
-    ----------
-    rows : dict of str to int
-        Rows written, by file name.
+    ``rows`` counts the rows written, by file name.
     """
 
     def __init__(self, folder: Path) -> None:
