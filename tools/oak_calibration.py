@@ -16,15 +16,14 @@ from pathlib import Path
 
 from companion.adapters.cameras.oak import library
 from companion.adapters.cameras.oak_calibration import cameras_from_handler, cameras_to_handler, handler_of
-from companion.errors import ConfigError, DeviceError, SpanwiseError
+from companion.errors import DeviceError, SpanwiseError
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe, load_airframe
 
 
 def read(file: Path | None, airframe: Airframe, sockets: tuple[str, str]) -> Airframe:
     """The airframe with the lenses and the relative pose of a calibration."""
-    if airframe.left_camera is None or airframe.right_camera is None:
-        raise ConfigError(f"airframe '{airframe.name}' has no camera pair")
+    pair = airframe.camera_pair
     if file is not None:
         handler = handler_of(file)
     else:
@@ -32,16 +31,15 @@ def read(file: Path | None, airframe: Airframe, sockets: tuple[str, str]) -> Air
             handler = library().Device().readCalibration()
         except RuntimeError as error:
             raise DeviceError(f"DepthAI camera: {error}") from error
-    left, right = cameras_from_handler(handler, sockets, airframe.left_camera, airframe.right_camera)
+    left, right = cameras_from_handler(handler, sockets, *pair)
     return dataclasses.replace(airframe, left_camera=left, right_camera=right)
 
 
 def write(file: Path, airframe: Airframe, sockets: tuple[str, str]) -> None:
     """Write an airframe's pair as a DepthAI calibration file."""
-    if airframe.left_camera is None or airframe.right_camera is None:
-        raise ConfigError(f"airframe '{airframe.name}' has no camera pair")
+    pair = airframe.camera_pair
     handler = library().CalibrationHandler()
-    cameras_to_handler(handler, sockets, airframe.left_camera, airframe.right_camera)
+    cameras_to_handler(handler, sockets, *pair)
     handler.eepromToJsonFile(str(file.absolute()))
 
 

@@ -98,27 +98,23 @@ def airframe_with_mounting(base: Airframe, left: Mounting, right: Mounting) -> A
     ConfigError
         The base has no cameras.
     """
-    if base.left_camera is None or base.right_camera is None:
-        raise ConfigError(f"airframe '{base.name}' has no cameras to mount")
-    before = [_rest(camera, name) for camera, name in ((base.left_camera, "left"), (base.right_camera, "right"))]
+    left_camera, right_camera = base.camera_pair
+    before = [_rest(left_camera, "left"), _rest(right_camera, "right")]
     right_from_left = before[1] @ before[0].T
     left_from_section = left.camera_from_section
     implied_from_section = right_from_left.T @ right.camera_from_section
     middle = exp_rotation(0.5 * log_rotation(implied_from_section @ left_from_section.T)) @ left_from_section
     turned = [
         dataclasses.replace(camera, rotation_rad=_rotation(camera, rest, name))
-        for camera, rest, name in (
-            (base.left_camera, middle, "left"), (base.right_camera, right_from_left @ middle, "right"),
-        )
-    ]  # fmt: skip
+        for camera, rest, name in ((left_camera, middle, "left"), (right_camera, right_from_left @ middle, "right"))
+    ]
     return dataclasses.replace(base, left_camera=turned[0], right_camera=turned[1])
 
 
 def disagreement_rad(base: Airframe, left: Mounting, right: Mounting) -> float:
     """Angle between the relative rotation that both mountings imply and that of the base's stereo calibration."""
-    if base.left_camera is None or base.right_camera is None:
-        raise ConfigError(f"airframe '{base.name}' has no cameras to mount")
-    calibrated = _rest(base.right_camera, "right") @ _rest(base.left_camera, "left").T
+    left_camera, right_camera = base.camera_pair
+    calibrated = _rest(right_camera, "right") @ _rest(left_camera, "left").T
     implied = right.camera_from_section @ left.camera_from_section.T
     return float(np.linalg.norm(log_rotation(implied @ calibrated.T)))
 

@@ -189,11 +189,8 @@ def airframe_with_rig(base: Airframe, fit: RigFit) -> Airframe:
     ConfigError
         The base has no cameras.
     """
-    if base.left_camera is None or base.right_camera is None:
-        raise ConfigError(f"airframe '{base.name}' has no cameras to calibrate")
-    sigmas = lens_sigmas(fit.bundle, fit.size_px)
-    left = _with_lens(base.left_camera, fit.lenses[0], sigmas[0], fit.size_px)
-    right = _with_lens(base.right_camera, fit.lenses[1], sigmas[1], fit.size_px)
+    pair, sigmas = base.camera_pair, lens_sigmas(fit.bundle, fit.size_px)
+    left, right = (_with_lens(pair[k], fit.lenses[k], sigmas[k], fit.size_px) for k in (0, 1))
     left_from_body = exp_rotation(-np.array(left.rotation_rad)) @ axes_from_body(left.axes, "left_camera.axes")
     right_from_left = exp_rotation(fit.rotation_rad)
     turned = right_from_left @ left_from_body @ axes_from_body(right.axes, "right_camera.axes").T

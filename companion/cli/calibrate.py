@@ -152,11 +152,10 @@ def _mounting(options: argparse.Namespace, base: Airframe) -> Airframe:
 
 
 def _latency(options: argparse.Namespace, base: Airframe) -> Airframe:
-    if base.left_camera is None or base.right_camera is None:
-        raise ConfigError(f"airframe '{base.name}' has no cameras")
+    pair = base.camera_pair
     result = trigger_latency(open_recording(options.recording, base).records())
     cameras: list[Camera] = []
-    for side, camera in zip(Side, (base.left_camera, base.right_camera), strict=True):
+    for side, camera in zip(Side, pair, strict=True):
         median, sigma, p99 = (float(values[side]) for values in (result.median_s, result.sigma_s, result.p99_s))
         print(
             f"{side.name.lower():5s} median {1e3 * median:.3f} ms, sigma {1e3 * sigma:.3f} ms, p99 {1e3 * p99:.3f} ms"

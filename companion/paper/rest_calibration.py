@@ -81,16 +81,13 @@ def _residuals(airframe: Airframe, views: list[tuple[list[MatchSet], float]], th
             consistent_points = consistent(depths)
             parts.append((depths.inverse_pm[consistent_points] - 1.0 / distance_m) / depths.sigma_pm[consistent_points])
             parts.append(depths.parallax_rad[consistent_points] / sigma_rad[consistent_points])
-    assert airframe.left_camera is not None
-    focal_sigma = airframe.left_camera.focal_px.sigma
+    focal_sigma = airframe.camera_pair[0].focal_px.sigma
     parts.append(theta / np.array([*[_ROTATION_SIGMA_RAD] * 3, focal_sigma, focal_sigma]))
     return np.concatenate(parts)
 
 
 def _changed(airframe: Airframe, theta: Floats) -> Airframe:
-    left, right = airframe.left_camera, airframe.right_camera
-    assert left is not None
-    assert right is not None
+    left, right = airframe.camera_pair
     x, y, z = (np.array(right.rotation_rad) + theta[:3]).tolist()
     turned = dataclasses.replace(_refocused(right, float(theta[4])), rotation_rad=(x, y, z))
     return dataclasses.replace(airframe, left_camera=_refocused(left, float(theta[3])), right_camera=turned)
@@ -98,9 +95,7 @@ def _changed(airframe: Airframe, theta: Floats) -> Airframe:
 
 def _with_sigmas(airframe: Airframe, sigma: Floats) -> Airframe:
     """The calibrated airframe with the sigmas (5,) that the pictures leave; the relative rotation has one sigma."""
-    left, right = airframe.left_camera, airframe.right_camera
-    assert left is not None
-    assert right is not None
+    left, right = airframe.camera_pair
     rotation, left_px, right_px = float(np.max(sigma[:3])), float(sigma[3]), float(sigma[4])
     trim = Uncertain(airframe.wing.trim_bend_m.value)
     return dataclasses.replace(

@@ -40,9 +40,7 @@ def section(results: Results) -> Section:
 
 
 def _differences(boom: Airframe, wing: Airframe) -> tuple[tuple[str, ...], ...]:
-    assert boom.left_camera is not None
-    assert wing.left_camera is not None
-    tip = wing.left
+    tip, boom_camera = wing.left, boom.camera_pair[0]
     return (
         ("boom", "Table 1's strip; damping not printed", f"{_pm(boom.wing.symmetric.frequency_hz)} Hz, damping "
          f"{_pm(boom.wing.symmetric.damping)}, the truth drawn from that", "Table 2's first mode"),
@@ -50,8 +48,8 @@ def _differences(boom: Airframe, wing: Airframe) -> tuple[tuple[str, ...], ...]:
          f"{1e3 * BOOM_PEAK_M:.2f} mm at the tip; the real mode lies elsewhere",
          "a user does not know the true frequency either"),
         ("boom's targets", "distances not printed", "1 and 2 m; 1.5 m under random drive", "indoor distances"),
-        ("boom's cameras", "Watec 660D G3.8", f"{boom.left_camera.focal_px.value:g} px focal length, "
-         f"{1e3 * boom.left_camera.exposure_s:g} ms", "3.8 mm before a 1/4 inch sensor (inference)"),
+        ("boom's cameras", "Watec 660D G3.8", f"{boom_camera.focal_px.value:g} px focal length, "
+         f"{1e3 * boom_camera.exposure_s:g} ms", "3.8 mm before a 1/4 inch sensor (inference)"),
         ("wing", "on bungee cords; frequency not printed", f"{_pm(wing.wing.symmetric.frequency_hz)} Hz symmetric, "
          f"{_pm(wing.wing.antisymmetric.frequency_hz)} Hz antisymmetric; hangs still", "this class of wing; the "
          "bungees' slow swing is left out"),

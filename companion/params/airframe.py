@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from companion.errors import ConfigError
 from companion.records import ClockName, Station
 from companion.units import Orientation
 
@@ -205,7 +206,7 @@ class NamedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """One aircraft as Spanwise believes it to be. ``cameras`` may be empty where only the wing is of interest."""
+    """One aircraft as Spanwise believes it to be; without cameras where only the wing is of interest."""
 
     name: str
     description: str
@@ -227,6 +228,13 @@ class Airframe:
     def looks_forward(self) -> bool:
         """Whether the camera pair looks along the flight: it sees obstacles, and bending rolls its images."""
         return self.orientation == Orientation.FORWARD
+
+    @property
+    def camera_pair(self) -> tuple[Camera, Camera]:
+        """Left and right camera; :class:`ConfigError` where there are none."""
+        if self.left_camera is None or self.right_camera is None:
+            raise ConfigError(f"airframe '{self.name}' has no camera pair")
+        return self.left_camera, self.right_camera
 
     def sensor(self, station: Station) -> Sensor:
         """The sensor of a station."""
