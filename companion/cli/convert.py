@@ -8,30 +8,26 @@ from pathlib import Path
 from companion.adapters.recordings.logs.tlog_writer import utc_offset_ns, write_tlog
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
-from companion.adapters.recordings.recording_factory import open_recording
 from companion.adapters.recordings.tables.csv_writer import streams_of, write_folder
 from companion.adapters.recordings.tables.record_tables import RecordTables
-from companion.cli.steps.options import check_output, make_folder
+from companion.cli.steps.options import add_recording, check_output, make_folder, open_given
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
-from companion.params.files import load_airframe
 from companion.records import ImuBatch, RawChunk
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("recording", type=Path, help=".mcap, .tlog, .BIN, .ulg, or a folder with accel.csv")
+    add_recording(parser)
     parser.add_argument(
         "to", type=Path, metavar="FILE.tlog|FOLDER", help="a telemetry log, or a new folder of CSV tables"
     )
-    parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own; see config/airframes")
 
 
 def execute(options: argparse.Namespace) -> int:
     """Convert and say what was written; 3 where there is nothing to write."""
     if options.to.exists():
         raise ConfigError(f"{options.to}: exists already; name a new file or folder")
-    airframe = load_airframe(options.airframe) if options.airframe else None
-    recording = open_recording(options.recording, airframe)
+    recording = open_given(options)
     written = _tlog(recording, options.to) if options.to.suffix.lower() == ".tlog" else _tables(recording, options.to)
     for notice in recording.notices:
         print(f"note: {notice.text}")

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from companion.cli.steps.lockstep import LockStepService
 from companion.cli.steps.numbers import integer, seconds, seed
 from companion.cli.steps.options import add_settings, make_folder, read_settings
 from companion.cli.terminal.demo_tables import print_summary
+from companion.cli.terminal.progress import say
 from companion.cli.terminal.run_loop import fly
 from companion.cli.terminal.status_view import View, live_view_possible
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
@@ -79,20 +79,20 @@ def execute(options: argparse.Namespace) -> int:
     airframe = as_calibrated(airframe, world)
     live = read_live(options, recording)
     config = ServiceConfig(airframe, read_settings(options), (), recording=recording, live=live)
-    _say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s, {world.name} world) ...")
+    say(f"building flight {options.seed} of {airframe.name} ({options.duration:g} s, {world.name} world) ...")
     flight = build_flight(airframe, options.seed, options.duration, world=world)
     start_host_ns, report = _flown(config, flight, options)
-    _say("judging the flight by its truth ...")
+    say("judging the flight by its truth ...")
     stage = Stage.of(flight, config.settings, start_host_ns)
-    summary = evaluate_flight(flight, stage, recording, report, compare=not options.no_compare, say=_say)
+    summary = evaluate_flight(flight, stage, recording, report, compare=not options.no_compare, say=say)
     (options.out / "summary.json").write_text(json.dumps(summary.plain, indent=2) + "\n", encoding="utf-8")
     judged = summary.plain["shots"]["judged"]
     if judged:
         draw(summary, options.out / "summary.png")
     print(json.dumps(summary.plain, indent=2)) if options.json else print_summary(summary.plain)
     picture = f", {options.out / 'summary.png'}" if judged else ""
-    _say(f"wrote {options.out / 'summary.json'}{picture} and {recording}")
-    _say(f"next: spanwise report {recording}, and spanwise replay {recording} --live for a browser")
+    say(f"wrote {options.out / 'summary.json'}{picture} and {recording}")
+    say(f"next: spanwise report {recording}, and spanwise replay {recording} --live for a browser")
     return 0 if judged else NOTHING_TO_ESTIMATE
 
 
@@ -113,7 +113,3 @@ def _flown(config: ServiceConfig, flight: Flight, options: argparse.Namespace) -
 
         fly(service, view, service.over, live=live, wait=wait)
     return EPOCH_NS, service.report()
-
-
-def _say(sentence: str) -> None:
-    print(sentence, file=sys.stderr, flush=True)

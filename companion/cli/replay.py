@@ -18,9 +18,8 @@ from companion.adapters.recordings.mcap.machine import machine
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter, software_version
 from companion.adapters.recordings.recording import Recording
-from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.live_view import add_live, live_session, read_live
-from companion.cli.steps.options import add_settings, check_output, read_settings
+from companion.cli.steps.options import add_recording, add_settings, check_output, open_given, read_settings
 from companion.cli.steps.paced_view import PacedView
 from companion.cli.terminal.progress import Progress, progress_of
 from companion.errors import NOTHING_TO_ESTIMATE, RecordingError
@@ -28,7 +27,6 @@ from companion.evaluation.replay import drive, foreign_inputs, own_inputs
 from companion.evaluation.replay_comparison import ROUNDING_RATIO, ReplayComparison
 from companion.evaluation.station_tones import StationAnalysis
 from companion.live.session import Subject
-from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
     ClockName,
@@ -50,8 +48,7 @@ _OUTPUTS = (ModeState, TriggerPlan, Deflection, CorrectedRange, NoRange, Obstacl
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("recording", type=Path, help=".mcap, .tlog, .BIN, .ulg, or a folder with accel.csv")
-    parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own; see config/airframes")
+    add_recording(parser)
     parser.add_argument("--json", action="store_true", help="the result as JSON on standard output")
     parser.add_argument("--out", type=Path, metavar="FILE.mcap", help="write the outputs as a recording")
     parser.add_argument("--plain", action="store_true", help="progress as a line every few seconds (standard error)")
@@ -87,13 +84,12 @@ class OutputTally:
 def execute(options: argparse.Namespace) -> int:
     """Replay, and tell what came of it."""
     check_output(options.out, "--out")
-    airframe = load_airframe(options.airframe) if options.airframe else None
-    recording = open_recording(options.recording, airframe)
+    recording = open_given(options)
     if isinstance(recording, McapRecording) and recording.empty:
         raise RecordingError(f"{recording.path}: cut off before its first second; there is nothing to replay")
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     is_own_format = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
-    same_beliefs = airframe is None and settings == recording.settings and _begins_with_the_service(recording)
+    same_beliefs = not options.airframe and settings == recording.settings and _begins_with_the_service(recording)
     tally, comparison = OutputTally(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None

@@ -8,21 +8,18 @@ from pathlib import Path
 
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.recording import Recording
-from companion.adapters.recordings.recording_factory import open_recording
-from companion.cli.steps.options import check_output
+from companion.cli.steps.options import add_recording, check_output, open_given
 from companion.cli.terminal.progress import progress_of
 from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.flight_log import gather
 from companion.evaluation.pages.flight_report import render, verdict
-from companion.params.files import load_airframe
 from companion.records import ImuBatch
 from companion.reporting.plotting import require_report
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    parser.add_argument("recording", type=Path, help="a recording of Spanwise; of other logs, what can be said")
-    parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own; see config/airframes")
+    add_recording(parser, "a recording of Spanwise; of other logs, what can be said")
     parser.add_argument("--out", type=Path, metavar="FILE.html", help="default: beside the recording")
     parser.add_argument("--plain", action="store_true", help="progress as a line every few seconds (standard error)")
 
@@ -32,7 +29,7 @@ def execute(options: argparse.Namespace) -> int:
     require_report()
     out = options.out or options.recording.with_suffix(".html")
     check_output(out, "--out")
-    recording = open_recording(options.recording, load_airframe(options.airframe) if options.airframe else None)
+    recording = open_given(options)
     log = gather(_watched(recording, plain=options.plain))
     out.write_text(render(recording, log), encoding="utf-8")
     judged = verdict(log)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import signal
-import sys
 import threading
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from companion.cli.steps.numbers import seconds, seed
+from companion.cli.steps.options import make_folder
 from companion.cli.steps.simulated_devices import frames_path, line_path
+from companion.cli.terminal.progress import say
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError, DeviceError
 from companion.params.airframe import Airframe
 from companion.params.files import load_airframe
@@ -60,7 +61,7 @@ class _Control:
             return
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda caught, _: self._stopped.append(caught))
-        _say(f"somebody answered: flying for {self._flight.duration_s:g} s; Ctrl-C ends it")
+        say(f"somebody answered: flying for {self._flight.duration_s:g} s; Ctrl-C ends it")
         if self._folder is not None:
             self._opening = threading.Thread(target=self._open, args=(self._folder, content), daemon=True)
             self._opening.start()
@@ -84,7 +85,7 @@ class _Control:
         try:
             self._cameras = _open_cameras(self._flight, folder, start_host_ns)
         except DeviceError as error:
-            _say(f"spanwise vehicle: {error}")
+            say(f"spanwise vehicle: {error}")
         self._landed.wait()  # a child ends with the thread that started it, not only with the process
 
 
@@ -92,13 +93,13 @@ def execute(options: argparse.Namespace) -> int:
     """Wait for a companion, fly, and say what arrived."""
     airframe = load_airframe(options.airframe)
     _check(options, airframe)
-    _say(f"building {options.duration:g} s of {airframe.name}, seed {options.seed} ...")
+    say(f"building {options.duration:g} s of {airframe.name}, seed {options.seed} ...")
     flight = build_flight(airframe, options.seed, options.duration, world=WORLDS[options.world])
     links = options.connect or list(_LINKS)
     router = Router(_opened(links))
     control = _Control(flight, options.cameras)
     waiting = WorldOptions(wait_s=_WAIT_S, trigger_line=options.cameras and line_path(options.cameras))
-    _say(f"on {' and '.join(links)}, waiting for spanwise run or doctor ...")
+    say(f"on {' and '.join(links)}, waiting for spanwise run or doctor ...")
     try:
         report = serve(flight, waiting, control, link=router)
     finally:
@@ -115,10 +116,7 @@ def _check(options: argparse.Namespace, airframe: Airframe) -> None:
         return
     if airframe.left_camera is None or airframe.right_camera is None:
         raise ConfigError(f"--cameras: airframe '{airframe.name}' has no camera pair")
-    try:
-        options.cameras.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--cameras {options.cameras}: {error.strerror}") from error
+    make_folder(options.cameras, "--cameras")
 
 
 def _opened(spellings: list[str]) -> list[Port]:
@@ -146,7 +144,3 @@ def _open_cameras(flight: Flight, folder: Path, start_host_ns: int) -> BaseProce
             frames_path=frames_path(folder),
         )
     )
-
-
-def _say(sentence: str) -> None:
-    print(sentence, file=sys.stderr, flush=True)

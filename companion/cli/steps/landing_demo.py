@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from companion.cli.steps.landing_tasks import fly_task, landing_tasks
+from companion.cli.terminal.progress import say
 from companion.cli.terminal.status_view import console
 from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
 from companion.evaluation.fleet.campaign import work_off
@@ -44,7 +44,7 @@ def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) ->
         print((options.out / "landings.json").read_text(encoding="utf-8"), end="")
     else:
         print_table(flown)
-    _say(f"wrote {options.out / 'landings.json'}" + (f" and {options.out / 'landing.png'}" if flown else ""))
+    say(f"wrote {options.out / 'landings.json'}" + (f" and {options.out / 'landing.png'}" if flown else ""))
     return 0 if flown else NOTHING_TO_ESTIMATE
 
 
@@ -85,7 +85,3 @@ def print_table(rows: Sequence[Row]) -> None:
     for row in cells(rows):
         table.add_row(*row)
     console().print(table)
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

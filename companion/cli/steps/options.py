@@ -8,7 +8,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+from companion.adapters.recordings.recording import Recording
+from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import ConfigError
+from companion.params.files import load_airframe
 from companion.params.persist import Stored, load_stored
 from companion.params.settings import Settings
 from companion.params.toml import read_toml, settings_of
@@ -20,6 +23,19 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", dest="changes", help="one setting; may be repeated"
     )
+
+
+def add_recording(
+    parser: argparse.ArgumentParser, text: str = ".mcap, .tlog, .BIN, .ulg, or a folder with accel.csv"
+) -> None:
+    """``recording`` and ``--airframe NAME``."""
+    parser.add_argument("recording", type=Path, help=text)
+    parser.add_argument("--airframe", metavar="NAME", help="needed for logs that are not our own; see config/airframes")
+
+
+def open_given(options: argparse.Namespace) -> Recording:
+    """Open the recording that the options of :func:`add_recording` name."""
+    return open_recording(options.recording, load_airframe(options.airframe) if options.airframe else None)
 
 
 def read_settings(options: argparse.Namespace) -> Settings:

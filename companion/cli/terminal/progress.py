@@ -14,6 +14,11 @@ _LIVE_S = 0.25
 _LINE_S = 5.0
 
 
+def say(sentence: str) -> None:
+    """Print a sentence on standard error, at once."""
+    print(sentence, file=sys.stderr, flush=True)
+
+
 class Progress:
     """Feed :meth:`at` as the recording goes by.
 
