@@ -14,7 +14,8 @@ from typing import Any
 
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.cli.steps.numbers import integer
-from companion.errors import NOTHING_TO_ESTIMATE, ConfigError
+from companion.cli.steps.options import named_value
+from companion.errors import NOTHING_TO_ESTIMATE
 from companion.evaluation.tuning import ParameterTrial, TrialOutcome, try_out, usual_trials, verdict_of
 
 _MOST_WORKERS = 64  # more than there are trials
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Replay the flight with each value, and say which would have been better; 3 where no range was trusted."""
     settings = open_recording(options.recording, None).settings
-    trials = [_trial(text) for text in options.tries] or usual_trials(settings)
+    trials = [ParameterTrial((named_value("--try", text),)) for text in options.tries] or usual_trials(settings)
     for trial in trials:
         trial.over(settings)
     rows = [_row(ParameterTrial(()), try_out(options.recording, ParameterTrial(())), None)]
@@ -54,15 +55,6 @@ def execute(options: argparse.Namespace) -> int:
     result = {"recording": str(options.recording), "trials": rows, "proposal": _proposed(rows, together)}
     print(json.dumps(result, indent=2) if options.json else _sentence(result))
     return 0
-
-
-def _trial(text: str) -> ParameterTrial:
-    name, equals, value = text.partition("=")
-    try:
-        return ParameterTrial(((name.strip(), float(value)),))
-    except ValueError as error:
-        what = "give NAME=VALUE with a number" if equals else "give NAME=VALUE"
-        raise ConfigError(f"--try {text}: {what}") from error
 
 
 def _tried(path: Path, trials: list[ParameterTrial], workers: int) -> Iterator[tuple[ParameterTrial, TrialOutcome]]:

@@ -11,7 +11,6 @@ import numpy as np
 from companion.adapters.recordings.mcap.channels import Recordable
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.recording import Recording
-from companion.params.settings import Settings, tunables
 from companion.records import Axis, CorrectedRange, Floats, ImuBatch, Ints, Rejected, ServiceStatus, Station
 
 _GAP_STEPS = 2.5  # usual steps; the readers' own limit for a gap
@@ -116,7 +115,8 @@ def lines(recording: Recording, info: RecordingInfo) -> list[str]:
         text.append(f"  ranges: {info.counts['CorrectedRange']} corrected, {info.published} published")
     text += [f"  refused: {_counted(info.rejected)}"] if info.rejected else []
     text += [f"  service at the end: {info.health}"] if info.health else []
-    text += [f"  changed settings: {changed}"] if (changed := _changed(recording.settings)) else []
+    changed = ", ".join(f"{name} {value:g}" for name, value in recording.settings.changed().items())
+    text += [f"  changed settings: {changed}"] if changed else []
     text += [f"  note: {notice.text}" for notice in recording.notices]
     return [*text, f"  {_uses(recording, info)}"]
 
@@ -139,12 +139,6 @@ def stream_line(station: Station, stream: StreamInfo) -> str:
 
 def _counted(counts: Counter[str]) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.most_common())
-
-
-def _changed(settings: Settings) -> str:
-    default = Settings()
-    rows = [row for row in tunables() if getattr(settings, row.attribute) != getattr(default, row.attribute)]
-    return ", ".join(f"{row.name} {getattr(settings, row.attribute):g}" for row in rows)
 
 
 def _uses(recording: Recording, info: RecordingInfo) -> str:

@@ -54,9 +54,7 @@ class ParameterTrial:
         ConfigError
             A value that is out of range.
         """
-        for name, value in self.changes:
-            settings = settings.replace(name, value)
-        return settings
+        return settings.with_values(dict(self.changes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +82,11 @@ def usual_trials(settings: Settings) -> list[ParameterTrial]:
     trials = []
     for name, factors in _FACTORS.items():
         row = rows[name]
-        now = float(getattr(settings, row.attribute))
+        now = float(settings.values()[name])
         tried = [min(max(factor * now, row.minimum), row.maximum) for factor in factors]
         tried = [float(round(value)) if row.integer else float(f"{value:.3g}") for value in tried]
         trials += [ParameterTrial(((name, value),)) for value in dict.fromkeys(tried) if value != now]
-    for name in _SWITCHES:
-        trials.append(ParameterTrial(((name, 1.0 - getattr(settings, rows[name].attribute)),)))
-    return trials
+    return trials + [ParameterTrial(((name, 1.0 - settings.values()[name]),)) for name in _SWITCHES]
 
 
 def try_out(path: Path, trial: ParameterTrial) -> TrialOutcome:

@@ -26,7 +26,7 @@ from companion.live.public import REGISTRATION, registration
 from companion.live.requests import HttpAnswer, Request, as_json, refusal
 from companion.live.tape import LiveTape
 from companion.params.airframe import Airframe
-from companion.params.settings import Settings, tunables
+from companion.params.settings import Settings
 from companion.params.shipped import shipped
 from companion.records import Frame, FramePair, Notice, ParameterChange
 
@@ -69,7 +69,7 @@ class LiveSession:
         self._switches: queue.Queue[bool] = queue.Queue(_MOST_REQUESTS)
         self._failure = ""
         self._events: deque[Notice] = deque(maxlen=_MOST_EVENTS)
-        self._broadcaster = Broadcaster(self._values, self._heed)
+        self._broadcaster = Broadcaster(lambda: self._settings.values(), self._heed)
         access = Access(config.token, config.is_loopback)
         self._door = Door(listening, access, self._answer, self._broadcaster.port)
 
@@ -128,10 +128,6 @@ class LiveSession:
     def _tell(self) -> None:
         self._subject.heed(self._watched | ALWAYS | (TAPED if self._tape.is_on else 0))
 
-    def _values(self) -> dict[str, float]:
-        settings = self._settings
-        return {row.name: float(getattr(settings, row.attribute)) for row in tunables()}
-
     def _answer(self, request: Request) -> HttpAnswer:
         """Answer one request of the page."""
         if request.method == "GET":
@@ -145,7 +141,7 @@ class LiveSession:
             can_set = self._subject.ask is not None
             about = facts(self._subject.airframe, self._subject.title)
             said = [[notice.severity, notice.text, notice.at_host_ns] for notice in list(self._events)]
-            now = {"can_set": can_set, "parameters": parameter_table(self._values()), "events": said}
+            now = {"can_set": can_set, "parameters": parameter_table(self._settings.values()), "events": said}
             return as_json(about | now)
         if path == "/recordings.json":
             return as_json(self._recordings())

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.errors import ConfigError
-from companion.params.settings import Settings, tunables
+from companion.params.settings import tunables
 
 _HEAD = "# spanwise parameters, crc32 "
 _LARGEST_BYTES = 65_536
@@ -30,12 +30,6 @@ class Stored:
 
     values: dict[str, float]
     problems: tuple[str, ...] = ()
-
-    def over(self, settings: Settings) -> Settings:
-        """The settings with the stored values put in."""
-        for name, value in self.values.items():
-            settings = settings.replace(name, value)
-        return settings
 
 
 def load_stored(path: Path) -> Stored:

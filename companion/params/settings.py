@@ -210,6 +210,21 @@ class Settings:
                 return dataclasses.replace(self, **change)
         raise ConfigError(f"no parameter '{name}'")
 
+    def with_values(self, values: Mapping[str, float], *, flown: bool = False) -> Settings:
+        """Give the settings with several values changed, as :meth:`replace` changes one."""
+        settings = self
+        for name, value in values.items():
+            settings = settings.replace(name, value, flown=flown)
+        return settings
+
+    def values(self) -> dict[str, float]:
+        """Every value, by MAVLink name, in the order of the table."""
+        return {row.name: getattr(self, row.attribute) for row in tunables()}
+
+    def changed(self) -> dict[str, float]:
+        """The values that are not their defaults, by MAVLink name."""
+        return {row.name: value for row in tunables() if (value := getattr(self, row.attribute)) != row.default}
+
     def conflict(self, reserved: Collection[int] = ()) -> Conflict | None:
         """Say which settings contradict each other; ``reserved`` are component ids that belong to others."""
         if self.min_range_m >= self.max_range_m:
@@ -221,10 +236,7 @@ class Settings:
 
     def agreeing(self, values: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
         """Leave out of stored values those that would contradict the rest, with a sentence for each contradiction."""
-        settings = self
-        for name, value in values.items():
-            settings = settings.replace(name, value)
-        clash = settings.conflict()
+        clash = self.with_values(values).conflict()
         dropped = [] if clash is None else sorted(values.keys() & set(clash.names))
         if clash is None or not dropped:
             return dict(values), []

@@ -282,7 +282,7 @@ def test_what_was_set_is_there_after_a_restart(tmp_path: Path) -> None:
     air.pilot.close()
     stored = load_stored(path)
     assert stored.values == {"TRG_RATE": 7.3, "TRK_LAG": 0.6}
-    settings = stored.over(Settings())
+    settings = Settings().with_values(stored.values)
     again = Station()
     second = Air(again, settings=settings, store=Keeper(path), kept=stored.values)
     again.ask_list()

@@ -17,7 +17,7 @@ from companion.evaluation.landing.landing_rows import RANGE_FINDERS, Row
 from companion.evaluation.landing.landing_table import HEADS, cells
 from companion.evaluation.pages.landing_picture import draw_landings
 from companion.params.airframe import Airframe
-from companion.params.settings import Settings, tunables
+from companion.params.settings import Settings
 from companion.sim.flight.worlds import IDEAL
 
 
@@ -37,7 +37,8 @@ def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) ->
         raise ConfigError(f"airframe '{airframe.name}' does not look down; a landing needs the range to the ground")
     shutil.rmtree(options.out / "parts", ignore_errors=True)
     seeds = range(options.seed, options.seed + options.flights)
-    tasks = landing_tasks(options.airframe, seeds, RANGE_FINDERS, options.out, changed(settings))
+    changes = [f"{name}={value!r}" for name, value in settings.changed().items()]
+    tasks = landing_tasks(options.airframe, seeds, RANGE_FINDERS, options.out, changes)
     flown = [row for row in work_off(tasks, fly_task, options.workers, describe=sentence) if not row.get("failed")]
     write_landings(flown, options.out)
     if options.json:
@@ -46,15 +47,6 @@ def land(airframe: Airframe, settings: Settings, options: argparse.Namespace) ->
         print_table(flown)
     say(f"wrote {options.out / 'landings.json'}" + (f" and {options.out / 'landing.png'}" if flown else ""))
     return 0 if flown else NOTHING_TO_ESTIMATE
-
-
-def changed(settings: Settings) -> list[str]:
-    """NAME=VALUE of every setting that is not its default."""
-    return [
-        f"{row.name}={getattr(settings, row.attribute)!r}"
-        for row in tunables()
-        if getattr(settings, row.attribute) != row.default
-    ]
 
 
 def sentence(row: Row) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from companion.cli.steps.landing_lockstep import LandingService
+from companion.cli.steps.options import named_value
 from companion.evaluation.landing.false_reading import LONG_M, SHORT_M, OneFalseReading
 from companion.evaluation.landing.landing_rows import RangeKind, Row, WatchedRange, landing_row
 from companion.evaluation.landing.rigid_stereo import RigidStereo
@@ -60,10 +61,7 @@ def landing_tasks(
 
 def fly_task(task: LandingTask) -> Row:
     """Fly one landing."""
-    settings = Settings()
-    for change in task.changes:
-        parameter, _, value = change.partition("=")
-        settings = settings.replace(parameter, float(value))
+    settings = Settings().with_values(dict(named_value("--set", change) for change in task.changes))
     row = fly_one(load_airframe(task.airframe), task.seed, task.kind, settings, gusts=task.gusts)
     return row | {"settings": " ".join(change for change in task.changes if not change.startswith(_UNSAID))}
 

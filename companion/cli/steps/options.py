@@ -12,7 +12,7 @@ from companion.adapters.recordings.recording import Recording
 from companion.adapters.recordings.recording_factory import open_recording
 from companion.errors import ConfigError
 from companion.params.files import load_airframe
-from companion.params.persist import Stored, load_stored
+from companion.params.persist import load_stored
 from companion.params.settings import Settings
 from companion.params.toml import read_toml, settings_of
 
@@ -40,26 +40,27 @@ def open_given(options: argparse.Namespace) -> Recording:
 
 def read_settings(options: argparse.Namespace) -> Settings:
     """The settings in force: defaults, the file, what a ground station has set, the command line; the last one wins."""
-    settings = Settings()
-    for name, value in _from_file(options.settings).items():
-        settings = settings.replace(name, value)
+    settings = Settings().with_values(_from_file(options.settings))
     clash = settings.conflict()
     if clash is not None:
         raise ConfigError(f"{options.settings}: {clash.text}")
     settings = _stored(getattr(options, "parameters", None), settings)
     for change in options.changes:
-        name, equals, text = change.partition("=")
-        try:
-            value = float(text)
-        except ValueError as error:
-            raise ConfigError(f"--set {change}: give NAME=VALUE with a number") from error
-        if not equals:
-            raise ConfigError(f"--set {change}: give NAME=VALUE")
-        settings = settings.replace(name.strip(), value)
+        settings = settings.replace(*named_value("--set", change))
     clash = settings.conflict()
     if clash is not None:
         raise ConfigError(f"{clash.text}: change one of them (--set, --settings)")
     return settings
+
+
+def named_value(option: str, text: str) -> tuple[str, float]:
+    """Name and value of a setting that ``option`` gives as NAME=VALUE; raise :class:`ConfigError` for another text."""
+    name, equals, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError as error:
+        what = "give NAME=VALUE with a number" if equals else "give NAME=VALUE"
+        raise ConfigError(f"{option} {text}: {what}") from error
 
 
 def _stored(path: Path | None, settings: Settings) -> Settings:
@@ -75,7 +76,7 @@ def _stored(path: Path | None, settings: Settings) -> Settings:
     if values:
         listed = ", ".join(f"{name} {value:g}" for name, value in sorted(values.items()))
         print(f"set from a ground station: {listed} (kept in {path})", file=sys.stderr)
-    return Stored(values).over(settings)
+    return settings.with_values(values)
 
 
 def check_output(path: Path | None, option: str) -> None:

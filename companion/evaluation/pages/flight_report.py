@@ -11,7 +11,7 @@ from companion.adapters.recordings.recording import Recording
 from companion.evaluation.flight_log import SPECTRUM_SEGMENT_S, FlightLog, Spectrum
 from companion.evaluation.pages import flight_figures as figures
 from companion.evaluation.recording_info import stream_line
-from companion.params.settings import Settings, tunables
+from companion.params.settings import Settings
 from companion.records import Health, Station, Validity
 from companion.reporting import page
 from companion.reporting.blocks import Advice, Answers, Block, Heading, Page, Paragraph, Table
@@ -169,6 +169,6 @@ def _refusals(log: FlightLog) -> Iterator[Block]:
 
 
 def _changed(settings: Settings) -> list[tuple[str, str, str]]:
-    default = Settings()
-    rows = [(row.name, getattr(settings, row.attribute), getattr(default, row.attribute)) for row in tunables()]
-    return [(name, f"{value:g}", f"{usual:g}") for name, value, usual in rows if value != usual] or [("none", "", "")]
+    default = Settings().values()
+    changed = [(name, f"{value:g}", f"{default[name]:g}") for name, value in settings.changed().items()]
+    return changed or [("none", "", "")]

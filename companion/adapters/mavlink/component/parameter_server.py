@@ -80,7 +80,7 @@ class ParameterServer:
         self._component = settings.component_id
         self._rows: tuple[Tunable, ...] = tuple(tunables())
         self._index = {row.name: index for index, row in enumerate(self._rows)}
-        self._values = {row.name: float(getattr(settings, row.attribute)) for row in self._rows}
+        self._values = settings.values()
         self._store = store
         self._stored = dict(stored or {})
         self._waiting: deque[int] = deque()

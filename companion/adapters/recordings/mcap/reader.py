@@ -251,10 +251,7 @@ def load_settings(text: str) -> Settings:
     ConfigError
         A value that no version took.
     """
-    settings = Settings()
-    for name, value in settings_of(parse_toml(text, "settings.toml"), "settings.toml").items():
-        settings = settings.replace(name, value, flown=True)
-    return settings
+    return Settings().with_values(settings_of(parse_toml(text, "settings.toml"), "settings.toml"), flown=True)
 
 
 def _record_of(schema: mcap.Schema, message: mcap.Message, unpaired: dict[int, Frame]) -> Recordable | None:

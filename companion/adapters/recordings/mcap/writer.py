@@ -22,7 +22,7 @@ from companion.adapters.recordings.mcap.messages import MessageForm, form_of, im
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.params.files import dump_airframe
-from companion.params.settings import Settings, tunables
+from companion.params.settings import Settings
 from companion.records import ClockName, Frame, FramePair
 
 FORMAT_VERSION = 1  # of our profile; raised where an old reader would misread
@@ -57,7 +57,7 @@ class About:
 
 def dump_settings(settings: Settings) -> str:
     """Write settings as TOML lines ``NAME = value``, by MAVLink name."""
-    return "".join(f"{row.name} = {getattr(settings, row.attribute)!r}\n" for row in tunables())
+    return "".join(f"{name} = {value!r}\n" for name, value in settings.values().items())
 
 
 class McapWriter:
