@@ -16,22 +16,12 @@ from companion.params.airframe import Airframe, Camera
 from companion.params.files import load_airframe
 from companion.records import Side
 from companion.sim.vision.renderer import ExposureInterval, Renderer
-from companion.sim.vision.scene import (
-    PosedCamera,
-    Scene,
-    TrueRangeProduct,
-    board,
-    ground,
-    ground_scene,
-    obstacle_scene,
-    overlap_depths_m,
-    terrace,
-    true_range_m,
-)
+from companion.sim.vision.scene import PosedCamera, Scene, board, ground, ground_scene, obstacle_scene, terrace
 from companion.sim.vision.shutter import PixelGrid
 from companion.sim.vision.texture import CENTRE_PER_TEXEL, NoiseTile, noise_period
 from companion.sim.vision.textured_plane import SurfacePainter
 from sitl_tests.physics.camera_flight import MIDDLE_NS, Path, fly
+from sitl_tests.physics.true_range import TrueRangeProduct, overlap_depths_m, true_range_m
 
 NADIR = load_airframe("nadir-2m")
 EXPOSURE = ExposureInterval(MIDDLE_NS, 2_000_000)

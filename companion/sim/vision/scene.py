@@ -1,8 +1,7 @@
-"""Scene before the cameras: textured planes in NED, and the true ranges to them."""
+"""Scene before the cameras: textured planes in NED, and the true depths along a camera's rays."""
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +11,7 @@ from companion.records import Floats
 from companion.sim.flight.truth import FlightTruth
 
 _DOWN = np.array([0.0, 0.0, 1.0])
-
-
-class TrueRangeProduct(enum.StrEnum):
-    """Which range stands for a view (settings: RNG_PRODUCT)."""
-
-    MEDIAN = "median"
-    NEAREST = "nearest"
-    CENTRE = "centre"
+_BOARD_M = (30.0, 20.0)  # width and height of an obstacle: a large house (choice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +101,9 @@ class Scene:
         return endless + [self.planes[number] for _, number in sorted(near, reverse=True)]
 
 
-def ground(height_m: float = 0.0, surface: int = 0) -> Plane:
-    """Endless level ground, ``height_m`` above NED zero."""
-    return Plane(np.array([0.0, 0.0, -height_m]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), None, surface)
+def ground() -> Plane:
+    """Endless level ground at NED zero."""
+    return Plane(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), None, 0)
 
 
 def terrace(north_m: float, east_m: float, size_m: tuple[float, float], height_m: float, surface: int) -> Plane:
@@ -133,9 +125,7 @@ def ground_scene(seed: int) -> Scene:
     return Scene((ground(),), seed)
 
 
-def obstacle_scene(
-    truth: FlightTruth, seed: int, spacing_m: float = 110.0, size_m: tuple[float, float] = (30.0, 20.0)
-) -> Scene:
+def obstacle_scene(truth: FlightTruth, seed: int, spacing_m: float = 110.0) -> Scene:
     """Ground and upright boards across the path, so that a forward-looking pair closes in on one after another.
 
     Boards have no thickness and stop nobody: the aircraft passes through each.
@@ -149,7 +139,7 @@ def obstacle_scene(
         velocity = path.velocity_ned_mps[i]
         heading = float(np.arctan2(velocity[1], velocity[0]))
         beyond = (distance - flown[i]) * np.array([np.cos(heading), np.sin(heading), 0.0])
-        planes.append(board(path.position_ned_m[i] + beyond, heading, size_m, number))
+        planes.append(board(path.position_ned_m[i] + beyond, heading, _BOARD_M, number))
     return Scene(tuple(planes), seed)
 
 
@@ -175,45 +165,9 @@ class PosedCamera:
     def points_ned_m(self, scene: Scene, pixels: Floats) -> Floats:
         """Scene points (n, 3) in NED at distorted pixels (n, 2), NaN for the sky."""
         directions = self.camera.lens.unproject(pixels) @ self.camera_from_ned
-        stretch = scene.hit(self.centre_ned_m, directions)
-        return np.asarray(self.centre_ned_m + np.where(np.isfinite(stretch), stretch, np.nan)[:, None] * directions)
+        factors = scene.hit(self.centre_ned_m, directions)
+        return np.asarray(self.centre_ned_m + np.where(np.isfinite(factors), factors, np.nan)[:, None] * directions)
 
     def project(self, points_ned_m: Floats) -> Floats:
         """Distorted pixels (n, 2) of points (n, 3); NaN behind the camera."""
         return self.camera.lens.project((points_ned_m - self.centre_ned_m) @ self.camera_from_ned.T)
-
-
-def overlap_depths_m(scene: Scene, left: PosedCamera, right: PosedCamera, grid: tuple[int, int] = (32, 24)) -> Floats:
-    """True depths of what both cameras see, along the mean optical axis from between the cameras, (n,).
-
-    A ``grid`` of left pixels is followed to the scene; what falls outside the right image is left out, what hides
-    behind a nearer surface there is not.
-    """
-    width, height = left.camera.lens.size_px
-    columns = (np.arange(grid[0]) + 0.5) * width / grid[0] - 0.5
-    rows = (np.arange(grid[1]) + 0.5) * height / grid[1] - 0.5
-    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    points = left.points_ned_m(scene, pixels)
-    points = points[np.isfinite(points[:, 0])]
-    right_px = right.project(points)
-    limits = np.array(right.camera.lens.size_px) - 0.5
-    both = np.all((right_px > -0.5) & (right_px < limits), axis=1)
-    axis = left.camera_from_ned[2] + right.camera_from_ned[2]
-    middle = 0.5 * (left.centre_ned_m + right.centre_ned_m)
-    return np.asarray((points[both] - middle) @ (axis / np.linalg.norm(axis)))
-
-
-def true_range_m(
-    scene: Scene, left: PosedCamera, right: PosedCamera, product: TrueRangeProduct = TrueRangeProduct.MEDIAN
-) -> float:
-    """The range that the named product should read, along the mean optical axis; infinite where nothing is seen."""
-    depths = overlap_depths_m(scene, left, right)
-    if not len(depths):
-        return float("inf")
-    if product is TrueRangeProduct.NEAREST:
-        return float(np.min(depths))
-    if product is TrueRangeProduct.MEDIAN:
-        return float(np.median(depths))
-    axis = left.camera_from_ned[2] + right.camera_from_ned[2]
-    middle = 0.5 * (left.centre_ned_m + right.centre_ned_m)
-    return float(scene.hit(middle, (axis / np.linalg.norm(axis))[None])[0])
