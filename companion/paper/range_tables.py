@@ -14,23 +14,23 @@ from companion.records import Floats
 _ROUNDING_M = 0.0005  # the paper prints millimetres
 
 
-def toe_rad(true_m: float, read_m: float, baseline_m: float = printed.BASELINE_M) -> float:
+def toe_rad(true_m: float, read_m: float) -> float:
     """Divergence that makes a pair read ``read_m`` at ``true_m``: theta = B (1/Z' - 1/Z)."""
-    return baseline_m * (1.0 / read_m - 1.0 / true_m)
+    return printed.BASELINE_M * (1.0 / read_m - 1.0 / true_m)
 
 
-def read_range_m(true_m: float, angle_rad: float, baseline_m: float = printed.BASELINE_M) -> float:
+def read_range_m(true_m: float, angle_rad: float) -> float:
     """Range that a pair reads at ``true_m`` when its axes diverge by ``angle_rad``."""
-    return 1.0 / (1.0 / true_m + angle_rad / baseline_m)
+    return 1.0 / (1.0 / true_m + angle_rad / printed.BASELINE_M)
 
 
-def wide_factor(range_m: float, baseline_m: float = printed.BASELINE_M) -> float:
+def wide_factor(range_m: float) -> float:
     """How much more disparity a turn gives where the cameras look at the object from the side: 1 + (B / 2Z)^2.
 
     A camera that sees a point under the slope t = B / 2Z gains f (1 + t^2) pixels per radian; the common formula
     theta = B (1/Z' - 1/Z) takes t for 0, and overstates the angle by this factor.
     """
-    return 1.0 + (baseline_m / (2.0 * range_m)) ** 2
+    return 1.0 + (printed.BASELINE_M / (2.0 * range_m)) ** 2
 
 
 def toe_rounding_rad(true_m: float, read_m: float) -> float:

@@ -121,7 +121,7 @@ class TriggerProcess(TriggerLink):
         self._process.start()
         theirs.close()
 
-    def wait_ready(self, timeout_s: float = _START_S) -> Realtime:
+    def wait_ready(self) -> Realtime:
         """Wait until the line is open and say what the operating system granted.
 
         Raises
@@ -129,11 +129,11 @@ class TriggerProcess(TriggerLink):
         DeviceError
             The process died, or did not start in time.
         """
-        self._end.settimeout(timeout_s)
+        self._end.settimeout(_START_S)
         try:
             message = self._end.recv(LARGEST)
         except OSError as error:
-            raise DeviceError(f"the trigger process did not start within {timeout_s:g} s: {error}") from error
+            raise DeviceError(f"the trigger process did not start within {_START_S:g} s: {error}") from error
         finally:
             self._end.setblocking(False)
         report = unpack_report(message)

@@ -20,6 +20,9 @@ COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _RATE_NS = 100_000_000
 _BEAT_NS = 1_000_000_000
 _ALIVE, _UNTRUSTED = 90, 1
+_BASELINE_M = 1.98  # airframe nadir-2m
+_LIMITS_M = (4.0, 200.0)  # defaults of RNG_MIN and RNG_MAX
+_SIGMA_PER_M = 0.45 / 60.0**2  # over the range squared: 0.45 m at 60 m
 
 
 @dataclass(slots=True)
@@ -46,22 +49,13 @@ class CompanionStub:
     """
 
     def __init__(
-        self,
-        distance_m: Callable[[], float | None],
-        now_ns: Callable[[], int],
-        *,
-        orientation: int = 25,
-        baseline_m: float = 1.98,
-        limits_m: tuple[float, float] = (4.0, 200.0),
-        sigma_at_60m: float = 0.45,
-        seed: int = 1,
+        self, distance_m: Callable[[], float | None], now_ns: Callable[[], int], *, orientation: int = 25
     ) -> None:
         self.faults = RangeFaults()
         self.bend_mm: tuple[float, float] | None = None
         self._distance_m, self._now_ns = distance_m, now_ns
-        self._orientation, self._baseline_m, self._limits_m = orientation, baseline_m, limits_m
-        self._sigma_factor = sigma_at_60m / 60.0**2
-        self._rng = np.random.default_rng(seed)
+        self._orientation = orientation
+        self._rng = np.random.default_rng(1)
         self._sender = FrameSender(COMPONENT)
         self._next_ns = self._beat_ns = 0
 
@@ -96,10 +90,10 @@ class CompanionStub:
         return out
 
     def _range(self, boot_ms: int) -> bytes:
-        (least, most), true_m = self._limits_m, self._distance_m()
+        (least, most), true_m = _LIMITS_M, self._distance_m()
         if true_m is not None and true_m <= 0.0:
             true_m = None
-        sigma_m = self._sigma_factor * (true_m or most) ** 2
+        sigma_m = _SIGMA_PER_M * (true_m or most) ** 2
         range_m = math.nan if true_m is None else self._measured(true_m, sigma_m)
         good = least <= range_m <= most and not self.faults.untrusted and sigma_m <= 0.03 * range_m
         distance, quality = (round(range_m * 100), _ALIVE) if good else (round(most * 100) + 1, _UNTRUSTED)
@@ -117,7 +111,7 @@ class CompanionStub:
 
     def _measured(self, true_m: float, sigma_m: float) -> float:
         faults = self.faults
-        inverse = 1.0 / true_m + faults.toe_rad / self._baseline_m
+        inverse = 1.0 / true_m + faults.toe_rad / _BASELINE_M
         if inverse <= 0:
             return math.inf
         return faults.scale / inverse + faults.jump_m + float(self._rng.normal(0.0, sigma_m))

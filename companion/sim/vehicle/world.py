@@ -16,11 +16,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.errors import DeviceError, LinkError
 from companion.lifetime import die_with_parent
-from companion.params.airframe import Airframe, NamedEffect
+from companion.params.airframe import Airframe
 from companion.params.links import LinkKind, parse_link
 from companion.sim.flight.flight import Flight, build_flight
-from companion.sim.flight.gust import GustKind
-from companion.sim.flight.worlds import IDEAL, Conditions
 from companion.sim.vehicle.autopilot import SimAutopilot, Trigger
 from companion.sim.vehicle.command_protocol import CommandProtocol
 from companion.sim.vehicle.faults import Faults, Wire
@@ -199,11 +197,7 @@ class World:
 
 
 def serve(
-    flight: Flight,
-    options: WorldOptions,
-    control: Control | None = None,
-    on_trigger: Trigger | None = None,
-    link: Port | None = None,
+    flight: Flight, options: WorldOptions, control: Control | None = None, link: Port | None = None
 ) -> dict[str, Any]:
     """Play a flight in real time until it ends or the control says anything.
 
@@ -214,7 +208,7 @@ def serve(
     """
     link = link or VehicleLink(options.connection)
     try:
-        world = World(flight, options, link, on_trigger)
+        world = World(flight, options, link)
         _await_companion(world, options.wait_s)
         start_ns = options.start_host_ns or time.monotonic_ns() + 20_000_000
         if options.trigger_line is not None:
@@ -229,19 +223,10 @@ def serve(
     return report
 
 
-def serve_new(
-    airframe: Airframe,
-    seed: int,
-    duration_s: float,
-    options: WorldOptions,
-    control: Control,
-    effects: tuple[NamedEffect, ...] = (),
-    gust: GustKind = GustKind.AIRFRAME,
-    world: Conditions = IDEAL,
-) -> None:
+def serve_new(airframe: Airframe, seed: int, duration_s: float, options: WorldOptions, control: Control) -> None:
     """Entry of a process of its own: build the flight from its seed and serve it."""
     die_with_parent()
-    serve(build_flight(airframe, seed, duration_s, effects=effects, gust=gust, world=world), options, control)
+    serve(build_flight(airframe, seed, duration_s), options, control)
 
 
 def _pulses(path: Path, start_ns: int, speed: float) -> Trigger:

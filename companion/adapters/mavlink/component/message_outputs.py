@@ -42,13 +42,12 @@ OUTPUTS: tuple[MessageOutput, ...] = (
 class OutputPublisher:
     """Encodes the records of one vehicle by :data:`OUTPUTS`, each row at its rate."""
 
-    def __init__(self, outputs: tuple[MessageOutput, ...] = OUTPUTS) -> None:
-        self._outputs = outputs
+    def __init__(self) -> None:
         self._limiter = RateLimiter(_SECOND_NS)
 
     def messages(self, record: Record, settings: Settings, boot_offset_ns: int) -> Iterator[Any | None]:
         """Messages of a record; ``boot_offset_ns`` is boot time less host time."""
-        for row, output in enumerate(self._outputs):
+        for row, output in enumerate(OUTPUTS):
             rate_hz = output.rate_hz(settings) if isinstance(record, output.record) else 0.0
             if rate_hz <= 0:
                 continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import TypeGuard
 
@@ -38,11 +37,11 @@ class Senders:
     A router may deliver the same frame twice, by another route: such a copy is refused like anything else from another
     address, but nobody is warned of it.
 
-    ``guarded`` are component ids; ``system`` is the only system whose ids are guarded, None for all.
+    ``guarded`` are component ids, at first none; ``system`` is the only system whose ids are guarded, None for all.
     """
 
-    def __init__(self, guarded: Collection[int] = ()) -> None:
-        self.guarded = frozenset(guarded)
+    def __init__(self) -> None:
+        self.guarded: frozenset[int] = frozenset()
         self.system: int | None = None
         self._places: dict[Key, _Place] = {}
         self._refused: Counter[tuple[Key, Address]] = Counter()

@@ -20,19 +20,18 @@ def write_folder(
     streams: Sequence[InertialStream],
     covariates: Sequence[Covariate] = (),
     ranges: RangeTable | None = None,
-    epoch_ns: int = 0,
 ) -> None:
     """Write a folder that :class:`~companion.adapters.recordings.tables.csv.CsvRecording` reads.
 
     Streams that share the first one's stamps go to ``accel.csv``, with the covariates; every other stream gets a file
-    ``accel_<place>.csv``. The stamp ``epoch_ns`` becomes ``t_s`` = 0 in them. Raise ValueError for a covariate on other
+    ``accel_<place>.csv``. Raise ValueError for a covariate on other
     stamps than the first stream's.
     """
     folder.mkdir(parents=True, exist_ok=True)
     first = streams[0]
     shared = [stream for stream in streams if np.array_equal(stream.t_ns, first.t_ns)]
     columns = {name: values for stream in shared for name, values in _columns(stream)}
-    t_s = seconds(first.t_ns, epoch_ns)
+    t_s = _seconds(first.t_ns)
     for covariate in covariates:
         if not np.array_equal(covariate.t_s, t_s):
             raise ValueError(f"covariate '{covariate.name}' is not on the stamps of accel.csv")
@@ -40,7 +39,7 @@ def write_folder(
     write_table(folder / "accel.csv", {"t_s": t_s, **columns})
     for stream in streams:
         if all(stream is not other for other in shared):
-            stream_columns = {"t_s": seconds(stream.t_ns, epoch_ns), **dict(_columns(stream))}
+            stream_columns = {"t_s": _seconds(stream.t_ns), **dict(_columns(stream))}
             write_table(folder / f"accel_{stream.station.name.lower()}.csv", stream_columns)
     if ranges is not None:
         write_table(folder / "range.csv", _range_columns(ranges))
@@ -64,9 +63,9 @@ def write_table(path: Path, columns: dict[str, Floats]) -> None:
             file.write("".join([",".join(map(repr, row)) + "\n" for row in rows]))
 
 
-def seconds(t_ns: Ints, epoch_ns: int = 0) -> Floats:
-    """Stamps as seconds since an epoch; exact to the nanosecond for 100 days."""
-    return (t_ns - epoch_ns) / 1e9
+def _seconds(t_ns: Ints) -> Floats:
+    """Stamps in seconds; exact to the nanosecond for 100 days."""
+    return t_ns / 1e9
 
 
 def _columns(stream: InertialStream) -> Iterable[tuple[str, Floats]]:
