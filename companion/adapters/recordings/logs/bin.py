@@ -7,32 +7,31 @@ parameters.
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
-from companion.adapters.mavlink.decode.source_map import AUTOPILOT_COMPONENT, MappedSource, build_mapping
 from companion.adapters.recordings.logs.dataflash import DataflashLog
-from companion.adapters.recordings.recording import InertialStream, LoggedRecording, join, merge, rate_of, timed
+from companion.adapters.recordings.logs.onboard_log import (
+    FILTERED,
+    RAW,
+    LoggedAxes,
+    OnboardLog,
+    as_floats,
+    latest,
+    vehicle_states,
+)
 from companion.errors import RecordingError
 from companion.params.airframe import Airframe, Sensor
 from companion.params.vehicle import implausible
-from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
-from companion.units import Severity
-
-_IMU_OF_MESSAGE = {"RAW_IMU": 0, "HIGHRES_IMU": 0, "SCALED_IMU": 0, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
+from companion.records import AutopilotParameter, Axis, Floats, Ints, VehicleState
 
 
-class BinRecording(LoggedRecording):
-    """An ArduPilot onboard log; see :class:`LoggedRecording` for the shared attributes.
-
-    The airframe's sources tell which IMU is which station: RAW_IMU, HIGHRES_IMU and SCALED_IMU are the first (the first
-    two with ``instance``: that one), SCALED_IMU2 the second, SCALED_IMU3 the third.
+class BinRecording(OnboardLog):
+    """An ArduPilot onboard log; see :class:`OnboardLog` for the shared attributes.
 
     Raises
     ------
@@ -41,52 +40,22 @@ class BinRecording(LoggedRecording):
     """
 
     def __init__(self, path: Path, airframe: Airframe) -> None:
-        super().__init__(path, airframe, ClockName.BOOT)
+        super().__init__(path, airframe)
         self.log = DataflashLog(path)
         self._parameters = _parameters(self.log)
-        self.streams: list[InertialStream] = []
-        sensors: dict[str, Any] = {}
-        for source in build_mapping(airframe).sources:
-            stream, sensor = self._station(source, airframe.sensor(source.station))
-            self.streams += [] if stream is None else [stream]
-            sensors[source.station.name.lower()] = sensor
+        self.find_streams()
         if not self.streams:
             raise RecordingError(f"{path}: no ACC, GYR or IMU message of any station of '{airframe.name}'")
-        self.airframe = dataclasses.replace(airframe, **sensors)
         self._say_what_is_wrong()
 
-    def records(self) -> Iterator[Record]:
-        """Parameters, flight state and samples, in order of time."""
-        sources: list[Iterator[tuple[int, Record]]] = [self._parameter_changes(), self._states()]
-        sources += map(timed, self.streams)
-        yield from merge(*sources)
+    def imu_samples(self, imu: int) -> tuple[str, list[LoggedAxes]]:
+        """The raw samples of an IMU, the filtered ones where there are none; see :class:`OnboardLog`."""
+        raw = _raw_parts(self.log, imu)
+        return (RAW, raw) if raw else (FILTERED, _filtered_parts(self.log, imu))
 
-    def _station(self, source: MappedSource, sensor: Sensor) -> tuple[InertialStream | None, Sensor]:
-        number = imu_of(sensor)
-        name = f"{self.path.name}: {source.station.name.lower()}"
-        if number is None:
-            self.notes.add(f"{name}: {sensor.source.message} of component {source.component} is not in an onboard log")
-            return None, sensor
-        parts = _raw_parts(self.log, number)
-        raw = bool(parts)
-        if not raw:
-            parts = _filtered_parts(self.log, number)
-        stream = stream_in_body(source, parts)
-        if stream is None:
-            self.notes.add(f"{name}: no samples of IMU {number + 1} in this log")
-            return None, sensor
-        self.notes.gaps(f"{name} (IMU {number + 1}, {'raw' if raw else 'filtered'})", stream.t_ns)
-        return stream, self._as_logged(sensor, stream, raw)
-
-    def _as_logged(self, sensor: Sensor, stream: InertialStream, raw: bool) -> Sensor:
-        filters = (0.0, 0.0) if raw else (self._filter("ACCEL", sensor), self._filter("GYRO", sensor))
-        return dataclasses.replace(
-            sensor,
-            rate_hz=rate_of(stream.t_ns, sensor.rate_hz),
-            lowpass_accel_hz=filters[0],
-            lowpass_gyro_hz=filters[1],
-            source=dataclasses.replace(sensor.source, stamp_offset_s=0.0),
-        )
+    def lowpass_hz(self, sensor: Sensor) -> tuple[float, float]:
+        """Corners of the low-passes of accelerometer and gyro in filtered samples."""
+        return self._filter("ACCEL", sensor), self._filter("GYRO", sensor)
 
     def _filter(self, kind: str, sensor: Sensor) -> float:
         """The low-pass as logged; what cannot be is said, and the airframe's taken."""
@@ -99,16 +68,15 @@ class BinRecording(LoggedRecording):
         return sensor.lowpass_accel_hz if kind == "ACCEL" else sensor.lowpass_gyro_hz
 
     def _say_what_is_wrong(self) -> None:
-        if self.log.cut_bytes:
-            text = f"{self.path.name}: truncated: the last {self.log.cut_bytes} bytes are no whole message, left out"
-            self.notes.add(text, severity=Severity.INFO)
+        self.say_truncated(self.log.cut_bytes)
         if self.log.skipped_bytes:
             self.notes.add(f"{self.path.name}: {self.log.skipped_bytes} bytes are no messages (damage), skipped")
         dropped = self.log.take("DSF", "Dp").get("Dp")
         if dropped is not None and dropped.size and dropped.max():
             self.notes.add(f"{self.path.name}: the autopilot dropped {int(dropped.max())} messages while logging")
 
-    def _parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:
+    def parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:
+        """Parameters by their messages PARM."""
         table = self.log.take("PARM", "TimeUS", "Name", "Value")
         if not table:
             return
@@ -117,42 +85,26 @@ class BinRecording(LoggedRecording):
             if text.startswith(PARAMETER_PREFIXES) and math.isfinite(value):
                 yield t_us * 1000, AutopilotParameter(text, value, t_us * 1000)
 
-    def _states(self) -> Iterator[tuple[int, VehicleState]]:
+    def states(self) -> Iterator[tuple[int, VehicleState]]:
+        """States at every message ATT."""
         attitude = self.log.take("ATT", "TimeUS", "Roll", "Pitch", "Yaw")
         if not attitude:
             return
         t_us = attitude["TimeUS"].astype(np.int64)
         angles = np.radians(np.column_stack([attitude[name] for name in ("Roll", "Pitch", "Yaw")]).astype(np.float64))
-        airspeed = _latest(self.log, "ARSP", "Airspeed", t_us)
-        climb = _latest(self.log, "BARO", "CRt", t_us)
-        throttle = _latest(self.log, "CTUN", "ThO", t_us) / 100.0
-        armed = _latest(self.log, "STAT", "Armed", t_us) > 0
-        for i, t_ns in enumerate((t_us * 1000).tolist()):
-            roll_rad, pitch_rad, yaw_rad = angles[i].tolist()
-            yield (
-                t_ns,
-                VehicleState(
-                    t_boot_ns=t_ns,
-                    received_host_ns=t_ns,
-                    roll_rad=roll_rad,
-                    pitch_rad=pitch_rad,
-                    yaw_rad=yaw_rad,
-                    airspeed_mps=float(airspeed[i]),
-                    climb_mps=float(climb[i]),
-                    throttle=float(throttle[i]),
-                    armed=bool(armed[i]),
-                ),
-            )
+        yield from vehicle_states(
+            t_us,
+            roll_rad=angles[:, 0],
+            pitch_rad=angles[:, 1],
+            yaw_rad=angles[:, 2],
+            airspeed_mps=self._latest("ARSP", "Airspeed", t_us),
+            climb_mps=self._latest("BARO", "CRt", t_us),
+            throttle=self._latest("CTUN", "ThO", t_us) / 100.0,
+            armed=self._latest("STAT", "Armed", t_us) > 0,
+        )
 
-
-def imu_of(sensor: Sensor) -> int | None:
-    """Index of the autopilot's IMU that a sensor's source names; None where it is another component's."""
-    source = sensor.source
-    if source.component != AUTOPILOT_COMPONENT or source.message not in _IMU_OF_MESSAGE:
-        return None
-    if source.message in ("RAW_IMU", "HIGHRES_IMU") and source.instance.isdigit():
-        return int(source.instance)
-    return _IMU_OF_MESSAGE[source.message]
+    def _latest(self, message: str, field: str, t_us: Ints) -> Floats:
+        return latest(self.log.take(message, "TimeUS", field), "TimeUS", field, t_us)
 
 
 def raw_accelerometer(log: DataflashLog, imu: int) -> tuple[Ints, Floats]:
@@ -170,7 +122,7 @@ def _raw(log: DataflashLog, name: str, imu: int) -> tuple[Ints, Floats]:
     return table["SampleUS"][selected].astype(np.int64) * 1000, values
 
 
-def _raw_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Floats]]:
+def _raw_parts(log: DataflashLog, imu: int) -> list[LoggedAxes]:
     accel_ns, accel = _raw(log, "ACC", imu)
     gyro_ns, gyro = _raw(log, "GYR", imu)
     if np.array_equal(accel_ns, gyro_ns):
@@ -182,7 +134,7 @@ def _raw_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Floats]]:
     return [segment for segment in parts if segment[1].size]
 
 
-def _filtered_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Floats]]:
+def _filtered_parts(log: DataflashLog, imu: int) -> list[LoggedAxes]:
     names = [f"{kind}{axis}" for kind in ("Acc", "Gyr") for axis in "XYZ"]
     table = log.take("IMU", "TimeUS", "I", *names)
     if not table or not (table["I"] == imu).any():
@@ -190,39 +142,6 @@ def _filtered_parts(log: DataflashLog, imu: int) -> list[tuple[Axis, Ints, Float
     selected = table["I"] == imu
     values = as_floats([table[name][selected] for name in names])
     return [(Axis.ALL, table["TimeUS"][selected].astype(np.int64) * 1000, values)]
-
-
-def as_floats(columns: list[Any]) -> Floats:
-    """Columns as (n, columns) float64; a not-a-number of any kind stays one, for the tracker to refuse."""
-    with np.errstate(invalid="ignore"):
-        return np.column_stack(columns).astype(np.float64)
-
-
-def stream_in_body(source: MappedSource, parts: Sequence[tuple[Axis, Ints, Floats]]) -> InertialStream | None:
-    """One stream in body axes of what was logged apart: axes, boot ns (n,), samples (n, 6); None without any sent."""
-    wanted = [
-        InertialStream(source.station, ClockName.BOOT, axes & source.sends, t_ns, _in_body(values, source, axes))
-        for axes, t_ns, values in parts
-        if axes & source.sends
-    ]
-    return join(wanted) if wanted else None
-
-
-def _in_body(values: Floats, source: MappedSource, axes: Axis) -> Floats:
-    """Turn samples (n, 6) into body axes as the airframe's source says, and zero the columns that are not sent."""
-    if source.body_from_sensor is not None:
-        values = np.hstack([values[:, :3] @ source.body_from_sensor.T, values[:, 3:] @ source.body_from_sensor.T])
-    axis_sent = [bool((axes & source.sends) >> i & 1) for i in range(6)]
-    return np.where(axis_sent, values, 0.0)
-
-
-def _latest(log: DataflashLog, message: str, field: str, t_us: Ints) -> Floats:
-    """Last logged value before each instant; 0 before the first, and where the log has none."""
-    table = log.take(message, "TimeUS", field)
-    if not table:
-        return np.zeros(t_us.size)
-    values = np.concatenate([[0.0], np.nan_to_num(table[field].astype(np.float64), posinf=0.0, neginf=0.0)])
-    return values[np.searchsorted(table["TimeUS"].astype(np.int64), t_us, side="right")]
 
 
 def _parameters(log: DataflashLog) -> dict[str, float]:

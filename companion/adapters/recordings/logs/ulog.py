@@ -7,23 +7,20 @@ they are stamped in its middle, and IMU_INTEG_RATE, by which the same is done to
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.adapters.mavlink.decode.message_records import PARAMETER_PREFIXES
-from companion.adapters.mavlink.decode.source_map import MappedSource, build_mapping
-from companion.adapters.recordings.logs.bin import as_floats, imu_of, stream_in_body
+from companion.adapters.recordings.logs.onboard_log import LoggedAxes, OnboardLog, as_floats, latest, vehicle_states
 from companion.adapters.recordings.logs.ulog_messages import UlogMessages
-from companion.adapters.recordings.recording import InertialStream, LoggedRecording, merge, rate_of, timed
 from companion.errors import RecordingError
-from companion.params.airframe import Airframe, Sensor
-from companion.records import AutopilotParameter, Axis, ClockName, Floats, Ints, Record, VehicleState
-from companion.units import Severity
+from companion.params.airframe import Airframe
+from companion.records import AutopilotParameter, Axis, Floats, Ints, VehicleState
 
 _LEAST_RATE_HZ = 50.0
 _NO_TIME = 0x7FFFFFFF  # RELATIVE_TIMESTAMP_INVALID (PX4 msg/SensorCombined.msg)
@@ -41,11 +38,9 @@ _TOPICS = [
     "airspeed_validated",
 ]
 
-_LoggedAxes = tuple[Axis, Ints, Floats]
 
-
-class UlogRecording(LoggedRecording):
-    """A PX4 log; see :class:`LoggedRecording` for the shared attributes.
+class UlogRecording(OnboardLog):
+    """A PX4 log; see :class:`OnboardLog` for the shared attributes.
 
     Instance 0 of a sensor topic is the first IMU, as in :class:`~companion.adapters.recordings.logs.bin.BinRecording`;
     sensor_combined stands for the first IMU where that was not logged fast enough.
@@ -56,49 +51,23 @@ class UlogRecording(LoggedRecording):
         No ULog, or no inertial samples of any station at 50 Hz or more.
     """
 
+    condition = f" at {_LEAST_RATE_HZ:.0f} Hz or more"
+
     def __init__(self, path: Path, airframe: Airframe) -> None:
-        super().__init__(path, airframe, ClockName.BOOT)
+        super().__init__(path, airframe)
         self._log = UlogMessages(path, _TOPICS)
-        self.streams: list[InertialStream] = []
-        sensors: dict[str, Any] = {}
-        for source in build_mapping(airframe).sources:
-            sensor = airframe.sensor(source.station)
-            stream = self._station(source, sensor)
-            if stream is not None:
-                self.streams.append(stream)
-                sensor = _as_logged(sensor, stream)
-            sensors[source.station.name.lower()] = sensor
-        self.airframe = dataclasses.replace(airframe, **sensors)
+        self.find_streams()
         self._say_what_is_wrong()
         if not self.streams:
             logged = ", ".join(f"{name}[{instance}]" for name, instance in self._log.logged) or "nothing"
             raise RecordingError(f"{path}: no inertial samples at {_LEAST_RATE_HZ:.0f} Hz or more; it has {logged}")
 
-    def records(self) -> Iterator[Record]:
-        """Parameters, flight state and samples, in order of time."""
-        sources: list[Iterator[tuple[int, Record]]] = [self._parameters(), self._states()]
-        sources += map(timed, self.streams)
-        yield from merge(*sources)
-
-    def _station(self, source: MappedSource, sensor: Sensor) -> InertialStream | None:
-        imu = imu_of(sensor)
-        name = f"{self.path.name}: {source.station.name.lower()}"
-        if imu is None:
-            self.notes.add(f"{name}: {sensor.source.message} of component {source.component} is not in an onboard log")
-            return None
-        parts = self._parts(imu)
-        stream = stream_in_body(source, parts)
-        if stream is None:
-            self.notes.add(f"{name}: no samples of IMU {imu + 1} at {_LEAST_RATE_HZ:.0f} Hz or more in this log")
-            return None
-        self.notes.gaps(f"{name} (IMU {imu + 1})", stream.t_ns)
-        return stream
-
-    def _parts(self, imu: int) -> list[_LoggedAxes]:
+    def imu_samples(self, imu: int) -> tuple[str, list[LoggedAxes]]:
+        """The samples of the first topic that was logged fast enough; see :class:`OnboardLog`."""
         choices = [self._sensor_topics(imu), self._vehicle_imu(imu), self._combined() if imu == 0 else []]
-        return next((parts for parts in choices if parts and all(_fast(t_ns) for _, t_ns, _ in parts)), [])
+        return "", next((parts for parts in choices if parts and all(_fast(t_ns) for _, t_ns, _ in parts)), [])
 
-    def _sensor_topics(self, imu: int) -> list[_LoggedAxes]:
+    def _sensor_topics(self, imu: int) -> list[LoggedAxes]:
         names = ("x", "y", "z")
         accel, gyro = (self._log.take(topic, imu, "timestamp", *names) for topic in ("sensor_accel", "sensor_gyro"))
         parts = []
@@ -108,7 +77,7 @@ class UlogRecording(LoggedRecording):
             parts.append(_logged_axes(Axis.GYRO, _sample_time(gyro), [gyro[name] for name in names]))
         return parts
 
-    def _vehicle_imu(self, imu: int) -> list[_LoggedAxes]:
+    def _vehicle_imu(self, imu: int) -> list[LoggedAxes]:
         kinds = ((Axis.ACCEL, "delta_velocity", "delta_velocity_dt"), (Axis.GYRO, "delta_angle", "delta_angle_dt"))
         needed = [name for _, field, period in kinds for name in (*(f"{field}[{i}]" for i in range(3)), period)]
         table = self._log.take("vehicle_imu", imu, "timestamp", *needed)
@@ -122,7 +91,7 @@ class UlogRecording(LoggedRecording):
             parts.append(_logged_axes(axes, _sample_time(table)[good] - _half_us(table, period), columns))
         return parts
 
-    def _combined(self) -> list[_LoggedAxes]:
+    def _combined(self) -> list[LoggedAxes]:
         vectors = [f"{name}[{i}]" for name in ("accelerometer_m_s2", "gyro_rad") for i in range(3)]
         table = self._log.take("sensor_combined", 0, "timestamp", "accelerometer_timestamp_relative", *vectors)
         if not table:
@@ -144,16 +113,16 @@ class UlogRecording(LoggedRecording):
             self.notes.add(f"{self.path.name}: the logger reports {many} of {lost_ms} ms in all")
         if self._log.damaged_bytes:
             self.notes.add(f"{self.path.name}: {self._log.damaged_bytes} bytes are damaged and were left out")
-        if self._log.cut_bytes:
-            text = f"{self.path.name}: truncated: the last {self._log.cut_bytes} bytes are no whole message, left out"
-            self.notes.add(text, severity=Severity.INFO)
+        self.say_truncated(self._log.cut_bytes)
 
-    def _parameters(self) -> Iterator[tuple[int, AutopilotParameter]]:
+    def parameter_changes(self) -> Iterator[tuple[int, AutopilotParameter]]:
+        """Parameters, less IMU_INTEG_RATE: see the module."""
         for t_us, name, value in self._log.parameters:
             if name.startswith(PARAMETER_PREFIXES) and name != _OF_MESSAGES and math.isfinite(value):
                 yield t_us * 1000, AutopilotParameter(name, value, t_us * 1000)
 
-    def _states(self) -> Iterator[tuple[int, VehicleState]]:
+    def states(self) -> Iterator[tuple[int, VehicleState]]:
+        """States at every vehicle_attitude; PX4 does not log the throttle in these topics."""
         attitude = self._log.take("vehicle_attitude", 0, "timestamp", *(f"q[{i}]" for i in range(4)))
         if not attitude:
             return
@@ -164,41 +133,33 @@ class UlogRecording(LoggedRecording):
             airspeed = self._latest("airspeed", "true_airspeed_m_s", t_us)
         ned_mps = np.column_stack([self._latest("vehicle_local_position", axis, t_us) for axis in ("vx", "vy", "vz")])
         navigates = self._latest("vehicle_local_position", "v_xy_valid", t_us) > 0
-        armed = self._latest("vehicle_status", "arming_state", t_us) == _ARMED
-        landed = self._latest("vehicle_land_detected", "landed", t_us) > 0
         detected = bool(self._log.take("vehicle_land_detected", 0, "timestamp", "landed"))
-        for i, t_ns in enumerate((t_us * 1000).tolist()):
-            yield (
-                t_ns,
-                VehicleState(
-                    t_boot_ns=t_ns,
-                    received_host_ns=t_ns,
-                    roll_rad=float(angles[i, 0]),
-                    pitch_rad=float(angles[i, 1]),
-                    yaw_rad=float(angles[i, 2]),
-                    airspeed_mps=float(airspeed[i]),
-                    climb_mps=-float(ned_mps[i, 2]),
-                    throttle=0.0,
-                    armed=bool(armed[i]),
-                    on_ground=bool(landed[i]) if detected else None,
-                    velocity_ned_mps=_triple(ned_mps[i]) if navigates[i] else None,
-                ),
-            )
+        yield from vehicle_states(
+            t_us,
+            roll_rad=angles[:, 0],
+            pitch_rad=angles[:, 1],
+            yaw_rad=angles[:, 2],
+            airspeed_mps=airspeed,
+            climb_mps=-ned_mps[:, 2],
+            throttle=np.zeros(t_us.size),
+            armed=self._latest("vehicle_status", "arming_state", t_us) == _ARMED,
+            velocity_ned_mps=_triples(ned_mps, navigates),
+            **({"on_ground": self._latest("vehicle_land_detected", "landed", t_us) > 0} if detected else {}),
+        )
 
     def _latest(self, topic: str, field: str, t_us: Ints) -> Floats:
-        table = self._log.take(topic, 0, "timestamp", field)
-        if not table:
-            return np.zeros(t_us.size)
-        values = np.concatenate([[0.0], np.nan_to_num(table[field].astype(np.float64), posinf=0.0, neginf=0.0)])
-        return values[np.searchsorted(table["timestamp"].astype(np.int64), t_us, side="right")]
+        return latest(self._log.take(topic, 0, "timestamp", field), "timestamp", field, t_us)
 
 
-def _triple(values: Floats) -> tuple[float, float, float]:
-    north, east, down = values.tolist()
-    return north, east, down
+def _triples(values: Floats, valid: NDArray[np.bool_]) -> NDArray[np.object_]:
+    """Rows (n, 3) as n triples of floats, None where they are not valid."""
+    triples = np.full(len(values), None, dtype=object)
+    for i in np.flatnonzero(valid):
+        triples[i] = tuple(values[i].tolist())
+    return triples
 
 
-def _logged_axes(axes: Axis, t_us: Ints, columns: list[Any]) -> _LoggedAxes:
+def _logged_axes(axes: Axis, t_us: Ints, columns: list[Any]) -> LoggedAxes:
     values = np.zeros((t_us.size, 6))
     first = 0 if axes & Axis.ACCEL else 3
     values[:, first : first + 3] = as_floats(columns)
@@ -221,16 +182,6 @@ def _half_us(table: dict[str, Any], period: str) -> int:
 
 def _fast(t_ns: Ints) -> bool:
     return t_ns.size > 2 and bool(np.median(np.diff(t_ns)) <= 1e9 / _LEAST_RATE_HZ)
-
-
-def _as_logged(sensor: Sensor, stream: InertialStream) -> Sensor:
-    return dataclasses.replace(
-        sensor,
-        rate_hz=rate_of(stream.t_ns, sensor.rate_hz),
-        lowpass_accel_hz=0.0,
-        lowpass_gyro_hz=0.0,
-        source=dataclasses.replace(sensor.source, stamp_offset_s=0.0),
-    )
 
 
 def _euler(w: Floats, x: Floats, y: Floats, z: Floats) -> Floats:
