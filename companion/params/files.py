@@ -7,22 +7,20 @@ import enum
 import types
 import typing
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from companion.errors import ConfigError, UnknownAirframe
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.plausible import problems
-from companion.params.shipped import shipped
-from companion.params.toml import parse_toml, read_text
+from companion.params.shipped import read_shipped, shipped_names
+from companion.params.toml import parse_toml
 
 _LARGEST = 1e300  # far below the largest float, so that squares do not overflow
 
 
 def shipped_airframes() -> list[str]:
     """Names of the airframes that travel with Spanwise."""
-    folder = shipped("airframes")
-    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    return shipped_names("airframes")
 
 
 def load_airframe(name_or_path: str) -> Airframe:
@@ -35,15 +33,10 @@ def load_airframe(name_or_path: str) -> Airframe:
     ConfigError
         A missing, unknown or ill-typed key, or a value that cannot be; the message names file, key, value and range.
     """
-    if name_or_path.endswith(".toml"):
-        path = Path(name_or_path)
-        if not path.is_file():
-            raise UnknownAirframe(name_or_path, shipped_airframes())
-        return parse_airframe(read_text(path), str(path))
-    if name_or_path not in shipped_airframes():
+    shipped_file = read_shipped("airframes", name_or_path)
+    if shipped_file is None:
         raise UnknownAirframe(name_or_path, shipped_airframes())
-    entry = shipped("airframes") / f"{name_or_path}.toml"
-    return parse_airframe(entry.read_text(encoding="utf-8"), f"{name_or_path}.toml")
+    return parse_airframe(*shipped_file)
 
 
 def parse_airframe(text: str, origin: str) -> Airframe:

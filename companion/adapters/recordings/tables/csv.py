@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -129,14 +129,10 @@ class CsvRecording(LoggedRecording):
             yield join(of_station if len(of_station) == 1 else [increasing(stream) for stream in of_station])
 
     def _fitting(self, airframe: Airframe) -> Airframe:
-        sensors: dict[str, Any] = {
-            stream.station.name.lower(): sensor_as_recorded(airframe.sensor(stream.station), stream)
-            for stream in self.streams
-        }
-        for station in Station:
-            if station.name.lower() not in sensors:
-                self.notes.add(f"{self.path.name}: no samples of '{station.name.lower()}'")
-        return dataclasses.replace(airframe, **sensors)
+        present = {stream.station for stream in self.streams}
+        for station in (station for station in Station if station not in present):
+            self.notes.add(f"{self.path.name}: no samples of '{station.name.lower()}'")
+        return airframe_as_recorded(airframe, self.streams)
 
     def _ranges(self, file: Path) -> RangeTable | None:
         if not file.exists():
@@ -229,8 +225,15 @@ def gravity(path: Path, stream: InertialStream) -> Iterator[str]:
         yield f"{reads}, where about -1 g is expected: gravity was taken out, or its unit is another"
 
 
-def sensor_as_recorded(sensor: Sensor, stream: InertialStream) -> Sensor:
-    """The sensor with the axes and the rate that are really there."""
+def airframe_as_recorded(airframe: Airframe, streams: Iterable[InertialStream]) -> Airframe:
+    """The airframe with the axes and the rates that are really there."""
+    sensors: dict[str, Any] = {
+        stream.station.name.lower(): _as_recorded(airframe.sensor(stream.station), stream) for stream in streams
+    }
+    return dataclasses.replace(airframe, **sensors)
+
+
+def _as_recorded(sensor: Sensor, stream: InertialStream) -> Sensor:
     sent = [_LETTERS[i] for i in range(6) if stream.axes >> i & 1]
     source = dataclasses.replace(sensor.source, clock=ClockName.HOST, stamp_offset_s=0.0)
     return dataclasses.replace(sensor, sends="".join(sent), rate_hz=rate_of(stream.t_ns, sensor.rate_hz), source=source)

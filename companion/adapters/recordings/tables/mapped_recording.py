@@ -13,10 +13,10 @@ from companion.adapters.recordings.recording import InertialStream, LoggedRecord
 from companion.adapters.recordings.tables.csv import (
     Covariate,
     RangeTable,
+    airframe_as_recorded,
     gravity,
     inertial_column,
     nanoseconds,
-    sensor_as_recorded,
     stream_of,
 )
 from companion.adapters.recordings.tables.mapped_table import MAY_BE_MISSING, MappedTable, read_mapped
@@ -50,11 +50,7 @@ class MappedRecording(LoggedRecording):
         self.covariates: dict[str, Covariate] = {}
         self.streams = tuple(self._streams(table, mapping))
         self.ranges = _ranges(table)
-        sensors: dict[str, Any] = {
-            stream.station.name.lower(): sensor_as_recorded(airframe.sensor(stream.station), stream)
-            for stream in self.streams
-        }
-        self.airframe = dataclasses.replace(airframe, **sensors)
+        self.airframe = airframe_as_recorded(airframe, self.streams)
         for note in (note for stream in self.streams for note in gravity(path, stream)):
             self.notes.add(note)
         for stream in self.streams[:1]:  # all have the same stamps

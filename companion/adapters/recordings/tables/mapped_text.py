@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.adapters.recordings.tables.mapping import ColumnMapping, TableMapping, TextLayout
+from companion.adapters.recordings.tables.number_table import cell_number, not_finite
 from companion.errors import RecordingError, TableError
 from companion.records import Floats
 
@@ -119,14 +120,9 @@ def _cell_by_cell(
 def _number(path: Path, line: int, column: ColumnMapping, cell: str, may_be_missing: frozenset[str]) -> float:
     lenient = column.channel in may_be_missing
     what = f"column '{column.name}' ({column.channel}, unit {column.unit or 'none'})"
-    if not cell:
-        if lenient:
-            return math.nan
-        raise TableError(path, line, f"{what} is empty; leave the whole row out where a sample is missing")
-    try:
-        value = float(cell)
-    except ValueError:
-        raise TableError(path, line, f"{what}: '{cell[:40]}' is not a number") from None
+    if lenient and not cell:
+        return math.nan
+    value = cell_number(path, line, what, cell)
     if not lenient and not math.isfinite(value):
-        raise TableError(path, line, f"{what}: '{cell}' is not a finite number; leave the whole row out")
+        raise not_finite(path, line, what, cell)
     return value

@@ -9,14 +9,13 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from companion.adapters.recordings.tables.units import conversion, unit_of
 from companion.errors import ConfigError
 from companion.params.airframe import Uncertain
-from companion.params.shipped import shipped
-from companion.params.toml import parse_toml, read_text
+from companion.params.shipped import read_shipped, shipped_names
+from companion.params.toml import parse_toml
 
 _LARGEST = 1e300  # finite with room for products
 _MOST_LINES = 1_000_000  # header of a table: more is a slip
@@ -88,8 +87,7 @@ class TableMapping:
 
 def shipped_mappings() -> list[str]:
     """Names of the mappings that travel with Spanwise."""
-    folder = shipped("mappings")
-    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    return shipped_names("mappings")
 
 
 def load_mapping(name_or_path: str) -> TableMapping:
@@ -100,18 +98,11 @@ def load_mapping(name_or_path: str) -> TableMapping:
     ConfigError
         No such mapping, no TOML, or a key that is missing, unknown or of a wrong type; file and key are named.
     """
-    if not name_or_path.endswith(".toml"):
-        if name_or_path not in shipped_mappings():
-            raise ConfigError(
-                f"no mapping '{name_or_path}'; known: {', '.join(shipped_mappings())} "
-                "(or give the path of a .toml file)"
-            )
-        entry = shipped("mappings") / f"{name_or_path}.toml"
-        return parse_mapping(entry.read_text(encoding="utf-8"), f"{name_or_path}.toml")
-    path = Path(name_or_path)
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such mapping file; known by name: {', '.join(shipped_mappings())}")
-    return parse_mapping(read_text(path), str(path))
+    shipped_file = read_shipped("mappings", name_or_path)
+    if shipped_file is None:
+        names = ", ".join(shipped_mappings())
+        raise ConfigError(f"no mapping '{name_or_path}'; known: {names} (or give the path of a .toml file)")
+    return parse_mapping(*shipped_file)
 
 
 def parse_mapping(text: str, origin: str) -> TableMapping:

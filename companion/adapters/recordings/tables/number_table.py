@@ -101,15 +101,21 @@ def _find_bad_cell(path: Path, header: list[str], may_be_infinite: frozenset[str
             if len(cells) != len(header):
                 raise TableError(path, number, f"{len(cells)} cells, but the header has {len(header)} columns")
             for name, cell in zip(header, cells, strict=True):
-                _check_cell(path, number, name, cell.strip(), name in may_be_infinite)
+                value = cell_number(path, number, f"column '{name}'", cell.strip())
+                if math.isnan(value) or (math.isinf(value) and name not in may_be_infinite):
+                    raise not_finite(path, number, f"column '{name}'", cell.strip())
 
 
-def _check_cell(path: Path, line: int, name: str, cell: str, may_be_infinite: bool) -> None:
+def cell_number(path: Path, line: int, column: str, cell: str) -> float:
+    """The number in a cell, finite or not; raise :class:`TableError`, which begins with ``column``, for none."""
     if not cell:
-        raise TableError(path, line, f"column '{name}' is empty; leave the whole row out where a sample is missing")
+        raise TableError(path, line, f"{column} is empty; leave the whole row out where a sample is missing")
     try:
-        value = float(cell)
+        return float(cell)
     except ValueError:
-        raise TableError(path, line, f"column '{name}': '{cell[:40]}' is not a number") from None
-    if math.isnan(value) or (math.isinf(value) and not may_be_infinite):
-        raise TableError(path, line, f"column '{name}': '{cell}' is not a finite number; leave the whole row out")
+        raise TableError(path, line, f"{column}: '{cell[:40]}' is not a number") from None
+
+
+def not_finite(path: Path, line: int, column: str, cell: str) -> TableError:
+    """The error of a cell whose number is not finite."""
+    return TableError(path, line, f"{column}: '{cell}' is not a finite number; leave the whole row out")
