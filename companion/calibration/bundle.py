@@ -104,6 +104,11 @@ def _normal_equations(
     return normal, gradient, back
 
 
+def camera_matrix(lens: Floats) -> Floats:
+    """(3, 3) camera matrix of a lens, whose first four numbers are fx, fy, cx, cy in px."""
+    return np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+
+
 def _view(
     pair: tuple[Corners, Corners], points_m: Floats, shared: Floats, board: Floats
 ) -> tuple[list[Floats], list[Floats]]:
@@ -113,8 +118,7 @@ def _view(
     errors, slopes = [], []
     for side, (corners, pose) in enumerate(zip(pair, poses, strict=True)):
         lens = shared[side * LENS : (side + 1) * LENS]
-        matrix = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
-        pixels, slope = cv2.projectPoints(points_m[corners.ids], pose[:3], pose[3:], matrix, lens[4:])
+        pixels, slope = cv2.projectPoints(points_m[corners.ids], pose[:3], pose[3:], camera_matrix(lens), lens[4:])
         errors.append(corners.pixels - np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
         jacobian = np.zeros((len(slope), SHARED + 6))
         jacobian[:, side * LENS : (side + 1) * LENS] = slope[:, _JACOBIAN_COLUMNS]

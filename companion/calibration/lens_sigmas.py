@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from companion.calibration.bundle import LENS, Bundle
+from companion.calibration.bundle import LENS, Bundle, camera_matrix
 from companion.core.stereo.lens_residual import LENS_TERMS, PRISM_X, PRISM_Y, RADIAL, TILT_X, TILT_Y, residual_field
 from companion.records import Floats
 
@@ -80,6 +80,5 @@ def _fields(slopes: Floats) -> Floats:
 
 
 def _slopes(pixels: Floats, lens: Floats) -> Floats:
-    fx, fy, cx, cy = lens[:4]
-    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return np.asarray(cv2.undistortPoints(pixels[:, np.newaxis], matrix, lens[4:])[:, 0], dtype=np.float64)
+    slopes = cv2.undistortPoints(pixels[:, np.newaxis], camera_matrix(lens), lens[4:])[:, 0]
+    return np.asarray(slopes, dtype=np.float64)

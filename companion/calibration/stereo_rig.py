@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from companion.calibration.boards import LEAST_CORNERS, Board, Corners, common, find_corners
-from companion.calibration.bundle import LENS, Bundle, adjust
+from companion.calibration.bundle import LENS, Bundle, adjust, camera_matrix
 from companion.calibration.lens_sigmas import LensSigmas, lens_sigmas, look_sigma_rad
 from companion.core.stereo.geometry import axes_from_body
 from companion.core.stereo.rotation import exp_rotation, log_rotation
@@ -46,8 +46,7 @@ class LensFit:
     @property
     def matrix(self) -> Floats:
         """(3, 3) camera matrix."""
-        fx, fy, cx, cy = self.values[:4]
-        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        return camera_matrix(self.values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,18 +109,13 @@ def toe_sigma_rad(fit: RigFit) -> float:
 def _inverse_range_pm(shared: Floats, left_px: Floats, right_px: Floats) -> Floats:
     """1/Z of left pixels (n, 2) whose column in the right image is known, (n,)."""
     x_left, x_right = (
-        cv2.undistortPoints(pixels[:, None], _matrix(lens), lens[4:])[:, 0]
+        cv2.undistortPoints(pixels[:, None], camera_matrix(lens), lens[4:])[:, 0]
         for pixels, lens in ((left_px, shared[:9]), (right_px, shared[9:18]))
     )
     turn = np.asarray(cv2.Rodrigues(shared[18:21])[0], dtype=np.float64)
     ahead = np.column_stack([x_left, np.ones(len(x_left))]) @ turn.T
     moved, column = shared[21:24], x_right[:, 0]
     return np.asarray((column * ahead[:, 2] - ahead[:, 0]) / (moved[0] - column * moved[2]))
-
-
-def _matrix(lens: Floats) -> Floats:
-    fx, fy, cx, cy = lens[:4]
-    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def find_views(pairs: list[tuple[str, Bytes, Bytes]], board: Board) -> tuple[list[BoardView], dict[str, str]]:

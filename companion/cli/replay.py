@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from companion.adapters.recordings.mcap.codec import codec_of
+from companion.adapters.recordings.mcap.codec import plain_values
 from companion.adapters.recordings.mcap.machine import machine
 from companion.adapters.recordings.mcap.reader import McapRecording
 from companion.adapters.recordings.mcap.writer import About, McapWriter, software_version
@@ -120,12 +120,7 @@ def execute(options: argparse.Namespace) -> int:
 
 def encoded(record: Record) -> bytes:
     """The record's bytes as they would be recorded."""
-    return json.dumps([type(record).__name__, _plain(record)], sort_keys=True).encode()
-
-
-def _plain(record: Record | None) -> Any:
-    kind: Any = type(record)
-    return None if record is None else codec_of(kind).encode(record)
+    return json.dumps([type(record).__name__, plain_values(record)], sort_keys=True).encode()
 
 
 def _replayed(

@@ -7,7 +7,6 @@ renders the same flight at instants that have nothing to do with the wing, and c
 from __future__ import annotations
 
 import dataclasses
-import math
 import multiprocessing
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
@@ -28,6 +27,7 @@ from companion.evaluation.true_geometry import TrueGeometry
 from companion.params.airframe import Airframe
 from companion.params.settings import Settings
 from companion.records import Axis, Floats, ImuBatch, MatchSet, Record, Reject, Station, Tick
+from companion.reporting.numbers import finite
 from companion.sim.flight.flight import Flight
 
 TRUSTED_FROM_S = 15.0
@@ -82,16 +82,7 @@ def evaluate_flight(
         "published": {key: report.get(key) for key in ("received", "ranges_used", "range_timeouts", "problems")},
         "refused": dict(sorted(outputs.rejected.items())),
     }
-    return FlightEvaluation(json_plain(plain), _series(geometry, outputs, shots, ways, blur))
-
-
-def json_plain(value: Any) -> Any:
-    """The same with None for every number that JSON does not have: of no shots there is no rms."""
-    if isinstance(value, dict):
-        return {key: json_plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_plain(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return FlightEvaluation(finite(plain), _series(geometry, outputs, shots, ways, blur))
 
 
 def _compared(

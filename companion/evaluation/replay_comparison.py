@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from companion.adapters.recordings.mcap.channels import CHANNELS
-from companion.adapters.recordings.mcap.codec import codec_of
+from companion.adapters.recordings.mcap.codec import plain_values
 from companion.records import Record
 
 ROUNDING_RATIO = 1e-6
@@ -60,7 +60,7 @@ class ReplayComparison:
         if recorded is None or replayed is None or type(recorded) is not type(replayed):
             self.difference = f"output {self.compared}: recorded {recorded!r}, replayed {replayed!r}"[:2000]
             return
-        for name, before, after in _leaves(type(recorded).__name__, _plain(recorded), _plain(replayed)):
+        for name, before, after in _leaves(type(recorded).__name__, plain_values(recorded), plain_values(replayed)):
             self._hold(name, before, after, self._at_s(recorded))
 
     def sentence(self) -> str:
@@ -107,11 +107,6 @@ class ReplayComparison:
         if self._first_ns is None:
             self._first_ns = at_ns
         return (at_ns - self._first_ns) * 1e-9
-
-
-def _plain(record: Record) -> Any:
-    kind: Any = type(record)
-    return codec_of(kind).encode(record)
 
 
 def _leaves(name: str, before: Any, after: Any) -> Iterator[tuple[str, object, object]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -30,6 +29,7 @@ from companion.paper.report_html import html
 from companion.paper.report_markdown import markdown
 from companion.paper.scores import Results, summary
 from companion.paper.trials import REPEATED, Pace, Trial, trials
+from companion.reporting.numbers import finite
 
 
 def make_sections(pace: Pace, jobs: int, say: Callable[[str], None], seeds: Sequence[int]) -> list[Section]:
@@ -85,7 +85,7 @@ def at_peaks(trial: Trial, pace: Pace, seed: int) -> dict[str, Any]:
 def plain(sections: Sequence[Section]) -> dict[str, Any]:
     """Every number by section, for JSON; what is not finite becomes null."""
     return {
-        section.key: {"title": section.title, "findings": list(section.findings), **_finite(section.data)}
+        section.key: {"title": section.title, "findings": list(section.findings), **finite(section.data)}
         for section in sections
     }
 
@@ -101,13 +101,3 @@ def write(sections: Sequence[Section], folder: Path) -> list[Path]:
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     return [folder / name for name in texts]
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

@@ -13,9 +13,7 @@ from companion.errors import ConfigError, UnknownAirframe
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.plausible import problems
 from companion.params.shipped import read_shipped, shipped_names
-from companion.params.toml import parse_toml
-
-_LARGEST = 1e300  # far below the largest float, so that squares do not overflow
+from companion.params.toml import LARGEST, parse_toml
 
 
 def shipped_airframes() -> list[str]:
@@ -118,7 +116,7 @@ def _scalar(kind: Any, value: Any, origin: str, where: str) -> Any:
     if kind is float:
         return _number(value, origin, where)
     if kind is int:
-        good = isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _LARGEST
+        good = isinstance(value, int) and not isinstance(value, bool) and abs(value) <= LARGEST
         _expect(good, origin, where, "a whole number", value)
         return value
     if isinstance(kind, type) and issubclass(kind, enum.Enum):
@@ -130,7 +128,7 @@ def _scalar(kind: Any, value: Any, origin: str, where: str) -> Any:
 
 
 def _number(value: Any, origin: str, where: str) -> float:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+    good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
     _expect(good, origin, where, "a finite number", value)
     return float(value)
 

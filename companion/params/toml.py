@@ -8,7 +8,7 @@ from typing import Any
 
 from companion.errors import ConfigError
 
-_LARGEST = 1e300  # far below the largest float, so that squares do not overflow
+LARGEST = 1e300  # far below the largest float, so that squares do not overflow
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def read_text(path: Path) -> str:
 def settings_of(table: dict[str, Any], origin: str) -> dict[str, float]:
     """The same table, of which every value is a number; raise :class:`ConfigError` for one that is not."""
     for name, value in table.items():
-        if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < _LARGEST:
+        if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < LARGEST:
             raise ConfigError(f"{origin}: '{name}' must be a finite number, not {value!r:.80}")
     return table
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from companion.cli.terminal.demo_tables import print_summary
-from companion.evaluation.flight_evaluation import json_plain
 from companion.evaluation.metrics import Scored, range_summary, toe_summary
 from companion.evaluation.shot_scores import Shots, paired
+from companion.reporting.numbers import finite
 
 BASELINE_M = 2.0
 
@@ -83,7 +83,7 @@ def test_without_comparisons_nothing_is_marked(capsys: pytest.CaptureFixture[str
 def test_a_flight_without_a_shot_to_judge_ends_in_a_sentence_and_not_in_tables_of_nan(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    print_summary(json_plain(summary(shots([], []), {})))
+    print_summary(finite(summary(shots([], []), {})))
     told = " ".join(capsys.readouterr().out.split())
     assert told.startswith("no shot to judge: 0 fired")
     assert "nan" not in told
@@ -91,6 +91,6 @@ def test_a_flight_without_a_shot_to_judge_ends_in_a_sentence_and_not_in_tables_o
 
 
 def test_what_json_does_not_have_is_none() -> None:
-    assert json_plain({"a": [float("nan"), 1.5], "b": {"c": float("inf")}, "d": 3}) == {
+    assert finite({"a": [float("nan"), 1.5], "b": {"c": float("inf")}, "d": 3}) == {
         "a": [None, 1.5], "b": {"c": None}, "d": 3,
     }  # fmt: skip

@@ -51,6 +51,12 @@ def codec_of(kind: Any) -> Codec:
     raise TypeError(f"no JSON form for {kind!r}")
 
 
+def plain_values(record: Any) -> Any:
+    """A record as JSON values; numbers that are not finite stay numbers."""
+    kind: Any = type(record)
+    return codec_of(kind).encode(record)
+
+
 def dumps(kind: type, record: Any) -> bytes:
     """Write a record as JSON."""
     plain = codec_of(kind).encode(record)

@@ -31,7 +31,7 @@ _NEAR = re.compile(r"(?i)(root|left|right)_([xyzpqr])_(.+)")
 _BARE = re.compile(rf"[{_LETTERS}]_[a-z0-9]+")
 _MOST_G = 3.0  # on average
 _FEWEST = 100  # samples that gravity is judged by
-_RANGE_OPTIONAL = ("reference_m", "disparity_px", "t_command_s")
+RANGE_OPTIONAL = ("reference_m", "disparity_px", "t_command_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +138,11 @@ class CsvRecording(LoggedRecording):
         if not file.exists():
             return None
         columns = read_table(file, ("range_m",), frozenset({"range_m"})).columns
-        optional: dict[str, Any] = {name: columns.get(name) for name in _RANGE_OPTIONAL}
-        further = {name: columns[name] for name in columns if name not in ("t_s", "range_m", *_RANGE_OPTIONAL)}
+        optional: dict[str, Any] = {name: columns.get(name) for name in RANGE_OPTIONAL}
+        further = {name: columns[name] for name in columns if name not in ("t_s", "range_m", *RANGE_OPTIONAL)}
         for name in further:
             if not has_unit(name):
-                self.notes.add(f"{file}: column '{name}' is none of {', '.join(('range_m', *_RANGE_OPTIONAL))}; kept")
+                self.notes.add(f"{file}: column '{name}' is none of {', '.join(('range_m', *RANGE_OPTIONAL))}; kept")
         return RangeTable(columns["t_s"], columns["range_m"], **optional, further=further)
 
 

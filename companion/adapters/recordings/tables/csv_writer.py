@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from companion.adapters.recordings.recording import InertialStream
-from companion.adapters.recordings.tables.csv import Covariate, RangeTable
+from companion.adapters.recordings.tables.csv import RANGE_OPTIONAL, Covariate, RangeTable
 from companion.records import Floats, ImuBatch, Ints, Station
 
 _NAMES = ("x_mps2", "y_mps2", "z_mps2", "p_radps", "q_radps", "r_radps")
@@ -86,6 +86,6 @@ def _joined(batches: list[ImuBatch]) -> InertialStream:
 
 
 def _range_columns(ranges: RangeTable) -> dict[str, Floats]:
-    optional = {name: getattr(ranges, name) for name in ("reference_m", "disparity_px", "t_command_s")}
+    optional = {name: getattr(ranges, name) for name in RANGE_OPTIONAL}
     present = {name: values for name, values in optional.items() if values is not None}
     return {"t_s": ranges.t_s, "range_m": ranges.range_m, **present, **ranges.further}

@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from companion.adapters.recordings.tables.csv import RANGE_OPTIONAL
 from companion.adapters.recordings.tables.mapped_matlab import matlab_columns
 from companion.adapters.recordings.tables.mapped_text import text_columns
 from companion.adapters.recordings.tables.mapping import MatlabLayout, TableMapping
 from companion.errors import RecordingError
 from companion.records import Floats
 
-MAY_BE_MISSING = frozenset({"range_m", "reference_m", "disparity_px", "t_command_s"})
+MAY_BE_MISSING = frozenset({"range_m", *RANGE_OPTIONAL})
 """Channels whose cells may be empty where the pair made no range."""
 
 

@@ -15,9 +15,8 @@ from companion.adapters.recordings.tables.units import conversion, unit_of
 from companion.errors import ConfigError
 from companion.params.airframe import Uncertain
 from companion.params.shipped import read_shipped, shipped_names
-from companion.params.toml import parse_toml
+from companion.params.toml import LARGEST, parse_toml
 
-_LARGEST = 1e300  # finite with room for products
 _MOST_LINES = 1_000_000  # header of a table: more is a slip
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
@@ -150,7 +149,7 @@ class _Keys:
         value = self.take(key, (int, float), "a number", default)
         if value is None:
             raise self.error(key, "is missing")
-        if not abs(value) <= _LARGEST:
+        if not abs(value) <= LARGEST:
             raise self.error(key, f"must be a finite number, not {value!r:.80}")
         return float(value)
 
@@ -255,7 +254,7 @@ def _band(keys: _Keys) -> tuple[float, float] | None:
     if band is None:
         return None
     numbers = [edge for edge in band if isinstance(edge, int | float)]
-    if len(band) != 2 or len(numbers) != 2 or not 0 < numbers[0] < numbers[1] <= _LARGEST:
+    if len(band) != 2 or len(numbers) != 2 or not 0 < numbers[0] < numbers[1] <= LARGEST:
         raise keys.error("band_hz", f"must be two frequencies, [low, high], not {band!r:.80}")
     return float(band[0]), float(band[1])
 
