@@ -42,12 +42,12 @@ def wing_motion(records: Iterable[Record], airframe: Airframe, hub: ClockName) -
     """Put the samples of all three stations onto one grid of host time.
 
     The rigid part is the root's own specific force, and what roll acceleration adds at the tips, from the root's gyro.
-    Only the longest stretch without a gap is used.
+    Only the longest segment without a gap is used.
 
     Raises
     ------
     RecordingError
-        A station sent nothing, or there is no stretch of 20 s that all three share.
+        A station sent nothing, or there is no segment of 20 s that all three share.
     """
     streams = station_samples(records, hub)
     for station in Station:
@@ -92,7 +92,7 @@ def _joined(batches: list[tuple[Ints, Floats]]) -> tuple[Ints, Floats]:
 
 
 def _shared(streams: dict[Station, tuple[Ints, Floats]]) -> tuple[int, int]:
-    """Longest stretch in which no station has a gap."""
+    """Longest segment in which no station has a gap."""
     start = max(int(t[0]) for t, _ in streams.values())
     end = min(int(t[-1]) for t, _ in streams.values())
     holes = [(start, start), (end, end)]
@@ -100,8 +100,8 @@ def _shared(streams: dict[Station, tuple[Ints, Floats]]) -> tuple[int, int]:
         wide = np.flatnonzero(np.diff(t_ns) > _GAP_NS)
         holes += [(int(t_ns[i]), int(t_ns[i + 1])) for i in wide if start < t_ns[i] < end]
     holes.sort()
-    stretches = [(a[1], b[0]) for a, b in itertools.pairwise(holes)]
-    return max(stretches, key=lambda each: each[1] - each[0], default=(start, end))
+    segments = [(a[1], b[0]) for a, b in itertools.pairwise(holes)]
+    return max(segments, key=lambda each: each[1] - each[0], default=(start, end))
 
 
 def _on_grid(t_ns: Ints, values: Floats, grid: Ints) -> Floats:

@@ -56,9 +56,9 @@ class LiveViews:
         if left.clock == right.clock and abs(left.mid_exposure_ns - right.mid_exposure_ns) > _SKEW_NS:
             return None
         self._newest = {}
-        return self._look(left, right)
+        return self._find_board(left, right)
 
-    def _look(self, left: Frame, right: Frame) -> str:
+    def _find_board(self, left: Frame, right: Frame) -> str:
         self.size_px = (left.image.shape[1], left.image.shape[0])
         detected = find_corners(left.image, self._board), find_corners(right.image, self._board)
         before, self._before = self._before, None

@@ -69,7 +69,7 @@ def execute(options: argparse.Namespace) -> int:
     try:
         print(f"listening for {options.seconds:g} s ...", file=sys.stderr)
         while not examination.over:
-            examination.turn()
+            examination.run_once()
         findings = list(diagnose(examination.evidence()))
         code = _report(findings, as_json=options.json)
         if options.fix:
@@ -101,20 +101,20 @@ def apply(
 
     Returns what was not done.
     """
-    left: list[Fix] = []
+    remaining: list[Fix] = []
     done: list[Fix] = []
     for fix in dict.fromkeys(fixes):
         if not ask(fix):
-            left.append(fix)
+            remaining.append(fix)
         elif _set(fix, examination, clock):
             done.append(fix)
             say(f"{fix.name} is now {fix.value:g}")
         else:
-            left.append(fix)
+            remaining.append(fix)
             say(f"{fix.name}: the autopilot did not take {fix.value:g}")
     if any(fix.reboot for fix in done):
         say("reboot the autopilot: " + ", ".join(fix.name for fix in done if fix.reboot) + " acts from the next start")
-    return left
+    return remaining
 
 
 def _set(fix: Fix, examination: Examination, clock: Clock) -> bool:
@@ -124,7 +124,7 @@ def _set(fix: Fix, examination: Examination, clock: Clock) -> bool:
         examination.pilot.set_parameter(fix.name, fix.value)
         ends_ns = clock.now_ns() + _ANSWER_NS
         while clock.now_ns() < ends_ns and fix.name not in parameters:
-            examination.turn()
+            examination.run_once()
         value = parameters.get(fix.name)
         if value is not None and abs(value - fix.value) <= 1e-6 * max(1.0, abs(fix.value)):
             return True

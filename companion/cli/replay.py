@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass(slots=True)
-class OutputTally:
+class OutputCounters:
     """Counts and digest of the outputs."""
 
     counts: Counter[str] = field(default_factory=Counter)
@@ -90,7 +90,7 @@ def execute(options: argparse.Namespace) -> int:
     settings = read_settings(options) if options.changes or options.settings else recording.settings
     is_own_format = recording.hub is ClockName.HOST and recording.path.suffix == ".mcap"
     same_beliefs = not options.airframe and settings == recording.settings and _begins_with_the_service(recording)
-    tally, comparison = OutputTally(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
+    counters, comparison = OutputCounters(), ReplayComparison(0.0 if _made_here(recording) else ROUNDING_RATIO)
     stations = StationAnalysis(recording.airframe)
     writer = McapWriter(options.out, About.of(recording.airframe, settings, recording.hub)) if options.out else None
     recorded = _outputs_of(recording) if is_own_format and same_beliefs else None
@@ -99,7 +99,7 @@ def execute(options: argparse.Namespace) -> int:
     with live_session(live, Subject(recording.airframe, settings, recording.path.name, is_recording=True)) as watched:
         show = None if watched is None else PacedView(watched)
         for output in _replayed(recording, settings, is_own_format, stations, progress, show):
-            tally.take(output)
+            counters.take(output)
             if show is not None:
                 show.publish(output)
             if writer is not None:
@@ -110,12 +110,12 @@ def execute(options: argparse.Namespace) -> int:
     if writer is not None:
         writer.close()
     _left_over(comparison, recorded)
-    result = _result(recording, tally, stations, comparison if recorded is not None else None)
+    result = _result(recording, counters, stations, comparison if recorded is not None else None)
     print(json.dumps(result, indent=2) if options.json else _text(result))
     if comparison.difference:
         print(f"spanwise replay: not reproduced: {comparison.difference}", file=sys.stderr)
         return 1
-    return 0 if tally.trusted or tally.last_tracking or stations.has_tone else NOTHING_TO_ESTIMATE
+    return 0 if counters.trusted or counters.last_tracking or stations.has_tone else NOTHING_TO_ESTIMATE
 
 
 def encoded(record: Record) -> bytes:
@@ -188,7 +188,7 @@ def _left_over(comparison: ReplayComparison, recorded: Iterator[Record] | None) 
 
 
 def _result(
-    recording: Recording, tally: OutputTally, stations: StationAnalysis, comparison: ReplayComparison | None
+    recording: Recording, counters: OutputCounters, stations: StationAnalysis, comparison: ReplayComparison | None
 ) -> dict[str, Any]:
     return {
         "recording": str(recording.path),
@@ -196,15 +196,15 @@ def _result(
         "clock": str(recording.hub),
         "notices": [notice.text for notice in recording.notices],
         "stations": stations.result(),
-        "wing": _wing(tally),
+        "wing": _wing(counters),
         "ranges": {
-            "corrected": tally.counts["CorrectedRange"],
-            "trusted": len(tally.trusted),
-            "last_m": tally.trusted[-1].range_m if tally.trusted else None,
+            "corrected": counters.counts["CorrectedRange"],
+            "trusted": len(counters.trusted),
+            "last_m": counters.trusted[-1].range_m if counters.trusted else None,
         },
-        "outputs": dict(sorted(tally.counts.items())),
-        "rejected": dict(sorted(tally.rejected.items())),
-        "outputs_sha256": tally.digest.hexdigest(),
+        "outputs": dict(sorted(counters.counts.items())),
+        "rejected": dict(sorted(counters.rejected.items())),
+        "outputs_sha256": counters.digest.hexdigest(),
         "reproduced": comparison.identical if comparison else None,
         "reproduced_to_rounding": comparison.difference is None if comparison else None,
         "verdict": _verdict(recording, comparison) if comparison else None,
@@ -213,10 +213,10 @@ def _result(
     }
 
 
-def _wing(tally: OutputTally) -> dict[str, Any]:
-    total = sum(tally.validity.values())
-    shares = {name: round(count / total, 4) for name, count in sorted(tally.validity.items())}
-    mode = tally.last_tracking
+def _wing(counters: OutputCounters) -> dict[str, Any]:
+    total = sum(counters.validity.values())
+    shares = {name: round(count / total, 4) for name, count in sorted(counters.validity.items())}
+    mode = counters.last_tracking
     if mode is None:
         return {"validity": shares, "symmetric": None, "antisymmetric": None}
     members = {"symmetric": mode.symmetric, "antisymmetric": mode.antisymmetric}

@@ -44,7 +44,7 @@ WANTED = (
 
 
 class Examination:
-    """A live vehicle, listened to for a while. ``turn`` does one pass, so that tests can turn it by hand.
+    """A live vehicle, listened to for a while. ``run_once`` does one pass, so that tests can step it by hand.
 
     Rates are taken over the last 60 % of the time: the first part is spent on asking for them. ``each`` is shown
     every record, afterwards too.
@@ -75,7 +75,7 @@ class Examination:
         """Whether the time is up."""
         return self._clock.now_ns() >= self._ends_host_ns
 
-    def turn(self, timeout_s: float = 0.002) -> None:
+    def run_once(self, timeout_s: float = 0.002) -> None:
         """Take in what has arrived, and let the adapter ask what it asks."""
         for record in self.pilot.poll(timeout_s):
             self._take(record)

@@ -22,22 +22,22 @@ _LONGEST_S = 120.0
 def models_of(paths: Sequence[Path], airframe: Airframe, mapping: TableMapping | None = None) -> list[FlightModel]:
     """Read recordings and hold them against one belief.
 
-    A recording longer than two minutes is cut into equal pieces that share everything, so that the time a diagnosis
+    A recording longer than two minutes is cut into equal segments that share everything, so that the time a diagnosis
     takes grows with the length and its memory does not.
 
     Raises
     ------
     RecordingError
-        One cannot be read, has no wing accelerometer, or less than 8 s can be pieced together.
+        One cannot be read, has no wing accelerometer, or less than 8 s in all can be used.
     """
     top_hz = top_of(airframe)
     recorded = [observe(load(path, airframe, mapping), airframe, top_hz) for path in paths]
     belief = belief_for(airframe, recorded)
     return [
-        FlightModel(belief, piece, top_hz, k)
+        FlightModel(belief, short, top_hz, k)
         for k, segments in enumerate(recorded)
         for segment in segments
-        for piece in _pieces(segment)
+        for short in _short_segments(segment)
     ]
 
 
@@ -60,7 +60,7 @@ def belief_for(airframe: Airframe, recorded: Sequence[Sequence[Observations]]) -
     return believe(airframe, sides, with_range, varies, len(recorded), inputs, has_root)
 
 
-def _pieces(recording: Observations) -> list[Observations]:
+def _short_segments(recording: Observations) -> list[Observations]:
     count = math.ceil(recording.duration_s / _LONGEST_S)
     if count < 2:
         return [recording]

@@ -142,15 +142,15 @@ class InProcessStudio:
 
     def __init__(self, stage: Stage) -> None:
         self._studio = Studio(stage)
-        self._begun: dict[int, Pull] = {}
+        self._pulled: dict[int, Pull] = {}
 
     def begin(self, pull: Pull) -> None:
         """Note the shot."""
-        self._begun[pull.shot] = pull
+        self._pulled[pull.shot] = pull
 
     def result(self, shot: int) -> ShotRecords:
         """Make it."""
-        return self._studio.shoot(self._begun.pop(shot))
+        return self._studio.shoot(self._pulled.pop(shot))
 
     def __exit__(self, *_: object) -> None:
         """Nothing to end."""

@@ -103,10 +103,10 @@ def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
     usual = float(np.median(steps_ms))
     wide = np.flatnonzero(steps_ms > _GAP_RATIO * usual)
     ends_s = np.concatenate([[0.0], np.cumsum(steps_ms)]) * 1e-3
-    # short gaps are bridged by interpolation; only what is longer than 20 ms ends a stretch
+    # short gaps are bridged by interpolation; only what is longer than 20 ms ends a segment
     long = np.flatnonzero(steps_ms > max(20.0, 2.0 * _GAP_RATIO * usual))
     edges = [0, *(long + 1).tolist(), len(steps_ms) + 1]
-    stretches = [float(ends_s[stop - 1] - ends_s[start]) for start, stop in itertools.pairwise(edges)]
+    segments_s = [float(ends_s[stop - 1] - ends_s[start]) for start, stop in itertools.pairwise(edges)]
     low, high = np.percentile(np.delete(steps_ms, wide), (1, 99))
     return StreamTiming(
         station.name.lower(),
@@ -117,7 +117,7 @@ def _evenness(station: Station, t_ns: Ints) -> StreamTiming:
         float(high),
         len(wide),
         float(steps_ms[wide].max()) if len(wide) else 0.0,
-        max(stretches),
+        max(segments_s),
         sum(segment.recorded_s for segment in segments_of([ends_s])),
     )
 
@@ -160,9 +160,9 @@ def _rows(plain: dict[str, Any]) -> list[list[str]]:
 
 def _tell(plain: dict[str, Any]) -> None:
     print(f"verdict: not identifiable from this recording: {plain['reason']}")
-    for name, station, rate, steps, gaps, longest, stretch in _rows(plain):
+    for name, station, rate, steps, gaps, longest, segment in _rows(plain):
         count = f"{gaps} gap" if gaps == "1" else f"{gaps} gaps"
-        print(f"  {name}, {station}: {rate}, steps {steps}, {count}, the longest {longest}; unbroken {stretch}")
+        print(f"  {name}, {station}: {rate}, steps {steps}, {count}, the longest {longest}; unbroken {segment}")
     for line in plain["advice"]:
         print(f"  record: {line.removeprefix('record ')}")
     for note in plain["notes"]:

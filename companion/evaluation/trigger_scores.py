@@ -66,17 +66,17 @@ def trigger_scores(
     ``start_host_ns`` is the host time of boot time 0.
     """
     aimed = _aimed(list(plans), matches, start_host_ns)
-    peaks, swing = true_peaks(flight), _FreeSwing(flight)
+    peaks, free = true_peaks(flight), _FreeVibration(flight)
     random_s = _random_instants_s(flight)
     fired_s = np.array([shot_s for shot_s, _ in aimed])
     scores: dict[str, Any] = {"shots": len(aimed)}
     for name, true_s in (("deflection", peaks.deflection_s), ("toe", peaks.toe_s)):
-        limit_s = np.array([swing.peak_s(planned_s, shot_s, name) for shot_s, planned_s in aimed])
+        limit_s = np.array([free.peak_s(planned_s, shot_s, name) for shot_s, planned_s in aimed])
         scores[f"{name}_peak_ms"] = {
             way: spread(_nearest_s(instants, true_s), 1e3)
             for way, instants in (("at_plan", fired_s), ("limit", limit_s), ("at_random", random_s))
         }
-    stillest_s = np.array([swing.stillest_s(planned_s, shot_s) for shot_s, planned_s in aimed])
+    stillest_s = np.array([free.stillest_s(planned_s, shot_s) for shot_s, planned_s in aimed])
     blur = {way: _blur_px(flight, instants) for way, instants in
             (("at_plan", fired_s), ("limit", stillest_s), ("at_random", random_s))}  # fmt: skip
     means = {way: float(np.mean(values)) if len(values) else np.nan for way, values in blur.items()}
@@ -109,7 +109,7 @@ def _aimed(plans: list[TriggerPlan], matches: Iterable[MatchSet], start_host_ns:
     return pairs
 
 
-class _FreeSwing:
+class _FreeVibration:
     """Free decay from the true state of an instant: modal motion on a grid of the truth's steps."""
 
     def __init__(self, flight: Flight) -> None:

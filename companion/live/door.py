@@ -22,7 +22,7 @@ from companion.live.requests import MOST_BODY_BYTES, MOST_HEAD_BYTES, HttpAnswer
 _HEAD_S = 10.0
 _MOST_CONNECTIONS = 64  # bound of memory
 _CLOSING_S = 2.0
-_PIECE_BYTES = 262_144
+_CHUNK_BYTES = 262_144
 _SHUT_OUT = (
     "the live view wants its token here: open the address that 'spanwise run --live' prints, "
     "or put ?token=... behind this one"
@@ -130,7 +130,7 @@ async def _send(writer: asyncio.StreamWriter, response: HttpAnswer) -> None:
     with response.file.open("rb") as file:  # one that is being written is sent as long as it is now
         remaining = response.file.stat().st_size
         writer.write(response.head(remaining))
-        while remaining and (piece := await asyncio.to_thread(file.read, min(_PIECE_BYTES, remaining))):
-            writer.write(piece)
+        while remaining and (chunk := await asyncio.to_thread(file.read, min(_CHUNK_BYTES, remaining))):
+            writer.write(chunk)
             await writer.drain()
-            remaining -= len(piece)
+            remaining -= len(chunk)

@@ -33,12 +33,12 @@ def serve_live(
             for end in ends:
                 selector.register(RecorderReceiver(end), selectors.EVENT_READ)
             while not stop.is_set():
-                _turn(session, selector)
+                _run_once(session, selector)
     finally:
         session.close()
 
 
-def _turn(session: LiveSession, selector: selectors.BaseSelector) -> None:
+def _run_once(session: LiveSession, selector: selectors.BaseSelector) -> None:
     """Publish what has come, and tend."""
     for key, _ in selector.select(_TURN_S):
         receiver = key.fileobj

@@ -9,7 +9,7 @@ from companion.live.requests import MOST_HEAD_BYTES, Request
 
 _SPOKEN = "foxglove.sdk.v1"
 _EARLIER = "foxglove.websocket.v1"  # the same protocol, as Lichtblick before 1.24 and older clients name it
-_PIECE_BYTES = 65_536
+_CHUNK_BYTES = 65_536
 _HANDSHAKE = ("upgrade", "connection", "sec-websocket-key", "sec-websocket-version")
 
 
@@ -50,6 +50,6 @@ async def _both_ways(*ways: tuple[asyncio.StreamReader, asyncio.StreamWriter]) -
 
 async def _pass_on(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     with contextlib.suppress(OSError):
-        while piece := await reader.read(_PIECE_BYTES):
-            writer.write(piece)
+        while chunk := await reader.read(_CHUNK_BYTES):
+            writer.write(chunk)
             await writer.drain()

@@ -94,15 +94,15 @@ def best_fit() -> tuple[float, float, Floats]:
     """Mass ratio and omega/(beta*l)^2 that fit the printed frequencies best, and the deviations left, (3,)."""
     logs = np.log(printed_omegas())
 
-    def left(mass_ratio: float) -> Floats:
+    def residuals(mass_ratio: float) -> Floats:
         gap = logs - 2.0 * np.log(characteristic_roots(3, mass_ratio))
         return np.asarray(gap - gap.mean())
 
-    minimum = minimize_scalar(lambda mu: float(np.sum(left(mu) ** 2)), bounds=(1.5, 3.5), options={"xatol": 1e-9})
+    minimum = minimize_scalar(lambda mu: float(np.sum(residuals(mu) ** 2)), bounds=(1.5, 3.5), options={"xatol": 1e-9})
     mass_ratio = float(minimum.x)
     roots = characteristic_roots(3, mass_ratio)
     scale = float(np.exp(np.mean(logs - 2.0 * np.log(roots))))
-    return mass_ratio, scale, np.asarray(np.exp(-left(mass_ratio)) - 1.0)
+    return mass_ratio, scale, np.asarray(np.exp(-residuals(mass_ratio)) - 1.0)
 
 
 def powers_of_ten() -> tuple[float, int, int]:

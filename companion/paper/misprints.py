@@ -53,9 +53,9 @@ def _beam() -> list[Misprint]:
     implied = ", ".join(f"{beam_tables.implied_mass_ratio(mode.root):.3f}" for mode in printed.MODES)
     scales = ", ".join(f"{mode.omega_radps / mode.root**2:.3f}" for mode in printed.MODES)
     strip = beam_tables.corrected_beam()
-    left = [deviation(mode.omega_radps, row.omega_radps)
+    deviations = [deviation(mode.omega_radps, row.omega_radps)
             for mode, row in zip(strip.modes(3), printed.MODES, strict=True)]  # fmt: skip
-    fit = f"all three frequencies within {percent(max(abs(gap) for gap in left))}"
+    fit = f"all three frequencies within {percent(max(abs(gap) for gap in deviations))}"
     return [
         Misprint("Table 1, E", "70e9 GPa", "70e9 Pa", "aluminium", "certain"),
         Misprint("Table 1, m", ".035 g", "kg", f"the roots need {implied} beam masses", "certain"),

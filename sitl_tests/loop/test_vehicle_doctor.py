@@ -1,4 +1,4 @@
-"""The doctor against the simulated vehicle, turned by hand: each thing set wrong is found, with its exact fix."""
+"""The doctor against the simulated vehicle, stepped by hand: each thing set wrong is found, with its exact fix."""
 
 from __future__ import annotations
 
@@ -81,10 +81,10 @@ class Ward:
             [Link(0, "memory", OurEnd(self.pipe), self.clock)], AIRFRAME, settings or Settings(), self.clock, SECONDS
         )
         # whoever waits for time to pass lets the vehicle fly
-        self.examination.turn = self.turn  # type: ignore[method-assign]
-        self._poll = Examination.turn
+        self.examination.run_once = self.run_once  # type: ignore[method-assign]
+        self._poll = Examination.run_once
 
-    def turn(self, timeout_s: float = 0.0) -> None:
+    def run_once(self, timeout_s: float = 0.0) -> None:
         self.clock.now += 2 * MS
         self.world.run_once(self.clock.now - self.began, self.clock.now)
         self._poll(self.examination, 0.0)
@@ -95,7 +95,7 @@ class Ward:
             count += 1
             if extra is not None and count % 100 == 0:
                 self.pipe.outward += extra(count)
-            self.turn()
+            self.run_once()
         return list(diagnose(self.examination.evidence()))
 
 

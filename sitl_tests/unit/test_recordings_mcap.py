@@ -256,7 +256,7 @@ def test_an_independent_reader_sees_messages_that_its_schemas_describe(tmp_path:
 @settings(max_examples=30, deadline=None)
 @given(batch=record_of(ImuBatch))
 def test_the_packed_form_is_what_its_schema_text_says(batch: ImuBatch) -> None:
-    plain = ros1(channels.packed.SCHEMAS[ImuBatch], pack(batch))
+    plain = ros1(channels.ros1_codec.SCHEMAS[ImuBatch], pack(batch))
     assert plain["clock"] == batch.clock.encode()
     assert plain["t_ns"] == tuple(batch.t_ns.tolist())
     stored = [i for i in range(6) if plain["columns"] >> i & 1]

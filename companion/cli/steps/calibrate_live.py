@@ -57,12 +57,12 @@ def _line(live: LiveViews, sentence: str) -> str:
 
 
 def _keep(taken: Taken, images: Path, preview: Path) -> None:
-    drawn = []
+    marked = []
     for camera, image, corners in (("cam0", taken.left, taken.view.left), ("cam1", taken.right, taken.view.right)):
         (images / camera).mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(images / camera / f"{int(taken.view.name[4:]):04d}.png"), image)
         colour = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
         for x, y in corners.pixels:
             cv2.circle(colour, (round(x), round(y)), 4, (0, 200, 0), 1, cv2.LINE_AA)
-        drawn.append(colour)
-    cv2.imwrite(str(preview), cv2.hconcat(drawn))
+        marked.append(colour)
+    cv2.imwrite(str(preview), cv2.hconcat(marked))

@@ -191,7 +191,7 @@ class WingGuide:
 
     def _once(self) -> None:
         self._wait()
-        self._examination.turn()
+        self._examination.run_once()
 
     def _listen(self, for_ns: int) -> None:
         ends_ns = self._clock.now_ns() + for_ns

@@ -125,20 +125,20 @@ def _coverage(axis: Any, corners_of_views: list[Corners], off: Floats, shape: tu
 def _views(fit: RigFit, pairs: Pairs, board: Board) -> list[Block]:
     """Refused ones first; then as many of the others as a page bears."""
     ordered = sorted(pairs, key=lambda pair: pair[0] not in fit.rejected)
-    pieces: list[Block] = []
+    blocks: list[Block] = []
     for name, *images in ordered[:_SHOWN]:
         why = fit.rejected.get(name)
         off = None if why else fit.bundle.residuals_px[fit.views.index(name)]
-        drawn = [_drawn(image, board, None if off is None else off[k]) for k, image in enumerate(images)]
-        data = cv2.imencode(".jpg", cv2.hconcat(drawn))[1].tobytes()
+        marked = [_marked(image, board, None if off is None else off[k]) for k, image in enumerate(images)]
+        data = cv2.imencode(".jpg", cv2.hconcat(marked))[1].tobytes()
         title = Heading(f"{name}: {why}" if why else name, level=3, warning=bool(why))
-        pieces += [title, embed_image(data, "jpeg", f"view {name}")]
+        blocks += [title, embed_image(data, "jpeg", f"view {name}")]
     if len(ordered) > _SHOWN:
-        pieces.append(Paragraph(f"and {len(ordered) - _SHOWN} more views."))
-    return pieces
+        blocks.append(Paragraph(f"and {len(ordered) - _SHOWN} more views."))
+    return blocks
 
 
-def _drawn(image: Bytes, board: Board, residuals: Floats | None) -> Bytes:
+def _marked(image: Bytes, board: Board, residuals: Floats | None) -> Bytes:
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     corners = find_corners(image, board)
     pixels = np.empty((0, 2)) if corners is None else corners.pixels

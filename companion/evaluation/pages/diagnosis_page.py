@@ -24,7 +24,7 @@ def write_report(diagnosis: FlightDiagnosis, models: Sequence[FlightModel], plai
     body: list[Block] = [
         Answers([(_ASKED[key], plain["words"][key]) for key in _ASKED]),
         *_causes(plain),
-        *_left(plain),
+        *_residual(plain),
         Heading("Evidence: the simulation against the recording"),
         embed(figures.spectra(fits, model), "spectra of both tips, recorded and modelled"),
         embed(figures.innovations(fits, model), "innovations, backbone and missing force"),
@@ -112,7 +112,7 @@ def _advice(cause: dict[str, Any]) -> str:
     return said + (f"To separate or mend it: {cause['advice']}." if cause["advice"] else "")
 
 
-def _left(plain: dict[str, Any]) -> list[Block]:
+def _residual(plain: dict[str, Any]) -> list[Block]:
     """Residuals of an unexplained recording, described and not named."""
     residual = plain["residual"]
     if residual is None:

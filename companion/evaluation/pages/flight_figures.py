@@ -66,17 +66,17 @@ def modes(log: FlightLog, text: str) -> Any:
     """Frequency, damping and rms deflection of the first modes over time, each with its sigma as a band."""
     figure = _figure(6.2)
     headline(figure, text)
-    frequency, damping, swing = figure.subplots(3, 1, sharex=True)
+    frequency, damping, deflection = figure.subplots(3, 1, sharex=True)
     tracked = [mode for mode in log.modes if mode.validity is Validity.TRACKING]
     t_s = (np.array([mode.t_host_ns for mode in tracked]) - log.start_host_ns) * 1e-9
     for name, colour in (("symmetric", BLUE), ("antisymmetric", ORANGE)):
         family = [_family(mode, name) for mode in tracked]
         _band(frequency, t_s, family, ("frequency_hz", "frequency_sigma_hz"), 1.0, colour, name)
         _band(damping, t_s, family, ("damping", "damping_sigma"), 1.0, colour, name)
-        _band(swing, t_s, family, ("rms_m", "amplitude_sigma_m"), _MM, colour, name)
+        _band(deflection, t_s, family, ("rms_m", "amplitude_sigma_m"), _MM, colour, name)
     frequency.set(ylabel="frequency, Hz")
     damping.set(ylabel="damping ratio")
-    swing.set(ylabel="rms deflection, mm", xlabel="time, s", ylim=(0.0, None))
+    deflection.set(ylabel="rms deflection, mm", xlabel="time, s", ylim=(0.0, None))
     damping.legend(fontsize=8, ncols=2, loc="best", title="first modes, ±1 sigma", title_fontsize=8)
     return figure
 

@@ -39,7 +39,7 @@ def ringing_page(diagnosis: FreeDecayDiagnosis, scales: Mapping[str, Scale], pla
         Heading("What is left"),
         embed(_innovations(diagnosis), "autocorrelation of the innovations"),
         embed(_forces(diagnosis), "what spring and damper leave, over deflection and speed"),
-        *_left(plain),
+        *_residual(plain),
     ]
     seconds = sum(float(recording.t_s[-1]) for recording in diagnosis.null.state.recordings)
     return rendered(plain, f"{what}: recordings: {len(plain['recordings'])}, {seconds:.0f} s, fitted jointly", body)
@@ -108,7 +108,7 @@ def _alone(plain: dict[str, Any]) -> Table:
     return Table(["law", "log Bayes factor", "held-out error", "of its square gone (95 %)"], rows)
 
 
-def _left(plain: dict[str, Any]) -> list[Block]:
+def _residual(plain: dict[str, Any]) -> list[Block]:
     residual = plain["residual"]
     needed = [Advice(f"Needed and without a name: {line}.") for line in residual["unnamed"]] if residual else []
     tests = check_table(plain, "test (worst recording)", "constant frequency")

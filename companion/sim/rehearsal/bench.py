@@ -76,7 +76,7 @@ def bench_flight(
 def felt_at(airframe: Airframe, fault: Miswiring, station: Station, t_s: Floats, script: Sequence[Handling]) -> Floats:
     """Readings (n, 6) of a station at instants (n,), body axes, m/s^2 and rad/s."""
     felt = tilted(t_s, script)
-    felt[:, 2] += ringing(airframe, _place(station, fault), t_s, script)
+    felt[:, 2] += tip_response(airframe, _place(station, fault), t_s, script)
     for wrong, column in fault.turned:
         if wrong is station:
             felt[:, column] *= -1.0
@@ -110,23 +110,23 @@ def _angle(t_s: Floats, script: Sequence[Handling], motion: Gesture) -> tuple[Fl
     return angle, rate
 
 
-def ringing(airframe: Airframe, place: Station, t_s: Floats, script: Sequence[Handling]) -> Floats:
+def tip_response(airframe: Airframe, place: Station, t_s: Floats, script: Sequence[Handling]) -> Floats:
     """Vertical acceleration of a tip, m/s^2, down positive: taps fade at once, plucks ring at the wing's modes."""
     wing = airframe.wing
     side = {Station.LEFT: -1.0, Station.RIGHT: 1.0, Station.ROOT: 0.0}[place]
     total = np.zeros_like(t_s)
     for each in script:
         since_s = np.maximum(t_s - each.at_s, 0.0)
-        begun = t_s >= each.at_s
+        after = t_s >= each.at_s
         if each.motion in (Gesture.TAP_LEFT, Gesture.TAP_RIGHT):
             struck = side == (-1.0 if each.motion is Gesture.TAP_LEFT else 1.0)
             size = _TAP_MPS2 * (1.0 if struck else _CROSSING)
-            total += begun * size * np.exp(-since_s / _FADE_S) * np.cos(math.tau * 12.0 * since_s)
+            total += after * size * np.exp(-since_s / _FADE_S) * np.cos(math.tau * 12.0 * since_s)
         elif each.motion in (Gesture.PLUCK_BOTH, Gesture.PLUCK_ACROSS):
             both = each.motion is Gesture.PLUCK_BOTH
             mode = wing.symmetric if both else wing.antisymmetric
             rate = math.tau * mode.frequency_hz.value
             size = _PLUCK_MPS2 * (abs(side) if both else side)
             decay = np.exp(-mode.damping.value * rate * since_s)
-            total -= begun * size * decay * np.cos(rate * since_s)
+            total -= after * size * decay * np.cos(rate * since_s)
     return total

@@ -137,6 +137,6 @@ def _meet(rays: Floats, origin_m: Floats) -> Floats:
     ``origin_m`` is the board's origin as seen from the camera, in board axes.
     """
     closing = np.where(np.abs(rays[:, 2]) < 1e-9, 1e-9, rays[:, 2])
-    stretch = origin_m[2] / closing
-    met: Floats = np.where(stretch[:, np.newaxis] > 0.0, stretch[:, np.newaxis] * rays - origin_m, 1e6)[:, :2]
+    factors = origin_m[2] / closing
+    met: Floats = np.where(factors[:, np.newaxis] > 0.0, factors[:, np.newaxis] * rays - origin_m, 1e6)[:, :2]
     return met

@@ -60,14 +60,14 @@ class Plane:
         reach = self.normal @ (self.centre_m - origin_m)
         closing = directions @ self.normal
         away = closing * np.sign(reach) <= 1e-12
-        stretch = np.where(away, np.inf, reach / np.where(away, 1.0, closing))
+        factors = np.where(away, np.inf, reach / np.where(away, 1.0, closing))
         if self.half_size_m is None:
-            return np.asarray(stretch)
-        local = origin_m + np.where(away, 0.0, stretch)[:, None] * directions - self.centre_m
+            return np.asarray(factors)
+        local = origin_m + np.where(away, 0.0, factors)[:, None] * directions - self.centre_m
         inside = (np.abs(local @ self.across) <= self.half_size_m[0]) & (
             np.abs(local @ self.along) <= self.half_size_m[1]
         )
-        return np.where(inside, stretch, np.inf)
+        return np.where(inside, factors, np.inf)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

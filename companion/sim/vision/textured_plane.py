@@ -204,8 +204,8 @@ def _sight(plane: Plane, views: list[PosedCamera], grid: PixelGrid, track: Track
 def _origin(plane: Plane, view: PosedCamera) -> Floats:
     """Plane coordinates near what is seen, so that single precision suffices from there on."""
     axis = view.camera_from_ned[2]
-    stretch = plane.hit(view.centre_ned_m, axis[None])[0] if abs(plane.normal @ axis) > 0.05 else np.inf
-    spot = view.centre_ned_m + (stretch if np.isfinite(stretch) else 0.0) * axis - plane.centre_m
+    factor = plane.hit(view.centre_ned_m, axis[None])[0] if abs(plane.normal @ axis) > 0.05 else np.inf
+    spot = view.centre_ned_m + (factor if np.isfinite(factor) else 0.0) * axis - plane.centre_m
     return np.array([spot @ plane.across, spot @ plane.along])
 
 

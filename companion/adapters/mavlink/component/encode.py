@@ -182,9 +182,9 @@ def status_text(severity: int, text: str, identity: int) -> list[Any]:
         return [mavlink.MAVLink_statustext_message(level, plain.encode())]
     # a text ends with the first chunk that is not full, so a last full one is followed by an empty one
     starts = range(0, len(plain) + 1, _TEXT_CHARACTERS)
-    pieces = [plain[start : start + _TEXT_CHARACTERS].encode() for start in starts]
+    chunks = [plain[start : start + _TEXT_CHARACTERS].encode() for start in starts]
     shared = (identity - 1) % 65_535 + 1
-    return [mavlink.MAVLink_statustext_message(level, piece, shared, index) for index, piece in enumerate(pieces)]
+    return [mavlink.MAVLink_statustext_message(level, chunk, shared, index) for index, chunk in enumerate(chunks)]
 
 
 def sendable(message: Any) -> bool:

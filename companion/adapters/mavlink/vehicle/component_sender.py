@@ -75,5 +75,5 @@ class ComponentSender:
         text = self._component.texts.admit(notice)
         if text is not None:
             self._texts += 1
-            for piece in encode.status_text(notice.severity, text, self._texts):
-                self.send(piece)
+            for chunk in encode.status_text(notice.severity, text, self._texts):
+                self.send(chunk)

@@ -6,7 +6,7 @@ import dataclasses
 import typing
 from dataclasses import dataclass
 
-from companion.adapters.recordings.mcap import ros1_codec as packed
+from companion.adapters.recordings.mcap import ros1_codec
 from companion.records import (
     AutopilotParameter,
     CameraFeedback,
@@ -52,12 +52,12 @@ class McapChannel:
     @property
     def schema_name(self) -> str:
         """Name of the MCAP schema, by which the reader knows the record's class."""
-        return f"spanwise/{self.kind.__name__}" if self.packed else f"spanwise.{self.kind.__name__}"
+        return f"spanwise/{self.kind.__name__}" if self.is_ros1 else f"spanwise.{self.kind.__name__}"
 
     @property
-    def packed(self) -> bool:
-        """Whether the record is stored in its compact form instead of JSON."""
-        return self.kind in packed.SCHEMAS
+    def is_ros1(self) -> bool:
+        """Whether the record is stored as a ROS 1 message instead of JSON."""
+        return self.kind in ros1_codec.SCHEMAS
 
 
 def topic_of(record: Recordable) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from companion.adapters.recordings.mcap import images
-from companion.adapters.recordings.mcap import ros1_codec as packed
+from companion.adapters.recordings.mcap import images, ros1_codec
 from companion.adapters.recordings.mcap.channels import CHANNELS, IMAGE_SCHEMA, McapChannel
 from companion.adapters.recordings.mcap.codec import codec_of, dumps
 from companion.adapters.recordings.mcap.images import ImageFormat
@@ -25,8 +24,8 @@ class MessageForm:
 
 def form_of(listed: McapChannel) -> MessageForm:
     """Give the form of a kind of record."""
-    if listed.packed:
-        return MessageForm("ros1", listed.schema_name, "ros1msg", packed.SCHEMAS[listed.kind].encode())
+    if listed.is_ros1:
+        return MessageForm("ros1", listed.schema_name, "ros1msg", ros1_codec.SCHEMAS[listed.kind].encode())
     text = json.dumps({"title": listed.schema_name, **codec_of(listed.kind).schema})
     return MessageForm("json", listed.schema_name, "jsonschema", text.encode())
 
@@ -39,7 +38,7 @@ def image_form() -> MessageForm:
 def message_of(record: Record) -> tuple[int, bytes]:
     """Log time (host ns) and bytes of a record that is no image."""
     listed = CHANNELS[type(record)]
-    data = packed.pack(record) if listed.packed else dumps(listed.kind, record)
+    data = ros1_codec.pack(record) if listed.is_ros1 else dumps(listed.kind, record)
     return getattr(record, listed.time), data
 
 

@@ -12,8 +12,7 @@ from mcap import records as mcap
 from mcap.opcode import Opcode
 from mcap.stream_reader import breakup_chunk
 
-from companion.adapters.recordings.mcap import images
-from companion.adapters.recordings.mcap import ros1_codec as packed
+from companion.adapters.recordings.mcap import images, ros1_codec
 from companion.adapters.recordings.mcap.channels import IMAGE_SCHEMA, KINDS, Recordable
 from companion.adapters.recordings.mcap.codec import loads
 from companion.adapters.recordings.mcap.container import (
@@ -267,5 +266,7 @@ def _record_of(schema: mcap.Schema, message: mcap.Message, unpaired: dict[int, F
     if schema.name not in KINDS:
         return None
     kind = KINDS[schema.name]
-    record: Recordable = packed.unpack(kind, message.data) if kind in packed.SCHEMAS else loads(kind, message.data)
+    record: Recordable = (
+        ros1_codec.unpack(kind, message.data) if kind in ros1_codec.SCHEMAS else loads(kind, message.data)
+    )
     return record

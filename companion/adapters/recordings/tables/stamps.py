@@ -43,10 +43,10 @@ def without_rounding(t_s: Floats) -> tuple[Floats, str]:
     holes = np.flatnonzero(np.diff(t_s) > max(_HOLE * usual_s, usual_s + 2.0 * lattice_s))
     if lattice_s < _HARMLESS * usual_s:
         return t_s, ""
-    pieces = [_even(piece, lattice_s) for piece in np.split(t_s, holes + 1)]
-    if any(piece is None for piece in pieces):
+    segments = [_even(segment, lattice_s) for segment in np.split(t_s, holes + 1)]
+    if any(segment is None for segment in segments):
         return t_s, ""
-    even = np.concatenate([piece for piece in pieces if piece is not None])
+    even = np.concatenate([segment for segment in segments if segment is not None])
     if np.allclose(even, t_s, rtol=0.0, atol=_HARMLESS * usual_s):  # a rate that the lattice holds exactly
         return t_s, ""
     steps = np.diff(even)
@@ -64,7 +64,7 @@ def _lattice(t_s: Floats) -> float:
 
 
 def _even(t_s: Floats, lattice_s: float) -> Floats | None:
-    """The line that stamps of one piece lie on to within their rounding, single samples may be missing; None if none.
+    """The line that stamps of one segment lie on to within their rounding, single samples may be missing; None if none.
 
     It begins where the stamps are densest, which is where none is missing, and grows to both sides: by each fit the
     next stamps are counted.
