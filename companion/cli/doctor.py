@@ -65,7 +65,7 @@ def execute(options: argparse.Namespace) -> int:
     clock = MonotonicClock()
     signing = None if options.sign_key is None else load_signing(options.sign_key, clock)
     links = [open_link(spelling, clock, number, signing) for number, spelling in enumerate(options.connect)]
-    examination = Examination(links, airframe, settings, clock, options.seconds)
+    examination = Examination(links, clock, airframe, settings, options.seconds)
     try:
         print(f"listening for {options.seconds:g} s ...", file=sys.stderr)
         while not examination.over:

@@ -53,9 +53,9 @@ class Examination:
     def __init__(
         self,
         links: Sequence[Link],
+        clock: Clock,
         airframe: Airframe,
         settings: Settings,
-        clock: Clock,
         seconds: float,
         each: Callable[[Record], None] | None = None,
     ) -> None:

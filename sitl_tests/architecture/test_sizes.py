@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = sorted((ROOT / "companion").rglob("*.py"))
+REPEATED = 6  # equal lines in a row that are written once (convention)
 LARGEST_FILE = 400  # lines (convention): 350 are aimed at
 
 
@@ -30,3 +32,25 @@ def test_no_file_is_longer_than_400_lines() -> None:
         str(path.relative_to(ROOT / "companion")): len(path.read_text(encoding="utf-8").splitlines()) for path in FILES
     }
     assert {name: count for name, count in lines.items() if count > LARGEST_FILE} == {}
+
+
+def _code(path: Path) -> list[tuple[int, str]]:
+    """Numbered lines of code: no blank line, comment, docstring or import."""
+    text = path.read_text(encoding="utf-8")
+    prose: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if is_text or isinstance(node, ast.Import | ast.ImportFrom):
+            prose |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    lines = enumerate((line.strip() for line in text.splitlines()), start=1)
+    return [(k, line) for k, line in lines if line and not line.startswith("#") and k not in prose]
+
+
+def test_no_six_lines_of_code_stand_twice() -> None:
+    places: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for path in FILES:
+        lines = _code(path)
+        for start in range(len(lines) - REPEATED + 1):
+            run = lines[start : start + REPEATED]
+            places[tuple(line for _, line in run)].append(f"{path.relative_to(ROOT)}:{run[0][0]}")
+    assert [where for where in places.values() if len(where) > 1] == []

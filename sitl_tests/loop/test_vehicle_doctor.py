@@ -78,7 +78,7 @@ class Ward:
         self.world = World(flight, WorldOptions(**options), self.pipe)  # type: ignore[arg-type]
         self.began = self.clock.now
         self.examination = Examination(
-            [Link(0, "memory", OurEnd(self.pipe), self.clock)], AIRFRAME, settings or Settings(), self.clock, SECONDS
+            [Link(0, "memory", OurEnd(self.pipe), self.clock)], self.clock, AIRFRAME, settings or Settings(), SECONDS
         )
         # whoever waits for time to pass lets the vehicle fly
         self.examination.run_once = self.run_once  # type: ignore[method-assign]

@@ -83,7 +83,7 @@ def _on_the_bench(steps: list[str], airframe: Airframe, options: argparse.Namesp
     settings = read_settings(options)
 
     def examine(each: Callable[[Record], None]) -> Examination:
-        return Examination(links, airframe, settings, clock, options.seconds, each)
+        return Examination(links, clock, airframe, settings, options.seconds, each)
 
     guide = WingGuide(examine, lambda held: list(diagnose(held.evidence())), airframe, clock, _ask, wait)
     results = []
