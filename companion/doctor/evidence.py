@@ -58,29 +58,16 @@ class Beat:
 class Evidence:
     """Everything seen, of a live vehicle or in a log.
 
-    Attributes
-    ----------
-    live : bool
-        False for a log, where what cannot be seen is unknown rather than wrong.
-    beats : mapping of (system, component)
-    parameters : mapping
-        The autopilot's, as far as they were told.
-    rate_hz, axes : mappings of Station
-        Samples per second as delivered, and the axes that really come.
-    range_senders : mapping of (system, component), orientation
-        DISTANCE_SENSOR messages that others sent.
-    serial_baud : mapping
-        Baud rate by link, for the links that have one.
-    feedback : mapping of camera number
-        The numbers of the pictures that CAMERA_FEEDBACK told of; with two cameras ArduPilot tells each more than once.
-    shots, pairs, unpaired, lost : int
-        In a recording of ours: shots fired, image pairs matched, images without a partner, images that never came.
-    fates : Fates
-        In a recording of ours: what became of the shots that were planned.
-    node_losses : mapping of component, name
-        Counters that wing nodes tell (NAMED_VALUE_INT).
-    realtime : bool or None
-        Whether this user may take a real-time priority; None where that is not known.
+    ``live`` is False for a log, where what cannot be seen is unknown rather than wrong. ``beats`` goes by (system,
+    component); ``parameters`` are the autopilot's, as far as it sent them. ``rate_hz`` and ``axes`` are samples per
+    second as delivered, and the axes that really come. ``range_senders`` counts the DISTANCE_SENSOR messages of others,
+    by (system, component, orientation); ``serial_baud`` has the links that have a baud rate. ``feedback`` has, by
+    camera, the numbers of the pictures in CAMERA_FEEDBACK; with two cameras ArduPilot sends each more than once.
+
+    Of a recording of ours, ``shots`` were fired, ``pairs`` of images matched, ``unpaired`` images had no partner and
+    ``lost`` ones never came; ``plan_outcomes`` counts the end of every plan to fire. ``node_losses`` are the wing
+    nodes' counters by (component, name) of NAMED_VALUE_INT. ``realtime`` is whether this user may take a real-time
+    priority, None where that is not known.
     """
 
     airframe: Airframe

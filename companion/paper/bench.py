@@ -57,11 +57,8 @@ class Setup:
     duration_s: float = 16.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Path:
-    """Height above the rest place and its two derivatives at instants, upward: functions of time (n,)."""
-
-    at: Callable[[Floats], Floats]
+_Path = Callable[[Floats], Floats]
+"""Height above the rest place and its two derivatives, upward, (3, n), as a function of instants (n,), s."""
 
 
 def still_plan(duration_s: float) -> FlightPlan:
@@ -74,7 +71,7 @@ def hang(setup: Setup) -> Flight:
     rng = np.random.default_rng([setup.seed, 0xBE])
     real = draw_truth(setup.airframe, rng)
     model = WingModel.from_airframe(real.actual)
-    path = _Path(_shaken(setup, model, rng))
+    path = _shaken(setup, model, rng)
     steps = round((setup.duration_s + _TAIL_S) * 1000)
     knots, derivatives = _rigid(setup, path, steps)
     q, qdot = _bend(setup, model, path, steps, rng)
@@ -167,7 +164,7 @@ def _load(setup: Setup, model: WingModel, t_s: Floats, rng: np.random.Generator)
 
 def _rigid(setup: Setup, path: _Path, steps: int) -> tuple[Floats, Floats]:
     t_s: Floats = np.arange(steps + 1) * np.float64(1e-3)
-    height, speed, accel = path.at(t_s)
+    height, speed, accel = path(t_s)
     knots, derivatives = np.zeros((steps + 1, COLUMNS)), np.zeros((steps + 1, COLUMNS))
     knots[:, POSITION.stop - 1] = -_height(setup) - height
     knots[:, VELOCITY.stop - 1] = derivatives[:, POSITION.stop - 1] = -speed
@@ -178,7 +175,7 @@ def _rigid(setup: Setup, path: _Path, steps: int) -> tuple[Floats, Floats]:
 def _bend(setup: Setup, model: WingModel, path: _Path, steps: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     burn = round(_BURN_IN_S / SUBSTEP_S)
     t_s = (np.arange(burn + 2 * steps) - burn) * np.float64(SUBSTEP_S)
-    factor = 1.0 + path.at(t_s + np.float64(SUBSTEP_S / 2))[2] / GRAVITY_MPS2
+    factor = 1.0 + path(t_s + np.float64(SUBSTEP_S / 2))[2] / GRAVITY_MPS2
     q, qdot = integrate(model, _load(setup, model, t_s, rng), factor, -_BURN_IN_S)
     return q[burn::2], qdot[burn::2]
 

@@ -33,7 +33,7 @@ from companion.reporting.numbers import finite
 
 
 def make_sections(pace: Pace, jobs: int, say: Callable[[str], None], seeds: Sequence[int]) -> list[Section]:
-    """Run the whole audit, the experiments in ``jobs`` processes meanwhile; ``told`` hears what is done.
+    """Run the whole audit, the experiments in ``jobs`` processes meanwhile; ``say`` is told the progress.
 
     Everything is run with the first of ``seeds``, what is to be repeated with the others too.
     """

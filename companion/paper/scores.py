@@ -98,7 +98,7 @@ def errors(readings: Iterable[TrueReading | None]) -> dict[str, Any]:
 
 
 def toe_error_mrad(outcome: Outcome, scores: Mapping[str, Any]) -> tuple[float, float]:
-    """Mean and spread of a way's error as relative toe, ``B (1/Z_read - 1/Z)``; ``found`` is that way's entry.
+    """Mean and spread of a way's error as relative toe, ``B (1/Z_read - 1/Z)``; ``scores`` is that way's entry.
 
     The mean over a few seconds is the slow part (trim, tilt bias, calibration), the spread is what moves.
     """

@@ -28,7 +28,7 @@ class RunningService(Protocol):
         ...
 
     def failed(self) -> list[str]:
-        """Failure that cannot be mended, None while there is none."""
+        """Names of the processes that fail again and again, which end the service."""
         ...
 
     def __enter__(self) -> object:

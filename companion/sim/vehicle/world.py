@@ -135,7 +135,7 @@ class VehicleLink:
 
 
 class World:
-    """Autopilot and nodes of one flight on one link; :meth:`turn` is one pass of the loop."""
+    """Autopilot and nodes of one flight on one link; :meth:`run_once` is one pass of the loop."""
 
     def __init__(self, flight: Flight, options: WorldOptions, link: Port, on_trigger: Trigger | None = None) -> None:
         faults = options.faults
