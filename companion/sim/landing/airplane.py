@@ -62,16 +62,9 @@ class Gear:
 class Airplane:
     """Everything rigid about it.
 
-    Attributes
-    ----------
-    inertia_kgm2 : tuple
-        Ixx, Iyy, Izz; products are left out.
-    alpha_limits_rad : tuple
-        Beyond these angles of attack lift stays what it is there: the model has no stall.
-    thrust_n, thrust_per_mps : float
-        Static thrust at full throttle, and what it loses per m/s of airspeed.
-    servo_time_s, motor_time_s : float
-        First-order lags of surfaces and of the propeller.
+    ``inertia_kgm2`` is Ixx, Iyy, Izz; products are left out. Beyond ``alpha_limits_rad`` of angle of attack the lift
+    stays constant: the model has no stall. ``thrust_n`` is static, at full throttle, and falls by ``thrust_per_mps``
+    per m/s of airspeed; ``servo_time_s`` and ``motor_time_s`` are first-order lags of the surfaces and the propeller.
     """
 
     mass_kg: float = 6.0

@@ -10,21 +10,12 @@ from dataclasses import dataclass
 class LandingParameters:
     """Limits and rates of the landing; the names in capitals are ArduPlane's, whose rules they stand for.
 
-    Attributes
-    ----------
-    flare_alt_m, flare_sec : float
-        LAND_FLARE_ALT, LAND_FLARE_SEC: the flare begins below that height, or that time above the ground.
-    sink_mps : float
-        TECS_LAND_SINK, at which the flare ends.
-    slope_recalc_m : float
-        LAND_SLOPE_RCALC: a correction that changes by more lays the slope anew from where the aeroplane is.
-    abort_rad : float
-        LAND_ABORT_DEG: a slope that is laid anew steeper than the first by more goes around, once.
-    range_max_m, range_min_m : float
-        RNGFND1_MAX, RNGFND1_MIN.
-    gate_m, silence_s : float
-        Below this height, and as long as ranges can come, the landing needs one within this time, or goes around
-        (what the landing mission script asks; ArduPlane does not).
+    The flare begins at ``flare_alt_m`` (LAND_FLARE_ALT), or ``flare_sec`` (LAND_FLARE_SEC) before the ground, and ends
+    at ``sink_mps`` (TECS_LAND_SINK). A correction that changes by more than ``slope_recalc_m`` (LAND_SLOPE_RCALC) lays
+    the slope anew from the aeroplane's place; if that is steeper than the first by more than ``abort_rad``
+    (LAND_ABORT_DEG), the aeroplane goes around, once. ``range_max_m`` and ``range_min_m`` are RNGFND1_MAX and
+    RNGFND1_MIN. Below ``gate_m`` and above the shortest range the landing goes around after ``silence_s`` without a
+    range, as the landing mission script does; ArduPlane does not.
     """
 
     flare_alt_m: float = 3.0

@@ -14,22 +14,11 @@ from companion.sim.vehicle.wire import AUTOPILOT_ID
 class Faults:
     """Faults to inject; the default is none. Components are MAVLink ids (1, 200, 201), times are seconds of flight.
 
-    Attributes
-    ----------
-    loss, duplicate : float
-        Probability for each frame, in both directions (loss) or outward (duplicate).
-    jitter_s : float
-        Each outward frame is delayed by a uniform time up to this, in order unless ``reorder``.
-    reorder : bool
-        Let delayed frames be overtaken.
-    reboots : tuple of (component, t_s, silence_s)
-        The component is silent, then comes back with its clock near zero and its settings lost.
-    stops : tuple of (component, from_s, to_s)
-        Its inertial stream is silent; the rest goes on.
-    silences : tuple of (component, from_s, to_s)
-        All of it is silent.
-    nans : tuple of (component, from_s, to_s)
-        Its vertical acceleration is NaN.
+    ``loss`` (both directions) and ``duplicate`` (outward) are probabilities for each frame. Each outward frame is
+    delayed by a uniform time up to ``jitter_s``, and may be overtaken only with ``reorder``. Each of ``reboots`` is
+    (component, t_s, silence_s): the component is silent, then returns with its clock near zero and its settings lost.
+    The others are (component, from_s, to_s): in ``stops`` its inertial stream alone is silent, in ``silences`` all of
+    it, and in ``nans`` its vertical acceleration is NaN.
     """
 
     loss: float = 0.0

@@ -51,25 +51,14 @@ class Control(Protocol):
 class WorldOptions:
     """How to serve a flight.
 
-    Attributes
-    ----------
-    connection : str
-        ``udpout:host:port`` (the companion listens there) or ``udpin:host:port`` (it speaks first).
-    speed : float
-        Flight seconds per real second; clocks can only be synced at 1.
-    wait_s : float
-        Wait up to this long for the companion's first datagram before the flight starts (heartbeats go out meanwhile).
-    parameters : mapping
-        Autopilot parameters that differ from a good set-up.
-    start_host_ns : int
-        Host time at which the flight starts, for processes that must know it beforehand; 0: when all is ready.
-    trigger_line : Path, optional
-        The simulated cameras' line, on which IMAGE_START_CAPTURE sends its pulses.
-    pilot_height_m : float, optional
-        Fly as a ground station orders (:mod:`companion.sim.vehicle.command_protocol`), from this height (0: on the
-        ground, disarmed), instead of the prescribed path.
-    px4 : bool
-        The autopilot has PX4's habits on the link (:mod:`companion.sim.vehicle.px4`), not ArduPilot's.
+    ``connection`` is ``udpout:host:port`` (the companion listens there) or ``udpin:host:port`` (it speaks first).
+    ``speed`` is flight seconds per real second; clocks can only be synced at 1. The flight starts after the companion's
+    first datagram or ``wait_s``, while heartbeats go out, or at ``start_host_ns`` where other processes must know the
+    start beforehand (0: when all is ready). ``parameters`` of the autopilot differ from a good set-up.
+    IMAGE_START_CAPTURE pulses ``trigger_line``, the simulated cameras'. With ``pilot_height_m`` the vehicle flies
+    as a ground station orders (:mod:`companion.sim.vehicle.command_protocol`), from this height (0: on the ground,
+    disarmed), instead of the prescribed path. With ``px4`` the autopilot behaves as PX4 does on the link
+    (:mod:`companion.sim.vehicle.px4`), not as ArduPilot.
     """
 
     connection: str = "udpout:127.0.0.1:14550"
