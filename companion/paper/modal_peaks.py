@@ -18,7 +18,7 @@ from companion.core.wing.shapes import EdgePoints
 from companion.records import Floats
 
 RATE_HZ = 200.0
-INCH_M = 0.0254
+INCH_M = 0.0254  # exact
 _SMOOTHING = 15  # bins of the spectrum that are averaged
 GVT_BAND_HZ = (8.5, 10.2)
 _GVT_RUNS = 10  # roving runs in the published data set, five a side

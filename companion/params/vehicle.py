@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-_LONGEST_RANGE_M = 1000.0
+_LONGEST_RANGE_M = 1000.0  # choice
 _TYPES = 127.0  # INT8
 _ORIENTATIONS = 101.0  # MAV_SENSOR_ROTATION_CUSTOM and below
 _BITS_16 = 65535.0  # a 16-bit mask

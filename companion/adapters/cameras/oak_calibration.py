@@ -18,7 +18,7 @@ from companion.errors import DeviceError
 from companion.params.airframe import Camera, Uncertain
 from companion.records import Floats
 
-_M_PER_CM = 0.01
+_M_PER_CM = 0.01  # DepthAI keeps translations in centimetres
 _OUR_TERMS = 5  # k1 k2 p1 p2 k3, OpenCV's five
 _THEIR_TERMS = 14  # length of DepthAI's distortion list
 _AXIS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

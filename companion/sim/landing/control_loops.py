@@ -14,9 +14,9 @@ from companion.sim.landing.aerodynamics import Controls
 from companion.sim.landing.trim import Trim
 from companion.units import GRAVITY_MPS2
 
-PERIOD_S = 0.02
+PERIOD_S = 0.02  # ArduPlane's main loop at its default 50 Hz (SCHED_LOOP_RATE)
 _SURFACE_LIMIT_RAD = 0.40
-_BANK_LIMIT_RAD = 0.5
+_BANK_LIMIT_RAD = 0.5  # choice
 _PITCH_LIMITS_RAD = (-0.30, 0.35)
 _ROLL_TIME_S, _PITCH_TIME_S = 0.35, 0.4
 _ROLL_GAIN, _ROLL_INTEGRAL = 0.12, 0.05  # aileron per rad/s of rate error, and per rad (tuned)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-_TIMEOUT_NS = 500_000_000
+_TIMEOUT_NS = 500_000_000  # ArduPilot's PROXIMITY_MAV_TIMEOUT_MS
 _UNKNOWN = 65535  # OBSTACLE_DISTANCE: nothing known
 _BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 

@@ -18,8 +18,8 @@ from companion.units import GRAVITY_MPS2
 HOME_AMSL_M = 440.0
 """Differs from zero so that a script that mixes up heights above sea and above home is found out."""
 
-_RTL_HEIGHT_M = 100.0
-_ORBIT_M = 60.0
+_RTL_HEIGHT_M = 100.0  # ArduPlane's default height of a return (RTL_ALTITUDE)
+_ORBIT_M = 60.0  # ArduPlane's default radius (WP_LOITER_RAD)
 _ACCEPT_M = 20.0
 _CLIMB_MPS, _SINK_MPS = 5.0, 4.0
 _MOST_BANK_RAD, _ROLL_RATE_RADPS = 0.75, 1.2
@@ -27,7 +27,7 @@ _TRIM_PITCH_RAD = 0.05
 _PITCH_TIME_S, _SPEED_TIME_S = 0.35, 1.5
 _FORCED_FOR_S = 3.0
 _FREE = (0.0, -math.inf)
-_LANDED_M = 0.3
+_LANDED_M = 0.3  # wheels touch below it (choice)
 _LINED_UP_RAD = 0.3
 
 

@@ -30,7 +30,7 @@ _REPEATS = 3  # copies side by side, so that a window never wraps
 _COARSEST, _FINEST = -8, 9  # octaves, 2^k cycles per metre: 256 m to 2 mm
 _LENS_SIGMA_PX = 0.45
 _FADE_FROM, _FADE_TO = 0.22, 0.36  # cycles per pixel at an octave's centre: full weight, none
-_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))
+_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # no two octaves line up
 
 
 @dataclass(frozen=True, slots=True)

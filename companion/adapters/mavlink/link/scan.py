@@ -18,7 +18,7 @@ from companion.adapters.mavlink.link.dialect import CRC_EXTRA, payload_size
 _MAGIC_1, _MAGIC_2 = 0xFE, 0xFD  # first byte of a MAVLink 1 and 2 frame
 _HEADER_1, _HEADER_2 = 6, 10  # bytes of the header (MAVLink serialization)
 _SIGNED = 0x01  # incompatibility flag (MAVLink serialization)
-_SIGNATURE_BYTES = 13
+_SIGNATURE_BYTES = 13  # link id, timestamp, signature (MAVLink signing)
 _SHORTEST_2 = _HEADER_2 + 2  # header and checksum
 # where a frame may begin; the last bytes of a chunk may begin one whose header is not there yet
 _CANDIDATE = re.compile(rb"\xfe|\xfd(?=.[\x00\x01]|.{0,8}\Z)", re.DOTALL)

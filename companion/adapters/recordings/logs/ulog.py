@@ -22,7 +22,7 @@ from companion.errors import RecordingError
 from companion.params.airframe import Airframe
 from companion.records import AutopilotParameter, Axis, Floats, Ints, VehicleState
 
-_LEAST_RATE_HZ = 50.0
+_LEAST_RATE_HZ = 50.0  # slower topics are logged for plots alone (choice)
 _NO_TIME = 0x7FFFFFFF  # RELATIVE_TIMESTAMP_INVALID (PX4 msg/SensorCombined.msg)
 _ARMED = 2  # arming_state of vehicle_status (PX4 msg/VehicleStatus.msg)
 _OF_MESSAGES = "IMU_INTEG_RATE"
