@@ -9,7 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from companion.core.wing.effect import Effect, Group, ModalMotion, from_halves, halves, parameter
+from companion.native.library import ARRAY, REAL, kernel
 from companion.records import Floats
+
+_slip = kernel("slipping_spring", ARRAY, REAL, ARRAY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,21 +42,17 @@ class Hysteresis(Effect):
         return np.concatenate([self._held(motion), w])
 
     def _held(self, motion: ModalMotion) -> Floats:
-        w, reach = halves(motion.offset_m), abs(self.yield_m)
+        w, reach = np.ascontiguousarray(halves(motion.offset_m)), abs(self.yield_m)
         if motion.memory is not None:
             held, before = np.split(motion.memory, 2)
             return np.clip(held + w - before, -reach, reach)
         if w.ndim == 1:
             return np.clip(w, -reach, reach)
-        return np.stack([_followed(row.tolist(), reach) for row in w])
+        return stretch_along(w, reach)
 
 
-def _followed(deflection: list[float], reach: float) -> list[float]:
-    """The stretch of a slipping spring along a whole path."""
-    held, before, path = 0.0, 0.0, []
-    for w in deflection:
-        held += w - before
-        held = reach if held > reach else -reach if held < -reach else held
-        before = w
-        path.append(held)
-    return path
+def stretch_along(deflection_m: Floats, reach_m: float) -> Floats:
+    """Stretch of a spring that slips beyond ``reach_m``, along whole paths (h, m) from rest."""
+    stretch_m = np.empty_like(deflection_m)
+    _slip(deflection_m, reach_m, stretch_m)
+    return stretch_m
