@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -68,3 +68,53 @@ def test_a_step_beyond_what_is_physical_is_shortened() -> None:
     best = maximise(Rate(50, 5), np.array([4.0]), rounds=30)
     assert best.converged
     assert best.values[0] == pytest.approx(0.1, rel=0.02)
+
+
+@dataclass
+class Coherence(Line):
+    """The same line, whose expected information is twice what the data show."""
+
+    asked: list[Floats] = field(default_factory=list)
+
+    def scores(self, values: Floats) -> Scores[None]:
+        self.asked.append(values)
+        plain = Line.scores(self, values)
+        return Scores(plain.log_likelihood, plain.gradient, 2.0 * plain.information, None)
+
+    def scores_beside(self, values: Floats, near: None) -> Scores[None]:
+        del near
+        plain = Line.scores(self, values)
+        return Scores(plain.log_likelihood, plain.gradient, 2.0 * plain.information, None)
+
+
+@pytest.fixture
+def coherence() -> Coherence:
+    rng = np.random.default_rng(4)
+    design = rng.normal(size=(40, 2))
+    y = design @ np.array([3.0, -2.0]) + rng.normal(size=40)
+    return Coherence(design, y, [Parameter("", 0.0, 1e6)] * 2)
+
+
+def test_a_step_that_information_makes_too_short_is_lengthened(coherence: Coherence) -> None:
+    best = maximise(coherence, np.zeros(2), rounds=30)
+    assert best.converged
+    np.testing.assert_allclose(best.values, np.linalg.lstsq(coherence.design, coherence.y)[0], atol=1e-6)
+    assert len(coherence.asked) == 2
+
+
+def test_no_step_is_made_that_promises_nothing(coherence: Coherence) -> None:
+    top = np.linalg.lstsq(coherence.design, coherence.y)[0]
+    best = maximise(coherence, top + 0.001, rounds=30)
+    assert best.converged
+    assert len(coherence.asked) == 1
+
+
+def test_the_top_that_a_neighbours_derivatives_lead_to_is_judged_with_its_own(coherence: Coherence) -> None:
+    coherence.parameters = [Parameter("", 0.0, 1.0), Parameter("", 0.0, 0.2)]
+    best = maximise(coherence, np.zeros(2), 30, coherence.scores_beside)
+    assert best.converged
+    np.testing.assert_array_equal(coherence.asked[-1], best.values)
+    asked = len(coherence.asked)
+    rough = maximise(coherence, np.zeros(2), 30, coherence.scores_beside, values_alone=True)
+    np.testing.assert_allclose(rough.values, best.values, atol=0.02)
+    assert len(coherence.asked) - asked < asked

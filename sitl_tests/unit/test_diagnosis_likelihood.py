@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import FlightsLikelihood, expect, fit, log_likelihood
+from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
+from companion.diagnosis.selection.fisher_scoring import maximise
 from companion.params.airframe import Airframe, Uncertain
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
@@ -156,3 +159,51 @@ def test_toe_is_measured_against_the_reference(airframe: Airframe) -> None:
     assert toe is not None
     assert toe.toe_rad == pytest.approx(np.full(len(toe.t_s), 1.98 * (1 / 52.8 - 1 / 60.0)))
     assert toe.toe_rad[0] == pytest.approx(4.5e-3, abs=5e-5)
+
+
+def test_the_gradient_is_the_slope_where_a_spring_slips(drawn: FlightModel) -> None:
+    """Nuisances are moved on the motion that is there; what the law's own parameters do to the motion counts."""
+    terms = (EffectTerm(catalogue()["hysteresis"].from_values({"share": 0.15, "yield_m": 0.003})),)
+    likelihood = FlightsLikelihood([drawn], terms)
+    values = likelihood.start()
+    scores = likelihood.scores(values)
+    for i, entry in enumerate(likelihood.parameters):
+        step = np.zeros(len(values))
+        step[i] = 1e-3 * entry.sigma
+        up, down = (log_likelihood([drawn], expect([drawn], values + sign * step, terms)) for sign in (1.0, -1.0))
+        slope = (up - down) / (2.0 * step[i])
+        tolerance = 0.15 * np.sqrt(scores.information[i, i]) + 0.02 / entry.sigma
+        assert slope == pytest.approx(scores.gradient[i], abs=tolerance)
+
+
+def test_a_step_beside_a_model_with_forces_smooths_no_motion_again(
+    drawn: FlightModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passes: list[object] = []
+    push = SensorLineariser.push
+
+    def counted(*args: Any) -> StatisticalLinearisation:
+        passes.append(args)
+        return push(*args)
+
+    monkeypatch.setattr(SensorLineariser, "push", counted)
+    terms = [EffectTerm(catalogue()["cubic-stiffness"](50.0))]
+    nuisances = np.zeros(len(drawn.belief.nuisances))
+    here = drawn.expect(nuisances, terms)
+    assert len(passes) == 2
+    louder = nuisances + np.array([1e-4 * (entry.key == "symmetric.level") for entry in drawn.belief.nuisances])
+    assert drawn.expect(louder, terms, here, slightly=True).motion.modal is not here.motion.modal
+    assert len(passes) == 2
+    stiffer = [EffectTerm(catalogue()["cubic-stiffness"](50.01))]
+    beside, whole = drawn.expect(nuisances, stiffer, here, slightly=True), drawn.expect(nuisances, stiffer)
+    np.testing.assert_array_equal(beside.spectrum, whole.spectrum)
+
+
+def test_derivatives_of_a_neighbour_lead_to_the_same_top(drawn: FlightModel) -> None:
+    likelihood = FlightsLikelihood([drawn], ())
+    start = likelihood.start() + 0.5 * np.array([entry.sigma for entry in likelihood.parameters])
+    alone = maximise(likelihood, start, 24)
+    led = maximise(likelihood, start, 24, likelihood.scores_beside)
+    assert led.converged
+    assert led.log_evidence == pytest.approx(alone.log_evidence, abs=0.02)
+    assert np.abs((led.values - alone.values) / np.sqrt(np.diag(alone.covariance))).max() < 0.1

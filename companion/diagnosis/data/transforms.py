@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from companion.diagnosis.data.grid import TAPER, faded_share
 from companion.diagnosis.spectral_matrices import Complexes
@@ -20,6 +21,7 @@ class Transforms:
         self.f_hz: Floats = np.asarray(np.fft.rfftfreq(count, dt_s), dtype=np.float64)
         self.taper = _tukey(count, TAPER)
         self.fading = _tukey(count, faded_share(count * dt_s))
+        self._last: tuple[bytes, npt.NDArray[np.int64], Floats] | None = None
         self._norm = float(np.sqrt(dt_s / np.sum(self.taper**2)))
         # neighbouring bins of a tapered periodogram share information: count them once
         self.weight = float(np.sum(self.taper**2) ** 2 / (count * np.sum(self.taper**4)))
@@ -54,10 +56,18 @@ class Transforms:
         warp moves some instants from one nearest point to the next: twice finer, that outweighed the slope.
         """
         fine = np.fft.irfft(spectrum, _FINER * self.count) * _FINER
-        place = (at_s - self.start_s) * (_FINER / self.dt_s)
-        nearest = np.rint(place).astype(np.int64)
-        rows = (nearest[:, None] + _POINTS.astype(np.int64)) % len(fine)
-        return np.asarray(np.sum(fine[rows] * _lagrange(place - nearest), axis=1))
+        rows, weights = self._places(at_s)
+        return np.asarray(np.sum(fine[rows] * weights, axis=1))
+
+    def _places(self, at_s: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
+        """Points of the finer grid about each instant and their weights, (k, 9) each; the last are kept."""
+        key = at_s.tobytes()
+        if self._last is None or self._last[0] != key:
+            place = (at_s - self.start_s) * (_FINER / self.dt_s)
+            nearest = np.rint(place).astype(np.int64)
+            rows = (nearest[:, None] + _POINTS.astype(np.int64)) % (_FINER * self.count)
+            self._last = key, rows, _lagrange(place - nearest)
+        return self._last[1], self._last[2]
 
 
 def _lagrange(u: Floats) -> Floats:

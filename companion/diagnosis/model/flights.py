@@ -62,6 +62,13 @@ class FlightsLikelihood:
         state = FlightState(expectations, tuple(tuple(entry) for entry in columns))
         return Scores(log_likelihood(self._models, expectations), gradient, information, state)
 
+    def scores_beside(self, values: Floats, near: FlightState) -> Scores[FlightState]:
+        """The same with the derivatives of a neighbouring vector, and the posterior covariance of the toe there."""
+        expectations = expect(self._models, values, self._terms, near.expectations)
+        gradient, information = joint_scores(self._models, expectations, near.columns)
+        state = FlightState(expectations, near.columns)
+        return Scores(log_likelihood(self._models, expectations), gradient, information, state)
+
 
 FlightFit = Fit[EffectTerm, FlightState]
 
@@ -72,17 +79,19 @@ def fit(
     start: Floats | None = None,
     rounds: int = 24,
     wider: float = 1.0,
+    values_alone: bool = False,
 ) -> FlightFit:
     """Find the most probable parameters in at most ``rounds`` scoring steps.
 
     Effects begin at the values of ``terms``, nuisances at those of ``start`` or at the belief. The priors of the
-    effects are made ``wider`` times as wide: for values and intervals that are the data's own.
+    effects are made ``wider`` times as wide: for values and intervals that are the data's own. Where the
+    ``values_alone`` are wanted, evidence and covariance are rough.
     """
     likelihood = FlightsLikelihood(models, terms, wider)
     sizes = [len(term.values) for term in terms]
     ends = np.cumsum([len(models[0].belief.nuisances), *sizes]).tolist()
     blocks = [range(end - size, end) for size, end in zip(sizes, ends[1:], strict=True)]
-    fitted = climb(likelihood, terms, blocks, likelihood.start(start), rounds)
+    fitted = climb(likelihood, terms, blocks, likelihood.start(start), rounds, likelihood.scores_beside, values_alone)
     return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms))
 
 
@@ -164,7 +173,7 @@ def derivatives(
             other, step = _beside(model, expectation, values, i, float(sigmas[i]), terms)
             shift = model.time_shift(*owner) if owner is not None else model.delay_shift(keys[i])
             warps = owner is not None and shift is not None and type(owner[0]).response is Effect.response
-            recording_columns.append(column(expectation, other, step, alone, shift, warps))
+            recording_columns.append(column(expectation, other, step, alone, shift, warps, model.weight > 0.0))
     return columns
 
 
@@ -177,7 +186,7 @@ def _beside(
         perturbed = values.copy()
         perturbed[i] += step
         try:
-            return model.expect(perturbed[:count], placed(model.belief, perturbed, terms), expectation), step
+            return model.expect(perturbed[:count], placed(model.belief, perturbed, terms), expectation, True), step
         except ValueError as error:
             edge = error
     raise edge

@@ -16,6 +16,7 @@ from companion.records import Floats, Side, Station
 
 ADDED = "added"
 """Stands for a mode that an effect has appended, in the names of nuisances."""
+_KEPT = 4  # structures: of a model, of its forces' two passes, of a step beside it
 _TOGETHER = 5.0  # tanh sinh of it is 1 to the last digit
 STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
 
@@ -50,6 +51,7 @@ class Spectra:
         self._omega: Floats = 2.0 * np.pi * f_hz
         self._filters = [_butterworth(f_hz, airframe.sensor(STATIONS[side]).lowpass_accel_hz) for side in self.sides]
         self._root_noise = 0.5 * airframe.root.accel_noise_mps2_rthz**2 if has_root else 0.0
+        self._received: dict[bytes, Complexes] = {}
         self._level = self._reference_levels()
 
     def linear(
@@ -61,11 +63,20 @@ class Spectra:
         noise = np.diag([self._noise(side, deviation) for side in self.sides]) + self._root_noise
         load = self._load(structure, effects, deviation)
         sensing: Complexes = gains[:, None] * inertia
-        return Linear(receptance(structure, self._omega), load, sensing, noise)
+        return Linear(self._receptance(structure), load, sensing, noise)
 
     def responses(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         """Complex gain of the accelerometers, (c, f)."""
         return np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
+
+    def _receptance(self, structure: Structure) -> Complexes:
+        """The receptance; the last few are kept, for most parameters leave the structure as it is."""
+        key = structure.stiffness_radps2.tobytes() + structure.damping_radps.tobytes()
+        if key not in self._received:
+            if len(self._received) >= _KEPT:
+                self._received.pop(next(iter(self._received)))
+            self._received[key] = receptance(structure, self._omega)
+        return self._received[key]
 
     def _load(self, structure: Structure, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         believed, level = len(self._level), np.empty(structure.count)

@@ -13,7 +13,7 @@ from companion.core.wing.structure import Structure
 from companion.diagnosis.data.transforms import Transforms
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.linear_spectra import Linear
-from companion.diagnosis.model.nonlinear_correction import SensorLineariser
+from companion.diagnosis.model.nonlinear_correction import SensorLineariser, StatisticalLinearisation
 from companion.diagnosis.spectral_matrices import Complexes, adjoint, apply, cholesky, full, inverse, product
 from companion.records import Floats
 
@@ -31,12 +31,23 @@ class RecordedSpectra:
     recorded: tuple[Complexes, Complexes]
 
 
+@dataclass(frozen=True, slots=True)
+class _Forces:
+    """Forces of state and time on a motion (n, m each): what they come to, and the spectrum of their rest (n, f)."""
+
+    motion: tuple[Floats, Floats]
+    untold_m: float
+    push: StatisticalLinearisation
+    rest: Complexes | None
+
+
 class SmoothedMotion:
     """One model's view of the accelerations; what is dear is made when it is asked for, once.
 
     ``key`` equals another's where the two models are the same here; ``measured_mps2`` (n, m) are modal loads that were
     recorded, ``leaked_mps2`` (c, m) what the rigid aircraft leaves in the accelerations. Frequencies run from 0 to the
-    top of the band, which begins at index ``low``.
+    top of the band, which begins at index ``low``. With ``beside``, a model that differs by a difference quotient's
+    step, forces are those of its motion: how the step moves the motion is of second order in them.
     """
 
     def __init__(
@@ -48,8 +59,11 @@ class SmoothedMotion:
         linear_of: Callable[..., Linear],
         measured_mps2: Floats | None = None,
         leaked_mps2: Floats | None = None,
+        beside: SmoothedMotion | None = None,
     ) -> None:
         self.key = key
+        self._wing, self._terms = wing, tuple(term for term in terms if term.effect.forces_modes())
+        self._forces: _Forces | None = None
         self._grid, self._transforms, self._low = grid, grid.transforms, grid.low
         effects = tuple(term.effect for term in terms)
         self._up_mps2, scale = grid.lineariser.corrected_mps2(effects)
@@ -58,9 +72,13 @@ class SmoothedMotion:
         self._bent = self._up_mps2 is not grid.lineariser.recorded_mps2
         self._measured = None if measured_mps2 is None else grid.transforms.spectrum(measured_mps2)
         self._push: Complexes | None = self._measured
+        lent = None if beside is None else beside.forces_on(wing, self._terms)
+        if lent is not None:
+            self._act(lent, lambda structure: linear_of(structure, scale))
+            return
         self._take(linear_of(wing.structure, scale))
-        if any(term.effect.forces_modes() for term in terms):
-            self._linearise(wing, terms, lambda structure: linear_of(structure, scale))
+        if self._terms:
+            self._linearise(lambda structure: linear_of(structure, scale))
 
     def _take(self, linear: Linear) -> None:
         """Spectra of what is seen under a linear model."""
@@ -73,25 +91,47 @@ class SmoothedMotion:
         self.spectrum += linear.noise[..., None]
         self.inverse = inverse(self.spectrum)
 
-    def _linearise(
-        self, wing: WingModel, terms: Sequence[EffectTerm], linear_of: Callable[[Structure], Linear]
-    ) -> None:
+    def _linearise(self, linear_of: Callable[[Structure], Linear]) -> None:
         """Give the linear part of forces to stiffness and damping, and keep the rest to be taken out of the data.
 
         A second pass sees what the rest of the first has moved: a wing that is softer one way sags with its amplitude.
         """
         for _ in range(_PASSES):
             smoother = self._smoother()
-            motion = self._smoothed(smoother)
-            push = self._grid.lineariser.push(wing, terms, *motion, self._untold_m(smoother))
-            stiffness = wing.structure.stiffness_radps2 - push.per_q
-            damping = wing.structure.damping_radps - push.per_qdot
-            if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
-                raise ValueError("these forces make the wing unstable")
-            self._take(linear_of(replace(wing.structure, stiffness_radps2=stiffness, damping_radps=damping)))
-            if np.any(push.residual_mps2):
-                rest = self._transforms.spectrum(push.residual_mps2)
-                self._push = rest if self._measured is None else rest + self._measured
+            motion, untold_m = self._smoothed(smoother), self._untold_m(smoother)
+            self._act(self._pushed(self._wing, self._terms, motion, untold_m), linear_of)
+
+    def _act(self, forces: _Forces, linear_of: Callable[[Structure], Linear]) -> None:
+        """Let forces work: their mean slopes as stiffness and damping, the rest as a load that is known."""
+        structure, push = self._wing.structure, forces.push
+        stiffness, damping = structure.stiffness_radps2 - push.per_q, structure.damping_radps - push.per_qdot
+        if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
+            raise ValueError("these forces make the wing unstable")
+        self._forces = forces
+        self._take(linear_of(replace(structure, stiffness_radps2=stiffness, damping_radps=damping)))
+        if forces.rest is not None:
+            self._push = forces.rest if self._measured is None else forces.rest + self._measured
+
+    def _pushed(
+        self, wing: WingModel, terms: Sequence[EffectTerm], motion: tuple[Floats, Floats], untold_m: float
+    ) -> _Forces:
+        push = self._grid.lineariser.push(wing, terms, *motion, untold_m)
+        rest = self._transforms.spectrum(push.residual_mps2) if np.any(push.residual_mps2) else None
+        return _Forces(motion, untold_m, push, rest)
+
+    def forces_on(self, wing: WingModel, terms: Sequence[EffectTerm]) -> _Forces | None:
+        """Forces of a model beside this one, on the motion of this one; its own where they are the same.
+
+        None where there are none to lend: a law that acts here already may move the motion by its own parameters.
+        """
+        known = self._forces
+        if not terms or len(self.modal) != wing.count or any(term not in terms for term in self._terms):
+            return None
+        if known is None:
+            return self._pushed(wing, terms, self.in_time, self._untold_m(self.smoother))
+        if len(terms) == len(self._terms) and _alike(wing.structure, self._wing.structure):
+            return known
+        return self._pushed(wing, terms, known.motion, known.untold_m)
 
     @cached_property
     def smoother(self) -> Complexes:
@@ -171,3 +211,11 @@ class SmoothedMotion:
             return deflection, speed
         forced = self._forced()
         return deflection + self._transforms.in_time(forced), speed + self._transforms.in_time(forced * omega)
+
+
+def _alike(one: Structure, other: Structure) -> bool:
+    """Whether forces see no difference between two structures."""
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("stiffness_radps2", "damping_radps", "lift", "slope_radpm")
+    )

@@ -49,11 +49,20 @@ class Column:
 
 
 def column(
-    expectation: Expectation, perturbed: Expectation, step: float, alone: bool, shift_s: Floats | None, warps: bool
+    expectation: Expectation,
+    perturbed: Expectation,
+    step: float,
+    alone: bool,
+    shift_s: Floats | None,
+    warps: bool,
+    judged: bool = True,
 ) -> Column:
-    """Difference of two expectations ``step`` apart; ``alone`` for what changes the toe's noise and nothing else."""
+    """Difference of two expectations ``step`` apart.
+
+    ``alone`` is for what changes the toe's noise and nothing else; accelerations that are not ``judged`` have none.
+    """
     power = mean = toe = noise = rest = None
-    if perturbed.motion is not expectation.motion:
+    if judged and perturbed.motion is not expectation.motion:
         white = expectation.motion.whitener
         if perturbed.spectrum is not expectation.spectrum:
             change = perturbed.spectrum - expectation.spectrum

@@ -7,7 +7,7 @@ d grows until the posterior does (Levenberg). At the maximum log evidence = log 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -16,8 +16,13 @@ import numpy as np
 from companion.records import Floats
 
 _ENOUGH = 0.02  # nats gained by a step, below which it is the last
+_NOT_WORTH_IT = 0.1 * _ENOUGH  # promised by a step, below which it is not made: 0.06 sigma at most
+_AS_PROMISED, _SLIGHT = 0.3, 2.0
+"""Derivatives change little where a step gains what it promised, give or take this share, or promised so few nats."""
+_NEARLY = 0.5  # nats promised by a step that none follows, below which the top is reached
 _TRIES = 9  # of one step, each more damped than the last
 _DAMPED_TRIES = 2  # then the step is shortened as well
+_WORTH_LONGER, _LONGEST = 1.2, 3.0  # times a step
 _DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
 _FARTHEST = 3.0  # prior sigmas in one step
 State = TypeVar("State")
@@ -74,21 +79,37 @@ class Maximum(Generic[State]):
     state: State
 
 
-def maximise(model: LikelihoodModel[State], start: Floats, rounds: int) -> Maximum[State]:
-    """Climb from ``start`` (p,) to the most probable values in at most ``rounds`` scoring steps."""
-    prior = NormalPrior(model.parameters)
-    values, scores, converged, damping = start.copy(), model.scores(start), False, 0.0
+def maximise(
+    model: LikelihoodModel[State],
+    start: Floats,
+    rounds: int,
+    beside: Callable[[Floats, State], Scores[State]] | None = None,
+    values_alone: bool = False,
+) -> Maximum[State]:
+    """Climb from ``start`` (p,) to the most probable values in at most ``rounds`` scoring steps.
+
+    ``beside`` gives scores with the derivatives of a neighbouring vector, which cost little: they lead on as long as
+    the posterior rises as they promise. The top is judged with its own, but where the ``values_alone`` are wanted.
+    """
+    prior, lend = NormalPrior(model.parameters), beside or (lambda at, _state: model.scores(at))
+    values, scores, own, converged, damping = start.copy(), model.scores(start), True, False, 0.0
     for _ in range(rounds):
-        step = _climb(model, prior, values, scores, damping)
+        promised = _promised(prior, values, scores)
+        step = None if promised < _NOT_WORTH_IT else _climb(model, prior, values, scores, damping)
         if step is None:
-            gradient, information = prior.added(values, scores)
-            converged = float(gradient @ np.linalg.solve(information, gradient)) < 1.0
-            break
+            converged = promised < (_NEARLY if own else _NOT_WORTH_IT)
+            if own or (values_alone and converged):
+                break
+            scores, own = model.scores(values), True
+            continue
         values, gained, damping = step
-        scores = model.scores(values)
-        if gained < _ENOUGH:
-            converged = True
+        converged = gained < _ENOUGH and (own or values_alone)
+        own = not (beside and (values_alone if converged else damping == 0.0 and _kept(promised, gained)))
+        scores = model.scores(values) if own else lend(values, scores.state)
+        if converged:
             break
+    if not (own or values_alone):
+        scores = model.scores(values)
     information = prior.added(values, scores)[1]
     log_posterior = scores.log_likelihood + prior.log_density(values)
     evidence = log_posterior - float(np.sum(np.log(prior.sigmas))) - 0.5 * float(np.linalg.slogdet(information)[1])
@@ -113,6 +134,17 @@ class NormalPrior:
         return gradient, scores.information + np.diag(1.0 / self.sigmas**2)
 
 
+def _kept(promised: float, gained: float) -> bool:
+    """Whether derivatives are much the same after a step that gained and promised so many nats."""
+    return gained >= _ENOUGH and (promised < _SLIGHT or abs(gained - promised) < _AS_PROMISED * promised)
+
+
+def _promised(prior: NormalPrior, values: Floats, scores: Scores[State]) -> float:
+    """What a whole step would gain if the posterior were normal, nat."""
+    gradient, information = prior.added(values, scores)
+    return 0.5 * float(gradient @ np.linalg.solve(information, gradient))
+
+
 def _climb(
     model: LikelihoodModel[State], prior: NormalPrior, values: Floats, scores: Scores[State], damping: float
 ) -> tuple[Floats, float, float] | None:
@@ -129,10 +161,24 @@ def _climb(
         candidate: Floats = np.asarray(values + move, dtype=np.float64)
         reached = _height(model, prior, candidate, scores.state)
         if reached > height:
+            if damping == 0.0:
+                longer = _longer(float(gradient @ move), reached - height)
+                further: Floats = np.asarray(values + longer * move, dtype=np.float64)
+                beyond = _height(model, prior, further, scores.state) if longer > _WORTH_LONGER else -np.inf
+                candidate, reached = (further, beyond) if beyond > reached else (candidate, reached)
             softer = damping / _SOFTER if k == 0 else damping
             return candidate, reached - height, softer if softer >= _UNDAMPED else 0.0
         damping = max(_HARDER * damping, _DAMPING)
     return None
+
+
+def _longer(slope: float, gained: float) -> float:
+    """Times a step at which a parabola has its top that begins with a slope and has ``gained`` after the step.
+
+    Expected information may be twice what the data show of a coherence or a level: whole steps then go half the way.
+    """
+    bend = 2.0 * (slope - gained)
+    return slope / bend if bend > slope / _LONGEST else _LONGEST
 
 
 def _height(model: LikelihoodModel[State], prior: NormalPrior, values: Floats, near: State) -> float:

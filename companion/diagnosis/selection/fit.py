@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
 
-from companion.diagnosis.selection.fisher_scoring import LikelihoodModel, NormalPrior, State, maximise
+from companion.diagnosis.selection.fisher_scoring import LikelihoodModel, NormalPrior, Scores, State, maximise
 from companion.records import Floats
 
 TermT = TypeVar("TermT")
@@ -71,10 +71,16 @@ class Fit(Generic[TermT, State]):
 
 
 def climb(
-    model: LikelihoodModel[State], terms: Sequence[TermT], blocks: Sequence[Sequence[int]], start: Floats, rounds: int
+    model: LikelihoodModel[State],
+    terms: Sequence[TermT],
+    blocks: Sequence[Sequence[int]],
+    start: Floats,
+    rounds: int,
+    beside: Callable[[Floats, State], Scores[State]] | None = None,
+    values_alone: bool = False,
 ) -> Fit[TermT, State]:
-    """The most probable values of a model from ``start`` (p,), in at most ``rounds`` scoring steps."""
-    best = maximise(model, start, rounds)
+    """The most probable values of a model from ``start`` (p,), in at most ``rounds`` steps of :func:`maximise`."""
+    best = maximise(model, start, rounds, beside, values_alone)
     prior = NormalPrior(model.parameters)
     return Fit(
         tuple(terms),
