@@ -50,6 +50,8 @@ def diagnose(
 class Flights(Recordings[EffectTerm, FlightState]):
     """Flights that share one belief, and the effects of the catalogue that are offered."""
 
+    measures_nearest = False  # half the time of a judgement
+
     def __init__(self, models: Sequence[FlightModel], kinds: Sequence[type[Effect]] = ()) -> None:
         self._models, self._kinds = models, kinds
         self._channels = sorted({name for model in models for name in model.observations.covariates})
@@ -150,7 +152,7 @@ def _fold(train: Sequence[_Half], test: Sequence[_Half]) -> Callable[[FlightFit]
     models = [model for half in train for model in (*half.accelerations, *half.together)]
 
     def predict(fitted: FlightFit) -> list[Prediction]:
-        again = fit(models, fitted.terms, fitted.values, _FOLD, _WIDER)
+        again = fit(models, fitted.terms, fitted.values, _FOLD, _WIDER, values_alone=True)
         return [
             _judge(block, exposures, again)
             for half in test

@@ -55,7 +55,7 @@ def diagnose(
     after = tuple(recordings.checks(path.fitted))
     before = tuple(recordings.checks(null)) if path.causes else after
     gain, objection = None, ""
-    if path.causes:
+    if path.causes and (recordings.measures_nearest or all(entry.passed for entry in after)):
         progress("hold the names against laws without one", 0.0)
         objection = recordings.objection(null, before, path)
         gain = cross_validate(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic
+from typing import ClassVar, Generic
 
 import numpy as np
 
@@ -62,6 +62,9 @@ class SelectionPath(Generic[TermT, State]):
 
 class Recordings(ABC, Generic[TermT, State]):
     """Recordings of one kind, with the terms that may explain them."""
+
+    measures_nearest: ClassVar[bool] = True
+    """Whether terms are held against other laws and held-out blocks though tests have failed: no verdict needs it."""
 
     @property
     @abstractmethod
