@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from companion.core.wing.effects import catalogue
+from companion.core.wing.structure import structure_of
 from companion.diagnosis.data.observations import Observations
 from companion.diagnosis.flights.adequacy import outliers
 from companion.diagnosis.flights.lack_of_fit_tests import (
@@ -23,6 +24,7 @@ from companion.diagnosis.model.belief import believe
 from companion.diagnosis.model.effect_term import EffectTerm
 from companion.diagnosis.model.flight_model import FlightModel
 from companion.diagnosis.model.flights import fit
+from companion.diagnosis.model.generic_effects import generic_effects
 from companion.diagnosis.selection.check import DiagnosisVerdict
 from companion.params.files import parse_airframe
 from companion.records import Floats, Side
@@ -274,3 +276,29 @@ def test_a_name_that_comes_near_is_not_said_if_a_law_without_a_name_explains_mor
     assert without.verdict is DiagnosisVerdict.UNEXPLAINED
     assert without.nearest == "focal-error"
     assert not without.causes
+
+
+@pytest.mark.slow
+def test_a_slip_is_not_said_of_a_spring_that_is_softer_throughout() -> None:
+    """A frequency 7 % low is hysteresis as far as tests tell (3 sigma), and likelier a spring force of that share."""
+    model = flown(**{"frequency-shift": -0.0727})
+    kinds = [catalogue()[name] for name in ("hysteresis", "frequency-shift")]
+    named = diagnose([model], kinds, 1)
+    assert named.verdict is DiagnosisVerdict.EXPLAINED
+    assert [cause.term.effect.name for cause in named.causes] == ["frequency-shift"]
+    without = diagnose([model], kinds[:1], 1)
+    assert without.verdict is DiagnosisVerdict.UNEXPLAINED
+    assert "force with deflection " in without.reason
+    assert all(entry.passed for entry in without.after)
+
+
+def test_laws_along_with_deflection_and_speed_scale_stiffness_and_damping() -> None:
+    """ln k + 0.02 is a frequency 1 % higher; against each other, sides couple both modes."""
+    kinds = {kind.name: kind for kind in generic_effects()}
+    believed = structure_of(parse_airframe(TEXT, "trial").wing)
+    stiff = kinds["force with deflection"].from_values({"strength": 0.02}).structure(believed)
+    np.testing.assert_allclose(stiff.stiffness_radps2, np.exp(0.02) * believed.stiffness_radps2)
+    uneven = kinds["force with speed, left against right"].from_values({"strength": 0.1}).structure(believed)
+    expected = 0.1 * np.sqrt(np.prod(np.diag(believed.damping_radps)[:2]))
+    assert uneven.damping_radps[0, 1] == uneven.damping_radps[1, 0] == pytest.approx(expected)
+    np.testing.assert_array_equal(np.diag(uneven.damping_radps), np.diag(believed.damping_radps))

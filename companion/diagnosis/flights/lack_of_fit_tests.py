@@ -30,6 +30,7 @@ from companion.diagnosis.model.generic_effects import (
     GenericForce,
     GenericRollOff,
     GenericSensorLaw,
+    GenericStiffness,
     GenericToe,
     GenericToeVariance,
     generic_effects,
@@ -142,7 +143,7 @@ def _together(score: Floats, information: Floats, kurtosis: float) -> float:
 def _laws(models: Sequence[FlightModel], fitted: FlightFit) -> list[_TestFamily]:
     """Forces, sensors and ranges by law."""
     kinds = generic_effects()
-    forces = [kind for kind in kinds if issubclass(kind, GenericForce)]
+    forces = [kind for kind in kinds if issubclass(kind, (GenericForce, GenericStiffness))]
     stepped = any(
         catalogue()[entry.name].discretises for model in models for entry in model.observations.sample_defects
     )

@@ -24,7 +24,7 @@ from companion.diagnosis.selection.score_tests import Candidate
 BETTER = 2.0
 """Nats by which a law without a name must surpass the names: one that lies d sigmas from the truth does so by chance
 with Phi(-d/2 - 2/d), 2 % at most."""
-_REFITTED = 3  # candidates, a bound on the cost
+_REFITTED, _TWINS = 3, 1  # candidates, and such whose score is a name's, a bound on the cost
 _OUT_OF_REACH = 0.5  # of what the names have gained; scores promise less than refits keep
 _ROUNDS = 8  # steps of a fit that ranks
 _FIRST_STEP = 0.5  # prior sigmas
@@ -49,23 +49,28 @@ def strongest_rival_model(
     """The law that explains most in place of all the names of a fit; None where none comes near.
 
     ``before`` are the checks of ``null``, which lead to the laws that are worth a refit. A law whose score is that of a
-    name is that name, and no rival.
+    name may be that name to first order: it is a rival only by what it fits better, whatever else the name may do.
     """
     named = [EffectTerm(type(term.effect)(), term.channel) for term in named_fit.terms]
     screening = screen(models, null, [*_offered(models, null, before), *named])
     names = {term.effect.name for term in named}
     named_rows = [i for i, candidate in enumerate(screening.candidates) if candidate.name in names]
     alike = np.abs(screening.correlation[named_rows]).max(axis=0) if named_rows else np.zeros(len(screening.candidates))
-    worth = penalised_log_likelihood(log_count(models), named_fit, null)
-    enough = _OUT_OF_REACH * worth
-    leading = [
-        candidate
-        for candidate, rho in zip(screening.candidates, alike, strict=True)
-        if candidate.log_odds > enough and rho < SAME
-    ]
+    worth, count = penalised_log_likelihood, log_count(models)
+    enough = _OUT_OF_REACH * worth(count, named_fit, null)
+    leading = sorted(
+        (
+            (candidate, float(rho))
+            for candidate, rho in zip(screening.candidates, alike, strict=True)
+            if candidate.log_odds > enough and candidate.name not in names
+        ),
+        key=lambda entry: -entry[0].log_odds,
+    )
+    others = [(candidate, count) for candidate, rho in leading if rho < SAME][:_REFITTED]
+    twins = [(candidate, 0.0) for candidate, rho in leading if rho >= SAME][:_TWINS]
     competing_models = [
-        RivalModel(candidate.name, penalised_log_likelihood(log_count(models), fitted, null) - worth)
-        for candidate in sorted(leading, key=lambda entry: -entry.log_odds)[:_REFITTED]
+        RivalModel(candidate.name, worth(price, fitted, null) - worth(price, named_fit, null))
+        for candidate, price in (*others, *twins)
         if (fitted := _refitted(models, null, candidate)) is not None
     ]
     return max(competing_models, key=lambda candidate: candidate.ahead, default=None)

@@ -6,6 +6,7 @@ They are tested like named effects and compete with them, and are only ever desc
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from companion.core.wing.effect import Effect, Group, ModalMotion, ResidualPeak, on_halves, parameter
+from companion.core.wing.structure import Structure
 from companion.diagnosis.data.observations import ToeData
 from companion.records import Floats, Station
 
@@ -73,6 +75,40 @@ class GenericVaryingStiffness(GenericForce):
         """Apply the law."""
         pull: Floats = motion.structure.stiffness_radps2 @ motion.offset_m
         return -self.strength * type(self).sway(_across(np.asarray(motion.t_s))) * pull
+
+
+@dataclass(frozen=True, slots=True)
+class GenericStiffness(Effect):
+    """A spring force along with the deflection: all modes alike, or the right side against the left."""
+
+    group: ClassVar[Group] = Group.STRUCTURE
+    against: ClassVar[bool] = False
+
+    strength: float = parameter("", 0.2, "share of the stiffness, its logarithm where both sides are alike")
+
+    def structure(self, structure: Structure) -> Structure:
+        """Stiffen."""
+        return dataclasses.replace(structure, stiffness_radps2=self._grown(structure, structure.stiffness_radps2))
+
+    def _grown(self, structure: Structure, matrix: Floats) -> Floats:
+        if not type(self).against:
+            return np.asarray(matrix * np.exp(self.strength))
+        grown = matrix.copy()
+        for s, a in structure.pairs():
+            for i, j in ((s, a), (a, s)):
+                grown[i, j] += self.strength * np.sqrt(matrix[s, s] * matrix[a, a])
+        return grown
+
+
+@dataclass(frozen=True, slots=True)
+class GenericDamping(GenericStiffness):
+    """The same of the damping."""
+
+    strength: float = parameter("", 0.5, "share of the damping, its logarithm where both sides are alike")
+
+    def structure(self, structure: Structure) -> Structure:
+        """Damp."""
+        return dataclasses.replace(structure, damping_radps=self._grown(structure, structure.damping_radps))
 
 
 SENSED: dict[str, Callable[[Floats, Floats], Floats]] = {
@@ -288,6 +324,11 @@ def generic_effects() -> list[type[Effect]]:
         *(
             _kind(GenericVaryingStiffness, f"force with {name}", sway=staticmethod(sway))
             for name, sway in TIMES.items()
+        ),
+        *(
+            _kind(base, f"force with {what}{', left against right' if against else ''}", against=against)
+            for base, what in ((GenericStiffness, "deflection"), (GenericDamping, "speed"))
+            for against in (False, True)
         ),
         *(
             _kind(
