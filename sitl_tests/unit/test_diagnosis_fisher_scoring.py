@@ -81,7 +81,7 @@ class Coherence(Line):
         plain = Line.scores(self, values)
         return Scores(plain.log_likelihood, plain.gradient, 2.0 * plain.information, None)
 
-    def scores_beside(self, values: Floats, near: None) -> Scores[None]:
+    def neighbour_scores(self, values: Floats, near: None) -> Scores[None]:
         del near
         plain = Line.scores(self, values)
         return Scores(plain.log_likelihood, plain.gradient, 2.0 * plain.information, None)
@@ -111,10 +111,10 @@ def test_no_step_is_made_that_promises_nothing(coherence: Coherence) -> None:
 
 def test_the_top_that_a_neighbours_derivatives_lead_to_is_judged_with_its_own(coherence: Coherence) -> None:
     coherence.parameters = [Parameter("", 0.0, 1.0), Parameter("", 0.0, 0.2)]
-    best = maximise(coherence, np.zeros(2), 30, coherence.scores_beside)
+    best = maximise(coherence, np.zeros(2), 30, coherence.neighbour_scores)
     assert best.converged
     np.testing.assert_array_equal(coherence.asked[-1], best.values)
     asked = len(coherence.asked)
-    rough = maximise(coherence, np.zeros(2), 30, coherence.scores_beside, values_alone=True)
+    rough = maximise(coherence, np.zeros(2), 30, coherence.neighbour_scores, values_alone=True)
     np.testing.assert_allclose(rough.values, best.values, atol=0.02)
     assert len(coherence.asked) - asked < asked

@@ -192,10 +192,10 @@ def test_a_step_beside_a_model_with_forces_smooths_no_motion_again(
     here = drawn.expect(nuisances, terms)
     assert len(passes) == 2
     louder = nuisances + np.array([1e-4 * (entry.key == "symmetric.level") for entry in drawn.belief.nuisances])
-    assert drawn.expect(louder, terms, here, slightly=True).motion.modal is not here.motion.modal
+    assert drawn.expect(louder, terms, here, small_step=True).motion.modal is not here.motion.modal
     assert len(passes) == 2
     stiffer = [EffectTerm(catalogue()["cubic-stiffness"](50.01))]
-    beside, whole = drawn.expect(nuisances, stiffer, here, slightly=True), drawn.expect(nuisances, stiffer)
+    beside, whole = drawn.expect(nuisances, stiffer, here, small_step=True), drawn.expect(nuisances, stiffer)
     np.testing.assert_array_equal(beside.spectrum, whole.spectrum)
 
 
@@ -203,7 +203,7 @@ def test_derivatives_of_a_neighbour_lead_to_the_same_top(drawn: FlightModel) -> 
     likelihood = FlightsLikelihood([drawn], ())
     start = likelihood.start() + 0.5 * np.array([entry.sigma for entry in likelihood.parameters])
     alone = maximise(likelihood, start, 24)
-    led = maximise(likelihood, start, 24, likelihood.scores_beside)
+    led = maximise(likelihood, start, 24, likelihood.neighbour_scores)
     assert led.converged
     assert led.log_evidence == pytest.approx(alone.log_evidence, abs=0.02)
     assert np.abs((led.values - alone.values) / np.sqrt(np.diag(alone.covariance))).max() < 0.1

@@ -72,7 +72,7 @@ class FlightModel:
         deviations: Floats,
         terms: Sequence[EffectTerm] = (),
         near: Expectation | None = None,
-        slightly: bool = False,
+        small_step: bool = False,
     ) -> Expectation:
         """Hold a model against the recording.
 
@@ -84,14 +84,14 @@ class FlightModel:
             Named effects in force.
         near : Expectation, optional
             Of a neighbouring model, which lends its ``toe_posterior``, the dear part, and all that is the same.
-        slightly : bool
-            Whether it is a difference quotient's step away: then it lends the motion on which forces act too.
+        small_step : bool
+            Whether ``near`` is one step of a difference quotient away: forces then act on its motion.
         """
         deviation = self.belief.named(deviations, self.recording)
         terms = (*self.belief.terms, *terms)
         effects = tuple(term.effect for term in terms)
         wing = WingModel(self.belief.wing(deviation), effects)
-        motion = self._motion(wing, terms, deviation, near, slightly)
+        motion = self._motion(wing, terms, deviation, near, small_step)
         posterior = near.toe_posterior if near is not None else np.zeros((0, 0))
         toe, variance = np.zeros(0), np.zeros(0)
         if self._toe is not None:
@@ -196,7 +196,7 @@ class FlightModel:
         terms: Sequence[EffectTerm],
         deviation: Mapping[str, float],
         near: Expectation | None,
-        slightly: bool,
+        small_step: bool,
     ) -> Motion:
         """Motion under a model; half of all parameters are of the cameras alone and leave it as it is nearby."""
         inner = tuple(term for term in terms if term.effect.group is not Group.CAMERA)
@@ -215,7 +215,7 @@ class FlightModel:
             lambda shape, scale: self._spectra.linear(shape, scale, effects, deviation),
             measured,
             leaked,
-            near.motion if near is not None and slightly and isinstance(near.motion, SmoothedMotion) else None,
+            near.motion if near is not None and small_step and isinstance(near.motion, SmoothedMotion) else None,
         )
 
     def _leaked_mps2(self, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Floats | None:

@@ -62,7 +62,7 @@ class FlightsLikelihood:
         state = FlightState(expectations, tuple(tuple(entry) for entry in columns))
         return Scores(log_likelihood(self._models, expectations), gradient, information, state)
 
-    def scores_beside(self, values: Floats, near: FlightState) -> Scores[FlightState]:
+    def neighbour_scores(self, values: Floats, near: FlightState) -> Scores[FlightState]:
         """The same with the derivatives of a neighbouring vector, and the posterior covariance of the toe there."""
         expectations = expect(self._models, values, self._terms, near.expectations)
         gradient, information = joint_scores(self._models, expectations, near.columns)
@@ -91,7 +91,9 @@ def fit(
     sizes = [len(term.values) for term in terms]
     ends = np.cumsum([len(models[0].belief.nuisances), *sizes]).tolist()
     blocks = [range(end - size, end) for size, end in zip(sizes, ends[1:], strict=True)]
-    fitted = climb(likelihood, terms, blocks, likelihood.start(start), rounds, likelihood.scores_beside, values_alone)
+    fitted = climb(
+        likelihood, terms, blocks, likelihood.start(start), rounds, likelihood.neighbour_scores, values_alone
+    )
     return dataclasses.replace(fitted, terms=placed(models[0].belief, fitted.values, terms))
 
 

@@ -16,7 +16,7 @@ from companion.records import Floats, Side, Station
 
 ADDED = "added"
 """Stands for a mode that an effect has appended, in the names of nuisances."""
-_KEPT = 4  # structures: of a model, of its forces' two passes, of a step beside it
+_CACHED = 4  # receptances: of a model, of its two passes over forces, of a neighbour by one difference step
 _TOGETHER = 5.0  # tanh sinh of it is 1 to the last digit
 STATIONS = {Side.LEFT: Station.LEFT, Side.RIGHT: Station.RIGHT}
 
@@ -51,7 +51,7 @@ class Spectra:
         self._omega: Floats = 2.0 * np.pi * f_hz
         self._filters = [_butterworth(f_hz, airframe.sensor(STATIONS[side]).lowpass_accel_hz) for side in self.sides]
         self._root_noise = 0.5 * airframe.root.accel_noise_mps2_rthz**2 if has_root else 0.0
-        self._received: dict[bytes, Complexes] = {}
+        self._receptances: dict[bytes, Complexes] = {}
         self._level = self._reference_levels()
 
     def linear(
@@ -70,13 +70,13 @@ class Spectra:
         return np.stack([self._response(i, effects, deviation) for i in range(len(self.sides))])
 
     def _receptance(self, structure: Structure) -> Complexes:
-        """The receptance; the last few are kept, for most parameters leave the structure as it is."""
+        """The receptance; the last few are kept, for most parameters do not change the structure."""
         key = structure.stiffness_radps2.tobytes() + structure.damping_radps.tobytes()
-        if key not in self._received:
-            if len(self._received) >= _KEPT:
-                self._received.pop(next(iter(self._received)))
-            self._received[key] = receptance(structure, self._omega)
-        return self._received[key]
+        if key not in self._receptances:
+            if len(self._receptances) >= _CACHED:
+                self._receptances.pop(next(iter(self._receptances)))
+            self._receptances[key] = receptance(structure, self._omega)
+        return self._receptances[key]
 
     def _load(self, structure: Structure, effects: Sequence[Effect], deviation: Mapping[str, float]) -> Complexes:
         believed, level = len(self._level), np.empty(structure.count)

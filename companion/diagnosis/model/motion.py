@@ -33,7 +33,7 @@ class RecordedSpectra:
 
 @dataclass(frozen=True, slots=True)
 class _Forces:
-    """Forces of state and time on a motion (n, m each): what they come to, and the spectrum of their rest (n, f)."""
+    """Forces of state and time on a motion (n, m each): linearisation, and the spectrum of its residual (n, f)."""
 
     motion: tuple[Floats, Floats]
     untold_m: float
@@ -46,8 +46,8 @@ class SmoothedMotion:
 
     ``key`` equals another's where the two models are the same here; ``measured_mps2`` (n, m) are modal loads that were
     recorded, ``leaked_mps2`` (c, m) what the rigid aircraft leaves in the accelerations. Frequencies run from 0 to the
-    top of the band, which begins at index ``low``. With ``beside``, a model that differs by a difference quotient's
-    step, forces are those of its motion: how the step moves the motion is of second order in them.
+    top of the band, which begins at index ``low``. With ``neighbour``, the model before one step of a difference
+    quotient, forces act on its motion: how the step changes the motion is of second order in them.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class SmoothedMotion:
         linear_of: Callable[..., Linear],
         measured_mps2: Floats | None = None,
         leaked_mps2: Floats | None = None,
-        beside: SmoothedMotion | None = None,
+        neighbour: SmoothedMotion | None = None,
     ) -> None:
         self.key = key
         self._wing, self._terms = wing, tuple(term for term in terms if term.effect.forces_modes())
@@ -72,9 +72,9 @@ class SmoothedMotion:
         self._bent = self._up_mps2 is not grid.lineariser.recorded_mps2
         self._measured = None if measured_mps2 is None else grid.transforms.spectrum(measured_mps2)
         self._push: Complexes | None = self._measured
-        lent = None if beside is None else beside.forces_on(wing, self._terms)
-        if lent is not None:
-            self._act(lent, lambda structure: linear_of(structure, scale))
+        shared = None if neighbour is None else neighbour.forces_on(wing, self._terms)
+        if shared is not None:
+            self._apply(shared, lambda structure: linear_of(structure, scale))
             return
         self._take(linear_of(wing.structure, scale))
         if self._terms:
@@ -99,10 +99,10 @@ class SmoothedMotion:
         for _ in range(_PASSES):
             smoother = self._smoother()
             motion, untold_m = self._smoothed(smoother), self._untold_m(smoother)
-            self._act(self._pushed(self._wing, self._terms, motion, untold_m), linear_of)
+            self._apply(self._forces_on_motion(self._wing, self._terms, motion, untold_m), linear_of)
 
-    def _act(self, forces: _Forces, linear_of: Callable[[Structure], Linear]) -> None:
-        """Let forces work: their mean slopes as stiffness and damping, the rest as a load that is known."""
+    def _apply(self, forces: _Forces, linear_of: Callable[[Structure], Linear]) -> None:
+        """Forces in the linear model: mean slopes as stiffness and damping, their residual as a load."""
         structure, push = self._wing.structure, forces.push
         stiffness, damping = structure.stiffness_radps2 - push.per_q, structure.damping_radps - push.per_qdot
         if np.any(np.diag(stiffness) <= 0.0) or np.any(np.diag(damping) <= 0.0):
@@ -112,7 +112,7 @@ class SmoothedMotion:
         if forces.rest is not None:
             self._push = forces.rest if self._measured is None else forces.rest + self._measured
 
-    def _pushed(
+    def _forces_on_motion(
         self, wing: WingModel, terms: Sequence[EffectTerm], motion: tuple[Floats, Floats], untold_m: float
     ) -> _Forces:
         push = self._grid.lineariser.push(wing, terms, *motion, untold_m)
@@ -122,16 +122,16 @@ class SmoothedMotion:
     def forces_on(self, wing: WingModel, terms: Sequence[EffectTerm]) -> _Forces | None:
         """Forces of a model beside this one, on the motion of this one; its own where they are the same.
 
-        None where there are none to lend: a law that acts here already may move the motion by its own parameters.
+        None where there are none to share: a law that acts here already may change the motion by its parameters.
         """
-        known = self._forces
+        forces = self._forces
         if not terms or len(self.modal) != wing.count or any(term not in terms for term in self._terms):
             return None
-        if known is None:
-            return self._pushed(wing, terms, self.in_time, self._untold_m(self.smoother))
+        if forces is None:
+            return self._forces_on_motion(wing, terms, self.in_time, self._untold_m(self.smoother))
         if len(terms) == len(self._terms) and _alike(wing.structure, self._wing.structure):
-            return known
-        return self._pushed(wing, terms, known.motion, known.untold_m)
+            return forces
+        return self._forces_on_motion(wing, terms, forces.motion, forces.untold_m)
 
     @cached_property
     def smoother(self) -> Complexes:
@@ -213,9 +213,9 @@ class SmoothedMotion:
         return deflection + self._transforms.in_time(forced), speed + self._transforms.in_time(forced * omega)
 
 
-def _alike(one: Structure, other: Structure) -> bool:
+def _alike(first: Structure, other: Structure) -> bool:
     """Whether forces see no difference between two structures."""
     return all(
-        np.array_equal(getattr(one, name), getattr(other, name))
+        np.array_equal(getattr(first, name), getattr(other, name))
         for name in ("stiffness_radps2", "damping_radps", "lift", "slope_radpm")
     )

@@ -16,13 +16,13 @@ import numpy as np
 from companion.records import Floats
 
 _ENOUGH = 0.02  # nats gained by a step, below which it is the last
-_NOT_WORTH_IT = 0.1 * _ENOUGH  # promised by a step, below which it is not made: 0.06 sigma at most
-_AS_PROMISED, _SLIGHT = 0.3, 2.0
-"""Derivatives change little where a step gains what it promised, give or take this share, or promised so few nats."""
-_NEARLY = 0.5  # nats promised by a step that none follows, below which the top is reached
+_NEGLIGIBLE = 0.1 * _ENOUGH  # predicted by a step, below which it is not made: 0.06 sigma at most
+_AS_PREDICTED, _SLIGHT = 0.3, 2.0
+"""Derivatives change little where a step gains what they predict, to this share, or where they predict so few nats."""
+_NEARLY = 0.5  # nats predicted by a step that none follows, below which the top is reached
 _TRIES = 9  # of one step, each more damped than the last
 _DAMPED_TRIES = 2  # then the step is shortened as well
-_WORTH_LONGER, _LONGEST = 1.2, 3.0  # times a step
+_LEAST_LONGER, _LONGEST = 1.2, 3.0  # times a step
 _DAMPING, _HARDER, _SOFTER, _UNDAMPED = 0.5, 4.0, 4.0, 0.1
 _FARTHEST = 3.0  # prior sigmas in one step
 State = TypeVar("State")
@@ -83,32 +83,34 @@ def maximise(
     model: LikelihoodModel[State],
     start: Floats,
     rounds: int,
-    beside: Callable[[Floats, State], Scores[State]] | None = None,
+    neighbour_scores: Callable[[Floats, State], Scores[State]] | None = None,
     values_alone: bool = False,
 ) -> Maximum[State]:
     """Climb from ``start`` (p,) to the most probable values in at most ``rounds`` scoring steps.
 
-    ``beside`` gives scores with the derivatives of a neighbouring vector, which cost little: they lead on as long as
-    the posterior rises as they promise. The top is judged with its own, but where the ``values_alone`` are wanted.
+    ``neighbour_scores`` gives scores with the derivatives at a neighbouring vector, which cost little: they serve as
+    long as the posterior rises as they predict. The maximum is judged with exact ones, unless ``values_alone`` are
+    wanted.
     """
-    prior, lend = NormalPrior(model.parameters), beside or (lambda at, _state: model.scores(at))
-    values, scores, own, converged, damping = start.copy(), model.scores(start), True, False, 0.0
+    prior, approximate = NormalPrior(model.parameters), neighbour_scores or (lambda at, _state: model.scores(at))
+    values, scores, exact, converged, damping = start.copy(), model.scores(start), True, False, 0.0
     for _ in range(rounds):
-        promised = _promised(prior, values, scores)
-        step = None if promised < _NOT_WORTH_IT else _climb(model, prior, values, scores, damping)
+        predicted = _predicted_gain(prior, values, scores)
+        step = None if predicted < _NEGLIGIBLE else _climb(model, prior, values, scores, damping)
         if step is None:
-            converged = promised < (_NEARLY if own else _NOT_WORTH_IT)
-            if own or (values_alone and converged):
+            converged = predicted < (_NEARLY if exact else _NEGLIGIBLE)
+            if exact or (values_alone and converged):
                 break
-            scores, own = model.scores(values), True
+            scores, exact = model.scores(values), True
             continue
         values, gained, damping = step
-        converged = gained < _ENOUGH and (own or values_alone)
-        own = not (beside and (values_alone if converged else damping == 0.0 and _kept(promised, gained)))
-        scores = model.scores(values) if own else lend(values, scores.state)
+        converged = gained < _ENOUGH and (exact or values_alone)
+        serves = values_alone if converged else damping == 0.0 and _derivatives_hold(predicted, gained)
+        exact = not (neighbour_scores and serves)
+        scores = model.scores(values) if exact else approximate(values, scores.state)
         if converged:
             break
-    if not (own or values_alone):
+    if not (exact or values_alone):
         scores = model.scores(values)
     information = prior.added(values, scores)[1]
     log_posterior = scores.log_likelihood + prior.log_density(values)
@@ -134,13 +136,13 @@ class NormalPrior:
         return gradient, scores.information + np.diag(1.0 / self.sigmas**2)
 
 
-def _kept(promised: float, gained: float) -> bool:
-    """Whether derivatives are much the same after a step that gained and promised so many nats."""
-    return gained >= _ENOUGH and (promised < _SLIGHT or abs(gained - promised) < _AS_PROMISED * promised)
+def _derivatives_hold(predicted: float, gained: float) -> bool:
+    """Whether derivatives are much the same after a step that gained and predicted so many nats."""
+    return gained >= _ENOUGH and (predicted < _SLIGHT or abs(gained - predicted) < _AS_PREDICTED * predicted)
 
 
-def _promised(prior: NormalPrior, values: Floats, scores: Scores[State]) -> float:
-    """What a whole step would gain if the posterior were normal, nat."""
+def _predicted_gain(prior: NormalPrior, values: Floats, scores: Scores[State]) -> float:
+    """Gain of a whole step if the posterior is normal, nat."""
     gradient, information = prior.added(values, scores)
     return 0.5 * float(gradient @ np.linalg.solve(information, gradient))
 
@@ -164,7 +166,7 @@ def _climb(
             if damping == 0.0:
                 longer = _longer(float(gradient @ move), reached - height)
                 further: Floats = np.asarray(values + longer * move, dtype=np.float64)
-                beyond = _height(model, prior, further, scores.state) if longer > _WORTH_LONGER else -np.inf
+                beyond = _height(model, prior, further, scores.state) if longer > _LEAST_LONGER else -np.inf
                 candidate, reached = (further, beyond) if beyond > reached else (candidate, reached)
             softer = damping / _SOFTER if k == 0 else damping
             return candidate, reached - height, softer if softer >= _UNDAMPED else 0.0

@@ -76,11 +76,11 @@ def climb(
     blocks: Sequence[Sequence[int]],
     start: Floats,
     rounds: int,
-    beside: Callable[[Floats, State], Scores[State]] | None = None,
+    neighbour_scores: Callable[[Floats, State], Scores[State]] | None = None,
     values_alone: bool = False,
 ) -> Fit[TermT, State]:
     """The most probable values of a model from ``start`` (p,), in at most ``rounds`` steps of :func:`maximise`."""
-    best = maximise(model, start, rounds, beside, values_alone)
+    best = maximise(model, start, rounds, neighbour_scores, values_alone)
     prior = NormalPrior(model.parameters)
     return Fit(
         tuple(terms),

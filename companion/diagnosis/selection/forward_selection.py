@@ -131,8 +131,8 @@ class ForwardSelection(Generic[TermT, State]):
             index = [entry.term.key for entry in pruned.causes].index(cause.term.key)
             terms = tuple(term for i, term in enumerate(pruned.fitted.terms) if i != index)
             self._progress(f"do without {cause.term.name}", 0.0)
-            known = path.stages[-2] if pruned is path and index == len(terms) else None
-            without = known if known and known.converged else self._recordings.fit(terms, pruned.fitted)
+            previous = path.stages[-2] if pruned is path and index == len(terms) else None
+            without = previous if previous and previous.converged else self._recordings.fit(terms, pruned.fitted)
             factor = pruned.fitted.log_evidence - without.log_evidence
             others = tuple(entry for i, entry in enumerate(pruned.causes) if i != index)
             if factor < ENOUGH_MORE and others:
