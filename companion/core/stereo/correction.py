@@ -13,7 +13,7 @@ from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, grou
 from companion.core.stereo.epipolar_states import YAW
 from companion.core.stereo.exposure import TipMotion, bent_pose, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
-from companion.core.stereo.flow import FlightBetween, FlowView
+from companion.core.stereo.flow import LONGEST_NS, FlightBetween, FlowView
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, PairConditions, correct
 from companion.core.stereo.rotation import exp_rotation
@@ -35,7 +35,6 @@ from companion.records import (
 )
 from companion.units import Severity
 
-_LONGEST_FLOW_NS = 600_000_000  # of a feature from one left image to a later one (choice: it leaves the image)
 _LEAST_FLOW = 12  # features, of a rotation, a velocity and the toe (choice)
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
@@ -205,7 +204,7 @@ class Correction:
     def _flown(self, from_ns: int, until_ns: int) -> FlightBetween | None:
         """Motion of the body between two instants; None where it is not told, or the instants lie far apart."""
         motion = self.vehicle.motion((from_ns + until_ns) // 2)
-        turn_rad = self.turns.between(from_ns, until_ns) if 0 < until_ns - from_ns <= _LONGEST_FLOW_NS else None
+        turn_rad = self.turns.between(from_ns, until_ns) if 0 < until_ns - from_ns <= LONGEST_NS else None
         if turn_rad is None or not motion.over_ground:
             return None
         passed_s = 1e-9 * (until_ns - from_ns)

@@ -15,6 +15,7 @@ import numpy as np
 
 from companion.core.stereo.dense import DenseMatcher, Disparity, metric_pairs
 from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.least_magnitudes import least_magnitudes
 from companion.core.stereo.rectification import Rectification, rectification, rectify_pair
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.search import Search
@@ -63,12 +64,7 @@ def levelled(matches: MatchSet, rig: Rig, search: Search) -> tuple[Pose, Pose] |
     right = (frame.to_rectified(rig.right, search.right, matches.right_px) - middle) / focal
     x, y = (0.5 * (left + right)).T
     parted, design = left[:, 1] - right[:, 1], np.column_stack([-(1.0 + y * y), x])
-    weight: Floats = np.ones(len(parted))
-    turn = np.zeros(2)
-    for _ in range(_IRLS_STEPS):
-        weighted = design * weight[:, np.newaxis]
-        turn = np.linalg.solve(weighted.T @ design, weighted.T @ parted)
-        weight = np.asarray(1.0 / np.maximum(np.abs(parted - design @ turn), _COARSE_RAD), dtype=np.float64)
+    turn = least_magnitudes(design, parted[:, np.newaxis], _COARSE_RAD, _IRLS_STEPS)[:, 0]
     half = 0.5 * frame.rectified_from_body.T @ np.array([turn[0], 0.0, turn[1]])
     return _turned(search.left, -half), _turned(search.right, half)
 

@@ -23,6 +23,8 @@ from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import RangeAxis, Rays, triangulate
 from companion.records import Floats
 
+LONGEST_NS = 600_000_000
+"""Between two left images: a feature that flies on for longer leaves the picture (choice)."""
 _STEP = 1e-6  # of the difference quotients
 _RAY_FIELDS = ("left_m", "left", "right_m", "right")
 

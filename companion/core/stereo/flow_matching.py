@@ -11,17 +11,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from companion.core.stereo.matching import FINE_SCORE, returned
-from companion.core.stereo.refine import HALF_WINDOW, refine
+from companion.core.stereo.flow import LONGEST_NS
+from companion.core.stereo.least_magnitudes import least_magnitudes
+from companion.core.stereo.matching import BORDER_PX, COARSE_PX, FINE_SCORE, returned
+from companion.core.stereo.refine import refine
 from companion.records import Bools, Bytes, Floats, Flow, FramePair, Ints, MatchSet
 
-_LONGEST_NS = 600_000_000  # between two left images: a feature that flies on leaves the picture (choice)
 _LEVELS = 5  # of the pyramid: 21 px at the coarsest level are a third of a VGA image
 _WINDOW_PX = 21
-_BORDER_PX = HALF_WINDOW + 3  # a patch and its interpolation taps fit in
 _LEAST_FOR_SHAPE = 12  # three unknowns a row, and enough to outvote mismatches (choice)
 _SHAPE_IRLS_STEPS = 5  # reweightings; the shape of a patch is all that comes of it
-_COARSE_PX = 0.5  # accuracy of the coarse places
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,12 +45,12 @@ def flow_since(earlier: EarlierView, pair: FramePair, matches: MatchSet) -> Flow
         Its matches, without fillings; their left places are looked for.
     """
     passed_ns = pair.left.mid_exposure_ns - earlier.mid_exposure_ns
-    if not 0 < passed_ns <= _LONGEST_NS or earlier.image.shape != pair.left.image.shape or not len(matches.sigma_px):
+    if not 0 < passed_ns <= LONGEST_NS or earlier.image.shape != pair.left.image.shape or not len(matches.sigma_px):
         return None
     centres = np.rint(matches.left_px).astype(np.int64)
     start, tracked = _coarse(pair.left.image, earlier.image, centres)
     size = np.array(pair.left.image.shape[::-1])
-    inside = tracked & np.all((centres >= _BORDER_PX) & (centres < size - _BORDER_PX), axis=1)
+    inside = tracked & np.all((centres >= BORDER_PX) & (centres < size - BORDER_PX), axis=1)
     index = np.flatnonzero(inside)
     if not len(index):
         return None
@@ -87,13 +86,4 @@ def _shape(points_px: Floats, moved_px: Floats) -> Floats:
     if len(points_px) < _LEAST_FOR_SHAPE:
         return np.zeros((2, 2))
     design = np.column_stack([points_px - points_px.mean(axis=0), np.ones(len(points_px))])
-    weight: Floats = np.ones(len(points_px))
-    fitted: Floats = np.zeros((3, 2))
-    for _ in range(_SHAPE_IRLS_STEPS):
-        weighted = design * weight[:, np.newaxis]
-        fitted = np.asarray(
-            np.linalg.lstsq(weighted.T @ design, weighted.T @ moved_px, rcond=None)[0], dtype=np.float64
-        )
-        residual_px = np.linalg.norm(moved_px - design @ fitted, axis=1)
-        weight = np.asarray(1.0 / np.maximum(residual_px, _COARSE_PX), dtype=np.float64)
-    return fitted[:2].T
+    return least_magnitudes(design, moved_px, COARSE_PX, _SHAPE_IRLS_STEPS)[:2].T

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from companion.core.stereo.geometry import Rig
+from companion.core.stereo.least_magnitudes import least_magnitudes
 from companion.core.stereo.rectification import Rectification, halved, rectification, rectify_pair
 from companion.core.stereo.refine import HALF_WINDOW, Refined, refine
 from companion.core.stereo.search import Band, Search, bands, seek
@@ -20,7 +21,8 @@ from companion.records import Bools, Bytes, Floats, FramePair, Ints, MatchSet, S
 
 _CORNER_QUALITY = 0.01  # OpenCV's usual share of the strongest response
 _CORNER_SPACING_PX = 14  # less than a refinement window apart, features are not independent
-_BORDER_PX = HALF_WINDOW + 3  # a patch and its interpolation taps fit in
+BORDER_PX = HALF_WINDOW + 3
+"""Distance from the border at which a patch and its interpolation taps fit in."""
 _COARSE_WIDTH_PX = 320  # width of the images of the coarse search: speed
 _COARSE_SCORE = 0.6  # correlation that a right place reaches at the coarse scale (choice)
 FINE_SCORE = 0.85
@@ -34,7 +36,8 @@ _RETURN_SIGMAS = 4.0  # both ways have noise of their own
 _SLOPE_PX = 5.0  # half the step of the difference quotient
 _LEAST_FOR_ROLL = 12  # three unknowns, and enough to outvote mismatches (choice)
 _ROLL_IRLS_STEPS = 5  # reweightings; roll only shapes the patch
-_COARSE_PX = 0.5  # accuracy of the coarse search
+COARSE_PX = 0.5
+"""Accuracy of the coarse search (choice)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +114,7 @@ def _corners(image: Bytes, most: int, level: int, quality: float) -> Ints:
     They are looked for in the small image, ten times faster: texture over the window counts, not a sharp corner.
     """
     small = halved(image, level)
-    border = -(-_BORDER_PX // 2**level)
+    border = -(-BORDER_PX // 2**level)
     mask = np.zeros_like(small)
     mask[border:-border, border:-border] = 1
     spacing = _CORNER_SPACING_PX / 2**level
@@ -124,8 +127,8 @@ def _corners(image: Bytes, most: int, level: int, quality: float) -> Ints:
 
 def _reachable(band: Band, frame: Rectification) -> Bools:
     width, height = frame.size_px
-    inside = (band.right >= _BORDER_PX) & (band.left < width - _BORDER_PX)
-    return inside & (band.bottom >= _BORDER_PX) & (band.top < height - _BORDER_PX)
+    inside = (band.right >= BORDER_PX) & (band.left < width - BORDER_PX)
+    return inside & (band.bottom >= BORDER_PX) & (band.top < height - BORDER_PX)
 
 
 def expected_slopes(frame: Rectification, rig: Rig, left_px: Ints, right_rectified_px: Floats) -> Floats:
@@ -161,13 +164,7 @@ def _roll(points_px: Floats, down_px: Floats) -> float:
     if len(points_px) < _LEAST_FOR_ROLL:
         return 0.0
     design = np.column_stack([points_px, np.ones(len(points_px))])
-    weight: Floats = np.ones(len(points_px))
-    fitted: Floats = np.zeros(3)
-    for _ in range(_ROLL_IRLS_STEPS):
-        weighted = design * weight[:, np.newaxis]
-        fitted = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ down_px), dtype=np.float64)
-        weight = np.asarray(1.0 / np.maximum(np.abs(down_px - design @ fitted), _COARSE_PX), dtype=np.float64)
-    return float(fitted[0])
+    return float(least_magnitudes(design, down_px[:, np.newaxis], COARSE_PX, _ROLL_IRLS_STEPS)[0, 0])
 
 
 def returned(left: Bytes, right: Bytes, fine: Refined, chosen: Bools, slopes: Floats) -> Bools:
