@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from companion.adapters.recordings.tables.mapping import TestKind, load_mapping
+from companion.adapters.recordings.tables.mapping import FLIGHT, load_mapping
 from companion.cli.steps.effect_list import add_effect_list
 from companion.cli.steps.numbers import integer
 from companion.cli.steps.options import check_output
@@ -64,7 +64,7 @@ def execute(options: argparse.Namespace) -> int:
         require_report()
     progress = _Progress(options.json != "-")
     mapping = load_mapping(options.mapping) if options.mapping is not None else None
-    if mapping is not None and mapping.test is not TestKind.FLIGHT:
+    if mapping is not None and mapping.test != FLIGHT:
         return measured_structures.execute(options, mapping, progress)
     airframe = airframe_of(options.airframe, options.recordings)
     paths = sampling_check.paths_of(options.recordings, mapping)

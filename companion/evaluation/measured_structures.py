@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from companion.adapters.recordings.tables.mapped_table import MappedTable, files_of, read_mapped
-from companion.adapters.recordings.tables.mapping import TableMapping, TestKind
+from companion.adapters.recordings.tables.mapping import FLIGHT, TableMapping
 from companion.diagnosis.forced.json_report import as_json as forced_json
 from companion.diagnosis.forced.recordings import ForcedRecording, diagnose_forced
 from companion.diagnosis.free_decay.json_report import as_json as ringing_json
@@ -45,7 +45,16 @@ def tables_of(paths: Sequence[str], mapping: TableMapping) -> list[MappedTable]:
 
 
 def execute(options: argparse.Namespace, mapping: TableMapping, progress: Progress) -> int:
-    """Diagnose recordings of one structure jointly; exit codes as those of a flight."""
+    """Diagnose recordings of one structure jointly; exit codes as those of a flight.
+
+    Raises
+    ------
+    ConfigError
+        The mapping is of a kind of test that nobody here diagnoses.
+    """
+    if mapping.test not in _DIAGNOSED:
+        kinds = ", ".join((FLIGHT, *_DIAGNOSED))
+        raise ConfigError(f"{mapping.origin}: 'test' must be one of {kinds}, not {mapping.test!r}")
     tables = tables_of(options.recordings, mapping)
     plain, make_page = _DIAGNOSED[mapping.test](tables, mapping, options, progress)
     plain["notes"] += [note for table in tables for note in table.notes]
@@ -139,12 +148,7 @@ def _forced(
     return plain, lambda: forced_page(plain, mapping.description)
 
 
-_DIAGNOSED = {
-    TestKind.RINGING: _free_decay,
-    TestKind.VIBRATION: _vibration,
-    TestKind.LIMIT_CYCLE: _limit_cycle,
-    TestKind.FORCED: _forced,
-}
+_DIAGNOSED = {"ringing": _free_decay, "vibration": _vibration, "limit-cycle": _limit_cycle, "forced": _forced}
 
 
 def _run(table: MappedTable, band_hz: tuple[float, float]) -> VibrationRun:

@@ -6,7 +6,6 @@ between the two where it is not plain.
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,16 +20,8 @@ _MOST_LINES = 1_000_000  # header of a table: more is a slip
 _DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
 
-class TestKind(enum.StrEnum):
-    """Excitation of the wing in a test."""
-
-    __test__ = False  # no test of pytest's
-
-    FLIGHT = "flight"
-    RINGING = "ringing"
-    VIBRATION = "vibration"
-    LIMIT_CYCLE = "limit-cycle"
-    FORCED = "forced"
+FLIGHT = "flight"
+"""Kind of test that a mapping is of where it names none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,15 +57,16 @@ class MatlabLayout:
 class TableMapping:
     """A whole mapping file.
 
-    ``origin`` is its name, for messages. ``rate_hz`` is the rate of the rows where no column is the time, else 0;
-    ``files`` is the pattern of the files that belong to a folder. ``constants`` holds, by file name, what was set once
-    for that recording (sensor position, run order). ``band_hz`` is where the modes of interest are; ``belief`` has
-    ``frequency_hz`` and ``damping`` of a structure that has no airframe file.
+    ``origin`` is its name, for messages; ``test`` the kind of test, a flight or a kind that ``diagnose`` knows.
+    ``rate_hz`` is the rate of the rows where no column is the time, else 0; ``files`` is the pattern of the files that
+    belong to a folder. ``constants`` holds, by file name, what was set once for that recording (sensor position, run
+    order). ``band_hz`` is where the modes of interest are; ``belief`` has ``frequency_hz`` and ``damping`` of a
+    structure that has no airframe file.
     """
 
     origin: str
     description: str
-    test: TestKind
+    test: str
     files: str
     rate_hz: float
     layout: TextLayout | MatlabLayout
@@ -113,7 +105,7 @@ def parse_mapping(text: str, origin: str) -> TableMapping:
     mapping = TableMapping(
         origin,
         keys.text("description", ""),
-        _kind(keys),
+        keys.text("test", FLIGHT),
         keys.text("files", "*"),
         keys.number("rate_hz", 0.0),
         _matlab(matlab) if matlab is not None else _text(table or _Keys({}, origin, "table")),
@@ -177,13 +169,6 @@ class _Keys:
     def items(self) -> list[tuple[str, Any]]:
         unread, self._unread = list(self._unread.items()), {}
         return unread
-
-
-def _kind(keys: _Keys) -> TestKind:
-    name = keys.text("test", "flight")
-    if name not in [*TestKind]:
-        raise keys.error("test", f"must be one of {', '.join(TestKind)}, not {name!r}")
-    return TestKind(name)
 
 
 def _text(keys: _Keys) -> TextLayout:
