@@ -73,6 +73,8 @@ class Deflection:
         The part of the symmetric slope's sigma that is slow (trim bend, tilt bias), one tip.
     fast_slope_time_s : float
         Correlation time of the rest of the symmetric slope's error: the noisier the sensors, the longer.
+    manoeuvre_slope_sigma_rad : float
+        The part of ``slow_slope_sigma_rad`` that a manoeuvre brings and takes away.
     """
 
     t_host_ns: int
@@ -84,3 +86,4 @@ class Deflection:
     lag_ns: int
     slow_slope_sigma_rad: float
     fast_slope_time_s: float = 0.0
+    manoeuvre_slope_sigma_rad: float = 0.0

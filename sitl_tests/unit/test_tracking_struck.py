@@ -16,7 +16,7 @@ from companion.core.pipeline import PipelineState, start, step
 from companion.core.tracking.validity import NIS_LIMIT
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import ImuBatch, OutputRecord, Reject, Rejected, Station, Tick
+from companion.records import ImuBatch, ModeEstimate, OutputRecord, Reject, Rejected, Station, Tick
 from companion.sim.flight.aircraft import Jolt, demo_plan
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.flight.offline import HOST_EPOCH_NS, flight_records
@@ -172,6 +172,25 @@ def test_a_blow_that_the_wing_answers_costs_no_trust(peak_mps2: float) -> None:
     following = Following(build_flight(load_airframe("nadir-2m"), 6, END_S + 1.0, plan=plan))
     following.fly(STRUCK_S - 0.05)
     following.fly(END_S).check()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [7, 8])
+def test_a_blow_that_no_gust_explains_leaves_the_modes_as_they_are_without_it(seed: int) -> None:
+    def modes(peak_mps2: float) -> tuple[ModeEstimate, ModeEstimate]:
+        plan = dataclasses.replace(demo_plan(STRUCK_S + 9.0), jolts=(Jolt(STRUCK_S, peak_mps2),))
+        following = Following(build_flight(load_airframe("nadir-2m"), seed, STRUCK_S + 9.0, plan=plan))
+        flown = following.fly(STRUCK_S + 8.0)
+        assert flown.distrust[-1] is None
+        described = following.state.tracker.describe()
+        assert described is not None
+        return described.symmetric, described.antisymmetric
+
+    for calm, struck in zip(modes(0.0), modes(80.0), strict=True):
+        sigma_hz = np.hypot(calm.frequency_sigma_hz, struck.frequency_sigma_hz)
+        assert abs(struck.frequency_hz - calm.frequency_hz) < 3.0 * sigma_hz
+        assert struck.frequency_sigma_hz < 0.05 * struck.frequency_hz
+        assert 0.5 < struck.rms_m / calm.rms_m < 2.0
 
 
 @pytest.mark.slow

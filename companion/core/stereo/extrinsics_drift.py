@@ -32,6 +32,7 @@ _YAW_BIAS_PX = 0.01  # what matching leaves in its place from pair to pair, in t
 # three rendered flights is 0.2 mrad rms, at most 2.3 of these sigmas, and a knock in yaw alone shows in nothing else.
 _SYSTEMATIC_AHEAD_RAD = (5e-4, 3e-4, 5e-4)
 _FAST_TIME_S = 2.0  # bend that lasts longer is slow: trim, load factor; the first modes lie far above (choice)
+_MANOEUVRE_S = 3.0  # a roll or a pull-up and its recovery: correlation time of the error that it brings (choice)
 _RIPPLE = 1.25  # how far the stated sigma of a bend that nobody has forgotten may rise, by load alone
 
 
@@ -159,7 +160,10 @@ class ExtrinsicsDriftFilter:
         exposures: tuple[CameraExposure, CameraExposure],
         timing_sigma_s: float,
     ) -> FastBelief:
-        """Error of the fast part: the slopes' less what of it is slow, and stamps of moving cameras."""
+        """Error of the fast part: the slopes' less what of it lasts, and stamps of moving cameras.
+
+        Two processes of first order stand for one: their covariances add up, and so do covariance times time.
+        """
         left, right = bend
         slopes = np.nan_to_num(0.5 * (left.covariance[4:, 4:] + right.covariance[4:, 4:]))
         slow = 0.5 * (left.slow_slope_sigma_rad + right.slow_slope_sigma_rad)
@@ -169,7 +173,11 @@ class ExtrinsicsDriftFilter:
         for side in Side:
             moved = timing_sigma_s * (self._filter.epipolar_from_body @ exposures[side].rate_radps)
             covariance = covariance + np.outer(moved, moved)
-        return FastBelief(covariance, 0.5 * (left.fast_slope_time_s + right.fast_slope_time_s))
+        in_manoeuvre_rad = 0.5 * (left.manoeuvre_slope_sigma_rad + right.manoeuvre_slope_sigma_rad) * turn.sum(axis=1)
+        fresh, total = float(np.trace(covariance)), float(np.trace(covariance) + in_manoeuvre_rad @ in_manoeuvre_rad)
+        fast_time_s = 0.5 * (left.fast_slope_time_s + right.fast_slope_time_s)
+        time_s = _MANOEUVRE_S + (fast_time_s - _MANOEUVRE_S) * (fresh / total if total > 0.0 else 1.0)
+        return FastBelief(covariance + np.outer(in_manoeuvre_rad, in_manoeuvre_rad), time_s)
 
     def _shift(
         self, exposures: tuple[CameraExposure, CameraExposure], timing_sigma_s: float, motion: VehicleMotion

@@ -28,11 +28,14 @@ class TipEstimate:
     covariance : (6, 6) float64
     slow_slope_sigma_rad : float
         Sigma of one tip's symmetric slope by bias parameters and drifting biases.
+    slope_by_bias : (c,) float64
+        Derivative of that slope by the bias parameters.
     """
 
     values: Floats
     covariance: Floats
     slow_slope_sigma_rad: float
+    slope_by_bias: Floats
 
 
 def tip_output_matrix(layout: StateLayout, slope: Floats) -> Floats:
@@ -116,10 +119,11 @@ def tip_estimate(
     bias_jacobian[4:] += factor
     total = rows @ covariance @ rows.T + bias_jacobian @ bias_parameter_covariance @ bias_jacobian.T
     mean = 0.5 * (rows[4] + rows[5])
-    slow = _variance_by_biases(covariance, mean, layout.bias_states) + 0.25 * float(
-        (bias_jacobian[4] + bias_jacobian[5]) @ bias_parameter_covariance @ (bias_jacobian[4] + bias_jacobian[5])
+    by_bias: Floats = 0.5 * (bias_jacobian[4] + bias_jacobian[5])
+    slow = _variance_by_biases(covariance, mean, layout.bias_states) + float(
+        by_bias @ bias_parameter_covariance @ by_bias
     )
-    return TipEstimate(values, 0.5 * (total + total.T), float(np.sqrt(max(slow, 0.0))))
+    return TipEstimate(values, 0.5 * (total + total.T), float(np.sqrt(max(slow, 0.0))), by_bias)
 
 
 def mode_estimate(

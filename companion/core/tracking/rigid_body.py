@@ -19,6 +19,7 @@ from companion.native.library import ARRAY, INTEGER, RECORD, kernel, packed
 from companion.records import Axis, Bools, Floats, Ints
 
 _ROOT_NOISE_SIGMAS = 6.0  # chosen: of the root's epochs; smoothing removes more than that of motion only
+_MAX_GATED_RATIO = 0.2  # chosen: where more epochs are gated, the wing really moves so
 _PADDING = 2  # derived: epochs at either end that central differences of smoothed values need
 _BEFORE = _PADDING + EARLIER  # derived: those of values some epochs earlier
 
@@ -42,6 +43,20 @@ def without_gate_excess(epochs: Epochs, gate_excess: Floats) -> Epochs:
         at = np.arange(epochs.length, dtype=np.float64)
         load_g = np.interp(at, at[~gated], epochs.load_g[~gated])
     return epochs._replace(rows=epochs.rows - gate_excess, load_g=load_g)
+
+
+class RareGates:
+    """Takes gated outliers out of epochs, unless there are so many that the wing really moves so."""
+
+    def __init__(self) -> None:
+        self._epochs = 0.0  # gated in the last second
+
+    def without(self, epochs: Epochs, gate_excess: Floats, step_s: float, *, learning: bool) -> Epochs:
+        """Epochs less their gate excess (n, 9); none while ``learning``, when wrong parameters gate right samples."""
+        gated = int(np.count_nonzero(gate_excess.any(axis=1)))
+        self._epochs += gated - self._epochs * min(1.0, epochs.length * step_s)
+        rare = self._epochs * step_s < _MAX_GATED_RATIO and not learning
+        return without_gate_excess(epochs, gate_excess) if gated and rare else epochs
 
 
 def join(runs: list[Epochs]) -> Epochs:

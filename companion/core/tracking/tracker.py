@@ -13,14 +13,16 @@ import numpy as np
 from companion.core.kernels.arrays import Epochs
 from companion.core.tracking.adaptation.adaptation import Adaptation
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S
+from companion.core.tracking.blow import BlowWatch
 from companion.core.tracking.estimates import fast_slope_time_s, mode_estimate, tip_estimate, tip_output_matrix
 from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.line_following import LineFollowing
+from companion.core.tracking.manoeuvre_error import ManoeuvreError
 from companion.core.tracking.model import DiscreteWingModel, WingParameters, build_model, slope_rows
 from companion.core.tracking.parameters import alike, prior_parameters
 from companion.core.tracking.prediction import Forecast, Forecaster
 from companion.core.tracking.readaptation import NewParameters, readapt
-from companion.core.tracking.rigid_body import MeasurementBuilder, join, without_gate_excess
+from companion.core.tracking.rigid_body import MeasurementBuilder, RareGates, join
 from companion.core.tracking.row_noise import RowNoise
 from companion.core.tracking.smoother import smooth_between
 from companion.core.tracking.spread_work import SPREAD_S, SpreadWork, Stages
@@ -35,7 +37,6 @@ _HISTORY_S = 1.0  # chosen: longest lag of the smoother; images arrive within it
 _MAX_EPOCHS = 250  # chosen: averaged at once, bounds memory after a pause; then lines are searched for
 _SATURATION_HOLD_NS = 200_000_000  # chosen: a period of a 5 Hz wing behind the last saturated sample
 _INCONSISTENT_LIMIT_S = 5.0  # chosen: a filter that contradicts its sensors for longer starts again
-_MAX_GATED_RATIO = 0.2  # chosen: where more epochs are gated, the wing really moves so
 _TRIAL_S = 1.5  # derived: fits come once a second
 
 
@@ -80,9 +81,10 @@ class WingTracker:
         self._adaptation.set_bias_parameters(self._kalman.bias_parameters, self._kalman.bend_per_g_m)
         self._trial_epochs: list[Epochs] = []  # on which new parameters are tried
         self._trial_filter = self._kalman.fork(self._kalman.model)
-        self._activity = ModalActivity(self._layout)
+        self._activity, self._manoeuvre_error = ModalActivity(self._layout), ManoeuvreError()
+        self._blow = BlowWatch()
         self._inconsistent_s = 0.0
-        self._gated_epochs = 0.0  # epochs of the last second
+        self._rare_gates = RareGates()
         self._body_rates.clear()
         if self._start_ns is not None:
             self._start_ns = self._next_ns
@@ -189,11 +191,17 @@ class WingTracker:
                 self._restart()
                 break
             self._activity.update(self._kalman, segment.length, self._step_s)
+            vibration = self._activity.rms_m(), self._activity.recent_rms_m()
+            passed_s = segment.length * self._step_s
+            if not self._adaptation.early and self._blow.update(self._kalman.nis, *vibration, passed_s):
+                self._adaptation.begin_history()
             self._body_rates.extend(segment.body_rate_radps)
             if self._settings.adapt:
                 self._trial_epochs.append(segment)
                 contradicted = self._refused or self._kalman.nis > NIS_LIMIT
-                fit = self._adaptation.add_epochs(self._without_gated(segment), contradicted)
+                gate_excess = self._kalman.gate_excess(segment.length)
+                clean = self._rare_gates.without(segment, gate_excess, self._step_s, learning=self._adaptation.early)
+                fit = self._adaptation.add_epochs(clean, contradicted, hold=self._blow.under_way)
                 if fit.stages is not None:
                     self._begin_readaptation(fit.stages)
                 if fit.due and self._readaptation is not None:
@@ -203,17 +211,6 @@ class WingTracker:
                     self._mark()  # without enough samples there was no fit, and the epochs must not pile up
         for stream in self._streams:
             stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
-
-    def _without_gated(self, epochs: Epochs) -> Epochs:
-        """Epochs less gated outliers and blows, unless there are so many that the wing really moves so.
-
-        While the parameters are still being learned, they and not the sensors are wrong.
-        """
-        gate_excess = self._kalman.gate_excess(epochs.length)
-        gated = int(np.count_nonzero(gate_excess.any(axis=1)))
-        self._gated_epochs += gated - self._gated_epochs * min(1.0, epochs.length * self._step_s)
-        rare = self._gated_epochs * self._step_s < _MAX_GATED_RATIO and not self._adaptation.early
-        return without_gate_excess(epochs, gate_excess) if gated and rare else epochs
 
     def _lost(self, steps: int) -> bool:
         """Whether the filter has run away, or has contradicted its sensors for too long to recover."""
@@ -390,6 +387,9 @@ class WingTracker:
             lag_ns=self._next_ns - t_host_ns,
             slow_slope_sigma_rad=estimate.slow_slope_sigma_rad,
             fast_slope_time_s=fast_slope_time_s(kalman, self._rows[4:], int(step)),
+            manoeuvre_slope_sigma_rad=self._manoeuvre_error.sigma_rad(
+                t_host_ns, estimate.slope_by_bias, kalman.bias_parameter_covariance
+            ),
         )
 
     def _body_rate_at(self, step: int, fraction: float) -> Floats:

@@ -16,6 +16,7 @@ from companion.records import Floats, Ints, Reject, Validity
 
 _BLOCK_S = 1.0  # chosen: several periods of the slowest wing
 _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
+_RECENT_S = 0.3  # chosen: three half periods at 5 Hz
 _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
 NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
@@ -48,6 +49,7 @@ class ModalActivity:
         self._blocks: deque[Floats] = deque(maxlen=_BLOCKS)
         self._sum, self._count = np.zeros(2), 0
         self._rms: Floats = np.zeros(2)
+        self._recent: Floats = np.zeros(2)  # mean square
         self.settled_s = 0.0
         self.learned = False
 
@@ -59,6 +61,9 @@ class ModalActivity:
             self._model, self._stiffness = kalman.model, omega**2
         squares = _rate_squares(
             kalman.history.state, kalman.steps - taken, taken, self._rate_states, kalman.one_and_bias
+        )
+        self._recent = self._recent + min(count * step_s / _RECENT_S, 1.0) * (
+            squares / (self._stiffness * max(taken, 1)) - self._recent
         )
         self._sum = self._sum + squares / self._stiffness
         self._count += taken
@@ -79,6 +84,10 @@ class ModalActivity:
     def rms_m(self) -> Floats:
         """Root mean square vibration, symmetric and antisymmetric, m at the tip, (2,)."""
         return self._rms
+
+    def recent_rms_m(self) -> Floats:
+        """As :meth:`rms_m`, over the last third of a second."""
+        return np.sqrt(self._recent)
 
 
 def _rate_squares(states: Floats, first: int, count: int, rate_states: Ints, one_and_bias: Floats) -> Floats:

@@ -110,7 +110,7 @@ class Adaptation:
         """Bias parameters and bend per g as estimated; they correct the whole stored history."""
         self._bias_parameters, self._bend_per_g_m = bias_parameters.copy(), bend_per_g_m
 
-    def add_epochs(self, epochs: Epochs, contradicted: bool = False) -> FitProgress:
+    def add_epochs(self, epochs: Epochs, contradicted: bool = False, hold: bool = False) -> FitProgress:
         """Take epochs; a fit begins or ends with them.
 
         ``contradicted``: the filter cannot explain its measurements, or could not with the last parameters. A further
@@ -128,14 +128,14 @@ class Adaptation:
         )
         self.refilter = self.early
         self._count += epochs.length
-        stages = self._begun(contradicted) if self._count >= self._next else None
+        stages = self._begun(contradicted, hold) if self._count >= self._next else None
         due = self._due is not None and self._count >= self._due
         if due:
             self._due = None
         return FitProgress(stages, due)
 
     def begin_history(self) -> None:
-        """Fit no more what was measured until now: a line was in it, whose power would pass for the gust's.
+        """Fit no more what was measured until now: a line or a blow was in it, whose power would pass for the gust's.
 
         A line of 3 m/s^2 that ends in the middle of 20 s leaks more than the sensors' noise over 30 Hz to either side;
         the gust's corners then come out wrong, and with them the slow bend.
@@ -146,10 +146,12 @@ class Adaptation:
         """Give up the running fit."""
         self._due = None
 
-    def _begun(self, contradicted: bool) -> Stages[WingParameters] | None:
+    def _begun(self, contradicted: bool, hold: bool) -> Stages[WingParameters] | None:
         """Stages of a fit of the history; None where too little of it is present."""
         elapsed_s = self._count * self._step_s
         self._next = round((np.floor(elapsed_s / _PERIOD_S + 1e-6) + 1.0) * _PERIOD_S / self._step_s)
+        if hold:
+            return None
         rows, present = self._corrected_history()
         since = max(self._last_gap(present), len(rows) - (self._count - self._history_from))
         if since and len(rows) - since < self._segment_epochs:
