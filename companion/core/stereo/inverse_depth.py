@@ -120,24 +120,26 @@ def _plane(depths: Depths, inliers: Ints) -> InverseDepthEstimate:
 def _surface_on_axis(depths: Depths, outward: Ints, least: int) -> InverseDepthEstimate:
     """Plane through matches around the axis: all, or a half, a quarter ... of them, until the innermost lie on it.
 
-    Where it is not all of them, there are edges, maybe on the axis: the sigma has what the innermost depart by.
+    Where some of the innermost do not, an edge is near, maybe on the axis: the sigma has what they depart by.
     """
     count, core = outward.size, outward[:least]
     while True:
         fitted = _plane(depths, outward[:count])
         departure_pm, allowed_pm = _departure(depths, core, fitted)
-        if departure_pm <= allowed_pm or count == least:
-            edges_pm = departure_pm if count < outward.size else 0.0
-            return dataclasses.replace(fitted, sigma_pm=float(np.hypot(fitted.sigma_pm, edges_pm)))
+        if float(np.median(np.abs(departure_pm))) <= allowed_pm or count == least:
+            # one of them may be a wrong match, two are an edge
+            second_pm = float(np.sort(np.abs(departure_pm))[-2])
+            beside_pm = second_pm if second_pm > allowed_pm else 0.0
+            return dataclasses.replace(fitted, sigma_pm=float(np.hypot(fitted.sigma_pm, beside_pm)))
         count = max(count // 2, least)
 
 
-def _departure(depths: Depths, core: Ints, fitted: InverseDepthEstimate) -> tuple[float, float]:
-    """Median distance of matches from a fitted plane, and how far noise and roughness let them lie from it, 1/m."""
+def _departure(depths: Depths, core: Ints, fitted: InverseDepthEstimate) -> tuple[Floats, float]:
+    """Departures (n,) of matches from a fitted plane, and how far noise and roughness let them lie from it, 1/m."""
     value, sigma = depths.inverse_pm[core], depths.sigma_pm[core]
     plane = fitted.inverse_pm + depths.tangent[core] @ fitted.slope_pm
     allowed = np.hypot(sigma, _ROUGHNESS * fitted.inverse_pm)
-    return float(np.median(np.abs(value - plane))), _ON_SURFACE * float(np.median(allowed))
+    return value - plane, _ON_SURFACE * float(np.median(allowed))
 
 
 def _nearest_group(depths: Depths, inliers: Ints, size: int) -> Ints:
