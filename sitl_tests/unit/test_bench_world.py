@@ -60,6 +60,16 @@ def test_nothing_is_to_be_trusted_on_the_ground() -> None:
     assert "on ground" in missed(group, figures)
 
 
+def test_trust_is_asked_for_from_fifteen_seconds_in_the_air_on_and_where_there_is_texture() -> None:
+    row = CampaignRow("fair", "nadir-2m", "6-axis", ON_GROUND)
+    early = [shot(11.0 + k, trusted=0.0) for k in range(14)]
+    late = [shot(25.5 + k) for k in range(4)]
+    blank = [0.0, 29.8, 0.0, 0.0, 0.0, math.nan, 0.0, 120.0, 0.0]
+    figures = summary(pooled(row, [part([*early, *late, blank], lift_off_s=10.0, touch_down_s=30.0)]))
+    assert figures["shots"] == 4
+    assert figures["trusted"] == 1.0
+
+
 def test_the_pair_alone_finds_the_yaw_of_a_turned_camera() -> None:
     airframe = load_airframe("nadir-2m")
     yaw = 0.004

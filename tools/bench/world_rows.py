@@ -64,6 +64,11 @@ class CampaignRow:
         return f"{what} ({self.world})" if self.accident.name and self.world != "ideal" else what
 
     @property
+    def is_ideal_circuit(self) -> bool:
+        """Whether it is a flight from the ground with nothing else wrong."""
+        return self.accident.circuit and self.world == "ideal"
+
+    @property
     def key(self) -> str:
         """Folder of its flights."""
         words = f"{self.name} {self.airframe} {self.sensors}".replace("/", "").replace(",", "")
