@@ -25,6 +25,7 @@ from companion.params.airframe import Airframe
 from companion.params.vehicle import implausible
 from companion.records import (
     AutopilotParameter,
+    Axis,
     CameraFeedback,
     ClockName,
     ClockRestart,
@@ -123,7 +124,7 @@ def _track(state: PipelineState, batch: ImuBatch) -> list[Rejected]:
         batch = ImuBatch(batch.station, clock, t_ns, batch.values, batch.axes, batch.received_host_ns)
     if batch.station is Station.ROOT:
         state.unsynced_nodes.note_root(batch.t_ns, batch.values)
-        if state.correction is not None:
+        if state.correction is not None and batch.axes & Axis.GYRO == Axis.GYRO:
             # a turn between two exposures lasts far longer than the filter's delay varies
             delay_ns = round(1e9 * lowpass_delay_s(state.airframe.root.lowpass_gyro_hz))
             state.correction.turns.add(batch.t_ns - delay_ns, batch.values[:, 3:])

@@ -141,6 +141,37 @@ def test_a_turn_is_integrated_where_rates_are_there() -> None:
     assert track.between(900_000_000, 1_300_000_000) is None, "rates are missing for 0.2 s"
 
 
+def test_rates_whose_stamps_repeat_are_left_out_and_a_jump_of_stamps_heals() -> None:
+    track, t_ns = TurnTrack(), np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)
+    rates = np.tile([0.0, 0.0, 0.1], (len(t_ns), 1))
+    track.add(t_ns, rates)
+    for _ in range(1000):
+        track.add(t_ns, 5.0 * rates)
+    turn = track.between(100_000_000, 300_000_000)
+    assert turn is not None
+    assert np.allclose(turn, [0.0, 0.0, 0.02], atol=1e-9)
+    track.add(np.array([10**15], dtype=np.int64), rates[:1])
+    for k in range(1, 20):
+        track.add(t_ns + k * 1_000_000_000, rates)
+    turn = track.between(18_100_000_000, 18_300_000_000)
+    assert turn is not None
+    assert np.allclose(turn, [0.0, 0.0, 0.02], atol=1e-9)
+    assert track.between(100_000_000, 300_000_000) is None, "only the last seconds are kept"
+
+
+@pytest.mark.parametrize("field", ["residual_rad", "sigma_rad", "rotation", "lens", "turn", "velocity"])
+def test_a_row_that_is_not_finite_is_left_out_and_too_few_rows_tell_nothing(field: str) -> None:
+    innovation = _view(1e-3, noise_rad=_NOISE_RAD).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
+    values = getattr(innovation, field).copy()
+    values[:6] = np.nan
+    answer = with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _PASSED_S, NO_BEND)
+    assert answer is not None
+    assert np.isfinite(answer.mean).all()
+    assert answer.flow == (len(innovation.sigma_rad) - 6) // 2
+    values[20:] = np.nan
+    assert with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _PASSED_S, NO_BEND) is None
+
+
 def _state(k: int, velocity: tuple[float, float, float] | None) -> VehicleState:
     heading = (np.pi - 0.01 + 0.01 * k + np.pi) % (2.0 * np.pi) - np.pi
     at_ns = k * 100_000_000

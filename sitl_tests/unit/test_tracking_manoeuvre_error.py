@@ -44,3 +44,19 @@ def test_the_other_camera_of_a_pair_exposed_at_the_same_instant_changes_nothing(
         one_sigma = error.sigma_rad(i * _S, each, COVARIANCE)
         assert twice.sigma_rad(i * _S, each, COVARIANCE) == one_sigma
         assert twice.sigma_rad(i * _S, each, COVARIANCE) == one_sigma
+
+
+def test_a_pause_teaches_nothing() -> None:
+    error = ManoeuvreError()
+    for i in range(300):
+        error.sigma_rad(i * _S // 10, LEVEL, COVARIANCE)
+    change = ROLLING - LEVEL
+    sigma = error.sigma_rad(3600 * _S, ROLLING, COVARIANCE)
+    assert sigma > 0.9 * float(np.sqrt(change @ COVARIANCE @ change))
+
+
+def test_the_second_sensitivity_is_not_taken_for_the_mean() -> None:
+    first, second = _sigmas([LEVEL, ROLLING])
+    change = ROLLING - LEVEL
+    assert first == 0.0
+    assert second > 0.8 * float(np.sqrt(change @ COVARIANCE @ change))

@@ -13,7 +13,7 @@ from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, grou
 from companion.core.stereo.epipolar_states import YAW
 from companion.core.stereo.exposure import TipMotion, bent_pose, exposures
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
-from companion.core.stereo.flow import LONGEST_NS, FlightBetween, FlowView
+from companion.core.stereo.flow import LEAST_FLOW, LONGEST_NS, FlightBetween, FlowView
 from companion.core.stereo.geometry import Rig
 from companion.core.stereo.ranging import TIMING_SIGMA_S, PairConditions, correct
 from companion.core.stereo.rotation import exp_rotation
@@ -35,7 +35,6 @@ from companion.records import (
 )
 from companion.units import Severity
 
-_LEAST_FLOW = 12  # features, of a rotation, a velocity and the toe (choice)
 _QUEUE_DEPTH = 64  # pairs: several seconds at any rate, so that only a stalled smoother fills it
 _KNOCKED = "matches contradict the sensors (camera knocked, stamps wrong?): the toe is learnt anew"
 
@@ -51,6 +50,13 @@ class BendSource(Protocol):
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:
         """The wing at a past instant."""
+
+
+class _EarlierPair(NamedTuple):
+    """The pair before, whose matches agreed with the sensors: its number, and the wing at its left exposure."""
+
+    pair_id: int
+    left_bend: Deflection
 
 
 class PendingPair(NamedTuple):
@@ -75,7 +81,7 @@ class Correction:
     last_trusted: CorrectedRange | None = None
     _distrusted: bool = False
     _worn_told: bool = False
-    _earlier: tuple[int, Deflection] | None = None  # number of the pair before, and the wing at its left exposure
+    _earlier: _EarlierPair | None = None
 
     @classmethod
     def create(cls, airframe: Airframe, settings: Settings) -> Correction:
@@ -173,29 +179,33 @@ class Correction:
         matches = matches.features()
         rays = match_rays(self.rig, moving, matches)
         use_matches = use_matches and bool(self.settings.hold_slow)
-        flow = self._flow(matches, rays, bend[Side.LEFT])
-        self._earlier = (matches.pair_id, bend[Side.LEFT])
-        return self.drift_filter.update(
+        flow = self._flow(matches, rays, bend[Side.LEFT]) if use_matches else None
+        turned = self.drift_filter.update(
             matches, rays, bend, moving, TIMING_SIGMA_S, motion, flow=flow, use_matches=use_matches
         )
+        agrees = use_matches and self.drift_filter.verdict is MatchVerdict.AGREE
+        self._earlier = _EarlierPair(matches.pair_id, bend[Side.LEFT]) if agrees else None
+        return turned
 
     def _flow(self, matches: MatchSet, rays: Rays, later: Deflection) -> FlowView | None:
         """Features that the left image of the pair before shows too, where the flight between the two is told."""
         flow, earlier = matches.flow, self._earlier
-        if flow is None or earlier is None or flow.earlier_pair_id != earlier[0] or matches.row_time_ns:
+        if flow is None or earlier is None or flow.earlier_pair_id != earlier.pair_id or matches.row_time_ns:
             return None
-        shown = flow.index[(flow.index >= 0) & (flow.index < len(matches.sigma_px))]
-        between = self._flown(earlier[1].t_host_ns, later.t_host_ns)
-        if between is None or len(shown) < max(_LEAST_FLOW, len(flow.index)):
+        index = flow.index
+        if len(index) < LEAST_FLOW or np.any((index < 0) | (index >= len(matches.sigma_px))):
+            return None
+        between = self._flown(earlier.left_bend.t_host_ns, later.t_host_ns)
+        if between is None:
             return None
         lens, focal_px, tips = self.rig.left.lens, self.rig.left.lens.focal_px, TipMotion.from_airframe(self.airframe)
         return FlowView(
-            Rays(rays.left_m[shown], rays.left[shown], rays.right_m[shown], rays.right[shown]),
-            matches.sigma_px[shown] / focal_px,
+            Rays(rays.left_m[index], rays.left[index], rays.right_m[index], rays.right[index]),
+            matches.sigma_px[index] / focal_px,
             lens.unproject(flow.earlier_px),
-            lens.unproject(matches.left_px[shown]),
+            lens.unproject(matches.left_px[index]),
             flow.sigma_px / focal_px,
-            bent_pose(self.rig.left, tips, earlier[1]),
+            bent_pose(self.rig.left, tips, earlier.left_bend),
             bent_pose(self.rig.left, tips, later),
             between,
             self.drift_filter.body_from_epipolar.T,

@@ -26,11 +26,13 @@ from companion.core.stereo.epipolar_states import (
     BEND_SCALE,
     CONSIDERED_STATES,
     FAST,
+    FLIGHT,
     LENS,
     NO_BEND,
     NO_SHIFT,
     PERSISTENT_STATES,
     SLOW_STATES,
+    TURN_RATE,
     VELOCITY,
     BendBelief,
     ExtrinsicsPrior,
@@ -121,7 +123,14 @@ class EpipolarFilter:
     def reopen(self, sigma_rad: float = KNOCK_RAD) -> None:
         """Doubt the rotation about every axis by a sigma more: only what matches tell from now on counts."""
         self._covariance[:3, :3] += sigma_rad**2 * np.eye(3)
+        self._forget_flight()
         self._test = MatchTest()
+
+    def _forget_flight(self) -> None:
+        """Begin again with velocity and rates, which a wrong rotation has taught wrong errors."""
+        self._mean, self._velocity_covariance = self._mean.copy(), np.zeros((3, 3))
+        self._mean[FLIGHT] = self._covariance[FLIGHT] = self._covariance[:, FLIGHT] = 0.0
+        self._covariance[TURN_RATE, TURN_RATE] = self._prior.turn_rate_radps**2 * np.eye(3)
 
     def update(
         self,

@@ -17,6 +17,7 @@ from companion.core.stereo.epipolar_states import (
     ALL_STATES,
     BASELINE,
     CONSIDERED_STATES,
+    FLIGHT,
     INNOVATION,
     LENS,
     PARALLAX_STATES,
@@ -29,7 +30,7 @@ from companion.core.stereo.epipolar_states import (
     BendBelief,
     rotation_rows,
 )
-from companion.core.stereo.flow import FlowInnovation
+from companion.core.stereo.flow import LEAST_FLOW, FlowInnovation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats
 
@@ -41,8 +42,8 @@ _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite inform
 # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
 _PRIOR_REMAINDER = 1e-3
 _FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
-# what integrated rates and the tracked bend of two exposures leave of a camera's turn, rad, each axis (choice: a tenth
-# of the fast slope's rms, and gyros that scale to 1 % in a roll of 0.2 rad/s)
+# sigma of the left camera's turn between two exposures, rad per axis, by integrated rates and tracked bend (choice: a
+# tenth of the fast slope's rms; 1 % of gyro scale in 0.2 rad/s for 0.15 s)
 _FLOW_TURN_RAD = 3e-4
 _FLOW_SIGMAS = 4.0  # a yaw that one pair's flow moves by more contradicts what is known of it (choice)
 
@@ -51,7 +52,7 @@ _FLOW_SIGMAS = 4.0  # a yaw that one pair's flow moves by more contradicts what 
 class Posterior:
     """Mean (all states,) and covariance given a pair, scale of its parallaxes, matches with half their weight.
 
-    ``flow`` is the number of features whose flow was used.
+    ``flow`` is the number of features in the flow update, 0 without one.
     """
 
     mean: Floats
@@ -145,8 +146,9 @@ def with_considered_states(answer: Posterior, mean: Floats, prior: Floats) -> Po
 def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: BendBelief) -> Posterior | None:
     """The answer updated by the flow since an earlier pair; None where that contradicts it.
 
-    The flow's rows are linear about the answer, with Student's t as in :func:`maximum_a_posteriori`. A turn of its own,
-    beside the constant error of the rates, is free within :data:`_FLOW_TURN_RAD`.
+    The flow's rows are linear about the answer, with Student's t as in :func:`maximum_a_posteriori`. Besides the
+    constant rate error, this pair has a turn error of its own with sigma :data:`_FLOW_TURN_RAD` per axis, which is
+    marginalised.
 
     Parameters
     ----------
@@ -159,31 +161,36 @@ def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: Be
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
-    finite = np.isfinite(flow.residual_rad) & np.isfinite(flow.sigma_rad)
+    columns = np.concatenate([flow.rotation, flow.lens, flow.turn, flow.velocity], axis=1)
+    finite = np.isfinite(flow.residual_rad) & np.isfinite(flow.sigma_rad) & np.isfinite(columns).all(axis=1)
+    if np.count_nonzero(finite) < 2 * LEAST_FLOW:
+        return None
+    add_up = rotation_rows(bend)
     design = np.zeros((len(finite), ALL_STATES + 3))
-    design[:, :ALL_STATES] = flow.rotation @ rotation_rows(bend)
-    design[:, LENS] += flow.lens
+    design[:, :ALL_STATES] = flow.rotation @ add_up
+    design[:, LENS] = flow.lens
     design[:, VELOCITY], design[:, TURN_RATE] = flow.velocity, passed_s * flow.turn
     design[:, ALL_STATES:] = flow.turn
     design = design[finite] / flow.sigma_rad[finite, np.newaxis]
-    believed = np.zeros(ALL_STATES + 3)  # the flow was predicted without what is known of velocity and rates
-    believed[VELOCITY], believed[TURN_RATE] = answer.mean[VELOCITY], answer.mean[TURN_RATE]
-    unit = flow.residual_rad[finite] / flow.sigma_rad[finite] - design @ believed
+    predicted_states = np.zeros(ALL_STATES + 3)  # ``flow`` is predicted with the velocity and rates as they were told
+    predicted_states[FLIGHT] = answer.mean[FLIGHT]
+    normalised = flow.residual_rad[finite] / flow.sigma_rad[finite] - design @ predicted_states
     prior = np.zeros((ALL_STATES + 3, ALL_STATES + 3))
     prior[:ALL_STATES, :ALL_STATES] = answer.covariance
     prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3)
     root = _square_root(prior)
+    whitened_design, identity = design @ root, np.eye(len(root))
     change, covariance = np.zeros(len(prior)), prior
     for _ in range(_FLOW_ROUNDS):
-        left_over = unit - design @ change
-        scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(left_over))), 1.0)
-        weight = np.minimum((_STUDENT_DOF + 1.0) / (_STUDENT_DOF + (left_over / scale) ** 2), 1.0) / scale**2
-        shown = design @ root
-        covariance = root @ np.linalg.solve(np.eye(len(root)) + shown.T @ (shown * weight[:, np.newaxis]), root.T)
-        change = covariance @ (design.T @ (weight * unit))
-    row = rotation_rows(bend)[YAW]
-    learnt = row @ (prior - covariance)[:ALL_STATES, :ALL_STATES] @ row
-    if not np.isfinite(change).all() or (row @ change[:ALL_STATES]) ** 2 > _FLOW_SIGMAS**2 * learnt:
+        residual = normalised - design @ change
+        scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1.0)
+        weight = np.minimum((_STUDENT_DOF + 1.0) / (_STUDENT_DOF + (residual / scale) ** 2), 1.0) / scale**2
+        information = identity + whitened_design.T @ (whitened_design * weight[:, np.newaxis])
+        covariance = root @ np.linalg.solve(information, root.T)
+        change = covariance @ (design.T @ (weight * normalised))
+    row = add_up[YAW]
+    variance_removed = row @ (prior - covariance)[:ALL_STATES, :ALL_STATES] @ row
+    if not np.isfinite(change).all() or (row @ change[:ALL_STATES]) ** 2 > _FLOW_SIGMAS**2 * variance_removed:
         return None
     states = slice(0, ALL_STATES)
     return dataclasses.replace(

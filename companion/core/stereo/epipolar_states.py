@@ -26,8 +26,9 @@ CONSIDERED_STATES = [LENS.start + term for term in CONSIDERED]
 BEND, YAW_BIAS, BEND_SCALE = range(PARALLAX_STATES, PARALLAX_STATES + 3)
 SLOW_STATES = BEND_SCALE + 1  # states of the slow part
 FAST = slice(SLOW_STATES, SLOW_STATES + 3)
-# of the flight between two pairs, which flow tells the toe by: velocity over ground, rate of turn
+# errors of velocity over ground and of rates of turn, by which the flow is predicted
 VELOCITY, TURN_RATE = slice(FAST.stop, FAST.stop + 3), slice(FAST.stop + 3, FAST.stop + 6)
+FLIGHT = slice(VELOCITY.start, TURN_RATE.stop)
 PERSISTENT_STATES = TURN_RATE.stop  # states that stay from pair to pair
 ALL_STATES = PERSISTENT_STATES + 5  # with this pair's error of the baseline's direction, and its innovation
 SHIFT = slice(PERSISTENT_STATES, PERSISTENT_STATES + 2)
@@ -60,7 +61,7 @@ class ExtrinsicsPrior:
     bend_scale : float
         Sigma of the relative error of the tracked bend's fast part; a constant of a flight.
     turn_rate_radps : float
-        Sigma of the autopilot's rates, each axis; a constant.
+        Sigma of the root gyro's bias, rad/s, each axis; a constant.
     parallax_rad : float
         What slanted surfaces and lens models leave in every single match, beyond its stated sigma.
     systematic_rad : tuple of float

@@ -160,9 +160,10 @@ class ExtrinsicsDriftFilter:
         exposures: tuple[CameraExposure, CameraExposure],
         timing_sigma_s: float,
     ) -> FastBelief:
-        """Error of the fast part: the slopes' less what of it lasts, and stamps of moving cameras.
+        """Error of the fast part: slope covariance less its slow variance, stamps of turning cameras, manoeuvre error.
 
-        Two processes of first order stand for one: their covariances add up, and so do covariance times time.
+        The sum is carried as one first-order process: variances add, and the correlation time is the mean of both,
+        weighted by variance. The slow sigma keeps the manoeuvre's part as well, on the safe side.
         """
         left, right = bend
         slopes = np.nan_to_num(0.5 * (left.covariance[4:, 4:] + right.covariance[4:, 4:]))

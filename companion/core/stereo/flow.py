@@ -1,4 +1,4 @@
-"""Distance by flight: what features moved between two left images tells of the toe.
+"""Toe from known motion: features of two left images, and the velocity over ground and rates between them.
 
 The autopilot knows its velocity over ground and its rates. A feature whose ray is ``r`` in the later left image and
 whose inverse depth is ``s`` there lies in the earlier left camera along
@@ -25,26 +25,30 @@ from companion.records import Floats
 
 LONGEST_NS = 600_000_000
 """Between two left images: a feature that flies on for longer leaves the picture (choice)."""
+LEAST_FLOW = 12
+"""Features, of a rotation, a velocity and the toe (choice)."""
 _STEP = 1e-6  # of the difference quotients
-_RAY_FIELDS = ("left_m", "left", "right_m", "right")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowInnovation:
-    """Direction of m features in the earlier image, observed less predicted, as ray slopes; two rows a feature.
+    """Places of m features in the earlier image, observed less predicted, as ray slopes.
+
+    Rows 2i and 2i + 1 belong to feature i: along its image path, and across it.
 
     Attributes
     ----------
     residual_rad, sigma_rad : (2m,) float64
         Residual, and its one-sigma by matching.
     rotation : (2m, 3) float64
-        Change of the prediction per radian of relative rotation, epipolar axes.
+        Change of the prediction per radian of relative rotation, epipolar axes, through the inverse depth alone; the
+        half turn of the left camera's own axes, under 2 % of it, is left out.
     lens : (2m, 7) float64
         Per unit of each term of the pair's lens residual.
     turn : (2m, 3) float64
-        Per radian by which the body turned more between the exposures, epipolar axes.
+        Per radian of error of the body's turn, a rotation vector in epipolar axes.
     velocity : (2m, 3) float64
-        Per metre a second by which it flew faster, epipolar axes.
+        Per metre a second of error of the velocity, epipolar axes.
     """
 
     residual_rad: Floats
@@ -78,7 +82,7 @@ class FlightBetween:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowView:
-    """Features of a pair that an earlier left image shows too, with all that predicts where.
+    """Features of a pair that were tracked into an earlier left image, and what predicts their places there.
 
     Attributes
     ----------
@@ -115,39 +119,39 @@ class FlowView:
     def innovation(self, rotation_rad: Floats, lens: Floats) -> FlowInnovation:
         """Observed less predicted directions under a relative rotation (3,), epipolar axes, and lens terms (7,)."""
         inverse_pm, sigma_pm, per_state = self._inverse_depths(rotation_rad, lens)
-        half = exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
+        half = self._half_turn(rotation_rad)
         earlier_from_body = self.earlier_pose.camera_from_body @ half
         turned = exp_rotation(self.between.turn_rad)
         in_body = self.later @ (self.later_pose.camera_from_body @ half) @ turned.T
         shift_m = turned @ self.later_pose.position_body_m + self.between.moved_m - self.earlier_pose.position_body_m
-        path_m, far = earlier_from_body @ shift_m, in_body @ earlier_from_body.T
+        path_m, direction_at_infinity = earlier_from_body @ shift_m, in_body @ earlier_from_body.T
 
-        slopes, project = _projected(far + inverse_pm[:, np.newaxis] * path_m)
+        slopes, project = _projected(direction_at_infinity + inverse_pm[:, np.newaxis] * path_m)
         residual, per_inverse = self.earlier[:, :2] - slopes, project @ path_m
-        variance, spread = self.flow_sigma_rad**2, (per_inverse**2).sum(axis=1) * sigma_pm**2
+        place_variance, depth_variance = self.flow_sigma_rad**2, (per_inverse**2).sum(axis=1) * sigma_pm**2
         # Rows are taken where both noises put the feature (Gauss-Helmert): at the depth that stereo alone measured, its
         # noise would be in rows and residual alike, and feign a velocity.
-        pull = (per_inverse * residual).sum(axis=1) * sigma_pm**2 / (variance + spread)
-        adjusted_pm = inverse_pm + np.nan_to_num(pull)
-        _, project = _projected(far + adjusted_pm[:, np.newaxis] * path_m)
+        depth_correction_pm = (per_inverse * residual).sum(axis=1) * sigma_pm**2 / (place_variance + depth_variance)
+        adjusted_pm = inverse_pm + depth_correction_pm
+        _, project = _projected(direction_at_infinity + adjusted_pm[:, np.newaxis] * path_m)
         per_inverse = project @ path_m
-        swept = np.cross(self.epipolar_from_body[np.newaxis], in_body[:, np.newaxis]) @ earlier_from_body.T
-        flown_m = self.between.passed_s * (earlier_from_body @ self.epipolar_from_body.T)
+        direction_per_turn = np.cross(self.epipolar_from_body[np.newaxis], in_body[:, np.newaxis]) @ earlier_from_body.T
+        path_per_velocity_s = self.between.passed_s * (earlier_from_body @ self.epipolar_from_body.T)
         columns = np.concatenate(
             [
                 per_inverse[:, :, np.newaxis] * per_state[:, np.newaxis, :],
-                project @ swept.transpose(0, 2, 1),
-                project @ flown_m * adjusted_pm[:, np.newaxis, np.newaxis],
+                project @ direction_per_turn.transpose(0, 2, 1),
+                project @ path_per_velocity_s * adjusted_pm[:, np.newaxis, np.newaxis],
             ],
             axis=2,
         )
-        # along the path the noise of the depth counts, across it only that of the place
+        # axes of each feature: along its image path, where depth noise counts too, and across it
         along = per_inverse / np.linalg.norm(per_inverse, axis=1)[:, np.newaxis]
         axes = np.stack([along, along[:, ::-1] * np.array([-1.0, 1.0])], axis=1)
         rows = (axes @ columns).reshape(2 * len(residual), -1)
         return FlowInnovation(
             (axes @ residual[..., np.newaxis]).ravel(),
-            np.sqrt(np.stack([variance + spread, variance], axis=1)).ravel(),
+            np.sqrt(np.stack([place_variance + depth_variance, place_variance], axis=1)).ravel(),
             *np.split(rows, np.cumsum([3, PAIR_TERMS, 3]), axis=1),
         )
 
@@ -156,8 +160,8 @@ class FlowView:
         changed = [self._turned(rotation_rad, lens)]
         changed += [self._turned(rotation_rad + _STEP * axis, lens) for axis in np.eye(3)]
         changed += [self._turned(rotation_rad, lens + _STEP * term) for term in np.eye(PAIR_TERMS)]
-        stacked = Rays(*(np.concatenate([getattr(each, name) for each in changed]) for name in _RAY_FIELDS))
-        half = exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
+        stacked = Rays.stacked(changed)
+        half = self._half_turn(rotation_rad)
         look = self.later_pose.camera_from_body[2] @ half
         # tangents across the axis are not asked for
         sight = RangeAxis(self.rays.left_m[0], look, np.zeros((2, 3)))
@@ -166,9 +170,13 @@ class FlowView:
         sigma_pm: Floats = depths.sigma_pm.reshape(len(changed), -1)[0]
         return table[0], sigma_pm, (table[1:] - table[0]).T / _STEP
 
+    def _half_turn(self, rotation_rad: Floats) -> Floats:
+        """Half of a relative rotation (3,), epipolar axes, as a matrix in body axes."""
+        return exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
+
     def _turned(self, rotation_rad: Floats, lens: Floats) -> Rays:
         """Rays with half of the relative rotation in each camera and the lens residual taken out."""
-        half = exp_rotation(0.5 * (self.epipolar_from_body.T @ rotation_rad))
+        half = self._half_turn(rotation_rad)
         rays = self.rays
         turned = Rays(rays.left_m, rays.left @ half, rays.right_m, rays.right @ half.T)
         return straightened(turned, lens, self.epipolar_from_body)

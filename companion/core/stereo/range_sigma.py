@@ -22,7 +22,6 @@ _STEP_RELATIVE = 1e-6  # of the difference quotient
 # modal coordinates and the antisymmetric slope, of [q symmetric, q antisymmetric, slope left, slope right]
 _ANTISYMMETRIC_FROM_TIPS = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.5]])
 _TIPS_FROM_ANTISYMMETRIC = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0]])
-_RAY_FIELDS = ("left_m", "left", "right_m", "right")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +96,7 @@ def gradient_of(
         flat = direction - (direction @ look)[:, np.newaxis] * look
         changed.append(_with(rays, side, origin, direction - _STEP_RELATIVE * flat))
     changed += [straightened(rays, _STEP_RELATIVE * term, epipolar_from_body) for term in np.eye(PAIR_TERMS)]
-    stacked = Rays(*(np.concatenate([getattr(each, name) for each in changed]) for name in _RAY_FIELDS))
+    stacked = Rays.stacked(changed)
     results = np.nan_to_num(inverse_depths(stacked)).reshape(len(changed), -1) @ weights
     changes = results[1:] - results[0]
     steps, lens = changes[:-PAIR_TERMS].reshape(2, 7), changes[-PAIR_TERMS:]

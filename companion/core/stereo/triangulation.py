@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,16 @@ class Rays:
     left: Floats
     right_m: Floats
     right: Floats
+
+    @classmethod
+    def stacked(cls, several: Sequence[Rays]) -> Rays:
+        """All of several sets of rays, in their order."""
+        return cls(
+            np.concatenate([rays.left_m for rays in several]),
+            np.concatenate([rays.left for rays in several]),
+            np.concatenate([rays.right_m for rays in several]),
+            np.concatenate([rays.right for rays in several]),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

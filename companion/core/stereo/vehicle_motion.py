@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.core.stereo.rotation import exp_rotation
-from companion.records import Floats, Ints, VehicleState
+from companion.records import Bools, Floats, Ints, VehicleState
 
 _STATES = 64  # some seconds of attitudes at the usual rates
 _ATTITUDE_NS = 500_000_000  # an attitude older than this is not that of the exposure (choice)
@@ -73,7 +73,7 @@ class VehicleTrack:
         """Velocity at an instant, by airspeed, climb rate and attitude; along the body's x where none is nearby."""
         if not self._near(t_host_ns):
             return STILL if self.newest is None else _motion(self.newest.airspeed_mps, 0.0, 0.0, 0.0)
-        if all(state.velocity_ned_mps is not None for state in self._states):
+        if all(state.velocity_ned_mps is not None for state in self._around(t_host_ns)):
             return self._over_ground(t_host_ns)
         roll_rad, pitch_rad, airspeed_mps, climb_mps = (
             self._at(t_host_ns, quantity)
@@ -86,14 +86,21 @@ class VehicleTrack:
         roll_rad, pitch_rad = (self._at(t_host_ns, quantity) for quantity in (_roll, _pitch))
         yaws_rad = np.unwrap([state.yaw_rad for state in self._states])
         yaw_rad = float(np.interp(0.0, self._since_s(t_host_ns), yaws_rad))
-        ned_mps = np.array([state.velocity_ned_mps for state in self._states], dtype=np.float64)
-        velocity_mps = np.array([np.interp(0.0, self._since_s(t_host_ns), axis) for axis in ned_mps.T])
+        around = self._around(t_host_ns)
+        since_s = [1e-9 * (state.received_host_ns - t_host_ns) for state in around]
+        ned_mps = np.array([state.velocity_ned_mps for state in around], dtype=np.float64)
+        velocity_mps = np.array([np.interp(0.0, since_s, axis) for axis in ned_mps.T])
         turns = ((roll_rad, 0), (pitch_rad, 1), (yaw_rad, 2))
         x, y, z = (exp_rotation(-angle * np.eye(3)[axis]) for angle, axis in turns)
         velocity: Floats = x @ y @ z @ velocity_mps
         speed_mps = float(np.linalg.norm(velocity))
         sigma_mps = np.hypot(_GROUND_MPS, speed_mps * np.array([0.0, _HEADING_RAD, _LEVEL_RAD]))
         return VehicleMotion(velocity, np.diag(sigma_mps**2), over_ground=True)
+
+    def _around(self, t_host_ns: int) -> list[VehicleState]:
+        """The last state before an instant and the first after it, as far as there are both."""
+        before = [state for state in self._states if state.received_host_ns <= t_host_ns][-1:]
+        return before + [state for state in self._states if state.received_host_ns > t_host_ns][:1]
 
     def _near(self, t_host_ns: int) -> bool:
         return any(abs(state.received_host_ns - t_host_ns) <= _ATTITUDE_NS for state in self._states)
@@ -120,8 +127,15 @@ class TurnTrack:
     _batches: deque[tuple[Ints, Floats]] = field(default_factory=deque)
 
     def add(self, t_host_ns: Ints, rate_radps: Floats) -> None:
-        """Take samples (n,) of the rates (n, 3), body axes, in order."""
-        good = np.isfinite(rate_radps).all(axis=1)
+        """Take samples (n,) of the rates (n, 3), body axes; those that are not later than all before are left out."""
+        good: Bools = np.asarray(np.isfinite(rate_radps).all(axis=1), dtype=np.bool_)
+        good[1:] &= t_host_ns[1:] > np.maximum.accumulate(t_host_ns)[:-1]
+        if self._batches and good.any():
+            newest_ns = int(self._batches[-1][0][-1])
+            if abs(int(t_host_ns[good][-1]) - newest_ns) > _RATES_S * 1e9:
+                self._batches.clear()  # another clock, or a long silence
+            else:
+                good &= t_host_ns > newest_ns
         if not good.any():
             return
         self._batches.append((t_host_ns[good], rate_radps[good]))

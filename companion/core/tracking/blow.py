@@ -1,8 +1,8 @@
 """Blows: a bump that no model of gusts explains, and the ringing after it.
 
-The spectral fit takes its seconds for stationary. A blow's ringing in them passes for a gust of hundreds of times the
-power, and the wing's damping for the longest that is allowed. So no fit begins until it has faded, and what was
-measured until then is fitted no more. A wing that has itself changed contradicts the filter for longer.
+The spectral fit assumes a stationary segment. The ringing after a blow is fitted as a gust of hundreds of times the
+power, and damping at its bound. So no fit begins until it has faded, and what was measured until then is fitted no
+more. A wing that has itself changed contradicts the filter for longer.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class BlowWatch:
         nis : float
             Mean normalised innovation squared of a row over the last second.
         rms_m, recent_rms_m : (2,) float64
-            Vibration of both families over the last seconds, and over the last third of a second.
+            Vibration of both families: the median over blocks of the last 5 s, and with a memory of 0.3 s.
         passed_s : float
             Length of the run.
         """

@@ -14,6 +14,9 @@ import numpy as np
 from companion.records import Floats
 
 _MEAN_S = 20.0  # of the sensitivity (choice: several manoeuvres)
+_FIRST_S = (
+    1.0  # for which the first sensitivity counts, and the most for which any does: a pause teaches nothing (choice)
+)
 
 
 class ManoeuvreError:
@@ -21,16 +24,15 @@ class ManoeuvreError:
 
     def __init__(self) -> None:
         self._mean: Floats | None = None
-        self._first_ns = self._newest_ns = 0
+        self._newest_ns, self._memory_s = 0, _FIRST_S
 
     def sigma_rad(self, t_host_ns: int, slope_by_bias: Floats, covariance: Floats) -> float:
         """One-sigma of the fresh error at an instant, for a sensitivity (c,) and the constants' covariance (c, c)."""
         if self._mean is None:
-            self._mean, self._first_ns, self._newest_ns = slope_by_bias.copy(), t_host_ns, t_host_ns
-        passed_s = 1e-9 * max(t_host_ns - self._newest_ns, 0)
+            self._mean, self._newest_ns = slope_by_bias.copy(), t_host_ns
+        passed_s = min(1e-9 * max(t_host_ns - self._newest_ns, 0), _FIRST_S)
         self._newest_ns = max(t_host_ns, self._newest_ns)
-        memory_s = min(1e-9 * (self._newest_ns - self._first_ns), _MEAN_S)
-        if memory_s > 0.0:
-            self._mean = self._mean + min(passed_s / memory_s, 1.0) * (slope_by_bias - self._mean)
+        self._memory_s = min(self._memory_s + passed_s, _MEAN_S)
+        self._mean = self._mean + passed_s / self._memory_s * (slope_by_bias - self._mean)
         fresh = slope_by_bias - self._mean
         return math.sqrt(max(float(np.dot(fresh, covariance @ fresh)), 0.0))

@@ -52,7 +52,7 @@ class RareGates:
         self._epochs = 0.0  # gated in the last second
 
     def without(self, epochs: Epochs, gate_excess: Floats, step_s: float, *, learning: bool) -> Epochs:
-        """Epochs less their gate excess (n, 9); none while ``learning``, when wrong parameters gate right samples."""
+        """Epochs less their gate excess (n, 9); unchanged while ``learning``: wrong parameters gate right samples."""
         gated = int(np.count_nonzero(gate_excess.any(axis=1)))
         self._epochs += gated - self._epochs * min(1.0, epochs.length * step_s)
         rare = self._epochs * step_s < _MAX_GATED_RATIO and not learning

@@ -208,7 +208,7 @@ class WingTracker:
                     self._take(self._readaptation.finish())
                 idle = self._readaptation is None and not self._adaptation.early
                 if idle and self._step_s * sum(each.length for each in self._trial_epochs) > _TRIAL_S:
-                    self._mark()  # without enough samples there was no fit, and the epochs must not pile up
+                    self._mark()  # there was no fit, for want of samples or for a blow, and the epochs must not pile up
         for stream in self._streams:
             stream.forget(self._next_ns - 4 * self._step_ns - 50_000_000)
 
@@ -355,7 +355,7 @@ class WingTracker:
         return self._forecaster.run(self._kalman, self._next_ns, self._body_rates[-1], horizon_ns, step_ns)
 
     def smooth(self, t_host_ns: int) -> Deflection | Reject:
-        """Wing at a past instant, with all measurements since; causal at the newest instant."""
+        """Wing at a past instant, with all measurements since; causal at the newest. Feeds ``ManoeuvreError`` too."""
         if not self._body_rates or self._start_ns is None:
             return Reject.NOT_SETTLED
         if self._validity is Validity.STALE:

@@ -16,7 +16,7 @@ from companion.records import Floats, Ints, Reject, Validity
 
 _BLOCK_S = 1.0  # chosen: several periods of the slowest wing
 _BLOCKS = 5  # chosen: their median outlives a gust of two seconds
-_RECENT_S = 0.3  # chosen: three half periods at 5 Hz
+_RECENT_S = 0.3  # chosen: three half periods of 5 Hz
 _SETTLE_S = 2.0  # chosen: the filter's transient, ten periods at 5 Hz
 _MAX_FREQUENCY_SIGMA = 0.2  # chosen, relative: with a larger sigma it may be another mode
 NIS_LIMIT = 3.0  # chosen, per row: with the right model it stays below 2
@@ -86,7 +86,7 @@ class ModalActivity:
         return self._rms
 
     def recent_rms_m(self) -> Floats:
-        """As :meth:`rms_m`, over the last third of a second."""
+        """As :meth:`rms_m`, with an exponential memory of 0.3 s."""
         return np.sqrt(self._recent)
 
 

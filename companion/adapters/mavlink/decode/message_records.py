@@ -30,7 +30,7 @@ from companion.records import (
 PARAMETER_PREFIXES = ("INS_", "SCHED_LOOP_RATE", "RNGFND1_", "PRX1_", "IMU_")
 _MOST_REQUESTS = 32  # TIMESYNC requests that may be under way; bound of memory
 _STATE_PERIOD_MS = 20
-_VELOCITY_AGE_MS = 500  # a velocity over ground that is older is not that of the attitude (choice)
+_VELOCITY_AGE_MS = 150  # a velocity over ground that is older is not that of the attitude: 20 Hz are requested (choice)
 # flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share; bit 10 means "uninitialised" there, "GPS glitch" here
 _NAVIGATES = mavlink.EKF_VELOCITY_HORIZ | mavlink.EKF_POS_HORIZ_ABS
 _ASTRAY = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED | mavlink.EKF_GPS_GLITCHING

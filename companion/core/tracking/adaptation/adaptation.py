@@ -115,7 +115,7 @@ class Adaptation:
 
         ``contradicted``: the filter cannot explain its measurements, or could not with the last parameters. A further
         mode then needs no evidence from the vertical axes: a gyro, which the fit does not use, shows one a hundred
-        times better.
+        times better. ``hold``: no fit begins (a blow, or its ringing, is in the history).
         """
         size = len(self._rows)
         first, last = self._count % size, self._count % size + epochs.length
@@ -147,7 +147,7 @@ class Adaptation:
         self._due = None
 
     def _begun(self, contradicted: bool, hold: bool) -> Stages[WingParameters] | None:
-        """Stages of a fit of the history; None where too little of it is present."""
+        """Stages of a fit of the history; None while held, or where too little of it is present."""
         elapsed_s = self._count * self._step_s
         self._next = round((np.floor(elapsed_s / _PERIOD_S + 1e-6) + 1.0) * _PERIOD_S / self._step_s)
         if hold:
