@@ -1,4 +1,4 @@
-"""Physical constants and MAVLink numbers that every room shares; imports nothing of ours."""
+"""Constants and MAVLink numbers that every room shares; imports nothing of ours."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import enum
 
 GRAVITY_MPS2 = 9.80665
 """Standard acceleration of gravity, a convention (3rd CGPM, 1901): what ``g`` means in every unit and log."""
+MAD_TO_SIGMA = 1.4826
+"""Sigma of a normal law per median absolute deviation (derived: one over its 75 % quantile)."""
 
 
 class Orientation(enum.IntEnum):

@@ -9,10 +9,10 @@ import numpy as np
 
 from companion.errors import RecordingError
 from companion.records import ClockName, Floats, MatchSet, Record, Shot
+from companion.units import MAD_TO_SIGMA
 
 _LEAST_SHOTS = 10  # for a spread known to a quarter
 _LONGEST_S = 0.2  # a longer one was not that shot
-_MEDIAN_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def trigger_latency(records: Iterable[Record]) -> Latency:
         raise RecordingError(f"only {len(late)} shots have an exposure on the host clock; {_LEAST_SHOTS} are needed")
     seconds = np.array(late)
     median = np.median(seconds, axis=0)
-    sigma = _MEDIAN_TO_SIGMA * np.median(np.abs(seconds - median), axis=0)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(seconds - median), axis=0)
     return Latency(median, sigma, np.percentile(seconds, 99, axis=0), len(late))
 
 

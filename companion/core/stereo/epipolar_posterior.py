@@ -33,11 +33,11 @@ from companion.core.stereo.epipolar_states import (
 from companion.core.stereo.flow import LEAST_FLOW, FlowInnovation
 from companion.core.stereo.triangulation import Rays
 from companion.records import Floats
+from companion.units import MAD_TO_SIGMA
 
 _GAUSS_NEWTON_STEPS = 10  # steps of the reweighted solution (choice)
 # degrees of freedom of the matches' errors: outliers fade, good matches keep nearly all their weight
 _STUDENT_DOF = 5.0
-_MAD_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite information
 # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
 _PRIOR_REMAINDER = 1e-3
@@ -100,7 +100,7 @@ def maximum_a_posteriori(
         design[:, 3:PARALLAX_STATES], design[:, SHIFT] = columns[:, 3:], columns[:, BASELINE]
         # the first rounds see the rotation itself and take it for noise; as it shrinks, outliers come to stand alone
         unit = residual_rad / sigma_rad
-        scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
+        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(unit))), 1.0)
         unit = unit / scale
         weight = (_STUDENT_DOF + 1.0) / (_STUDENT_DOF + unit**2)
         weighted = design * (np.minimum(weight, 1.0) / (scale * sigma_rad))[:, np.newaxis]
@@ -183,7 +183,7 @@ def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: Be
     change, covariance = np.zeros(len(prior)), prior
     for _ in range(_FLOW_ROUNDS):
         residual = normalised - design @ change
-        scale = max(_MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1.0)
+        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1.0)
         weight = np.minimum((_STUDENT_DOF + 1.0) / (_STUDENT_DOF + (residual / scale) ** 2), 1.0) / scale**2
         information = identity + whitened_design.T @ (whitened_design * weight[:, np.newaxis])
         covariance = root @ np.linalg.solve(information, root.T)

@@ -10,11 +10,11 @@ import numpy as np
 
 from companion.core.stereo.triangulation import Depths
 from companion.records import Bools, Floats, Ints
+from companion.units import MAD_TO_SIGMA
 
 _ABSOLUTE_STEPS = 8  # reweightings to least absolute deviations: the start of the M-estimate
 _BIWEIGHT_STEPS = 6  # reweightings by the biweight (choice)
 _TUKEY = 4.685  # 95 % efficiency on Gaussian errors (Huber and Ronchetti 2009)
-_MAD_TO_SIGMA = 1.4826  # of a Gaussian (derived)
 # A surface may lie at 45 degrees to the axis (one sigma): enough for rolls and hillsides, and it keeps a fit to few
 # matches from swinging.
 _TILT = 1.0
@@ -103,7 +103,7 @@ def consistent(depths: Depths) -> Ints:
     prior = np.array([0.0, _PARALLAX_SLOPE**-2, _PARALLAX_SLOPE**-2])
     sigma = np.full(finite.size, _PARALLAX_RAD)
     residual = parallax - design @ _robust(design, parallax, sigma, prior)[0]
-    scale = _MAD_TO_SIGMA * float(np.median(np.abs(residual)))
+    scale = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
     alike: Bools = np.abs(residual) <= 5.0 * scale + 1e-6
     return finite[alike]
 
@@ -196,6 +196,6 @@ def _robust(design: Floats, value: Floats, sigma: Floats, prior: Floats) -> tupl
         if step < _ABSOLUTE_STEPS:
             weight = base / np.maximum(residual, 0.05 * max(float(np.median(residual)), 1e-6))
         else:
-            scale = max(_MAD_TO_SIGMA * float(np.median(residual)), 1e-6)
+            scale = max(MAD_TO_SIGMA * float(np.median(residual)), 1e-6)
             weight = base * np.maximum(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0) ** 2
     return coefficients, weight, scale

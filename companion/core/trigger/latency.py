@@ -10,6 +10,7 @@ import numpy as np
 
 from companion.params.airframe import Airframe, Camera
 from companion.records import Reject, Shot, Side, TriggerLatency
+from companion.units import MAD_TO_SIGMA
 
 MOST_LATENCY_NS = 500_000_000
 """A frame that is further from a shot than this was not caused by it."""
@@ -79,7 +80,7 @@ class _TriggerPath:
         if n == 0:
             return LatencyEstimate(self.prior_ns, self.prior_sigma_ns, self.prior_sigma_ns, self.count, self.outliers)
         median = float(np.median(self.latencies_ns))
-        scatter = max(1.4826 * float(np.median(np.abs(np.array(self.latencies_ns) - median))), _LEAST_SPREAD_NS)
+        scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(np.array(self.latencies_ns) - median))), _LEAST_SPREAD_NS)
         has_prior = math.isfinite(self.prior_sigma_ns)
         weight = n / (n + _REGIME)
         spread = scatter**weight * self.prior_sigma_ns ** (1.0 - weight) if has_prior else scatter

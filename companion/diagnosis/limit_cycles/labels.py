@@ -13,6 +13,7 @@ import numpy as np
 
 from companion.diagnosis.limit_cycles.tracks import VibrationTrack
 from companion.records import Floats
+from companion.units import MAD_TO_SIGMA
 
 _FEWEST = 5  # limit cycles that can judge one of them
 _FAR = 6.0  # times the scatter of the others
@@ -127,7 +128,7 @@ def _doubtful_cycles(tracks: Sequence[VibrationTrack]) -> tuple[LabelDoubt, ...]
         coefficients = _least_absolute(_design(tells[others], tells[others]), says[others])
         expected = float((_design(tells[k : k + 1], tells[others]) @ coefficients)[0])
         residual = says[others] - _design(tells[others], tells[others]) @ coefficients
-        scatter = 1.4826 * float(np.median(np.abs(residual)))  # of a normal distribution, from its median
+        scatter = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
         if abs(says[k] - expected) > max(_FAR * scatter, _LEAST * abs(expected)):
             doubts.append(LabelDoubt(i, tracks[i].name, float(says[k]), expected, scatter))
     return tuple(doubts)

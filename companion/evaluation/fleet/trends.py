@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from companion.records import Floats
+from companion.units import MAD_TO_SIGMA
 
 _SIGMAS = 3.0  # by which a change or a flight is no chance
 _MOST = 20  # sentences that are read; the table has the rest
 _FEWEST = 3  # flights of an aircraft that have a median worth the name
 _THIRDS_FEWEST = 9  # flights that have thirds with medians
-_MAD_SIGMA = 1.4826  # of a normal law, per median absolute deviation
 _MEDIAN_SIGMA = 1.2533  # of a median, per sigma of a mean (sqrt(pi / 2))
 _DRIFT_RATIO = 0.005  # of its aircraft's median: a twentieth of what an airframe file believes of a mode
 _SLOW_RATIO = 0.02  # of its aircraft's median: a sensor that comes slower has lost samples
@@ -123,7 +123,7 @@ def _drift(airframe: str, flights: Rows, figure: _Figure) -> tuple[float, str] |
 def _median(values: Floats) -> tuple[float, float]:
     """Median and its sigma."""
     middle = float(np.median(values))
-    scatter = _MAD_SIGMA * float(np.median(np.abs(values - middle)))
+    scatter = MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
     return middle, _MEDIAN_SIGMA * scatter / float(np.sqrt(len(values)))
 
 
