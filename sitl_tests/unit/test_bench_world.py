@@ -16,7 +16,7 @@ from companion.units import GRAVITY_MPS2
 from tools.bench.world import missed, pooled, summary
 from tools.bench.world_flight import fly
 from tools.bench.world_peers import pair_alone, tilt_filter
-from tools.bench.world_rows import ON_GROUND, CampaignRow, rows
+from tools.bench.world_rows import ACCIDENTS, ON_GROUND, CampaignRow, rows
 from tools.trial_results import wilson
 
 COLUMNS = ["pair", "t_s", "true_toe", "toe", "toe_sigma", "true_m", "range_m", "sigma_m", "trusted"]
@@ -106,6 +106,18 @@ def test_every_world_airframe_and_set_of_axes_has_a_row_and_every_row_its_folder
     for sensors in ("6-axis", "vertical"):
         assert {row.accident.circuit for row in rows("rough", "nadir-2m", sensors)} == {False, True}
     assert rows("fair", "nadir-2m", "vertical")[0].belief().left.sends == "z"
+
+
+@pytest.mark.slow
+def test_a_flow_that_suddenly_contradicts_withholds_ranges_and_the_rest_is_honest() -> None:
+    """A fifth of the stamps 15 ms late: matches alone leave some unnoticed, of 2.3 squared sigmas together."""
+    late = next(accident for accident in ACCIDENTS if accident.late_share)
+    row = CampaignRow("ideal", "nadir-2m", "6-axis", late)
+    figures = summary(pooled(row, [fly(row, 0)]))
+    assert 0.5 < figures["trusted"] < 0.9
+    assert figures["nees"] < 1.25
+    assert figures["inside_3"] > 0.99
+    assert figures["wrong"] == 0
 
 
 @pytest.mark.slow

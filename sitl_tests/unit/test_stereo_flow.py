@@ -122,6 +122,22 @@ def test_mismatches_move_the_toe_by_less_than_its_sigma() -> None:
     assert abs(answer.mean[YAW] - 1e-3) < 2.0 * np.sqrt(answer.covariance[YAW, YAW])
 
 
+def test_wrong_furrows_bias_neither_toe_nor_velocity() -> None:
+    """A quarter of the matches 3 px beside the right furrow: over many pairs even a quarter of a sigma adds up."""
+    over_sigma = []
+    for seed in range(150):
+        rng, view = np.random.default_rng(5000 + seed), _view(noise_rad=_NOISE_RAD, seed=seed)
+        wrong, right = rng.random(len(view.sigma_rad)) < 0.25, view.rays.right.copy()
+        right[wrong, 1] += rng.normal(0.0, 30.0 * _NOISE_RAD, int(wrong.sum()))
+        view = dataclasses.replace(view, rays=dataclasses.replace(view.rays, right=right))
+        answer = with_flow(_before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, NO_BEND)
+        assert answer is not None
+        sigma = np.sqrt(np.diag(answer.covariance))
+        over_sigma.append([answer.mean[k] / sigma[k] for k in (YAW, VELOCITY.start, VELOCITY.start + 1)])
+    # means of 150 values that scatter by less than one: three of their sigmas
+    assert np.all(np.abs(np.mean(over_sigma, axis=0)) < 3.0 * np.std(over_sigma, axis=0) / np.sqrt(150.0))
+
+
 def test_a_turn_is_integrated_where_rates_are_there() -> None:
     """Coning rates of 200 samples a second give the rotation that small steps compose to; a gap gives none."""
     track, t_ns = TurnTrack(), np.arange(0, 1_000_000_000, 5_000_000, dtype=np.int64)

@@ -126,7 +126,7 @@ class Correction:
         joint, attitude_rad = self.drift_filter.joint_covariance, self.vehicle.attitude(middle_ns)
         conditions = PairConditions(TIMING_SIGMA_S, motion, turned, joint, attitude_rad)
         answer = correct(matches, left, right, self.rig, self.airframe, self.settings, conditions)
-        if self.drift_filter.verdict is not MatchVerdict.AGREE:
+        if self.drift_filter.verdict is not MatchVerdict.AGREE or self.drift_filter.flow_contradicts:
             reason = reason or Reject.MATCHES_CONTRADICT
         lasting_m = self._lasting_m(turned, answer.range.range_m)
         judged = self._judged(withheld(answer.range, reason), lasting_m)

@@ -53,6 +53,7 @@ _MIN_MATCHES = 12  # three of a rotation, and three times as many to tell outlie
 _MAX_SHIFT_RAD2 = 0.01
 # the tracker's fast error is neither white nor quite Gaussian: it counts twice its sigma in tests
 _FAST_VARIANCE_FACTOR = 3.0
+_CONTRADICTION_NS = 2_000_000_000  # a toe that has changed is found again within so long (choice)
 _VELOCITY_TIME_S = 10.0  # how long a navigation filter's velocity stays wrong the same way (choice)
 
 
@@ -112,6 +113,9 @@ class EpipolarFilter:
         self.lens_ratio = 1.0
         """Prior variance of the considered lens terms over the stated one."""
         self._updated_ns: int | None = None
+        self.flow_contradicts = False
+        """Whether the last pair's flow was refused, shortly after that of another was used."""
+        self._flow_used_ns: int | None = None
         self._test = MatchTest()
         self._systematic_rad2 = np.diag(prior.systematic_rad) ** 2
 
@@ -174,8 +178,9 @@ class EpipolarFilter:
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
         answer, verdict = self._solved(epipolar_rays, noise_rad, fast, mean, prior, bend)
+        self.flow_contradicts = False
         if flow is not None and verdict is MatchVerdict.AGREE:
-            answer = _flown(answer, flow, bend)
+            answer = self._flown(answer, flow, bend, t_host_ns)
         self._mean, self._updated_ns = answer.mean[:PERSISTENT_STATES], t_host_ns
         self._covariance = answer.covariance[:PERSISTENT_STATES, :PERSISTENT_STATES]
         self._bend_variance, self._fast_covariance = bend.sigma_rad**2, fast.covariance
@@ -194,6 +199,20 @@ class EpipolarFilter:
             prior[:3, :3] += KNOCK_RAD**2 * np.eye(3)
             answer = maximum_a_posteriori(epipolar_rays, noise_rad, mean, prior, bend)
         return with_considered_states(with_bound_innovation(answer, granted_rad2), mean, prior), verdict
+
+    def _flown(self, answer: Posterior, flow: FlowView, bend: BendBelief, t_host_ns: int) -> Posterior:
+        """The answer with what the flow tells, where that does not contradict it.
+
+        A flow that contradicts for longer comes from a velocity that has become wrong, and is left aside.
+        """
+        total = rotation_rows(bend) @ answer.mean
+        updated = with_flow(answer, flow.innovation(total, answer.mean[LENS]), flow.between.passed_s, bend)
+        if updated is None:
+            used_ns = self._flow_used_ns
+            self.flow_contradicts = used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS
+            return answer
+        self._flow_used_ns = t_host_ns
+        return with_considered_states(updated, answer.mean, answer.covariance)
 
     def _doubt_lenses(self) -> None:
         """Begin again with wider priors of the considered lens terms where the observed ones are wrong by more.
@@ -266,13 +285,6 @@ class EpipolarFilter:
             return Reject.TIME_BACKWARDS
         arrays = (rays.left_m, rays.left, rays.right_m, rays.right, sigma_rad)
         return None if all(bool(np.all(np.isfinite(array))) for array in arrays) else Reject.NOT_FINITE
-
-
-def _flown(answer: Posterior, flow: FlowView, bend: BendBelief) -> Posterior:
-    """The answer with what the flow tells, where that does not contradict it."""
-    total = rotation_rows(bend) @ answer.mean
-    updated = with_flow(answer, flow.innovation(total, answer.mean[LENS]), flow.between.passed_s, bend)
-    return answer if updated is None else with_considered_states(updated, answer.mean, answer.covariance)
 
 
 def _describe(answer: Posterior, bend: BendBelief, verdict: MatchVerdict) -> EpipolarUpdate:

@@ -45,6 +45,7 @@ _FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
 # sigma of the left camera's turn between two exposures, rad per axis, by integrated rates and tracked bend (choice: a
 # tenth of the fast slope's rms; 1 % of gyro scale in 0.2 rad/s for 0.15 s)
 _FLOW_TURN_RAD = 3e-4
+_WRONG_SIGMAS = 4.0  # residual of a wrong match (choice)
 _FLOW_SIGMAS = 4.0  # a yaw that one pair's flow moves by more contradicts what is known of it (choice)
 
 
@@ -185,6 +186,8 @@ def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: Be
         residual = normalised - design @ change
         scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1.0)
         weight = np.minimum((_STUDENT_DOF + 1.0) / (_STUDENT_DOF + (residual / scale) ** 2), 1.0) / scale**2
+        # a wrong match has a wrong depth too, in rows and residual alike: it must not pull at all
+        weight[np.abs(residual) > _WRONG_SIGMAS * scale] = 0.0
         information = identity + whitened_design.T @ (whitened_design * weight[:, np.newaxis])
         covariance = root @ np.linalg.solve(information, root.T)
         change = covariance @ (design.T @ (weight * normalised))

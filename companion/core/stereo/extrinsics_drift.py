@@ -60,6 +60,11 @@ class ExtrinsicsDriftFilter:
         return self._filter.has_matches
 
     @property
+    def flow_contradicts(self) -> bool:
+        """Whether the last pair's flow contradicts what is believed of the toe, shortly after flow that agreed."""
+        return self._filter.flow_contradicts
+
+    @property
     def lens_ratio(self) -> float:
         """Variance of the lens residuals over what the calibration states, as matches tell it; at least 1."""
         return self._filter.lens_ratio
