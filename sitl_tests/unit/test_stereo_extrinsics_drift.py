@@ -125,6 +125,17 @@ def test_without_looking_the_yaw_is_as_uncertain_as_tilt_and_mounting() -> None:
     assert told.slow_covariance[ROLL, ROLL] == pytest.approx(2 * 3e-4**2)
 
 
+@pytest.mark.parametrize("count", [3, 50])
+def test_a_pair_without_flow_contradicts_none(count: int) -> None:
+    """Neither a pair of too few matches nor one that is not used keeps the verdict on the flow before it."""
+    airframe = nadir()
+    slow = ExtrinsicsDriftFilter(Rig.from_airframe(airframe), airframe)
+    slow.flow_contradicts = True
+    matches = _matches(airframe, ground_below(60.0, count, 1), airframe, 1)
+    _told(slow, airframe, matches, _believed(TRUE_SLOPE, 0.001, 0.0, 0), use_matches=count < 12)
+    assert not slow.flow_contradicts
+
+
 def test_what_the_tracker_learns_is_taken_over_and_what_the_matches_told_is_not_counted_twice() -> None:
     """Two witnesses of one constant: tilt known to s, then to s/2; nothing seen in between."""
     airframe = nadir(rotation_sigma_rad=1e-7)

@@ -73,9 +73,14 @@ class Pooled:
         return self.columns["toe_sigma"] > 0.0
 
     @property
+    def due(self) -> Floats:
+        """Mask (n,) of shots from :data:`SETTLED_S` in the air on."""
+        return self.settled & (self.airborne_s >= SETTLED_S)
+
+    @property
     def awaited(self) -> Floats:
-        """Mask (n,) of shots that should be trusted: :data:`SETTLED_S` in the air, and with texture."""
-        return self.settled & self.textured & (self.airborne_s >= SETTLED_S)
+        """Mask (n,) of shots that should be trusted: due, and with texture."""
+        return self.due & self.textured
 
     @property
     def toe_error(self) -> Floats:
@@ -112,12 +117,11 @@ def summary(group: Pooled) -> dict[str, float]:
     """Figures of one row."""
     c, trusted, settled = group.columns, group.trusted, group.settled
     good = trusted & settled
-    published, blank = int(np.sum(trusted & group.awaited)), group.settled & ~group.textured
+    published = int(np.sum(trusted & group.awaited))
     over = group.toe_error[good] / c["toe_sigma"][good]
     off_m = np.abs(c["range_m"] - c["true_m"])[trusted]
     share, sigmas = off_m / c["true_m"][trusted], off_m / c["sigma_m"][trusted]
-    blank &= group.airborne_s >= SETTLED_S
-    total = max(group.expected - int(np.sum(blank)), int(np.sum(group.awaited)))
+    total = max(group.expected - int(np.sum(group.due & ~group.textured)), int(np.sum(group.awaited)))
     low, high = wilson(published, total)
     figures = {"trusted": published / max(total, 1), "low": low, "high": high, "shots": total,
                "published": int(np.sum(trusted)), "toe_mrad": 1e3 * rms(group.toe_error[good]),

@@ -77,6 +77,8 @@ class EpipolarUpdate:
         Features whose flow since an earlier pair was used.
     verdict : MatchVerdict
         Whether the matches go with what was believed before them.
+    flow_contradicts : bool
+        The pair's flow was refused, shortly after that of another was used.
     """
 
     slow_rad: Floats
@@ -89,6 +91,7 @@ class EpipolarUpdate:
     used: int
     flow: int
     verdict: MatchVerdict
+    flow_contradicts: bool
 
 
 class EpipolarFilter:
@@ -113,8 +116,6 @@ class EpipolarFilter:
         self.lens_ratio = 1.0
         """Prior variance of the considered lens terms over the stated one."""
         self._updated_ns: int | None = None
-        self.flow_contradicts = False
-        """Whether the last pair's flow was refused, shortly after that of another was used."""
         self._flow_used_ns: int | None = None
         self._test = MatchTest()
         self._systematic_rad2 = np.diag(prior.systematic_rad) ** 2
@@ -178,15 +179,15 @@ class EpipolarFilter:
         epipolar_rays = in_frame(rays, self.epipolar_from_body)
         noise_rad = np.hypot(sigma_rad, self._prior.parallax_rad)
         answer, verdict = self._solved(epipolar_rays, noise_rad, fast, mean, prior, bend)
-        self.flow_contradicts = False
+        contradicts = False
         if flow is not None and verdict is MatchVerdict.AGREE:
-            answer = self._flown(answer, flow, bend, t_host_ns)
+            answer, contradicts = self._flown(answer, flow, bend, t_host_ns)
         self._mean, self._updated_ns = answer.mean[:PERSISTENT_STATES], t_host_ns
         self._covariance = answer.covariance[:PERSISTENT_STATES, :PERSISTENT_STATES]
         self._bend_variance, self._fast_covariance = bend.sigma_rad**2, fast.covariance
         self._velocity_covariance = velocity
         self._doubt_lenses()
-        return _describe(answer, bend, verdict)
+        return _describe(answer, bend, verdict, contradicts)
 
     def _solved(
         self, epipolar_rays: Rays, noise_rad: Floats, fast: FastBelief, mean: Floats, prior: Floats, bend: BendBelief
@@ -200,8 +201,8 @@ class EpipolarFilter:
             answer = maximum_a_posteriori(epipolar_rays, noise_rad, mean, prior, bend)
         return with_considered_states(with_bound_innovation(answer, granted_rad2), mean, prior), verdict
 
-    def _flown(self, answer: Posterior, flow: FlowView, bend: BendBelief, t_host_ns: int) -> Posterior:
-        """The answer with what the flow tells, where that does not contradict it.
+    def _flown(self, answer: Posterior, flow: FlowView, bend: BendBelief, t_host_ns: int) -> tuple[Posterior, bool]:
+        """The answer with what the flow tells, and whether that contradicts it, shortly after flow that agreed.
 
         A flow that contradicts for longer comes from a velocity that has become wrong, and is left aside.
         """
@@ -209,10 +210,9 @@ class EpipolarFilter:
         updated = with_flow(answer, flow.innovation(total, answer.mean[LENS]), flow.between.passed_s, bend)
         if updated is None:
             used_ns = self._flow_used_ns
-            self.flow_contradicts = used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS
-            return answer
+            return answer, used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS
         self._flow_used_ns = t_host_ns
-        return with_considered_states(updated, answer.mean, answer.covariance)
+        return with_considered_states(updated, answer.mean, answer.covariance), False
 
     def _doubt_lenses(self) -> None:
         """Begin again with wider priors of the considered lens terms where the observed ones are wrong by more.
@@ -287,7 +287,7 @@ class EpipolarFilter:
         return None if all(bool(np.all(np.isfinite(array))) for array in arrays) else Reject.NOT_FINITE
 
 
-def _describe(answer: Posterior, bend: BendBelief, verdict: MatchVerdict) -> EpipolarUpdate:
+def _describe(answer: Posterior, bend: BendBelief, verdict: MatchVerdict, flow_contradicts: bool) -> EpipolarUpdate:
     total = rotation_rows(bend)
     slow = total.copy()
     slow[:, BEND_SCALE:] = 0.0
@@ -303,4 +303,5 @@ def _describe(answer: Posterior, bend: BendBelief, verdict: MatchVerdict) -> Epi
         used=answer.used,
         flow=answer.flow,
         verdict=verdict,
+        flow_contradicts=flow_contradicts,
     )

@@ -44,6 +44,8 @@ class ExtrinsicsDriftFilter:
         self._filter = EpipolarFilter(rig, extrinsics_prior(rig, airframe))
         self._time_s = min(airframe.left.bias_time_s, airframe.right.bias_time_s)
         self.verdict = MatchVerdict.AGREE
+        self.flow_contradicts = False
+        """Whether the last pair's flow contradicts what is believed of the toe, shortly after flow that agreed."""
         self.joint_covariance: Floats = np.zeros((3 + PAIR_TERMS, 3 + PAIR_TERMS))
         """Covariance (10, 10) of the last rotation that was given and of its lens terms, epipolar frame."""
         self._bend_variance = math.inf
@@ -58,11 +60,6 @@ class ExtrinsicsDriftFilter:
     def has_matches(self) -> bool:
         """Whether any matches have been taken."""
         return self._filter.has_matches
-
-    @property
-    def flow_contradicts(self) -> bool:
-        """Whether the last pair's flow contradicts what is believed of the toe, shortly after flow that agreed."""
-        return self._filter.flow_contradicts
 
     @property
     def lens_ratio(self) -> float:
@@ -114,6 +111,7 @@ class ExtrinsicsDriftFilter:
         if use_matches:
             update = self._filter.update(rays, sigma_rad, fast, t_host_ns, belief, shift, flow)
         self.verdict = update.verdict if isinstance(update, EpipolarUpdate) else MatchVerdict.AGREE
+        self.flow_contradicts = isinstance(update, EpipolarUpdate) and update.flow_contradicts
         if isinstance(update, EpipolarUpdate):
             self.joint_covariance = update.joint_covariance
             return RelativeRotation(

@@ -73,20 +73,20 @@ class VehicleTrack:
         """Velocity at an instant, by airspeed, climb rate and attitude; along the body's x where none is nearby."""
         if not self._near(t_host_ns):
             return STILL if self.newest is None else _motion(self.newest.airspeed_mps, 0.0, 0.0, 0.0)
-        if all(state.velocity_ned_mps is not None for state in self._around(t_host_ns)):
-            return self._over_ground(t_host_ns)
+        around = self._around(t_host_ns)
+        if all(state.velocity_ned_mps is not None for state in around):
+            return self._over_ground(t_host_ns, around)
         roll_rad, pitch_rad, airspeed_mps, climb_mps = (
             self._at(t_host_ns, quantity)
             for quantity in (_roll, _pitch, lambda state: state.airspeed_mps, lambda state: state.climb_mps)
         )
         return _motion(airspeed_mps, climb_mps, roll_rad, pitch_rad)
 
-    def _over_ground(self, t_host_ns: int) -> VehicleMotion:
+    def _over_ground(self, t_host_ns: int, around: list[VehicleState]) -> VehicleMotion:
         """Velocity as the navigation filter has it, turned into body axes by its attitude."""
         roll_rad, pitch_rad = (self._at(t_host_ns, quantity) for quantity in (_roll, _pitch))
         yaws_rad = np.unwrap([state.yaw_rad for state in self._states])
         yaw_rad = float(np.interp(0.0, self._since_s(t_host_ns), yaws_rad))
-        around = self._around(t_host_ns)
         since_s = [1e-9 * (state.received_host_ns - t_host_ns) for state in around]
         ned_mps = np.array([state.velocity_ned_mps for state in around], dtype=np.float64)
         velocity_mps = np.array([np.interp(0.0, since_s, axis) for axis in ned_mps.T])
