@@ -20,7 +20,7 @@ from companion.sim.flight.truth import FlightTruth
 from companion.sim.flight.worlds import ImageFaults
 from companion.sim.vision.appearance import Appearance
 from companion.sim.vision.posed_pair import PosedPair
-from companion.sim.vision.scene import Scene
+from companion.sim.vision.scene import Cone, Scene
 from companion.sim.vision.shutter import PixelGrid
 from companion.sim.vision.texture import Image32, NoiseTile
 from companion.sim.vision.textured_plane import SurfacePainter
@@ -74,7 +74,9 @@ class Renderer(PosedPair):
         views = self.views(side, exposure.mid_boot_ns + track.offsets_ns)
         width, height = grid.size_px
         image: Image32 = np.full((height, width), self.scene.sky, np.float32)
-        self._painter.paint(image, self.scene.visible(views[0].centre_ned_m), views, grid, track)
+        cones = [Cone(view.centre_ned_m, view.camera_from_ned[2], grid.half_angle_rad) for view in views]
+        planes = self.scene.visible(views[0].centre_ned_m, cones)
+        self._painter.paint(image, planes, views, grid, track)
         appearance = self._appearance[side]
         if appearance is None:
             return self._expose(image, side, shot, 1.0)

@@ -2,16 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from companion.core.stereo.geometry import MountedCamera, Pose
-from companion.records import Floats
+from companion.records import Bools, Floats
 from companion.sim.flight.truth import FlightTruth
 
 _DOWN = np.array([0.0, 0.0, 1.0])
 _BOARD_M = (30.0, 20.0)  # width and height of an obstacle: a large house (choice)
+_ROUNDING_RAD = 1e-6  # by which a cone is widened, so that nothing on its edge is lost
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cone:
+    """Field of view of an eye at ``apex_m`` (NED): directions within ``half_angle_rad`` of the unit vector ``axis``."""
+
+    apex_m: Floats
+    axis: Floats
+    half_angle_rad: float
+
+    @classmethod
+    def around(cls, origin_m: Floats, directions: Floats) -> Cone:
+        """A cone that holds all directions (n, 3)."""
+        units = directions / np.linalg.norm(directions, axis=1)[:, None]
+        middle = units.mean(axis=0)
+        axis = middle / np.linalg.norm(middle)
+        return cls(origin_m, axis, float(np.arccos(np.clip(units @ axis, -1.0, 1.0)).max()))
+
+    def touches(self, centres_m: Floats, radii_m: Floats) -> Bools:
+        """Whether spheres (n, 3), (n,) may reach into the cone, (n,)."""
+        offsets = centres_m - self.apex_m
+        distances = np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
+        away_rad = np.arccos(np.clip(offsets @ self.axis / distances, -1.0, 1.0))
+        spread_rad = np.where(radii_m < distances, np.arcsin(np.minimum(radii_m / distances, 1.0)), np.pi)
+        return np.asarray(~(away_rad > self.half_angle_rad + spread_rad + _ROUNDING_RAD))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +59,8 @@ class Plane:
         Of its texture, over that of meadow.
     furrow : float
         How much longer the texture is along ``along`` than across.
+    normal : (3,)
+        Unit normal.
     """
 
     centre_m: Floats
@@ -42,11 +71,10 @@ class Plane:
     brightness: float = 118.0
     contrast: float = 1.0
     furrow: float = 1.0
+    normal: Floats = field(init=False)
 
-    @property
-    def normal(self) -> Floats:
-        """Unit normal, (3,)."""
-        return np.cross(self.across, self.along)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "normal", np.cross(self.across, self.along))
 
     def corners_m(self) -> Floats:
         """The four corners in NED, (4, 3); only for a plane that has an end."""
@@ -81,24 +109,34 @@ class Scene:
     seed: int
     sky: float = 200.0
     sight_m: float = 250.0
+    _centres_m: Floats = field(init=False)
+    _radii_m: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        sizes = [plane.half_size_m or (np.inf, np.inf) for plane in self.planes]
+        object.__setattr__(self, "_centres_m", np.array([plane.centre_m for plane in self.planes]).reshape(-1, 3))
+        object.__setattr__(self, "_radii_m", np.array([np.hypot(*size) for size in sizes]))
 
     def hit(self, origin_m: Floats, directions: Floats) -> Floats:
         """Nearest surface along each direction, in multiples of it, (n,); infinite for the sky."""
         nearest = np.full(len(directions), np.inf)
-        for plane in self.visible(origin_m):
+        if not len(directions):
+            return nearest
+        for plane in self.visible(origin_m, [Cone.around(origin_m, directions)]):
             nearest = np.minimum(nearest, plane.hit(origin_m, directions))
         return nearest
 
-    def visible(self, eye_m: Floats) -> list[Plane]:
-        """Surfaces in sight, in the order of painting: what has no end first, then from far to near."""
-        distances = [float(np.linalg.norm(plane.centre_m - eye_m)) for plane in self.planes]
-        endless = [plane for plane in self.planes if plane.half_size_m is None]
-        near = [
-            (distance, number)
-            for number, (distance, plane) in enumerate(zip(distances, self.planes, strict=True))
-            if plane.half_size_m is not None and distance <= self.sight_m
-        ]
-        return endless + [self.planes[number] for _, number in sorted(near, reverse=True)]
+    def visible(self, eye_m: Floats, cones: Sequence[Cone]) -> list[Plane]:
+        """Surfaces in sight of an eye, in the order of painting: what has no end first, then from far to near.
+
+        What no cone touches is left out.
+        """
+        distances_m = np.linalg.norm(self._centres_m - eye_m, axis=1)
+        endless = np.isinf(self._radii_m)
+        touched = np.any([cone.touches(self._centres_m, self._radii_m) for cone in cones], axis=0)
+        near = np.flatnonzero(touched & ~endless & (distances_m <= self.sight_m)).tolist()
+        near.sort(key=lambda number: (distances_m[number], number), reverse=True)
+        return [self.planes[number] for number in [*np.flatnonzero(endless), *near]]
 
 
 def ground() -> Plane:

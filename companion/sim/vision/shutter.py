@@ -105,6 +105,7 @@ class PixelGrid:
         self.node_rays: Floats = lens.unproject(pixels.reshape(-1, 2)).reshape(*NODES, 3)
         across = self.node_rays[..., :2]
         self._reach = 1.1 * np.array([across.min(axis=(0, 1)), across.max(axis=(0, 1))])
+        self.half_angle_rad = float(np.arctan(np.hypot(*np.abs(self._reach).max(axis=0))))
         self._cached = functools.lru_cache(maxsize=4)(self._level_rays)
 
     def track(self, exposure_ns: int, row_time_ns: int) -> Track:
