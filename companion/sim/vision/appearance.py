@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import cv2
@@ -49,7 +50,7 @@ class Appearance:
             image = self._hazy(image, view, scene)
         if self.defocus_px > 0.0:
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), self.defocus_px), dtype=np.float32)
-        return np.asarray(image * (self.gain * self._light(image.shape)), dtype=np.float32)
+        return np.asarray(image * (self.gain * _light(self.vignetting, image.shape)), dtype=np.float32)
 
     def _hazy(self, image: Image32, view: PosedCamera, scene: Scene) -> Image32:
         rows, columns = image.shape
@@ -62,10 +63,12 @@ class Appearance:
         transmission = np.asarray(cv2.resize(clear, (columns, rows), interpolation=cv2.INTER_LINEAR))
         return np.asarray(scene.sky + transmission * (image - scene.sky), dtype=np.float32)
 
-    def _light(self, shape: tuple[int, ...]) -> Image32:
-        """Share of light (rows, columns): 1 in the middle, falling with the square of the distance to the corner's."""
-        rows, columns = shape
-        y, x = np.ogrid[-1.0 : 1.0 : rows * 1j, -1.0 : 1.0 : columns * 1j]
-        aspect = rows / columns
-        square = (x**2 + (aspect * y) ** 2) / (1.0 + aspect**2)
-        return np.asarray(1.0 - self.vignetting * square, dtype=np.float32)
+
+@functools.lru_cache(maxsize=4)
+def _light(vignetting: float, shape: tuple[int, ...]) -> Image32:
+    """Share of light (rows, columns): 1 in the middle, falling with the square of the distance to the corner's."""
+    rows, columns = shape
+    y, x = np.ogrid[-1.0 : 1.0 : rows * 1j, -1.0 : 1.0 : columns * 1j]
+    aspect = rows / columns
+    square = (x**2 + (aspect * y) ** 2) / (1.0 + aspect**2)
+    return np.asarray(1.0 - vignetting * square, dtype=np.float32)

@@ -86,12 +86,13 @@ class NoiseTile:
 
 
 def within_tile(texel_from_cell: Floats, width: int, height: int) -> Floats:
-    """Shift a map (3, 3) by whole periods so that the corners of a ``width`` x ``height`` view start in the first."""
+    """Shift maps (k, 3, 3) by whole periods so that the corners of a ``width`` x ``height`` view start in the first."""
     corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]], dtype=np.float64)
-    mapped = corners @ texel_from_cell.T
-    lowest = np.min(mapped[:, :2] / mapped[:, 2:], axis=0)
-    shift = np.floor(lowest / PERIOD_TEXELS) * PERIOD_TEXELS
-    return np.asarray(texel_from_cell - np.outer([*shift, 0.0], texel_from_cell[2]))
+    mapped = corners @ texel_from_cell.transpose(0, 2, 1)
+    lowest = np.min(mapped[..., :2] / mapped[..., 2:], axis=1)
+    shifted = texel_from_cell.copy()
+    shifted[:, :2] -= (np.floor(lowest / PERIOD_TEXELS) * PERIOD_TEXELS)[..., None] * texel_from_cell[:, 2:]
+    return np.asarray(shifted)
 
 
 def octaves_of(seed: int, surface: int) -> tuple[Octave, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -132,38 +132,47 @@ class SurfacePainter:
         texel = np.vstack([octave.texel_from_plane(sight.origin_m * drawn_out), [0.0, 0.0, 1.0]])
         texel[:2, :2] *= drawn_out
         total: Image32 = np.zeros(sight.grid.cell_shape(window, factor), np.float32)
-        for t_s in sight.track.instants_s(poses):
-            cv2.accumulate(self._sample(sight, window, texel, factor, float(t_s)), total)
+        for sample in self._samples(sight, window, texel, factor, sight.track.instants_s(poses)):
+            cv2.accumulate(sample, total)
         total *= np.float32(1.0 / (poses * LEVELS_PER_RMS))
         total -= np.float32(ZERO_LEVEL / LEVELS_PER_RMS)
         return total
 
-    def _sample(self, sight: PlaneView, window: Window, texel: Floats, factor: int, t_s: float) -> Image16:
-        grid, track = sight.grid, sight.track
-        if track.row_time_ns:
-            return self._rolled(sight, window, texel, factor, t_s)
+    def _samples(
+        self, sight: PlaneView, window: Window, texel: Floats, factor: int, instants_s: Floats
+    ) -> Iterator[Image16]:
+        """The octave at each of some instants."""
+        grid = sight.grid
+        if sight.track.row_time_ns:
+            yield from self._rolled(sight, window, texel, factor, instants_s)
+            return
         rows, columns = grid.cell_shape(window, factor)
-        texel_from_ray = texel @ at_time(sight.polynomial, np.array([t_s]))[0]
         ray_from_cell = grid.ray_from_pixel @ grid.pixel_from_cell(window, factor)
-        texel_from_cell = within_tile(texel_from_ray @ ray_from_cell, columns, rows)
-        tile, texel_from_cell = self._tile.along_rows(texel_from_cell)
-        if grid.distorted:
-            rays = grid.cell_rays(window, factor)
-            where = cv2.perspectiveTransform(rays, texel_from_cell @ np.linalg.inv(ray_from_cell))
-            return np.asarray(cv2.remap(tile, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return np.asarray(
-            cv2.warpPerspective(tile, texel_from_cell, (columns, rows), flags=flags, borderMode=cv2.BORDER_WRAP)
-        )
+        cell_from_ray = np.linalg.inv(ray_from_cell)
+        rays = grid.cell_rays(window, factor) if grid.distorted else None
+        texel_from_rays = texel @ at_time(sight.polynomial, instants_s)
+        for texel_from_start in within_tile(texel_from_rays @ ray_from_cell, columns, rows):
+            tile, texel_from_cell = self._tile.along_rows(texel_from_start)
+            if rays is not None:
+                where = cv2.perspectiveTransform(rays, texel_from_cell @ cell_from_ray)
+                yield np.asarray(cv2.remap(tile, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
+                continue
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            yield np.asarray(
+                cv2.warpPerspective(tile, texel_from_cell, (columns, rows), flags=flags, borderMode=cv2.BORDER_WRAP)
+            )
 
-    def _rolled(self, sight: PlaneView, window: Window, texel: Floats, factor: int, t_s: float) -> Image16:
+    def _rolled(
+        self, sight: PlaneView, window: Window, texel: Floats, factor: int, instants_s: Floats
+    ) -> Iterator[Image16]:
         """Every row at its own pose."""
-        times = t_s + sight.track.row_delay_s(sight.grid.cell_rows(window, factor))
-        matrices = (texel @ at_time(sight.polynomial, times)).astype(np.float32)
+        delays_s = sight.track.row_delay_s(sight.grid.cell_rows(window, factor))
         rays = sight.grid.cell_rays(window, factor)
-        full = rays @ matrices[:, :, :2].transpose(0, 2, 1) + matrices[:, None, :, 2]
-        where = np.ascontiguousarray(full[..., :2] / full[..., 2:])
-        return np.asarray(cv2.remap(self._tile.upright, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
+        for t_s in instants_s:
+            matrices = (texel @ at_time(sight.polynomial, t_s + delays_s)).astype(np.float32)
+            full = rays @ matrices[:, :, :2].transpose(0, 2, 1) + matrices[:, None, :, 2]
+            where = np.ascontiguousarray(full[..., :2] / full[..., 2:])
+            yield np.asarray(cv2.remap(self._tile.upright, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
 
 
 def _enlarged(layer: Image32, factor: int) -> Image32:
