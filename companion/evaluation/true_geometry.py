@@ -44,6 +44,7 @@ class TrueGeometry:
         self._tips = TipMotion.from_airframe(flight.airframe)
         self._true_tips = TipMotion.from_airframe(flight.real.actual)
         self._axis = orientation_axis(flight.airframe.orientation)
+        self._last: tuple[MatchSet, Floats] | None = None  # every way of ranging asks for the same shot's truth
 
     @property
     def baseline_m(self) -> float:
@@ -116,7 +117,9 @@ class TrueGeometry:
         reading = robust_inverse_depth(depths, product, self.settings.min_matches, one_surface=looks_down)
         if reading is None:
             return None
-        true_inverse = self._true_inverse(matches)
+        if self._last is None or self._last[0] is not matches:
+            self._last = matches, self._true_inverse(matches)
+        true_inverse = self._last[1]
         counted = np.isfinite(true_inverse) & (reading.weights != 0)
         if not np.array_equal(counted, reading.weights != 0):
             return None
