@@ -1,4 +1,6 @@
-"""Shots of a simulated flight, rendered and matched as cameras and vision process would, in processes of their own.
+"""Shots of a simulated flight, rendered and matched as cameras and vision process would, in two processes of their own.
+
+The right image is rendered beside the left one, in the second process; the first matches them.
 
 What comes of a shot depends on the flight's seed and on the shot alone: never on which process made it, nor when.
 """
@@ -8,7 +10,8 @@ from __future__ import annotations
 import dataclasses
 import multiprocessing
 import signal
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -26,14 +29,14 @@ from companion.records import ClockName, Frame, FramePair, MatchSet, Rejected, S
 from companion.sim.flight.flight import Flight
 from companion.sim.flight.truth import FlightTruth
 from companion.sim.flight.worlds import ImageFaults
-from companion.sim.vision.cameras import Shutters, render_frame, render_pair
+from companion.sim.vision.cameras import Shutters, render_frame
 from companion.sim.vision.renderer import PERFECT, Renderer
 from companion.sim.vision.scene import Scene
 from companion.sim.vision.scenery import scene_of
 
 ShotRecords = list[MatchSet | Rejected | FramePair]
 _ENDED = "a process that renders the cameras' images has ended; its messages are above"
-_WORKERS = 2  # shots overlap by one at most: a third would wait
+_AHEAD = 8  # shots begun before the first result is read: pipes hold a few results, and a full one stops both ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,11 +80,15 @@ class Pull:
 
 
 class Studio:
-    """Makes shots, one by one."""
+    """Makes shots, one by one.
 
-    def __init__(self, stage: Stage) -> None:
+    ``right_image`` gives the right image of each shot in turn, where another process renders it (None: there is none).
+    """
+
+    def __init__(self, stage: Stage, right_image: Callable[[], Frame | None] | None = None) -> None:
         cv2.setNumThreads(1)
         self._stage = stage
+        self._right_image = right_image
         self._renderer = stage.renderer()
         self._shutters = Shutters(stage.actual, stage.seed)
         self._vision = VisionState.create(stage.belief, stage.settings)
@@ -90,18 +97,29 @@ class Studio:
     def shoot(self, pull: Pull) -> ShotRecords:
         """Matches of one shot; none before take-off and after the end, where there is nothing to see."""
         earlier = self._earlier(pull)
-        try:
-            edge_ns = pull.edge_host_ns - self._stage.start_host_ns
-            pair = render_pair(self._renderer, self._shutters, edge_ns, pull.shot)
-        except ValueError:
+        left = self.image(Side.LEFT, pull.shot, pull.edge_host_ns)
+        if self._right_image is None:
+            right = self.image(Side.RIGHT, pull.shot, pull.edge_host_ns)
+        else:
+            right = self._right_image()
+        if left is None or right is None:
             return []
         vision = dataclasses.replace(self._vision, pairer=FramePairer(next_id=pull.shot), numbers={}, earlier=earlier)
-        left, right = self._on_host(pair.left), self._on_host(pair.right)
         self._last = left
         said: ShotRecords = [FramePair(pull.shot, left, right)] if pull.is_shown else []
         for frame in (left, right):
             said += vision_step(vision, frame, pull.matched_host_ns)
         return said
+
+    def image(self, side: Side, shot: int, edge_host_ns: int) -> Frame | None:
+        """One image of a shot on the host's clock; None where there is nothing to see."""
+        edge_ns = edge_host_ns - self._stage.start_host_ns
+        try:
+            frame = render_frame(self._renderer, self._shutters, side, edge_ns, shot)
+        except ValueError:
+            return None
+        stamp_ns = frame.mid_exposure_ns + self._stage.start_host_ns
+        return dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=stamp_ns)
 
     def _earlier(self, pull: Pull) -> EarlierView | None:
         """Left image of the shot before: the one that was just made here, or made again."""
@@ -109,16 +127,8 @@ class Studio:
             return None
         number, left = pull.shot - 1, self._last
         if left is None or left.sequence != number:
-            edge_ns = pull.earlier_edge_host_ns - self._stage.start_host_ns
-            try:
-                left = self._on_host(render_frame(self._renderer, self._shutters, Side.LEFT, edge_ns, number))
-            except ValueError:
-                return None
-        return EarlierView(number, left.mid_exposure_ns, left.image)
-
-    def _on_host(self, frame: Frame) -> Frame:
-        stamp_ns = frame.mid_exposure_ns + self._stage.start_host_ns
-        return dataclasses.replace(frame, clock=ClockName.HOST, mid_exposure_ns=stamp_ns)
+            left = self.image(Side.LEFT, number, pull.earlier_edge_host_ns)
+        return None if left is None else EarlierView(number, left.mid_exposure_ns, left.image)
 
 
 class StudioPort(Protocol):
@@ -157,7 +167,7 @@ class InProcessStudio:
 
 
 class Studios:
-    """Processes that make shots. Use as a context manager.
+    """Two processes that make shots in the order in which these were begun. Use as a context manager.
 
     Raises
     ------
@@ -165,45 +175,47 @@ class Studios:
         A process has died.
     """
 
-    def __init__(self, stage: Stage, workers: int = _WORKERS) -> None:
+    def __init__(self, stage: Stage) -> None:
         spawn = multiprocessing.get_context("spawn")
+        from_right, to_left = spawn.Pipe(duplex=False)
         self._ends: list[Connection] = []
         self._processes: list[BaseProcess] = []
-        for number in range(workers):
+        for serve, between in ((_serve_shots, from_right), (_serve_right_images, to_left)):
             ours, theirs = spawn.Pipe()
-            process = spawn.Process(target=_serve, args=(theirs,), name=f"sim-studio-{number}", daemon=True)
+            process = spawn.Process(target=serve, args=(theirs, between), name=f"sim-{serve.__name__}", daemon=True)
             process.start()
             theirs.close()
+            between.close()
             _give(ours, stage)
             self._ends.append(ours)
             self._processes.append(process)
-        self._worker_of_shot: dict[int, int] = {}
         self._made: dict[int, ShotRecords] = {}
 
     def begin(self, pull: Pull) -> None:
-        """Give a shot to the process with the least to do."""
-        busy = list(self._worker_of_shot.values())
-        worker = min(range(len(self._ends)), key=busy.count)
-        self._worker_of_shot[pull.shot] = worker
-        _give(self._ends[worker], pull)
+        """Begin a shot."""
+        for end in self._ends:
+            _give(end, pull)
 
     def result(self, shot: int) -> ShotRecords:
         """Matches of a shot that was begun; waits for them."""
         while shot not in self._made:
             try:
-                made, frames = self._ends[self._worker_of_shot[shot]].recv()
+                made, said = self._ends[0].recv()
             except (EOFError, OSError) as error:
                 raise DeviceError(_ENDED) from error
-            self._made[made] = frames
-            del self._worker_of_shot[made]
+            self._made[made] = said
         return self._made.pop(shot)
 
     def all(self, pulls: Iterable[Pull]) -> list[ShotRecords]:
         """Make many shots; what came of each, in their order."""
-        listed = list(pulls)
-        for pull in listed:
+        made: list[ShotRecords] = []
+        begun: deque[int] = deque()
+        for pull in pulls:
             self.begin(pull)
-        return [self.result(pull.shot) for pull in listed]
+            begun.append(pull.shot)
+            if len(begun) > _AHEAD:
+                made.append(self.result(begun.popleft()))
+        return made + [self.result(shot) for shot in begun]
 
     def __enter__(self) -> Studios:
         return self
@@ -223,13 +235,25 @@ def _give(end: Connection, thing: Stage | Pull) -> None:
         raise DeviceError(_ENDED) from error
 
 
-def _serve(end: Connection) -> None:
-    """Be one of the processes, until the other end is closed."""
+def _serve_shots(end: Connection, from_right: Connection) -> None:
+    """Be the process that renders left images and matches, until the other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends us
+    try:
+        studio = Studio(end.recv(), from_right.recv)
+        while True:
+            pull = end.recv()
+            end.send((pull.shot, studio.shoot(pull)))
+    except (EOFError, OSError):
+        return
+
+
+def _serve_right_images(end: Connection, to_left: Connection) -> None:
+    """Be the process that renders right images, until the other end is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         studio = Studio(end.recv())
         while True:
             pull = end.recv()
-            end.send((pull.shot, studio.shoot(pull)))
+            to_left.send(studio.image(Side.RIGHT, pull.shot, pull.edge_host_ns))
     except (EOFError, OSError):
         return

@@ -17,7 +17,7 @@ from companion.errors import DeviceError
 from companion.evaluation.rendered_shots import Pull, ShotRecords, Stage, Studio, Studios
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
-from companion.records import Firing, Health, MatchSet, Notice, Reject, Rejected, ServiceStatus, Shot, TriggerPlan
+from companion.records import Firing, Health, MatchSet, Notice, Reject, Rejected, ServiceStatus, Shot, Side, TriggerPlan
 from companion.service.config import ServiceConfig
 from companion.sim.flight.flight import Flight, build_flight
 from companion.sim.vehicle.faults import Faults
@@ -164,7 +164,11 @@ def test_an_edge_while_the_pair_is_read_out_exposes_nothing(
 @pytest.mark.slow
 def test_a_shot_is_the_same_whichever_process_makes_it_and_when(flight: Flight) -> None:
     stage = Stage.of(flight, Settings(), EPOCH_NS)
-    pulls = [Pull(k, EPOCH_NS + (100 + 200 * k) * MS, EPOCH_NS + (200 + 200 * k) * MS) for k in range(4)]
+    edges_ns = [EPOCH_NS + (100 + 60 * k) * MS for k in range(12)]
+    pulls = [
+        Pull(k, edge_ns, edge_ns + 100 * MS, earlier_edge_host_ns=edges_ns[k - 1] if k else None)
+        for k, edge_ns in enumerate(edges_ns)
+    ]
     with Studios(stage) as studios:
         made = studios.all(pulls)
     studio = Studio(stage)
@@ -176,6 +180,10 @@ def test_a_shot_is_the_same_whichever_process_makes_it_and_when(flight: Flight) 
         assert one.matched_host_ns == pull.matched_host_ns
         assert one.left_px.tobytes() == other.left_px.tobytes()
         assert one.right_px.tobytes() == other.right_px.tobytes()
+        if pull.shot:
+            assert one.flow is not None
+            assert other.flow is not None
+            assert one.flow.earlier_px.tobytes() == other.flow.earlier_px.tobytes()
     assert studio.shoot(Pull(9, EPOCH_NS + 60_000 * MS, EPOCH_NS + 60_100 * MS)) == [], "after the end there is no view"
 
 
@@ -217,9 +225,10 @@ def test_two_demos_of_one_seed_are_equal_to_the_bit_though_one_flew_on_a_busy_ma
 
 
 @pytest.mark.slow
-def test_a_process_that_dies_is_told_and_not_waited_for(flight: Flight) -> None:
-    with Studios(Stage.of(flight, Settings(), EPOCH_NS), workers=1) as studios:
-        (process,) = studios._processes
+@pytest.mark.parametrize("side", list(Side))
+def test_a_process_that_dies_is_told_and_not_waited_for(flight: Flight, side: Side) -> None:
+    with Studios(Stage.of(flight, Settings(), EPOCH_NS)) as studios:
+        process = studios._processes[side]
         process.kill()
         process.join()
         with pytest.raises(DeviceError, match="renders the cameras' images has ended"):
