@@ -10,7 +10,7 @@ import dataclasses
 import multiprocessing
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,15 +57,18 @@ def evaluate_flight(
     """
     opened, settings = open_recording(recording), stage.settings
     geometry = TrueGeometry(flight, stage.renderer(), settings, stage.start_host_ns)
-    inputs = list(own_inputs(opened.records(), opened.airframe, settings))
-    outputs = collect(opened.records())
-    shots = score_shots(geometry, outputs)
-    ways = dict(shots.ways)
-    blur = {"at_plan": wing_blur_px(geometry, [outputs.matches[pair_id] for pair_id in shots.ids])}
-    others: dict[str, Shots] = {}
-    if compare:
-        others, blur["at_random"] = _compared(geometry, stage, recording, inputs, say)
-        ways |= {name: other.ways["corrected"] for name, other in others.items()}
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as aside:
+        comparison = _begun(geometry, stage, recording, aside, say) if compare else None
+        records = list(opened.records())
+        outputs = collect(records)
+        shots = score_shots(geometry, outputs)
+        ways = dict(shots.ways)
+        blur = {"at_plan": wing_blur_px(geometry, [outputs.matches[pair_id] for pair_id in shots.ids])}
+        others: dict[str, Shots] = {}
+        if comparison is not None:
+            inputs = own_inputs(records, opened.airframe, settings)
+            others, blur["at_random"] = _compared(geometry, inputs, comparison)
+            ways |= {name: other.ways["corrected"] for name, other in others.items()}
     plain: dict[str, Any] = {
         "airframe": flight.airframe.name,
         "world": flight.world.name,
@@ -85,22 +88,38 @@ def evaluate_flight(
     return FlightEvaluation(finite(plain), _series(geometry, outputs, shots, ways, blur))
 
 
-def _compared(
-    geometry: TrueGeometry, stage: Stage, recording: Path, inputs: list[Record], say: Callable[[str], None]
-) -> tuple[dict[str, Shots], Floats]:
-    """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result).
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    """Both comparisons, made aside: matches at random instants, then outputs of vertical accelerometers alone."""
 
-    The first is replayed in a process of its own while the second is rendered.
-    """
-    airframe, settings = geometry.flight.airframe, geometry.settings
+    at_random: Future[list[MatchSet]]
+    vertical: Future[PipelineOutputs]
+
+
+def _begun(
+    geometry: TrueGeometry, stage: Stage, recording: Path, aside: Executor, say: Callable[[str], None]
+) -> _Comparison:
+    """Begin with the random instants: their matches are to be replayed beside the other replay."""
     say("replaying with vertical accelerometers alone, and rendering the same flight at random instants ...")
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        vertical = pool.submit(_replayed_vertically, recording, airframe, settings)
-        with Studios(stage) as studios:
-            extra = matches_of(studios.all(_random_pulls(geometry)))
-        random = score_shots(geometry, replayed(with_matches(inputs, extra), airframe, settings))
-        others = {"vertical_only": score_shots(geometry, vertical.result()), "random_instants": random}
+    at_random = aside.submit(_rendered, stage, _random_pulls(geometry))
+    airframe, settings = geometry.flight.airframe, geometry.settings
+    return _Comparison(at_random, aside.submit(_replayed_vertically, recording, airframe, settings))
+
+
+def _compared(
+    geometry: TrueGeometry, inputs: Iterable[Record], comparison: _Comparison
+) -> tuple[dict[str, Shots], Floats]:
+    """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result)."""
+    extra = comparison.at_random.result()
+    at_random = replayed(with_matches(inputs, extra), geometry.flight.airframe, geometry.settings)
+    random = score_shots(geometry, at_random)
+    others = {"vertical_only": score_shots(geometry, comparison.vertical.result()), "random_instants": random}
     return others, wing_blur_px(geometry, extra)
+
+
+def _rendered(stage: Stage, wanted: list[Pull]) -> list[MatchSet]:
+    with Studios(stage) as studios:
+        return matches_of(studios.all(wanted))
 
 
 def _replayed_vertically(recording: Path, airframe: Airframe, settings: Settings) -> PipelineOutputs:
