@@ -24,6 +24,7 @@ from companion.core.trigger import blur, planner
 from companion.core.trigger.instants import StillInstant
 from companion.params.airframe import Sensor
 from companion.records import Floats, Ints
+from sitl_tests.reference.kernels import bias_information as plain_bias
 from sitl_tests.reference.kernels import clock as plain_clock
 from sitl_tests.reference.kernels import filter_numpy as plain_filter
 from sitl_tests.reference.kernels import lines as plain_lines
@@ -36,6 +37,8 @@ from sitl_tests.reference.kernels import trigger as plain_trigger
 from sitl_tests.reference.kernels import whittle as plain_whittle
 
 _FILTER_STATE = 3  # place of the state among the filter's arguments
+_IN_PLACE = {"age_information": 0, "solve_parameters": 4}
+"""Place of what a kernel that gives nothing works on among its arguments."""
 
 
 def _valid(t_ns: Ints, values: Floats, sensor: Sensor, oldest_ns: int) -> bool:
@@ -80,6 +83,8 @@ def _within(self: sync_set.FeasibleLines, uppers: Floats, lowers: Floats) -> syn
 
 PLACES: dict[str, list[tuple[Any, str, Callable[..., Any]]]] = {
     "filter_epochs": [(filter, "filter_epochs", plain_filter.filter_epochs)],
+    "bias_age": [(filter, "age_information", plain_bias.age_information)],
+    "bias_solve": [(filter, "solve_parameters", plain_bias.solve_parameters)],
     "smoother_backward": [(smoother, "backward_pass", plain_smoother.backward_pass)],
     "forecast_powers": [(prediction, "powers", plain_prediction.powers)],
     "forecast_run": [(prediction, "run_ahead", plain_prediction.run_ahead)],
@@ -136,6 +141,9 @@ def _spoilt(kernel: Callable[..., Any], ratio: float) -> Callable[..., Any]:
         if isinstance(result, bool):  # of the filter, which works in place
             arguments[_FILTER_STATE].covariance[:] *= 1.0 + ratio
             return result
+        if result is None:
+            arguments[_IN_PLACE[kernel.__name__]][:] *= 1.0 + ratio
+            return None
         return _wrong(result, ratio)
 
     return called

@@ -1,4 +1,4 @@
-"""Smoother, forecast, lines and the Whittle fit against their numpy versions; the filter: test_tracking_kernel."""
+"""Smoother, bias parameters, forecast, lines and Whittle fit against numpy; the filter: test_tracking_kernel."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from companion.core.kernels.arrays import make_history
-from companion.core.tracking import prediction
+from companion.core.tracking import bias_information, prediction
 from companion.core.tracking.adaptation import whittle
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram
 from companion.core.tracking.adaptation.whittle import LogNormalPrior
@@ -17,6 +17,7 @@ from companion.core.tracking.prediction import _FilterSnapshot, _OutputIndices
 from companion.core.tracking.smoother import backward_pass
 from companion.records import Floats
 from sitl_tests.native import spectra
+from sitl_tests.reference.kernels import bias_information as plain_bias
 from sitl_tests.reference.kernels import lines as plain_lines
 from sitl_tests.reference.kernels import model_spectrum as plain_spectrum
 from sitl_tests.reference.kernels import prediction as plain_prediction
@@ -55,6 +56,55 @@ def test_the_adjoint_runs_back_as_in_numpy(n: int, parameters: int, size: int, c
             backward_pass(history, first, count), plain_smoother.backward_pass(history, first, count), strict=True
         ):
             _agree(got, expected)
+
+
+@pytest.mark.parametrize(("n", "estimated", "considered"), [(24, 17, 5), (12, 3, 0), (5, 0, 4), (4, 1, 1), (3, 0, 0)])
+def test_bias_parameters_age_and_are_solved_as_in_numpy(n: int, estimated: int, considered: int) -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        c = estimated + considered
+        sigma = 10.0 ** rng.uniform(-4, 0, c)
+        learned = rng.standard_normal((3 * c + 3, 1 + c)) * np.concatenate(
+            [[1.0], 10.0 ** rng.uniform(-1, 2, c) / sigma]
+        )
+        information = learned.T @ learned
+        x, covariance = rng.standard_normal((n + 1, 1 + c)), _spread(rng, n)
+        order = rng.permutation(c)
+        kinds = np.sort(order[:estimated]), np.sort(order[estimated:])
+        wandering = 1 + rng.permutation(c)[: c // 2]
+        mine, plain = ([each.copy() for each in (information, x, covariance)] for _ in range(2))
+        bias_information.age_information(*mine, wandering, sigma, 0.9)
+        plain_bias.age_information(*plain, wandering, sigma, 0.9)
+        for got, expected in zip(mine, plain, strict=True):
+            np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-14 * float(np.abs(expected).max()))
+        got, expected = ((np.zeros(c), np.diag(sigma**2)) for _ in range(2))
+        bias_information.solve_parameters(information, sigma, *kinds, *got)
+        plain_bias.solve_parameters(information, sigma, *kinds, *expected)
+        np.testing.assert_allclose(got[0] / sigma, expected[0] / sigma, rtol=1e-9, atol=1e-11)
+        scale = np.outer(sigma, sigma)
+        np.testing.assert_allclose(got[1] / scale, expected[1] / scale, rtol=1e-9, atol=1e-11)
+        assert np.array_equal(got[1], got[1].T)
+
+
+@pytest.mark.parametrize("entry", [np.nan, np.inf, -1e30])
+def test_information_that_has_run_away_gives_no_number(entry: float) -> None:
+    information = np.eye(4)
+    information[2, 2] = entry
+    parameters, covariance = np.zeros(3), np.eye(3)
+    bias_information.solve_parameters(information, np.ones(3), np.array([0, 1]), np.array([2]), parameters, covariance)
+    assert np.isnan(parameters[:2]).all()
+    assert np.isnan(covariance[:2]).all()
+    assert parameters[2] == 0.0
+    assert covariance[2, 2] == 1.0
+
+
+def test_places_outside_the_information_are_refused() -> None:
+    information, x, covariance, sigma, none = np.eye(3), np.zeros((3, 3)), np.eye(2), np.ones(2), np.array([], np.int64)
+    for place in (-1, 2):
+        with pytest.raises(TypeError, match="bias_solve"):
+            bias_information.solve_parameters(information, sigma, np.array([place]), none, np.zeros(2), covariance)
+        with pytest.raises(TypeError, match="bias_age"):
+            bias_information.age_information(information, x, covariance, np.array([place + 1]), sigma, 0.9)
 
 
 @pytest.mark.parametrize("factors", [0, 2])
