@@ -5,15 +5,6 @@
 
 #include "linear.h"
 
-/* Whether all places are among first:end. */
-static bool all_within(const int64_t *places, int64_t count, int64_t first, int64_t end)
-{
-    for (int64_t k = 0; k < count; k++)
-        if (places[k] < first || places[k] >= end)
-            return false;
-    return true;
-}
-
 /* Age one column: its noise is marginalised, the state's dependence on it becomes its own variance. */
 static void age_column(double *information, double *x, double *covariance, int64_t n, int64_t width, int64_t column,
                        double noise, double autocorrelation, double *scratch)

@@ -79,8 +79,8 @@ static inline bool solve(double *a, double *b, int64_t n)
 }
 
 /* out = a^-1 of a symmetric, positive definite matrix by its Cholesky factor, of which the inverse stays in the lower
- * half of `a`; all of it not a number where `a` is not positive definite or not finite. */
-static inline void invert_positive(double *restrict a, int64_t n, double *restrict out)
+ * half of `a`; false, and all of it not a number, where `a` is not positive definite or not finite. */
+static inline bool invert_positive(double *restrict a, int64_t n, double *restrict out)
 {
     bool positive = true;
     for (int64_t r = 0; r < n && positive; r++) {
@@ -107,6 +107,7 @@ static inline void invert_positive(double *restrict a, int64_t n, double *restri
     for (int64_t i = 0; i < n; i++)
         for (int64_t j = 0; j < i; j++)
             out[j * n + i] = out[i * n + j];
+    return positive;
 }
 
 #endif

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from companion.core.clock import clock_map, sync_set
-from companion.core.tracking import estimates, filter, prediction, rigid_body, smoother, streams
+from companion.core.tracking import estimates, filter, prediction, rigid_body, row_noise, smoother, streams
 from companion.core.tracking.adaptation import frequency_drift, spectral_fit, whittle
 from companion.core.trigger import blur, planner
 from companion.core.trigger.instants import StillInstant
@@ -31,6 +31,7 @@ from sitl_tests.reference.kernels import lines as plain_lines
 from sitl_tests.reference.kernels import outliers as plain_outliers
 from sitl_tests.reference.kernels import prediction as plain_prediction
 from sitl_tests.reference.kernels import rigid_body as plain_rigid_body
+from sitl_tests.reference.kernels import row_noise as plain_row_noise
 from sitl_tests.reference.kernels import smoother as plain_smoother
 from sitl_tests.reference.kernels import streams as plain_streams
 from sitl_tests.reference.kernels import trigger as plain_trigger
@@ -85,6 +86,7 @@ PLACES: dict[str, list[tuple[Any, str, Callable[..., Any]]]] = {
     "filter_epochs": [(filter, "filter_epochs", plain_filter.filter_epochs)],
     "bias_age": [(filter, "age_information", plain_bias.age_information)],
     "bias_solve": [(filter, "solve_parameters", plain_bias.solve_parameters)],
+    "noise_terms": [(row_noise, "noise_terms", plain_row_noise.noise_terms)],
     "smoother_backward": [(smoother, "backward_pass", plain_smoother.backward_pass)],
     "forecast_powers": [(prediction, "powers", plain_prediction.powers)],
     "forecast_run": [(prediction, "run_ahead", plain_prediction.run_ahead)],

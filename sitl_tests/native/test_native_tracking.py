@@ -14,6 +14,7 @@ from companion.core.tracking.estimates import oscillation
 from companion.core.tracking.line_removal import LineStates, copied, line_states, remove_lines
 from companion.core.tracking.parameters import parameter_index
 from companion.core.tracking.prediction import _FilterSnapshot, _OutputIndices
+from companion.core.tracking.row_noise import noise_terms
 from companion.core.tracking.smoother import backward_pass
 from companion.records import Floats
 from sitl_tests.native import spectra
@@ -21,6 +22,7 @@ from sitl_tests.reference.kernels import bias_information as plain_bias
 from sitl_tests.reference.kernels import lines as plain_lines
 from sitl_tests.reference.kernels import model_spectrum as plain_spectrum
 from sitl_tests.reference.kernels import prediction as plain_prediction
+from sitl_tests.reference.kernels import row_noise as plain_row_noise
 from sitl_tests.reference.kernels import smoother as plain_smoother
 from sitl_tests.reference.kernels import whittle as plain_whittle
 
@@ -105,6 +107,31 @@ def test_places_outside_the_information_are_refused() -> None:
             bias_information.solve_parameters(information, sigma, np.array([place]), none, np.zeros(2), covariance)
         with pytest.raises(TypeError, match="bias_age"):
             bias_information.age_information(information, x, covariance, np.array([place + 1]), sigma, 0.9)
+
+
+@pytest.mark.parametrize(("rows", "sources"), [(9, 6), (7, 6), (2, 1), (1, 3)])
+def test_terms_of_the_rows_noise_are_those_of_numpy(rows: int, sources: int) -> None:
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(2, 60))
+        innovation = rng.standard_normal((count, 9))
+        covariance = np.stack([np.tril(_spread(rng, 9) + 0.01 * np.eye(9)) for _ in range(count)])
+        steps = np.flatnonzero(rng.random(count - 1) < 0.7) + 1
+        used = np.sort(rng.permutation(9)[:rows])
+        arguments = (innovation, covariance, steps, used, rng.standard_normal((9, sources)))
+        terms = noise_terms(*arguments)
+        assert terms is not None
+        _agree(terms, plain_row_noise.noise_terms(*arguments), 1e-8)
+
+
+def test_rows_whose_covariance_has_run_away_tell_no_noise() -> None:
+    covariance = np.stack([np.eye(9), np.eye(9), -np.eye(9)])
+    innovation, columns, rows = np.ones((3, 9)), np.ones((9, 2)), np.arange(9)
+    assert noise_terms(innovation, covariance, np.array([1]), rows, columns) is not None
+    assert noise_terms(innovation, covariance, np.array([1, 2]), rows, columns) is None
+    for step, row in ((0, 1), (3, 1), (1, 9), (1, -1)):
+        with pytest.raises(TypeError, match="noise_terms"):
+            noise_terms(innovation, covariance, np.array([step]), np.array([row]), columns)
 
 
 @pytest.mark.parametrize("factors", [0, 2])
