@@ -177,8 +177,8 @@ class SeparatedBiasFilter:
 
         1 where the model is right (Bar-Shalom, Li, Kirubarajan 2001, section 5.4, as a ratio per row).
         """
-        square, count = self._filter_state.nis_sums
-        return float(square / count) if count > 0.0 else 1.0
+        square, count = self._filter_state.nis_sums.tolist()
+        return square / count if count > 0.0 else 1.0
 
     def gate_excess(self, count: int) -> Floats:
         """Part of the newest ``count`` steps' rows that teaches nothing, (count, 9)."""

@@ -92,7 +92,7 @@ class ModalActivity:
 
 def _rate_squares(states: Floats, first: int, count: int, rate_states: Ints, one_and_bias: Floats) -> Floats:
     """Sum of squares of both families' rates over ``count`` steps of the history from ``first`` on, (2,)."""
-    rates = states[np.arange(first, first + count) % len(states)][:, rate_states] @ one_and_bias
+    rates = states[np.arange(first, first + count)[:, None] % len(states), rate_states] @ one_and_bias
     squares: Floats = (rates**2).sum(axis=0)
     return squares
 
