@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from companion.core.clock import clock_map, sync_set
-from companion.core.tracking import estimates, filter, prediction, rigid_body, row_noise, smoother, streams
+from companion.core.tracking import estimates, filter, prediction, rigid_body, row_noise, smoother, streams, validity
 from companion.core.tracking.adaptation import frequency_drift, spectral_fit, whittle
 from companion.core.trigger import blur, planner
 from companion.core.trigger.instants import StillInstant
@@ -90,6 +90,7 @@ PLACES: dict[str, list[tuple[Any, str, Callable[..., Any]]]] = {
     "smoother_backward": [(smoother, "backward_pass", plain_smoother.backward_pass)],
     "forecast_powers": [(prediction, "powers", plain_prediction.powers)],
     "forecast_run": [(prediction, "run_ahead", plain_prediction.run_ahead)],
+    "estimate_squares": [(validity, "rate_squares", plain_prediction.rate_squares)],
     "estimate_oscillation": [(estimates, "oscillation", plain_prediction.oscillation)],
     "stream_append": [(streams, "_appended", plain_streams.appended)],
     "stream_all_valid": [(streams, "_valid", _valid)],

@@ -16,6 +16,7 @@ from companion.core.tracking.parameters import parameter_index
 from companion.core.tracking.prediction import _FilterSnapshot, _OutputIndices
 from companion.core.tracking.row_noise import noise_terms
 from companion.core.tracking.smoother import backward_pass
+from companion.core.tracking.validity import rate_squares
 from companion.records import Floats
 from sitl_tests.native import spectra
 from sitl_tests.reference.kernels import bias_information as plain_bias
@@ -156,6 +157,17 @@ def test_the_wing_runs_ahead_as_in_numpy(factors: int) -> None:
             prediction.run_ahead(*arguments), plain_prediction.run_ahead(*arguments), strict=True
         ):  # fmt: skip
             _agree(got, expected)
+
+
+def test_squares_of_rates_are_summed_as_in_numpy() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        size, n, width = int(rng.integers(1, 20)), 6, int(rng.integers(1, 12))
+        states, one_and_bias = rng.standard_normal((size, n, width)), rng.standard_normal(width)
+        arguments = (states, int(rng.integers(0, 50)), int(rng.integers(0, size + 1)), rng.permutation(n)[:2])
+        _agree(rate_squares(*arguments, one_and_bias), plain_prediction.rate_squares(*arguments, one_and_bias))
+    with pytest.raises(TypeError, match="estimate_squares"):
+        rate_squares(states, 0, 1, np.array([0, n]), one_and_bias)
 
 
 def test_an_oscillation_is_described_as_in_numpy() -> None:

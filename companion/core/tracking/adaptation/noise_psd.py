@@ -76,7 +76,6 @@ class NoiseSpectrum:
 
 def _derivative_power_gain(frequency_hz: Floats, step_s: float) -> Floats:
     """Squared gain of the smooth derivative, 1/s^2; its kernel is odd, so a sine series suffices."""
-    sine_sum = np.zeros(len(frequency_hz))
-    for k in range(1, EDGE + 1):
-        sine_sum += 2.0 * DERIVATIVE[EDGE + k] * np.sin(2.0 * np.pi * step_s * k * frequency_hz)
-    return (sine_sum / step_s) ** 2
+    turns = 2.0 * np.pi * step_s * np.arange(1, EDGE + 1)
+    sines = 2.0 * DERIVATIVE[EDGE + 1 :, None] * np.sin(turns[:, None] * frequency_hz)
+    return np.asarray((sines.sum(axis=0) / step_s) ** 2)
