@@ -65,10 +65,12 @@ class NoiseSpectrum:
 
     def __call__(self, frequency_hz: Floats) -> Floats:
         """Density at these frequencies, (n,) (m/s^2)^2/Hz."""
-        root_gain = np.abs(1.0 - self.bend.per_load_s2 * self.bend.reading(frequency_hz)) ** 2
-        density: Floats = (
-            self.white + self.root * root_gain + self.roll * _derivative_power_gain(frequency_hz, self.step_s)
-        )
+        density = np.full(len(frequency_hz), self.white)
+        if self.root:
+            root_gain = np.abs(1.0 - self.bend.per_load_s2 * self.bend.reading(frequency_hz)) ** 2
+            density += self.root * root_gain
+        if self.roll:
+            density += self.roll * _derivative_power_gain(frequency_hz, self.step_s)
         density += self.drift / frequency_hz**2
         density += self.aliasing * (1.0 - np.cos(2.0 * np.pi * self.step_s * frequency_hz))
         return density
