@@ -12,6 +12,7 @@ from companion.core.tracking.adaptation.periodogram import Periodogram, make_per
 from companion.core.tracking.adaptation.whittle import LogNormalPrior
 from companion.core.tracking.estimates import oscillation
 from companion.core.tracking.line_removal import LineStates, copied, line_states, remove_lines
+from companion.core.tracking.line_search import squared_envelope
 from companion.core.tracking.parameters import parameter_index
 from companion.core.tracking.prediction import _FilterSnapshot, _OutputIndices
 from companion.core.tracking.row_noise import noise_terms
@@ -200,6 +201,18 @@ def test_lines_are_followed_and_removed_as_in_python(multiples: list[list[int]])
                 _agree(got, plain_lines.remove_lines(*arguments, plain), 1e-7)
         for name, one, other in zip(LineStates._fields, mine, plain, strict=True):
             _agree(one, other, 1e-6, name)
+
+
+@pytest.mark.parametrize("length", [2, 7, 100, 400])
+def test_an_envelope_varies_as_in_numpy(length: int) -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        t_s, frequency_hz = np.cumsum(rng.uniform(0.9e-3, 1.1e-3, 400)), float(rng.uniform(20, 200))
+        samples = rng.standard_normal(400) + 3.0 * np.cos(2.0 * np.pi * frequency_hz * t_s)
+        arguments = (samples, t_s, frequency_hz, length)
+        _agree(squared_envelope(*arguments), plain_lines.squared_envelope(*arguments))
+    with pytest.raises(TypeError, match="lines_envelope"):
+        squared_envelope(samples, t_s, frequency_hz, 401)
 
 
 def _family(modes: int) -> Floats:
