@@ -67,6 +67,15 @@ static inline int64_t least_of(int64_t a, int64_t b) { return a < b ? a : b; }
 
 static inline int64_t most_of(int64_t a, int64_t b) { return a > b ? a : b; }
 
+/* Whether all of so many places are among first:end. */
+static inline bool all_within(const int64_t *places, int64_t count, int64_t first, int64_t end)
+{
+    for (int64_t k = 0; k < count; k++)
+        if (places[k] < first || places[k] >= end)
+            return false;
+    return true;
+}
+
 static inline double squared(double a) { return a * a; }
 
 #endif

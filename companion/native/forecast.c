@@ -190,6 +190,28 @@ EXPORT int64_t forecast_run(const array *powers_in, const array *noise_in, const
     return 0;
 }
 
+/* Sum of squares of some states (k,) over `count` steps of the ring of [x | V], (size, n, width), from `first` on. */
+EXPORT int64_t estimate_squares(const array *ring_in, int64_t first, int64_t count, const array *states_in,
+                                const array *one_and_bias_in, const array *squares_out)
+{
+    bool good = true;
+    const double *ring = reals(ring_in, 3, &good), *one_and_bias = reals(one_and_bias_in, 1, &good);
+    const int64_t *states = integers(states_in, 1, &good);
+    double *squares = reals(squares_out, 1, &good);
+    if (!good)
+        return BAD_ARRAY;
+    int64_t size = extent(ring_in, 0), n = extent(ring_in, 1), width = extent(ring_in, 2), k = extent(states_in, 0);
+    if (size < 1 || first < 0 || extent(one_and_bias_in, 0) != width || extent(squares_out, 0) != k ||
+        !all_within(states, k, 0, n))
+        return BAD_ARRAY;
+    for (int64_t i = 0; i < k; i++)
+        squares[i] = 0.0;
+    for (int64_t step = first; step < first + count; step++)
+        for (int64_t i = 0; i < k; i++)
+            squares[i] += squared(dot(ring + (step % size * n + states[i]) * width, one_and_bias, width));
+    return 0;
+}
+
 /* Variance g^T P g over three states. */
 static double variance(const double *by, const double *covariance, int64_t n, const int64_t *index)
 {

@@ -78,4 +78,36 @@ static inline bool solve(double *a, double *b, int64_t n)
     return true;
 }
 
+/* out = a^-1 of a symmetric, positive definite matrix by its Cholesky factor, of which the inverse stays in the lower
+ * half of `a`; false, and all of it not a number, where `a` is not positive definite or not finite. */
+static inline bool invert_positive(double *restrict a, int64_t n, double *restrict out)
+{
+    bool positive = true;
+    for (int64_t r = 0; r < n && positive; r++) {
+        double *row = a + r * n;
+        for (int64_t q = 0; q < r; q++)
+            row[q] = (row[q] - dot(row, a + q * n, q)) * a[q * n + q];
+        double pivot = row[r] - dot(row, row, r);
+        positive = 0.0 < pivot && pivot < INFINITY;
+        row[r] = 1.0 / sqrt(pivot);
+    }
+    for (int64_t i = 0; i < n * n; i++)
+        out[i] = positive ? 0.0 : NAN;
+    for (int64_t r = 0; r < n; r++) { /* the factor's inverse, row after row, from the rows above */
+        double *row = a + r * n;
+        for (int64_t q = 0; q < r; q++) {
+            double total = 0.0;
+            for (int64_t j = q; j < r; j++)
+                total -= row[j] * a[j * n + q];
+            row[q] = total * row[r];
+        }
+        for (int64_t i = 0; i <= r; i++)
+            add_scaled(out + i * n, row, row[i], i + 1);
+    }
+    for (int64_t i = 0; i < n; i++)
+        for (int64_t j = 0; j < i; j++)
+            out[j * n + i] = out[i * n + j];
+    return positive;
+}
+
 #endif

@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "arrays.h"
+#include "linear.h"
 
 #define TWO_PI 6.28318530717958647692
 #define AMPLITUDE_RADPS (TWO_PI * 2.0) /* chosen: settles in 0.25 s */
@@ -195,5 +195,41 @@ EXPORT int64_t lines_remove(const array *t_in, const array *values_in, int64_t f
     for (int64_t k = first; k < samples; k++)
         clean_sample(&l, t_ns, values, k, period_s, out + (k - first) * l.channels);
     free(l.turning);
+    return 0;
+}
+
+/* Mean and variance, (2,), of the squared envelope of samples (n,) that are turned back by a frequency, in windows (w,)
+ * that begin `hop` apart (core/tracking/line_search.py). */
+EXPORT int64_t lines_envelope(const array *samples_in, const array *t_in, double frequency_hz, const array *window_in,
+                              int64_t hop, const array *out_in)
+{
+    bool good = true;
+    const double *samples = reals(samples_in, 1, &good), *t_s = reals(t_in, 1, &good);
+    const double *window = reals(window_in, 1, &good);
+    double *out = reals(out_in, 1, &good);
+    if (!good)
+        return BAD_ARRAY;
+    int64_t n = extent(samples_in, 0), w = extent(window_in, 0);
+    if (extent(t_in, 0) != n || extent(out_in, 0) != 2 || w < 1 || w > n || hop < 1)
+        return BAD_ARRAY;
+    int64_t count = (n - w) / hop + 1;
+    double *re = malloc((size_t)(2 * n + count) * sizeof *re), *im = re + n, *squares = im + n;
+    if (!re)
+        return NO_MEMORY;
+    for (int64_t k = 0; k < n; k++) {
+        double turn = TWO_PI * frequency_hz * t_s[k];
+        re[k] = samples[k] * cos(turn);
+        im[k] = -samples[k] * sin(turn);
+    }
+    double mean = 0.0, variance = 0.0;
+    for (int64_t k = 0; k < count; k++) {
+        squares[k] = squared(dot(re + k * hop, window, w)) + squared(dot(im + k * hop, window, w));
+        mean += squares[k] / (double)count;
+    }
+    for (int64_t k = 0; k < count; k++)
+        variance += squared(squares[k] - mean) / (double)count;
+    free(re);
+    out[0] = mean;
+    out[1] = variance;
     return 0;
 }

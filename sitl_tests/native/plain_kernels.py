@@ -18,24 +18,38 @@ import numpy as np
 import pytest
 
 from companion.core.clock import clock_map, sync_set
-from companion.core.tracking import estimates, filter, prediction, rigid_body, smoother, streams
+from companion.core.tracking import (
+    estimates,
+    filter,
+    line_search,
+    prediction,
+    rigid_body,
+    row_noise,
+    smoother,
+    streams,
+    validity,
+)
 from companion.core.tracking.adaptation import frequency_drift, spectral_fit, whittle
 from companion.core.trigger import blur, planner
 from companion.core.trigger.instants import StillInstant
 from companion.params.airframe import Sensor
 from companion.records import Floats, Ints
+from sitl_tests.reference.kernels import bias_information as plain_bias
 from sitl_tests.reference.kernels import clock as plain_clock
 from sitl_tests.reference.kernels import filter_numpy as plain_filter
 from sitl_tests.reference.kernels import lines as plain_lines
 from sitl_tests.reference.kernels import outliers as plain_outliers
 from sitl_tests.reference.kernels import prediction as plain_prediction
 from sitl_tests.reference.kernels import rigid_body as plain_rigid_body
+from sitl_tests.reference.kernels import row_noise as plain_row_noise
 from sitl_tests.reference.kernels import smoother as plain_smoother
 from sitl_tests.reference.kernels import streams as plain_streams
 from sitl_tests.reference.kernels import trigger as plain_trigger
 from sitl_tests.reference.kernels import whittle as plain_whittle
 
 _FILTER_STATE = 3  # place of the state among the filter's arguments
+_IN_PLACE = {"age_information": 0, "solve_parameters": 4}
+"""Place of what a kernel that gives nothing works on among its arguments."""
 
 
 def _valid(t_ns: Ints, values: Floats, sensor: Sensor, oldest_ns: int) -> bool:
@@ -80,13 +94,18 @@ def _within(self: sync_set.FeasibleLines, uppers: Floats, lowers: Floats) -> syn
 
 PLACES: dict[str, list[tuple[Any, str, Callable[..., Any]]]] = {
     "filter_epochs": [(filter, "filter_epochs", plain_filter.filter_epochs)],
+    "bias_age": [(filter, "age_information", plain_bias.age_information)],
+    "bias_solve": [(filter, "solve_parameters", plain_bias.solve_parameters)],
+    "noise_terms": [(row_noise, "noise_terms", plain_row_noise.noise_terms)],
     "smoother_backward": [(smoother, "backward_pass", plain_smoother.backward_pass)],
     "forecast_powers": [(prediction, "powers", plain_prediction.powers)],
     "forecast_run": [(prediction, "run_ahead", plain_prediction.run_ahead)],
+    "estimate_squares": [(validity, "rate_squares", plain_prediction.rate_squares)],
     "estimate_oscillation": [(estimates, "oscillation", plain_prediction.oscillation)],
     "stream_append": [(streams, "_appended", plain_streams.appended)],
     "stream_all_valid": [(streams, "_valid", _valid)],
     "stream_outliers": [(streams, "find_outliers", plain_outliers.find_outliers)],
+    "lines_envelope": [(line_search, "squared_envelope", plain_lines.squared_envelope)],
     "lines_remove": [(streams, "remove_lines", _remove_lines)],
     "epochs_build": [(rigid_body, "build_epochs", plain_rigid_body.build_epochs)],
     "whittle_expected": [(whittle, "expected_power", plain_whittle.expected_power)],
@@ -136,6 +155,9 @@ def _spoilt(kernel: Callable[..., Any], ratio: float) -> Callable[..., Any]:
         if isinstance(result, bool):  # of the filter, which works in place
             arguments[_FILTER_STATE].covariance[:] *= 1.0 + ratio
             return result
+        if result is None:
+            arguments[_IN_PLACE[kernel.__name__]][:] *= 1.0 + ratio
+            return None
         return _wrong(result, ratio)
 
     return called

@@ -1,4 +1,4 @@
-"""Smoother, forecast, lines and the Whittle fit against their numpy versions; the filter: test_tracking_kernel."""
+"""Smoother, bias parameters, forecast, lines and Whittle fit against numpy; the filter: test_tracking_kernel."""
 
 from __future__ import annotations
 
@@ -6,20 +6,25 @@ import numpy as np
 import pytest
 
 from companion.core.kernels.arrays import make_history
-from companion.core.tracking import prediction
+from companion.core.tracking import bias_information, prediction
 from companion.core.tracking.adaptation import whittle
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram
 from companion.core.tracking.adaptation.whittle import LogNormalPrior
 from companion.core.tracking.estimates import oscillation
 from companion.core.tracking.line_removal import LineStates, copied, line_states, remove_lines
+from companion.core.tracking.line_search import squared_envelope
 from companion.core.tracking.parameters import parameter_index
 from companion.core.tracking.prediction import _FilterSnapshot, _OutputIndices
+from companion.core.tracking.row_noise import noise_terms
 from companion.core.tracking.smoother import backward_pass
+from companion.core.tracking.validity import rate_squares
 from companion.records import Floats
 from sitl_tests.native import spectra
+from sitl_tests.reference.kernels import bias_information as plain_bias
 from sitl_tests.reference.kernels import lines as plain_lines
 from sitl_tests.reference.kernels import model_spectrum as plain_spectrum
 from sitl_tests.reference.kernels import prediction as plain_prediction
+from sitl_tests.reference.kernels import row_noise as plain_row_noise
 from sitl_tests.reference.kernels import smoother as plain_smoother
 from sitl_tests.reference.kernels import whittle as plain_whittle
 
@@ -57,6 +62,80 @@ def test_the_adjoint_runs_back_as_in_numpy(n: int, parameters: int, size: int, c
             _agree(got, expected)
 
 
+@pytest.mark.parametrize(("n", "estimated", "considered"), [(24, 17, 5), (12, 3, 0), (5, 0, 4), (4, 1, 1), (3, 0, 0)])
+def test_bias_parameters_age_and_are_solved_as_in_numpy(n: int, estimated: int, considered: int) -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        c = estimated + considered
+        sigma = 10.0 ** rng.uniform(-4, 0, c)
+        learned = rng.standard_normal((3 * c + 3, 1 + c)) * np.concatenate(
+            [[1.0], 10.0 ** rng.uniform(-1, 2, c) / sigma]
+        )
+        information = learned.T @ learned
+        x, covariance = rng.standard_normal((n + 1, 1 + c)), _spread(rng, n)
+        order = rng.permutation(c)
+        kinds = np.sort(order[:estimated]), np.sort(order[estimated:])
+        wandering = 1 + rng.permutation(c)[: c // 2]
+        mine, plain = ([each.copy() for each in (information, x, covariance)] for _ in range(2))
+        bias_information.age_information(*mine, wandering, sigma, 0.9)
+        plain_bias.age_information(*plain, wandering, sigma, 0.9)
+        for got, expected in zip(mine, plain, strict=True):
+            np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-14 * float(np.abs(expected).max()))
+        got, expected = ((np.zeros(c), np.diag(sigma**2)) for _ in range(2))
+        bias_information.solve_parameters(information, sigma, *kinds, *got)
+        plain_bias.solve_parameters(information, sigma, *kinds, *expected)
+        np.testing.assert_allclose(got[0] / sigma, expected[0] / sigma, rtol=1e-9, atol=1e-11)
+        scale = np.outer(sigma, sigma)
+        np.testing.assert_allclose(got[1] / scale, expected[1] / scale, rtol=1e-9, atol=1e-11)
+        assert np.array_equal(got[1], got[1].T)
+
+
+@pytest.mark.parametrize("entry", [np.nan, np.inf, -1e30])
+def test_information_that_has_run_away_gives_no_number(entry: float) -> None:
+    information = np.eye(4)
+    information[2, 2] = entry
+    parameters, covariance = np.zeros(3), np.eye(3)
+    bias_information.solve_parameters(information, np.ones(3), np.array([0, 1]), np.array([2]), parameters, covariance)
+    assert np.isnan(parameters[:2]).all()
+    assert np.isnan(covariance[:2]).all()
+    assert parameters[2] == 0.0
+    assert covariance[2, 2] == 1.0
+
+
+def test_places_outside_the_information_are_refused() -> None:
+    information, x, covariance, sigma, none = np.eye(3), np.zeros((3, 3)), np.eye(2), np.ones(2), np.array([], np.int64)
+    for place in (-1, 2):
+        with pytest.raises(TypeError, match="bias_solve"):
+            bias_information.solve_parameters(information, sigma, np.array([place]), none, np.zeros(2), covariance)
+        with pytest.raises(TypeError, match="bias_age"):
+            bias_information.age_information(information, x, covariance, np.array([place + 1]), sigma, 0.9)
+
+
+@pytest.mark.parametrize(("rows", "sources"), [(9, 6), (7, 6), (2, 1), (1, 3)])
+def test_terms_of_the_rows_noise_are_those_of_numpy(rows: int, sources: int) -> None:
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        count = int(rng.integers(2, 60))
+        innovation = rng.standard_normal((count, 9))
+        covariance = np.stack([np.tril(_spread(rng, 9) + 0.01 * np.eye(9)) for _ in range(count)])
+        steps = np.flatnonzero(rng.random(count - 1) < 0.7) + 1
+        used = np.sort(rng.permutation(9)[:rows])
+        arguments = (innovation, covariance, steps, used, rng.standard_normal((9, sources)))
+        terms = noise_terms(*arguments)
+        assert terms is not None
+        _agree(terms, plain_row_noise.noise_terms(*arguments), 1e-8)
+
+
+def test_rows_whose_covariance_has_run_away_tell_no_noise() -> None:
+    covariance = np.stack([np.eye(9), np.eye(9), -np.eye(9)])
+    innovation, columns, rows = np.ones((3, 9)), np.ones((9, 2)), np.arange(9)
+    assert noise_terms(innovation, covariance, np.array([1]), rows, columns) is not None
+    assert noise_terms(innovation, covariance, np.array([1, 2]), rows, columns) is None
+    for step, row in ((0, 1), (3, 1), (1, 9), (1, -1)):
+        with pytest.raises(TypeError, match="noise_terms"):
+            noise_terms(innovation, covariance, np.array([step]), np.array([row]), columns)
+
+
 @pytest.mark.parametrize("factors", [0, 2])
 def test_the_wing_runs_ahead_as_in_numpy(factors: int) -> None:
     for seed in range(8):
@@ -79,6 +158,17 @@ def test_the_wing_runs_ahead_as_in_numpy(factors: int) -> None:
             prediction.run_ahead(*arguments), plain_prediction.run_ahead(*arguments), strict=True
         ):  # fmt: skip
             _agree(got, expected)
+
+
+def test_squares_of_rates_are_summed_as_in_numpy() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        size, n, width = int(rng.integers(1, 20)), 6, int(rng.integers(1, 12))
+        states, one_and_bias = rng.standard_normal((size, n, width)), rng.standard_normal(width)
+        arguments = (states, int(rng.integers(0, 50)), int(rng.integers(0, size + 1)), rng.permutation(n)[:2])
+        _agree(rate_squares(*arguments, one_and_bias), plain_prediction.rate_squares(*arguments, one_and_bias))
+    with pytest.raises(TypeError, match="estimate_squares"):
+        rate_squares(states, 0, 1, np.array([0, n]), one_and_bias)
 
 
 def test_an_oscillation_is_described_as_in_numpy() -> None:
@@ -111,6 +201,18 @@ def test_lines_are_followed_and_removed_as_in_python(multiples: list[list[int]])
                 _agree(got, plain_lines.remove_lines(*arguments, plain), 1e-7)
         for name, one, other in zip(LineStates._fields, mine, plain, strict=True):
             _agree(one, other, 1e-6, name)
+
+
+@pytest.mark.parametrize("length", [2, 7, 100, 400])
+def test_an_envelope_varies_as_in_numpy(length: int) -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        t_s, frequency_hz = np.cumsum(rng.uniform(0.9e-3, 1.1e-3, 400)), float(rng.uniform(20, 200))
+        samples = rng.standard_normal(400) + 3.0 * np.cos(2.0 * np.pi * frequency_hz * t_s)
+        arguments = (samples, t_s, frequency_hz, length)
+        _agree(squared_envelope(*arguments), plain_lines.squared_envelope(*arguments))
+    with pytest.raises(TypeError, match="lines_envelope"):
+        squared_envelope(samples, t_s, frequency_hz, 401)
 
 
 def _family(modes: int) -> Floats:

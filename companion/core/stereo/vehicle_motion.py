@@ -128,17 +128,20 @@ class TurnTrack:
 
     def add(self, t_host_ns: Ints, rate_radps: Floats) -> None:
         """Take samples (n,) of the rates (n, 3), body axes; those that are not later than all before are left out."""
-        good: Bools = np.asarray(np.isfinite(rate_radps).all(axis=1), dtype=np.bool_)
-        good[1:] &= t_host_ns[1:] > np.maximum.accumulate(t_host_ns)[:-1]
-        if self._batches and good.any():
+        if not np.isfinite(rate_radps).all() or not (t_host_ns[1:] > t_host_ns[:-1]).all():
+            good: Bools = np.asarray(np.isfinite(rate_radps).all(axis=1), dtype=np.bool_)
+            good[1:] &= t_host_ns[1:] > np.maximum.accumulate(t_host_ns)[:-1]
+            t_host_ns, rate_radps = t_host_ns[good], rate_radps[good]
+        if self._batches and len(t_host_ns):
             newest_ns = int(self._batches[-1][0][-1])
-            if abs(int(t_host_ns[good][-1]) - newest_ns) > _RATES_S * 1e9:
+            if abs(int(t_host_ns[-1]) - newest_ns) > _RATES_S * 1e9:
                 self._batches.clear()  # another clock, or a long silence
-            else:
-                good &= t_host_ns > newest_ns
-        if not good.any():
+            elif t_host_ns[0] <= newest_ns:
+                later = t_host_ns > newest_ns
+                t_host_ns, rate_radps = t_host_ns[later], rate_radps[later]
+        if not len(t_host_ns):
             return
-        self._batches.append((t_host_ns[good], rate_radps[good]))
+        self._batches.append((t_host_ns, rate_radps))
         oldest_ns = int(self._batches[-1][0][-1]) - round(_RATES_S * 1e9)
         while int(self._batches[0][0][-1]) < oldest_ns:
             self._batches.popleft()

@@ -1,13 +1,18 @@
 """Information of the bias parameters: its time update, marginalisation and solution (Friedland's separated bias).
 
-The information matrix (1 + c, 1 + c) belongs to ``[1; c]``: column 0 holds its vector with minus sign.
+The information matrix (1 + c, 1 + c) belongs to ``[1; c]``: column 0 holds its vector with minus sign. Time update and
+solution, ten times a second, are C: ``native/bias.c``.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from companion.native.library import ARRAY, REAL, kernel
 from companion.records import Floats, Ints
+
+_age = kernel("bias_age", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY, REAL)
+_solve = kernel("bias_solve", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY, ARRAY)
 
 
 def age_information(
@@ -23,16 +28,7 @@ def age_information(
     A first-order process: ``c_old = r c_new + noise``. The noise is marginalised; the state's dependence on it becomes
     its own variance.
     """
-    for column in wandering:
-        noise = (1.0 - autocorrelation * autocorrelation) * sigma[column - 1] ** 2
-        learned, sensitivity_column = accumulated[column].copy(), state_and_sensitivity[:-1, column].copy()
-        gain = noise / (1.0 + noise * learned[column])
-        state_and_sensitivity[:-1] -= gain * np.outer(sensitivity_column, learned)
-        covariance += gain * np.outer(sensitivity_column, sensitivity_column)
-        accumulated -= gain * np.outer(learned, learned)
-        accumulated[column, :] *= autocorrelation
-        accumulated[:, column] *= autocorrelation
-        state_and_sensitivity[:-1, column] *= autocorrelation
+    _age(accumulated, state_and_sensitivity, covariance, wandering, sigma, autocorrelation)
 
 
 def marginalise(
@@ -64,14 +60,8 @@ def marginalise(
 def solve_parameters(
     accumulated: Floats, sigma: Floats, estimated: Ints, considered: Ints, bias_parameters: Floats, covariance: Floats
 ) -> None:
-    """Bias parameters and their covariance, in place; ``considered`` ones stay at their priors (Schmidt)."""
-    information = accumulated[estimated + 1][:, estimated + 1] + np.diag(1.0 / sigma[estimated] ** 2)
-    estimated_covariance = np.linalg.inv(information)
-    estimated_covariance = 0.5 * (estimated_covariance + estimated_covariance.T)
-    consider_map = -estimated_covariance @ accumulated[estimated + 1][:, considered + 1]
-    consider_gain = consider_map * sigma[considered] ** 2
-    estimated_total = estimated_covariance + consider_gain @ consider_map.T
-    bias_parameters[estimated] = -estimated_covariance @ np.ascontiguousarray(accumulated[estimated + 1, 0])
-    covariance[estimated[:, None], estimated] = estimated_total
-    covariance[estimated[:, None], considered] = consider_gain
-    covariance[considered[:, None], estimated] = consider_gain.T
+    """Bias parameters and their covariance, in place; ``considered`` ones stay at their priors (Schmidt).
+
+    Not a number where the information is not positive definite or not finite: the filter has run away.
+    """
+    _solve(accumulated, sigma, estimated, considered, bias_parameters, covariance)

@@ -177,8 +177,8 @@ class SeparatedBiasFilter:
 
         1 where the model is right (Bar-Shalom, Li, Kirubarajan 2001, section 5.4, as a ratio per row).
         """
-        square, count = self._filter_state.nis_sums
-        return float(square / count) if count > 0.0 else 1.0
+        square, count = self._filter_state.nis_sums.tolist()
+        return square / count if count > 0.0 else 1.0
 
     def gate_excess(self, count: int) -> Floats:
         """Part of the newest ``count`` steps' rows that teaches nothing, (count, 9)."""
@@ -222,12 +222,14 @@ class SeparatedBiasFilter:
     def _store_transition(self, transition: Floats) -> int:
         """Put a transition into a slot of the history that no step refers to; its number."""
         stored = self.history.transition
-        free = np.setdiff1d(np.arange(len(stored)), self.history.transition_index)
-        if not len(free):
+        unused = np.ones(len(stored), dtype=np.bool_)
+        unused[self.history.transition_index] = False
+        if not unused.any():
             self.history = self.history._replace(transition=np.concatenate([stored, np.empty_like(stored)]))
             return self._store_transition(transition)
-        self.history.transition[free[0]] = transition
-        return int(free[0])
+        free = int(unused.argmax())
+        self.history.transition[free] = transition
+        return free
 
     def _preserve_acceleration(self, parameters: WingParameters) -> None:
         """Shift the loads by the change of spring and damping forces, so that the modal acceleration stays.

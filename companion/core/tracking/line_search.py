@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from companion.core.tracking.line_removal import LOCKED_RATIO, PARTS
 from companion.core.tracking.spread_work import Stages
+from companion.native.library import ARRAY, INTEGER, REAL, kernel
 from companion.records import Floats, Ints
 
 WINDOW_S = 2.0  # chosen: half a hertz a bin; rpm wanders little in it
@@ -350,10 +351,33 @@ def _peaks(channel: ChannelWindow) -> list[Peak]:
             continue
         left, middle, right = np.log(power[k - 1 : k + 2])
         frequency_hz = float((k + 0.5 * (left - right) / (left - 2.0 * middle + right)) * bin_hz)
-        turned = samples * np.exp(-2j * np.pi * frequency_hz * channel.t_s)
-        if _steady(turned, rate_hz):
+        mean, variance = squared_envelope(samples, channel.t_s, frequency_hz, round(_SHORT_S * rate_hz))
+        if variance < _MAX_VARIATION * mean**2:
             peaks.append(Peak(float(ratio[k - first]), frequency_hz, channel))
     return peaks
+
+
+_envelope = kernel("lines_envelope", ARRAY, ARRAY, REAL, ARRAY, INTEGER, ARRAY)
+
+
+def squared_envelope(samples: Floats, t_s: Floats, frequency_hz: float, length: int) -> tuple[float, float]:
+    """Mean and variance of the squared envelope of a line, by windows of ``length`` that overlap by half.
+
+    Parameters
+    ----------
+    samples : (n,) float64
+        Swing of a channel.
+    t_s : (n,) float64
+        Their instants.
+    frequency_hz : float
+        Of the line.
+    length : int
+        Number of samples of a window.
+    """
+    out = np.empty(2)
+    _envelope(samples, t_s, frequency_hz, _hann(length), length // 2, out)
+    mean, variance = out.tolist()
+    return mean, variance
 
 
 def _steady(turned: npt.NDArray[np.complex128], rate_hz: float) -> bool:

@@ -19,9 +19,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from companion.core.kernels.arrays import plain
 from companion.core.tracking.nonnegative import nonnegative_least_squares
 from companion.core.tracking.states import P_LEFT, ROWS, Y_LEFT, SensorNoise
-from companion.records import Bools, Floats
+from companion.native.library import ARRAY, kernel
+from companion.records import Bools, Floats, Ints
 from companion.units import GRAVITY_MPS2
 
 _MIN_STEPS = 60  # chosen: their median square is right to a quarter
@@ -32,6 +34,8 @@ _MAX_OTHERS = 50.0  # chosen, believed variances: a source behind that much of o
 _MEMORY = 0.6  # chosen: per second, a time constant of 2 s
 _MAX_RATIO = 1e4  # chosen: noise up to a hundred times the belief; beyond, the sensor is broken
 _LEARNED = range(Y_LEFT, ROWS)  # rows
+
+_terms = kernel("noise_terms", ARRAY, ARRAY, ARRAY, ARRAY, ARRAY, ARRAY)
 
 
 class RowNoise:
@@ -80,14 +84,12 @@ class RowNoise:
         present = np.any(columns, axis=0)
         if at.sum() < _MIN_STEPS or not present.any():
             return
-        S = covariance[np.ix_(at, rows, rows)]
-        S = S + np.tril(S, -1).transpose(0, 2, 1)
-        weighted = np.linalg.solve(S, columns[:, present])  # S^-1 g, (n, rows, sources)
-        score = np.einsum("nrk,nr->nk", weighted, innovation[at][:, rows])
-        change = np.einsum("nrk,nr->nk", weighted, np.diff(innovation, axis=0)[at[1:]][:, rows])
-        coupling, square, half_change = _medians(
-            np.einsum("rk,nrl->nkl", columns[:, present], weighted), score**2, 0.5 * change**2
-        )
+        terms = noise_terms(innovation, covariance, np.flatnonzero(at), np.flatnonzero(rows), self._columns[:, present])
+        if terms is None:
+            return
+        medians, sources = np.median(terms, axis=1), int(present.sum())
+        coupling, square, half_change = np.split(medians, [sources**2, sources**2 + sources])
+        coupling = coupling.reshape(sources, sources)
         strength = np.diagonal(coupling)
         variance = np.minimum(square, half_change)
         beyond = variance / strength / _MEDIAN_OF_SQUARE - 1.0
@@ -113,12 +115,32 @@ class RowNoise:
         self.variance[Y_LEFT:], self.root_y_variance = learned[:-1], float(learned[-1])
 
 
-def _medians(*arrays: Floats) -> list[Floats]:
-    """Median over the first axis of each array; all at once, in the order in which they lie fast."""
-    together = np.concatenate([array.reshape(len(array), -1) for array in arrays], axis=1)
-    medians = np.median(np.ascontiguousarray(together.T), axis=1)
-    ends = np.cumsum([array[0].size for array in arrays])[:-1]
-    return [median.reshape(array.shape[1:]) for median, array in zip(np.split(medians, ends), arrays, strict=True)]
+def noise_terms(innovation: Floats, covariance: Floats, steps: Ints, rows: Ints, columns: Floats) -> Floats | None:
+    """Couplings, squared scores and half squared changes of the scores at m steps, (s s + 2 s, m).
+
+    Parameters
+    ----------
+    innovation : (n, 9) float64
+        Innovations.
+    covariance : (n, 9, 9) float64
+        Their covariance, lower half.
+    steps : (m,) int64
+        None of them the first of n.
+    rows : (r,) int64
+        Rows in use at all of these steps.
+    columns : (9, s) float64
+        ``g`` of each source.
+
+    Returns
+    -------
+    (s s + 2 s, m) float64 or None
+        ``g_k^T S^-1 g_l``, ``u_k^2``, and half the square of ``u_k``'s change since the step before, both by the later
+        step's S; None where a covariance is not positive definite.
+    """
+    sources = columns.shape[1]
+    terms = np.empty((sources * sources + 2 * sources, len(steps)))
+    innovations = plain(innovation), plain(covariance)
+    return terms if _terms(*innovations, steps, rows, plain(columns), terms) else None
 
 
 def _columns() -> Floats:

@@ -12,6 +12,7 @@ from companion.core.tracking.filter import SeparatedBiasFilter
 from companion.core.tracking.model import DiscreteWingModel
 from companion.core.tracking.parameters import FREQUENCY, ModeParameters
 from companion.core.tracking.states import StateLayout
+from companion.native.library import ARRAY, INTEGER, kernel
 from companion.records import Floats, Ints, Reject, Validity
 
 _BLOCK_S = 1.0  # chosen: several periods of the slowest wing
@@ -59,7 +60,7 @@ class ModalActivity:
         if kalman.model is not self._model:
             omega = 2.0 * np.pi * np.array([mode.frequency_hz for mode in kalman.model.parameters])
             self._model, self._stiffness = kalman.model, omega**2
-        squares = _rate_squares(
+        squares = rate_squares(
             kalman.history.state, kalman.steps - taken, taken, self._rate_states, kalman.one_and_bias
         )
         self._recent = self._recent + min(count * step_s / _RECENT_S, 1.0) * (
@@ -90,10 +91,13 @@ class ModalActivity:
         return np.sqrt(self._recent)
 
 
-def _rate_squares(states: Floats, first: int, count: int, rate_states: Ints, one_and_bias: Floats) -> Floats:
+_squares = kernel("estimate_squares", ARRAY, INTEGER, INTEGER, ARRAY, ARRAY, ARRAY)
+
+
+def rate_squares(states: Floats, first: int, count: int, rate_states: Ints, one_and_bias: Floats) -> Floats:
     """Sum of squares of both families' rates over ``count`` steps of the history from ``first`` on, (2,)."""
-    rates = states[np.arange(first, first + count) % len(states)][:, rate_states] @ one_and_bias
-    squares: Floats = (rates**2).sum(axis=0)
+    squares = np.empty(len(rate_states))
+    _squares(states, first, count, rate_states, one_and_bias, squares)
     return squares
 
 

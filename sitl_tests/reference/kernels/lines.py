@@ -20,6 +20,14 @@ _MAX_ALPHA_RADPS2 = 2.0 * np.pi * 100.0  # chosen: of a harmonic; a shaft's iner
 _MAX_ERRORS, _ERROR_MEMORY_S = 6.0, 0.5  # chosen: times the mean magnitude, over a few periods of the wing
 
 
+def squared_envelope(samples: Floats, t_s: Floats, frequency_hz: float, length: int) -> tuple[float, float]:
+    """Mean and variance of the squared envelope of a line: ``line_search.squared_envelope``."""
+    turned = samples * np.exp(-2j * np.pi * frequency_hz * t_s)
+    short = np.lib.stride_tricks.sliding_window_view(turned, length)[:: length // 2]
+    square = np.abs(short @ np.hanning(length)) ** 2
+    return float(square.mean()), float(square.var())
+
+
 def remove_lines(t_ns: Ints, values: Floats, first: int, period_s: float, states: LineStates) -> Floats:
     """Samples without their lines; the states follow, in place.
 

@@ -75,6 +75,13 @@ def _outputs(slope: Floats, indices: _OutputIndices, one_and_bias: Floats) -> Fl
     return outputs
 
 
+def rate_squares(states: Floats, first: int, count: int, rate_states: Ints, one_and_bias: Floats) -> Floats:
+    """Sum of squares of both families' rates over ``count`` steps of the history from ``first`` on, (2,)."""
+    rates = states[np.arange(first, first + count) % len(states)][:, rate_states] @ one_and_bias
+    squares: Floats = (rates**2).sum(axis=0)
+    return squares
+
+
 def oscillation(
     state: Floats,
     covariance: Floats,

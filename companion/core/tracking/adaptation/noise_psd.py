@@ -65,10 +65,12 @@ class NoiseSpectrum:
 
     def __call__(self, frequency_hz: Floats) -> Floats:
         """Density at these frequencies, (n,) (m/s^2)^2/Hz."""
-        root_gain = np.abs(1.0 - self.bend.per_load_s2 * self.bend.reading(frequency_hz)) ** 2
-        density: Floats = (
-            self.white + self.root * root_gain + self.roll * _derivative_power_gain(frequency_hz, self.step_s)
-        )
+        density = np.full(len(frequency_hz), self.white)
+        if self.root:
+            root_gain = np.abs(1.0 - self.bend.per_load_s2 * self.bend.reading(frequency_hz)) ** 2
+            density += self.root * root_gain
+        if self.roll:
+            density += self.roll * _derivative_power_gain(frequency_hz, self.step_s)
         density += self.drift / frequency_hz**2
         density += self.aliasing * (1.0 - np.cos(2.0 * np.pi * self.step_s * frequency_hz))
         return density
@@ -76,7 +78,6 @@ class NoiseSpectrum:
 
 def _derivative_power_gain(frequency_hz: Floats, step_s: float) -> Floats:
     """Squared gain of the smooth derivative, 1/s^2; its kernel is odd, so a sine series suffices."""
-    sine_sum = np.zeros(len(frequency_hz))
-    for k in range(1, EDGE + 1):
-        sine_sum += 2.0 * DERIVATIVE[EDGE + k] * np.sin(2.0 * np.pi * step_s * k * frequency_hz)
-    return (sine_sum / step_s) ** 2
+    turns = 2.0 * np.pi * step_s * np.arange(1, EDGE + 1)
+    sines = 2.0 * DERIVATIVE[EDGE + 1 :, None] * np.sin(turns[:, None] * frequency_hz)
+    return np.asarray((sines.sum(axis=0) / step_s) ** 2)
