@@ -10,7 +10,7 @@ import pytest
 from companion.core.stereo.epipolar import EpipolarFilter, EpipolarUpdate
 from companion.core.stereo.epipolar_geometry import epipolar_frame, in_frame, parallax
 from companion.core.stereo.epipolar_states import ExtrinsicsPrior, FastBelief
-from companion.core.stereo.geometry import Pose, Rig
+from companion.core.stereo.geometry import Rig
 from companion.core.stereo.rotation import exp_rotation
 from companion.core.stereo.triangulation import Rays
 from companion.params.files import load_airframe
@@ -29,21 +29,21 @@ def rig() -> Rig:
 def _rays(
     rig: Rig, turn_rad: np.ndarray, seed: int, n: int = 150, depths_m: tuple[float, float] = (20.0, 80.0)
 ) -> Rays:
-    """Rays as believed, while the right camera is really turned by ``turn_rad`` (epipolar frame)."""
+    """Rays as believed; each camera is really turned by half of ``turn_rad`` (epipolar frame), as wings do."""
     random = np.random.default_rng(seed)
     frame = epipolar_frame(rig)
     left = np.column_stack([random.uniform(-0.35, 0.35, n), random.uniform(-0.28, 0.28, n), np.ones(n)])
     points = rig.left.rest.position_body_m + (left * random.uniform(*depths_m, (n, 1))) @ frame
-    rest = rig.right.rest
-    camera_from_epipolar = rest.camera_from_body @ frame.T
-    really = Pose(exp_rotation(-camera_from_epipolar @ turn_rad) @ rest.camera_from_body, rest.position_body_m)
-    seen = (points - really.position_body_m) @ really.camera_from_body.T
-    seen = seen / seen[:, 2:]
-    seen[:, :2] += NOISE_RAD * random.standard_normal((n, 2))
-    where = np.ones((n, 1))
-    return Rays(
-        where * rig.left.rest.position_body_m, left @ frame, where * rest.position_body_m, seen @ rest.camera_from_body
-    )
+    where, believed = np.ones((n, 1)), []
+    for camera, half_rad in ((rig.left, -0.5 * turn_rad), (rig.right, 0.5 * turn_rad)):
+        rest = camera.rest
+        really = rest.camera_from_body @ exp_rotation(-frame.T @ half_rad)
+        seen = (points - rest.position_body_m) @ really.T
+        seen = seen / seen[:, 2:]
+        if camera is rig.right:
+            seen[:, :2] += NOISE_RAD * random.standard_normal((n, 2))
+        believed += [where * rest.position_body_m, seen @ rest.camera_from_body]
+    return Rays(*believed)
 
 
 def _update(rig: Rig, rays: Rays, prior: ExtrinsicsPrior, fast_rad: float = 1e-9) -> EpipolarUpdate:
@@ -89,6 +89,16 @@ def test_an_unknown_baseline_counts_as_far_as_there_is_disparity(rig: Rig) -> No
     added = np.sqrt(unknown.slow_covariance[0, 0] - known.slow_covariance[0, 0])
     assert added == pytest.approx(baseline_rad * rig.baseline_m / depth_m, rel=0.05)
     assert unknown.slow_covariance[2, 2] == pytest.approx(known.slow_covariance[2, 2], rel=0.02)
+
+
+def test_a_bend_of_many_milliradians_is_not_shrunk(rig: Rig) -> None:
+    """Both wings bend: were the whole turn the right camera's, the baseline would seem to turn by half of it."""
+    true, errors = np.array([0.0, 0.04, 0.0]), []
+    for seed in range(20):
+        update = _update(rig, _rays(rig, true, seed), ExtrinsicsPrior(0.04, baseline_rad=1e-9, **EXACT_LENSES))
+        errors.append((update.slow_rad - true)[1] / np.sqrt(update.slow_covariance[1, 1]))
+    assert abs(np.mean(errors)) < 4.0 / np.sqrt(len(errors))
+    assert np.mean(np.square(errors)) < 2.0
 
 
 def test_a_third_of_wrong_matches_hardly_matters(rig: Rig) -> None:

@@ -46,9 +46,11 @@ def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
     epipolar_rays : Rays
         Matched rays in the epipolar frame.
     state : (12,) float64
-        Pitch, yaw, roll of the right camera in all, baseline y and z, terms of the lens residual.
+        Pitch, yaw, roll of the right camera in all, baseline y and z, terms of the lens residual. Half of the rotation
+        is the left camera's, the other way: a bend turns both, and leaves the baseline where it was.
     """
-    left, right = epipolar_rays.left, epipolar_rays.right @ exp_rotation(state[:3]).T
+    half = exp_rotation(0.5 * state[:3])
+    left, right = epipolar_rays.left @ half, epipolar_rays.right @ half.T
     x_l, y_l = left[:, 0] / left[:, 2], left[:, 1] / left[:, 2]
     x_r, y_r = right[:, 0] / right[:, 2], right[:, 1] / right[:, 2]
     apart = epipolar_rays.right_m - epipolar_rays.left_m
@@ -56,5 +58,6 @@ def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
     disparity, twisted = x_l - x_r, x_r * y_l - y_r * x_l
     lens = parallax_columns(np.column_stack([x_l, y_l]), np.column_stack([x_r, y_r]))
     residual_rad = y_l - y_r - toward[:, 0] * disparity - toward[:, 1] * twisted - lens @ state[LENS]
-    columns = np.stack([-(1.0 + y_r**2), x_r * y_r, x_r, disparity, twisted], axis=1)
+    turned = [-1.0 - 0.5 * (y_l**2 + y_r**2), 0.5 * (x_l * y_l + x_r * y_r), 0.5 * (x_l + x_r)]
+    columns = np.stack([*turned, disparity, twisted], axis=1)
     return residual_rad, np.concatenate([columns, lens], axis=1)
