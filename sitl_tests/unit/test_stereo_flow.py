@@ -48,7 +48,7 @@ def _view(toe_rad: float = 0.0, faster_mps: float = 0.0, noise_rad: float = 0.0,
         np.full(count, _NOISE_RAD),
         pose,
         pose,
-        FlightBetween(_PASSED_S, turn_rad, moved_m, covariance),
+        FlightBetween(_PASSED_S, turn_rad, moved_m, covariance, np.zeros(3)),
         _EPIPOLAR,
     )
 
@@ -96,7 +96,9 @@ def test_the_toe_is_found_within_what_the_velocity_leaves() -> None:
         rng = np.random.default_rng(seed)
         toe_rad, faster_mps = _MAY_BE_RAD * rng.standard_normal(), _MAY_BE_MPS * rng.standard_normal()
         view = _view(toe_rad, faster_mps, _NOISE_RAD, seed)
-        answer = with_flow(_before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, NO_BEND)
+        answer = with_flow(
+            _before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, np.zeros(3), NO_BEND
+        )
         assert answer is not None
         stated = float(np.sqrt(answer.covariance[YAW, YAW]))
         errors.append((answer.mean[YAW] - toe_rad) / stated)
@@ -108,7 +110,10 @@ def test_the_toe_is_found_within_what_the_velocity_leaves() -> None:
 def test_a_velocity_far_from_the_truth_is_not_believed() -> None:
     """3 m/s too slow would be 4 mrad of toe, which a toe known to 0.1 mrad contradicts."""
     view = _view(faster_mps=3.0, noise_rad=_NOISE_RAD)
-    assert with_flow(_before(1e-4), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, NO_BEND) is None
+    assert (
+        with_flow(_before(1e-4), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, np.zeros(3), NO_BEND)
+        is None
+    )
 
 
 def test_mismatches_move_the_toe_by_less_than_its_sigma() -> None:
@@ -117,7 +122,7 @@ def test_mismatches_move_the_toe_by_less_than_its_sigma() -> None:
     astray = view.earlier.copy()
     astray[::10, :2] += 0.004
     innovation = dataclasses.replace(view, earlier=astray).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
-    answer = with_flow(_before(), innovation, _PASSED_S, NO_BEND)
+    answer = with_flow(_before(), innovation, _PASSED_S, np.zeros(3), NO_BEND)
     assert answer is not None
     assert abs(answer.mean[YAW] - 1e-3) < 2.0 * np.sqrt(answer.covariance[YAW, YAW])
 
@@ -130,7 +135,9 @@ def test_wrong_furrows_bias_neither_toe_nor_velocity() -> None:
         wrong, right = rng.random(len(view.sigma_rad)) < 0.25, view.rays.right.copy()
         right[wrong, 1] += rng.normal(0.0, 30.0 * _NOISE_RAD, int(wrong.sum()))
         view = dataclasses.replace(view, rays=dataclasses.replace(view.rays, right=right))
-        answer = with_flow(_before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, NO_BEND)
+        answer = with_flow(
+            _before(), view.innovation(np.zeros(3), np.zeros(PAIR_TERMS)), _PASSED_S, np.zeros(3), NO_BEND
+        )
         assert answer is not None
         sigma = np.sqrt(np.diag(answer.covariance))
         over_sigma.append([answer.mean[k] / sigma[k] for k in (YAW, VELOCITY.start, VELOCITY.start + 1)])
@@ -180,12 +187,15 @@ def test_a_row_that_is_not_finite_is_left_out_and_too_few_rows_tell_nothing(fiel
     innovation = _view(1e-3, noise_rad=_NOISE_RAD).innovation(np.zeros(3), np.zeros(PAIR_TERMS))
     values = getattr(innovation, field).copy()
     values[:6] = np.nan
-    answer = with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _PASSED_S, NO_BEND)
+    answer = with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _PASSED_S, np.zeros(3), NO_BEND)
     assert answer is not None
     assert np.isfinite(answer.mean).all()
     assert answer.flow == (len(innovation.sigma_rad) - 6) // 2
     values[20:] = np.nan
-    assert with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _PASSED_S, NO_BEND) is None
+    assert (
+        with_flow(_before(), dataclasses.replace(innovation, **{field: values}), _PASSED_S, np.zeros(3), NO_BEND)
+        is None
+    )
 
 
 def _state(k: int, velocity: tuple[float, float, float] | None) -> VehicleState:

@@ -11,7 +11,7 @@ import numpy as np
 
 from companion.core.stereo.consistency_gate import MatchVerdict, RangeGate, ground_reject, range_slack_mps, withheld
 from companion.core.stereo.epipolar_states import YAW
-from companion.core.stereo.exposure import TipMotion, bent_pose, exposures
+from companion.core.stereo.exposure import TipMotion, bent_pose, exposures, slope_change_sigma_rad
 from companion.core.stereo.extrinsics_drift import ExtrinsicsDriftFilter
 from companion.core.stereo.flow import LEAST_FLOW, LONGEST_NS, FlightBetween, FlowView
 from companion.core.stereo.geometry import Rig
@@ -195,7 +195,7 @@ class Correction:
         index = flow.index
         if len(index) < LEAST_FLOW or np.any((index < 0) | (index >= len(matches.sigma_px))):
             return None
-        between = self._flown(earlier.left_bend.t_host_ns, later.t_host_ns)
+        between = self._flown(earlier.left_bend, later)
         if between is None:
             return None
         lens, focal_px, tips = self.rig.left.lens, self.rig.left.lens.focal_px, TipMotion.from_airframe(self.airframe)
@@ -211,12 +211,14 @@ class Correction:
             self.drift_filter.body_from_epipolar.T,
         )
 
-    def _flown(self, from_ns: int, until_ns: int) -> FlightBetween | None:
-        """Motion of the body between two instants; None where it is not told, or the instants lie far apart."""
+    def _flown(self, earlier: Deflection, later: Deflection) -> FlightBetween | None:
+        """Motion of the body between two exposures; None where it is not told, or they lie far apart."""
+        from_ns, until_ns = earlier.t_host_ns, later.t_host_ns
         motion = self.vehicle.motion((from_ns + until_ns) // 2)
         turn_rad = self.turns.between(from_ns, until_ns) if 0 < until_ns - from_ns <= LONGEST_NS else None
         if turn_rad is None or not motion.over_ground:
             return None
         passed_s = 1e-9 * (until_ns - from_ns)
         moved_m = exp_rotation(0.5 * turn_rad) @ motion.velocity_mps * passed_s
-        return FlightBetween(passed_s, turn_rad, moved_m, motion.covariance)
+        bend_turn_rad = self.rig.left.turn_rad(slope_change_sigma_rad(earlier, later, Side.LEFT))
+        return FlightBetween(passed_s, turn_rad, moved_m, motion.covariance, bend_turn_rad)

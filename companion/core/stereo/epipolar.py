@@ -207,7 +207,8 @@ class EpipolarFilter:
         A flow that contradicts for longer comes from a velocity that has become wrong, and is left aside.
         """
         total = rotation_rows(bend) @ answer.mean
-        updated = with_flow(answer, flow.innovation(total, answer.mean[LENS]), flow.between.passed_s, bend)
+        innovation = flow.innovation(total, answer.mean[LENS])
+        updated = with_flow(answer, innovation, flow.between.passed_s, flow.bend_turn_rad, bend)
         if updated is None:
             used_ns = self._flow_used_ns
             return answer, used_ns is not None and t_host_ns - used_ns <= _CONTRADICTION_NS

@@ -144,12 +144,14 @@ def with_considered_states(answer: Posterior, mean: Floats, prior: Floats) -> Po
     return dataclasses.replace(answer, mean=after, covariance=covariance)
 
 
-def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: BendBelief) -> Posterior | None:
+def with_flow(
+    answer: Posterior, flow: FlowInnovation, passed_s: float, bend_turn_rad: Floats, bend: BendBelief
+) -> Posterior | None:
     """The answer updated by the flow since an earlier pair; None where that contradicts it.
 
     The flow's rows are linear about the answer, with Student's t as in :func:`maximum_a_posteriori`. Besides the
-    constant rate error, this pair has a turn error of its own with sigma :data:`_FLOW_TURN_RAD` per axis, which is
-    marginalised.
+    constant rate error, this pair has a turn error of its own with sigma :data:`_FLOW_TURN_RAD` per axis and
+    ``bend_turn_rad`` besides, which is marginalised.
 
     Parameters
     ----------
@@ -159,6 +161,8 @@ def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: Be
         About that mean.
     passed_s : float
         Time between the exposures.
+    bend_turn_rad : (3,) float64
+        One-sigma of the left camera's turn beyond what the tracker says, epipolar axes.
     bend : BendBelief
         Axis about which the tracker's slow error turns the cameras.
     """
@@ -178,7 +182,7 @@ def with_flow(answer: Posterior, flow: FlowInnovation, passed_s: float, bend: Be
     normalised = flow.residual_rad[finite] / flow.sigma_rad[finite] - design @ predicted_states
     prior = np.zeros((ALL_STATES + 3, ALL_STATES + 3))
     prior[:ALL_STATES, :ALL_STATES] = answer.covariance
-    prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3)
+    prior[ALL_STATES:, ALL_STATES:] = _FLOW_TURN_RAD**2 * np.eye(3) + np.outer(bend_turn_rad, bend_turn_rad)
     root = _square_root(prior)
     whitened_design, identity = design @ root, np.eye(len(root))
     change, covariance = np.zeros(len(prior)), prior

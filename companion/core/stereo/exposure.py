@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,6 +117,20 @@ def bent_pose(camera: MountedCamera, tips: TipMotion, bend: Deflection) -> Pose:
     return camera.pose(
         float(bend.slope_rad[camera.side]), float(signs @ bend.q_m), float((signs * tips.twist_radpm) @ bend.q_m)
     )
+
+
+def slope_change_sigma_rad(earlier: Deflection, later: Deflection, side: Side) -> float:
+    """One-sigma of a tip's change of slope between two instants beyond the tracked one, rad.
+
+    The fast part of the tracker's error is a process of first order with the correlation time that the tracker tells.
+    """
+    variances = [
+        max(float(b.covariance[4 + side, 4 + side]) - b.slow_slope_sigma_rad**2, 0.0) for b in (earlier, later)
+    ]
+    time_s = 0.5 * (earlier.fast_slope_time_s + later.fast_slope_time_s)
+    passed_s = 1e-9 * (later.t_host_ns - earlier.t_host_ns)
+    correlation = math.exp(-passed_s / time_s) if time_s > 0.0 else 0.0
+    return math.sqrt(sum(variances) - 2.0 * correlation * math.sqrt(variances[0] * variances[1]))
 
 
 def _exposure(

@@ -72,12 +72,15 @@ class FlightBetween:
         Path, in the body axes of the earlier exposure.
     velocity_covariance : (3, 3) float64
         Of the velocity that the path was taken from, body axes, (m/s)^2.
+    bend_turn_rad : (3,) float64
+        One-sigma of how far the left camera turned beyond what the tracker says, body axes, along its bending axis.
     """
 
     passed_s: float
     turn_rad: Floats
     moved_m: Floats
     velocity_covariance: Floats
+    bend_turn_rad: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,6 +117,12 @@ class FlowView:
     def velocity_covariance(self) -> Floats:
         """Covariance (3, 3) of the velocity over ground, epipolar axes, (m/s)^2."""
         turned: Floats = self.epipolar_from_body @ self.between.velocity_covariance @ self.epipolar_from_body.T
+        return turned
+
+    @property
+    def bend_turn_rad(self) -> Floats:
+        """One-sigma of the left camera's turn beyond what the tracker says, (3,), epipolar axes."""
+        turned: Floats = self.epipolar_from_body @ self.between.bend_turn_rad
         return turned
 
     def innovation(self, rotation_rad: Floats, lens: Floats) -> FlowInnovation:
