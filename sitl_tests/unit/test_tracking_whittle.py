@@ -37,8 +37,8 @@ def _system(log_params: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return block_diag(*blocks), np.outer(common, common) + np.diag(own**2)
 
 
-def _simulate(seconds: float, seed: int) -> np.ndarray:
-    transition, noise = van_loan(*_system(LOGS), STEP_S)
+def _simulate(seconds: float, seed: int, log_params: np.ndarray = LOGS) -> np.ndarray:
+    transition, noise = van_loan(*_system(log_params), STEP_S)
     rng = np.random.default_rng(seed)
     values, vectors = np.linalg.eigh(noise)
     root = vectors * np.sqrt(np.clip(values, 0, None))
@@ -56,8 +56,8 @@ def _noise_density(frequency_hz: np.ndarray) -> np.ndarray:
     return np.full_like(frequency_hz, 0.008**2 * 2 * STEP_S)
 
 
-def _periodogram(seconds: float, seed: int) -> Periodogram:
-    return make_periodogram(_simulate(seconds, seed), STEP_S, (0.25, 11.0, 120.0), _noise_density)
+def _periodogram(seconds: float, seed: int, log_params: np.ndarray = LOGS) -> Periodogram:
+    return make_periodogram(_simulate(seconds, seed, log_params), STEP_S, (0.25, 11.0, 120.0), _noise_density)
 
 
 def _prior(sigma: float = 2.0) -> LogNormalPrior:

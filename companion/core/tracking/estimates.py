@@ -154,10 +154,12 @@ def mode_estimate(
     """
     relative = parameters.log_sigma
     frequency_sigma = parameters.frequency_hz * float(relative[FREQUENCY])
+    index = [family.q, family.v, family.gust_2]
+    about = _about_slow_load(covariance[np.ix_(index, index)], parameters.frequency_hz)
     amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = oscillation(
-        state,
-        covariance,
-        (family.q, family.v, family.gust_2),
+        about @ state[index],
+        about @ covariance[np.ix_(index, index)] @ about.T,
+        (0, 1, 2),
         static_m,
         parameters.frequency_hz,
         parameters.damping,
@@ -176,6 +178,19 @@ def mode_estimate(
         instantaneous_sigma_hz=instantaneous_sigma,
         rms_m=rms_m,
     )
+
+
+def _about_slow_load(covariance: Floats, frequency_hz: float) -> Floats:
+    """Map (3, 3) of deflection, rate and load to those about the bend by the part of the load that nobody knows.
+
+    Vertical axes show how far the wing swings, and hardly how far a slow load bends it. What is common to the errors of
+    deflection and load is taken out of both, at most the whole bend ``load / omega^2``.
+    """
+    most = 1.0 / (2.0 * np.pi * frequency_hz) ** 2
+    ratio = float(np.clip(covariance[0, 2] / covariance[2, 2], 0.0, most)) if covariance[2, 2] > 0.0 else 0.0
+    about = np.eye(3)
+    about[0, 2], about[2, 2] = -ratio, 1.0 - ratio / most
+    return about
 
 
 _oscillation = kernel("estimate_oscillation", ARRAY, ARRAY, ARRAY, REAL, REAL, REAL, REAL, ARRAY)

@@ -240,6 +240,7 @@ def modal_propagation(layout: StateLayout, parameters: WingParameters, step_s: f
 
 def _family_system(p: ModeParameters) -> tuple[Floats, Floats]:
     """Continuous system matrix (4 m, 4 m) of one family and the two-sided density of its white noise."""
+    p = p.cautious()
     size = MODE_STATES * len(p.modes)
     f, w = np.zeros((size, size)), np.zeros((size, size))
     corner_1, corner_2 = 2.0 * np.pi * p.corner_1_hz, 2.0 * np.pi * p.corner_2_hz

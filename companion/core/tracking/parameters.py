@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -109,6 +111,8 @@ class ModeParameters:
         The lowest first.
     log_sigma : (5 + 4 (m - 1),) float64
         Standard deviation of each entry of :meth:`log_params`.
+    slow_corner_hz : float
+        The filter takes a lower corner above it for this one: the fit cannot exclude it (:mod:`.adaptation.slow_load`).
     """
 
     modes: tuple[LoadedMode, ...]
@@ -116,6 +120,7 @@ class ModeParameters:
     corner_2_hz: float
     reference_hz: float
     log_sigma: Floats
+    slow_corner_hz: float = math.inf
 
     @property
     def frequency_hz(self) -> float:
@@ -137,6 +142,12 @@ class ModeParameters:
         """Ratio of the load's density at zero frequency to that at ``frequency_hz``."""
         return (1.0 + (frequency_hz / self.corner_1_hz) ** 2) * (1.0 + (frequency_hz / self.corner_2_hz) ** 2)
 
+    def cautious(self) -> ModeParameters:
+        """Same family with the lower corner as the filter takes it."""
+        if self.corner_1_hz <= self.corner_2_hz:
+            return dataclasses.replace(self, corner_1_hz=min(self.slow_corner_hz, self.corner_1_hz))
+        return dataclasses.replace(self, corner_2_hz=min(self.slow_corner_hz, self.corner_2_hz))
+
     def log_params(self) -> Floats:
         """Logarithms of the parameters in the order of this module's indices, (5 + 4 (m - 1),).
 
@@ -148,14 +159,16 @@ class ModeParameters:
             values += [mode.frequency_hz, mode.damping, mode.load, np.exp(np.arctanh(mode.coherence))]
         return np.asarray(np.log(np.array(values)))
 
-    def with_log_params(self, log_params: Floats, log_sigma: Floats) -> ModeParameters:
+    def with_log_params(
+        self, log_params: Floats, log_sigma: Floats, slow_corner_hz: float = math.inf
+    ) -> ModeParameters:
         """Parameters at ``log_params`` with ``log_sigma``, both (5 + 4 (m - 1),)."""
         v = [float(value) for value in np.exp(log_params)]
         modes = [LoadedMode(v[FREQUENCY], v[DAMPING], v[LOAD])]
         for at in range(FIRST_PARAMETERS, len(v), FURTHER_PARAMETERS):
             coherence = float(np.tanh(log_params[at + COHERENCE]))
             modes.append(LoadedMode(v[at + FREQUENCY], v[at + DAMPING], v[at + LOAD], coherence))
-        return ModeParameters(tuple(modes), v[CORNER_1], v[CORNER_2], self.reference_hz, log_sigma)
+        return ModeParameters(tuple(modes), v[CORNER_1], v[CORNER_2], self.reference_hz, log_sigma, slow_corner_hz)
 
 
 def prior_parameters(family: ModeFamily, gust: Gust) -> ModeParameters:
@@ -181,7 +194,7 @@ def alike(new: Sequence[ModeParameters], old: Sequence[ModeParameters]) -> bool:
 
 def _close(new: ModeParameters, old: ModeParameters) -> bool:
     """Whether one family's parameters changed little; those of a negligible further mode do not count."""
-    new_log, old_log = new.log_params(), old.log_params()
+    new_log, old_log = new.cautious().log_params(), old.cautious().log_params()
     close = np.abs(new_log - old_log) < joined(_SMALL_CHANGE, _SMALL_CHANGE_FURTHER, len(new.modes))
     for at in range(FIRST_PARAMETERS, len(new_log), FURTHER_PARAMETERS):
         load = max(log_params[at + LOAD] - log_params[LOAD] for log_params in (new_log, old_log))

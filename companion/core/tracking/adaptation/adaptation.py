@@ -16,13 +16,14 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 
 from companion.core.kernels.arrays import Epochs
-from companion.core.tracking.adaptation.channels import COLUMNS, ROLL, STATIC, Channels
+from companion.core.tracking.adaptation.channels import COLUMNS, ROLL, SLOPE_RATES, STATIC, Channels
 from companion.core.tracking.adaptation.spectral_fit import EARLY_S, SEGMENT_S, FitInput, SpectralFit
 from companion.core.tracking.model import WingParameters
 from companion.core.tracking.spread_work import SPREAD_S, Stages
-from companion.core.tracking.states import P_ROOT, SensorNoise, StateLayout
+from companion.core.tracking.states import P_LEFT, P_RIGHT, P_ROOT, SensorNoise, StateLayout
 from companion.records import Bools, Floats
 
+_BEGUN_SEGMENTS = 1.5  # chosen: a history that began anew must outweigh what the last parameters were fitted to
 _LONG_S = 20.0  # chosen: five periods of the lowest frequency that is fitted
 _FIRST_S = 1.5  # chosen: seven periods at 5 Hz for the first fit
 _PERIOD_S = 1.0  # chosen: between fits
@@ -122,6 +123,7 @@ class Adaptation:
         slots = slice(first, last) if last <= size else np.arange(first, last) % size
         self._rows[slots, :2], self._sensitivity[slots] = epochs.rows[:, :2], epochs.sensitivity[:, :2]
         self._rows[slots, ROLL], self._rows[slots, STATIC] = epochs.rows[:, P_ROOT], epochs.load_g
+        self._rows[slots, SLOPE_RATES] = _slope_rates(epochs)
         self._present[slots] = epochs.present[:, :2]
         self._aliasing_noise += min(1.0, epochs.length * self._step_s / _ALIASING_MEMORY_S) * (
             _mean(epochs.aliasing_noise) - self._aliasing_noise
@@ -153,8 +155,11 @@ class Adaptation:
         if hold:
             return None
         rows, present = self._corrected_history()
-        since = max(self._last_gap(present), len(rows) - (self._count - self._history_from))
+        begun = self._count - self._history_from
+        since = max(self._last_gap(present), len(rows) - begun)
         if since and len(rows) - since < self._segment_epochs:
+            return None
+        if begun < _BEGUN_SEGMENTS * self._segment_epochs and self._history_from and not contradicted:
             return None
         tips = present[since:].mean(axis=0) >= _MIN_PRESENT
         if not tips.any():
@@ -185,6 +190,14 @@ class Adaptation:
         rows[:, :2] -= (sensitivity.reshape(2 * count, -1) @ self._bias_parameters).reshape(count, 2)
         rows[:, STATIC] *= self._bend_per_g_m
         return rows, present
+
+
+def _slope_rates(epochs: Epochs) -> Floats:
+    """Rate of slope of both families by the roll rates of tips and root, (n, 2) rad/s; NaN where one is absent."""
+    left, right, root = (epochs.rows[:, row] for row in (P_LEFT, P_RIGHT, P_ROOT))
+    rates = np.column_stack([0.5 * (left - right), root - 0.5 * (left + right)])
+    rates[~epochs.present[:, P_LEFT : P_ROOT + 1].all(axis=1)] = np.nan
+    return rates
 
 
 def _mean(values: Floats) -> float:

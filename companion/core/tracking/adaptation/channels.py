@@ -6,12 +6,14 @@ import numpy as np
 
 from companion.core.tracking.adaptation.model_spectrum import load_density
 from companion.core.tracking.adaptation.noise_psd import DERIVATIVE, EDGE, NoiseSpectrum, StaticBendResponse
+from companion.core.tracking.adaptation.slow_load import SlopeRates, slope_rates
 from companion.core.tracking.model import WingParameters
-from companion.core.tracking.states import M_LEFT, P_ROOT, Z_LEFT, Z_RIGHT, SensorNoise, StateLayout
+from companion.core.tracking.states import M_LEFT, P_LEFT, P_RIGHT, P_ROOT, Z_LEFT, Z_RIGHT, SensorNoise, StateLayout
 from companion.records import Floats
 from companion.units import GRAVITY_MPS2
 
-COLUMNS, ROLL, STATIC = 4, 2, 3  # of the rows: both vertical ones, root roll rate, bend by the load factor
+# of the rows: both vertical ones, root roll rate, bend by the load factor, both families' rates of slope (NaN: unknown)
+COLUMNS, ROLL, STATIC, SLOPE_RATES = 6, 2, 3, slice(4, 6)
 
 _MEAN, _HALF_DIFFERENCE = (1.0, 1.0), (-1.0, 1.0)  # twice the weights of the left and right row
 
@@ -81,6 +83,20 @@ class Channels:
             float(self._tips[tip]), self._root, bend, self._roll, aliasing_density, self._drift_density(alone), step_s
         )
         return rows[:, tip] - load_response - (2 * tip - 1) * roll_lift, noise_spectrum
+
+    def slope_rates(self, rows: Floats, families: tuple[int, ...]) -> SlopeRates | None:
+        """Slow rates of a family's slope, without the static bend's; None without both tips' gyros and the root's."""
+        if len(families) > 1:
+            return None
+        (k,) = families
+        family = self._layout.families[k]
+        factor = family.modes[0].slope_factor_radpm.value
+        rates = rows[:, SLOPE_RATES.start + k]
+        if family is self._layout.symmetric:
+            rates = rates - factor * np.gradient(rows[:, STATIC], self._step_s)
+        variance = self._noise.sensor_variance
+        noise = 0.25 * (variance[P_LEFT] + variance[P_RIGHT]) + (k == 1) * variance[P_ROOT]
+        return slope_rates(rates, self._step_s, 2.0 * self._step_s * float(noise), factor)
 
     def _drift_density(self, signs: tuple[float, float]) -> float:
         """Density at 1 Hz of the drifting biases in half the signed sum of both vertical rows; it falls with f^2."""

@@ -21,6 +21,7 @@ from companion.core.tracking.adaptation.frequency_drift import (
 )
 from companion.core.tracking.adaptation.noise_psd import NoiseSpectrum
 from companion.core.tracking.adaptation.periodogram import Periodogram, make_periodogram, make_periodograms
+from companion.core.tracking.adaptation.slow_load import slow_corner_hz
 from companion.core.tracking.adaptation.whittle import (
     LogNormalPrior,
     WhittleFit,
@@ -144,9 +145,17 @@ class SpectralFit:
         by_rate = 0.5 * length_s * rate_sigma * frequency_mask(prior.places)
         log_params = to_segment_end(best.log_params, prior.places, rate, length_s)
         log_sigma = np.hypot(best.log_sigma, by_rate)
+        slow_hz = [inputs.parameters[k].slow_corner_hz for k in which]
+        if inputs.elapsed_s <= EARLY_S or self.fits % 2 != which[0]:  # later the families take turns
+            yield
+            rates = self._channels.slope_rates(inputs.rows, which)
+            new_hz = [slow_corner_hz(long, prior, best.log_params, int(first), rates) for first in prior.places.first]
+            # a history that began anew is too short to exclude a slow load that the one before did not
+            begun = inputs.elapsed_s > EARLY_S > length_s
+            slow_hz = [min(old, new) if begun else new for old, new in zip(slow_hz, new_hz, strict=True)]
         return [
-            self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end])
-            for k, first, end in zip(which, prior.places.first, prior.places.end, strict=True)
+            self._prior[k].with_log_params(log_params[first:end], log_sigma[first:end], slow)
+            for k, first, end, slow in zip(which, prior.places.first, prior.places.end, slow_hz, strict=True)
         ]
 
     def _estimate_drift(
