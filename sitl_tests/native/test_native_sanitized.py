@@ -47,7 +47,7 @@ def _sanitizer() -> str:
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tree = tmp_path_factory.mktemp("sanitized")
     ignored = shutil.ignore_patterns("__pycache__", "*.so")
-    for folder in ("companion", "config", "sitl_tests"):
+    for folder in ("companion", "config", "sitl_tests", "tools"):
         shutil.copytree(ROOT / folder, tree / folder, ignore=ignored)
     for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tree)
