@@ -64,8 +64,12 @@ class TrueGeometry:
     def corrected(
         self, matches: MatchSet, left: Deflection, right: Deflection, turned: RelativeRotation | None = None
     ) -> TrueReading | None:
-        """The estimate's own extrinsics: the tracked bend, and what the matches told of the rotation beyond it."""
-        moving, frame = exposures(self._belief, self._tips, left, right), epipolar_frame(self._belief)
+        """The estimate's own extrinsics: the tracked bend, and what the matches told of the rotation beyond it.
+
+        The flight between both exposures is the true one: what the autopilot tells of it is wrong by a millimetre.
+        """
+        moving = exposures(self._belief, self._tips, left, right, self._velocity_mps(matches))
+        frame = epipolar_frame(self._belief)
         if turned is None:
             return self._read(matches, self._belief, moving)
         moving = with_relative_rotation(moving, frame.T @ turned.rotation_rad)
@@ -76,22 +80,28 @@ class TrueGeometry:
         """The true extrinsics and lenses."""
         left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
         rig = self.pair.rig
-        return self._read(matches, rig, exposures(rig, self._true_tips, left, right))
+        return self._read(matches, rig, exposures(rig, self._true_tips, left, right, self._velocity_mps(matches)))
 
     def true_toe_rad(self, matches: MatchSet) -> float:
         """Divergence at the exposures of where the middles of both images look, beyond the ground calibration's.
 
-        Counterpart of :attr:`CorrectedRange.toe_rad`: the yaw of a pair that looks ahead, whose wing bends in roll. The
-        middle is the pixel that the belief has on the optical axis: a principal point that is off, with the camera
-        turned so that the calibration's board was where it was, is no toe.
+        Counterpart of :attr:`CorrectedRange.toe_rad`: the yaw of a pair that looks ahead, whose wing bends in roll; in
+        the plane of the baseline as flown. The middle is the pixel that the belief has on the optical axis: a principal
+        point that is off, with the camera turned so that the calibration's board was where it was, is no toe.
         """
         left, right = (self.true_deflection(int(t_ns)) for t_ns in matches.mid_exposure_ns)
-        moving = exposures(self.pair.rig, self._true_tips, left, right)
+        moving = exposures(self.pair.rig, self._true_tips, left, right, self._velocity_mps(matches))
         left_ray, right_ray = (
             self.pair.rig.camera(side).lens.unproject(self._belief.camera(side).lens.matrix[None, :2, 2])[0]
             for side in Side
         )
         return divergence(moving, (left_ray, right_ray)) - divergence(rest_exposures(self._belief))
+
+    def _velocity_mps(self, matches: MatchSet) -> Floats:
+        """True velocity midway between the exposures, body axes: 10 ms apart it turns the baseline by 0.1 rad."""
+        left_ns, right_ns = (int(t_ns) - self.start_host_ns for t_ns in matches.mid_exposure_ns)
+        sample = self.flight.truth.at((left_ns + right_ns) // 2)
+        return np.asarray(sample.body_from_ned @ sample.velocity_ned_mps)
 
     def true_deflection(self, t_host_ns: int) -> Deflection:
         """The wing as it really was, as an estimate without error."""
