@@ -58,16 +58,19 @@ def evaluate_flight(
     opened, settings = open_recording(recording), stage.settings
     geometry = TrueGeometry(flight, stage.renderer(), settings, stage.start_host_ns)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as aside:
-        comparison = _begun(geometry, stage, recording, aside, say) if compare else None
+        at_random = _begun(geometry, stage, aside, say) if compare else None
         records = list(opened.records())
         outputs = collect(records)
         shots = score_shots(geometry, outputs)
         ways = dict(shots.ways)
         blur = {"at_plan": wing_blur_px(geometry, [outputs.matches[pair_id] for pair_id in shots.ids])}
         others: dict[str, Shots] = {}
-        if comparison is not None:
-            inputs = own_inputs(records, opened.airframe, settings)
-            others, blur["at_random"] = _compared(geometry, inputs, comparison)
+        if at_random is not None:
+            extra, inputs = at_random.result(), own_inputs(records, opened.airframe, settings)
+            # now, not before: a Ctrl-C while scoring need not wait for it
+            vertical = aside.submit(_replayed_vertically, recording, flight.airframe, settings)
+            others = _compared(geometry, inputs, extra, vertical)
+            blur["at_random"] = wing_blur_px(geometry, extra)
             ways |= {name: other.ways["corrected"] for name, other in others.items()}
     plain: dict[str, Any] = {
         "airframe": flight.airframe.name,
@@ -88,33 +91,19 @@ def evaluate_flight(
     return FlightEvaluation(finite(plain), _series(geometry, outputs, shots, ways, blur))
 
 
-@dataclass(frozen=True, slots=True)
-class _Comparison:
-    """Both comparisons, made aside: matches at random instants, then outputs of vertical accelerometers alone."""
-
-    at_random: Future[list[MatchSet]]
-    vertical: Future[PipelineOutputs]
-
-
-def _begun(
-    geometry: TrueGeometry, stage: Stage, recording: Path, aside: Executor, say: Callable[[str], None]
-) -> _Comparison:
+def _begun(geometry: TrueGeometry, stage: Stage, aside: Executor, say: Callable[[str], None]) -> Future[list[MatchSet]]:
     """Begin with the random instants: their matches are to be replayed beside the other replay."""
     say("replaying with vertical accelerometers alone, and rendering the same flight at random instants ...")
-    at_random = aside.submit(_rendered, stage, _random_pulls(geometry))
-    airframe, settings = geometry.flight.airframe, geometry.settings
-    return _Comparison(at_random, aside.submit(_replayed_vertically, recording, airframe, settings))
+    return aside.submit(_rendered, stage, _random_pulls(geometry))
 
 
 def _compared(
-    geometry: TrueGeometry, inputs: Iterable[Record], comparison: _Comparison
-) -> tuple[dict[str, Shots], Floats]:
-    """The same flight with vertical accelerometers alone, and at random instants (whose blur is the second result)."""
-    extra = comparison.at_random.result()
+    geometry: TrueGeometry, inputs: Iterable[Record], extra: list[MatchSet], vertical: Future[PipelineOutputs]
+) -> dict[str, Shots]:
+    """The same flight with vertical accelerometers alone, and at random instants."""
     at_random = replayed(with_matches(inputs, extra), geometry.flight.airframe, geometry.settings)
     random = score_shots(geometry, at_random)
-    others = {"vertical_only": score_shots(geometry, comparison.vertical.result()), "random_instants": random}
-    return others, wing_blur_px(geometry, extra)
+    return {"vertical_only": score_shots(geometry, vertical.result()), "random_instants": random}
 
 
 def _rendered(stage: Stage, wanted: list[Pull]) -> list[MatchSet]:

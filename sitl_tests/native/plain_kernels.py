@@ -29,7 +29,7 @@ from companion.core.tracking import (
     streams,
     validity,
 )
-from companion.core.tracking.adaptation import frequency_drift, spectral_fit, whittle
+from companion.core.tracking.adaptation import frequency_drift, slow_load, spectral_fit, whittle
 from companion.core.trigger import blur, planner
 from companion.core.trigger.instants import StillInstant
 from companion.params.airframe import Sensor
@@ -112,6 +112,7 @@ PLACES: dict[str, list[tuple[Any, str, Callable[..., Any]]]] = {
     "whittle_cost": [
         (whittle, "neg_log_posterior", plain_whittle.neg_log_posterior),
         (spectral_fit, "neg_log_likelihood", plain_whittle.neg_log_likelihood),
+        (slow_load, "neg_log_likelihood", plain_whittle.neg_log_likelihood),
     ],
     "whittle_gradient": [(frequency_drift, "gradient_and_fisher", plain_whittle.gradient_and_fisher)],
     "whittle_improve": [(spectral_fit, "fit", _fit)],

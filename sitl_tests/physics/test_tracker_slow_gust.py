@@ -33,8 +33,8 @@ def _airframe(axes: str) -> Airframe:
     return dataclasses.replace(airframe, left=left, right=right)
 
 
-def _toe_error_over_sigma(airframe: Airframe, seed: int) -> float:
-    """Error of the tracked slopes' sum at :data:`AT_S` over its sigma, without a single image."""
+def _toe(airframe: Airframe, seed: int) -> tuple[float, float, float]:
+    """Error of the tracked slopes' sum at :data:`AT_S` without a single image, its sigma, and the true sum's rms."""
     world = dataclasses.replace(IDEAL, weather=Weather(kinds=(GustKind.DRYDEN,)))
     flight = build_flight(airframe, seed, plan=demo_plan(LENGTH_S), world=world)
     state = start(airframe, Settings())
@@ -43,12 +43,15 @@ def _toe_error_over_sigma(airframe: Airframe, seed: int) -> float:
     bend: Deflection | Reject = state.tracker.smooth(HOST_EPOCH_NS + round(AT_S * 1e9))
     assert isinstance(bend, Deflection)
     error = float(bend.slope_rad.sum() - flight.truth.at(round(AT_S * 1e9)).slope_rad.sum())
-    return error / float(np.sqrt(bend.covariance[4:, 4:].sum()))
+    true = flight.truth.series(np.arange(0, round(LENGTH_S * 1e9), 50_000_000)).slope_rad.sum(axis=1)
+    return error, float(np.sqrt(bend.covariance[4:, 4:].sum())), float(np.std(true))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axes", ["all", "vertical"])
 def test_a_slow_gust_is_no_misalignment(axes: str) -> None:
     """Before it was left open how slow the load is, six axes were up to 7 sigma off, each flight another way."""
-    over = [_toe_error_over_sigma(_airframe(axes), seed) for seed in range(1, FLIGHTS + 1)]
-    assert np.mean(np.square(over)) < LIMIT
+    error, sigma, swing = np.array([_toe(_airframe(axes), seed) for seed in range(1, FLIGHTS + 1)]).T
+    assert np.mean((error / sigma) ** 2) < LIMIT
+    if axes == "all":  # gyros see the slow bend move: what is left open must be less than what moves
+        assert np.mean(sigma) < 0.7 * np.mean(swing)

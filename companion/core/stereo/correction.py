@@ -221,4 +221,6 @@ class Correction:
         passed_s = 1e-9 * (until_ns - from_ns)
         moved_m = exp_rotation(0.5 * turn_rad) @ motion.velocity_mps * passed_s
         bend_turn_rad = self.rig.left.turn_rad(slope_change_sigma_rad(earlier, later, Side.LEFT))
+        if not np.isfinite(bend_turn_rad).all():
+            return None
         return FlightBetween(passed_s, turn_rad, moved_m, motion.covariance, bend_turn_rad)

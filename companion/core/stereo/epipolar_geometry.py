@@ -1,8 +1,9 @@
 """Epipolar frame of a rig, and the parallax that a wrong relative rotation leaves between matched rays.
 
 In the epipolar frame (x along the baseline, z where the cameras look, y across) matched rays have equal slopes y when
-the extrinsics are true. A right camera that is really turned by ``phi`` beyond what is believed, and a baseline that
-really points to ``(1, b_y, b_z)``, leave the parallax
+the extrinsics are true. Cameras that are really turned against each other by ``phi`` beyond what is believed, each by
+half of it, and a baseline that really points to ``(1, b_y, b_z)``, leave the parallax (terms of ``phi``: the mean of both
+rays')
 
     ``y_l - y_r = -phi_x (1 + y^2) + phi_y x y + phi_z x + b_y d + b_z (x_r y_l - y_r x_l)``,   ``d = x_l - x_r``
 
@@ -46,8 +47,8 @@ def parallax(epipolar_rays: Rays, state: Floats) -> tuple[Floats, Floats]:
     epipolar_rays : Rays
         Matched rays in the epipolar frame.
     state : (12,) float64
-        Pitch, yaw, roll of the right camera in all, baseline y and z, terms of the lens residual. Half of the rotation
-        is the left camera's, the other way: a bend turns both, and leaves the baseline where it was.
+        Pitch, yaw, roll of the right camera against the left in all, baseline y and z, terms of the lens residual. Each
+        camera has half of the rotation: a bend turns both, and leaves the baseline where it was.
     """
     half = exp_rotation(0.5 * state[:3])
     left, right = epipolar_rays.left @ half, epipolar_rays.right @ half.T

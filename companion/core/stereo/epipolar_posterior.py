@@ -42,8 +42,8 @@ _VARIANCE_FLOOR_RAD2 = 1e-17  # rad^2: what is known exactly has a finite inform
 # share of the knock's prior that stays, so that a rotation which no match sees has a finite sigma too
 _PRIOR_REMAINDER = 1e-3
 _FLOW_ROUNDS = 3  # reweightings of the flow, which is all but linear (choice)
-# sigma of the left camera's turn between two exposures, rad per axis, by integrated rates and tracked bend (choice: a
-# tenth of the fast slope's rms; 1 % of gyro scale in 0.2 rad/s for 0.15 s)
+# sigma of the left camera's turn between two exposures, rad per axis, by integrated rates and twist (choice: 1 % of
+# gyro scale in 0.2 rad/s for 0.15 s); what the tracked bend adds comes with each pair
 _FLOW_TURN_RAD = 3e-4
 _WRONG_SIGMAS = 4.0  # residual of a wrong match (choice)
 _FLOW_SIGMAS = 4.0  # a yaw that one pair's flow moves by more contradicts what is known of it (choice)

@@ -122,7 +122,8 @@ def bent_pose(camera: MountedCamera, tips: TipMotion, bend: Deflection) -> Pose:
 def slope_change_sigma_rad(earlier: Deflection, later: Deflection, side: Side) -> float:
     """One-sigma of a tip's change of slope between two instants beyond the tracked one, rad.
 
-    The fast part of the tracker's error is a process of first order with the correlation time that the tracker tells.
+    The tip's error beside the slow one that both share is a process of first order with the correlation time that the
+    tracker tells; a lasting difference of the tips counts as fast, on the safe side.
     """
     variances = [
         max(float(b.covariance[4 + side, 4 + side]) - b.slow_slope_sigma_rad**2, 0.0) for b in (earlier, later)

@@ -131,6 +131,8 @@ def mode_estimate(
 ) -> ModeEstimate:
     """Describe one mode as ``q = static + amplitude cos(phase)``, ``q' = -omega amplitude sin(phase)``.
 
+    The swing is about the static bend and, as far as that is uncertain, the bend by a slow load.
+
     The instantaneous frequency is the phase's rate by the modal equation, gust load included.
 
     Parameters
@@ -155,10 +157,11 @@ def mode_estimate(
     relative = parameters.log_sigma
     frequency_sigma = parameters.frequency_hz * float(relative[FREQUENCY])
     index = [family.q, family.v, family.gust_2]
-    about = _about_slow_load(covariance[np.ix_(index, index)], parameters.frequency_hz)
+    block = covariance[np.ix_(index, index)]
+    about = _about_slow_load(block, parameters.frequency_hz)
     amplitude, amplitude_sigma, phase, phase_sigma, instantaneous, instantaneous_sigma = oscillation(
         about @ state[index],
-        about @ covariance[np.ix_(index, index)] @ about.T,
+        about @ block @ about.T,
         (0, 1, 2),
         static_m,
         parameters.frequency_hz,

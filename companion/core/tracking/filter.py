@@ -239,7 +239,7 @@ class SeparatedBiasFilter:
         """
         n, transform = self.layout.size, np.eye(self.layout.size + 1)
         for family, old, new in zip(self.layout.families, self.model.parameters, parameters, strict=True):
-            corner = 2.0 * np.pi * new.corner_2_hz
+            corner = 2.0 * np.pi * new.cautious().corner_2_hz
             for (q, _), before, after in zip(family.pairs, old.modes, new.modes, strict=True):
                 stiffer = 4.0 * np.pi**2 * (after.frequency_hz**2 - before.frequency_hz**2)
                 damped = 4.0 * np.pi * (after.frequency_hz * after.damping - before.frequency_hz * before.damping)

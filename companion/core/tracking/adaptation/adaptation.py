@@ -23,7 +23,7 @@ from companion.core.tracking.spread_work import SPREAD_S, Stages
 from companion.core.tracking.states import P_LEFT, P_RIGHT, P_ROOT, SensorNoise, StateLayout
 from companion.records import Bools, Floats
 
-_BEGUN_SEGMENTS = 1.5  # chosen: a history that began anew must outweigh what the last parameters were fitted to
+_BEGUN_S = 6.0  # chosen: a history that began anew must outweigh what the last parameters were fitted to
 _LONG_S = 20.0  # chosen: five periods of the lowest frequency that is fitted
 _FIRST_S = 1.5  # chosen: seven periods at 5 Hz for the first fit
 _PERIOD_S = 1.0  # chosen: between fits
@@ -123,7 +123,7 @@ class Adaptation:
         slots = slice(first, last) if last <= size else np.arange(first, last) % size
         self._rows[slots, :2], self._sensitivity[slots] = epochs.rows[:, :2], epochs.sensitivity[:, :2]
         self._rows[slots, ROLL], self._rows[slots, STATIC] = epochs.rows[:, P_ROOT], epochs.load_g
-        self._rows[slots, SLOPE_RATES] = _slope_rates(epochs)
+        self._rows[slots, SLOPE_RATES] = epoch_slope_rates(epochs)
         self._present[slots] = epochs.present[:, :2]
         self._aliasing_noise += min(1.0, epochs.length * self._step_s / _ALIASING_MEMORY_S) * (
             _mean(epochs.aliasing_noise) - self._aliasing_noise
@@ -155,11 +155,11 @@ class Adaptation:
         if hold:
             return None
         rows, present = self._corrected_history()
-        begun = self._count - self._history_from
-        since = max(self._last_gap(present), len(rows) - begun)
+        newest = self._count - self._history_from
+        since = max(self._last_gap(present), len(rows) - newest)
         if since and len(rows) - since < self._segment_epochs:
             return None
-        if begun < _BEGUN_SEGMENTS * self._segment_epochs and self._history_from and not contradicted:
+        if self._history_from and newest * self._step_s < _BEGUN_S and not (contradicted or self.early):
             return None
         tips = present[since:].mean(axis=0) >= _MIN_PRESENT
         if not tips.any():
@@ -192,7 +192,7 @@ class Adaptation:
         return rows, present
 
 
-def _slope_rates(epochs: Epochs) -> Floats:
+def epoch_slope_rates(epochs: Epochs) -> Floats:
     """Rate of slope of both families by the roll rates of tips and root, (n, 2) rad/s; NaN where one is absent."""
     left, right, root = (epochs.rows[:, row] for row in (P_LEFT, P_RIGHT, P_ROOT))
     rates = np.column_stack([0.5 * (left - right), root - 0.5 * (left + right)])

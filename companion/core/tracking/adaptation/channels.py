@@ -89,13 +89,13 @@ class Channels:
         if len(families) > 1:
             return None
         (k,) = families
-        family = self._layout.families[k]
-        factor = family.modes[0].slope_factor_radpm.value
-        rates = rows[:, SLOPE_RATES.start + k]
-        if family is self._layout.symmetric:
+        factor = self._layout.families[k].modes[0].slope_factor_radpm.value
+        rates, variance = rows[:, SLOPE_RATES.start + k], self._noise.sensor_variance
+        noise = 0.25 * (variance[P_LEFT] + variance[P_RIGHT])
+        if k == 0:
             rates = rates - factor * np.gradient(rows[:, STATIC], self._step_s)
-        variance = self._noise.sensor_variance
-        noise = 0.25 * (variance[P_LEFT] + variance[P_RIGHT]) + (k == 1) * variance[P_ROOT]
+        else:
+            noise += variance[P_ROOT]
         return slope_rates(rates, self._step_s, 2.0 * self._step_s * float(noise), factor)
 
     def _drift_density(self, signs: tuple[float, float]) -> float:

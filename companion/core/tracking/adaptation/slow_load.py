@@ -19,8 +19,9 @@ from companion.records import Floats
 
 LEAST_CORNER_HZ = 0.03  # derived: of Dryden's vertical gust at 22 m/s in 100 m, V / (2 pi h)
 _CORNERS = 7  # numerical: a third of a decade between those tried
+_LEAST_PRESENT = 0.98  # chosen: what is missing is bridged, as short as it is beside a second
 _RATE_BAND_HZ = (0.1, 1.0)  # chosen: above a bias' drift, and where a 5 Hz wing follows its load at once
-_HANN_INDEPENDENT = 2.0 / 3.0  # derived: independent bins of a Hann taper for each bin
+_HANN_INDEPENDENT = 18.0 / 35.0  # derived, (sum w^2)^2 / (n sum w^4): independent bins of a Hann taper for each bin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,12 +52,15 @@ class SlopeRates:
 
 
 def slope_rates(rate_radps: Floats, step_s: float, noise: float, slope_factor_radpm: float) -> SlopeRates | None:
-    """Periodogram of a rate of slope (n,); None where a sample is missing or the segment is too short."""
-    n = len(rate_radps)
+    """Periodogram of a rate of slope (n,), NaN where missing; None where many are, or the segment is too short."""
+    n, present = len(rate_radps), np.isfinite(rate_radps)
     first, last = np.ceil(np.array(_RATE_BAND_HZ) * n * step_s).astype(int)
     first = max(first, 2)  # the taper leaks a constant into the two lowest
-    if last <= first or not np.isfinite(rate_radps).all():
+    if last <= first or present.mean() < _LEAST_PRESENT:
         return None
+    if not present.all():
+        at = np.arange(n)
+        rate_radps = np.interp(at, at[present], rate_radps[present])
     taper = np.hanning(n)
     spectrum = np.fft.rfft(taper * (rate_radps - rate_radps.mean()))[first:last]
     power: Floats = 2.0 * step_s / float(taper @ taper) * (spectrum.real**2 + spectrum.imag**2)

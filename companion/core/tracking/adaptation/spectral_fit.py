@@ -64,7 +64,7 @@ class FitInput(NamedTuple):
     Attributes
     ----------
     rows : (n, COLUMNS) float64
-        History, oldest first, corrected for bias.
+        History, oldest first; vertical rows and load factor are corrected for bias, rates of slope as they came.
     single_tip : int or None
         The present tip where the other is absent.
     elapsed_s : float
