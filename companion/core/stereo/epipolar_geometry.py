@@ -2,8 +2,8 @@
 
 In the epipolar frame (x along the baseline, z where the cameras look, y across) matched rays have equal slopes y when
 the extrinsics are true. Cameras that are really turned against each other by ``phi`` beyond what is believed, each by
-half of it, and a baseline that really points to ``(1, b_y, b_z)``, leave the parallax (terms of ``phi``: the mean of both
-rays')
+half of it, and a baseline that really points to ``(1, b_y, b_z)``, leave the parallax (terms of ``phi``: the mean of
+both rays')
 
     ``y_l - y_r = -phi_x (1 + y^2) + phi_y x y + phi_z x + b_y d + b_z (x_r y_l - y_r x_l)``,   ``d = x_l - x_r``
 
