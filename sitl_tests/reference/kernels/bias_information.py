@@ -8,28 +8,19 @@ from companion.records import Floats, Ints
 
 
 def age_information(
-    accumulated: Floats,
-    state_and_sensitivity: Floats,
-    covariance: Floats,
-    wandering: Ints,
-    sigma: Floats,
-    autocorrelation: float,
+    information: Floats, state: Floats, covariance: Floats, wandering: Ints, sigma: Floats, autocorrelation: float
 ) -> None:
-    """Time update of the wandering bias parameters, in information form and in place.
-
-    A first-order process: ``c_old = r c_new + noise``. The noise is marginalised; the state's dependence on it becomes
-    its own variance.
-    """
+    """Marginalise the noise of each wandering column, in place; ``state`` has the sensitivities beside it."""
     for column in wandering:
         noise = (1.0 - autocorrelation * autocorrelation) * sigma[column - 1] ** 2
-        learned, sensitivity_column = accumulated[column].copy(), state_and_sensitivity[:-1, column].copy()
+        learned, sensitivity_column = information[column].copy(), state[:-1, column].copy()
         gain = noise / (1.0 + noise * learned[column])
-        state_and_sensitivity[:-1] -= gain * np.outer(sensitivity_column, learned)
+        state[:-1] -= gain * np.outer(sensitivity_column, learned)
         covariance += gain * np.outer(sensitivity_column, sensitivity_column)
-        accumulated -= gain * np.outer(learned, learned)
-        accumulated[column, :] *= autocorrelation
-        accumulated[:, column] *= autocorrelation
-        state_and_sensitivity[:-1, column] *= autocorrelation
+        information -= gain * np.outer(learned, learned)
+        information[column, :] *= autocorrelation
+        information[:, column] *= autocorrelation
+        state[:-1, column] *= autocorrelation
 
 
 def solve_parameters(
