@@ -11,7 +11,7 @@ import pytest
 from companion.adapters.recordings.mcap.writer import About, McapWriter
 from companion.cli.main import main
 from companion.evaluation.flight_log import FlightLog, Spectrum, gather
-from companion.evaluation.pages.flight_report import verdict
+from companion.evaluation.pages.flight_report import lines_sentence, verdict
 from companion.params.files import load_airframe
 from companion.params.settings import Settings
 from companion.records import (
@@ -89,6 +89,16 @@ def test_peaks_of_manoeuvres_and_of_the_wing_are_no_vibration_lines() -> None:
         density[round(peak_hz / 0.125)] = 1.0
     assert Spectrum(f_hz, density).lines_hz() == pytest.approx([5.125, 28.0, 84.0])
     assert Spectrum(f_hz, density, (5.0, 6.5)).lines_hz() == pytest.approx([28.0, 84.0])
+
+
+def test_a_line_where_a_higher_mode_is_believed_is_named_so() -> None:
+    f_hz = np.arange(0.0, 150.0, 0.125)
+    density = np.full(len(f_hz), 1e-4)
+    density[[round(peak_hz / 0.125) for peak_hz in (28.0, 84.0)]] = 2.0, 1.0
+    text = lines_sentence({Station.LEFT: Spectrum(f_hz, density)}, AIRFRAME.wing)
+    assert "28.0 Hz (second symmetric mode: 27 ±3 Hz believed)" in text
+    assert text.endswith(", 84.0 Hz"), "a propeller's line is no mode"
+    assert "No sharp line" in lines_sentence({}, AIRFRAME.wing)
 
 
 def test_a_propellers_line_is_told_at_the_tips_and_not_at_the_root(log: FlightLog) -> None:

@@ -11,6 +11,7 @@ from companion.adapters.recordings.recording import Recording
 from companion.evaluation.flight_log import SPECTRUM_SEGMENT_S, FlightLog, Spectrum
 from companion.evaluation.pages import flight_figures as figures
 from companion.evaluation.recording_info import stream_line
+from companion.params.airframe import FAMILIES, Wing
 from companion.params.settings import Settings
 from companion.records import Health, Station, Validity
 from companion.reporting import page
@@ -18,6 +19,7 @@ from companion.reporting.blocks import Advice, Answers, Block, Heading, Page, Pa
 from companion.reporting.embedding import embed
 
 _USABLE_SHARE = 0.5  # of the ranges; below, more were withheld than published
+_MODE_SIGMAS = 2.0  # so near the belief, a line may be a higher mode's (choice)
 _LONG_SILENCE_S = 10.0  # an approach at 20 m/s covers 200 m in it
 
 
@@ -60,7 +62,7 @@ def render(recording: Recording, log: FlightLog) -> str:
 def _body(recording: Recording, log: FlightLog, judged: FlightVerdict) -> Iterator[Block]:
     yield Answers(list(_answers(log, judged)))
     yield from _ranges(log)
-    yield from _wing(log)
+    yield from _wing(log, recording.airframe.wing)
     yield from _triggers(log)
     yield from _clocks(log)
     yield from _refusals(log)
@@ -111,7 +113,7 @@ def _ranges(log: FlightLog) -> Iterator[Block]:
         yield embed(figures.ranges(log, text[:1].upper() + text[1:]), "rigid and corrected ranges over time")
 
 
-def _wing(log: FlightLog) -> Iterator[Block]:
+def _wing(log: FlightLog, wing: Wing) -> Iterator[Block]:
     if not log.modes:
         return
     yield Heading("Wing")
@@ -120,23 +122,29 @@ def _wing(log: FlightLog) -> Iterator[Block]:
         candidates = {station: log.spectrum(station) for station in Station}
         spectra = {station: spectrum for station, spectrum in candidates.items() if spectrum is not None}
         if spectra:
-            yield embed(figures.spectra(log, spectra, _lines_sentence(spectra)), "spectra of root and tips")
+            yield embed(figures.spectra(log, spectra, lines_sentence(spectra, wing)), "spectra of root and tips")
         else:
             yield Paragraph(f"No spectra: they need {2 * SPECTRUM_SEGMENT_S:.0f} s of samples at a steady rate.")
 
 
-def _lines_sentence(spectra: Mapping[Station, Spectrum]) -> str:
-    """Sharp lines of each station, which an engine, a propeller or a loose part makes."""
+def lines_sentence(spectra: Mapping[Station, Spectrum], wing: Wing) -> str:
+    """Sharp lines of each station, which an engine, a propeller, a loose part or a higher mode makes."""
     lines_of_stations = []
     for station, spectrum in spectra.items():
         lines = spectrum.lines_hz()
         if lines:
-            lines_of_stations.append(f"{station.name.lower()} {', '.join(f'{line:.1f}' for line in lines)} Hz")
-    return (
-        f"Vibration lines: {'; '.join(lines_of_stations)}"
-        if lines_of_stations
-        else "No sharp vibration line at root or tips"
-    )
+            named = ", ".join(f"{line:.1f} Hz{_higher_mode(line, wing)}" for line in lines)
+            lines_of_stations.append(f"{station.name.lower()} {named}")
+    return f"Vibration lines: {'; '.join(lines_of_stations)}" if lines_of_stations else "No sharp line at root or tips"
+
+
+def _higher_mode(line_hz: float, wing: Wing) -> str:
+    """Note that a line lies where the airframe file believes a higher bending mode; empty where it does not."""
+    for name, mode in wing.modes.items():
+        frequency = mode.frequency_hz
+        if name not in FAMILIES and abs(line_hz - frequency.value) <= _MODE_SIGMAS * frequency.sigma:
+            return f" ({name.replace('_', ' ')} mode: {frequency.value:.0f} ±{frequency.sigma:.0f} Hz believed)"
+    return ""
 
 
 def _triggers(log: FlightLog) -> Iterator[Block]:
