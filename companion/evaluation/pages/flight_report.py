@@ -139,11 +139,11 @@ def lines_sentence(spectra: Mapping[Station, Spectrum], wing: Wing) -> str:
 
 
 def _higher_mode(line_hz: float, wing: Wing) -> str:
-    """Note that a line lies where the airframe file believes a higher bending mode; empty where it does not."""
+    """Name of the higher bending mode that the airframe file believes to be there, in brackets; empty without one."""
     for name, mode in wing.modes.items():
         frequency = mode.frequency_hz
         if name not in FAMILIES and abs(line_hz - frequency.value) <= _MODE_SIGMAS * frequency.sigma:
-            return f" ({name.replace('_', ' ')} mode: {frequency.value:.0f} ±{frequency.sigma:.0f} Hz believed)"
+            return f" ({name.replace('_', ' ')} mode)"
     return ""
 
 
