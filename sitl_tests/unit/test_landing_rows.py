@@ -56,6 +56,7 @@ def test_the_table_has_a_row_for_each_range_finder_and_air() -> None:
     assert [row[:3] for row in cells(ROWS)] == [("calm", "rigid stereo", "3"), ("calm", "Spanwise", "2")]
     assert "| 0.60 (0.50 to 0.70) | 1 (-10 to 12) |" in markdown(ROWS)
     assert "none" in cells([gone_around("truth", 1)])[0]
+    assert cells([landed("truth", 1, 3.6)])[0][3] == "0.1", "a single landing has no extremes"
 
 
 def test_settings_that_differ_make_a_row_of_their_own() -> None:

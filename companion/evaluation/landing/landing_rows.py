@@ -123,10 +123,11 @@ def figures(rows: Sequence[Row]) -> LandingFigures:
 
 
 def spread(values: Floats, digits: int = 1) -> str:
-    """Median and extremes of some values, in words of the table."""
+    """Median of some values and, of more than one, their extremes, in words of the table."""
     if not len(values):
         return "none"
     low, middle, high = (float(value) for value in np.percentile(values, [0, 50, 100]))
     if not math.isfinite(middle):
         return "none"
-    return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
+    extremes = f" ({low:.{digits}f} to {high:.{digits}f})" if len(values) > 1 else ""
+    return f"{middle:.{digits}f}{extremes}"
